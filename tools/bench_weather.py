@@ -13,6 +13,7 @@ knocks    0.2 mm and 1 mrad, of one camera and of the rig, once in each draw, at
 hidden    6 of 8 marks covered for an hour, at the steepest hour: sigma before and after, error in sigmas.
 limits    one mark moved, half of the plate bent, another plate, a larger one, all covered.
 rendered  noise and error of dots in drawn pictures.
+dirt      chips of steel and drops of oil on the marks in drawn pictures: dots seen, results, and how wrong.
 robot     a robot that is off by about 0.5 mm, with play: touched points, with and without a map of its error.
 price     ms of the filter, and the sigma that a correction adds to a part: it knows the range, not the drift;
           beside what a calibration alone leaves.
@@ -20,10 +21,12 @@ price     ms of the filter, and the sigma that a correction adds to a part: it k
 
 from __future__ import annotations
 
+import itertools
 import sys
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from bench_accept import calibrated
@@ -35,16 +38,19 @@ from edged.robot.picking import frame_of
 from edged.setup.registration.registering import from_points
 from edged.sim.arm import ErringArm
 from edged.sim.cell import demo_rig, stereo_views
+from edged.sim.dirt import oiled, swarf
 from edged.sim.marksplate import marks_plate
 from edged.sim.render.scene import PlacedPart, Scene, Surface, Table
 from edged.sim.weather import DAY_S, Knock
+from edged.vision.geometry.correction import shift_by_displacement
 from edged.vision.geometry.rigid import apply, rotation_matrix, skew, transform
 from edged.vision.geometry.uncertainty import calibration_covariance
 from edged.vision.marks.frame import parse_frame
 from edged.vision.marks.measuring import measure_marks
 from edged.vision.marks.observing import DotsInPair
 from edged.vision.marks.params import MARKS
-from edged.vision.marks.taught import teach_marks
+from edged.vision.marks.taught import TaughtMarks, teach_marks
+from edged.vision.marks.tracking import MarksFilter, MarksSettings, correction_of
 
 HOUR_S = 3600.0
 
@@ -242,28 +248,16 @@ def limits() -> dict[str, object]:
 
 def rendered(places: int = 12) -> dict[str, float]:
     """Print noise and error of dots in drawn pictures, the plate elsewhere in each by parts of a pixel."""
-    rig, frame = demo_rig(), parse_frame(FRAME)
-    views, rng = stereo_views(rig), np.random.default_rng(54)
-    floor = transform(np.eye(3), np.add(MIDDLE, (0, 0, 1.1)))
-    table = Table(Surface(albedo=0.16, contrast=0.25, feature_mm=0.6, seed=2), floor)
-    own = np.column_stack([frame.places[:, :2], np.zeros(frame.count)])
-
-    def pair(rig_from_frame: FloatArray, noise: int | None) -> list:
-        scene = Scene(table, (PlacedPart(marks_plate(frame), rig_from_frame),))
-        return [
-            views[side].render(scene, None if noise is None else np.random.default_rng((noise, index)))
-            for index, side in enumerate(SIDES)
-        ]
-
-    at = transform(np.eye(3), MIDDLE)
-    taught = teach_marks((pair(at, k) for k in range(MARKS.min_exposures)), rig, 1)
+    rng, own = np.random.default_rng(54), own_places()
+    views = stereo_views(demo_rig())
+    taught = drawn_teaching()
     errors, clean = [], []
     for number in range(places):
         turn = rotation_matrix(rng.normal(0, 5e-4, 3))
         moved = transform(turn, MIDDLE + rng.uniform(-0.1, 0.1, 3))
         truth = [views[side].project(apply(moved, own)) for side in SIDES]
         for noise, into in ((number, errors), (None, clean)):
-            for image, look, true in zip(pair(moved, noise), taught.looks, truth, strict=True):
+            for image, look, true in zip(drawn(moved, noise), taught.looks, truth, strict=True):
                 into.append(measure_marks(image, look, true + rng.normal(0, 0.3, true.shape)).pixels - true)
     errors, clean = np.array(errors), np.array(clean)
     seen = np.isfinite(errors).all(axis=-1).mean()
@@ -271,6 +265,86 @@ def rendered(places: int = 12) -> dict[str, float]:
     print(f"error rms {np.sqrt(np.nanmean(errors**2)):.4f} px, largest {np.nanmax(np.abs(errors)):.4f}")
     print(f"without sensor noise rms {np.sqrt(np.nanmean(clean**2)):.4f} px")
     return {"rms_px": float(np.sqrt(np.nanmean(errors**2))), "clean_px": float(np.sqrt(np.nanmean(clean**2)))}
+
+
+def own_places() -> FloatArray:
+    """(8, 3) of the marks on their plate."""
+    places = parse_frame(FRAME).places
+    return np.column_stack([places[:, :2], np.zeros(len(places))])
+
+
+def drawn(rig_from_frame: FloatArray, noise: int | None, *more: PlacedPart) -> list:
+    """Both pictures of the plate on a table, and of what lies on it. noise : its seed; None: without."""
+    floor = transform(np.eye(3), np.add(MIDDLE, (0, 0, 1.1)))
+    table = Table(Surface(albedo=0.16, contrast=0.25, feature_mm=0.6, seed=2), floor)
+    scene = Scene(table, (PlacedPart(marks_plate(parse_frame(FRAME)), rig_from_frame), *more))
+    views = stereo_views(demo_rig())
+    return [
+        views[side].render(scene, None if noise is None else np.random.default_rng((noise, index)))
+        for index, side in enumerate(SIDES)
+    ]
+
+
+@cache
+def drawn_teaching() -> TaughtMarks:
+    """The marks as drawn pictures teach them."""
+    at = transform(np.eye(3), MIDDLE)
+    return teach_marks((drawn(at, k) for k in range(MARKS.min_exposures)), demo_rig(), 1)
+
+
+def dirt(scenes: int = 12) -> list[dict[str, object]]:
+    """Print what chips and oil on marks do to dots, and to a part, where nothing has moved."""
+    taught, at = drawn_teaching(), transform(np.eye(3), MIDDLE)
+    true = np.stack([stereo_views(demo_rig())[side].project(apply(at, own_places())) for side in SIDES])
+    filter_ = MarksFilter(taught, MarksSettings())
+    part = MIDDLE + rim_mm() - (0.0, 0.0, 10.0)
+    print(f"\n{scenes} drawn pairs a line: dirt on so many of 8 marks; a part of 28 mm above their middle\n")
+    print("| dirt | dots seen | error px rms | largest | states | excluded | part: error µm | in sigma |")
+    print("|---|---|---|---|---|---|---|---|")
+    rows = []
+    for kind, count in (("none", 0), *itertools.product(("swarf", "oil"), (2, 4, 8))):
+        off, errors, ratios, states, excluded = [], [], [], {}, 0
+        for number in range(scenes):
+            rng = np.random.default_rng((number, count, len(kind)))
+            hit = rng.permutation(8)[:count]
+            chips = swarf(rng, at, own_places()[hit]) if kind == "swarf" else ()
+            images = drawn(at, 900 + number, *chips)
+            if kind == "oil":
+                images = [
+                    oiled(image, places[hit] + rng.normal(0, 8, (count, 2)), 45.0)
+                    for image, places in zip(images, true, strict=True)
+                ]
+            track = filter_.predicted(filter_.begin(), 10**9)
+            dots, track = filter_.look(track, *images)
+            track, report = filter_.updated(track, dots)
+            off.append(dots.pixels - true)
+            states[report.state.name] = states.get(report.state.name, 0) + 1
+            excluded += len(report.excluded)
+            if report.valid:
+                slopes = shift_by_displacement(demo_rig(), correction_of(track), part).mean(axis=0)
+                errors.append(slopes @ track.displacement)
+                ratios.append(np.abs(errors[-1]) / np.sqrt(np.diag(slopes @ track.covariance @ slopes.T)))
+        off = np.array(off)
+        seen = 100 * np.isfinite(off).all(axis=-1).mean()
+        row = {
+            "dirt": kind,
+            "marks": count,
+            "seen": seen,
+            "rms_px": float(np.sqrt(np.nanmean(off**2))),
+            "largest_px": float(np.nanmax(np.abs(off))),
+            "states": states,
+            "excluded": excluded,
+            "part_um": 1e3 * float(np.abs(errors).max()) if errors else None,
+            "sigmas": float(np.max(ratios)) if ratios else None,
+        }
+        said = ", ".join(f"{name} {times}" for name, times in sorted(states.items()))
+        far = f"{row['part_um']:.1f} | {row['sigmas']:.2f}" if errors else "- | -"
+        print(
+            f"| {kind} {count or ''} | {seen:.0f} % | {row['rms_px']:.4f} | {row['largest_px']:.3f} | {said} "
+            f"| {excluded} | {far} |"
+        )
+        rows.append(row)
+    return rows
 
 
 # --- a robot's error -------------------------------------------------------------------------------------
@@ -433,17 +507,18 @@ def main() -> None:
     parser = bench_parser(__doc__)
     parser.add_argument("--seeds", type=int, default=3)
     parser.add_argument("--draws", type=int, default=2000)
-    parser.add_argument("--only", choices=("day", "knocks", "hidden", "limits", "rendered", "robot", "price"))
-    options = parser.parse_args()
     works: dict[str, Callable[[], object]] = {
         "day": lambda: days(options.seeds),
         "knocks": lambda: knocks(options.draws),
         "hidden": lambda: hidden_hour(options.seeds),
         "limits": limits,
         "rendered": rendered,
+        "dirt": dirt,
         "robot": lambda: robots(options.seeds),
         "price": price,
     }
+    parser.add_argument("--only", choices=tuple(works))
+    options = parser.parse_args()
     figures = {name: work() for name, work in works.items() if options.only in (None, name)}
     finish(options, figures)
 

@@ -22,6 +22,7 @@ from edged.cell.lease.session import SetupSession
 from edged.domain.acceptance import Acceptance, AcceptanceState
 from edged.domain.marks import MarksState
 from edged.domain.overview import Overview, RigFigures
+from edged.errors import without_folders
 from edged.payload import Json, said
 from edged.plc.registers import Number, Register
 from edged.ports import Publisher
@@ -123,7 +124,7 @@ class Running:
         if (plc := self.plc()) is not None:
             groups["PLC"] = {"address": plc.place}
             if plc.problem:
-                groups["PLC"]["problem"] = said("own-words", plc.problem)
+                groups["PLC"]["problem"] = said("own-words", without_folders(plc.problem))
         if (opcua := config.opcua) is not None and "opcua" in self.servers:
             groups["OPC UA"] = {
                 "port": opcua.port,
@@ -146,10 +147,10 @@ class Running:
                 "failed": kept.failed,
             }
             if kept.problem:
-                groups["Recorder"]["problem"] = said("own-words", kept.problem)
+                groups["Recorder"]["problem"] = said("own-words", without_folders(kept.problem))
         for name, problem in self.problems.items():
             if name in GROUPS:
-                groups.setdefault(GROUPS[name], {})["problem"] = said("own-words", problem)
+                groups.setdefault(GROUPS[name], {})["problem"] = said("own-words", without_folders(problem))
         return groups
 
     def _drift_facts(self) -> dict[str, Json | str]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import cv2
 import numpy as np
 import pytest
 from helpers.markedday import new_day
@@ -10,6 +9,7 @@ from helpers.markedplate import AT, MIDDLE, OWN, VIEWS, pair, taught
 
 from edged.domain.arrays import FloatArray, Image
 from edged.domain.marks import MarksReport, MarksState, MarksTrack
+from edged.sim.dirt import oiled
 from edged.sim.marksplate import marks_plate
 from edged.sim.render.scene import PlacedPart
 from edged.vision.geometry.rigid import apply, transform
@@ -134,26 +134,18 @@ def test_marks_that_are_covered_for_ever_end_in_a_sigma_that_says_so() -> None:
     assert (report.state, report.valid) == (MarksState.CORRECTED, True)
 
 
-def oiled(images: tuple[Image, Image], marks: list[int]) -> tuple[Image, Image]:
-    """Oil over some dots: blurred by a pixel and a half, and a third darker, with an edge of its own."""
-    found = []
-    for index, image in enumerate(images):
-        smooth = cv2.GaussianBlur(image, (0, 0), 1.5) * 0.67
-        drop = np.zeros(image.shape, np.float32)
-        for mark in marks:
-            x, y = taught().pixels[index, mark]
-            cv2.circle(drop, (round(x + 6), round(y - 4)), 40, 1.0, -1)
-        drop = cv2.GaussianBlur(drop, (0, 0), 4.0)
-        mixed = drop * smooth + (1 - drop) * image
-        found.append(np.clip(np.round(mixed), 0, 255).astype(np.uint8))
-    return found[0], found[1]
+def under_oil(images: tuple[Image, Image], marks: list[int]) -> tuple[Image, Image]:
+    """Drops of oil over some dots, with an edge of their own."""
+    places = taught().pixels[:, marks] + (6.0, -4.0)
+    left, right = (oiled(image, at, 45.0) for image, at in zip(images, places, strict=True))
+    return left, right
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("marks", [[2], [0, 3, 5]])
 def test_oil_on_marks_is_no_knock(marks: list[int]) -> None:
     """Dots under oil count as they are or are left out; the cell is not told that a camera moved."""
-    for report in steps(*(oiled(pair(AT, noise), marks) for noise in (40, 41, 42))):
+    for report in steps(*(under_oil(pair(AT, noise), marks) for noise in (40, 41, 42))):
         assert report.valid, report
         assert report.state in (MarksState.CORRECTED, MarksState.CONTRADICTED)
         assert {taught().codes[mark] for mark in marks} >= set(report.excluded)
