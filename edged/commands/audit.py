@@ -126,6 +126,6 @@ def _print_witness(verdict: AuditVerdict, witness: JournalVerdict, console: Cons
         say(f"the journal still has records up to {witness.let_go} that the files have let go", console)
     if witness.lost:
         say(
-            f"the journal has {witness.lost} deeds that the files could not take",
+            f"the journal has {witness.lost} actions that the files could not take",
             console,
         )

@@ -11,12 +11,14 @@ from pathlib import Path
 import aiohttp
 import numpy as np
 import pytest
+from helpers.cells import small_rig
 from helpers.needs import needs_aravis
 from helpers.ports import free_port
 from helpers.stagecell import staged
 from helpers.waiting import WHOLE_S, until
 
 from edged.domain.arrays import SIDES
+from edged.files.rig import save_rig
 from edged.sim.gige import genicam as g
 from edged.sim.stage import stage_board
 from edged.sim.world import SERIALS
@@ -152,8 +154,22 @@ async def test_light_and_focus_of_live_pictures_are_told(tmp_path: Path) -> None
         assert 1.6 < right["sigma_z_factor"] < 2.2
 
 
-def test_the_command_says_where_to_go_and_ends_with_ctrl_c(tmp_path: Path) -> None:
-    """Without a display: the page's address and a password that is not that of another run; exit code 0."""
+@pytest.mark.parametrize(
+    ("is_calibrated", "expected"),
+    [
+        (False, "without a calibration and without a job"),
+        (True, "with the calibration of this folder, and without a job"),
+    ],
+)
+def test_the_command_says_where_to_go_and_ends_with_ctrl_c(
+    tmp_path: Path, is_calibrated: bool, expected: str
+) -> None:
+    """Without a display: the page's address, a password that is not that of another run, and what is there
+    of a run before; exit code 0.
+    """
+    if is_calibrated:
+        (tmp_path / "cell").mkdir()
+        save_rig(tmp_path / "cell" / "rig.json", small_rig(), {"board": "chessboard:11x8:4"})
     ports = [str(free_port()) for _ in range(3)]
     options = (f"--{name}-port={port}" for name, port in zip(("web", "modbus", "zenoh"), ports, strict=True))
     command = [sys.executable, "-m", "edged", "demo", "--stage", "--in-process", *options, "--folder"]
@@ -162,7 +178,7 @@ def test_the_command_says_where_to_go_and_ends_with_ctrl_c(tmp_path: Path) -> No
     ) as process:
         assert process.stdout is not None
         said = ""
-        while "calibration yet" not in said:
+        while " yet" not in said:
             line = process.stdout.readline()
             assert line, said
             said += line
@@ -170,5 +186,7 @@ def test_the_command_says_where_to_go_and_ends_with_ctrl_c(tmp_path: Path) -> No
         rest = process.communicate(timeout=WHOLE_S)[0]
     assert (0, "") == (process.returncode, rest)
     assert f"http://127.0.0.1:{ports[0]}/setup" in said
-    assert {".cell.state", "cell.toml", "recordings"} == {path.name for path in (tmp_path / "cell").iterdir()}
+    assert expected in said
+    made = {path.name for path in (tmp_path / "cell").iterdir()}
+    assert {".cell.state", "cell.toml", "recordings"} == made - {"rig.json"}
     assert 0 == (tmp_path / "cell" / "cell.toml").stat().st_mode & 0o007

@@ -33,6 +33,11 @@ def camera(serial: str, control: str = "free") -> CameraInfo:
     return CameraInfo(serial, "maker", "model", serial, f"10.0.0.{serial}", "GigEVision", "", control)
 
 
+def chosen(cameras: CameraService) -> dict[Side, bool]:
+    """Whether somebody has chosen a camera for a side."""
+    return {side: camera["chosen"] for side, camera in cameras.configured().items()}
+
+
 def assigned(
     monkeypatch: pytest.MonkeyPatch, cameras: list[CameraInfo], right: str = UNCHOSEN["right"]
 ) -> dict[Side, str | None]:
@@ -45,7 +50,9 @@ def assigned(
     cell = SimpleNamespace(files=files, session=session, notices=None)
     live = SimpleNamespace(listen=lambda _look: None)
     tried = CameraService(cast(Any, cell), cast(Any, live), None, cast(Any, None))
+    assert {"left": False, "right": right != UNCHOSEN["right"]} == chosen(tried)
     asyncio.run(tried.assign("token", "left", "2"))
+    assert {"left": True, "right": True} == chosen(tried)
     return {side: change.serial for side, change in session.camera_changes.items()}
 
 

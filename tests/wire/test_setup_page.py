@@ -373,6 +373,18 @@ async def test_a_fault_is_said_in_words_with_what_ends_it() -> None:
         await page.until('!document.querySelector(".fault")')
 
 
+async def test_what_nobody_has_begun_is_no_fault() -> None:
+    """Of a cell whose cameras were never chosen, the step says so; where one is silent, to look again."""
+    state = """[...document.querySelectorAll(".steps li")].find((e) => e.innerText.includes("Cameras"))
+      .querySelector(".unseen").textContent"""
+    cameras = """import("/static/setup/shared/live.js")
+      .then(({ cameras }) => { cameras.value = { configured: %s, found: [] }; })"""
+    async with on_the_page() as (page, _):
+        for chosen, expected in (("false", "not begun"), ("true", "look again")):
+            await page.value(cameras % f"{{ left: {{ chosen: true }}, right: {{ chosen: {chosen} }} }}")
+            await page.until(f"{state} === {expected!r}")
+
+
 async def test_a_page_without_its_cell_says_so() -> None:
     """As soon as the connection ends, in words."""
     async with on_the_page() as (page, cell):

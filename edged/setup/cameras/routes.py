@@ -28,8 +28,9 @@ class OpenNow(Answer):
 
 
 class ConfiguredCamera(Answer):
-    """As the cell's configuration has it. tried : what is other until SETUP ends."""
+    """As the configuration has it. chosen : by anybody, yet. tried : what is other until SETUP ends."""
 
+    chosen: bool
     device: str
     serial: str
     exposure_us: float | None

@@ -74,16 +74,19 @@ class CameraService:
     def configured(self) -> dict[Side, dict[str, Any]]:
         """Configuration of each side, with what is tried and is not kept."""
         cameras, changes = self._cell.files.config.cameras, self._cell.session.camera_changes
-        return {
-            side: {
-                "device": getattr(cameras, side).device or self._address(side),
-                "serial": getattr(cameras, side).serial,
-                "exposure_us": getattr(cameras, side).exposure_us,
-                "gain_db": getattr(cameras, side).gain_db,
-                "tried": _tried(getattr(cameras, side), changes.get(side)),
+        known: dict[Side, dict[str, Any]] = {}
+        for side in SIDES:
+            camera = getattr(cameras, side)
+            tried = _tried(camera, changes.get(side))
+            known[side] = {
+                "chosen": tried.get("device", camera.device) != UNCHOSEN[side],
+                "device": camera.device or self._address(side),
+                "serial": camera.serial,
+                "exposure_us": camera.exposure_us,
+                "gain_db": camera.gain_db,
+                "tried": tried,
             }
-            for side in SIDES
-        }
+        return known
 
     def quality(self) -> Mapping[str, Any] | None:
         """Light and focus of the last live pair that was judged."""

@@ -20,7 +20,7 @@ const MOST_FACTOR = 1.25;
 function ofCameras() {
   if (!cameras.value) return "none";
   const { configured, found } = cameras.value;
-  if (!SIDES.every((side) => configured?.[side])) return "gap";
+  if (!SIDES.every((side) => configured[side].chosen)) return "open";
   const ours = found.filter(({ side }) => side);
   return ours.length < SIDES.length || ours.some(({ trouble }) => trouble) ? "doubt" : "tick";
 }
