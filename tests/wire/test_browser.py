@@ -219,6 +219,8 @@ async def test_it_speaks_german_throughout() -> None:
         for tag, badge, count in (("en", "FAULT", "41.5 °C"), ("de", "FEHLER", "41,5 °C")):
             await page.value(LANGUAGE % tag)
             await page.until(f'document.querySelector("#badge").textContent === "{badge}"')
+            heals = {"en": "with the next good pair it measures again", "de": "Mit dem nächsten guten Paar"}
+            await page.until(f'document.querySelector("#headline").textContent.includes("{heals[tag]}")')
             if tag == "de":
                 await page.ask("Page.reload")
                 await page.until(

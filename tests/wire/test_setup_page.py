@@ -359,7 +359,7 @@ async def test_what_cannot_be_fetched_is_no_uncaught_error() -> None:
 
 async def test_a_fault_is_said_in_words_with_what_ends_it() -> None:
     """On every page; it stays while the cell fails in a beat, and goes soon after it is over."""
-    async with on_the_page() as (page, cell):
+    async with on_the_page(360, 740) as (page, cell):
         await page.until(f'{STATE} === "READY"')
         well = next(event for event in reversed(cell.ear.events) if isinstance(event, CellState))
         fault = {"error": "camera left: frame 4: incomplete: timeout", "error_code": 105}
@@ -367,6 +367,8 @@ async def test_a_fault_is_said_in_words_with_what_ends_it() -> None:
             cell.web.announce(replace(well, state=CellPhase.FAULT, ready=False, **fault))
             await page.until(said("Left: An image came damaged: packets were lost on the network."))
             assert await page.value(said("with the next good pair it measures again"))
+            assert [] == await page.violations()
+            assert 0 == await page.value(TOO_WIDE)
             cell.web.announce(well)
             await page.until(f'{STATE} === "READY"')
             assert await page.value('Boolean(document.querySelector(".fault"))')
