@@ -103,7 +103,7 @@ def inspect(
     """`locate` with the evidence: every part found, with its edges."""
     images = _rectified(pair, rig)
     by_all = (job.solid or job.tilt_rad is not None) and has_enough_curves(job)
-    if job.body is not None:
+    if job.body is not None or (by_all and job.break_end is not None):
         lap("rectify")
         return _inspect_solid(images, job, lap)
     rectified = images.rectified_left

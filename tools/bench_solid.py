@@ -45,7 +45,7 @@ from edged.vision.part.job import Job
 from edged.vision.part.params import MEASURING
 from edged.vision.teaching.cadjob import teach_model
 from edged.vision.teaching.cadpair import teach_with_model
-from edged.vision.teaching.furtherpairs import with_further_pairs
+from edged.vision.teaching.furtherpairs import with_breaks_shown
 from edged.vision.teaching.pair import teach
 
 DEPTH_SHARE = 0.22
@@ -180,9 +180,9 @@ def measure(
             job = teach(*pair_of(pictured), rig.rectification, None, design)
         taught_too = [p for p, parts in truths.items() if [one["design"] for one in parts] == [design]]
         taught_too = taught_too[: options.further]
-        if taught_too:
+        if read is None or taught_too:
             pairs = [pair_of(path) for path in taught_too]
-            job, said = with_further_pairs(job, pair_of(pictured), pairs, rig.rectification)
+            job, said = with_breaks_shown(job, pair_of(pictured), pairs, rig.rectification)
             print("\n".join(said))
         truths = {path: parts for path, parts in truths.items() if path not in taught_too}
     except EdgedError as error:

@@ -25,7 +25,7 @@ from edged.vision.teaching.cadmodel import CadModel, ModelCurves
 from edged.vision.teaching.cadpair import teach_with_model
 from edged.vision.teaching.cuts import Cut, cut_edges
 from edged.vision.teaching.drawing import teach_drawing
-from edged.vision.teaching.furtherpairs import with_further_pairs
+from edged.vision.teaching.furtherpairs import with_breaks_shown
 from edged.vision.teaching.pair import taught_mask, teach
 from edged.vision.teaching.region import Area
 from edged.vision.teaching.reteaching import carry_over
@@ -85,7 +85,7 @@ def propose_from_pair(
     """Learn from raw images. region : where the part is, px of the raw left image; None: all of it.
 
     exclude : what of it is not the part. model : of the same part, whose numbers and frame the job takes.
-    further : pairs that show the same part otherwise; see `with_further_pairs`.
+    further : pairs that show the same part otherwise; see `with_breaks_shown`.
     Raises `TeachError` for a pair that teaches nothing, or shows another part.
     """
     name, number, params = wanted.name, wanted.number, wanted.params
@@ -98,11 +98,11 @@ def propose_from_pair(
             exclude=exclude, params=params,
         )  # fmt: skip
         job, settled = found.job, found.said
-    if further:
-        job, said = with_further_pairs(job, (left, right), further, rectification)
+    if further or (model is None and (job.solid or wanted.tilt_deg is not None)):
+        job, said = with_breaks_shown(job, (left, right), further, rectification)
         settled = (*settled, *said)
-    elif model is None and job.solid:
-        settled = (_of_one_pair(job, rectification.rig),)
+        if job.solid and not said:
+            settled = (_of_one_pair(job, rectification.rig),)
     picture, mask = rectification.left_image(left), taught_mask(region, (), rectification)
     cuts = cut_edges(job, picture, mask, rectification)
     return _proposal(job, Taught(picture, None if region is None else mask, cuts, settled), wanted)
@@ -114,9 +114,9 @@ def _of_one_pair(job: Job, rig: StereoRig) -> str:
     left, right = (unit(place - eye) for eye in (np.zeros(3), invert(rig.right_from_left)[:3, 3]))
     widths = 0.5 / math.tan(0.5 * math.acos(float(left @ right)))
     return (
-        "edge breaks: no other pair has shown them. Where they are rounded, each camera may see another end "
-        f"of them, other light another one, and by up to {widths:.1f} times their width across the face. Add "
-        "a pair of the part tilted, or its STEP file"
+        "edge breaks: this pair does not show them. If there are any, each camera may see another end of "
+        f"them, other light another one, and by up to {widths:.1f} times their width across the face. Add a "
+        "pair of the part tilted, or its STEP file"
     )
 
 

@@ -283,13 +283,18 @@ def usual_limits(
 
 
 def known_radius(
-    circles: Sequence[CircleFeature], reference: str
+    circles: Sequence[CircleFeature], reference: str, *, is_broken: bool = False
 ) -> tuple[tuple[MeasurementSpec, ...], str | None]:
-    """The reference circle's radius as a size that is known: the default witness of the rig's scale."""
+    """The reference circle's radius as a size that is known: the default witness of the rig's scale.
+
+    is_broken : its rim is: light decides which of both edges is measured, and nobody knows its size.
+    """
     for circle in circles:
         if circle.name == reference:
-            name = f"radius_{circle.name}"
-            return (MeasurementSpec(name, "radius", (circle.name,), nominal=circle.radius_mm),), name
+            name, nominal = f"radius_{circle.name}", None if is_broken else circle.radius_mm
+            return (MeasurementSpec(name, "radius", (circle.name,), nominal=nominal),), (
+                None if is_broken else name
+            )
     return (), None
 
 

@@ -27,7 +27,7 @@ class Evidence:
     scale, sigma_scale : by which share all sizes exceed the taught ones, and what edges and the stated
     distance explain of that.
     form_mm : largest deviation of a straight edge or slot from its taught place.
-    break_mm : width of edge breaks that teaching did not show: the taught radius may be that of either end.
+    break_mm : width of the edge breaks of a part without a CAD model: either end may be measured.
     """
 
     support: float

@@ -60,7 +60,10 @@ def curve_model(job: Job, break_mm: float = 0.0, is_lower: bool = False) -> Edge
     walls, not those in the faces.  Curves have the numbers of the job's: its circles come first.
     """
     rims = list(_rims(job))
-    lower = [is_lower or _is_lower(rim, rims, break_mm) for rim in rims]
+    if job.break_end == "face":  # of all; the lower edges of some may have been taught besides
+        lower = [_has_upper(rim, rims, break_mm) for rim in rims]
+    else:
+        lower = [is_lower or _is_lower(rim, rims, break_mm) for rim in rims]
     kept = [k for k, rim in enumerate(rims) if not (lower[k] and _has_upper(rim, rims, break_mm))]
     rims, lower = [rims[k] for k in kept], [lower[k] for k in kept]
     start, end, outwards = (
@@ -129,8 +132,12 @@ def _is_hole(job: Job, circle: CircleFeature) -> bool:
     corners = points[np.abs(points[:, 2] - z) < CURVES.same_face_mm, :2]
     if len(corners) < 4:
         return circle.polarity > 0
-    low, high = np.min(corners, axis=0), np.max(corners, axis=0)
-    return bool(((low < (x, y)) & (high > (x, y))).all())
+    reach, away = circle.radius_mm, corners - (x, y)
+    if np.mean(np.linalg.norm(away, axis=1) < 1.1 * reach) > 0.5:  # most of them are its own, or within it
+        return False
+    if (away.min(axis=0) < -reach).all() and (away.max(axis=0) > reach).all():
+        return True
+    return circle.polarity > 0
 
 
 def _is_slot_hole(job: Job, slot: SlotFeature) -> bool:

@@ -75,7 +75,7 @@ def locate_solid(
             found = _of_likeliest_form(images, job, found, place, pyramids)
         match = _match(images, job, found.laid)
         alone = _certain(found.seen, _not_of(found, taken, shapes))  # not by the edges of another part
-        if min(found.certain, alone) < DECISION.certain or not _is_whole(job, found.seen):
+        if min(found.certain, alone) < DECISION.certain or not _is_whole(job, found):
             missed.append(match)
             continue
         taken.append(found)
@@ -237,13 +237,22 @@ def _certain(seen: PoseEvidence, chosen: npt.NDArray[np.bool_] | None = None) ->
     return min(sigmas_of(seen.log_ratio(some & (seen.camera == k))) for k in (0, 1))
 
 
-def _is_whole(job: Job, seen: PoseEvidence) -> bool:
-    """Whether enough of a part is there that is known by its curves alone."""
+def _is_whole(job: Job, found: FoundPart) -> bool:
+    """Whether enough of a part is there that is known by its curves alone.
+
+    A short stretch of an outline, which is no feature, counts as the part of a usual feature that it is.
+    """
     if job.body is not None:
         return True
-    numbers, shown = seen.shown()
+    numbers, shown = found.seen.shown()
+    model = found.laid.model
+    length = np.bincount(model.chain, np.linalg.norm(model.end - model.start, axis=1))[numbers]
+    features = numbers < len(job.circles) + len(job.slots) + len(job.edges)
+    usual = np.median(length[features] if features.any() else length)
+    weight = np.where(features, 1.0, np.minimum(length / usual, 1.0))
     circles = shown[numbers < len(job.circles)]
-    return bool(shown.mean() >= DECISION.present and (not len(circles) or circles.mean() >= DECISION.circles))
+    present = np.average(shown, weights=weight) >= DECISION.present
+    return bool(present and (not len(circles) or circles.mean() >= DECISION.circles))
 
 
 def _not_of(
@@ -296,7 +305,7 @@ def measure_found(
         fit.row_sigma_px,
         fit.growth,
         fit.growth_sigma,
-        break_mm=float(model.breaks_mm.max()) if job.body is None and job.break_mm is None else 0.0,
+        break_mm=float(model.breaks_mm.max()) if job.body is None else 0.0,
     )
     result = parts.MeasuredPart(target, evidence, () if whole is None else whole.fit.fits)
     result = with_sizes_apart(result, images, job)

@@ -1,8 +1,8 @@
-"""What further pairs of a part add to its job: the form of its edge breaks.
+"""What pairs of a part say of its edge breaks, for its job.
 
-The pair that a part is taught from shows it square to the cameras, where breaks of several forms look alike.
-Tilted by ten degrees or in other light they do not: all pairs together settle how wide they are, and which
-edge of each was taught.
+The pair that a part is taught from shows both edges of breaks that are wide and bright enough. Where it does
+not, tilted by ten degrees or in other light they look otherwise: all pairs together settle how wide they are,
+and which edge of each was taught.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from edged.domain.arrays import FloatArray, Image
 from edged.domain.measurement import Reject
 from edged.errors import TeachError
 from edged.vision.geometry.rectification import Rectification, StereoImages
-from edged.vision.geometry.rigid import turn_between
+from edged.vision.geometry.rigid import invert, turn_between
 from edged.vision.part.job import MAX_TILT_DEG, BreakEnd, Job
 from edged.vision.solid.curvemodel import has_enough_curves
 from edged.vision.solid.edgemodel import EdgeModel
@@ -25,25 +25,40 @@ from edged.vision.solid.forms import FormChoice, LaidPair, likeliest_form
 from edged.vision.solid.locate import forms_of, locate_solid, models_of
 from edged.vision.solid.lock import Pyramids
 from edged.vision.solid.params import BREAKS, DECISION
+from edged.vision.teaching.brokenedges import broken_edges, with_edges
 
 Pair = tuple[Image, Image]
 
 
-def with_further_pairs(
+def with_breaks_shown(
     job: Job, pair: Pair, further: Sequence[Pair], rectification: Rectification
 ) -> tuple[Job, tuple[str, ...]]:
-    """A job with what further raw pairs of its part show, and a line for each pair.
+    """A job with what raw pairs of its part show of its edge breaks, and a line for each thing.
 
-    pair : which it was taught from.
-    Raises `TeachError` that names a pair which does not show the part, `ImageError` for other cameras'.
+    pair : which it was taught from.  further : others.
+    Raises `TeachError` that names a further pair which does not show the part, `ImageError` for other
+    cameras'.
     """
     if job.body is not None or not has_enough_curves(job):
+        if not further:
+            return job, ()
         what = "a CAD model" if job.body is not None else "that few curves"
         raise TeachError(
             f"further pairs: a part with {what} has nothing to learn from them", "further_needless"
         )
     views = [_view(StereoImages.of(rectification, *pair), job.rig_from_part)]
-    views += [_found(job, StereoImages.of(rectification, *raw), k) for k, raw in enumerate(further, 2)]
+    settled, said = _by_both_edges(job, views, "this pair")
+    if not further:
+        return settled, said
+    for k, raw in enumerate(further, 2):
+        view = _found(settled, StereoImages.of(rectification, *raw), k)
+        motion = view.pose @ invert(settled.rig_from_part)
+        views.append(replace(view, pose=motion @ job.rig_from_part))
+    settled, said = _by_both_edges(job, views, "all pairs")
+    if said:
+        turns = [math.degrees(turn_between(view.pose, job.rig_from_part)) for view in views[1:]]
+        shown = [f"pair {k}: turned by {turn:.0f} degrees from pair 1" for k, turn in enumerate(turns, 2)]
+        return settled, (*shown, *said)
     unknown = replace(job, break_mm=None, break_end=None)
     choice = likeliest_form(models_of(unknown), views)
     if choice is None:
@@ -51,6 +66,15 @@ def with_further_pairs(
     said = tuple(_brought(choice, job, views, k) for k in range(1, len(views)))
     settled, what = _settled(job, choice, forms_of(unknown))
     return settled, (*said, what)
+
+
+def _by_both_edges(job: Job, views: Sequence[LaidPair], by: str) -> tuple[Job, tuple[str, ...]]:
+    """The job with both edges of its breaks where pairs certainly show them, and a line; else as it is."""
+    found = broken_edges(job, views)
+    if found is None or not found.is_certain:
+        return job, ()
+    line = f"edge breaks of {found.width_mm:.2f} mm: both edges of each were found, by {by}"
+    return with_edges(job, found), (line,)
 
 
 def _view(images: StereoImages, pose: FloatArray) -> LaidPair:

@@ -24,7 +24,7 @@ def carry_over(former: Job, taught: Job) -> tuple[Job, tuple[str, ...]]:
         taught = replace(taught, tilt_rad=former.tilt_rad)
         said.append(f"kept: search.tilt_deg = {math.degrees(former.tilt_rad):.6g}")
     if taught.body is None and taught.break_mm is None and former.break_mm is not None:
-        taught = replace(taught, break_mm=former.break_mm, break_end=former.break_end)
+        taught = replace(taught, break_mm=former.break_mm)  # which end was taught is for this pair to say
         said.append(f"kept: break_mm = {former.break_mm:g}")
     if taught.part_from_model is not None and (former.report != taught.report or former.points):
         taught = replace(taught, report=former.report, points=former.points)
@@ -75,7 +75,8 @@ def _measurements(
     former: Job, taught: Job, said: list[str]
 ) -> tuple[tuple[MeasurementSpec, ...], str | None]:
     """Measurements of the former job, with the taught size unless another was stated."""
-    by_teaching = {spec.name: spec for spec in known_radius(former.circles, former.reference)[0]}
+    default, _ = known_radius(former.circles, former.reference, is_broken=former.break_end is not None)
+    by_teaching = {spec.name: spec for spec in default}
     fresh = {spec.name: spec for spec in taught.measurements}
     kept: list[MeasurementSpec] = []
     for spec in former.measurements:

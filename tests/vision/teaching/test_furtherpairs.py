@@ -22,7 +22,7 @@ from edged.vision.solid.forms import LaidPair, likeliest_form
 from edged.vision.solid.locate import forms_of, models_of
 from edged.vision.solid.lock import Pyramids
 from edged.vision.solid.params import BREAKS, DECISION
-from edged.vision.teaching.furtherpairs import with_further_pairs
+from edged.vision.teaching.furtherpairs import with_breaks_shown
 from edged.vision.teaching.pair import teach
 
 DESIGN, BREAK_MM = 4, 0.394
@@ -76,27 +76,27 @@ def test_a_tilted_pair_tells_the_form_of_the_breaks() -> None:
 
 @pytest.mark.slow
 def test_a_further_pair_settles_the_job_and_the_job_keeps_it(tmp_path: Path) -> None:
-    """Its file says both, and a line what the pair brought; read back it is the same."""
+    """Both edges of each break are found; its file says so, and a line what the pair brought."""
     assert taught().break_mm is None
-    job, said = with_further_pairs(taught(), pair(DESIGN, 0.0), [pair(DESIGN, 25.0)], rig().rectification)
-    assert (job.break_mm, job.break_end) == (pytest.approx(BREAK_MM, abs=0.03), "wall")
+    job, said = with_breaks_shown(taught(), pair(DESIGN, 0.0), [pair(DESIGN, 25.0)], rig().rectification)
+    assert (job.break_mm, job.break_end) == (pytest.approx(BREAK_MM, abs=0.03), "face")
     assert len(models_of(job)) == 1
     brought, settled = said
     assert brought.startswith("pair 2: turned by ")
-    assert "the edge in the wall was taught" in settled
+    assert settled.endswith("both edges of each were found, by all pairs")
     save_job(tmp_path / "part", job)
     again = load_job(tmp_path / "part")
-    assert (again.break_mm, again.break_end) == (job.break_mm, "wall")
+    assert (again.break_mm, again.break_end) == (job.break_mm, "face")
 
 
 @pytest.mark.slow
 def test_a_pair_of_another_part_is_refused_by_its_number() -> None:
     """And one job says so that has nothing to learn from pairs."""
     with pytest.raises(TeachError, match=r"^pair 2: .*expected one part"):
-        with_further_pairs(taught(), pair(DESIGN, 0.0), [pair(0, 25.0)], rig().rectification)
+        with_breaks_shown(taught(), pair(DESIGN, 0.0), [pair(0, 25.0)], rig().rectification)
     few = replace(taught(), edges=taught().edges[:2], slots=(), traced=())
     with pytest.raises(TeachError, match="that few curves"):
-        with_further_pairs(few, pair(DESIGN, 0.0), [pair(DESIGN, 25.0)], rig().rectification)
+        with_breaks_shown(few, pair(DESIGN, 0.0), [pair(DESIGN, 25.0)], rig().rectification)
 
 
 @pytest.mark.slow

@@ -1,0 +1,142 @@
+"""Both edges of broken rims, found in the pair that a part is taught from: drawn, with known truth."""
+
+from __future__ import annotations
+
+import functools
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from helpers.cells import frame_pair
+from helpers.tilted import lying
+from solids import random_design
+from solidtruth import part_json
+from solidworld import drawn, world_rig
+
+from edged.domain.arrays import FloatArray, Image
+from edged.domain.measurement import Reject
+from edged.files.jobs import load_job, save_job
+from edged.pipeline import PreparedRig, locate, prepare
+from edged.setup.teaching.proposal import WantedJob, propose_from_pair
+from edged.vision.geometry.rigid import apply, invert
+from edged.vision.part.job import Job
+from edged.vision.solid.params import PROFILE
+from edged.vision.teaching.brokenedges import DIGIT, find_left
+from edged.vision.teaching.furtherpairs import with_breaks_shown
+from edged.vision.teaching.pair import teach
+from edged.vision.teaching.reteaching import carry_over
+
+BROKEN = {4: 0.394, 15: 0.487}
+"""Designs with breaks of one width: chamfers, each camera shows them in a light of its own."""
+SHARP = (1, 5, 6, 10)
+
+
+@functools.cache
+def rig() -> PreparedRig:
+    """Of the drawn world."""
+    return prepare(world_rig())
+
+
+def place(tilt_deg: float) -> FloatArray:
+    """Where the part lies."""
+    return lying(world_rig(), tilt_deg, 70.0, 160.0 * (tilt_deg > 0))
+
+
+@functools.cache
+def pair(design: int, tilt_deg: float = 0.0) -> tuple[Image, Image]:
+    """Of a drawn part, on a table as one teaches on; tilted by 0 as it is taught."""
+    rng = np.random.default_rng((5, design, round(tilt_deg)))
+    return drawn(random_design(design), place(tilt_deg), rng, teaching=True)[0]
+
+
+@functools.cache
+def taught(design: int) -> Job:
+    """A part from one pair, by single edges."""
+    return teach(*pair(design), rig().rectification, None, "part")
+
+
+@functools.cache
+def settled(design: int) -> tuple[Job, tuple[str, ...]]:
+    """The same by both edges of its breaks, where the pair shows them."""
+    return with_breaks_shown(taught(design), pair(design), (), rig().rectification)
+
+
+def upper_circles(design: int) -> list[tuple[FloatArray, float]]:
+    """Centres (3,) in the rig's frame, and radii, of all edges in faces, as they truly are."""
+    truth = part_json(random_design(design), place(0.0), 0.0, rig().rig)
+    circles = [circle for circle in truth["circles"] if circle.get("role") == "break_face"]
+    return [(np.array(circle["centre_left_mm"]), circle["radius_mm"]) for circle in circles]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("design", BROKEN)
+def test_both_edges_of_each_break_are_found(design: int) -> None:
+    """Its width to 0.03 mm, and most circles where the upper edges are, to 0.03 mm."""
+    job, said = settled(design)
+    assert job.break_end == "face"
+    assert job.break_mm == pytest.approx(BROKEN[design], abs=0.03)
+    assert said == (f"edge breaks of {job.break_mm:.2f} mm: both edges of each were found, by this pair",)
+    away = [
+        min(
+            np.abs(apply(job.rig_from_part, circle.centre_mm) - true).max() + abs(circle.radius_mm - radius)
+            for true, radius in upper_circles(design)
+        )
+        for circle in job.circles
+    ]
+    assert sum(apart < 0.03 for apart in away) > 0.5 * len(away) or not away
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("design", SHARP)
+def test_walls_beside_sharp_edges_are_no_breaks(design: int) -> None:
+    """Slopes of grey values beyond an edge gain as a second edge would: the job stays as it was."""
+    job, said = settled(design)
+    assert job is taught(design)
+    assert said == ()
+
+
+@pytest.mark.slow
+def test_a_part_whose_breaks_were_shown_is_measured_by_both_edges(tmp_path: Path) -> None:
+    """Tilted by 25 degrees, by the job as its file keeps it, at the true pose to 0.05 mm."""
+    design = 15
+    proposal = propose_from_pair(*pair(design), rig().rectification, WantedJob("part", 1, tilt_deg=45.0))
+    save_job(tmp_path / "part", proposal.job)
+    job = load_job(tmp_path / "part")
+    assert (job.break_mm, job.break_end) == (proposal.job.break_mm, "face")
+    outcome = locate(frame_pair(*pair(design, 25.0)), job, rig())
+    target = min(outcome.targets, key=lambda one: one.reject.value)
+    assert target.reject is Reject.NONE
+    true = place(25.0) @ invert(place(0.0)) @ job.rig_from_part
+    assert np.linalg.norm(target.position_mm - apply(true, job.place_of(job.reference))) < 0.05
+
+
+@pytest.mark.slow
+def test_taught_again_nothing_counts_as_edited() -> None:
+    """Light decides which edge of a broken rim is measured, so none of its sizes is known."""
+    job, _ = settled(15)
+    assert job.witness is None
+    again, said = carry_over(job, job)
+    assert not any("measurement" in line or "radius" in line for line in said)
+    assert again.measurements == job.measurements
+
+
+def test_what_steps_leave_is_that_of_least_squares() -> None:
+    """With slopes beyond the edges, and without; one edge, two, and one that lies outside."""
+    rng = np.random.default_rng(4)
+    size, blur, reach = 33, 0.8, 7.0
+    places = PROFILE.step_px * (np.arange(size) - size // 2)
+    profiles = 90.0 + 60.0 * (places > -1.0) - 30.0 * (places > 2.5) + rng.normal(0.0, 2.0, (3, size))
+    profiles += 2.0 * np.maximum(places - 2.5, 0.0)
+    edges = np.array([[-1.0, 2.5], [-1.2, math.nan], [8.0, math.nan]])
+    for slopes in (False, True):
+        left = np.full(3, math.nan)
+        find_left(profiles, np.arange(3), edges, blur, 2, reach, slopes, left)
+        assert math.isnan(left[2])
+        for m in (0, 1):
+            ends = edges[m][np.isfinite(edges[m])]
+            steps = [[0.5 * (1 + math.erf((x - e) / blur / math.sqrt(2))) for x in places] for e in ends]
+            beyond = [np.minimum(places - ends.min(), 0.0), np.maximum(places - ends.max(), 0.0)]
+            design = np.column_stack([np.ones(size), *steps, *(beyond if slopes else [])])
+            rest = profiles[m] - design @ np.linalg.lstsq(design, profiles[m], rcond=None)[0]
+            assert left[m] == pytest.approx(math.log(rest @ rest + DIGIT), abs=0.03)
