@@ -29,7 +29,7 @@ from edged.vision.solid.curvemodel import UP, curve_model, curve_points
 from edged.vision.solid.edgemodel import EdgeModel, chains_of
 from edged.vision.solid.forms import LaidPair, with_breaks
 from edged.vision.solid.lock import scale_at
-from edged.vision.solid.params import BREAKS, CURVES, PROFILE, VISIBILITY
+from edged.vision.solid.params import BREAKS, CURVES, DECISION, PROFILE, VISIBILITY
 from edged.vision.solid.profiles import Profiles, profiles_of
 from edged.vision.solid.shifts import NEAR, STEP_PX, fill_steps, misfit
 from edged.vision.solid.visible import find_neighbours, moved, samples_at, see
@@ -46,7 +46,7 @@ class BrokenEdges:
     """The rims of a part as pairs show them.
 
     model : its curves are the edges in the faces.  poses : of the pairs, each rig_from_part (4, 4).
-    features : how many circles, slots and edges of the job the profiles show so.
+    features, shown : how many circles, slots and edges the job has, and how many the profiles show so.
     gain : mean logarithm of what sharp edges leave of the profiles against what these do.
     sigmas : of the gain, by curves and cameras.
     """
@@ -54,18 +54,19 @@ class BrokenEdges:
     model: EdgeModel
     poses: tuple[FloatArray, ...]
     features: int
+    shown: int
     gain: float
     sigmas: float
 
     @property
     def is_certain(self) -> bool:
         """Whether the rims are broken: a second step takes half of what one leaves, and not by chance."""
-        enough = self.features >= CURVES.fewest
+        enough = self.shown >= max(CURVES.fewest, DECISION.present * self.features)
         return enough and self.gain > BROKEN.least_gain and self.sigmas > BROKEN.least_sigmas
 
     @property
     def width_mm(self) -> float:
-        """Of the breaks of most of its curves."""
+        """The width of the breaks of most of its curves."""
         _, first = np.unique(self.model.chain, return_index=True)
         return float(np.median(self.model.breaks_mm[first]))
 
@@ -127,8 +128,9 @@ def broken_edges(job: Job, views: Sequence[LaidPair]) -> BrokenEdges | None:
     shown &= np.abs(form.uneven()) < BROKEN.in_face * float(np.median(form.model.breaks_mm))
     poses = tuple(view.pose for view in form.views)
     features = len(job.circles) + len(job.slots) + len(job.edges)
-    features = int(np.count_nonzero(shown[:features]))
-    return BrokenEdges(_as_its_face(form, shown), poses, features, *_gain(leaves, form))
+    gain, sigmas, by_curve = _gain(leaves, form)
+    clearly = int(np.count_nonzero((shown & (by_curve > BROKEN.least_gain))[:features]))
+    return BrokenEdges(_as_its_face(form, shown), poses, features, clearly, gain, sigmas)
 
 
 def _faces(job: Job) -> I64:
@@ -149,7 +151,7 @@ def _starts(job: Job, sharp: _Leavings) -> list[_Form]:
     Of each rim the edge in the face was taught, or that in the wall, or one of both by either camera: then it
     lies between them, and all are deeper or nearer by parallax.
     """
-    found: list[tuple[float, float, float, _Form]] = []
+    found: list[tuple[float, float, int, _Form]] = []
     for width in BROKEN.tried_mm:
         model = curve_model(job, width)
         to_upper = model.by_break[:, 0]  # of a rim that lies a width below a face: its upper edge is known
@@ -158,17 +160,14 @@ def _starts(job: Job, sharp: _Leavings) -> list[_Form]:
         by_break = np.stack([np.zeros_like(across), across], axis=1)
         upper = width * to_upper
         model = replace(model, start=model.start + upper, end=model.end + upper, by_break=by_break)
-        for nearer in (0.0, width, -width):
-            form = _by_ends(_nearer(model, sharp.form, nearer), sharp)
-            found.append(
-                (float(np.nan_to_num(sharp.gains(form, BROKEN.blurs_px)).mean()), width, nearer, form)
-            )
-    kept: list[tuple[float, float, _Form]] = []
-    for _, width, nearer, form in sorted(found, key=lambda one: -one[0]):
-        if all(
-            abs(width - w) > BROKEN.apart_mm or nearer * n <= 0 < abs(nearer) + abs(n) for w, n, _ in kept
-        ):
-            kept.append((width, nearer, form))
+        for sign in (0, 1, -1):
+            form = _by_ends(_nearer(model, sharp.form, sign * width), sharp)
+            gain = float(np.nan_to_num(sharp.gains(form, BROKEN.blurs_px)).mean())
+            found.append((gain, width, sign, form))
+    kept: list[tuple[float, int, _Form]] = []
+    for _, width, sign, form in sorted(found, key=lambda one: -one[0]):
+        if all(abs(width - w) > BROKEN.apart_mm or sign != s for w, s, _ in kept):
+            kept.append((width, sign, form))
     return [form for _, _, form in kept[: BROKEN.begun]]
 
 
@@ -244,10 +243,10 @@ def _adjusted(form: _Form, rounds: int) -> _Form | None:
     """Poses, size, and each curve's place and width that the profiles of all pairs give; None where they
     show too little."""
     so_far: FloatArray | None = None
-    level = form.uneven()  # of faces
+    level, has_breaks = form.uneven(), bool(form.model.breaks_mm.any())
     for number in range(rounds):
         model, views = form.model, form.views
-        curves, has_breaks = int(model.chain.max()) + 1, bool(model.breaks_mm.any())
+        curves = int(model.chain.max()) + 1
         size = 6 * len(views)  # growth; outwards, and up, of each curve; common width, and each curve's
         prior = np.concatenate(
             [
@@ -347,7 +346,7 @@ class _Leavings:
 
     @classmethod
     def of(cls, form: _Form) -> _Leavings:
-        """Of a sharp form."""
+        """What a sharp form leaves."""
         windows = _windows(form.model, form.views)
         curve = np.concatenate([window.curve for window in windows])
         place = np.repeat(np.arange(len(windows)), [len(window.curve) for window in windows])
@@ -370,7 +369,7 @@ class _Leavings:
 
 
 def _windows(model: EdgeModel, views: Sequence[LaidPair]) -> list[_Windows]:
-    """Of all pairs and both cameras, about a sharp model."""
+    """Windows about a sharp model, in all pairs and both cameras."""
     return [_windows_of(model, view, v, k) for v, view in enumerate(views) for k in (0, 1)]
 
 
@@ -497,22 +496,24 @@ def find_left(
         left[m] = math.log(misfit(grey, square, terms, rows, 0, normal, heights) + DIGIT)
 
 
-def _gain(sharp: _Leavings, form: _Form) -> tuple[float, float]:
-    """Mean of what a form leaves less, and how many of its sigmas, by curves and cameras, that is.
+def _gain(sharp: _Leavings, form: _Form) -> tuple[float, float, FloatArray]:
+    """Mean of what a form leaves less, how many of its sigmas that is, by curves and cameras, and the means
+    of each curve (C,).
 
     With slopes beyond the edges: those of a wall or of its shadow are no second edge, and would gain as one.
     """
     own, _ = _left(sharp.windows, sharp.form, PROFILE.blurs_px, slopes=True)
     others, _ = _left(sharp.windows, form, PROFILE.blurs_px, slopes=True)
     less = own - others
+    by_curve = sharp.by_curve(np.nan_to_num(less))
     good = np.isfinite(less)
     if good.sum() < PROFILE.fewest:
-        return 0.0, 0.0
+        return 0.0, 0.0, by_curve
     _, number = np.unique(sharp.block[good], return_inverse=True)
     mean = float(less[good].mean())
     # of a mean over clusters of unequal size
     sigma = math.sqrt(float(np.sum(np.bincount(number, less[good] - mean) ** 2))) / good.sum()
-    return mean, mean / max(sigma, 1e-9) if number.max() > 0 else 0.0
+    return mean, mean / max(sigma, 1e-9) if number.max() > 0 else 0.0, by_curve
 
 
 # --- a job -----------------------------------------------------------------------------------------

@@ -230,7 +230,7 @@ class BrokenEdgesParams:
     in_face: float = 0.75  # of a break: a curve that lies farther off its face was laid by another edge
     max_condition: float = 1e12  # of the normal equations
     least_gain: float = math.log(2.0)
-    """Of a second step against one: it takes half of the square sum. Beside sharp edges it takes a third at
+    """A second step takes half of the square sum that one leaves. Beside sharp edges it takes four tenths at
     most, of what walls and texture show there (docs/explanation/accuracy.md)."""
     least_sigmas: float = 2.0  # of that, by curves and cameras: they agree
 
