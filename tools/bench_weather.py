@@ -15,6 +15,8 @@ limits    one mark moved, half of the plate bent, another plate, a larger one, a
 rendered  noise and error of dots in drawn pictures.
 dirt      chips of steel and drops of oil on the marks in drawn pictures: dots seen, results, and how wrong.
 robot     a robot that is off by about 0.5 mm, with play: touched points, with and without a map of its error.
+looks     that robot with the cameras on its flange: its tool at the part after one look, and after a second
+          from the approach.
 price     ms of the filter, and the sigma that a correction adds to a part: it knows the range, not the drift;
           beside what a calibration alone leaves.
 """
@@ -34,7 +36,9 @@ from benching import bench_parser, finish
 from helpers.markedday import FRAME, MIDDLE, NOISE_PX, SWING_K, chi2, new_day, rim_mm
 
 from edged.domain.arrays import SIDES, FloatArray
+from edged.robot.handeye import hand_eye
 from edged.robot.picking import frame_of
+from edged.robots.registervalues import SHIFTS_MM, TURNS_DEG
 from edged.setup.registration.registering import from_points
 from edged.sim.arm import ErringArm
 from edged.sim.cell import demo_rig, stereo_views
@@ -43,7 +47,7 @@ from edged.sim.marksplate import marks_plate
 from edged.sim.render.scene import PlacedPart, Scene, Surface, Table
 from edged.sim.weather import DAY_S, Knock
 from edged.vision.geometry.correction import shift_by_displacement
-from edged.vision.geometry.rigid import apply, rotation_matrix, skew, transform
+from edged.vision.geometry.rigid import apply, invert, rotation_matrix, skew, transform
 from edged.vision.geometry.uncertainty import calibration_covariance
 from edged.vision.marks.frame import parse_frame
 from edged.vision.marks.measuring import measure_marks
@@ -461,6 +465,92 @@ def _one_robot(seed: int, volume: tuple[float, ...], play_mm: float, count: int,
     )
 
 
+# --- look, move, look -------------------------------------------------------------------------------------
+
+
+TIP = transform(np.eye(3), np.array([0.0, 0.0, 180.0]))
+BACK_MM, COMES_MM = 60.0, 30.0
+AHEAD_MM = 240.0
+"""From the flange to where the cameras look: there the part lies at the approach."""
+SEEN_RAD = 1e-4
+
+
+def looks(seeds: int, each: int = 10, places: int = 30) -> list[dict[str, object]]:
+    """Print how far the tool lands from parts after one look and after two, of cameras on the flange."""
+    print(
+        f"\n{seeds * each} robots a line, {places} parts each in 400 x 300 x 60 mm, turned at will; error of "
+        f"the tool at the part,\num rms of all axes (farthest). The second look is {BACK_MM:g} mm before the "
+        f"part; along: the robot comes there\nalong its tool, from {COMES_MM:g} mm farther. Golden part: "
+        "kept by a second look along, the path taught there\n\n"
+        "| first look, mm farther | play mm | registered | robot itself | one look | two looks | two, along "
+        "| two, along, golden part |\n" + "|---" * 8 + "|"
+    )
+    rows = []
+    for away_mm, play_mm, exact in itertools.product((0.0, 300.0), (0.0, 0.05), (True, False)):
+        found = np.concatenate([_looks_of(k, away_mm, play_mm, exact, places) for k in range(seeds * each)])
+        rms = 1e3 * np.sqrt(np.mean(found**2, axis=(0, 2)))
+        far = 1e3 * np.linalg.norm(found, axis=2).max(axis=0)
+        cells = " | ".join(f"{one:.0f} ({farthest:.0f})" for one, farthest in zip(rms, far, strict=True))
+        print(f"| {away_mm:g} | {play_mm:g} | {'exactly' if exact else 'by ten poses'} | {cells} |")
+        rows.append({"away_mm": away_mm, "play_mm": play_mm, "exact": exact, "rms_um": rms.tolist()})
+    return rows
+
+
+def _looks_of(seed: int, away_mm: float, play_mm: float, exact: bool, places: int) -> FloatArray:
+    """(N, 5, 3) mm of one robot, as the columns of `looks`."""
+    rng, arm = np.random.default_rng((seed, 79)), ErringArm.drawn(seed, backlash_mm=play_mm)
+    turn, down = rotation_matrix(np.array([0.0, -0.48, 0.0])), rotation_matrix(np.array([np.pi, 0.0, 0.0]))
+    mounted = transform(turn, (0.0, 0.0, AHEAD_MM) - turn @ MIDDLE)
+
+    def stands(shown: FloatArray, before: FloatArray) -> FloatArray:
+        return transform(np.eye(3), rng.normal(0, REPEATS_MM, 3)) @ arm.flange(shown, before)
+
+    def back(pose: FloatArray, mm: float) -> FloatArray:
+        return np.asarray(pose @ transform(np.eye(3), np.array([0.0, 0.0, -mm])))
+
+    def seen(flange: FloatArray, part: FloatArray, farther_mm: float = 0.0) -> FloatArray:
+        pose, sigma_mm = invert(flange @ mounted) @ part, SEEN_MM * (1 + farther_mm / AHEAD_MM) ** 2
+        turned = rotation_matrix(rng.normal(0, SEEN_RAD, 3)) @ pose[:3, :3]
+        return transform(turned, pose[:3, 3] + rng.normal(0, sigma_mm, 3))
+
+    def somewhere() -> FloatArray:
+        turned = rotation_matrix(np.array([0, 0, rng.uniform(-np.pi, np.pi)]))
+        tilted = rotation_matrix(np.array([*rng.normal(0, 0.1, 2), 0]))
+        return transform(tilted @ turned @ down, rng.uniform((360, -240, 30), (760, 60, 90)))
+
+    board = transform(down, np.array([560.0, -90.0, 60.0]))
+    walk = [
+        board @ invert(transform(rotation_matrix(np.radians(turned)), MIDDLE + shift)) @ invert(mounted)
+        for turned, shift in zip(TURNS_DEG, SHIFTS_MM, strict=True)
+    ]
+    views = [seen(stands(*both), board) for both in zip(walk, [walk[0], *walk], strict=False)]
+    rig = mounted if exact else hand_eye(walk, views, 1.5 * own_places(), "eye-in-hand", hold_out=False).rig
+
+    def looked(part: FloatArray) -> tuple[list[FloatArray], FloatArray]:
+        """The part by one look, by two, and by two along the tool; and the flange's pose at the second."""
+        home = transform(down, part[:3, 3] + (*rng.uniform(-30, 30, 2), AHEAD_MM + away_mm))
+        first = home @ rig @ seen(stands(home, back(home, 100.0)), part, away_mm)
+        approach = back(first, BACK_MM) @ invert(TIP)
+        second = [
+            approach @ rig @ seen(stands(approach, came), part) for came in (home, back(approach, COMES_MM))
+        ]
+        return [first, *second], approach
+
+    golden = somewhere()
+    (*_, kept), approach = looked(golden)
+    taught = golden
+    for _ in range(4):
+        taught = taught @ invert(arm.flange(taught @ invert(TIP), approach) @ TIP) @ golden
+    errors = []
+    for _ in range(places):
+        part = somewhere()
+        found, approach = looked(part)
+        targets = [part, *found, found[-1] @ invert(kept) @ taught]
+        tips = [stands(target @ invert(TIP), approach) @ TIP for target in targets]
+        errors.append([tip[:3, 3] - part[:3, 3] for tip in tips])
+    return np.array(errors)
+
+
 # --- price ------------------------------------------------------------------------------------------------
 
 
@@ -515,6 +605,7 @@ def main() -> None:
         "rendered": rendered,
         "dirt": dirt,
         "robot": lambda: robots(options.seeds),
+        "looks": lambda: looks(options.seeds),
         "price": price,
     }
     parser.add_argument("--only", choices=tuple(works))

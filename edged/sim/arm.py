@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from edged.domain.arrays import FloatArray
+from edged.vision.geometry.rigid import rotation_matrix, transform
 
 BASE_MM, UPPER_MM, FORE_MM = 400.0, 450.0, 480.0
 """Lengths of a robot with a reach of 0.9 m."""
@@ -48,12 +49,7 @@ class ErringArm:
 
     def reached(self, shown_mm: FloatArray, before_mm: FloatArray) -> FloatArray:
         """(3,) where the wrist is when the controller shows a place, having come from another one."""
-        axes, before = _axes(shown_mm), _axes(before_mm)
-        out_mm = math.hypot(float(shown_mm[0]), float(shown_mm[1]))
-        pull = np.array([0.0, out_mm, math.cos(axes[1] + axes[2]) * FORE_MM]) / (UPPER_MM + FORE_MM)
-        true = axes + self.offsets_rad + self.gears_rad * np.sin(2.0 * axes) - self.droop_rad * pull
-        true = true + self.backlash_rad * np.sign(before - axes)
-        turn, shoulder, elbow = true
+        turn, shoulder, elbow = self._true_axes(shown_mm, before_mm)
         base, upper, fore = np.array([BASE_MM, UPPER_MM, FORE_MM]) + self.lengths_mm
         out = upper * math.cos(shoulder) + fore * math.cos(shoulder + elbow)
         up = base + upper * math.sin(shoulder) + fore * math.sin(shoulder + elbow)
@@ -61,12 +57,37 @@ class ErringArm:
         lean_x, lean_y = self.lean_rad
         return np.array([x + lean_y * up, y - lean_x * up, up + lean_x * y - lean_y * x])
 
+    def flange(self, shown: FloatArray, before: FloatArray) -> FloatArray:
+        """robot_from_flange (4, 4) when the controller shows `shown`, having come from `before`.
+
+        The flange sits in the wrist, whose own axes have no error: it turns by what the arm's axes turn.
+        """
+        place_mm, before_mm = shown[:3, 3], before[:3, 3]
+        lean = rotation_matrix(np.array([*self.lean_rad, 0.0]))
+        true, believed = _fore_arm(self._true_axes(place_mm, before_mm)), _fore_arm(_axes(place_mm))
+        return transform(lean @ true @ believed.T @ shown[:3, :3], self.reached(place_mm, before_mm))
+
+    def _true_axes(self, shown_mm: FloatArray, before_mm: FloatArray) -> FloatArray:
+        axes, before = _axes(shown_mm), _axes(before_mm)
+        out_mm = math.hypot(float(shown_mm[0]), float(shown_mm[1]))
+        pull = np.array([0.0, out_mm, math.cos(axes[1] + axes[2]) * FORE_MM]) / (UPPER_MM + FORE_MM)
+        true = axes + self.offsets_rad + self.gears_rad * np.sin(2.0 * axes) - self.droop_rad * pull
+        return np.asarray(true + self.backlash_rad * np.sign(before - axes))
+
     def shown(self, place_mm: FloatArray, before_mm: FloatArray) -> FloatArray:
         """(3,) what the controller shows with the wrist at a place."""
         found = np.array(place_mm, np.float64)
         for _ in range(ROUNDS):
             found = found + place_mm - self.reached(found, before_mm)
         return found
+
+
+def _fore_arm(axes: FloatArray) -> FloatArray:
+    """(3, 3) the rotation of the link that carries the wrist."""
+    turn, shoulder, elbow = axes
+    return np.asarray(
+        rotation_matrix(np.array([0.0, 0.0, turn])) @ rotation_matrix(np.array([0.0, -shoulder - elbow, 0.0]))
+    )
 
 
 def _axes(place_mm: FloatArray) -> FloatArray:

@@ -35,9 +35,9 @@ class Example(NamedTuple):
     run: Callable[[str, Link], list[FloatArray]]
 
 
-def text_of(section: str) -> str:
+def text_of(section: str, page: Path = PAGE) -> str:
     """The last block of code of a section."""
-    found = re.search(rf"^## {section}\n(.*?)(?=^## |\Z)", PAGE.read_text(), re.MULTILINE | re.DOTALL)
+    found = re.search(rf"^##+ {section}\n(.*?)(?=^## |\Z)", page.read_text(), re.MULTILINE | re.DOTALL)
     assert found is not None, section
     blocks = re.findall(r"^```\w*\n(.*?)^```", found[1], re.MULTILINE | re.DOTALL)
     return str(blocks[-1]) if blocks else ""
@@ -57,11 +57,15 @@ def _abb(text: str, link: Link) -> list[FloatArray]:
     program = rapid.load(source, sockets)
     moves: list[FloatArray] = []
 
-    for name in ("TOOL1", "WOBJ0", "V200", "FINE"):
+    def moved(where: Any, *_: object) -> None:
+        moves.append(rapid.pose(where))
+        link.arm.move(moves[-1])
+
+    for name in ("TOOL1", "WOBJ0", "V200", "V50", "FINE"):
         program.globals[name] = rapid.TYPES.variable("num")
     program.builtins |= {
         "CROBT": lambda *_: rapid.robtarget(link.arm.flange),
-        "MOVEL": lambda where, *_: moves.append(rapid.pose(where)),
+        "MOVEL": moved,
         "TPWRITE": lambda *_: None,
     }
     program.call("PickOne")

@@ -34,9 +34,9 @@ from edged.robot.orientations import Convention
 from edged.robot.picking import frame_of, picked
 from edged.robot.reading import reading_of
 from edged.setup.registration.registering import from_points
-from edged.sim.arm import ErringArm
+from edged.sim.arm import BASE_MM, FORE_MM, UPPER_MM, ErringArm
 from edged.vision.geometry.camera import StereoRig
-from edged.vision.geometry.rigid import apply, invert
+from edged.vision.geometry.rigid import apply, invert, rotation_matrix, transform
 
 ROBOT_FROM_RIG = make_transform((3.1, 0.1, -0.1), (560.0, -90.0, 260.0))
 
@@ -124,6 +124,34 @@ def test_a_point_left_out_is_foretold_as_by_a_fit_of_the_others() -> None:
         A = np.column_stack([np.ones(16), expected])
         fit = np.linalg.lstsq(A[others], (shown - expected)[others], rcond=None)[0]
         assert error_mm == pytest.approx(np.linalg.norm((shown - expected)[k] - A[k] @ fit), rel=1e-9)
+
+
+@given(st.sampled_from(["turn", "shoulder", "elbow", "lean"]), st.floats(-2e-3, 2e-3), st.integers(0, 99))
+def test_one_wrong_axis_turns_the_flange_about_that_axis(which: str, wrong_rad: float, seed: int) -> None:
+    """As a rigid body, by the wrong angle; to first order where the base leans about its foot."""
+    rng = np.random.default_rng(seed)
+    place, none = rng.uniform((300, -300, 100), (600, 300, 600)), np.zeros(3)
+    shown = transform(rotation_matrix(rng.normal(0, 1, 3)), place)
+    azimuth = np.arctan2(place[1], place[0])
+    out, up = np.hypot(place[0], place[1]), place[2] - BASE_MM
+    far = np.hypot(out, up)
+    bend = np.arccos((far**2 + UPPER_MM**2 - FORE_MM**2) / (2 * far * UPPER_MM)) + np.arctan2(up, out)
+    shoulder = np.array([0.0, 0.0, BASE_MM])
+    radial, across = np.array([np.cos(azimuth), np.sin(azimuth), 0.0]), [np.sin(azimuth), -np.cos(azimuth), 0]
+    elbow = shoulder + UPPER_MM * (np.cos(bend) * radial + np.sin(bend) * np.array([0.0, 0.0, 1.0]))
+    axis, through = {
+        "turn": ([0, 0, 1], none),
+        "shoulder": (across, shoulder),
+        "elbow": (across, elbow),
+        "lean": ([1, 0, 0], none),
+    }[which]
+    offsets = wrong_rad * np.array([which == "turn", which == "shoulder", which == "elbow"])
+    lean = np.array([wrong_rad * (which == "lean"), 0.0])
+    turned = rotation_matrix(wrong_rad * np.array(axis))
+    expected = transform(turned, through - turned @ through) @ shown
+    given = ErringArm(offsets, none, none, none, none, lean).flange(shown, shown)
+    np.testing.assert_allclose(given[:3, :3], expected[:3, :3], atol=1e-9)
+    np.testing.assert_allclose(given[:3, 3], expected[:3, 3], atol=1e-6 if which != "lean" else 2e-3)
 
 
 def test_sigma_is_honest_for_robots_that_no_polynomial_made() -> None:

@@ -2,21 +2,26 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers.walkedcell import ROBOT_FROM_RIG, TAUGHT_MM, Arm, WalkedCell
+from helpers.walkedcell import FLANGE_FROM_RIG, ROBOT_FROM_RIG, TAUGHT_MM, Arm, Talk, WalkedCell
 from pymodbus.client import ModbusTcpClient
 
+from edged.domain.arrays import FloatArray
 from edged.domain.events import CommandKind
 from edged.domain.registration import Method
+from edged.files.rig import save_rig
 from edged.plc import registers as reg
 from edged.plc.answers import NackReason
 from edged.robot.orientations import ANGLES_DEG, Brand, Convention
 from edged.robots.cell_client import CommandNacked, EdgedCell
-from edged.vision.geometry.rigid import apply, transform
+from edged.sim.arm import ErringArm
+from edged.vision.geometry.rigid import about_z, apply, invert, transform
 
 GOOD_MM = 0.03
 """At 320x240 a board's place is uncertain by some micrometres, and the robot here is exact."""
@@ -235,6 +240,46 @@ def test_cameras_on_the_flange(tmp_path: Path) -> None:
         assert 0 < held_out < GOOD_MM / 1000
         assert cell.error_mm() < GOOD_MM
         assert cell.rig.robot_from_rig is None
+
+
+@pytest.mark.slow
+def test_a_second_look_from_the_approach_takes_off_what_is_wrong_in_the_robot(tmp_path: Path) -> None:
+    """Cameras on the flange of an arm with wrong axes: LOCATE from 100 mm farther, aside and turned, then
+    from 30 mm before the part. The tool lands five times nearer."""
+    rig_from_tip = transform(np.eye(3), TAUGHT_MM - (0.0, 0.0, 30.0))
+    flange_from_tip = FLANGE_FROM_RIG @ rig_from_tip
+    world, erring = Arm(carries_rig=True), ErringArm.drawn(4, size=4.0)
+    cell = WalkedCell(tmp_path, world, registration="")
+    save_rig(tmp_path / "rig.json", replace(cell.rig, robot_from_rig=None, flange_from_rig=FLANGE_FROM_RIG))
+    job = tmp_path / "jobs" / "flange" / "job.toml"
+    text = re.sub(r"^depth_mm = \[.*]", "depth_mm = [180, 330]", job.read_text(), flags=re.MULTILINE)
+    job.write_text(re.sub(r"^scale = \[.*]", "scale = [0.6, 1.1]", text, flags=re.MULTILINE))
+    world.shows = "part"
+
+    def before(part: FloatArray, shift_mm: float, away_mm: float, turn_rad: float = 0.0) -> FloatArray:
+        tip = part @ transform(about_z(turn_rad), np.zeros(3))
+        return np.asarray(tip @ transform(np.eye(3), (shift_mm, 0.0, -away_mm)) @ invert(flange_from_tip))
+
+    def located(robot: Talk, part: FloatArray, shown: FloatArray, came: FloatArray) -> FloatArray:
+        world.flange = erring.flange(shown, came)
+        world.part = invert(world.flange @ FLANGE_FROM_RIG) @ part
+        status, _, *place_mm = robot.ask("LOCATE,0", shown)[:5]
+        assert 0 == status
+        return transform(part[:3, :3], place_mm)
+
+    with cell, cell.robot() as robot:
+        for place_mm in ((480.0, -120.0, 40.0), (560.0, 90.0, 40.0), (640.0, -40.0, 40.0)):
+            part = transform(ROBOT_FROM_RIG[:3, :3], np.array(place_mm))
+            home = before(part, 15.0, 130.0, 1.2)
+            first = located(robot, part, home, home)
+            approach = before(first, 0.0, 30.0)
+            second = located(robot, part, approach, home)
+            tips = [
+                erring.flange(before(each, 0.0, 0.0), approach) @ flange_from_tip for each in (first, second)
+            ]
+            one_look, two_looks = (np.linalg.norm((tip - part)[:3, 3]) for tip in tips)
+            assert one_look > 0.1
+            assert two_looks < one_look / 5
 
 
 @pytest.mark.slow

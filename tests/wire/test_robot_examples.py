@@ -27,7 +27,7 @@ from edged.domain.picking import Grasp, Picking
 from edged.plc.registers import StatusBit
 from edged.robot.orientations import Brand, pose_of, transform_of
 from edged.robots.formats import written
-from edged.vision.geometry.rigid import transform
+from edged.vision.geometry.rigid import invert, transform
 
 PART_FROM_TOOL = make_transform((0.1, 0.05, -1.0), (30.0, -10.0, 5.0))
 TILTED = Picking(grasps=(Grasp("rim", PART_FROM_TOOL, PART_FROM_TOOL, 50.0, 80.0),))
@@ -83,6 +83,24 @@ def test_an_example_comes_to_the_part_along_its_tool_and_says_that_it_was_used(e
             same_pose(tool, moves[1])
         assert 1 == cell.head.captures
         assert not bits(cell) & StatusBit.RESULT_VALID
+
+
+def test_the_last_move_is_by_a_second_look_from_the_approach() -> None:
+    """Of cameras on the flange: two pictures, and the part is where the second saw it from there."""
+    flange_from_rig = make_transform((0.1, -0.2, 1.0), (60.0, 20.0, 90.0))
+    cell = LiveCell(ModbusSettings(port=0, validity_s=30.0, line=LineSettings(0, Brand.ABB)))
+    cell.setup = replace(cell.setup, robot_from_rig=None, flange_from_rig=flange_from_rig)
+    with cell:
+        ready(cell)
+        link = Link(cell.server.line_port)
+        first = link.arm.flange @ flange_from_rig @ cell.targets[0].rig_from_part
+        text = text_of("Look again from the approach", DOCS / "robot-frame.md")
+        *moves, last = EXAMPLES[0].run(text, link)
+        for away_mm, move in zip((90.0, 60.0), moves, strict=True):
+            same_pose(first @ transform(np.eye(3), np.array([0.0, 0.0, -away_mm])), move)
+        approach = moves[-1] @ invert(link.arm.flange_from_tip)
+        same_pose(approach @ flange_from_rig @ cell.targets[0].rig_from_part, last)
+        assert 2 == cell.head.captures
 
 
 @pytest.mark.parametrize("example", EXAMPLES, ids=lambda one: str(one.brand))
