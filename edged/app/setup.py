@@ -10,6 +10,7 @@ from edged.cell.lease.live import LivePictures
 from edged.cell.lease.notices import Notices
 from edged.domain.frames import FramePair
 from edged.setup.acceptance import service as acceptance
+from edged.setup.acceptance.guided import GuidedStudy
 from edged.setup.acceptance.service import Accepting
 from edged.setup.calibration import service as calibrations
 from edged.setup.calibration.checks import Checks
@@ -66,7 +67,7 @@ class SetupServices:
         self._checks = Checks(cell)
         self._cycles = Cycles(cell)
         self._marking = Marking(cell)
-        self._accepting = Accepting(cell)
+        self._accepting, self._study = Accepting(cell), GuidedStudy(cell)
         self._registrations = Registrations(cell)
         self.program = RobotProgram(self._registrations, cell)
         self._teachings = Teachings(cell, self._cycles.file)
@@ -103,7 +104,7 @@ class SetupServices:
             CheckRoutes(self._checks),
             CycleRoutes(self._cycles),
             MarksRoutes(self._marking),
-            AcceptanceRoutes(self._accepting),
+            AcceptanceRoutes(self._accepting, self._study),
             RegistrationRoutes(self._registrations, self._activation),
             PlcRoutes(self._running),
             PlcSettingsRoutes(self.cell, self._settings),

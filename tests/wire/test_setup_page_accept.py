@@ -12,7 +12,7 @@ from helpers.browser import browser
 from helpers.browsersession import PASSWORD
 from helpers.cells import flange
 from helpers.partcell import PartCell
-from helpers.setuppage import SMALL_TARGETS, TOO_WIDE, log_in, press, take
+from helpers.setuppage import SMALL_TARGETS, TOO_WIDE, log_in, press, said, take
 
 from edged.files.acceptance import acceptance_file, load_acceptance
 from edged.files.jobs import save_job
@@ -26,13 +26,18 @@ pytestmark = [
 ]
 
 
+def flange_cell(folder: Path) -> PartCell:
+    """The flange lies before a cell that knows it."""
+    cell, part = PartCell(folder), flange()
+    job = teach(part.left, part.right, prepare(part.rig).rectification, part.region, "flange")
+    save_job(folder / "jobs" / "flange", job)
+    return cell
+
+
 async def test_a_person_accepts_the_cell_by_the_page(tmp_path: Path) -> None:
     """50 pictures of a still part and one elsewhere: the tests that were made say so, what was not made is
     open, the cell has not passed, and knows it; the document lies beside the rig, the audit has a line."""
-    cell = PartCell(tmp_path)
-    part = flange()
-    job = teach(part.left, part.right, prepare(part.rig).rectification, part.region, "flange")
-    save_job(tmp_path / "jobs" / "flange", job)
+    cell = flange_cell(tmp_path)
     async with cell.running(), browser() as page:
         place = f"http://127.0.0.1:{cell.port}"
         await log_in(page, place, "Anna", PASSWORD, "/setup#/accept", (1280, 1500))
@@ -53,10 +58,10 @@ async def test_a_person_accepts_the_cell_by_the_page(tmp_path: Path) -> None:
         await page.until(f"{text}.includes('0 of 10')")
         await press(page, "Judge the cell now")
         await page.until(f"{text}.includes('The cell has not passed')")
-        said = await page.value(text)
-        assert "1 poses with a good part, 30 are needed" in said
-        assert "not made: nothing is in length/" in said
-        assert str(tmp_path) not in said, "no path of the machine"
+        shown = await page.value(text)
+        assert "1 poses with a good part, 30 are needed" in shown
+        assert "not made: nothing is in length/" in shown
+        assert str(tmp_path) not in shown, "no path of the machine"
         if shots := os.environ.get("EDGED_SHOTS"):
             (Path(shots) / "accept.png").write_bytes(await page.picture())
             await page.value("document.querySelector('#accept-last').scrollIntoView()")
@@ -66,7 +71,7 @@ async def test_a_person_accepts_the_cell_by_the_page(tmp_path: Path) -> None:
         assert [] == await page.violations()
         document = json.loads(acceptance_file(cell.rig).read_bytes())
         assert ["still", "pose", "length", "robot"] == [test["name"] for test in document["tests"]]
-        rig = part.rig
+        rig = flange().rig
         found = load_acceptance(acceptance_file(cell.rig), rig.calibration_id, registration_digest(rig))
         assert not found.passed
         async with cell.session.get("/api/v1/acceptance/report") as answer:
@@ -76,3 +81,43 @@ async def test_a_person_accepts_the_cell_by_the_page(tmp_path: Path) -> None:
         deeds = [one["outcome"] for one in told["records"] if "acceptance" in one["object"]]
         assert ["ok", "ok"] == deeds[:2]
         assert [] == page.complaints
+
+
+async def test_people_study_a_size_by_the_page(tmp_path: Path) -> None:
+    """One part 25 times: what cannot begin is said, a page that is loaded anew goes on where it was, the last
+    measurement is taken back and repeated, and at the end there are C_g, C_gk and the page to sign."""
+    cell = flange_cell(tmp_path)
+    async with cell.running(), browser() as page:
+        place, size = f"http://127.0.0.1:{cell.port}", (1280, 1500)
+        await log_in(page, place, "Anna", PASSWORD, "/setup#/accept", size)
+        await take(page)
+        text = "document.querySelector('[aria-labelledby=accept-study]').innerText"
+        for name, mm in (("low_mm", "28.05"), ("high_mm", "28.04"), ("reference_mm", "28")):
+            await page.type(f"[name={name}]", mm)
+        await press(page, "Begin the study")
+        await page.until(said("the lower limit below the upper one"))
+        await page.type("[name=low_mm]", "27.96")
+        await press(page, "Begin the study")
+        for done in range(25):
+            await page.until(f"{text}.includes('{done} of 25')")
+            if done == 3:
+                await press(page, "Take the last one back")
+                await page.until(f"{text}.includes('2 of 25')")
+                await page.open(f"{place}/setup#/accept", *size)
+                await page.until(f"document.querySelector('#accept-study') && {text}.includes('2 of 25')")
+                await press(page, "Measure")
+                await page.until(f"{text}.includes('3 of 25')")
+            await press(page, "Measure")
+        await page.until(f"{text}.includes('Cg, Cgk')")
+        assert not await page.value(TOO_WIDE)
+        assert [] == await page.value(SMALL_TARGETS)
+        assert [] == await page.violations()
+        async with cell.session.get("/api/v1/acceptance/study/report") as answer:
+            report = await answer.text()
+        assert "Study of a size" in report
+        assert "<td>1</td>" in report.replace("\n", ""), "one was taken back"
+        await press(page, "End the study")
+        await page.until("document.querySelector('dialog[open]')")
+        await page.click("dialog[open] .primary")
+        await page.until(f"{text}.includes('Begin the study')")
+        assert 1 == len(page.complaints), "only of the wrong limits"

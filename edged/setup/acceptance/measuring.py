@@ -42,9 +42,9 @@ def _frames(rig: PreparedRig, pair: ImagePair) -> FramePair:
     return FramePair.of_images(*load_pair(rig.rig, pair.left, pair.right))
 
 
-def good_target(rig: PreparedRig, job: Job, pair: ImagePair) -> Target | str:
+def good_target(rig: PreparedRig, job: Job, frames: FramePair) -> Target | str:
     """The one good part of a pair, or why there is none."""
-    outcome = locate(_frames(rig, pair), job, rig)
+    outcome = locate(frames, job, rig)
     good = [target for target in outcome.targets if target.reject is Reject.NONE]
     if len(good) == 1 and np.isfinite(good[0].covariance).all():
         return good[0]
@@ -55,7 +55,7 @@ def _good_targets(
     rig: PreparedRig, job: Job, pairs: Sequence[ImagePair]
 ) -> tuple[dict[str, Target], dict[str, str]]:
     """The good part of each pair that shows one, and why others do not count, by name."""
-    looked = {pair.name: good_target(rig, job, pair) for pair in pairs}
+    looked = {pair.name: good_target(rig, job, _frames(rig, pair)) for pair in pairs}
     missing = {name: why for name, why in looked.items() if isinstance(why, str)}
     return {name: found for name, found in looked.items() if not isinstance(found, str)}, missing
 

@@ -10,10 +10,10 @@ from pydantic import Field
 
 from edged.adapters.web.routes import Body, Call, Leased, Name, route
 from edged.identity.visitors import Role
+from edged.setup.acceptance.guided import MOST as MOST_OF_STUDY
+from edged.setup.acceptance.guided import GuidedStudy, Millimetres, StudyDocument, StudyPlan
 from edged.setup.acceptance.service import MOST, AcceptanceDocument, Accepting, PicturedTest, TestName
 from edged.setup.draftroutes import Begun, report_answer, unknown
-
-Millimetres = Annotated[float, Field(ge=0.001, le=100_000)]
 
 
 class TakingPictures(Leased):
@@ -49,11 +49,24 @@ class Judging(Leased):
     length: KnownLength | None = None
 
 
+class Planning(Leased):
+    """The study that begins."""
+
+    plan: StudyPlan
+
+
+class MeasuringOnce(Leased):
+    """done : measurements that the person sees."""
+
+    done: Annotated[int, Field(ge=0, le=MOST_OF_STUDY)]
+
+
 class AcceptanceRoutes:
     """The routes."""
 
-    def __init__(self, accepting: Accepting) -> None:
+    def __init__(self, accepting: Accepting, study: GuidedStudy) -> None:
         self._accepting = accepting
+        self._study = study
 
     @route("GET", "/acceptance", "The acceptance as it stands", role=Role.VIEWER)
     async def _get(self, _call: Call[None]) -> AcceptanceDocument:
@@ -92,4 +105,33 @@ class AcceptanceRoutes:
             page = await asyncio.to_thread(self._accepting.report.read_bytes)
         except FileNotFoundError:
             raise unknown() from None
+        return report_answer(page)
+
+    @route("GET", "/acceptance/study", "The study of a size as it stands", role=Role.VIEWER)
+    async def _get_study(self, _call: Call[None]) -> StudyDocument:
+        return await self._study.document()
+
+    @route("POST", "/acceptance/study", "Begin a study", audit=True, needs_lease=True)
+    async def _begin_study(self, call: Call[Planning]) -> StudyDocument:
+        plan = call.body.plan
+        call.trail.object = f"{plan.job} {plan.size}"
+        return await self._study.begin(call.visitor.name, plan)
+
+    @route("POST", "/acceptance/study/measure", "Measure the size once", needs_lease=True)
+    async def _measure(self, call: Call[MeasuringOnce]) -> StudyDocument:
+        return await self._study.measure(call.body.token, call.body.done)
+
+    @route("POST", "/acceptance/study/back", "Throw the last measurement away", audit=True, needs_lease=True)
+    async def _back(self, call: Call[MeasuringOnce]) -> StudyDocument:
+        return await self._study.back(call.body.done)
+
+    @route("POST", "/acceptance/study/end", "Forget the study", audit=True, needs_lease=True)
+    async def _end_study(self, _call: Call[Leased]) -> StudyDocument:
+        return await self._study.end()
+
+    @route("GET", "/acceptance/study/report", "The page to sign", answer="text/html", role=Role.VIEWER)
+    async def _study_report(self, _call: Call[None]) -> web.Response:
+        page = await self._study.report()
+        if page is None:
+            raise unknown()
         return report_answer(page)

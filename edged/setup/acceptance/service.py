@@ -17,7 +17,7 @@ from edged.setup.documents import Frozen, LastDocument, Message
 from edged.setup.inuse import CellInUse
 from edged.setup.pairs import Progress, write_pictures
 
-FUNCTIONS = {"accept_cell": "edged.setup.acceptance.work:accept_cell"}
+FUNCTIONS = {name: f"edged.setup.acceptance.work:{name}" for name in ("accept_cell", "measure_size")}
 PicturedTest = Literal["still", "pose", "length"]
 TestName = Literal["still", "pose", "length", "robot"]
 NEEDED: dict[TestName, int] = {

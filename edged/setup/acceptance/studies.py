@@ -16,6 +16,8 @@ from edged.domain.arrays import FloatArray
 
 LEAST_REPEATS = 25
 """Fewest of type 1; 50 are better."""
+LEAST_CROSSED = (5, 2, 2)
+"""Fewest parts, people and trials of gauge R&R; 10 by 3, 3 times, are usual."""
 SHARE_OF_TOLERANCE = 0.2
 """Part of the tolerance that six sigmas of a gauge with C_g = 1 take."""
 CAPABLE = 1.33
@@ -93,7 +95,7 @@ def gauge_study(values_mm: FloatArray, tolerance_mm: float) -> GaugeStudy:
     The interaction is pooled where chance would have one as large in 5 % of cases or more.
     """
     parts, operators, trials = values_mm.shape
-    if parts < 5 or operators < 2 or trials < 2:
+    if any(count < least for count, least in zip(values_mm.shape, LEAST_CROSSED, strict=True)):
         raise ValueError(
             f"{parts} parts by {operators} people, {trials} times each: 10 by 3, 3 times, are usual; "
             "at least 5 by 2, 2 times"

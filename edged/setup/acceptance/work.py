@@ -2,11 +2,18 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
+from edged.domain.arrays import Image
+from edged.domain.frames import FramePair
+from edged.errors import UserError
 from edged.files.rig import rig_of
 from edged.payload import Json
+from edged.pipeline import prepare
 from edged.setup.acceptance.accepting import StatedTruth, accepted, documents_of
+from edged.setup.acceptance.measuring import good_target
+from edged.setup.calibration.checking import length_of
 from edged.setup.inuse import RigInUse
 from edged.setup.pairs import Progress
 from edged.vision.part.job import Job
@@ -30,3 +37,16 @@ def accept_cell(
             for test in tests
         ],
     }
+
+
+def measure_size(
+    _progress: Progress, rig: RigInUse, images: tuple[Image, Image], job: Job, size: str
+) -> tuple[float, float]:
+    """A size and its sigma, mm, of the one good part of a pair. Raises `UserError` without one."""
+    target = good_target(prepare(rig.stereo()), job, FramePair.of_images(*images))
+    if isinstance(target, str):
+        raise UserError(target, "no_good_part")
+    length = length_of(target, size, 1.0)
+    if not math.isfinite(length.measured_mm + length.sigma_mm):
+        raise UserError(f"{size} has no figure", "no_good_part")
+    return length.measured_mm, length.sigma_mm

@@ -1,4 +1,4 @@
-# Texts of accept.js.
+# Texts of accept.js and study.js.
 accept-title = Abnahme
 accept-why = Die Zelle prüft sich an ihrem eigenen Platz und schreibt eine Seite zum Unterschreiben. Wiederholen Sie das einmal im Jahr und nach einem Stoß.
 accept-no-job = Es gibt noch keinen Auftrag: Lernen Sie zuerst ein Teil.
@@ -35,3 +35,28 @@ accept-is-good = bestanden
 accept-is-bad = nicht bestanden
 accept-is-open = offen
 accept-report = Seite zum Unterschreiben
+accept-study = Eignung für ein Maß
+accept-study-how = Taugt die Zelle, um ein Maß zu prüfen? Ein Teil mit bekanntem Maß ergibt Cg und Cgk; verschiedene Teile, von mehreren Personen gemessen, ergeben %GRR.
+accept-study-size = Maß des Teils
+accept-study-kind = Was gemessen wird
+accept-study-of-master = Ein Teil mit bekanntem Maß
+accept-study-of-parts = Verschiedene Teile
+accept-study-low_mm = Untere Grenze
+accept-study-high_mm = Obere Grenze
+accept-study-reference_mm = Sein wahres Maß
+accept-study-parts = Teile
+accept-study-people = Personen
+accept-study-trials = Wie oft jeweils
+accept-study-begin = Studie beginnen
+accept-study-lay = Person { $person }: Legen Sie Teil { $part } ein ({ $trial }. Mal), dann messen.
+accept-study-lay-master = Nehmen Sie das Teil heraus, legen Sie es neu ein, dann messen.
+accept-study-last = zuletzt { $mm } mm
+accept-study-measure = Messen
+accept-study-back = Letzte Messung zurücknehmen
+accept-study-other = Kalibrierung oder Auftrag wurde seit Beginn dieser Studie geändert: Beenden Sie sie und beginnen Sie neu.
+accept-study-end = Studie beenden
+accept-study-sure = Ihre { $taken } Messungen und ihr Bericht werden verworfen: Drucken Sie die Seite vorher.
+accept-study-is-good = Geeignet
+accept-study-is-bad = Nicht geeignet
+accept-study-is-open = Bedingt geeignet
+problem-input-no-good-part = Nicht gemessen: Legen Sie genau ein Teil ein, ganz im Bild. { $detail }

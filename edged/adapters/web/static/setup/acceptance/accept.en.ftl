@@ -1,4 +1,4 @@
-# Texts of accept.js.
+# Texts of accept.js and study.js.
 accept-title = Acceptance
 accept-why = The cell tests itself in its own place, and writes a page to sign. Repeat it once a year, and after a knock.
 accept-no-job = There is no job yet: teach a part first.
@@ -35,3 +35,28 @@ accept-is-good = passed
 accept-is-bad = not passed
 accept-is-open = cannot be said
 accept-report = Page to sign
+accept-study = Study of a size
+accept-study-how = Is the cell fit to inspect one size? One part of known size gives Cg and Cgk; parts that differ, measured by several people, give %GRR.
+accept-study-size = Size of the part
+accept-study-kind = What is measured
+accept-study-of-master = One part of known size
+accept-study-of-parts = Parts that differ
+accept-study-low_mm = Lower limit
+accept-study-high_mm = Upper limit
+accept-study-reference_mm = Its true size
+accept-study-parts = Parts
+accept-study-people = People
+accept-study-trials = Times each
+accept-study-begin = Begin the study
+accept-study-lay = Person { $person }: lay part { $part } in (time { $trial }), then measure.
+accept-study-lay-master = Take the part out, lay it in again, then measure.
+accept-study-last = last { $mm } mm
+accept-study-measure = Measure
+accept-study-back = Take the last one back
+accept-study-other = The calibration or the job was changed since this study began: end it, and begin anew.
+accept-study-end = End the study
+accept-study-sure = Its { $taken } measurements and its report are thrown away: print the page first.
+accept-study-is-good = Fit for this size
+accept-study-is-bad = Not fit for this size
+accept-study-is-open = Conditionally fit
+problem-input-no-good-part = Not measured: lay exactly one part in, wholly in view. { $detail }

@@ -1,4 +1,4 @@
-# Texts of accept.js.
+# Texts of accept.js and study.js.
 accept-title = Réception
 accept-why = La cellule se contrôle à sa propre place et écrit une page à signer. À répéter une fois par an et après un choc.
 accept-no-job = Il n’y a pas encore de tâche : apprenez d’abord une pièce.
@@ -35,3 +35,28 @@ accept-is-good = réussi
 accept-is-bad = non réussi
 accept-is-open = ouvert
 accept-report = Page à signer
+accept-study = Étude d’une cote
+accept-study-how = La cellule est-elle apte à contrôler une cote ? Une pièce de cote connue donne Cg et Cgk ; des pièces différentes, mesurées par plusieurs personnes, donnent %GRR.
+accept-study-size = Cote de la pièce
+accept-study-kind = Ce qui est mesuré
+accept-study-of-master = Une pièce de cote connue
+accept-study-of-parts = Des pièces différentes
+accept-study-low_mm = Limite inférieure
+accept-study-high_mm = Limite supérieure
+accept-study-reference_mm = Sa cote vraie
+accept-study-parts = Pièces
+accept-study-people = Personnes
+accept-study-trials = Fois pour chacune
+accept-study-begin = Commencer l’étude
+accept-study-lay = Personne { $person } : posez la pièce { $part } (fois { $trial }), puis mesurez.
+accept-study-lay-master = Retirez la pièce, reposez-la, puis mesurez.
+accept-study-last = dernière { $mm } mm
+accept-study-measure = Mesurer
+accept-study-back = Annuler la dernière mesure
+accept-study-other = Le calibrage ou la tâche a changé depuis le début de cette étude : terminez-la et recommencez.
+accept-study-end = Terminer l’étude
+accept-study-sure = Ses { $taken } mesures et son rapport sont effacés : imprimez d’abord la page.
+accept-study-is-good = Apte
+accept-study-is-bad = Non apte
+accept-study-is-open = Apte sous condition
+problem-input-no-good-part = Pas de mesure : posez exactement une pièce, entièrement visible. { $detail }

@@ -1,4 +1,4 @@
-# Texts of accept.js.
+# Texts of accept.js and study.js.
 accept-title = 受入検査
 accept-why = セルが設置場所で自らを検査し、署名用のページを作成します。年に1回、および衝撃の後に繰り返してください。
 accept-no-job = まだジョブがありません。先にワークをティーチングしてください。
@@ -35,3 +35,28 @@ accept-is-good = 合格
 accept-is-bad = 不合格
 accept-is-open = 判定不可
 accept-report = 署名用ページ
+accept-study = 寸法のゲージスタディ
+accept-study-how = セルはその寸法の検査に適していますか。寸法が既知のワーク1個で Cg と Cgk、異なるワークを複数人が測定して %GRR が得られます。
+accept-study-size = ワークの寸法
+accept-study-kind = 測定するもの
+accept-study-of-master = 寸法が既知のワーク1個
+accept-study-of-parts = 異なるワーク
+accept-study-low_mm = 下限
+accept-study-high_mm = 上限
+accept-study-reference_mm = 真の寸法
+accept-study-parts = ワークの数
+accept-study-people = 人数
+accept-study-trials = それぞれの回数
+accept-study-begin = スタディを開始
+accept-study-lay = 測定者 { $person }：ワーク { $part } を置き（{ $trial } 回目）、測定してください。
+accept-study-lay-master = ワークを取り出して置き直し、測定してください。
+accept-study-last = 前回 { $mm } mm
+accept-study-measure = 測定
+accept-study-back = 最後の測定を取り消す
+accept-study-other = 開始後にキャリブレーションまたはジョブが変わりました。終了して、やり直してください。
+accept-study-end = スタディを終了
+accept-study-sure = { $taken } 回の測定とレポートは破棄されます。先にページを印刷してください。
+accept-study-is-good = 適しています
+accept-study-is-bad = 適していません
+accept-study-is-open = 条件付きで適しています
+problem-input-no-good-part = 測定できません。ワークを1個だけ、全体が見えるように置いてください。{ $detail }

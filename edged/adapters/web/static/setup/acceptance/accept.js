@@ -5,10 +5,9 @@ import { cell, holds, sign, token, useFresh, useTask } from "../shared/live.js";
 import { Pair } from "../shared/picture.js";
 import { NumberField, Shape, say, useKept } from "../shared/pieces.js";
 import { moment, number, t } from "../shared/texts.js";
+import { Figures, Study, signs, verdictOf } from "./study.js";
 
 const AT_ONCE = { still: 50, pose: 1, length: 1 };
-const signs = (text) => text.replaceAll(/\bum\b/g, "µm").replaceAll(/\bchi2\b/g, "χ²");
-const verdictOf = (good) => (good === null ? "doubt" : good ? "tick" : "gap");
 
 function Taken({ name, taken, needed, isBusy, onTake, onClear, children }) {
   const count = AT_ONCE[name];
@@ -55,11 +54,7 @@ function Last({ last, isCurrent }) {
           ${t(`accept-is-${good === null ? "open" : good ? "good" : "bad"}`)}
         </h3>
         ${why && html`<p translate=${false} lang="en">${signs(why)}</p>`}
-        <dl class="figures" translate=${false} lang="en">
-          ${Object.entries(figures).map(
-            ([what, value]) => html`<dt>${signs(what)}</dt><dd>${signs(value)}</dd>`,
-          )}
-        </dl>
+        <${Figures} figures=${figures} />
       </div>`,
     )}
     <div class="actions">
@@ -188,5 +183,6 @@ export default function Accept() {
         </p>`
       }
     </section>
-    ${known?.last && html`<${Last} last=${known.last} isCurrent=${known.is_current} />`}`;
+    ${known?.last && html`<${Last} last=${known.last} isCurrent=${known.is_current} />`}
+    <${Study} job=${job} />`;
 }

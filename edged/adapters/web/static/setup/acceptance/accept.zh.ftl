@@ -1,4 +1,4 @@
-# Texts of accept.js.
+# Texts of accept.js and study.js.
 accept-title = 验收
 accept-why = 单元在其自身位置自检，并生成一页供签字。请每年重做一次，受碰撞后也要重做。
 accept-no-job = 尚无作业：请先示教一个工件。
@@ -35,3 +35,28 @@ accept-is-good = 合格
 accept-is-bad = 不合格
 accept-is-open = 无法判定
 accept-report = 签字页
+accept-study = 尺寸的量具研究
+accept-study-how = 单元是否适合检验某个尺寸？一个已知尺寸的工件给出 Cg 和 Cgk；由多人测量的不同工件给出 %GRR。
+accept-study-size = 工件的尺寸
+accept-study-kind = 测量对象
+accept-study-of-master = 一个已知尺寸的工件
+accept-study-of-parts = 不同的工件
+accept-study-low_mm = 下限
+accept-study-high_mm = 上限
+accept-study-reference_mm = 其真实尺寸
+accept-study-parts = 工件数
+accept-study-people = 人数
+accept-study-trials = 每个次数
+accept-study-begin = 开始研究
+accept-study-lay = 人员 { $person }：放入工件 { $part }（第 { $trial } 次），然后测量。
+accept-study-lay-master = 取出工件，重新放入，然后测量。
+accept-study-last = 上次 { $mm } mm
+accept-study-measure = 测量
+accept-study-back = 撤回上次测量
+accept-study-other = 研究开始后相机标定或作业已更改：请结束并重新开始。
+accept-study-end = 结束研究
+accept-study-sure = 其 { $taken } 次测量和报告将被丢弃：请先打印页面。
+accept-study-is-good = 合格
+accept-study-is-bad = 不合格
+accept-study-is-open = 有条件合格
+problem-input-no-good-part = 未测量：请只放入一个工件，并使其完整可见。{ $detail }

@@ -216,6 +216,7 @@ const DID = [
   [/^POST jobs\/.*\/use/, "use"],
   [/^POST marks\/teach/, "marks"],
   [/^POST acceptance\/accept/, "accept"],
+  [/^POST acceptance\/study/, "study"],
   [/^(PUT|POST) jobs\//, "job"],
   [/^POST me\/wake/, "wake"],
   [/^DELETE me\/sessions/, "leave"],

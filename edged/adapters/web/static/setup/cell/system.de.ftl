@@ -146,6 +146,7 @@ audit-did-test = versuchte es an aufgezeichneten Zyklen
 audit-did-golden = merkte sich ein Referenzteil
 audit-did-marks = lernte die Referenzmarken
 audit-did-accept = prüfte die Zelle zur Abnahme
+audit-did-study = änderte eine Eignungsstudie
 audit-did-use = wählte den Auftrag
 audit-did-job = änderte einen Auftrag
 audit-did-wake = gab das Passwort noch einmal ein

@@ -146,6 +146,7 @@ audit-did-test = tested on recorded cycles
 audit-did-golden = kept a golden part
 audit-did-marks = taught the reference marks
 audit-did-accept = tested the cell for acceptance
+audit-did-study = changed a study of a size
 audit-did-use = chose the job
 audit-did-job = changed a job
 audit-did-wake = entered the password again

@@ -146,6 +146,7 @@ audit-did-test = a essayé sur des cycles enregistrés
 audit-did-golden = a retenu une pièce de référence
 audit-did-marks = a appris les repères de référence
 audit-did-accept = a contrôlé la cellule pour réception
+audit-did-study = a modifié l’étude d’une cote
 audit-did-use = a choisi la tâche
 audit-did-job = a modifié une tâche
 audit-did-wake = a saisi à nouveau le mot de passe

@@ -146,6 +146,7 @@ audit-did-test = 記録済みサイクルで試験
 audit-did-golden = マスターワークを記憶
 audit-did-marks = 基準マークをティーチング
 audit-did-accept = 受入検査を実施
+audit-did-study = 寸法のスタディを変更
 audit-did-use = ジョブを選択
 audit-did-job = ジョブを変更
 audit-did-wake = パスワードを再入力

@@ -146,6 +146,7 @@ audit-did-test = 用已记录循环测试
 audit-did-golden = 记住标准样件
 audit-did-marks = 示教了基准标记
 audit-did-accept = 对单元进行了验收
+audit-did-study = 更改了尺寸研究
 audit-did-use = 选择作业
 audit-did-job = 更改作业
 audit-did-wake = 再次输入密码
