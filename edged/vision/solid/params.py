@@ -277,8 +277,8 @@ class DecisionParams:
     """Sigmas by any one form of its breaks from which a part is looked at by all: its own adds more to most,
     and nothing to clutter, of which a pair has several places."""
     present: float = 2 / 3
-    """Share of the curves of a part that is known by them alone: one of which a third is covered is still measured,
-    one that lacks more is another part with the same outline."""
+    """Share of the curves of a part that is known by them alone: one of which a third is covered is still
+    measured, one that lacks more is another part with the same outline."""
     circles: float = 0.5
     """Share of its circles besides (`SolidParams.min_found`): another part of its outline has other holes."""
     lying_rad: float = math.radians(8.0)  # tilt of parts of a job that allows for none
