@@ -80,7 +80,9 @@ def capability(values_mm: FloatArray, reference_mm: float, tolerance_mm: float) 
     count = len(values_mm)
     if count < LEAST_REPEATS:
         raise ValueError(f"{count} measurements of the master, {LEAST_REPEATS} are needed (50 are better)")
-    mean, deviation = float(values_mm.mean()), float(values_mm.std(ddof=1))
+    # alike to the last bit they have no spread: their mean, rounded, would give them one
+    deviation = float(values_mm.std(ddof=1)) if np.ptp(values_mm) > 0 else 0.0
+    mean = float(values_mm.mean())
     bias = mean - reference_mm
     allowed = 0.5 * SHARE_OF_TOLERANCE * tolerance_mm
     spread = 0.5 * SIX * deviation
