@@ -152,6 +152,12 @@ def with_breaks(model: EdgeModel, widths_mm: FloatArray | float) -> EdgeModel:
     return replace(model, breaks_mm=np.where(widths < BREAKS.least_mm, 0.0, widths))
 
 
+def weights_of(profiles: Profiles) -> FloatArray:
+    """(M,) 1 / px² of each profile's shift against a model; 0 where it says nothing."""
+    base = profiles.weight
+    return np.where(base > BREAKS.min_weight, 1 / (1 / np.maximum(base, 1e-9) + BREAKS.model_px**2), 0.0)
+
+
 def widths_by_profiles(model: EdgeModel, views: Sequence[LaidPair]) -> tuple[FloatArray, float, float]:
     """Widths (E,) of the breaks by the profiles of pairs, each curve's own; its sigma, and that of all."""
     count = int(model.chain.max()) + 1
@@ -159,12 +165,8 @@ def widths_by_profiles(model: EdgeModel, views: Sequence[LaidPair]) -> tuple[Flo
     for view in views:
         profiles = view.profiles(model)
         curve, by_break = chains_of(profiles.seen.curve), profiles.by_width
-        shift, base = profiles.shift_px, profiles.weight
-        weight = np.where(
-            (np.abs(by_break) > 0) & (base > BREAKS.min_weight),
-            1 / (1 / np.maximum(base, 1e-9) + BREAKS.model_px**2),
-            0.0,
-        )
+        shift = profiles.shift_px
+        weight = np.where(np.abs(by_break) > 0, weights_of(profiles), 0.0)
         used = weight > 0
         if used.any():
             weight *= tukey_weights(shift, max(mad_sigma(shift[used]), BREAKS.min_sigma_px))

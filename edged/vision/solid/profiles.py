@@ -99,17 +99,7 @@ def profiles_of(
 
     def measured(k: int) -> tuple[VisibleSamples, list[FloatArray]]:
         """What one camera sees, and shift, weight and height of it."""
-        dense = see(model, samples, pyramids.cameras[0].view(k, model, pose), VISIBILITY.buffer_px[0])
-        near = np.empty((len(dense.row), NEAR))
-        find_neighbours(
-            dense.pixels,
-            dense.normals,
-            dense.curve,
-            pyramids.pictures[0][k].drawn,
-            PROFILE.own_px,
-            PROFILE.reach_px,
-            near,
-        )
+        dense, near = seen_with_neighbours(model, samples, pyramids, pose, k, PROFILE.reach_px)
         some = slice(None, None, PROFILE.every)
         seen = VisibleSamples._make(np.ascontiguousarray(field[some]) for field in dense)
         grey, _ = edge_profiles(images.raw[k], seen.pixels, seen.normals, PROFILE.half_px, PROFILE.step_px)
@@ -124,6 +114,20 @@ def profiles_of(
     camera = np.repeat([0, 1], [len(seen.row) for seen in by_camera])
     shift, weight, height = (np.concatenate(values) for values in zip(left[1], right[1], strict=True))
     return Profiles(both, camera, samples.points[both.row], shift, weight, height)
+
+
+def seen_with_neighbours(
+    model: EdgeModel, samples: EdgePoints, pyramids: Pyramids, pose: FloatArray, camera: int, reach_px: float
+) -> tuple[VisibleSamples, FloatArray]:
+    """What a camera (0 left, 1 right) sees of samples at a pose, and (M, 4) px to other edges beside each.
+
+    NaN where there are fewer within reach_px.
+    """
+    dense = see(model, samples, pyramids.cameras[0].view(camera, model, pose), VISIBILITY.buffer_px[0])
+    near = np.empty((len(dense.row), NEAR))
+    drawn = pyramids.pictures[0][camera].drawn
+    find_neighbours(dense.pixels, dense.normals, dense.curve, drawn, PROFILE.own_px, reach_px, near)
+    return dense, near
 
 
 def _by_form(model: EdgeModel, samples: EdgePoints) -> FloatArray:

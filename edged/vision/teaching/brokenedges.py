@@ -18,24 +18,21 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from edged.domain.arrays import FloatArray
+from edged.domain.arrays import FloatArray, IntArray
 from edged.vision.edges.subpixel import edge_profiles
 from edged.vision.geometry.rigid import apply, invert, transform
 from edged.vision.kernels.jit import kernel
 from edged.vision.kernels.robust import mad_sigma, tukey_weights
 from edged.vision.part.job import CircleFeature, EdgeFeature, Job, SlotFeature, known_radius
-from edged.vision.part.traced import TracedCurve
 from edged.vision.solid.curvemodel import UP, curve_model, curve_points
 from edged.vision.solid.edgemodel import EdgeModel, chains_of
-from edged.vision.solid.forms import LaidPair, with_breaks
+from edged.vision.solid.forms import LaidPair, weights_of, with_breaks
 from edged.vision.solid.lock import scale_at
-from edged.vision.solid.params import BREAKS, CURVES, DECISION, PROFILE, VISIBILITY
-from edged.vision.solid.profiles import Profiles, profiles_of
-from edged.vision.solid.shifts import NEAR, STEP_PX, fill_steps, misfit
-from edged.vision.solid.visible import find_neighbours, moved, samples_at, see
+from edged.vision.solid.params import BREAKS, CURVES, DECISION, PROFILE
+from edged.vision.solid.profiles import Profiles, profiles_of, seen_with_neighbours
+from edged.vision.solid.shifts import STEP_PX, fill_steps, misfit
+from edged.vision.solid.visible import moved, samples_at
 from edged.vision.teaching.params import BROKEN
-
-I64 = npt.NDArray[np.int64]
 
 DIGIT = 1 / 3
 """Square sum of a profile without any noise: four samples rounded to grey values, by 1/12 each."""
@@ -81,7 +78,7 @@ class _Form:
 
     model: EdgeModel
     taught: EdgeModel
-    faces: I64
+    faces: IntArray
     views: tuple[LaidPair, ...]
     blur_px: float = BREAKS.blur_px
 
@@ -112,7 +109,7 @@ def broken_edges(job: Job, views: Sequence[LaidPair]) -> BrokenEdges | None:
         form = _adjusted(leaves.with_blur(start), BROKEN.first_rounds)
         if form is not None:
             form = leaves.with_blur(_by_ends(form, leaves))
-            begun.append((float(np.nan_to_num(leaves.gains(form, BROKEN.blurs_px)).mean()), form))
+            begun.append((leaves.roughly(form), form))
     begun.sort(key=lambda one: -one[0])
     ended = [
         form for _, rough in begun[: BROKEN.kept] if (form := _adjusted(rough, BROKEN.rounds)) is not None
@@ -133,7 +130,7 @@ def broken_edges(job: Job, views: Sequence[LaidPair]) -> BrokenEdges | None:
     return BrokenEdges(_as_its_face(form, shown), poses, features, clearly, gain, sigmas)
 
 
-def _faces(job: Job) -> I64:
+def _faces(job: Job) -> IntArray:
     """(C,) number of the face in which each curve of a job was taught."""
     level = np.array([points[0, 2] for points in curve_points(job)])
     order = np.argsort(level)
@@ -162,8 +159,7 @@ def _starts(job: Job, sharp: _Leavings) -> list[_Form]:
         model = replace(model, start=model.start + upper, end=model.end + upper, by_break=by_break)
         for sign in (0, 1, -1):
             form = _by_ends(_nearer(model, sharp.form, sign * width), sharp)
-            gain = float(np.nan_to_num(sharp.gains(form, BROKEN.blurs_px)).mean())
-            found.append((gain, width, sign, form))
+            found.append((sharp.roughly(form), width, sign, form))
     kept: list[tuple[float, int, _Form]] = []
     for _, width, sign, form in sorted(found, key=lambda one: -one[0]):
         if all(abs(width - w) > BROKEN.apart_mm or sign != s for w, s, _ in kept):
@@ -308,9 +304,7 @@ def _rows(
     if has_breaks:
         rows[:, common + 1 + 2 * curves] = profiles.by_width
         rows[every, common + 2 + 2 * curves + curve] = profiles.by_width
-    good = profiles.weight > BREAKS.min_weight
-    variance = 1 / np.maximum(profiles.weight, 1e-9) + BREAKS.model_px**2
-    return rows, np.where(good, 1 / variance, 0.0)
+    return rows, weights_of(profiles)
 
 
 # --- what a form leaves ----------------------------------------------------------------------------
@@ -326,8 +320,8 @@ class _Windows:
 
     view: int
     camera: int
-    curve: I64
-    piece: I64
+    curve: IntArray
+    piece: IntArray
     share: FloatArray
     pixels: FloatArray
     normals: FloatArray
@@ -341,8 +335,8 @@ class _Leavings:
     form: _Form
     windows: tuple[_Windows, ...]
     left: FloatArray
-    curve: I64
-    block: I64
+    curve: IntArray
+    block: IntArray
 
     @classmethod
     def of(cls, form: _Form) -> _Leavings:
@@ -356,6 +350,10 @@ class _Leavings:
     def gains(self, form: _Form, blurs_px: Sequence[float] = PROFILE.blurs_px) -> FloatArray:
         """(M,) what a form leaves less; NaN where it does not lie in the window."""
         return np.asarray(self.left - _left(self.windows, form, blurs_px)[0])
+
+    def roughly(self, form: _Form) -> float:
+        """Mean of what a form leaves less, by the blurs that starts are compared with."""
+        return float(np.nan_to_num(self.gains(form, BROKEN.blurs_px)).mean())
 
     def with_blur(self, form: _Form) -> _Form:
         """A form with the blur of the pairs' edges."""
@@ -375,13 +373,8 @@ def _windows(model: EdgeModel, views: Sequence[LaidPair]) -> list[_Windows]:
 
 def _windows_of(model: EdgeModel, view: LaidPair, number: int, camera: int) -> _Windows:
     samples = samples_at(model, scale_at(view.images.rig, view.pose, model), PROFILE.drawn_px)
-    pyramids = view.pyramids
-    dense = see(model, samples, pyramids.cameras[0].view(camera, model, view.pose), VISIBILITY.buffer_px[0])
-    near = np.empty((len(dense.row), NEAR))
-    find_neighbours(
-        dense.pixels, dense.normals, dense.curve, pyramids.pictures[0][camera].drawn, PROFILE.own_px,
-        BROKEN.half_px, near,
-    )  # fmt: skip
+    reach = BROKEN.half_px
+    dense, near = seen_with_neighbours(model, samples, view.pyramids, view.pose, camera, reach)
     alone = np.flatnonzero(~np.isfinite(near).any(axis=1))[:: PROFILE.every]
     pixels, normals = (np.ascontiguousarray(each[alone]) for each in (dense.pixels, dense.normals))
     grey, _ = edge_profiles(view.images.raw[camera], pixels, normals, BROKEN.half_px, PROFILE.step_px)
@@ -390,7 +383,7 @@ def _windows_of(model: EdgeModel, view: LaidPair, number: int, camera: int) -> _
     return _Windows(number, camera, curve, piece, share, pixels, normals, grey)
 
 
-def _places(model: EdgeModel, curve: I64, points: FloatArray) -> tuple[I64, FloatArray]:
+def _places(model: EdgeModel, curve: IntArray, points: FloatArray) -> tuple[IntArray, FloatArray]:
     """(N,) pieces of their curves (N,) that points (N, 3) lie on, and the share of each before them."""
     pieces, shares = np.empty(len(points), np.int64), np.empty(len(points))
     for number in np.unique(curve):
@@ -448,7 +441,7 @@ def _edges_in(window: _Windows, form: _Form) -> FloatArray:
 
 @kernel("void(f8[:, ::1], i8[::1], f8[:, ::1], f8, i8, f8, b1, f8[::1])")
 def find_left(
-    profiles: FloatArray, curve: I64, edges: FloatArray, blur: float, together: int, reach: float,
+    profiles: FloatArray, curve: IntArray, edges: FloatArray, blur: float, together: int, reach: float,
     slopes: bool, left: FloatArray,
 ) -> None:  # fmt: skip
     """Fill left (M,) with logarithms of square sums of grey values that steps leave of profiles (M, S).
@@ -523,22 +516,8 @@ def with_edges(job: Job, found: BrokenEdges) -> Job:
     """A job whose features are the edges in the faces, at the pose of the first pair, its reference as
     before."""
     places = _Places(job, found)
-    circles = tuple(places.circle(k, circle) for k, circle in enumerate(job.circles))
-    before = len(circles)
-    slots = tuple(places.slot(before + k, slot) for k, slot in enumerate(job.slots))
-    before += len(slots)
-    edges = tuple(places.edge(before + k, edge) for k, edge in enumerate(job.edges))
-    before += len(edges)
-    traced = tuple(places.traced(before + k, curve) for k, curve in enumerate(job.traced))
-    settled = replace(job, circles=circles, slots=slots, edges=edges, traced=traced)
-    origin = settled.place_of(job.reference) - job.place_of(job.reference)
-    settled = replace(
-        settled,
-        circles=tuple(replace(c, centre_mm=c.centre_mm - origin) for c in circles),
-        slots=tuple(replace(s, centre_mm=s.centre_mm - origin) for s in slots),
-        edges=tuple(replace(e, start_mm=e.start_mm - origin, end_mm=e.end_mm - origin) for e in edges),
-        traced=tuple(replace(t, points_mm=t.points_mm - origin) for t in traced),
-    )
+    origin = places.job(np.zeros(3)).place_of(job.reference) - job.place_of(job.reference)
+    settled = places.job(origin)
     sizes, witness = known_radius(settled.circles, job.reference, is_broken=True)
     return replace(
         settled,
@@ -555,6 +534,7 @@ class _Places:
 
     def __init__(self, job: Job, found: BrokenEdges) -> None:
         model, taught = found.model, curve_points(job)
+        self._job = job
         self._points: dict[int, FloatArray] = {}
         for k in np.unique(model.chain).tolist():
             its = model.chain == k
@@ -564,26 +544,36 @@ class _Places:
         for k, points in enumerate(taught):
             self._points.setdefault(k, points + shift)
 
-    def circle(self, k: int, circle: CircleFeature) -> CircleFeature:
-        """A circle that is curve k."""
-        points = self._points[k][:-1]
-        centre = points.mean(axis=0)
-        radius = float(np.linalg.norm(points - centre, axis=1).mean())
-        return replace(circle, centre_mm=centre, radius_mm=radius)
+    def job(self, origin_mm: FloatArray) -> Job:
+        """The job with its curves there, their places counted from an origin (3,)."""
+        job = self._job
+        points = iter([self._points[k] for k in range(len(self._points))])  # as `curve_points` has them
+        return replace(
+            job,
+            circles=tuple(_circle(circle, next(points), origin_mm) for circle in job.circles),
+            slots=tuple(_slot(slot, next(points), origin_mm) for slot in job.slots),
+            edges=tuple(_edge(edge, next(points) - origin_mm) for edge in job.edges),
+            traced=tuple(replace(curve, points_mm=next(points) - origin_mm) for curve in job.traced),
+        )
 
-    def slot(self, k: int, slot: SlotFeature) -> SlotFeature:
-        """A slot that is curve k: its points begin where a straight edge ends."""
-        points = self._points[k][:-1]
-        centre = points.mean(axis=0)
-        along = np.array([math.cos(slot.angle_rad), math.sin(slot.angle_rad), 0.0])
-        reach = (points - centre) @ along
-        radius = float(np.linalg.norm(points[0] - centre - reach[0] * along))
-        return replace(slot, centre_mm=centre, width_mm=2 * radius, length_mm=float(np.ptp(reach)))
 
-    def edge(self, k: int, edge: EdgeFeature) -> EdgeFeature:
-        """An edge that is curve k."""
-        return replace(edge, start_mm=self._points[k][0], end_mm=self._points[k][-1])
+def _circle(circle: CircleFeature, points: FloatArray, origin_mm: FloatArray) -> CircleFeature:
+    """A circle where its points (N, 3) are, the last one of which is the first."""
+    around = points[:-1]
+    centre = around.mean(axis=0)
+    radius = float(np.linalg.norm(around - centre, axis=1).mean())
+    return replace(circle, centre_mm=centre - origin_mm, radius_mm=radius)
 
-    def traced(self, k: int, curve: TracedCurve) -> TracedCurve:
-        """An outline that is curve k."""
-        return replace(curve, points_mm=self._points[k])
+
+def _slot(slot: SlotFeature, points: FloatArray, origin_mm: FloatArray) -> SlotFeature:
+    """A slot where its points are, as of a circle: they begin where a straight edge ends."""
+    around = points[:-1]
+    centre = around.mean(axis=0)
+    along = np.array([math.cos(slot.angle_rad), math.sin(slot.angle_rad), 0.0])
+    reach = (around - centre) @ along
+    radius = float(np.linalg.norm(around[0] - centre - reach[0] * along))
+    return replace(slot, centre_mm=centre - origin_mm, width_mm=2 * radius, length_mm=float(np.ptp(reach)))
+
+
+def _edge(edge: EdgeFeature, points: FloatArray) -> EdgeFeature:
+    return replace(edge, start_mm=points[0], end_mm=points[-1])

@@ -9,15 +9,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 from helpers.cells import frame_pair
-from helpers.tilted import lying
+from helpers.drawnparts import pair, place, rig
 from solids import random_design
 from solidtruth import part_json
-from solidworld import drawn, world_rig
 
-from edged.domain.arrays import FloatArray, Image
+from edged.domain.arrays import FloatArray
 from edged.domain.measurement import Reject
 from edged.files.jobs import load_job, save_job
-from edged.pipeline import PreparedRig, locate, prepare
+from edged.pipeline import locate
 from edged.setup.teaching.proposal import WantedJob, propose_from_pair
 from edged.vision.geometry.rigid import apply, invert
 from edged.vision.part.job import Job
@@ -30,24 +29,6 @@ from edged.vision.teaching.reteaching import carry_over
 BROKEN = {4: 0.394, 207: 0.191, 216: 0.493}
 """Designs with breaks of one width: chamfers, each camera shows them in a light of its own."""
 SHARP = (1, 5, 6, 10)
-
-
-@functools.cache
-def rig() -> PreparedRig:
-    """Of the drawn world."""
-    return prepare(world_rig())
-
-
-def place(tilt_deg: float) -> FloatArray:
-    """Where the part lies."""
-    return lying(world_rig(), tilt_deg, 70.0, 160.0 * (tilt_deg > 0))
-
-
-@functools.cache
-def pair(design: int, tilt_deg: float = 0.0) -> tuple[Image, Image]:
-    """Of a drawn part, on a table as one teaches on; tilted by 0 as it is taught."""
-    rng = np.random.default_rng((5, design, round(tilt_deg)))
-    return drawn(random_design(design), place(tilt_deg), rng, teaching=True)[0]
 
 
 @functools.cache

@@ -8,14 +8,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers.tilted import lying
-from solids import random_design
-from solidworld import drawn, world_rig
+from helpers.drawnparts import pair, place, rig
 
-from edged.domain.arrays import FloatArray, Image
+from edged.domain.arrays import FloatArray
 from edged.errors import TeachError
 from edged.files.jobs import load_job, save_job
-from edged.pipeline import PreparedRig, prepare
 from edged.vision.geometry.rectification import StereoImages
 from edged.vision.part.job import Job
 from edged.vision.solid.forms import LaidPair, likeliest_form
@@ -27,24 +24,6 @@ from edged.vision.teaching.pair import teach
 
 DESIGN, BREAK_MM = 4, 0.394
 """One whose teaching pair shows the lower edges of its breaks."""
-
-
-@functools.cache
-def rig() -> PreparedRig:
-    """Of the drawn world."""
-    return prepare(world_rig())
-
-
-def place(tilt_deg: float) -> FloatArray:
-    """Where the part lies."""
-    return lying(world_rig(), tilt_deg, 70.0, 160.0 * (tilt_deg > 0))
-
-
-@functools.cache
-def pair(design: int, tilt_deg: float) -> tuple[Image, Image]:
-    """Of a drawn part, on a table as one teaches on; tilted by 0 as it is taught."""
-    rng = np.random.default_rng((5, design, round(tilt_deg)))
-    return drawn(random_design(design), place(tilt_deg), rng, teaching=True)[0]
 
 
 @functools.cache
