@@ -83,7 +83,7 @@ async def _heard(process: subprocess.Popen[bytes], word: str = "") -> None:
     try:
         async with asyncio.timeout(MOST_S):
             line = await asyncio.to_thread(exchange)
-        error = None if (said := json.loads(line)) is None else error_of(**said)
+        error = None if (answer := json.loads(line)) is None else error_of(**answer)
     except (TimeoutError, ValueError, KeyError, TypeError):
         error = LinkError(
             "the process that installs releases has ended, or hangs: the next start finishes it"

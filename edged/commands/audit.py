@@ -90,9 +90,9 @@ def _print(verdict: AuditVerdict, witness: JournalVerdict | None, folder: Path, 
     for record in verdict.records:
         why = f" ({record['reason']})" if record["reason"] else ""
         who = f"{record['user'] or 'nobody'} {record['role']}".strip()
-        said = f"{record['verb']} {record['object']}: {record['outcome']}{why}"
+        deed = f"{record['verb']} {record['object']}: {record['outcome']}{why}"
         say(
-            f"{record['number']:6}  {record['time']}  {who} at {record['address'] or 'here'}  {said}", console
+            f"{record['number']:6}  {record['time']}  {who} at {record['address'] or 'here'}  {deed}", console
         )
     if verdict.torn_bytes:
         say(f"a crash tore the last line, {verdict.torn_bytes} bytes: it was never finished", console)

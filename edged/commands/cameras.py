@@ -67,10 +67,10 @@ def address(serial: str, wanted: str, console: Console) -> int:
 
 def _fields(info: CameraInfo, heard: HeardCamera | None) -> Json:
     """As `--json` has them."""
-    said = {"address_by": "", "in_network": True}
+    reached = {"address_by": "", "in_network": True}
     if heard is not None:
-        said = {"address_by": heard.ways, "in_network": not heard.is_lost}
-    return {**asdict(info), **said}
+        reached = {"address_by": heard.ways, "in_network": not heard.is_lost}
+    return {**asdict(info), **reached}
 
 
 def report(file: Path, devices: list[str], minutes: float, console: Console) -> int:

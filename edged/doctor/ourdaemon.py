@@ -139,13 +139,13 @@ def _readiness(config: Config) -> tuple[bool | None, str]:
     context.verify_mode = ssl.CERT_NONE
     try:
         with urllib.request.urlopen(url, timeout=ANSWER_S, context=context) as answer:
-            said = answer.read(MAX_BYTES)
+            body = answer.read(MAX_BYTES)
     except urllib.error.HTTPError as error:
-        said = error.read(MAX_BYTES)
+        body = error.read(MAX_BYTES)
     except (OSError, ValueError):
         return None, ""
     try:
-        document = json.loads(said)
+        document = json.loads(body)
         return bool(document["ready"]), str(document["error"])
     except (ValueError, KeyError, TypeError, RecursionError):
         return None, ""

@@ -8,7 +8,14 @@ import numpy as np
 import numpy.typing as npt
 
 FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
 Image = npt.NDArray[np.uint8]
+F64 = FloatArray
+"""As kernels name it, beside those that follow."""
+F32 = npt.NDArray[np.float32]
+I64 = npt.NDArray[np.int64]
+I32 = npt.NDArray[np.int32]
+U8 = Image
+B8 = npt.NDArray[np.bool_]
+IntArray = I64
 Side = Literal["left", "right"]
 SIDES: tuple[Side, Side] = ("left", "right")

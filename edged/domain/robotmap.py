@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from edged.domain.arrays import FloatArray, IntArray
+from edged.domain.arrays import I64, FloatArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -21,7 +21,7 @@ class RobotMap:
     expected_mm: FloatArray
     shown_mm: FloatArray
     degree: int
-    hull: IntArray
+    hull: I64
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from edged.domain.arrays import IntArray
+from edged.domain.arrays import I64
 from edged.domain.robotmap import RobotMap
 from edged.errors import CalibrationError, FileFormatError
 from edged.files.atomic import (
@@ -169,7 +169,7 @@ def _map(reader: JsonFields) -> RobotMap | None:
     return made
 
 
-def _hull(of_map: JsonFields, count: int) -> IntArray:
+def _hull(of_map: JsonFields, count: int) -> I64:
     found = of_map.document.get("hull")
     rows = len(found) if isinstance(found, list) else 0
     if not MIN_TRIANGLES <= rows <= 2 * count - 4:  # Euler: a closed surface of triangles has no more

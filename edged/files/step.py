@@ -104,10 +104,10 @@ def _converted(data: bytes, path: Path) -> bytes:
     except subprocess.TimeoutExpired:
         raise FileFormatError(f"{path}: not read within {MAX_SECONDS} s: expected one part") from None
     if done.returncode != 0 or not done.stdout:
-        said = done.stderr.decode(errors="replace").strip().splitlines()[-1:]
-        if said and said[0].startswith("cascadio: "):
-            raise FileFormatError(f"{path}: {said[0]}: reinstall it, pip install 'edged[cad]' again")
-        why = f" ({said[0][:200]})" if said else ""
+        lines = done.stderr.decode(errors="replace").strip().splitlines()[-1:]
+        if lines and lines[0].startswith("cascadio: "):
+            raise FileFormatError(f"{path}: {lines[0]}: reinstall it, pip install 'edged[cad]' again")
+        why = f" ({lines[0][:200]})" if lines else ""
         raise FileFormatError(f"{path}: damaged, or too large: its solid cannot be read{why}")
     return done.stdout
 

@@ -115,6 +115,6 @@ def _problem(others: dict[int, str], hashes: dict[int, str]) -> str:
         return ""
     missing = sorted(number for number in others if number not in hashes)
     changed = sorted(number for number in others if number in hashes)
-    said = [f"record {number} is not the one in the journal" for number in changed[:1]]
-    said += [f"record {number}, which the journal has, is missing" for number in missing[:1]]
-    return "; ".join(said)
+    differences = [f"record {number} is not the one in the journal" for number in changed[:1]]
+    differences += [f"record {number}, which the journal has, is missing" for number in missing[:1]]
+    return "; ".join(differences)

@@ -8,9 +8,8 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
-from edged.domain.arrays import SIDES, FloatArray
+from edged.domain.arrays import B8, I64, SIDES, FloatArray
 from edged.domain.measurement import Target
 from edged.pictures.captions import measured_names, reference_name
 from edged.pictures.lettering import RIM, Canvas, Colour, width_of, write, write_rimmed
@@ -67,7 +66,7 @@ class Residuals:
     feet: FloatArray
     normals: FloatArray
     across_px: FloatArray
-    used: npt.NDArray[np.bool_]
+    used: B8
     share: FloatArray
 
 
@@ -178,7 +177,7 @@ def residuals(view: PictureView, feature: FeatureEvidence, side: int) -> Residua
     return Residuals(feet, normals, across, weights[known] > USED_WEIGHT, nearest / len(curve))
 
 
-def _nearest(curve: FloatArray, points: FloatArray) -> npt.NDArray[np.int64]:
+def _nearest(curve: FloatArray, points: FloatArray) -> I64:
     """Indices (M,) of the points of a curve (N, 2) next to points (M, 2)."""
     squares = np.sum(curve**2, axis=1)
     parts = [
@@ -343,7 +342,7 @@ def _thinned(line: FloatArray, spacing_px: float) -> FloatArray:
     return np.asarray(line[kept])
 
 
-def _overlaps(box: Box, others: npt.NDArray[np.int64]) -> bool:
+def _overlaps(box: Box, others: I64) -> bool:
     """Whether a box has a pixel in common with any of others (K, 4)."""
     x, y, width, height = box
     beside = (others[:, 0] >= x + width) | (others[:, 0] + others[:, 2] <= x)

@@ -20,7 +20,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from edged.domain.arrays import FloatArray, Image
+from edged.domain.arrays import F32, FloatArray, Image
 
 WHITE = 254
 """Grey value from which a pixel may be any brighter."""
@@ -158,7 +158,7 @@ def _moved(long: Image, short: Image, gain: float, offset: float) -> float:
     return float(HALF * np.hypot(shift_x, shift_y)[sure].max(initial=0.0))
 
 
-def _halved(light: FloatArray, image: Image) -> npt.NDArray[np.float32]:
+def _halved(light: FloatArray, image: Image) -> F32:
     """(H / 2, W / 2) light of grey values, so smooth that a difference of neighbours is a slope."""
     full = cv2.LUT(image, light.astype(np.float32))
     small = cv2.resize(full, None, fx=1 / HALF, fy=1 / HALF, interpolation=cv2.INTER_AREA)

@@ -124,9 +124,9 @@ def read_answer(frame: bytes, brand: Brand, sequence: int) -> LineAnswer:
 
     An answer of sequence 0 says that the request was invalid.
     """
-    said, answered, status, remaining, *numbers = _opened(frame, ANSWER)
-    if said != BRANDS[brand]:
-        raise ValueError(f"the answer is written for brand {said}, expected {BRANDS[brand]}")
+    written_for, answered, status, remaining, *numbers = _opened(frame, ANSWER)
+    if written_for != BRANDS[brand]:
+        raise ValueError(f"the answer is written for brand {written_for}, expected {BRANDS[brand]}")
     if answered != sequence and not (answered == 0 and status):
         raise ValueError(f"an answer to {answered}, expected {sequence}")
     if not all(map(math.isfinite, numbers)):

@@ -98,13 +98,13 @@ def _pictures(
         if view.name not in thumbnails:
             continue
         both = zip(SIDES, thumbnails[view.name], sizes, strict=True)
-        said = (
+        finding = (
             f"rms {fits[view.name].rms_px:.4f} px"
             if view.name in fits
             else f"skipped: {reasons.get(view.name, '')}"
         )
         pictures = Markup().join(thumbnail(view, side, small, size) for side, small, size in both)
-        shown.append((pictures, f"{view.name}: {said}"))
+        shown.append((pictures, f"{view.name}: {finding}"))
     return shown
 
 

@@ -9,11 +9,10 @@ from datetime import UTC, datetime
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 from markupsafe import Markup
 
 from edged import __version__
-from edged.domain.arrays import FloatArray, Image
+from edged.domain.arrays import I32, FloatArray, Image
 from edged.domain.numerals import known
 from edged.payload import Json
 from edged.pictures.evidence import taught_outlines
@@ -119,7 +118,7 @@ def _where(job: Job, taught: Taught) -> str:
         cv2.COLOR_GRAY2BGR,
     )
 
-    def placed(points: FloatArray) -> npt.NDArray[np.int32]:
+    def placed(points: FloatArray) -> I32:
         return np.asarray(np.rint(16 * ((points + 0.5) * zoom - 0.5)), np.int32)
 
     for x, y in placed(job.shape.origin_px + job.shape.levels[0].points):

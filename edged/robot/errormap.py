@@ -19,7 +19,7 @@ from functools import cached_property, lru_cache
 
 import numpy as np
 
-from edged.domain.arrays import FloatArray, IntArray
+from edged.domain.arrays import I64, FloatArray
 from edged.domain.robotmap import MapFigures, RobotMap, RobotShift
 from edged.errors import CalibrationError, Undetermined
 from edged.robot.touch import register_points
@@ -150,7 +150,7 @@ def _bic(squares: float, numbers: int, parameters: int) -> float:
     return numbers * math.log(squares / numbers + 1e-12) + parameters * math.log(numbers)
 
 
-def hull_of(places: FloatArray) -> IntArray:
+def hull_of(places: FloatArray) -> I64:
     """Triangles around all places (N, 3), as of `RobotMap`. Raises `Undetermined` for places in one plane.
 
     Place by place: the triangles that see it give way to others, from their rim to it. Places are shaken by a
@@ -186,13 +186,13 @@ def _edges(corners: tuple[int, ...]) -> Iterator[tuple[int, int]]:
     yield from zip(corners, (*corners[1:], corners[0]), strict=True)
 
 
-def _normals(places: FloatArray, hull: IntArray) -> tuple[FloatArray, FloatArray]:
+def _normals(places: FloatArray, hull: I64) -> tuple[FloatArray, FloatArray]:
     """Normals (F, 3) of triangles, outwards, twice as long as each is large, and a corner of each."""
     first, second, third = places[hull].transpose(1, 0, 2)
     return np.cross(second - first, third - first), first
 
 
-def _planes(places: FloatArray, hull: IntArray) -> tuple[FloatArray, FloatArray]:
+def _planes(places: FloatArray, hull: I64) -> tuple[FloatArray, FloatArray]:
     """Planes of a hull, grown by `GROWN`: normals (F, 3) outwards, and how far along them; mm.
 
     Each plane touches the places from outside; that they enclose them all around is asked for: each side of a

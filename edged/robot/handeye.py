@@ -10,9 +10,8 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-import numpy.typing as npt
 
-from edged.domain.arrays import FloatArray
+from edged.domain.arrays import B8, FloatArray
 from edged.errors import CalibrationError, Undetermined
 from edged.vision.geometry.rigid import (
     apply,
@@ -55,7 +54,7 @@ class HandEye:
     rig: FloatArray
     board: FloatArray
     covariance: FloatArray
-    used: npt.NDArray[np.bool_]
+    used: B8
     rms_mm: float
     held_out_mm: FloatArray
     held_out_rad: FloatArray
@@ -205,7 +204,7 @@ def _refine(
 
 def _without_outliers(
     A: FloatArray, B: FloatArray, X: FloatArray, Y: FloatArray, marks: FloatArray
-) -> tuple[FloatArray, FloatArray, npt.NDArray[np.bool_]]:
+) -> tuple[FloatArray, FloatArray, B8]:
     """Robust fit (Cauchy weights), then a fit without the outliers."""
     errors = _errors_mm(A, B, X, Y, marks)
     for _ in range(REWEIGHTED):
@@ -250,7 +249,7 @@ def _covariance(A: FloatArray, B: FloatArray, X: FloatArray, Y: FloatArray, mark
 
 
 def _held_out(
-    A: FloatArray, B: FloatArray, X: FloatArray, Y: FloatArray, marks: FloatArray, used: npt.NDArray[np.bool_]
+    A: FloatArray, B: FloatArray, X: FloatArray, Y: FloatArray, marks: FloatArray, used: B8
 ) -> tuple[FloatArray, FloatArray]:
     mm, rad = np.full(len(A), np.nan), np.full(len(A), np.nan)
     for k in range(len(A)):

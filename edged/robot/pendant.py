@@ -150,9 +150,9 @@ def brands_of(orientation: str, length_unit: str) -> tuple[Brand, ...]:
     count, reader = READINGS[orientation]
     unit = np.array((0.5, 0.1, 0.7, 0.5)) if count == 4 else np.array((0.4, -0.7, 1.1))
     probe = (1.0, 2.0, 3.0, *(unit / np.linalg.norm(unit) if count == 4 else unit).tolist())
-    said = transform(np.asarray(reader(*probe[3:])), LENGTH_UNITS_MM[length_unit] * np.array(probe[:3]))
+    pose = transform(np.asarray(reader(*probe[3:])), LENGTH_UNITS_MM[length_unit] * np.array(probe[:3]))
     return tuple(
         brand
         for brand in Brand
-        if len(PENDANTS[brand].labels) == len(probe) and np.allclose(transform_of(brand, probe), said)
+        if len(PENDANTS[brand].labels) == len(probe) and np.allclose(transform_of(brand, probe), pose)
     )

@@ -233,20 +233,20 @@ UNACCEPTED = {
 
 def doubts(cell: CellFiles) -> list[str]:
     """What a person should look at before results are trusted; none of it keeps a cell from measuring."""
-    rig, said = cell.rig, []
+    rig, remarks = cell.rig, []
     try:
         verdict = json_of(cell.contents["rig.json"])["quality"]["verdict"]
         grade, why = verdict["grade"], "; ".join(map(str, verdict["why"]))
     except (KeyError, TypeError, ValueError, RecursionError):  # another program's rig, or an older one
         grade, why = "", ""
     if grade == "repeat":
-        said.append(f"the calibration's verdict was repeat: {why}: calibrate again")
+        remarks.append(f"the calibration's verdict was repeat: {why}: calibrate again")
     if not USUAL_BASELINE_MM[0] <= rig.baseline_mm <= USUAL_BASELINE_MM[1]:
-        said.append(
+        remarks.append(
             f"its cameras stand {rig.baseline_mm:.4g} mm apart: measure it; where that is wrong, the size of "
             "the board was stated wrongly, and each length is wrong by as much"
         )
-    lines = [f"{cell.config.cell.rig.name}: {printable(line)}" for line in said]
+    lines = [f"{cell.config.cell.rig.name}: {printable(line)}" for line in remarks]
     if cell.other_marks:
         lines.append(
             f"{MARKS_NAME}: taught with another calibration: results are not corrected until the marks are "

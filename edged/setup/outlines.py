@@ -29,8 +29,7 @@ def line(points: FloatArray) -> Line:
 
 def on_face(job: Job, rig: StereoRig, left_px: FloatArray) -> FloatArray:
     """Points (N, 3) of the job's face, rig frame, that the left camera sees at raw px (N, 2)."""
-    normal = job.rig_from_part[:3, 2]
-    face = Plane(normal, float(normal @ job.rig_from_part[:3, 3]))
+    face = Plane.through(job.rig_from_part[:3, 3], job.rig_from_part[:3, 2])
     ideal = rig.left.normalise(left_px)
     return face.meet(np.column_stack([ideal, np.ones(len(ideal))]))
 

@@ -271,16 +271,16 @@ class Sockets:
                 await tab.socket.close(code=WSCloseCode.POLICY_VIOLATION)
                 return
 
-    async def _obey(self, tab: _Tab, visitor: Visitor, said: FromTab) -> None:
-        if said.seen is not None:
+    async def _obey(self, tab: _Tab, visitor: Visitor, wish: FromTab) -> None:
+        if wish.seen is not None:
             tab.has_seen = True
             self._live.seen(tab)
             self._feed()
-        if said.active:
+        if wish.active:
             self._access.note_activity(tab.session)
-        if said.live is False:
+        if wish.live is False:
             self._live.unwant(tab)
-        if said.live:
+        if wish.live:
             if visitor.role < Role.ENGINEER:
                 code, why = ("idle", "say your password again") if visitor.is_idle else ("role", "")
                 self._refuse(tab, code, why or "only an engineer may")
@@ -288,7 +288,7 @@ class Sockets:
             try:
                 if not self._holds(tab.session):
                     raise SetupRefused("the cell was not taken in this session, or not any more")
-                await self._live.want(tab, said.token or "")
+                await self._live.want(tab, wish.token or "")
             except SetupRefused as error:
                 self._refuse(tab, "setup_refused", str(error))
 

@@ -48,9 +48,9 @@ class WhatIfQuestion(Body):
     light: Annotated[float, Field(ge=0.1, le=10)] | None = None
 
     def change(self) -> Change | None:
-        """What is wanted; None: nothing of it was said."""
-        said = {key: value for key, value in self if value is not None}
-        return Change(**said) if said else None
+        """What is wanted; None: nothing of it was stated."""
+        stated = {key: value for key, value in self if value is not None}
+        return Change(**stated) if stated else None
 
 
 class CycleRoutes:

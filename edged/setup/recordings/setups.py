@@ -61,8 +61,8 @@ class MeasuredBy:
         job, command = self.jobs.get(number), snapshot.get("command")
         if job is None:
             return None
-        said = command if isinstance(command, dict) else {}
-        box, skipped = said.get("box", 0), said.get("skipped_mm")
+        fields = command if isinstance(command, dict) else {}
+        box, skipped = fields.get("box", 0), fields.get("skipped_mm")
         picking = within(job.picking, narrowed(self.bounds, box if isinstance(box, int) else 0))
         if isinstance(skipped, list) and len(skipped) == 3:
             x, y, z = map(float, skipped)

@@ -263,12 +263,12 @@ def document_of(
 def readings_in(judged: Judged) -> list[ReadingDocument]:
     """The best of them, and the stated one."""
     shown = [*range(min(5, len(judged.readings)))]
-    if judged.said is not None and judged.said not in shown:
-        shown.append(judged.said)
-    return [_reading(judged.readings[rank], said=rank == judged.said) for rank in shown]
+    if judged.stated is not None and judged.stated not in shown:
+        shown.append(judged.stated)
+    return [_reading(judged.readings[rank], is_stated=rank == judged.stated) for rank in shown]
 
 
-def _reading(reading: PoseReading, *, said: bool) -> ReadingDocument:
+def _reading(reading: PoseReading, *, is_stated: bool) -> ReadingDocument:
     return ReadingDocument(
         code=READING_CODES[reading.orientation],
         orientation=reading.orientation,
@@ -276,7 +276,7 @@ def _reading(reading: PoseReading, *, said: bool) -> ReadingDocument:
         mount="fixed" if reading.mount == "eye-to-hand" else "flange",
         brands=list(brands_of(reading.orientation, reading.length_unit)),
         rms_mm=reading.rms_mm,
-        said=said,
+        said=is_stated,
     )
 
 

@@ -164,8 +164,8 @@ class RegistrationRoutes:
 
     async def _sample(self, draft: str, call: Call[Sampling]) -> DraftHead:
         body = call.body
-        said = body.numbers is not None or body.text is not None
-        given = Given(body.numbers, body.text) if said else None
+        is_stated = body.numbers is not None or body.text is not None
+        given = Given(body.numbers, body.text) if is_stated else None
         if body.place is not None and given is not None:
             return await self._registrations.touch(draft, body.place, given, body.revision)
         return await self._registrations.pose(draft, body.token or "", given, body.revision)

@@ -60,7 +60,7 @@ class Judged:
 
     rows, sky : by the sample's name. culprit : the one that is wrong, or agrees least where they disagree.
     missing : "all" turns, "tilt", or "wrist"; "": the poses turn enough. readings : ranked, best first; empty
-    before four poses. said : the rank of the stated one among them. figures : of the fit, mm.
+    before four poses. stated : the rank of the stated one among them. figures : of the fit, mm.
     registered : only where it is good.
     """
 
@@ -72,7 +72,7 @@ class Judged:
     sky: Mapping[str, SkyDocument] = field(default_factory=dict)
     missing: str = ""
     readings: tuple[PoseReading, ...] = ()
-    said: int | None = None
+    stated: int | None = None
     registered: RegisteredRig | None = None
 
 
@@ -170,13 +170,13 @@ def judge_poses(
     Without a brand only the readings are known.
     """
     posed = {name: sample for name, sample in posed.items() if _fits(sample[1], brand)}
-    readings, said = _ranked(posed, board, brand, mount)
+    readings, stated = _ranked(posed, board, brand, mount)
     if brand is None:
         missing = _trouble("no_brand", "whose robot is it? The poses are not read without")
         return Judged(trouble=missing, readings=readings)
     flanges = {name: transform_of(brand, numbers) for name, (_, numbers) in posed.items()}
-    other = _other_reading(readings, said)
-    known = Judged(readings=readings, said=said)
+    other = _other_reading(readings, stated)
+    known = Judged(readings=readings, stated=stated)
     if other is None:  # numbers that are read wrongly say nothing of turns
         known = replace(known, sky=_sky(flanges), missing=_missing(list(flanges.values())))
     if len(posed) < MIN_POSES:
@@ -235,20 +235,20 @@ def _ranked(
         ranked = rank_readings(numbers, views, board.points_mm, READINGS, LENGTH_UNITS_MM)
     except CalibrationError:
         return (), None
-    said = (
+    ranks = (
         rank
         for rank, reading in enumerate(ranked)
         if reading.mount == mount and brand in brands_of(reading.orientation, reading.length_unit)
     )
-    return tuple(ranked), next(said, None)
+    return tuple(ranked), next(ranks, None)
 
 
-def _other_reading(readings: tuple[PoseReading, ...], said: int | None) -> Trouble | None:
+def _other_reading(readings: tuple[PoseReading, ...], stated: int | None) -> Trouble | None:
     """Which reading fits so much better than the stated one that it is the right one."""
     if not readings:
         return None
     best = readings[0]
-    if not stands_out(readings) or (said is not None and readings[said].rms_mm <= DECIDED * best.rms_mm):
+    if not stands_out(readings) or (stated is not None and readings[stated].rms_mm <= DECIDED * best.rms_mm):
         return None
     brands = brands_of(best.orientation, best.length_unit)
     params: dict[str, str | float] = {

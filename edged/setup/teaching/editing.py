@@ -71,7 +71,7 @@ def without_features(job: Job, names: set[str]) -> Job:
     circles = tuple(circle for circle in job.circles if circle.name not in names)
     slots = tuple(slot for slot in job.slots if slot.name not in names)
     edges = tuple(edge for edge in job.edges if edge.name not in names)
-    corners = tuple(one for one in job.corners if one.name not in names and not names & set(one.edges))
+    corners = tuple(c for c in job.corners if c.name not in names and not names & set(c.edges))
     gone = names | {corner.name for corner in job.corners if corner not in corners}
     sizes = tuple(size for size in job.measurements if not gone & set(size.of))
     witness = job.witness if job.witness in {size.name for size in sizes} else None

@@ -99,9 +99,9 @@ def propose_from_pair(
         )  # fmt: skip
         job, settled = found.job, found.said
     if further or (model is None and (job.solid or wanted.tilt_deg is not None)):
-        job, said = with_breaks_shown(job, (left, right), further, rectification)
-        settled = (*settled, *said)
-        if job.solid and not said:
+        job, shown = with_breaks_shown(job, (left, right), further, rectification)
+        settled = (*settled, *shown)
+        if job.solid and not shown:
             settled = (_of_one_pair(job, rectification.rig),)
     picture, mask = rectification.left_image(left), taught_mask(region, (), rectification)
     cuts = cut_edges(job, picture, mask, rectification)
@@ -137,11 +137,11 @@ def propose_from_model(
     job, picture = teach_model(
         model, shown.curves, rectification, depth_mm, wanted.name, wanted.number, wanted.params
     )
-    said = (
+    remarks = (
         f"{shown.name}: no pair has shown the part's edges: results state {job.sigma_mm:g} mm in its face "
         f"and {MEASURING.across * job.sigma_mm:g} mm across",
     )
-    return _proposal(job, Taught(picture, None, (), said), wanted)
+    return _proposal(job, Taught(picture, None, (), remarks), wanted)
 
 
 def commit(folder: Path, proposal: Proposal) -> Path | None:
@@ -202,7 +202,7 @@ def check_tilt(tilt_deg: float | None) -> None:
 
 def cut_warnings(cuts: Sequence[Cut]) -> list[str]:
     """What is cut, one sentence each."""
-    said = [
+    remarks = [
         f"The region cuts {cut.text}. Only what is inside was learnt. Make the region larger, or state none "
         "to learn from the whole picture."
         if cut.by_region
@@ -210,7 +210,7 @@ def cut_warnings(cuts: Sequence[Cut]) -> list[str]:
         for cut in cuts[:MAX_CUTS]
     ]
     more = len(cuts) - MAX_CUTS
-    return [*said, f"It cuts {more} more edges."] if more > 0 else said
+    return [*remarks, f"It cuts {more} more edges."] if more > 0 else remarks
 
 
 def _proposal(job: Job, taught: Taught, wanted: WantedJob) -> Proposal:
@@ -221,10 +221,10 @@ def _proposal(job: Job, taught: Taught, wanted: WantedJob) -> Proposal:
         job, carried = carry_over(wanted.former, job)
     inspection = inspect_model(job.shape, job.search)
     if taught.cuts:
-        said = cut_warnings(taught.cuts)
+        cuts = cut_warnings(taught.cuts)
         inspection = replace(
             inspection,
-            warnings=(*said, *inspection.warnings),
-            codes=(*["cut"] * len(said), *inspection.codes),
+            warnings=(*cuts, *inspection.warnings),
+            codes=(*["cut"] * len(cuts), *inspection.codes),
         )
     return Proposal(job, taught, inspection, carried)

@@ -259,8 +259,8 @@ def _asked_for_all(job: Job) -> Job:
 def _warnings(proposal: Proposal) -> list[WarningDocument]:
     inspection, cuts = proposal.inspection, proposal.taught.cuts
     places = [cut.place_px for cut in cuts] + [None] * len(inspection.codes)
-    said = zip(inspection.codes, inspection.warnings, places, strict=False)
-    return [WarningDocument(code=code, text=text, at=at) for code, text, at in said]
+    worded = zip(inspection.codes, inspection.warnings, places, strict=False)
+    return [WarningDocument(code=code, text=text, at=at) for code, text, at in worded]
 
 
 def _doubts(found: MeasuredPart | None) -> list[WarningDocument]:

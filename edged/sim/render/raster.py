@@ -18,6 +18,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from edged.domain.arrays import F32, F64, I64
 from edged.vision.kernels.jit import kernel
 
 TILE = 16
@@ -37,10 +38,6 @@ LAYER_COLUMNS = 22
 
 MIXED, NOTHING = -1, -2
 BEHIND, PAINTED, DIVIDED = range(3)
-
-F64 = npt.NDArray[np.float64]
-I64 = npt.NDArray[np.int64]
-F32 = npt.NDArray[np.float32]
 
 
 @kernel()

@@ -19,10 +19,9 @@ from statistics import NormalDist
 import cv2
 import numpy as np
 
-from edged.domain.arrays import FloatArray, Image
+from edged.domain.arrays import F32, FloatArray, Image
 from edged.sim.render import raster
 from edged.sim.render.lens import project, rays_of_pixels
-from edged.sim.render.raster import F32
 from edged.vision.geometry.camera import CameraModel
 
 # --- outlines ------------------------------------------------------------------------------------

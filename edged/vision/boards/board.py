@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from edged.domain.arrays import FloatArray, IntArray, Side
+from edged.domain.arrays import I64, FloatArray, Side
 from edged.domain.numerals import decimal, is_whole
 from edged.errors import CalibrationError
 
@@ -92,7 +92,7 @@ class CircleGrid:
     diameter_mm: float
 
     @property
-    def lattice(self) -> IntArray:
+    def lattice(self) -> I64:
         """(N, 2) places of all marks in whole pitches."""
         row, column = np.divmod(np.arange(self.columns * self.rows), self.columns)
         return np.column_stack([2 * column + row % 2, row])
@@ -186,7 +186,7 @@ class Detection:
     blur_px : sigma of the edge spread; contrast : grey values between black and white; medians.
     """
 
-    ids: IntArray
+    ids: I64
     pixels: FloatArray
     sigma_px: FloatArray
     blur_px: float

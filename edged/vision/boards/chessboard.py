@@ -17,7 +17,7 @@ import math
 import cv2
 import numpy as np
 
-from edged.domain.arrays import FloatArray, Image, IntArray
+from edged.domain.arrays import I64, FloatArray, Image
 from edged.vision.boards.board import Chessboard, Detection, NotDetected
 from edged.vision.boards.markmodels import fit_corners
 from edged.vision.boards.params import DETECTION
@@ -53,7 +53,7 @@ def remeasure_chessboard(
     return judge_corners(fits[found.ids], found.ids)
 
 
-def judge_corners(fits: FloatArray, ids: IntArray) -> Detection | NotDetected:
+def judge_corners(fits: FloatArray, ids: I64) -> Detection | NotDetected:
     """Keep the corners whose fit succeeded; too few, or a picture too flat, is a miss.
 
     fits (N, 6) : x, y, sigma_px, blur_px, contrast, ok, one for each of ids (N,).

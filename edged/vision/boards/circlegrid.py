@@ -24,7 +24,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 
-from edged.domain.arrays import FloatArray, Image, IntArray
+from edged.domain.arrays import I64, FloatArray, Image
 from edged.vision.boards.board import CircleGrid, Detection, DotBoard, NotDetected
 from edged.vision.boards.markmodels import fit_dots
 from edged.vision.boards.params import DETECTION
@@ -100,7 +100,7 @@ def _measure_first(image: Image, board: Plate, ellipses: FloatArray) -> Detectio
 def _measure(
     image: Image,
     board: Plate,
-    ids: IntArray,
+    ids: I64,
     to_pixels: Callable[[FloatArray], FloatArray],
     centres: FloatArray,
 ) -> Detection | NotDetected:
@@ -153,7 +153,7 @@ def _fit(image: Image, board: Plate, expected: FloatArray) -> FloatArray:
     return fits
 
 
-def _circles(board: Plate, ids: IntArray) -> FloatArray:
+def _circles(board: Plate, ids: I64) -> FloatArray:
     """Outlines (N, K, 2) of the dots on the plate."""
     angles = np.linspace(0, 2 * np.pi, _CIRCLE_POINTS, endpoint=False)
     ring = 0.5 * board.diameter_mm * np.column_stack([np.cos(angles), np.sin(angles)])
@@ -250,7 +250,7 @@ def _blob(contour: cv2.typing.MatLike) -> FloatArray | None:
     return np.array([x, y, matrix[0, 0], matrix[0, 1], matrix[1, 1]])
 
 
-def _grow_grid(blobs: FloatArray, board: Plate) -> IntArray | NotDetected:
+def _grow_grid(blobs: FloatArray, board: Plate) -> I64 | NotDetected:
     """Indices into blobs of a complete, right-handed grid.
 
     For a square grid (rows, columns), its turn still open; for an asymmetric one (N,) in the board's order.
@@ -307,7 +307,7 @@ def _plate_of(image: Image, places: dict[tuple[int, int], int], blobs: FloatArra
     return None
 
 
-def _diameter(lattice: IntArray, blobs: FloatArray) -> float:
+def _diameter(lattice: I64, blobs: FloatArray) -> float:
     """Diameter of the marks (N, 5) in steps of their lattice (N, 2), rounded to a hundredth."""
     design = np.column_stack([lattice, np.ones(len(lattice))])
     map_px = np.linalg.lstsq(design, blobs[:, :2], rcond=None)[0][:2]
@@ -338,7 +338,7 @@ def _grids(blobs: FloatArray) -> Iterator[dict[tuple[int, int], int]]:
         yield _grow_from(int(seed), np.where(alike[:, None], centres, np.inf))
 
 
-def _rectangle(places: dict[tuple[int, int], int], board: DotBoard) -> IntArray | None:
+def _rectangle(places: dict[tuple[int, int], int], board: DotBoard) -> I64 | None:
     """The grid (rows, columns) if it has the board's shape."""
     keys = np.array(list(places))
     low = keys.min(axis=0)
@@ -360,7 +360,7 @@ _STEPS = [
 _QUARTER = np.array([[0, -1], [1, 0]])
 
 
-def _asymmetric(places: dict[tuple[int, int], int], board: CircleGrid) -> IntArray | None:
+def _asymmetric(places: dict[tuple[int, int], int], board: CircleGrid) -> I64 | None:
     """Indices (N,) in the board's order, if turned by some quarter the marks are the board's."""
     wanted = {(int(x), int(y)): number for number, (x, y) in enumerate(board.lattice)}
     keys, indices = np.array(list(places)), np.array(list(places.values()))
@@ -422,7 +422,7 @@ def _cross(a: FloatArray, b: FloatArray) -> float:
     return float(a[0] * b[1] - a[1] * b[0])
 
 
-def _orient(image: Image, grid: IntArray, centres: FloatArray, board: DotBoard) -> IntArray | NotDetected:
+def _orient(image: Image, grid: I64, centres: FloatArray, board: DotBoard) -> I64 | NotDetected:
     """Indices (N,) of the marks in the board's order: mark 0 by the filled corner."""
     turns = range(4) if board.columns == board.rows else (0, 2)
     marked = []

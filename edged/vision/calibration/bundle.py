@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from edged.domain.arrays import FloatArray, IntArray
+from edged.domain.arrays import I64, FloatArray
 from edged.vision.calibration.params import CALIBRATION
 from edged.vision.geometry.camera import DISTORTION_NAMES, CameraModel
 from edged.vision.geometry.projection import project_with_jacobians
@@ -30,7 +30,7 @@ class Observations:
     shape (N, 3, Q) : how each mark moves on its board per unit of the board's shape; None: as stated.
     """
 
-    view: IntArray
+    view: I64
     points_mm: FloatArray
     pixels: FloatArray
     sigma_px: FloatArray

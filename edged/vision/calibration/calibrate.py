@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from edged.domain.arrays import SIDES, FloatArray, IntArray
+from edged.domain.arrays import I64, SIDES, FloatArray
 from edged.vision.boards.board import ShapedBoard, StereoView
 from edged.vision.boards.deformation import deviation_mm, plate_basis, shaped
 from edged.vision.boards.params import DETECTION
@@ -249,7 +249,7 @@ def epipolar_errors_px(rig: StereoRig, view: StereoView) -> FloatArray:
     return row_difference_px(rig, left, right)
 
 
-def marks_in_both(view: StereoView) -> tuple[IntArray, FloatArray, FloatArray]:
+def marks_in_both(view: StereoView) -> tuple[I64, FloatArray, FloatArray]:
     """Ids (M,), left pixels (M, 2) and right pixels (M, 2) of the marks seen in both images."""
     left, right = view.found("left"), view.found("right")
     ids, in_left, in_right = np.intersect1d(left.ids, right.ids, return_indices=True)

@@ -6,14 +6,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
-from edged.domain.arrays import Side
+from edged.domain.arrays import B8, Side
 from edged.vision.calibration.calibrate import Calibration
 from edged.vision.calibration.nextbestview import depths_mm
 from edged.vision.geometry.rigid import apply, invert
 
-BoolArray = npt.NDArray[np.bool_]
+BoolArray = B8
 
 COLUMNS, ROWS = 8, 6
 """Fields of an image."""

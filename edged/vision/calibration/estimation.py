@@ -10,9 +10,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
-from edged.domain.arrays import FloatArray, Side
+from edged.domain.arrays import B8, FloatArray, Side
 from edged.errors import CalibrationError, Undetermined
 from edged.vision.boards.board import StereoView
 from edged.vision.calibration.bundle import (
@@ -160,12 +159,12 @@ def with_model_error(seen: Observations, error_px: float) -> Observations:
     return replace(seen, sigma_px=np.hypot(seen.sigma_px, error_px))
 
 
-def _pick(seen: Observations, kept: npt.NDArray[np.bool_]) -> Observations:
+def _pick(seen: Observations, kept: B8) -> Observations:
     shape = None if seen.shape is None else seen.shape[kept]
     return Observations(seen.view[kept], seen.points_mm[kept], seen.pixels[kept], seen.sigma_px[kept], shape)
 
 
-def _inliers(seen: Observations, residuals: FloatArray, error_px: float) -> npt.NDArray[np.bool_]:
+def _inliers(seen: Observations, residuals: FloatArray, error_px: float) -> B8:
     return np.asarray(
         np.linalg.norm(residuals, axis=1) < CALIBRATION.outlier * np.hypot(seen.sigma_px, error_px)
     )

@@ -14,9 +14,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
-from edged.domain.arrays import SIDES, FloatArray, Image
+from edged.domain.arrays import B8, I64, SIDES, FloatArray, Image
 from edged.vision.boards.board import Board, Charuco, Chessboard, Detection
 from edged.vision.boards.deformation import nominal
 from edged.vision.boards.params import DETECTION
@@ -38,14 +37,14 @@ class BoardEdges:
 
     across: FloatArray
     grey: FloatArray
-    used: npt.NDArray[np.bool_]
+    used: B8
     toward: FloatArray
     middle: FloatArray
     dark: FloatArray
     bright: FloatArray
-    view: npt.NDArray[np.int64]
+    view: I64
 
-    def some(self, chosen: npt.NDArray[np.bool_]) -> BoardEdges:
+    def some(self, chosen: B8) -> BoardEdges:
         """Those that are chosen (M,)."""
         return BoardEdges(*(getattr(self, name)[chosen] for name in self.__slots__))
 
@@ -287,9 +286,7 @@ def _lines(board: Board, detection: Detection) -> FloatArray:
     return detection.pixels[np.array(pairs, np.int64).reshape(-1, 2)]
 
 
-def _levels(
-    across: FloatArray, grey: FloatArray, used: npt.NDArray[np.bool_]
-) -> tuple[FloatArray, FloatArray]:
+def _levels(across: FloatArray, grey: FloatArray, used: B8) -> tuple[FloatArray, FloatArray]:
     """Median grey values (M,) on both sides of each edge."""
     sides = (used & (across < -IMAGING.flat_px), used & (across > IMAGING.flat_px))
     low, high = (np.nanmedian(np.where(side, grey, np.nan), axis=1) for side in sides)

@@ -117,14 +117,14 @@ def choose(views: list[StereoView], state: BundleState, excluded: list[tuple[str
     solution = richest
     if freedoms != richest.freedoms:
         solution = without_outliers(estimate(richest.problem, result.state, freedoms))
-    said = [
+    choices = [
         LensWeight(name, float(a), float(w)) for (name, *_), a, w in zip(tried, aic, weights, strict=True)
     ]
     others = [(float(weight), attempt[2]) for weight, attempt in zip(weights, tried, strict=True)]
     del others[best]
     return Choice(
         solution,
-        tuple(sorted(said, key=lambda weight: weight.aic)),
+        tuple(sorted(choices, key=lambda weight: weight.aic)),
         tuple(other for other in others if other[0] > CALIBRATION.min_weight),
     )
 

@@ -12,9 +12,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
-from edged.domain.arrays import SIDES, FloatArray, Side
+from edged.domain.arrays import B8, SIDES, FloatArray, Side
 from edged.vision.boards.board import Board, Charuco, ShapedBoard, outline_mm
 from edged.vision.calibration.bundle import BundleState, Observations, rig_information
 from edged.vision.calibration.calibrate import Calibration
@@ -24,7 +23,7 @@ from edged.vision.geometry.camera import CameraModel, StereoRig
 from edged.vision.geometry.rigid import apply, rotation_matrix, transform
 from edged.vision.geometry.uncertainty import shift_by_parameters
 
-BoolArray = npt.NDArray[np.bool_]
+BoolArray = B8
 
 TILT_DEG = 35.0  # as people are told to tilt the board
 TILTS = (

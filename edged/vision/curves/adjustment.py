@@ -17,18 +17,14 @@ Source: P. J. Huber, "Robust Statistics", 1981.
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
-from edged.domain.arrays import FloatArray
+from edged.domain.arrays import F64, I64, FloatArray
 from edged.vision.curves.params import FIT
 from edged.vision.curves.samples import JointSolution, Memory, Samples
 from edged.vision.curves.systematic import DOUBT_PX, estimate_variance_components
 from edged.vision.kernels.cholesky import invert
 from edged.vision.kernels.jit import kernel
 from edged.vision.kernels.robust import MIN_SIGMA_PX, correlation_length, robust_scale, tukey_weight
-
-F64 = npt.NDArray[np.float64]
-I64 = npt.NDArray[np.int64]
 
 # numba freezes globals when it compiles: kernels read these by name
 MEDIAN_ROUNDS = FIT.median_rounds

@@ -15,17 +15,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
-from edged.domain.arrays import FloatArray
+from edged.domain.arrays import B8, F64, I64, FloatArray
 from edged.vision.curves.params import FIT
 from edged.vision.curves.samples import Samples
 from edged.vision.curves.systematic import FAMILIES, shrunk
 from edged.vision.kernels.jit import kernel
 from edged.vision.kernels.robust import MIN_SAMPLES, robust_scale
-
-F64 = npt.NDArray[np.float64]
-I64 = npt.NDArray[np.int64]
 
 # numba freezes globals when it compiles: kernels read these by name
 _APART = FIT.apart
@@ -46,13 +42,13 @@ class Pairs:
     starts (Q + 1,), parts (K + 1,), paired (K,), base (M,) : as `adjustment.Samples` has them.
     """
 
-    both: npt.NDArray[np.bool_]
+    both: B8
     share: FloatArray
     gain: FloatArray
-    rows: npt.NDArray[np.int64]
-    starts: npt.NDArray[np.int64]
-    parts: npt.NDArray[np.int64]
-    paired: npt.NDArray[np.bool_]
+    rows: I64
+    starts: I64
+    parts: I64
+    paired: B8
     base: FloatArray
 
     def rows_of(self, left: FloatArray, right: FloatArray) -> FloatArray:
@@ -88,9 +84,7 @@ class Pairs:
         return full.reshape(4, -1)
 
 
-def pair(
-    offset_px: FloatArray, base: FloatArray, gain: FloatArray, starts: npt.NDArray[np.int64], together: bool
-) -> Pairs:
+def pair(offset_px: FloatArray, base: FloatArray, gain: FloatArray, starts: I64, together: bool) -> Pairs:
     """Pair the edges of K curves.
 
     offset_px, base (2, N) : along the normals, left and right, and prior weights, 0 where there is no edge.
@@ -130,10 +124,10 @@ def pair(
 def samples_of(
     pairs: Pairs,
     design: Sequence[FloatArray] | FloatArray,
-    columns: npt.NDArray[np.int64],
+    columns: I64,
     offset_px: FloatArray,
     bias_px: FloatArray,
-    polarity: npt.NDArray[np.int64],
+    polarity: I64,
     displaced: tuple[FloatArray, FloatArray] | None,
     unknowns: int,
 ) -> tuple[Samples, int]:
@@ -203,7 +197,7 @@ def _clipped_square(values: F64) -> float:
 
 
 @kernel("f8[::1](f8[:, ::1], b1[::1], i8[::1])")
-def _shares(places: F64, both: npt.NDArray[np.bool_], starts: I64) -> F64:
+def _shares(places: F64, both: B8, starts: I64) -> F64:
     """(N,) share of the left camera in the mean: the more, the less it scatters by itself.
 
     Of offsets that both cameras have in common and of their own scatter, the variances of left, right and

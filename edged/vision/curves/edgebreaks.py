@@ -17,16 +17,13 @@ from __future__ import annotations
 import math
 
 import numpy as np
-import numpy.typing as npt
 
-from edged.domain.arrays import SIDES, FloatArray, Image
+from edged.domain.arrays import I64, SIDES, FloatArray, Image
 from edged.vision.curves.outlines import ProjectedOutline, camera_pose
 from edged.vision.curves.params import BREAKS, FIT
 from edged.vision.curves.planestate import FitProblem, State
 from edged.vision.curves.systematic import slants
 from edged.vision.edges.subpixel import edge_profiles
-
-I64 = npt.NDArray[np.int64]
 
 EVEN = 1.0 / math.sqrt(12.0)
 """Sigma of an edge that lies anywhere between both ends, over the width."""

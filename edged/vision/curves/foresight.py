@@ -13,9 +13,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
-from edged.domain.arrays import SIDES, FloatArray, Side
+from edged.domain.arrays import B8, I64, SIDES, FloatArray, Side
 from edged.vision.curves.adjustment import precise, propagate
 from edged.vision.curves.commonmode import LEAST_GAIN, PARTS, Pairs, samples_of
 from edged.vision.curves.outlines import Curve, CurveOutline, Face, ProjectedOutline, project_outline
@@ -112,7 +111,7 @@ def _by_noise(step: FitStep, noises: Sequence[tuple[float, float]], unknowns: in
     return Known(covariance, covariance, math.nan)
 
 
-def _inside(rig: StereoRig, side: Side, seen: ProjectedOutline) -> npt.NDArray[np.bool_]:
+def _inside(rig: StereoRig, side: Side, seen: ProjectedOutline) -> B8:
     """(N,) which samples lie in a picture, with room for an edge."""
     camera = rig.camera(side)
     most = np.array([camera.width, camera.height]) - 1 - FORESIGHT.border_px
@@ -123,9 +122,9 @@ def _inside(rig: StereoRig, side: Side, seen: ProjectedOutline) -> npt.NDArray[n
 def _step(
     state: State,
     scatters: Sequence[Scatter],
-    sampled: tuple[CurveOutline, npt.NDArray[np.int64]],
+    sampled: tuple[CurveOutline, I64],
     sides: tuple[ProjectedOutline, ProjectedOutline],
-    inside: npt.NDArray[np.bool_],
+    inside: B8,
 ) -> FitStep | None:
     """The step that edges of this scatter, all of them where the curves lie, would give."""
     outline, starts = sampled
@@ -175,9 +174,9 @@ def _step(
 
 def _pairs(
     scatters: Sequence[Scatter],
-    starts: npt.NDArray[np.int64],
+    starts: I64,
     sides: tuple[ProjectedOutline, ProjectedOutline],
-    inside: npt.NDArray[np.bool_],
+    inside: B8,
 ) -> tuple[Pairs, FloatArray]:
     """The parts of each curve of which its scatter tells anything, and their precision (Q,) by px of arc."""
     counts, total = np.diff(starts), int(starts[-1])

@@ -10,9 +10,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
-from edged.domain.arrays import FloatArray
+from edged.domain.arrays import B8, F64, I64, FloatArray
 from edged.vision.curves.params import FIT
 from edged.vision.edges.subpixel import WIDTHS_PX, EdgeSamples
 from edged.vision.kernels.cholesky import invert
@@ -26,9 +25,6 @@ from edged.vision.kernels.robust import (
     tukey_weight,
     weighted_moments,
 )
-
-F64 = npt.NDArray[np.float64]
-I64 = npt.NDArray[np.int64]
 
 # numba freezes globals when it compiles: kernels read these by name
 CLIPPED_WEIGHT = FIT.clipped_weight
@@ -58,9 +54,7 @@ class ChosenEdges:
     blur2_px2: FloatArray
 
 
-def choose_widths(
-    seen: EdgeSamples, starts: npt.NDArray[np.int64], waves: FloatArray, min_slope: float
-) -> ChosenEdges:
+def choose_widths(seen: EdgeSamples, starts: I64, waves: FloatArray, min_slope: float) -> ChosenEdges:
     """Choose for each curve; with one width there is nothing to choose, bias and blur are 0.
 
     starts (K + 1,) : where the samples of each curve begin.  waves (N, M) : systematic shifts.
@@ -82,9 +76,7 @@ def choose_widths(
 
 
 @kernel("void(f8[::1], f8[::1], b1[::1], f8, f8[::1], f8[::1])")
-def _weigh(
-    offset: F64, slope: F64, clipped: npt.NDArray[np.bool_], min_slope: float, values: F64, base: F64
-) -> None:
+def _weigh(offset: F64, slope: F64, clipped: B8, min_slope: float, values: F64, base: F64) -> None:
     """Fill values, 0 where there is no edge, and prior weights.
 
     Noise and texture move an edge by as much as it is weak: against the median of the curve, the mean
@@ -185,7 +177,7 @@ def _blur2(narrow_slope: F64, narrow_base: F64, wide_slope: F64, wide_base: F64)
 def _choose(
     offset: F64,
     slope: F64,
-    clipped: npt.NDArray[np.bool_],
+    clipped: B8,
     starts: I64,
     waves: F64,
     min_slope: float,

@@ -14,9 +14,8 @@ from functools import lru_cache
 from typing import Literal, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
-from edged.domain.arrays import FloatArray
+from edged.domain.arrays import F64, I64, FloatArray
 from edged.vision.geometry.camera import CameraModel, StereoRig
 from edged.vision.kernels.jit import F1, F2, INT, for_kernel, kernel
 
@@ -78,10 +77,10 @@ class Curve:
     polarity: int
     length_mm: float = 0.0
     height_mm: float = 0.0
-    signs: npt.NDArray[np.int64] | None = None
+    signs: I64 | None = None
     break_mm: float = 0.0
 
-    def signs_at(self, side: int, count: int) -> npt.NDArray[np.int64]:
+    def signs_at(self, side: int, count: int) -> I64:
         """(count,) the polarity at samples of `spread`; 0 : not known, or, of stretches, not measured."""
         if self.signs is None:
             return np.full(count, self.polarity)
@@ -232,8 +231,6 @@ def _slot(curve: Curve, share: FloatArray) -> Samples:
     turned = normals @ turn
     return points @ turn + (x, y), turned, np.column_stack([turned, swing, by_length, 0.5 - by_length])
 
-
-F64 = npt.NDArray[np.float64]
 
 _DIVISION, _BROWN = 0, 1  # lens models, as the kernel knows them
 _NO_MOTION = np.eye(4)
@@ -401,7 +398,7 @@ def _project_outline(view: _View, outline: CurveOutline, seen: ProjectedOutline)
 
 
 @kernel("f8[::1](f8[:, ::1], f8[:, ::1], i8[::1])")
-def curvatures(pixels: F64, normals: F64, starts: npt.NDArray[np.int64]) -> F64:
+def curvatures(pixels: F64, normals: F64, starts: I64) -> F64:
     """Curvature (N,), 1 / px, of closed curves in the image from their samples and unit normals (N, 2).
 
     starts (K + 1,) : where the samples of each curve begin.

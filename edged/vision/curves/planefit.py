@@ -23,9 +23,8 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
-from edged.domain.arrays import FloatArray, Image
+from edged.domain.arrays import I64, FloatArray, Image
 from edged.vision.curves.adjustment import propagate
 from edged.vision.curves.commonmode import PARTS
 from edged.vision.curves.edgebreaks import break_shifts, break_widths_mm
@@ -322,7 +321,7 @@ def _scatter_of(step: FitStep, number: int, arc_px: float) -> Scatter:
     )
 
 
-def arcs_px(sides: tuple[ProjectedOutline, ProjectedOutline], starts: npt.NDArray[np.int64]) -> FloatArray:
+def arcs_px(sides: tuple[ProjectedOutline, ProjectedOutline], starts: I64) -> FloatArray:
     """(N,) length of the images of curves, mean of both, that each sample stands for."""
     arcs = np.zeros(starts[-1])
     for seen in sides:

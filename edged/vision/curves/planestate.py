@@ -7,9 +7,8 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
-from edged.domain.arrays import SIDES, FloatArray, Image
+from edged.domain.arrays import B8, I64, SIDES, FloatArray, Image
 from edged.vision.curves.adjustment import solve
 from edged.vision.curves.commonmode import Pairs, pair, samples_of
 from edged.vision.curves.operatorwidth import START_WIDTH, choose_widths
@@ -53,8 +52,8 @@ class CurveEdges:
     offset_px: FloatArray
     base: FloatArray
     bias_px: FloatArray
-    clipped: npt.NDArray[np.bool_]
-    soft: npt.NDArray[np.bool_]
+    clipped: B8
+    soft: B8
 
 
 class FitProblem(NamedTuple):
@@ -73,8 +72,8 @@ class FitProblem(NamedTuple):
     outline: CurveOutline
     sides: tuple[ProjectedOutline, ProjectedOutline]
     edges: CurveEdges
-    starts: npt.NDArray[np.int64]
-    used: npt.NDArray[np.int64]
+    starts: I64
+    used: I64
     final: bool
 
 
@@ -91,7 +90,7 @@ class FitStep:
     problem: FitProblem
     moved_px: FloatArray
     row_shift_px: float
-    starts: npt.NDArray[np.int64]
+    starts: I64
     points: FloatArray
     offsets: FloatArray
     weights: FloatArray
@@ -139,7 +138,7 @@ class State:
         scales = np.linalg.norm(pixels[:, 1:] - pixels[:, :1], axis=2).mean(axis=1) / FIT.probe_mm
         return np.where(space[::3, 2] > 0, scales, np.nan)
 
-    def sampled(self, spacing_px: float) -> tuple[CurveOutline, npt.NDArray[np.int64]] | None:
+    def sampled(self, spacing_px: float) -> tuple[CurveOutline, I64] | None:
         """Samples of all curves, and where each curve's begin (K + 1,).
 
         None when one lies behind the cameras, or has a size that no image can show.
@@ -172,7 +171,7 @@ class State:
         """Number of unknowns of the whole problem."""
         return self.shared + sum(curve.free for curve in self.curves)
 
-    def columns(self, seen: npt.NDArray[np.bool_]) -> npt.NDArray[np.int64]:
+    def columns(self, seen: B8) -> I64:
         """(K, C): which unknown each column of the design is, -1 where a curve has none, or it is held.
 
         seen (K,) : of the others nothing is known.
@@ -270,7 +269,7 @@ class State:
         )
 
     def _measure(
-        self, outline: CurveOutline, starts: npt.NDArray[np.int64], reach: float, final: bool
+        self, outline: CurveOutline, starts: I64, reach: float, final: bool
     ) -> tuple[tuple[ProjectedOutline, ProjectedOutline], CurveEdges]:
         """The present curves in both images, and the edges across them."""
         counts = np.diff(starts)
@@ -284,7 +283,7 @@ class State:
             FloatArray,
             FloatArray,
             FloatArray,
-            tuple[npt.NDArray[np.bool_], npt.NDArray[np.bool_]],
+            tuple[B8, B8],
         ]:
             seen = project_outline(self.rig, SIDES[number], self.face, outline)
             image = self.images[number]
@@ -356,7 +355,7 @@ class State:
         self,
         sides: tuple[ProjectedOutline, ProjectedOutline],
         delta: FloatArray,
-        starts: npt.NDArray[np.int64],
+        starts: I64,
     ) -> FloatArray:
         """(K,) farthest that a step of the unknowns moves each curve, px."""
         by_curve = np.append(delta, 0.0)[self.columns(np.ones(len(self.curves), bool))]
@@ -364,7 +363,7 @@ class State:
         moved = np.abs([np.sum(side.design * by_sample, axis=1) for side in sides]).max(axis=0)
         return np.asarray(np.maximum.reduceat(moved, starts[:-1]))
 
-    def _waves(self, seen: ProjectedOutline, starts: npt.NDArray[np.int64]) -> FloatArray:
+    def _waves(self, seen: ProjectedOutline, starts: I64) -> FloatArray:
         """(N, 5): what tells a systematic shift from scatter; an edge, of one direction, has half waves."""
         waves = fourier_basis(seen.normals)
         for k, curve in enumerate(self.curves):
@@ -372,7 +371,7 @@ class State:
                 waves[starts[k] : starts[k + 1]] = _half_waves(int(starts[k + 1] - starts[k]))
         return waves
 
-    def _curvature(self, seen: ProjectedOutline, starts: npt.NDArray[np.int64]) -> FloatArray:
+    def _curvature(self, seen: ProjectedOutline, starts: I64) -> FloatArray:
         """(N,) of the projected curves, 1 / px."""
         closed = np.repeat([curve.closed for curve in self.curves], np.diff(starts))
         return np.where(closed, curvatures(seen.pixels, seen.normals, starts), 0.0)

@@ -22,15 +22,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
-import numpy.typing as npt
 
-from edged.domain.arrays import FloatArray
+from edged.domain.arrays import F64, I64, FloatArray
 from edged.vision.curves.params import FIT
 from edged.vision.curves.samples import JointSolution, Memory, Samples
 from edged.vision.kernels.jit import kernel
-
-F64 = npt.NDArray[np.float64]
-I64 = npt.NDArray[np.int64]
 
 # numba freezes globals when it compiles: kernels read these by name
 DOUBT_PX = FIT.doubt_px
@@ -77,7 +73,7 @@ FAMILIES = np.repeat([0, 1], [2 * len(FIT.wave_sigmas), 2])
 """Family of each column of `shift_basis`: 0 waves, 1 walls; each is as large as it shows in the picture."""
 
 
-def shrunk(expected_px: FloatArray, kinds: npt.NDArray[np.int64]) -> FloatArray:
+def shrunk(expected_px: FloatArray, kinds: I64) -> FloatArray:
     """(G,) expected sigmas, of which none is far below the rms of its kind (G,)."""
     square = np.bincount(kinds, expected_px**2) / np.maximum(np.bincount(kinds), 1)
     return np.sqrt(expected_px**2 + FIT.alike**2 * square[kinds])

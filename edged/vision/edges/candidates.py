@@ -10,15 +10,11 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
-from edged.domain.arrays import FloatArray, Image
+from edged.domain.arrays import F64, I64, FloatArray, Image
 from edged.vision.edges.params import EDGE
 from edged.vision.edges.subpixel import edge_profiles
 from edged.vision.kernels.jit import kernel
-
-F64 = npt.NDArray[np.float64]
-I64 = npt.NDArray[np.int64]
 
 # numba freezes globals when it compiles: kernels read these by name
 STEP_PX = EDGE.candidate_step_px
@@ -43,7 +39,7 @@ def candidates(
     image: Image,
     pixels: FloatArray,
     normals: FloatArray,
-    starts: npt.NDArray[np.int64],
+    starts: I64,
     reach_px: float,
     together: int,
 ) -> EdgeCandidates:

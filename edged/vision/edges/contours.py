@@ -15,14 +15,12 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from edged.domain.arrays import FloatArray, Image
+from edged.domain.arrays import B8, I64, FloatArray, Image
 from edged.vision.edges.fitting import fit_circle, fit_line
 from edged.vision.edges.hysteresis import strong_edges
 from edged.vision.edges.params import OUTLINES
 from edged.vision.edges.subpixel import edges_along_normals
 from edged.vision.kernels.jit import kernel
-
-I64 = npt.NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -85,7 +83,7 @@ def find_contours(image: Image, mask: Image) -> list[Contour]:
     return sorted(contours, key=lambda contour: -len(contour.points))
 
 
-def link(thin: Image) -> tuple[I64, I64, npt.NDArray[np.bool_]]:
+def link(thin: Image) -> tuple[I64, I64, B8]:
     """Chains of the set pixels of an image (H, W) of thin lines.
 
     Returns pixels (N, 2), (y, x) in order, starts (K + 1,) of the chains, and closed (K,).

@@ -6,9 +6,8 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
-from edged.domain.arrays import FloatArray, Image
+from edged.domain.arrays import B8, FloatArray, Image
 from edged.vision.edges.hysteresis import strong_edges
 from edged.vision.edges.params import OUTLINES
 from edged.vision.geometry.rigid import rotation_2d
@@ -62,7 +61,7 @@ def find_ellipses(image: Image, mask: Image) -> list[ImageEllipse]:
     return _distinct(sorted(found, key=lambda e: -e.a * e.b))
 
 
-def _ransac(points: FloatArray, gradients: FloatArray) -> tuple[ImageEllipse | None, npt.NDArray[np.bool_]]:
+def _ransac(points: FloatArray, gradients: FloatArray) -> tuple[ImageEllipse | None, B8]:
     """The ellipse with the best covered circumference, and its inliers."""
     best: ImageEllipse | None = None
     best_inliers = np.zeros(len(points), bool)

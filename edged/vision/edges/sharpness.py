@@ -13,14 +13,12 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
-from edged.domain.arrays import FloatArray, Image
+from edged.domain.arrays import B8, F32, FloatArray, Image
 from edged.vision.edges.params import SHARPNESS
 from edged.vision.edges.subpixel import WIDTHS_PX
 
-BoolArray = npt.NDArray[np.bool_]
-F32 = npt.NDArray[np.float32]
+BoolArray = B8
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -16,15 +16,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
-from edged.domain.arrays import FloatArray, Image
+from edged.domain.arrays import B8, F32, F64, I32, I64, FloatArray, Image
 from edged.vision.edges.params import EDGE
 from edged.vision.kernels.jit import for_kernel, kernel
-
-F64 = npt.NDArray[np.float64]
-F32 = npt.NDArray[np.float32]
-I32 = npt.NDArray[np.int32]
 
 # numba freezes globals when it compiles: kernels read these by name
 WIDTHS_PX = EDGE.widths_px
@@ -46,7 +41,7 @@ class EdgeSamples:
 
     offset_px: FloatArray
     slope: FloatArray
-    clipped: npt.NDArray[np.bool_]
+    clipped: B8
 
 
 def edges_along_normals(
@@ -76,7 +71,7 @@ def edges_at_widths(
     points_px: FloatArray,
     normals: FloatArray,
     reach_px: float,
-    polarity: int | npt.NDArray[np.int64],
+    polarity: int | I64,
     widths_px: Sequence[float] = WIDTHS_PX,
     step_px: float = EDGE.fine_step_px,
 ) -> EdgeSamples:
@@ -106,7 +101,7 @@ def _measured(
     points_px: FloatArray,
     normals: FloatArray,
     reach_px: float,
-    polarity: int | npt.NDArray[np.int64],
+    polarity: int | I64,
     widths_px: Sequence[float],
     step_px: float,
 ) -> EdgeSamples:
@@ -207,7 +202,7 @@ def _sample_profiles(
     step: float,
     half: int,
     profiles: F32,
-    inside: npt.NDArray[np.bool_],
+    inside: B8,
 ) -> bool:
     """Fill profiles (2 half + 1, B), one in each column, across the points from the first on.
 
@@ -369,7 +364,7 @@ def _measure_slopes(slopes: F32, polarity: I32, reach: float, step: float, offse
 
 
 @kernel("void(f4[:, ::1], b1[::1])", any_order=True)
-def _may_clip(profiles: F32, may: npt.NDArray[np.bool_]) -> None:
+def _may_clip(profiles: F32, may: B8) -> None:
     """Whether the sensor is saturated, or black, anywhere on each profile."""
     high, low = profiles[0].copy(), profiles[0].copy()
     for s in range(1, len(profiles)):

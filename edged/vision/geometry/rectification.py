@@ -15,14 +15,13 @@ from functools import cached_property, lru_cache
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
-from edged.domain.arrays import FloatArray, Image, Side
+from edged.domain.arrays import F32, FloatArray, Image, Side
 from edged.errors import CalibrationError, ImageError
 from edged.vision.geometry.camera import CameraModel, StereoRig
 from edged.vision.geometry.params import RECTIFICATION
 
-Maps = tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]
+Maps = tuple[F32, F32]
 
 
 @dataclass(frozen=True, eq=False)  # no slots: cached properties live in the instance's dictionary

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TypeVar
+from typing import Self, TypeVar
 
 import numpy as np
 
@@ -222,6 +222,11 @@ class Plane:
 
     normal: FloatArray
     offset: float
+
+    @classmethod
+    def through(cls, point: FloatArray, normal: FloatArray) -> Self:
+        """The plane with this normal (3,) that a point (3,) lies on."""
+        return cls(normal, float(normal @ point))
 
     def meet(self, rays: FloatArray) -> FloatArray:
         """Points (..., 3) where rays (..., 3) from the rig's origin meet the plane."""

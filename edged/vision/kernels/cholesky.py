@@ -9,11 +9,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-import numpy.typing as npt
 
+from edged.domain.arrays import F64
 from edged.vision.kernels.jit import kernel
-
-F64 = npt.NDArray[np.float64]
 
 _TINY_PIVOT = 1e-10  # of a matrix scaled to a unit diagonal
 

@@ -8,13 +8,9 @@ np.median, for 60 to 1,000 samples (`tools/bench kernels`).
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
+from edged.domain.arrays import F64, I32
 from edged.vision.kernels.jit import kernel
-
-F64 = npt.NDArray[np.float64]
-
-I32 = npt.NDArray[np.int32]
 
 _BINS = 256  # size of the kernel's array
 _FEW = 16  # sorted by insertion, which is faster then

@@ -9,12 +9,10 @@ Source: P. J. Huber, "Robust Statistics", 1981; J. W. Tukey's biweight with c = 
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
+from edged.domain.arrays import F64
 from edged.vision.kernels.jit import kernel
 from edged.vision.kernels.median import median
-
-F64 = npt.NDArray[np.float64]
 
 TUKEY = 4.685
 """Tukey's constant for 95 % efficiency with normal errors (P. W. Holland and R. E. Welsch, 1977); the usual

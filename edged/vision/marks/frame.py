@@ -12,9 +12,8 @@ from functools import cache
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
-from edged.domain.arrays import FloatArray
+from edged.domain.arrays import B8, FloatArray
 from edged.domain.numerals import decimal, is_whole
 from edged.errors import CalibrationError
 from edged.vision.boards.artwork import Artwork, Ink
@@ -99,7 +98,7 @@ def parse_frame(text: str) -> MarkFrame:
 
 
 @cache
-def code_squares(code: int) -> npt.NDArray[np.bool_]:
+def code_squares(code: int) -> B8:
     """(7, 7) of a code with its border: True where it is white; rows from the top."""
     dictionary = dictionary_of_marks()
     picture = cv2.aruco.generateImageMarker(dictionary, code, dictionary.markerSize + 2)

@@ -6,9 +6,8 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
-from edged.domain.arrays import FloatArray, Image
+from edged.domain.arrays import B8, FloatArray, Image
 from edged.vision.boards.circlegrid import ellipse_of
 from edged.vision.boards.markmodels import fit_dots
 from edged.vision.boards.params import DETECTION
@@ -72,7 +71,7 @@ class MarksLook:
     shapes: FloatArray
     eccentric_px: FloatArray
     squares_px: FloatArray
-    white: npt.NDArray[np.bool_]
+    white: B8
     blur_px: float
 
 
@@ -166,7 +165,7 @@ def _project(camera: CameraModel, camera_from_world: FloatArray, points_mm: Floa
         return np.asarray(np.where(places[..., 2:] > 0.0, camera.project(places), np.nan))
 
 
-def _read(image: Image, squares_px: FloatArray, white: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
+def _read(image: Image, squares_px: FloatArray, white: B8) -> B8:
     """Whether squares (M, 49, 2) show these codes (M, 49)."""
     height, width = image.shape
     with np.errstate(invalid="ignore"):

@@ -12,7 +12,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from edged.domain.arrays import SIDES, FloatArray, IntArray
+from edged.domain.arrays import I64, SIDES, FloatArray
 from edged.domain.marks import MarksTrack
 from edged.vision.geometry.correction import DISPLACEMENT, of_side, seen_with_slopes
 from edged.vision.marks.params import MARKS
@@ -48,7 +48,7 @@ class ObservedDots:
     root: FloatArray
     gain: FloatArray
     slopes: FloatArray
-    rows: IntArray
+    rows: I64
     common: FloatArray
 
     @classmethod
@@ -58,7 +58,7 @@ class ObservedDots:
         considered: FloatArray,
         track: MarksTrack,
         dots: DotsInPair,
-        marks: IntArray,
+        marks: I64,
         at: FloatArray | None = None,
     ) -> ObservedDots:
         """Dots of some marks, linearised at a displacement: the track's own, or `at`.
@@ -114,7 +114,7 @@ class ObservedDots:
             cross=cross,
         )
 
-    def worst(self, marks: IntArray) -> int:
+    def worst(self, marks: I64) -> int:
         """Which of these marks, by its place among them, the others agree best without.
 
         Leaving out rows B takes w_B' (S^-1)_BB^-1 w_B from the misfit, with w = S^-1 innovation.

@@ -241,17 +241,17 @@ def first_look(
 
 def _why_so_few(images: Sequence[Image], found: list[FoundMarks], codes: tuple[int, ...]) -> str:
     """In words, why marks cannot be taught."""
-    said = f"{len(codes)} reference marks are in both pictures, at least {MARKS.min_agreeing} are needed"
+    counted = f"{len(codes)} reference marks are in both pictures, at least {MARKS.min_agreeing} are needed"
     twice = sorted({code for marks in found for code in marks.twice})
     if twice:
-        return f"{said}: codes {', '.join(map(str, twice))} are there twice; only one plate may be in view"
+        return f"{counted}: codes {', '.join(map(str, twice))} are there twice; only one plate may be in view"
     mirrored = [len(search_marks(np.ascontiguousarray(image[:, ::-1])).codes) for image in images]
     if min(mirrored) >= MARKS.min_agreeing:
-        return f"{said}: they are mirrored: printed from the back, or a camera mirrors its picture"
+        return f"{counted}: they are mirrored: printed from the back, or a camera mirrors its picture"
     alone = Counter(len(marks.codes) for marks in found)
     if sum(alone) > 2 * len(codes):
-        return f"{said}: left has {len(found[0].codes)}, right {len(found[1].codes)}"
-    return said
+        return f"{counted}: left has {len(found[0].codes)}, right {len(found[1].codes)}"
+    return counted
 
 
 def _normal(places_mm: FloatArray) -> FloatArray:

@@ -20,7 +20,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from edged.domain.arrays import SIDES, FloatArray, Image, IntArray, Side
+from edged.domain.arrays import I64, SIDES, FloatArray, Image, Side
 from edged.domain.marks import MarksReport, MarksState, MarksTrack
 from edged.vision.geometry.correction import (
     DISPLACEMENT,
@@ -136,7 +136,7 @@ class MarksFilter:
         track: MarksTrack,
         dots: DotsInPair,
         observed: ObservedDots,
-        marks: IntArray,
+        marks: I64,
         excluded: tuple[int, ...],
     ) -> tuple[MarksTrack, MarksReport]:
         updated = observed.applied(track)
@@ -165,7 +165,7 @@ class MarksFilter:
         return updated, self._report(updated, MarksState.CORRECTED, marks, fit, "")
 
     def _coasting(
-        self, track: MarksTrack, dots: DotsInPair, fit: float | None, marks: IntArray
+        self, track: MarksTrack, dots: DotsInPair, fit: float | None, marks: I64
     ) -> tuple[MarksTrack, MarksReport]:
         """Too few marks are seen. Codes of another plate are no weather."""
         if not len(marks) and (dots.strange or len(dots.unlike) >= MARKS.min_of_camera):
@@ -183,8 +183,8 @@ class MarksFilter:
         track: MarksTrack,
         dots: DotsInPair,
         moved: MarksTrack,
-        marks: IntArray,
-        agreeing: IntArray,
+        marks: I64,
+        agreeing: I64,
         hit: Sequence[Side],
     ) -> tuple[MarksTrack, MarksReport]:
         excluded = self._codes(np.setdiff1d(marks, agreeing))
@@ -204,7 +204,7 @@ class MarksFilter:
         report = self._report(found, MarksState.KNOCKED, agreeing, fit, why)
         return found, replace(report, valid=False, excluded=excluded)
 
-    def _as_a_whole(self, track: MarksTrack, dots: DotsInPair, marks: IntArray) -> tuple[float, float] | None:
+    def _as_a_whole(self, track: MarksTrack, dots: DotsInPair, marks: I64) -> tuple[float, float] | None:
         """Growth of the plate, and its sigma, if all is as before but for the plate; None if it is not.
 
         The plate may lie elsewhere (as it seems when the rig was moved), and be of another size.
@@ -236,7 +236,7 @@ class MarksFilter:
         return growth, math.sqrt(inverse[6, 6])
 
     def _observed(
-        self, track: MarksTrack, dots: DotsInPair, marks: IntArray, at: FloatArray | None = None
+        self, track: MarksTrack, dots: DotsInPair, marks: I64, at: FloatArray | None = None
     ) -> ObservedDots:
         return ObservedDots.of(self.taught, self.considered, track, dots, marks, at)
 
@@ -244,19 +244,19 @@ class MarksFilter:
         return MARKS.consistent if track.knocked else track.wait
 
     def _report(
-        self, track: MarksTrack, state: MarksState, marks: IntArray, fit: float | None, why: str
+        self, track: MarksTrack, state: MarksState, marks: I64, fit: float | None, why: str
     ) -> MarksReport:
         left_mm, right_mm = (float(np.linalg.norm(track.displacement[of_side(side)][3:6])) for side in SIDES)
         return MarksReport(state, True, len(marks), len(self.taught.codes), (), fit, left_mm, right_mm, why)
 
-    def _codes(self, marks: IntArray) -> tuple[int, ...]:
+    def _codes(self, marks: I64) -> tuple[int, ...]:
         return tuple(self.taught.codes[index] for index in marks)
 
     # --- hypotheses ----------------------------------------------------------------------------------------
 
     def _without_wrong(
-        self, track: MarksTrack, dots: DotsInPair, marks: IntArray
-    ) -> tuple[ObservedDots | None, IntArray]:
+        self, track: MarksTrack, dots: DotsInPair, marks: I64
+    ) -> tuple[ObservedDots | None, I64]:
         """Leave out, one by one, the mark without which the others agree best; None where none agree."""
         kept = marks
         while len(kept) > MARKS.min_of_camera:
@@ -267,8 +267,8 @@ class MarksFilter:
         return None, kept[:0]
 
     def _moved(
-        self, track: MarksTrack, dots: DotsInPair, marks: IntArray, hit: Sequence[Side]
-    ) -> tuple[MarksTrack | None, IntArray]:
+        self, track: MarksTrack, dots: DotsInPair, marks: I64, hit: Sequence[Side]
+    ) -> tuple[MarksTrack | None, I64]:
         """Where the marks alone say that cameras are that were hit: lenses as before, poses forgotten.
 
         Returns at least `min_agreeing` marks that agree on it; None and none where there are not so many.

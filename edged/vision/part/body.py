@@ -9,9 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from edged.domain.arrays import FloatArray
-
-I64 = npt.NDArray[np.int64]
+from edged.domain.arrays import I64, FloatArray
 
 MAX_TRIANGLES = 40_000
 """The most that a job keeps; with more a part is taught without its surface."""

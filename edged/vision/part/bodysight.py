@@ -12,9 +12,8 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
-from edged.domain.arrays import SIDES, FloatArray
+from edged.domain.arrays import B8, F64, SIDES, FloatArray
 from edged.vision.curves.outlines import CurveOutline, ProjectedOutline, camera_pose
 from edged.vision.edges.subpixel import WIDTHS_PX
 from edged.vision.geometry.camera import StereoRig
@@ -23,8 +22,6 @@ from edged.vision.kernels.jit import kernel
 from edged.vision.part.body import PartBody
 from edged.vision.part.params import SOLID
 from edged.vision.part.zbuffer import hidden_points
-
-F64 = npt.NDArray[np.float64]
 
 APART_PX = 2.6 * math.hypot(0.55, WIDTHS_PX[1])
 """Two steps nearer than twice the blur have one extremum of slope, at the mean of both, each counted by its
@@ -40,13 +37,11 @@ class BodySight:
     that both are seen as one, somewhere between them.
     """
 
-    hidden: npt.NDArray[np.bool_]
-    merged: npt.NDArray[np.bool_]
+    hidden: B8
+    merged: B8
 
 
-def hidden_samples(
-    body: PartBody, rig: StereoRig, pose: FloatArray, points_mm: FloatArray
-) -> npt.NDArray[np.bool_]:
+def hidden_samples(body: PartBody, rig: StereoRig, pose: FloatArray, points_mm: FloatArray) -> B8:
     """(2, N) which points (N, 3) of the part frame a part at rig_from_part (4, 4) hides from each camera."""
     eyes = [_eye(camera_pose(rig, side)[1] @ pose) for side in SIDES]
     return np.stack([hidden_points(body.points_mm, body.triangles, points_mm, eye) for eye in eyes])

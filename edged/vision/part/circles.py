@@ -325,7 +325,7 @@ def _polarity(circle: CircleFeature, match: ShapeMatch) -> int:
 
 def _start_rotation(images: StereoImages, job: Job, match: ShapeMatch, main: Circle3D) -> FloatArray:
     """rig_from_part rotation from the match alone: the part's x axis, drawn on the measured face."""
-    face = Plane(main.normal, float(main.normal @ main.centre_mm))
+    face = Plane.through(main.centre_mm, main.normal)
     radius = job.reference_circle.radius_mm
     tips = np.array([[radius, 0.0, 0.0], [-radius, 0.0, 0.0], [0.0, radius, 0.0], [0.0, -radius, 0.0]])
     space = face.meet(images.rays("left", predicted(images.rectification, job, match, tips)))

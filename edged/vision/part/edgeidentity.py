@@ -11,9 +11,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-import numpy.typing as npt
 
-from edged.domain.arrays import SIDES, FloatArray
+from edged.domain.arrays import B8, SIDES, FloatArray
 from edged.vision.curves.outlines import project_circle
 from edged.vision.curves.planefit import fit_circle
 from edged.vision.edges.subpixel import edge_profiles
@@ -71,7 +70,7 @@ def _rival_share(slopes: FloatArray, places: FloatArray) -> float:
     angle = (np.arange(len(slopes)) + 0.5) * (2 * np.pi / len(slopes))
     design = np.column_stack([np.ones(len(slopes)), np.cos(angle), np.sin(angle)])
     found = places[np.argmax(rival, axis=1)]
-    near: npt.NDArray[np.bool_] = strong
+    near: B8 = strong
     for _ in range(3):
         shape = np.linalg.lstsq(design[near], found[near], rcond=None)[0]
         near = strong & (np.abs(found - design @ shape) < MEASURING.own_px)

@@ -56,7 +56,7 @@ def find_plane(
     if not np.isfinite(length) or length < 1e-9:
         return None
     normal = normal / length * (-1.0 if normal @ space[0] > 0 else 1.0)
-    return Plane(normal, float(normal @ space.mean(axis=0)))
+    return Plane.through(space.mean(axis=0), normal)
 
 
 def _rivals(

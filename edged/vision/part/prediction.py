@@ -12,9 +12,8 @@ import math
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
-from edged.domain.arrays import FloatArray
+from edged.domain.arrays import I64, FloatArray
 from edged.domain.measurement import Match, Target
 from edged.vision.geometry.rectification import Rectification, StereoImages
 from edged.vision.geometry.rigid import Plane, apply, rotation_matrix, transform
@@ -77,7 +76,7 @@ def is_contradicted(images: StereoImages, job: Job, match: ShapeMatch, target: T
     if model.round or not len(all_turns.motions):
         return False
     normal = target.rig_from_part[:3, 2]
-    face = Plane(normal, float(normal @ target.position_mm))
+    face = Plane.through(target.position_mm, normal)
     pose = np.array([match.x_px, match.y_px, *match.linear.ravel(), *match.tilt])
     everything = np.arange(len(model.levels[0].points))
     sight = _look(images, job, face, pose, everything)
@@ -102,9 +101,7 @@ def is_contradicted(images: StereoImages, job: Job, match: ShapeMatch, target: T
     return False
 
 
-def _look(
-    images: StereoImages, job: Job, face: Plane, pose: FloatArray, points: npt.NDArray[np.int64]
-) -> RotationSight | None:
+def _look(images: StereoImages, job: Job, face: Plane, pose: FloatArray, points: I64) -> RotationSight | None:
     """Evidence of the model's points in the raw right image; None where they are out of view."""
     level = job.shape.levels[0]
     places, normals = level.points[points], level.normals[points]

@@ -15,9 +15,8 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-import numpy.typing as npt
 
-from edged.domain.arrays import SIDES, FloatArray
+from edged.domain.arrays import B8, F64, I64, SIDES, FloatArray
 from edged.vision.curves.outlines import Curve, CurveOutline, Face, project_outline
 from edged.vision.edges.candidates import MOST, candidates
 from edged.vision.geometry.rectification import StereoImages
@@ -27,9 +26,6 @@ from edged.vision.kernels.jit import kernel
 from edged.vision.kernels.median import median
 from edged.vision.kernels.robust import SIGMA_PER_MEDIAN, tukey_weight
 from edged.vision.part.params import SOLID
-
-F64 = npt.NDArray[np.float64]
-B64 = npt.NDArray[np.bool_]
 
 STILL_STEPS = 10  # the last so many of `SOLID.near_px`
 # numba freezes globals when it compiles: kernels read these by name
@@ -144,16 +140,14 @@ def glance(
 
 def spread(
     images: StereoImages, curves: Sequence[Curve], pose: FloatArray, spacing_px: float
-) -> tuple[CurveOutline, npt.NDArray[np.int64]]:
+) -> tuple[CurveOutline, I64]:
     """Samples of all curves with their motion by shift and turn in the face; where each begins (K + 1,)."""
     px_per_mm = images.rig.left.fx / float(pose[2, 3])
     return _spread(tuple(curves), round(math.log(px_per_mm) / SOLID.alike), spacing_px)
 
 
 @lru_cache(maxsize=32)  # the curves of a few jobs, at both spacings, at a few distances
-def _spread(
-    curves: tuple[Curve, ...], size: int, spacing_px: float
-) -> tuple[CurveOutline, npt.NDArray[np.int64]]:
+def _spread(curves: tuple[Curve, ...], size: int, spacing_px: float) -> tuple[CurveOutline, I64]:
     px_per_mm = math.exp(size * SOLID.alike)
     outlines = []
     for curve in curves:
@@ -170,7 +164,7 @@ def _step(
     images: StereoImages,
     curves: Sequence[Curve],
     outline: CurveOutline,
-    starts: npt.NDArray[np.int64],
+    starts: I64,
     pose: FloatArray,
     reach: float,
     together: int,
@@ -213,7 +207,7 @@ def _step(
 
 
 @kernel("b1(f8[:, ::1], f8[:, ::1], b1[:, ::1], f8, f8[::1], f8[::1])")
-def _settle(design: F64, offset: F64, odd: B64, most_sigma_px: float, delta: F64, left: F64) -> bool:
+def _settle(design: F64, offset: F64, odd: B8, most_sigma_px: float, delta: F64, left: F64) -> bool:
     """Fill delta (6,), the step that fits most samples best, of whose edges the nearest is taken each time.
 
     offset, odd (N, MOST) : all edges of a sample, and which are of the other sign than taught.  left (N,) :

@@ -16,9 +16,8 @@ from functools import lru_cache
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
-from edged.domain.arrays import SIDES, FloatArray, Image
+from edged.domain.arrays import B8, SIDES, FloatArray, Image
 from edged.domain.measurement import Match, Reject, Target
 from edged.vision.curves.outlines import Curve, Face, project_outline
 from edged.vision.curves.params import FitParams
@@ -403,7 +402,7 @@ def _with_signs(
     return found, frozenset(clear), frozenset(shown)
 
 
-def _beside_glare(image: Image, pixels: FloatArray) -> npt.NDArray[np.bool_]:
+def _beside_glare(image: Image, pixels: FloatArray) -> B8:
     """(N,) which points (N, 2) of an image lie beside a saturated surface."""
     bright = cv2.dilate(
         (image >= SOLID.saturated).astype(np.uint8), np.ones((2 * SOLID.glare_px + 1,) * 2, np.uint8)

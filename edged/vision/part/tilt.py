@@ -9,7 +9,7 @@ from functools import lru_cache
 import numpy as np
 import numpy.typing as npt
 
-from edged.domain.arrays import FloatArray, Side
+from edged.domain.arrays import B8, FloatArray, Side
 from edged.vision.geometry.rectification import Rectification
 from edged.vision.geometry.rigid import apply, cross, invert, rotation_2d, rotation_matrix, unit, wrapped
 from edged.vision.part.job import Job
@@ -191,7 +191,7 @@ def _misfit(outlines: npt.NDArray[np.complex128]) -> FloatArray:
     return np.asarray(np.sqrt(np.maximum(left, 0.0) / outlines.shape[1]))
 
 
-def _chosen(alike: npt.NDArray[np.bool_]) -> list[int]:
+def _chosen(alike: B8) -> list[int]:
     """Views: the first one, and then always the one that adds most, until all are like one of them."""
     alike = alike | np.eye(
         alike.shape[0], alike.shape[1], k=-1, dtype=np.bool_

@@ -9,15 +9,10 @@ E. Catmull, "A Subdivision Algorithm for Computer Display of Curved Surfaces", 1
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
-from edged.domain.arrays import FloatArray
+from edged.domain.arrays import B8, F64, I64, FloatArray
 from edged.vision.kernels.jit import for_kernel, kernel
 from edged.vision.part.params import SOLID
-
-F64 = npt.NDArray[np.float64]
-I64 = npt.NDArray[np.int64]
-B64 = npt.NDArray[np.bool_]
 
 # numba freezes globals when it compiles: kernels read these by name
 BEHIND_SHARE = SOLID.behind_share
@@ -31,7 +26,7 @@ def hidden_points(
     points_mm: FloatArray,
     camera_mm: FloatArray,
     size_px: int = SOLID.size_px,
-) -> npt.NDArray[np.bool_]:
+) -> B8:
     """(N,) whether the surface of a body hides points (N, 3) from a camera at camera_mm (3,).
 
     vertices_mm (K, 3), triangles (M, 3) : the body; all in one frame. A point on the surface is not hidden by
@@ -45,7 +40,7 @@ def hidden_points(
 
 
 @kernel("void(f8[:, ::1], f8[:, ::1], f8[::1], i8[:, ::1], i8, b1[::1])")
-def hide(vertices: F64, points: F64, eye: F64, triangles: I64, size: int, hidden: B64) -> None:
+def hide(vertices: F64, points: F64, eye: F64, triangles: I64, size: int, hidden: B8) -> None:
     """Fill hidden (N,), of False, as in `hidden_points`."""
     middle, towards, frame = np.empty(3), np.empty(3), np.empty((3, 3))
     reach = distance = 0.0
@@ -136,7 +131,7 @@ def fill_nearness(vertices: F64, triangles: I64, buffer: F64) -> None:
 
 
 @kernel("void(f8[:, ::1], f8[:, ::1], f8, i8, b1[::1])")
-def find_hidden(buffer: F64, points: F64, behind: float, around: int, hidden: B64) -> None:
+def find_hidden(buffer: F64, points: F64, behind: float, around: int, hidden: B8) -> None:
     """Fill hidden (N,): points (N, 3) deeper than a margin behind a nearby pixel of inverse depths."""
     height, width = buffer.shape
     for n in range(len(points)):

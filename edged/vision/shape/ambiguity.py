@@ -17,7 +17,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from edged.domain.arrays import FloatArray, Image
+from edged.domain.arrays import B8, I64, FloatArray, Image
 from edged.vision.edges.subpixel import edge_profiles, edges_along_normals
 from edged.vision.geometry.rigid import angle_between, rotation_2d, wrapped
 from edged.vision.kernels.jit import kernel
@@ -27,7 +27,7 @@ from edged.vision.shape.model import ShapeModel
 from edged.vision.shape.params import ROTATIONS
 
 Array = npt.NDArray[Any]
-Flags = npt.NDArray[np.bool_]
+Flags = B8
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -61,7 +61,7 @@ class RotationSight:
     placed: FloatArray
     slope: FloatArray
     beside: FloatArray
-    inward: npt.NDArray[np.int64]
+    inward: I64
     gap_px: float
 
 
@@ -275,7 +275,7 @@ def open_turns(
 
 
 def _look_at_each(
-    image: Image, model: ShapeModel, poses: list[FloatArray], sign: int, points: list[npt.NDArray[np.int64]]
+    image: Image, model: ShapeModel, poses: list[FloatArray], sign: int, points: list[I64]
 ) -> RotationSight:
     """`look` at several poses of one size, each at points of its own, all of them one after the other.
 
@@ -425,7 +425,7 @@ def lies_on(placed: FloatArray, other: FloatArray, gap_px: float) -> Flags:
 
 
 @lru_cache(maxsize=16)
-def _inward(model: ShapeModel) -> npt.NDArray[np.int64]:
+def _inward(model: ShapeModel) -> I64:
     """1 or -1 for the points (N,) on the convex hull: along or against the normal is into the part."""
     points, normals = model.levels[0].points, model.levels[0].normals
     hull = points[cv2.convexHull(points.astype(np.float32), returnPoints=False)[:, 0]]

@@ -11,9 +11,8 @@ from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 
 import numpy as np
-import numpy.typing as npt
 
-from edged.domain.arrays import FloatArray, Image
+from edged.domain.arrays import B8, I32, I64, FloatArray, Image
 from edged.vision.geometry.rigid import wrapped
 from edged.vision.shape import ambiguity as rivals
 from edged.vision.shape import refine, scan
@@ -43,7 +42,7 @@ class ShapeViews:
         return float((sizes[:, 0] / sizes[:, 1]).max())
 
     @cached_property
-    def groups(self) -> npt.NDArray[np.int64]:
+    def groups(self) -> I64:
         """(V,) the quarter of the compass to which a view leans: leaning to and fro looks much alike."""
         return np.asarray(np.floor(-self.turns[:, 0] / (0.5 * np.pi) + 0.5).astype(np.int64) % 4)
 
@@ -51,7 +50,7 @@ class ShapeViews:
         """(6,) linear part and tilt of a view, px of a level."""
         return np.concatenate([self.linear[view].ravel(), self.tilt[view] * 2.0**level])
 
-    def meets(self, view: int, angles_rad: FloatArray) -> npt.NDArray[np.bool_]:
+    def meets(self, view: int, angles_rad: FloatArray) -> B8:
         """Whether a view can occur at rotations (N,)."""
         middle, half = self.turns[view]
         return np.asarray(np.abs(wrapped(angles_rad - middle)) <= half + 1e-9)
@@ -185,10 +184,10 @@ class _Plan:
     looks: tuple[_Look, ...]
     poses: FloatArray
     steps: FloatArray
-    views: npt.NDArray[np.int64]
-    sectors: npt.NDArray[np.int64]
+    views: I64
+    sectors: I64
     groups: int
-    offsets: npt.NDArray[np.int64]
+    offsets: I64
     rows: int
     columns: int
     pad: int
@@ -266,13 +265,13 @@ def _scales(low: float, high: float, step: float) -> tuple[FloatArray, float]:
 
 
 def _choose(
-    peaks: npt.NDArray[np.int64],
-    pose: npt.NDArray[np.int32],
+    peaks: I64,
+    pose: I32,
     poses: FloatArray,
     columns: int,
     apart_rad: float,
     limit: int,
-) -> tuple[FloatArray, npt.NDArray[np.int64]]:
+) -> tuple[FloatArray, I64]:
     """(N <= limit, 6) x, y, angle, scale x, scale y, sign: the best peak of each place and rotation.
 
     And (N,) the grid's pose that each is of.

@@ -17,7 +17,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from edged.domain.arrays import FloatArray, Image
+from edged.domain.arrays import B8, I64, FloatArray, Image
 from edged.vision.edges.subpixel import edge_profiles, edges_along_normals
 from edged.vision.geometry.rigid import rotation_2d
 from edged.vision.shape import refine
@@ -29,7 +29,7 @@ EVIDENCE = -math.log(ROTATIONS.mistakes)
 PLACES = 23
 """Rotations at which points are looked at elsewhere: a prime, so that none is a part's own symmetry."""
 Array = npt.NDArray[Any]
-Flags = npt.NDArray[np.bool_]
+Flags = B8
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -42,8 +42,8 @@ class Elsewhere:
 
     points: FloatArray
     normals: FloatArray
-    of: npt.NDArray[np.int64]
-    place: npt.NDArray[np.int64]
+    of: I64
+    place: I64
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -56,7 +56,7 @@ class Chance:
     much more than of independent points the number of edges of a set scatters, and of how many that was told.
     """
 
-    known: npt.NDArray[np.int64]
+    known: I64
     looked: FloatArray
     met: FloatArray
     thresholds: FloatArray
@@ -64,9 +64,7 @@ class Chance:
     many: float = 1.0
 
     @staticmethod
-    def of(
-        known: npt.NDArray[np.int64], slope: FloatArray, thresholds: FloatArray, scatter: tuple[float, float]
-    ) -> Chance:
+    def of(known: I64, slope: FloatArray, thresholds: FloatArray, scatter: tuple[float, float]) -> Chance:
         """From the slope (PLACES, U) of the edge at each place, 0 without one, NaN where no face was seen."""
         looked = np.count_nonzero(np.isfinite(slope), axis=0).astype(np.float64)
         met = np.count_nonzero(slope >= thresholds[:, None, None], axis=1).astype(np.float64)  # False for NaN
@@ -105,9 +103,7 @@ class Chance:
         )
 
 
-def clumping(
-    slope: FloatArray, known: npt.NDArray[np.int64], sets: Flags, often: float
-) -> tuple[float, float]:
+def clumping(slope: FloatArray, known: I64, sets: Flags, often: float) -> tuple[float, float]:
     """By how much more than of independent points the number of edges of a set scatters; of how many points.
 
     slope (PLACES, U), known (U,) : as in `Chance.of`.  sets (K, N) : points that lie on a curve or two.
@@ -175,7 +171,7 @@ def _exceeded(slope: FloatArray) -> FloatArray:
     return np.asarray(np.partition(slope, ranks)[ranks])
 
 
-def _chosen(all_places: Elsewhere, points: Flags) -> npt.NDArray[np.int64]:
+def _chosen(all_places: Elsewhere, points: Flags) -> I64:
     """Indices of what is looked at: curves as whole as may be, at as many places as there is time for."""
     # the model's points come in random order: the first ones are as good as any
     some = points & (np.cumsum(points) <= ROTATIONS.max_points)

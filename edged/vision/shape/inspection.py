@@ -42,7 +42,7 @@ def inspect_model(model: ShapeModel, search: SearchParams) -> ModelInspection:
     symmetric = bool(len(rivals)) and float(rivals[0, 1]) >= model.same_score
     sigmas = _bounds(model)
     reserve = model.contrast / max(search.min_contrast, 1e-9)
-    said = _warnings(model, rivals, symmetric, reserve, sigmas)
+    worded = _warnings(model, rivals, symmetric, reserve, sigmas)
     return ModelInspection(
         rivals=rivals,
         symmetric=symmetric,
@@ -52,8 +52,8 @@ def inspect_model(model: ShapeModel, search: SearchParams) -> ModelInspection:
         sigma_y_px=sigmas[1],
         sigma_angle_rad=np.inf if model.round else sigmas[2],
         sigma_scale=sigmas[3],
-        warnings=tuple(text for _, text in said),
-        codes=tuple(code for code, _ in said),
+        warnings=tuple(text for _, text in worded),
+        codes=tuple(code for code, _ in worded),
     )
 
 
@@ -82,38 +82,38 @@ def _warnings(
     sigmas: tuple[float, float, float, float],
 ) -> list[tuple[str, str]]:
     """Code and text of each."""
-    said: list[tuple[str, str]] = []
+    worded: list[tuple[str, str]] = []
     number = len(model.levels[0].points)
     if model.round:
         text = "The shape is round: it has no rotation. Results state one canonical angle."
-        said.append(("round", text))
+        worded.append(("round", text))
     elif symmetric:
         angles = ", ".join(f"{np.degrees(angle):.0f}°" for angle, s in rivals if s >= model.same_score)
         text = f"The shape looks the same after a turn of {angles}: of these the nearest to 0 is given."
-        said.append(("symmetric", text))
+        worded.append(("symmetric", text))
     elif len(rivals) and rivals[0, 1] >= LEARNING.confusable:
         angle, similarity = rivals[0]
         text = (
             f"After a turn of {np.degrees(angle):.0f}° the shape is {100 * similarity:.0f} % similar: "
             "where the rest is hidden, results carry AMBIGUOUS_ROTATION. Light what makes the difference."
         )
-        said.append(("confusable", text))
+        worded.append(("confusable", text))
     if reserve < LEARNING.weak_reserve:
         text = (
             f"Edges are only {reserve:.1f} times as strong as the weakest that counts: more light, or focus."
         )
-        said.append(("weak", text))
+        worded.append(("weak", text))
     if number < LEARNING.few_points:
         text = f"The model has only {number} edge points: a larger region, or a larger image of the part."
-        said.append(("few_points", text))
+        worded.append(("few_points", text))
     if len(model.levels) < 3:
         text = f"The model has {len(model.levels)} pyramid level(s): a larger image would be searched faster."
-        said.append(("few_levels", text))
+        worded.append(("few_levels", text))
     worst, best = max(sigmas[:2]), min(sigmas[:2])
     if worst > LEARNING.lopsided * best:
         axis = "x" if sigmas[0] > sigmas[1] else "y"
         text = (
             f"Along {axis} the shape has few edges: its place there is {worst / best:.0f} times less certain."
         )
-        said.append(("lopsided", text))
-    return said
+        worded.append(("lopsided", text))
+    return worded

@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from edged.domain.arrays import FloatArray, Image
+from edged.domain.arrays import I64, FloatArray, Image
 from edged.errors import TeachError
 from edged.vision.edges.hysteresis import EdgeThresholds, strong_edges
 from edged.vision.edges.params import OUTLINES
@@ -59,7 +59,7 @@ def create_model(
     return replace(model, origin_px=origin)
 
 
-def _corner(low: FloatArray) -> npt.NDArray[np.int64]:
+def _corner(low: FloatArray) -> I64:
     """Upper left corner of what is looked at: a pixel that the averages of every level begin with."""
     step = 2 ** (MAX_LEVELS - 1)
     return np.asarray(np.maximum(np.floor((low - LEARNING.margin_px) / step), 0) * step, np.int64)

@@ -13,9 +13,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
-from edged.domain.arrays import Image
+from edged.domain.arrays import F64, Image
 from edged.vision.kernels.cholesky import factorise, substitute
 from edged.vision.kernels.jit import kernel
 from edged.vision.stereo.params import PAIRING
@@ -46,8 +45,6 @@ POLE = math.sqrt(3.0) - 2.0  # of the cubic spline's recursive filter
 
 SHIFT, SLOPE_X, SLOPE_Y, GAIN, OFFSET = range(5)  # unknowns of a fit
 LEFT_PATCH, DIVERGED = -1.0, -2.0  # results of a fit, beside its sigma
-
-F64 = npt.NDArray[np.float64]
 
 
 class Patches(NamedTuple):

@@ -20,9 +20,8 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
-from edged.domain.arrays import FloatArray, Image
+from edged.domain.arrays import B8, F64, I32, I64, FloatArray, Image
 from edged.errors import ImageError
 from edged.vision.kernels.jit import kernel
 from edged.vision.stereo.leastsquares import (
@@ -47,10 +46,6 @@ from edged.vision.stereo.params import PAIRING
 # numba freezes globals when it compiles: kernels read these by name
 SLOPES = np.array(PAIRING.slopes)
 SURE_SCORE = PAIRING.sure_score
-
-F64 = npt.NDArray[np.float64]
-I64 = npt.NDArray[np.int64]
-I32 = npt.NDArray[np.int32]
 
 
 class PairingReason(enum.IntEnum):
@@ -122,7 +117,7 @@ class NccMatches:
     reason: I64
 
     @property
-    def accepted(self) -> npt.NDArray[np.bool_]:
+    def accepted(self) -> B8:
         """(N,) which points have a disparity."""
         return np.asarray(self.reason == PairingReason.ACCEPTED)
 

@@ -5,15 +5,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
-import numpy.typing as npt
 
-from edged.domain.arrays import Image
+from edged.domain.arrays import F64, I32, Image
 from edged.vision.kernels.jit import kernel
 
 TEMPLATE_SCALE = 16  # grey values of a sheared window are kept as integers, so that sums are exact
-
-F64 = npt.NDArray[np.float64]
-I32 = npt.NDArray[np.int32]
 
 
 @kernel("void(u1[:, ::1], i8, i8, f8, f8, i8, i4[:, ::1])")

@@ -127,4 +127,4 @@ def test_poses_of_nobody_are_ranked_and_of_a_stranger_told() -> None:
     )
     right = posed(turns)
     assert right.registered is not None
-    assert 0 == right.said
+    assert 0 == right.stated

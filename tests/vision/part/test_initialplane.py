@@ -121,7 +121,7 @@ def test_the_same_images_give_the_same_bits(rectification: Rectification) -> Non
 def test_a_ray_meets_a_plane_where_both_are() -> None:
     """The point lies on the ray and satisfies normal . X = offset."""
     normal = pose(tilt_deg=20.0)[:3, 2]
-    plane = Plane(-normal, float(-normal @ PLACE_MM))
+    plane = Plane.through(PLACE_MM, -normal)
     rays = np.array([[0.0, 0.0, 1.0], [0.1, -0.2, 1.0], [0.3, 0.1, 2.0]])
     points = plane.meet(rays)
     np.testing.assert_allclose(points @ plane.normal, plane.offset, rtol=1e-12)

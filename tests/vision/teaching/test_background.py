@@ -88,7 +88,7 @@ def test_contours_tell_the_face_from_one_that_leans(flat: Flange, rectification:
     view = TeachingView(StereoImages.of(rectification, flat.left, flat.right), mask)
     contours, middle = strong_contours(view), pose()[:3, 3]
     leant = pose()[:3, :3] @ rotation_matrix(np.array([0.0, math.radians(1.5), 0.0]))
-    face, leaning = (Plane(normal, float(normal @ middle)) for normal in (pose()[:3, 2], leant[:, 2]))
+    face, leaning = (Plane.through(middle, normal) for normal in (pose()[:3, 2], leant[:, 2]))
     assert tells_apart(view, face, leaning, contours)
     assert not tells_apart(view, leaning, face, contours)
     assert not tells_apart(view, face, face, contours)
