@@ -183,4 +183,4 @@ def cloud(pair: FramePair, job: Job, rig: PreparedRig, inspection: PairInspectio
 
 
 def _rectified(pair: FramePair, rig: PreparedRig) -> StereoImages:
-    return StereoImages.of(rig.rectification, pair.left.image, pair.right.image)
+    return StereoImages.of(rig.rectification, *pair.images)

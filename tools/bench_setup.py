@@ -267,7 +267,7 @@ def draft_of(state: Path, pictures: Path) -> str:
     draft = Drafts(state / "drafts").create(USER, (SPEC,), None, "auto", datetime.now(UTC))
     for left in sorted(pictures.glob("*_left.png")):
         pair = [load_image(left), load_image(left.with_name(left.name.replace("left", "right")))]
-        _, _, *seen = keep_pair(draft.folder, draft.next_view, pair[0], pair[1], draft.state.board_models)
+        _, *seen = keep_pair(draft.folder, draft.next_view, pair[0], pair[1], draft.state.board_models)
         draft.add(draft.next_view, *seen)
     return draft.state.id
 

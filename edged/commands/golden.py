@@ -49,9 +49,7 @@ def golden(rig: Path, job: Path, left: Path, right: Path, console: Console) -> i
     )
     target = golden_target(snapshot)
     if isinstance(target, str):
-        is_swapped = not outcome.targets and found_exchanged(
-            pair.left.image, pair.right.image, taught, prepared
-        )
+        is_swapped = not outcome.targets and found_exchanged(*pair.images, taught, prepared)
         console.print(f"{job}: nothing was kept: {SWAPPED if is_swapped else target}", markup=False)
         return 1
     place = golden_file(rig, taught.number)

@@ -58,7 +58,7 @@ def touch(rig: Path, job: Path, left: Path, right: Path, asked: Touch, console: 
     if len(good) != 1:
         why_not = sorted({words for target in outcome.targets for words in reasons(target.reject)})
         why = f"{len(good)} good parts, expected one" if good else ", ".join(why_not) or str(outcome.status)
-        if not good and found_exchanged(pair.left.image, pair.right.image, taught, prepared):
+        if not good and found_exchanged(*pair.images, taught, prepared):
             why = SWAPPED
         console.print(f"{job}: nothing was written: {why}", markup=False)
         return 1

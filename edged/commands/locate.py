@@ -82,7 +82,7 @@ def locate(
     inspection = replace(inspection, measured=tuple(parts))
     outcome = picked(judge(inspection), taught.picking, frame)
     nearest = None if inspection.nearest is None else inspection.nearest.ask()
-    images = pair.left.image, pair.right.image
+    images = pair.images
     swapped = outcome.status is not Status.OK and found_exchanged(*images, taught, prepared)
     if overlay is not None:
         seen = inspection.measured, inspection.dismissed

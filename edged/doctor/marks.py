@@ -31,7 +31,7 @@ def look_at_marks(config: Config, rig: StereoRig | None, pair: FramePair) -> Ite
 
     settings = MarksSettings(config.marks.material, config.marks.range_k)
     tracker = MarksFilter(taught, settings)
-    left, right = linear_pair(rig, pair.left.image, pair.right.image)
+    left, right = linear_pair(rig, *pair.images)
     _, report = tracker.step(tracker.begin(), left, right, pair.exposed_ns)
     seen = f"{report.seen} of {report.taught} are seen"
     if report.state is MarksState.CORRECTED:

@@ -63,6 +63,11 @@ class FramePair:
         return self.left if side == "left" else self.right
 
     @property
+    def images(self) -> tuple[Image, Image]:
+        """Both pictures."""
+        return self.left.image, self.right.image
+
+    @property
     def exposed_ns(self) -> int:
         """The earlier of both exposures, UTC ns."""
         return self._earlier.exposed_ns

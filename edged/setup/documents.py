@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import logging
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Annotated, Generic, Self, TypeVar
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
 
-from edged.errors import without_folders
-from edged.files.atomic import make_folders, write_atomically
+from edged.config.reading import problem_of
+from edged.errors import FileFormatError, without_folders
+from edged.files.atomic import make_folders, read_bytes, write_atomically
 
 log = logging.getLogger(__name__)
 
@@ -22,9 +24,23 @@ class Frozen(BaseModel):
     )
 
 
+def now_text() -> str:
+    """The time, UTC, to the second, as documents have it."""
+    return datetime.now(UTC).isoformat(timespec="seconds")
+
+
 Message = Annotated[str, AfterValidator(without_folders)]
 """Text of an error: a page names files, and not where they lie on this machine."""
 M = TypeVar("M", bound=Frozen)
+B = TypeVar("B", bound=BaseModel)
+
+
+def read_model(file: Path, model: type[B], what: str) -> B:
+    """What a file of JSON holds. what : it is, for messages. Raises `FileFormatError`."""
+    try:
+        return model.model_validate_json(read_bytes(file, what))
+    except ValidationError as error:
+        raise FileFormatError(f"{file}: {problem_of(error.errors()[0], model)}") from error
 
 
 class LastDocument(Generic[M]):

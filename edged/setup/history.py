@@ -13,12 +13,12 @@ from datetime import datetime
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Generic, Literal, Self, TypeVar
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from edged.config.reading import problem_of
 from edged.errors import CalibrationError, FileFormatError, UserError
-from edged.files.atomic import make_folders, read_bytes, write_atomically
+from edged.files.atomic import make_folders, write_atomically
 from edged.files.rig import read_rig
+from edged.setup.documents import read_model
 
 MOST_OPERATIONS = 2000
 _STATE = "state.json"
@@ -212,10 +212,7 @@ class DraftFolders(Generic[S, D]):
         if identity not in self.names():
             raise KeyError(identity)
         file = self._folder / identity / _STATE
-        try:
-            state = self._model.model_validate_json(read_bytes(file, "a draft"))
-        except ValidationError as error:
-            raise FileFormatError(f"{file}: {problem_of(error.errors()[0], self._model)}") from error
+        state = read_model(file, self._model, "a draft")
         if state.id != identity:
             raise FileFormatError(f"{file}: id: is {state.id!r}, the folder's name is {identity!r}")
         for name in self._pictures(state):

@@ -9,7 +9,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, Protocol
 
-from edged.errors import SetupRefused
+from edged.errors import SetupRefused, UserError
 from edged.files.rig import rig_of
 from edged.files.statefolder import page_folder
 from edged.ports import Commissioner
@@ -185,6 +185,12 @@ class CellInUse:
     def jobs(self) -> dict[str, Job]:
         """Jobs by name; {} for a cell that is not complete."""
         return {job.name: job for job in self.files.jobs} if isinstance(self.files, CellFiles) else {}
+
+    def job(self, name: str) -> Job:
+        """A job by its name. Raises `UserError`."""
+        if (job := self.jobs().get(name)) is None:
+            raise UserError(f"there is no job {name}", "no_job", name=name)
+        return job
 
     def job_lines(self) -> JobsInUse:
         """Names, numbers and folders of the jobs."""

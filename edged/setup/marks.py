@@ -47,7 +47,7 @@ class RigMarks:
 
     def see(self, track: MarksTrack, pair: FramePair) -> tuple[MarksTrack, MarksReport]:
         """What the marks of a pair say after a track."""
-        images = linear_pair(self._prepared.rig, pair.left.image, pair.right.image)
+        images = linear_pair(self._prepared.rig, *pair.images)
         return self._filter.step(track, *images, pair.exposed_ns)
 
     def rig(self, track: MarksTrack) -> PreparedRig:

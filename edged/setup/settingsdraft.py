@@ -8,7 +8,6 @@ from __future__ import annotations
 import asyncio
 import json
 from collections.abc import Callable, Mapping
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -20,7 +19,7 @@ from edged.config.configuration import Config
 from edged.config.reading import config_with, problem_of, read
 from edged.errors import ConfigError, FileFormatError, UserError
 from edged.files.atomic import read_bytes, write_atomically
-from edged.setup.documents import Frozen
+from edged.setup.documents import Frozen, now_text
 from edged.setup.history import Kept, Text
 from edged.setup.inuse import CellInUse
 from edged.setup.releases.differences import Difference, changed_options
@@ -136,7 +135,7 @@ class SettingsDraft:
             return
         made = Drafted(
             revision=1 if drafted is None else drafted.revision + 1,
-            created=datetime.now(UTC).isoformat(timespec="seconds"),
+            created=now_text(),
             author=author,
             chosen={} if content is None else json.loads(content),
         )

@@ -53,7 +53,7 @@ async def test_a_glint_and_a_dark_table_are_seen_in_one_pair(quirks: tuple[Quirk
             pairs, facts = [await head.capture() for _ in range(3)], camera_facts(head)
 
     for pair in pairs:
-        for image in (pair.left.image, pair.right.image):
+        for image in pair.images:
             assert 254 > image[HEIGHT // 2, WIDTH // 2] > 150
             assert 8 < np.median(image[:20]) < 18
         assert pair.exposed_bound_ns is not None

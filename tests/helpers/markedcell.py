@@ -65,7 +65,7 @@ def teach(files: MarkedFiles, exposures: int = 8) -> TaughtMarks:
     pairs: list[tuple[Image, Image]] = []
     for second in range(exposures):
         pair = pair_at(cell, second)
-        pairs.append((pair.left.image, pair.right.image))
+        pairs.append(pair.images)
     taught = teach_marks(pairs, load_rig(files.rig), 5, least=exposures)
     save_marks(marks_file(files.rig), taught)
     return taught

@@ -84,7 +84,7 @@ class RecordingCell(BoardCell):
     def __init__(self, folder: Path, template: Path, recordings: Path, pairs: Sequence[FramePair]) -> None:
         shutil.copytree(template, folder)
         shutil.copytree(recordings, folder / "recordings")
-        shown = [(one.left.image, one.right.image) for one in pairs]
+        shown = [one.images for one in pairs]
         self.world = SmallWorld(shown)  # type: ignore[assignment]  (another world, of the same use)
         self.config, self.rig = folder / "cell.toml", folder / "rig.json"
         self.state = state_folder(self.config)

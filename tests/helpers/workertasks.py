@@ -18,7 +18,7 @@ from edged.errors import CalibrationError
 from edged.setup.pairs import Progress
 
 
-def about(_progress: Progress) -> dict[str, int]:
+def about() -> dict[str, int]:
     """The process: its niceness, its score where memory runs out, its processors and threads."""
     return {
         "pid": os.getpid(),
@@ -29,14 +29,14 @@ def about(_progress: Progress) -> dict[str, int]:
     }
 
 
-def count(progress: Progress, total: int) -> list[int]:
+def count(total: int, progress: Progress) -> list[int]:
     """Told at each step."""
     for number in range(total + 1):
         progress("counting", number, total)
     return list(range(total))
 
 
-def connect(_progress: Progress, port: int) -> str:
+def connect(port: int) -> str:
     """Reach a server on this machine; the error's name, "" for none."""
     try:
         with socket.create_connection(("127.0.0.1", port), timeout=5):
@@ -45,44 +45,44 @@ def connect(_progress: Progress, port: int) -> str:
         return type(error).__name__
 
 
-def rights(_progress: Progress) -> dict[str, str]:
+def rights() -> dict[str, str]:
     """Capabilities and NoNewPrivs of the process, as proc(5) has them."""
     lines = Path("/proc/self/status").read_text().splitlines()
     return {name: value.strip() for name, _, value in (line.partition(":") for line in lines)}
 
 
-def answer(_progress: Progress, kind: str) -> object:
+def answer(kind: str) -> object:
     """Something that is no answer, or is."""
     return {"function": answer, "lock": threading.Lock(), "object": np.array([{}], object)}.get(kind)
 
 
-def forge(_progress: Progress, data: bytes) -> None:
+def forge(data: bytes) -> None:
     """Write to the pipe what a process that was taken over might."""
     Connection(int(sys.argv[1])).send_bytes(data)
     time.sleep(600)
 
 
-def refuse(_progress: Progress, message: str) -> None:
+def refuse(message: str) -> None:
     """A mistake in what it was given."""
     raise CalibrationError(message)
 
 
-def fail(_progress: Progress) -> None:
+def fail() -> None:
     """A bug."""
     raise ZeroDivisionError("that was a bug")
 
 
-def fill(_progress: Progress, mebibytes: int) -> int:
+def fill(mebibytes: int) -> int:
     """Memory, as much as that."""
     return len(bytearray(mebibytes << 20))
 
 
-def fill_picture(_progress: Progress, side_px: int) -> int:
+def fill_picture(side_px: int) -> int:
     """As much as OpenCV takes for a picture."""
     return cv2.resize(np.zeros((8, 8), np.uint8), (side_px, side_px)).nbytes
 
 
-def burn(progress: Progress, seconds: float) -> float:
+def burn(seconds: float, progress: Progress) -> float:
     """Processor time, in one call of C after the other."""
     progress("burning", 0, 0)
     end_s = time.process_time() + seconds
@@ -99,11 +99,11 @@ def hang(progress: Progress) -> None:
         time.sleep(0.01)
 
 
-def leave(_progress: Progress, code: int) -> None:
+def leave(code: int) -> None:
     """As a process that the kernel ends."""
     os._exit(code)
 
 
-def vanish(_progress: Progress, *_: object) -> None:
+def vanish(*_: object) -> None:
     """The same, whatever is asked."""
     os._exit(9)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from dataclasses import dataclass
-from datetime import UTC, datetime
+from datetime import datetime
 from typing import Annotated, Self
 
 import numpy as np
@@ -16,7 +16,7 @@ from edged.report.acceptance import ReportedTest
 from edged.setup.acceptance.studies import LEAST_CROSSED, LEAST_REPEATS
 from edged.setup.acceptance.studying import StudiedSize, by_master, by_parts, made_at, study_page
 from edged.setup.calibration.checking import offered_lengths
-from edged.setup.documents import Frozen, LastDocument
+from edged.setup.documents import Frozen, LastDocument, now_text
 from edged.setup.inuse import CellInUse
 
 MOST = 1000
@@ -141,16 +141,14 @@ class GuidedStudy:
         async with self._turn:
             if await asyncio.to_thread(self._kept.read) is not None:
                 raise SetupRefused("there is a study: end it before another begins")
-            rig, job = self._cell.needed_rig("to study a size by"), self._cell.jobs().get(plan.job)
-            if job is None:
-                raise UserError(f"there is no job {plan.job}", "no_job", name=plan.job)
+            rig, job = self._cell.needed_rig("to study a size by"), self._cell.job(plan.job)
             sizes = [name for name, _ in offered_lengths(job)]
             if plan.size not in sizes:
                 raise UserError(f"{plan.size}: the job {job.name} has {', '.join(sizes) or 'no size'}")
             begun = KeptStudy(
                 plan=plan,
                 by=author,
-                at=_now(),
+                at=now_text(),
                 rig=rig.path.name,
                 calibration=rig.calibration_id,
                 number=job.number,
@@ -171,11 +169,11 @@ class GuidedStudy:
             if not self._is_current(kept):
                 raise SetupRefused("the calibration or the job was changed since the study began")
             pair = await self._cell.session.capture(token)
-            images, job = (pair.left.image, pair.right.image), self._cell.jobs()[kept.plan.job]
+            images, job = pair.images, self._cell.jobs()[kept.plan.job]
             value = await self._cell.worker.run(
                 "measure_size", self._cell.needed_rig(), images, job, kept.plan.size
             )
-            more = {"values": [*kept.values, value], "at": _now()}
+            more = {"values": [*kept.values, value], "at": now_text()}
             await asyncio.to_thread(self._kept.write, kept.model_copy(update=more))
         return await self.document()
 
@@ -217,10 +215,6 @@ class GuidedStudy:
             "taken back and repeated": f"{kept.taken_back}",
         }
         return study_page(judged.good, _size(plan), about, [judged.test], judged.values_mm)
-
-
-def _now() -> str:
-    return datetime.now(UTC).isoformat(timespec="seconds")
 
 
 def _size(plan: StudyPlan) -> StudiedSize:

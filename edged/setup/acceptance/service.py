@@ -13,9 +13,10 @@ from edged.errors import SetupRefused, UserError
 from edged.files.atomic import make_folders, write_atomically
 from edged.setup.acceptance.accepting import TOUCHED_NAME
 from edged.setup.acceptance.verdicts import LEAST_LENGTHS, LEAST_POSES, LEAST_STILL, LEAST_TOUCHED
-from edged.setup.documents import Frozen, LastDocument, Message
+from edged.setup.documents import Frozen, LastDocument, Message, now_text
 from edged.setup.inuse import CellInUse
 from edged.setup.pairs import Progress, write_pictures
+from edged.vision.part.job import Job
 
 FUNCTIONS = {name: f"edged.setup.acceptance.work:{name}" for name in ("accept_cell", "measure_size")}
 PicturedTest = Literal["still", "pose", "length"]
@@ -112,7 +113,7 @@ class Accepting:
             if first >= MOST:
                 raise UserError(f"{MOST} pictures of a test are enough: begin it anew")
             pair = await self._cell.session.capture(token)
-            images = pair.left.image, pair.right.image
+            images = pair.images
             await asyncio.to_thread(write_pictures, folder, f"view_{first:03d}", images)
 
     async def touched(self, token: str, table: str) -> AcceptanceDocument:
@@ -132,15 +133,14 @@ class Accepting:
     async def accept(self, token: str, author: str, job: str, length: tuple[str, float] | None) -> str:
         """Begin to judge the cell by what there is; returns the task. Raises `SetupRefused`, `UserError`."""
         await self._begin(token)
-        if job not in self._cell.jobs():
-            raise UserError(f"there is no job {job}", "no_job", name=job)
-        self._task = self._cell.tasks.start("accept", partial(self._accept, token, author, job, length))
+        part = self._cell.job(job)
+        self._task = self._cell.tasks.start("accept", partial(self._accept, token, author, part, length))
         return self._task
 
     async def _accept(
-        self, token: str, author: str, job: str, length: tuple[str, float] | None, progress: Progress
+        self, token: str, author: str, part: Job, length: tuple[str, float] | None, progress: Progress
     ) -> None:
-        rig, part = self._cell.needed_rig(), self._cell.jobs()[job]
+        rig = self._cell.needed_rig()
         await asyncio.to_thread(make_folders, self._folder)
         found = await self._cell.worker.run(
             "accept_cell", rig, self._folder, part, length, author, progress=progress
@@ -148,7 +148,7 @@ class Accepting:
         await self._cell.running.keep_beside("acceptance", found["document"], token)
         await asyncio.to_thread(write_atomically, self.report, found["html"])
         last = LastAcceptance(
-            at=datetime.now(UTC).isoformat(timespec="seconds"),
+            at=now_text(),
             by=author,
             calibration=rig.calibration_id,
             passed=found["passed"],

@@ -1,4 +1,4 @@
-"""What the worker process does with an acceptance: by name, with a `Progress` before the arguments."""
+"""What the worker process does with an acceptance."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from edged.vision.part.job import Job
 
 
 def accept_cell(
-    progress: Progress, rig: RigInUse, folder: Path, job: Job, length: tuple[str, float] | None, by: str
+    rig: RigInUse, folder: Path, job: Job, length: tuple[str, float] | None, by: str, progress: Progress
 ) -> Json:
     """Test what a folder has. The document that is kept, the page to sign, and the tests for people."""
     progress("measure all pictures", 0, 0)
@@ -39,9 +39,7 @@ def accept_cell(
     }
 
 
-def measure_size(
-    _progress: Progress, rig: RigInUse, images: tuple[Image, Image], job: Job, size: str
-) -> tuple[float, float]:
+def measure_size(rig: RigInUse, images: tuple[Image, Image], job: Job, size: str) -> tuple[float, float]:
     """A size and its sigma, mm, of the one good part of a pair. Raises `UserError` without one."""
     target = good_target(prepare(rig.stereo()), job, FramePair.of_images(*images))
     if isinstance(target, str):

@@ -5,13 +5,11 @@ from __future__ import annotations
 import asyncio
 import math
 from collections.abc import Mapping
-from datetime import UTC, datetime
 
 from pydantic import Field
 
-from edged.errors import UserError
 from edged.setup.calibration.checking import Finding, Limits, offered_lengths
-from edged.setup.documents import Frozen, LastDocument
+from edged.setup.documents import Frozen, LastDocument, now_text
 from edged.setup.inuse import CellInUse, RigInUse
 from edged.vision.boards.board import NominalBoard
 from edged.vision.calibration.verification import COVERAGE, Length, Verdict
@@ -98,17 +96,14 @@ class Checks:
         self, token: str, author: str, name: str, known_mm: Mapping[str, float]
     ) -> CheckDocument:
         """Take a pair of a part, whose lengths are known by the names of a job. Raises also `UserError`."""
-        job = self._cell.jobs().get(name)
-        if job is None:
-            raise UserError(f"there is no job {name}")
-        return await self._check(token, author, "check_part", job, known_mm, job=name)
+        return await self._check(token, author, "check_part", self._cell.job(name), known_mm, job=name)
 
     async def _check(
         self, token: str, author: str, function: str, *what: object, **named: str
     ) -> CheckDocument:
         rig = self._cell.needed_rig("to check")
         pair = await self._cell.session.capture(token)
-        images = pair.left.image, pair.right.image
+        images = pair.images
         finding = await self._cell.worker.run(function, rig, images, *what, LIMITS)
         document = _document(finding, author, rig, **named)
         await asyncio.to_thread(self._kept.write, document)
@@ -140,7 +135,7 @@ def _document(
         limit_px = LIMITS.epipolar_px
         rows = Rows(measured_px=px, limit_px=limit_px, verdict="OK" if px <= limit_px else "NOT_OK")
     return CheckDocument(
-        at=datetime.now(UTC).isoformat(timespec="seconds"),
+        at=now_text(),
         by=author,
         calibration=rig.calibration_id,
         board=board,

@@ -134,15 +134,14 @@ def pair_of(pictures: Path, name: str) -> Pair:
 
 def keep_pair(
     folder: Path, name: str, left: Image, right: Image, boards: Sequence[NominalBoard]
-) -> tuple[Looked, Looked, Seen, Seen]:
+) -> tuple[Looks, Seen, Seen]:
     """Write a draft's new pair, and look at it in full. Raises `CalibrationError` for a disc that refuses."""
-    ((looked_left, looked_right),) = look_at([Pair.of_images(name, left, right)], boards)
-    write_pair(folder, name, (left, right), (looked_left.small, looked_right.small))
+    (looks,) = look_at([Pair.of_images(name, left, right)], boards)
+    write_pair(folder, name, (left, right), (looks[0].small, looks[1].small))
     seen_left, seen_right = (
-        seen_in(image, boards, looked.results)
-        for image, looked in ((left, looked_left), (right, looked_right))
+        seen_in(image, boards, looked.results) for image, looked in zip((left, right), looks, strict=True)
     )
-    return looked_left, looked_right, seen_left, seen_right
+    return looks, seen_left, seen_right
 
 
 def views_of(

@@ -48,8 +48,12 @@ from edged.vision.geometry.camera import StereoRig
 log = logging.getLogger(__name__)
 
 FUNCTIONS = {
-    name: f"edged.setup.calibration.work:{name}"
-    for name in ("watch", "keep", "look_again", "guide", "solve", "check_board", "check_part")
+    "watch": "edged.setup.calibration.shown:watch",
+    **{name: f"edged.setup.calibration.drafts:{name}" for name in ("keep_pair", "look_again")},
+    **{
+        name: f"edged.setup.calibration.work:{name}"
+        for name in ("guide", "solve", "check_board", "check_part")
+    },
 }
 OTHERS_EVERY_S = 2.0
 LOOKS_THAT_AGREE = 2
@@ -162,7 +166,7 @@ class Calibrations:
         if not opened.draft.state.boards:
             raise CalibrationError("which board is it? State it, or hold it before both cameras")
         pair = await self._cell.session.capture(token)
-        await self._take(opened, pair.left.image, pair.right.image)
+        await self._take(opened, *pair.images)
         return self.document(opened)
 
     async def take_by_itself(self, identity: str, token: str, *, on: bool) -> DraftHead:
@@ -204,7 +208,7 @@ class Calibrations:
 
     async def _watch(self, identity: str, pair: FramePair) -> None:
         try:
-            await self._look(await self.drafts.get(identity), pair.left.image, pair.right.image)
+            await self._look(await self.drafts.get(identity), *pair.images)
         except KeyError:  # discarded, or its folder was removed
             if self.drafts.current == identity:
                 self.drafts.current = None
@@ -268,7 +272,7 @@ class Calibrations:
             draft = opened.draft
             name = draft.next_view
             order = (draft.folder, name, left, right, draft.state.board_models)
-            looks, *seen = await self._worker.run("keep", *order)
+            looks, *seen = await self._worker.run("keep_pair", *order)
             await asyncio.to_thread(draft.add, name, *seen)
             opened.looks[name] = looks
         self.drafts.tell(opened)

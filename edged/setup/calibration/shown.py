@@ -82,7 +82,7 @@ class Watched:
         return np.array([self.left.outline, self.right.outline], dtype=np.float64)
 
 
-def watch(left: Image, right: Image, boards: Sequence[NominalBoard], *, others: bool = False) -> Watched:
+def watch(left: Image, right: Image, boards: Sequence[NominalBoard], others: bool = False) -> Watched:
     """Look at a live pair; in half the size where that suffices. Without boards: which board is it?
 
     others : say which board it is where it is none of these.

@@ -1,4 +1,4 @@
-"""What the worker process can do: by name, with a `Progress` before the arguments. Imported there alone.
+"""What the worker process can do for calibrations. Imported there alone.
 
 The rig is solved as the command line would write it, with how far points move by it.
 """
@@ -15,11 +15,10 @@ from pydantic import JsonValue
 from edged.domain.arrays import FloatArray, Image
 from edged.errors import UserError
 from edged.files.rig import rig_text
-from edged.setup.calibration import checking, drafts, guidance, shown
+from edged.setup.calibration import checking, guidance
 from edged.setup.calibration.checking import Finding, Limits
 from edged.setup.calibration.drafts import Looks, Solution, views_of
 from edged.setup.calibration.guidance import Guided
-from edged.setup.calibration.shown import Seen, Watched
 from edged.setup.calibration.views import Calibrated, Views, report_of
 from edged.setup.calibration.views import solve as solved_views
 from edged.setup.inuse import RigInUse
@@ -36,26 +35,7 @@ from edged.vision.part.job import Job
 Boards = Sequence[NominalBoard]
 
 
-def watch(_progress: Progress, left: Image, right: Image, boards: Boards, others: bool) -> Watched:
-    """A live pair. others : look for another board where it shows none of these."""
-    return shown.watch(left, right, boards, others=others)
-
-
-def keep(
-    _progress: Progress, folder: Path, name: str, left: Image, right: Image, boards: Boards
-) -> tuple[Looks, Seen, Seen]:
-    """A pair for a draft."""
-    *looks, seen_left, seen_right = drafts.keep_pair(folder, name, left, right, boards)
-    return (looks[0], looks[1]), seen_left, seen_right
-
-
-def look_again(progress: Progress, pictures: Path, names: Sequence[str], boards: Boards) -> dict[str, Looks]:
-    """Kept pairs."""
-    return drafts.look_again(pictures, names, boards, progress)
-
-
 def guide(
-    progress: Progress,
     pictures: Path,
     boards: Boards,
     looks: Mapping[str, Looks],
@@ -63,6 +43,7 @@ def guide(
     goal_um: float | None,
     taken: Sequence[FloatArray],
     share: float,
+    progress: Progress,
 ) -> Guided:
     """What the views in use give, and what comes next."""
     views = views_of(pictures, list(looks), boards, looks)
@@ -70,13 +51,13 @@ def guide(
 
 
 def solve(
-    progress: Progress,
     pictures: Path,
     boards: Boards,
     looks: Mapping[str, Looks],
     lens: LensWish,
     former: RigInUse | None,
     about: Mapping[str, str],
+    progress: Progress,
 ) -> Solution:
     """The rig. former : the one in use before."""
     before = None
@@ -85,20 +66,13 @@ def solve(
     return solution_of(views_of(pictures, list(looks), boards, looks), lens, about, before, progress)
 
 
-def check_board(
-    _progress: Progress, rig: RigInUse, images: tuple[Image, Image], board: NominalBoard, limits: Limits
-) -> Finding:
+def check_board(rig: RigInUse, images: tuple[Image, Image], board: NominalBoard, limits: Limits) -> Finding:
     """What a pair of a board says of a rig."""
     return checking.by_board(rig.stereo(), images, [board], limits)
 
 
 def check_part(
-    _progress: Progress,
-    rig: RigInUse,
-    images: tuple[Image, Image],
-    job: Job,
-    known_mm: Mapping[str, float],
-    limits: Limits,
+    rig: RigInUse, images: tuple[Image, Image], job: Job, known_mm: Mapping[str, float], limits: Limits
 ) -> Finding:
     """What a pair of a part says of a rig."""
     return checking.by_part(rig.stereo(), images, job, known_mm, limits)

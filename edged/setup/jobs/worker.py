@@ -47,7 +47,8 @@ class _OutOfTime:
 class Worker:
     """A process for long work, so that the loop's and the PLC's turns never wait for it.
 
-    functions : what it can do, by name: "module:function", called with a `Progress` and the arguments.
+    functions : what it can do, by name: "module:function", called with the arguments, and a
+    `Progress` where it takes one as `progress`.
     cpus : how many processors a task may use, asked when it begins. limits : what else it may take.
 
     A plain process with a pipe: `pebble` cancels by kill, too, but has no channel for progress, and starts

@@ -20,6 +20,7 @@ import time
 import traceback
 from dataclasses import dataclass
 from importlib import import_module
+from inspect import signature
 from multiprocessing.connection import Connection
 from pathlib import Path
 from queue import SimpleQueue
@@ -68,7 +69,8 @@ def limits_here() -> TaskLimits:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TaskOrder:
-    """A task. function : "module:name", called with a `Progress` and the arguments; cpus : to use at most."""
+    """A task. function : "module:name", called with the arguments, and a `Progress` if
+    it takes one as `progress`; cpus : to use at most."""
 
     function: str
     arguments: tuple[Any, ...]
@@ -155,7 +157,9 @@ def _carry_out(order: TaskOrder, connection: Connection) -> bytes:
 
     module, _, name = order.function.partition(":")
     try:
-        return encode_message(TaskResult(getattr(import_module(module), name)(progress, *order.arguments)))
+        function = getattr(import_module(module), name)
+        more = {"progress": progress} if "progress" in signature(function).parameters else {}
+        return encode_message(TaskResult(function(*order.arguments, **more)))
     except UserError as error:
         return encode_message(TaskRefused(error))
     except Exception as error:  # noqa: BLE001  (a bug is told to who asked, who logs it: the next task may be well)

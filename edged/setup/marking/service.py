@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import asyncio
 import shutil
-from datetime import UTC, datetime
 from functools import partial
 
 from edged.errors import SetupRefused, UserError
 from edged.files.atomic import make_folders
 from edged.files.marks import MARKS_NAME
-from edged.setup.documents import Frozen, LastDocument, SigmaXyz
+from edged.setup.documents import Frozen, LastDocument, SigmaXyz, now_text
 from edged.setup.inuse import CellInUse
 from edged.setup.pairs import Progress, write_pictures
 from edged.vision.marks.params import MARKS
@@ -96,7 +95,7 @@ class Marking:
         if content is None:
             raise UserError("this cell has no marks of its calibration: teach them")
         pair = await self._cell.session.capture(token)
-        images = pair.left.image, pair.right.image
+        images = pair.images
         found = await self._cell.worker.run(
             "look_at_marks", rig, content, (stated.material, stated.range_k), images, pair.exposed_ns
         )
@@ -120,7 +119,7 @@ class Marking:
             for number in range(count):
                 progress("take pairs", number, count)
                 pair = await self._cell.session.capture(token)
-                images = pair.left.image, pair.right.image
+                images = pair.images
                 await asyncio.to_thread(write_pictures, folder, f"view_{number:03d}", images)
             found = await self._cell.worker.run("teach_marks", rig, folder, material, progress=progress)
         finally:
@@ -129,7 +128,7 @@ class Marking:
         await self._cell.running.keep_beside("marks", content, token)
         x, y, z = found.pop("sigma_um")
         taught = TaughtDocument(
-            at=datetime.now(UTC).isoformat(timespec="seconds"),
+            at=now_text(),
             by=author,
             calibration=rig.calibration_id,
             sigma_um=SigmaXyz(x=x, y=y, z=z),

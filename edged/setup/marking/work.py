@@ -1,4 +1,4 @@
-"""What the worker process does with reference marks: by name, with a `Progress` before the arguments."""
+"""What the worker process does with reference marks."""
 
 from __future__ import annotations
 
@@ -18,7 +18,6 @@ from edged.vision.marks.tracking import MarksSettings
 
 
 def look_at_marks(
-    _progress: Progress,
     rig: RigInUse,
     content: bytes,
     stated: tuple[str, float],
@@ -41,7 +40,7 @@ def look_at_marks(
     }
 
 
-def teach_marks(progress: Progress, rig: RigInUse, folder: Path, material: str) -> Json:
+def teach_marks(rig: RigInUse, folder: Path, material: str, progress: Progress) -> Json:
     """The marks that the pairs of a folder show: their file, and figures for people."""
     taught = taught_in(folder, rig_of(rig.content, rig.path), progress)
     return {

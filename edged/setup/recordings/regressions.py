@@ -11,11 +11,10 @@ import time
 from collections.abc import Callable, Sequence
 from datetime import UTC, datetime
 
-from pydantic import ValidationError
-
 from edged.errors import FileFormatError, RegressionNeeded, UserError
 from edged.files import recording
-from edged.files.atomic import make_folders, read_bytes, write_atomically
+from edged.files.atomic import make_folders, write_atomically
+from edged.setup.documents import read_model
 from edged.setup.inuse import CellInUse
 from edged.setup.pairs import Progress
 from edged.setup.recordings.comparing import TriedCycle, compare
@@ -166,10 +165,7 @@ class Regressions:
         file = self._kept / f"{identity}.json"
         if not file.is_file():
             raise KeyError(identity)
-        try:
-            return RegressionDocument.model_validate_json(read_bytes(file, "a regression"))
-        except ValidationError as error:
-            raise FileFormatError(f"{file}: not a regression that was kept: {error.errors()[0]}") from error
+        return read_model(file, RegressionDocument, "a regression")
 
     def _all(self) -> list[RegressionDocument]:
         found = []

@@ -1,4 +1,4 @@
-"""What the worker process does with recorded cycles: by name, with a `Progress` before the arguments."""
+"""What the worker process does with recorded cycles."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from edged.setup.releases.archive import read
 from edged.setup.releases.differences import ReleaseDifference, difference
 
 
-def what_if(progress: Progress, file: Path, change: Change | None) -> WhatIf:
+def what_if(file: Path, change: Change | None, progress: Progress) -> WhatIf:
     """One recording by the rig and the job that it was measured by, and by a change."""
     taken = recording.load(file)
     rig, job = rig_and_job(file, taken.snapshot)
@@ -25,7 +25,6 @@ def what_if(progress: Progress, file: Path, change: Change | None) -> WhatIf:
 
 
 def try_recordings(
-    _progress: Progress,
     entries: Sequence[recording.Entry],
     active: Contents,
     candidate: Contents,
@@ -43,7 +42,7 @@ def try_recordings(
     return tried
 
 
-def compare_releases(_progress: Progress, before: Path, after: Path) -> ReleaseDifference:
+def compare_releases(before: Path, after: Path) -> ReleaseDifference:
     """What is other in one archive than in another."""
     return difference(read(before), read(after))
 

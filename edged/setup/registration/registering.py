@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -22,6 +21,7 @@ from edged.robot.handeye import HandEye, Mount, hand_eye
 from edged.robot.orientations import LENGTH_UNITS_MM, READINGS
 from edged.robot.readings import PoseReading, rank_readings
 from edged.robot.touch import PointRegistration, register_points
+from edged.setup.documents import now_text
 from edged.setup.pairs import Pair
 from edged.vision.boards.board import NominalBoard, NotDetected, StereoView
 from edged.vision.boards.detection import detect_board
@@ -275,7 +275,7 @@ def save(source: Path, registered: RegisteredRig, output: Path) -> Path | None:
 
     source : the rig file that was registered, for what it keeps of its calibration.
     """
-    when = datetime.now(UTC).isoformat(timespec="seconds")
+    when = now_text()
     quality = {**load_rig_quality(source), "registration": {**registered.how, "when": when}}
     kept = keep_old_rig(output)
     save_rig(output, registered.rig, quality)

@@ -128,7 +128,7 @@ class CellRegistrar:
             if self.witness is not None and step.obstacle is None:
                 self.witness.touched(pair, job.name, sampling.views[-1], command.robot_from_flange)
             return step
-        pictures = Pair.of_images("pose", pair.left.image, pair.right.image)
+        pictures = Pair.of_images("pose", *pair.images)
         step = sampling.add_board(pictures, command.robot_from_flange, command.shown)
         if self.witness is not None and step.obstacle is None:
             self.witness.posed(pair, command.robot_from_flange)

@@ -22,7 +22,7 @@ from edged.errors import CalibrationError, EdgedError, FileFormatError, UserErro
 from edged.files.rig import rig_of, rig_text
 from edged.robot.orientations import Brand
 from edged.robot.pendant import PENDANTS, mm_per_unit, numbers_in
-from edged.setup.documents import DraftHead, Trouble
+from edged.setup.documents import DraftHead, Trouble, now_text
 from edged.setup.drafts import Latest, OpenDrafts
 from edged.setup.history import solved_rig
 from edged.setup.inuse import CellInUse, RigInUse
@@ -127,8 +127,8 @@ class Registrations:
         """
         opened = await self.drafts.get(identity)
         self._needed_rig()
-        if job is not None and job not in self._cell.jobs():
-            raise UserError(f"there is no job {job}")
+        if job is not None:
+            self._cell.job(job)
         if job is None and not opened.draft.state.board:
             raise CalibrationError("which board, or which part? State one of them")
         await self._keep_look(opened, await self._cell.session.capture(token), job)
@@ -180,7 +180,7 @@ class Registrations:
         if judged.registered is None or not opened.judge.is_current:
             raise CalibrationError("the samples have changed meanwhile: solve it again")
         quality = json.loads(rig.content).get("quality")
-        when = datetime.now(UTC).isoformat(timespec="seconds")
+        when = now_text()
         kept = {
             **(quality if isinstance(quality, dict) else {}),
             "registration": {**judged.registered.how, "when": when},
@@ -265,12 +265,12 @@ class Registrations:
     async def _keep_look(self, opened: OpenRegistration, pair: FramePair, job: str | None) -> None:
         rig, draft, worker = self._needed_rig(), opened.draft, self._worker
         async with self.drafts.changing(opened):
-            order = (draft.folder, draft.next_look, (pair.left.image, pair.right.image), rig)
+            order = (draft.folder, draft.next_look, pair.images, rig)
             looked: LookState
             if job is None:
                 looked = await worker.run("marks_to_touch", *order, parse_boards(draft.state.board)[0])
             else:
-                looked = await worker.run("features_to_touch", *order, self._cell.jobs()[job])
+                looked = await worker.run("features_to_touch", *order, self._cell.job(job))
             await asyncio.to_thread(draft.look, looked)
 
     async def _keep_pose(
@@ -279,7 +279,7 @@ class Registrations:
         rig, draft = self._needed_rig(), opened.draft
         async with self.drafts.changing(opened):
             name, board = draft.next_sample, parse_boards(draft.state.board)[0]
-            images = pair.left.image, pair.right.image
+            images = pair.images
             sample: SampleState = await self._worker.run(
                 "pose_with_board", draft.folder, name, images, rig, board
             )

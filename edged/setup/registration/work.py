@@ -1,4 +1,4 @@
-"""What the worker process computes for registrations: by name, with a `Progress` before the arguments.
+"""What the worker process computes for registrations.
 
 Pictures are kept, and looked at: what a tip can touch in them, or where the flange holds the board.
 """
@@ -18,7 +18,7 @@ from edged.domain.measurement import Reject, Target
 from edged.pipeline import locate, prepare
 from edged.setup.inuse import RigInUse
 from edged.setup.outlines import seen_at
-from edged.setup.pairs import Pair, Progress, write_pair
+from edged.setup.pairs import Pair, write_pair
 from edged.setup.registration import verdict
 from edged.setup.registration.model import LookState, Place, SampleState
 from edged.setup.registration.sampling import SeenBoard, see_board
@@ -40,9 +40,7 @@ WIDEST_PX = 640
 """Width of the small pictures."""
 
 
-def marks_to_touch(
-    _progress: Progress, folder: Path, name: str, images: Images, rig: RigInUse, board: NominalBoard
-) -> LookState:
+def marks_to_touch(folder: Path, name: str, images: Images, rig: RigInUse, board: NominalBoard) -> LookState:
     """Keep a pair, and look for marks of a board in it. Raises `CalibrationError` as `_keep`, `UserError`."""
     seen = _see_board(folder, name, images, rig, board)
     if not isinstance(seen, SeenBoard):
@@ -51,9 +49,7 @@ def marks_to_touch(
     return LookState(name=name, places=marks_at(rig.stereo(), board, seen.rig_from_board, ids.tolist()))
 
 
-def features_to_touch(
-    _progress: Progress, folder: Path, name: str, images: Images, rig: RigInUse, job: Job
-) -> LookState:
+def features_to_touch(folder: Path, name: str, images: Images, rig: RigInUse, job: Job) -> LookState:
     """Keep a pair, and look for the one part in it. Raises as `marks_to_touch`."""
     _keep(folder, name, images)
     outcome = locate(FramePair.of_images(*images), job, prepare(rig.stereo()))
@@ -65,7 +61,7 @@ def features_to_touch(
 
 
 def pose_with_board(
-    _progress: Progress, folder: Path, name: str, images: Images, rig: RigInUse, board: NominalBoard
+    folder: Path, name: str, images: Images, rig: RigInUse, board: NominalBoard
 ) -> SampleState:
     """Keep a pair of the board at one pose of the flange. Raises as `marks_to_touch`."""
     seen = _see_board(folder, name, images, rig, board)
@@ -74,12 +70,12 @@ def pose_with_board(
     return SampleState.model_validate({"view": tuple(map(tuple, seen.rig_from_board.tolist()))})
 
 
-def judge_touch(_progress: Progress, rig: RigInUse, *samples: Any) -> Judged:
+def judge_touch(rig: RigInUse, *samples: Any) -> Judged:
     """`judge_points` of the rig in use."""
     return judge_points(rig.stereo(), *samples)
 
 
-def judge_poses(_progress: Progress, rig: RigInUse, *samples: Any) -> Judged:
+def judge_poses(rig: RigInUse, *samples: Any) -> Judged:
     """`verdict.judge_poses` of the rig in use."""
     return verdict.judge_poses(rig.stereo(), *samples)
 

@@ -15,7 +15,7 @@ from pydantic import Field, TypeAdapter, ValidationError
 from edged.domain.overview import Use
 from edged.errors import FileFormatError, UserError
 from edged.files.atomic import make_folders, write_atomically
-from edged.setup.documents import Frozen
+from edged.setup.documents import Frozen, now_text
 from edged.setup.history import Kept, Text
 from edged.setup.inuse import CellInUse
 from edged.setup.releases.jobsfolder import Jobs as Files
@@ -164,7 +164,7 @@ class Jobs:
             number=line.number,
             features=line.features,
             by=by.author,
-            at=datetime.now(UTC).isoformat(timespec="seconds"),
+            at=now_text(),
         )
         # first: what is in use counts as in use, whatever is noted of it
         await asyncio.to_thread(self._note, folder, kept)

@@ -16,11 +16,11 @@ from datetime import datetime
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import Field, ValidationError
+from pydantic import Field
 
-from edged.config.reading import problem_of
 from edged.errors import FileFormatError
 from edged.files.atomic import make_folders, read_bytes, sync, write_atomically
+from edged.setup.documents import read_model
 from edged.setup.history import Kept, Text
 from edged.setup.releases.archive import Backup, Made, jobs_of, read
 
@@ -167,10 +167,7 @@ class ReleaseFolder:
         file = self._about(number)
         if not file.is_file() or not self._archive(number).is_file():
             raise KeyError(number)
-        try:
-            release = Release.model_validate_json(read_bytes(file, "a release"))
-        except ValidationError as error:
-            raise FileFormatError(f"{file}: {problem_of(error.errors()[0], Release)}") from error
+        release = read_model(file, Release, "a release")
         if release.number != number:
             raise FileFormatError(f"{file}: number: is {release.number}, the file's is {number}")
         return release

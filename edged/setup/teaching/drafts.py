@@ -23,10 +23,11 @@ from pydantic import JsonValue, ValidationError
 
 from edged.config.reading import problem_of
 from edged.domain.arrays import SIDES, Image
-from edged.errors import FileFormatError, TeachError
+from edged.errors import TeachError
 from edged.files.atomic import read_bytes, write_atomically
 from edged.files.images import load_image
 from edged.pictures.encoding import jpeg, png
+from edged.setup.documents import read_model
 from edged.setup.history import DraftFile, DraftFolders, Kept, beginning
 from edged.setup.teaching.model import Content, TeachOperation, TeachState
 
@@ -167,10 +168,7 @@ def kept_pair(folder: Path) -> KeptPair:
         raise TeachError(
             f"{folder.name} does not keep the pair it was taught from: teach it from a fresh one", "no_pair"
         )
-    try:
-        kept = KeptContent.model_validate_json(read_bytes(place / _CONTENT, "what a job was taught by"))
-    except ValidationError as error:
-        raise FileFormatError(f"{place / _CONTENT}: {problem_of(error.errors()[0], KeptContent)}") from error
+    kept = read_model(place / _CONTENT, KeptContent, "what a job was taught by")
 
     def read(pair: str) -> tuple[Image, Image]:
         left, right = (load_image(place / picture_name(side, "png", pair)) for side in SIDES)

@@ -41,8 +41,8 @@ from edged.setup.teaching.wishes import (
 from edged.vision.part.job import Job
 
 FUNCTIONS = {
-    name: f"edged.setup.teaching.work:{name}"
-    for name in ("propose_region", "regions_at", "read_drawing", "see_part")
+    **{name: f"edged.setup.teaching.work:{name}" for name in ("regions_at", "read_drawing")},
+    **{name: f"edged.setup.teaching.proposing:{name}" for name in ("propose_region", "see")},
 }
 PLACE = "/api/v1/teachings"
 NOTHING_SEEN: Mapping[str, Any] = {
@@ -320,7 +320,7 @@ class Teachings:
         rig, draft = self._cell.needed_rig(), opened.draft
         former = await asyncio.to_thread(self._former, draft)
         order = LearningOrder(draft.pictures, draft.state.content, rig, former)
-        seen: JobSeen = await self._worker.run("see_part", order, progress=progress)
+        seen: JobSeen = await self._worker.run("see", order, progress=progress)
         return seen
 
     def _former(self, draft: TeachingDraft) -> FormerFiles | None:

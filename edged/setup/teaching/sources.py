@@ -32,7 +32,7 @@ class Sources:
             return await asyncio.to_thread(recorded_pair, file, rig.calibration_id)
         if token is not None:
             pair = await self._cell.session.capture(token)
-            return KeptPair(pair.left.image, pair.right.image)
+            return KeptPair(*pair.images)
         if replaced is None:
             raise TeachError("a job is taught from a fresh pair, a recorded one, or that which a job keeps")
         return await asyncio.to_thread(kept_pair, self._cell.job_lines().folder / replaced.folder)

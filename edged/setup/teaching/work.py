@@ -1,4 +1,4 @@
-"""What the worker process can do for drafts of jobs: by name, with a `Progress` before the arguments."""
+"""What the worker process can do for drafts of jobs."""
 
 from __future__ import annotations
 
@@ -9,25 +9,17 @@ from edged.errors import FileFormatError, TeachError
 from edged.files.dxf import read_dxf
 from edged.files.images import load_image
 from edged.setup.outlines import Line, line
-from edged.setup.pairs import Progress
-from edged.setup.teaching import proposing
 from edged.setup.teaching.model import MOST_DRAWN_POINTS, MOST_OUTLINES
-from edged.setup.teaching.proposing import LearningOrder
 from edged.vision.teaching.foreground import parts_at
 
 
-def propose_region(_progress: Progress, pictures: Path) -> Line | None:
-    """Around what is most likely the part of a draft's pair."""
-    return proposing.propose_region(pictures)
-
-
-def regions_at(_progress: Progress, pictures: Path, x: float, y: float) -> tuple[Line, ...]:
+def regions_at(pictures: Path, x: float, y: float) -> tuple[Line, ...]:
     """Around each thing that a point of the left picture is inside of, the largest first."""
     return tuple(line(outline) for outline in parts_at(load_image(pictures / "left.png"), x, y))
 
 
 def read_drawing(
-    _progress: Progress, data: bytes, name: str, units: str | None, layers: tuple[str, ...]
+    data: bytes, name: str, units: str | None, layers: tuple[str, ...]
 ) -> tuple[tuple[tuple[float, float], ...], ...]:
     """Closed outlines of a DXF drawing, mm. name : of it, for messages.
 
@@ -46,8 +38,3 @@ def read_drawing(
             f"{name}: more than {MOST_OUTLINES} outlines: not the drawing of one part", "drawing_large"
         )
     return tuple(tuple((float(x), float(y)) for x, y in outline) for outline in outlines)
-
-
-def see_part(progress: Progress, order: LearningOrder) -> proposing.JobSeen:
-    """What a draft's pair and region teach."""
-    return proposing.see(order, progress)

@@ -10,7 +10,6 @@ import asyncio
 import logging
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass, field
-from datetime import UTC, datetime
 from functools import partial
 
 import numpy as np
@@ -19,7 +18,7 @@ from edged.cell.tasks import cancel_and_await
 from edged.domain.arrays import FloatArray
 from edged.domain.frames import FramePair
 from edged.errors import EdgedError, SetupRefused, UserError
-from edged.setup.documents import LastDocument
+from edged.setup.documents import LastDocument, now_text
 from edged.setup.drafts import trouble_in
 from edged.setup.inuse import CellInUse
 from edged.setup.jobs.messages import encode_message
@@ -206,7 +205,7 @@ class Trials:
         try:
             await self._cell.session.renew_setup(token)
             trial = await self._trial_of(what)
-            images = pair.left.image, pair.right.image
+            images = pair.images
             trial.note(number, await self._cell.worker.run("try_pair", self._setup(trial), images))
         except (SetupRefused, KeyError):  # somebody else has the cell by now, or the draft is gone
             self._token = None
@@ -241,10 +240,7 @@ class Trials:
             return await self._draft(what.teaching)
         if what.job is None:
             raise UserError("which job is to be tried?")
-        job = self._cell.jobs().get(what.job)
-        if job is None:
-            raise UserError(f"there is no job {what.job}", "no_job", name=what.job)
-        return job
+        return self._cell.job(what.job)
 
     def _setup(self, trial: _Trial) -> TrialSetup:
         rig, bounds = self._cell.needed_rig(), self._cell.files.config.limits.bounds()
@@ -268,12 +264,12 @@ class Trials:
         for number in range(pictures):
             progress(f"picture {number + 1} of {pictures}", number, pictures)
             pair = await self._cell.session.capture(token)
-            images = pair.left.image, pair.right.image
+            images = pair.images
             stands.append(await self._cell.worker.run("stand", self._setup(trial), images))
             if stands[-1] is None:
                 break
         judged: StillResult = await self._cell.worker.run("still", self._setup(trial), stands)
-        now = datetime.now(UTC).isoformat(timespec="seconds")
+        now = now_text()
         found = still_document(judged, trial.job.name, trial.calibration, now, author)
         await asyncio.to_thread(self._kept.write, found)
         self._cell.notices.publish("still", {"id": "last", **found.model_dump(mode="json")})

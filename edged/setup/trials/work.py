@@ -1,4 +1,4 @@
-"""What the worker process does with a job that is tried: by name, with a `Progress` before the arguments."""
+"""What the worker process does with a job that is tried."""
 
 from __future__ import annotations
 
@@ -49,13 +49,13 @@ def _job(content: bytes) -> Job:
     return job
 
 
-def try_pair(_progress: Progress, setup: TrialSetup, images: tuple[Image, Image]) -> TriedPair:
+def try_pair(setup: TrialSetup, images: tuple[Image, Image]) -> TriedPair:
     """A live pair."""
     rig = _prepared(setup.rig, setup.path)
     return trying.try_pair(rig, _job(setup.job), FramePair.of_images(*images), setup.bounds, setup.convention)
 
 
-def stand(_progress: Progress, setup: TrialSetup, images: tuple[Image, Image]) -> Stand | None:
+def stand(setup: TrialSetup, images: tuple[Image, Image]) -> Stand | None:
     """Where the best part lies in a pair, and how well the edges say so; None without one."""
     inspection = inspect(FramePair.of_images(*images), _job(setup.job), _prepared(setup.rig, setup.path))
     best = max(inspection.measured, key=_rank, default=None)
@@ -66,11 +66,11 @@ def _rank(measured: MeasuredPart) -> tuple[bool, float]:
     return not measured.target.reject, measured.target.match.score
 
 
-def still(_progress: Progress, setup: TrialSetup, stands: Sequence[Stand | None]) -> StillResult:
+def still(setup: TrialSetup, stands: Sequence[Stand | None]) -> StillResult:
     """What came of many pictures of a part."""
     return trying.still_part(_prepared(setup.rig, setup.path), _job(setup.job), stands)
 
 
-def sigmas(progress: Progress, setup: TrialSetup, scatters: Scatters) -> SigmaMap:
+def sigmas(setup: TrialSetup, scatters: Scatters, progress: Progress) -> SigmaMap:
     """What is to be expected in the working volume."""
     return sigma_map(_prepared(setup.rig, setup.path), _job(setup.job), scatters, progress)

@@ -198,7 +198,7 @@ def test_pictures_are_files_of_the_draft(tmp_path: Path) -> None:
 def test_a_kept_pair_is_found_again(tmp_path: Path) -> None:
     """What its files show after a restart is what was seen when they were written."""
     draft = begin(tmp_path)
-    left, right, seen_left, _ = keep_pair(draft.folder, "view_001", *pairs(1)[0], [BOARD])
+    (left, right), seen_left, _ = keep_pair(draft.folder, "view_001", *pairs(1)[0], [BOARD])
     found = look_again(draft.pictures, ["view_001"], [BOARD])["view_001"]
 
     assert (left.digest, right.digest) == (found[0].digest, found[1].digest)

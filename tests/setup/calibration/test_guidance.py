@@ -32,7 +32,7 @@ def kept(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Views]:
         (folder / place).mkdir()
     looks = {}
     for number, pair in enumerate(pairs(6), 1):
-        left, right, *_ = keep_pair(folder, f"view_{number:03}", *pair, [BOARD])
+        (left, right), *_ = keep_pair(folder, f"view_{number:03}", *pair, [BOARD])
         looks[f"view_{number:03}"] = left, right
     return folder / "pictures", views_of(folder / "pictures", list(looks), [BOARD], looks)
 

@@ -158,7 +158,7 @@ async def test_a_worker_that_is_killed_costs_one_task(
         worker = worker_of(cell.pages)
         functions = worker._functions  # noqa: SLF001  (as above)
         with monkeypatch.context() as patch:
-            patch.setitem(functions, "keep", "helpers.workertasks:vanish")
+            patch.setitem(functions, "keep_pair", "helpers.workertasks:vanish")
             assert (503, "task_failed") == await refused(cell, "POST", f"{place}/views", {"token": token})
             patch.setitem(functions, "guide", "helpers.workertasks:vanish")
             await cell.ask("DELETE", f"{place}/views/view_003", {})

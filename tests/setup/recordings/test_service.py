@@ -103,7 +103,7 @@ def seen(recorded: Recorded, number: int) -> tuple[Json, list[PartSight]]:
 
 def tried(recorded: Recorded, number: int, change: Change | None) -> WhatIf:
     """As the worker does it."""
-    return cyclework.what_if(silent, Records(recorded.folder).entry(number).path, change)
+    return cyclework.what_if(Records(recorded.folder).entry(number).path, change, silent)
 
 
 @pytest.mark.slow
