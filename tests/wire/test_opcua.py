@@ -1,4 +1,4 @@
-"""OPC UA against a live cell: asyncua's client, and python-opcua's."""
+"""OPC UA against a live cell: asyncua's client, python-opcua's, and open62541's."""
 
 from __future__ import annotations
 
@@ -435,7 +435,7 @@ async def test_verify_gives_no_coordinates_also_not_in_the_content(
 async def test_a_recipe_is_prepared_by_the_handshakes_job_change(
     cell: OpcUaCell, secure: OpcUaSettings
 ) -> None:
-    """IsCompleted is false until RecipePrepared says so; one that is loaded needs no command."""
+    """IsCompleted is false until RecipePrepared says so, not Ready until then; a loaded one needs none."""
     async with connected(cell, secure) as client:
         notes = await events_of(client)
         empty = ua.RecipeIdExternalDataType()
@@ -447,6 +447,9 @@ async def test_a_recipe_is_prepared_by_the_handshakes_job_change(
         unknown = await client.get_node(RECIPES).call_method(
             "2:PrepareRecipe", ua.RecipeIdExternalDataType(Id="job9"), ua.RecipeIdInternalDataType()
         )
+        await until(lambda: [1018, 1018] == [kind for kind in notes.types() if kind == 1018])
+        transitions = [event.Transition.Text for event in notes.events if event.EventType.Identifier == 1018]
+        assert ["ReadyToInitializedRecipe", "InitializedToReadyRecipe"] == transitions
         assert ("job2", False, 0) == (first[0].Id, *first[1:])
         assert [True, 0] == second
         assert [False, -int(NackReason.REFUSED)] == unknown[1:]
@@ -501,8 +504,14 @@ async def test_only_one_client_commands_at_a_time_whatever_it_speaks(
         assert 6 == refused.exception_code
         await until(lambda: cell.head.captures == 1)
         await client.get_node("ns=3;s=Handshake").call_method("3:Release")
-        taken = await asyncio.to_thread(plc.write_register, reg.ADDRESS["JOB"], 1)
-        assert not taken.isError()
+        notes = await events_of(client)
+        for sequence in (8, 9):  # the first of a connection runs nothing
+            words = [1, 1, sequence]
+            taken = await asyncio.to_thread(plc.write_registers, reg.ADDRESS["COMMAND"], words)
+            assert not taken.isError()
+        await until(lambda: 1024 in notes.types())
+        begun = next(event for event in notes.events if event.EventType.Identifier == 1018)
+        assert "ReadyToSingleExecutionAuto" == begun.Transition.Text  # no method caused it
     plc.close()
 
 
@@ -721,25 +730,29 @@ print(json.dumps(said))
 """
 
 
-@pytest.mark.slow
-def test_another_client_commands_and_reads(cell: OpcUaCell, secure: OpcUaSettings) -> None:
-    """python-opcua, encrypted; structures arrive under the specification's ids, in OPC UA's binary encoding.
-
-    asyncua began as a copy of it: what both may have wrong alike is held against the specification's bytes.
-    In a process of its own: the deprecated things that it calls are no warnings of ours.
-    """
+def client_process(program: str, cell: OpcUaCell, secure: OpcUaSettings) -> dict[str, Any]:
+    """What a client says that runs in a process of its own: its deprecated calls are no warnings of ours."""
     assert secure.certificate is not None
-    folder = secure.certificate.parent
     done = subprocess.run(
-        [sys.executable, "-c", OTHER_CLIENT, cell.url, str(folder), PASSWORD],
+        [sys.executable, "-c", program, cell.url, str(secure.certificate.parent), PASSWORD],
         capture_output=True,
         text=True,
         timeout=WHOLE_S,
         check=False,
     )
-
     assert 0 == done.returncode, done.stderr[-2000:]
-    said = json.loads(done.stdout.splitlines()[-1])
+    said: dict[str, Any] = json.loads(done.stdout.splitlines()[-1])
+    return said
+
+
+@pytest.mark.slow
+def test_another_client_commands_and_reads(cell: OpcUaCell, secure: OpcUaSettings) -> None:
+    """python-opcua, encrypted; structures arrive under the specification's ids, in OPC UA's binary encoding.
+
+    asyncua began as a copy of it: what both may have wrong alike is held against the specification's bytes.
+    """
+    said = client_process(OTHER_CLIENT, cell, secure)
+
     assert ("Operational", "Ready") == (said["state"], said["automatic"])
     values = {register.name: value for register, value in cell.call(cell.server.values)}
     assert values["F_X"] == pytest.approx(said["x_mm"])
@@ -750,6 +763,85 @@ def test_another_client_commands_and_reads(cell: OpcUaCell, secure: OpcUaSetting
     assert [machine_vision, 5268, body] == said["job"]
     assert [machine_vision, 5018] == said["result"][:2]
     assert f"{values['START_EPOCH']}-{values['SEQ_HEAD']}".encode().hex() in said["result"][2]
+
+
+FOREIGN_CLIENT = """
+import json, sys, time
+import o6
+from o6.ns import ns0
+url, folder, password = sys.argv[1:]
+SYSTEM = "ns=3;s=VisionSystem"
+AUTOMATIC = SYSTEM + ".VisionStateMachine.AutomaticModeStateMachine"
+said, events = {}, []
+
+def connected():
+    return o6.Client(url, certificate=folder + "/friend.der", privateKey=folder + "/friend.key.der",
+        trustList=[folder + "/server.der"], securityMode=3, applicationUri="urn:test:friend",
+        securityPolicy="http://opcfoundation.org/UA/SecurityPolicy#Basic256Sha256", username="operator",
+        password=password)
+
+def clause(kind, *path):
+    found = ns0.datatypes.SimpleAttributeOperand()
+    found.typeDefinitionId, found.attributeId = o6.NodeId(kind), o6.AttributeId.VALUE
+    found.browsePath = [o6.QualifiedName(name) for name in path]
+    return found
+
+with connected() as client:
+    kinds = {str(kind["typeId"]): kind for kind in client.getRemoteDataTypes()}
+    own = [kind for number, kind in kinds.items() if number.startswith("ns=machine_vision;")]
+    said["encodings"] = {kind["typeName"]: str(kind["binaryEncodingId"]) for kind in own}
+    said["unknown"] = str(client.read(SYSTEM + ".RecipeManagement.Recipes.job1.InternalId").typeId)
+    said["namespaces"] = []
+    for metadata in client.browse("i=11715"):
+        parts = {str(part.browseName): client.read(part.nodeId) for part in client.browse(metadata.nodeId)}
+        kinds = [int(kind) for kind in parts["StaticNodeIdTypes"]]
+        said["namespaces"].append([str(parts["NamespaceUri"]), kinds])
+
+from o6.ns import machine_vision  # as its makers compiled it from the specification's own file
+types = machine_vision.datatypes
+with connected() as client:
+    wanted = ns0.datatypes.EventFilter()
+    wanted.selectClauses = [clause("i=2311", "Transition"), clause("i=2041", "ns=machine_vision;JobId")]
+    client.monitorEvent(SYSTEM, events.append, wanted)
+    parts = [types.MeasIdDataType(id="m 1"), types.PartIdDataType(id="p 7"), types.RecipeIdExternalDataType()]
+    answer = client.call(AUTOMATIC, AUTOMATIC + ".StartSingleJob", [*parts, types.ProductIdDataType(), None])
+    said["answer"] = [int(answer[0]), str(answer[1].id), int(answer[2])]
+    end = time.monotonic() + 20
+    while time.monotonic() < end and sum("SingleExecutionToReady" in str(event) for event in events) < 1:
+        time.sleep(0.05)
+    values = [list(event.values()) for event in events]
+    said["transitions"] = [transition.text for transition, _ in values if transition is not None]
+    said["jobs"] = sorted({str(job.id) for _, job in values if job is not None})
+    result = client.read(SYSTEM + ".ResultManagement.Results.Latest")
+    ids = result.jobId, result.measId, result.partId, result.internalRecipeId
+    said["result"] = [str(identifier.id) for identifier in ids]
+    said["content"] = str(result.resultContent[0])
+print(json.dumps(said))
+"""
+
+
+@pytest.mark.slow
+def test_a_stack_of_another_origin_reads_structures_commands_and_follows_the_states(
+    cell: OpcUaCell, secure: OpcUaSettings
+) -> None:
+    """open62541, in C, with types that its makers compiled from the specification's file.
+
+    It finds which type is sent under which id, and decodes the whole result; its own structures are
+    understood; a good job ends by the transition that no method causes.
+    """
+    said = client_process(FOREIGN_CLIENT, cell, secure)
+
+    encodings = said["encodings"]
+    assert 17 == len(encodings)
+    assert "i=0" not in set(encodings.values()) - {encodings["BinaryIdBaseDataType"]}
+    assert encodings["RecipeIdInternalDataType"] == said["unknown"]
+    own = [["http://opcfoundation.org/UA/MachineVision", [0]], ["urn:edged:cell", [1]]]  # IdType, OPC 10000-3
+    assert own == said["namespaces"][1:]
+    status, job, error = said["answer"]
+    assert (0, 0, [job]) == (status, error, said["jobs"])
+    assert ["ReadyToSingleExecution", "SingleExecutionToReadyAuto"] == said["transitions"]
+    assert [job, "m 1", "p 7", "job1"] == said["result"]
+    assert "OK" == json.loads(said["content"])["status"]
 
 
 @pytest.fixture(autouse=True, scope="module")

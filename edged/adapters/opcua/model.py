@@ -32,6 +32,8 @@ SCALARS: dict[str, tuple[ua.VariantType, Callable[[str], Any]]] = {
     "0:7": (ua.VariantType.UInt32, int),
     "0:12": (ua.VariantType.String, str),
     "0:13": (ua.VariantType.DateTime, datetime.fromisoformat),
+    "0:256": (ua.VariantType.Int32, lambda text: [int(text)]),
+    "0:7594": (ua.VariantType.ExtensionObject, lambda text: [_named_value(*pair) for pair in pairs_of(text)]),
 }
 """How the table writes a value, by its data type."""
 
@@ -63,6 +65,13 @@ class Model:
     def row(self, number: int) -> ModelRow:
         """The row of a node."""
         return next(row for row in self.rows if row.number == number)
+
+    def encoding_of(self, number: int) -> ua.NodeId:
+        """Id under which structures of a data type are sent in binary; null for other types."""
+        for row in self.children.get(f"1:{number}", ()):
+            if row.name == "0:Default Binary":
+                return ua.NodeId(row.number, VISION)
+        return ua.NodeId()
 
 
 def read_model() -> Model:
@@ -103,6 +112,17 @@ def arguments_of(text: str) -> list[ua.Argument]:
     ]
 
 
+def pairs_of(text: str) -> list[tuple[str, int]]:
+    """Names and numbers of an enumeration."""
+    return [(name, int(number)) for name, _, number in (part.partition("=") for part in text.split(","))]
+
+
+def _named_value(name: str, number: int) -> ua.EnumValueType:
+    found = ua.EnumValueType()
+    found.Value, found.DisplayName = ua.Int64(number), ua.LocalizedText(name)
+    return found
+
+
 def add_types(nodes: Nodes, model: Model) -> None:
     """Add every type of the specification."""
     pending = list(model.rows)
@@ -111,7 +131,7 @@ def add_types(nodes: Nodes, model: Model) -> None:
         waiting = {f"1:{row.number}" for row in pending}
         ready = [row for row in pending if row.parent not in known or row.parent not in waiting]
         for row in ready:
-            _add_type_row(nodes, row)
+            _add_type_row(nodes, model, row)
         done = set(map(id, ready))
         pending = [row for row in pending if id(row) not in done]
     rules = {"M": 78, "O": 80, "OP": 11508, "MP": 11510}
@@ -127,7 +147,7 @@ def add_types(nodes: Nodes, model: Model) -> None:
     )
 
 
-def _add_type_row(nodes: Nodes, row: ModelRow) -> None:
+def _add_type_row(nodes: Nodes, model: Model, row: ModelRow) -> None:
     is_abstract = row.value.endswith("abstract")
     attributes: Any
     match row.kind:
@@ -151,7 +171,7 @@ def _add_type_row(nodes: Nodes, row: ModelRow) -> None:
         case "DT":
             attributes, kind = ua.DataTypeAttributes(), ua.NodeClass.DataType
             attributes.IsAbstract = is_abstract
-            attributes.DataTypeDefinition = _definition_of(row)
+            attributes.DataTypeDefinition = _definition_of(row, model.encoding_of(row.number))
         case _:
             attributes, kind = ua.ReferenceTypeAttributes(), ua.NodeClass.ReferenceType
     nodes.add(
@@ -178,20 +198,19 @@ IDENTIFIER_FIELDS = "Id 1:3017,Version? 1:3017,Hash? 0:15,HashAlgorithm? 0:12,De
 """Fields of BinaryIdBaseDataType, whose subtypes have no fields of their own."""
 
 
-def _definition_of(row: ModelRow) -> Any:
+def _definition_of(row: ModelRow, encoding: ua.NodeId) -> Any:
     text = row.value.removesuffix("abstract").strip() or (IDENTIFIER_FIELDS if row.parent == "1:3019" else "")
     if "=" in text:
         enumeration = ua.EnumDefinition()
-        for part in text.split(","):
-            name, _, value = part.partition("=")
+        for name, number in pairs_of(text):
             field = ua.EnumField()
-            field.Name, field.Value, field.DisplayName = name, int(value), ua.LocalizedText(name)
+            field.Name, field.Value, field.DisplayName = name, ua.Int64(number), ua.LocalizedText(name)
             enumeration.Fields.append(field)
         return enumeration
     if not text:
         return None
     structure = ua.StructureDefinition()
-    structure.BaseDataType = node_of(row.parent)
+    structure.BaseDataType, structure.DefaultEncodingId = node_of(row.parent), encoding
     structure.StructureType = (
         ua.StructureType.StructureWithOptionalFields if "?" in text else ua.StructureType.Structure
     )

@@ -49,6 +49,7 @@ class RegisterPicture:
     values : by name, those of the status, the command and the result. numbers : by address, all.
     valid_until_s : monotonic clock; from then on no coordinate may be shown. 0: without coordinates.
     jobs : number and name. result : on display, None without one.
+    called : sequence of the last command that came by a method.
     """
 
     values: Mapping[str, Number]
@@ -56,3 +57,4 @@ class RegisterPicture:
     valid_until_s: float = 0.0
     jobs: tuple[tuple[int, str], ...] = ()
     result: ResultRecord | None = None
+    called: int = 0

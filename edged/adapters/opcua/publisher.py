@@ -59,6 +59,7 @@ class OpcUaPublisher:
         self._numbers = itertools.count(1_000_000)  # the Modbus server counts its own from 1
         self._clients: dict[ua.NodeId, int] = {}
         self._snapshot: Snapshot | None = None
+        self._called = 0
         self._started_ns = time.time_ns()
         self._server: ServerThread | None = None
         self._ticking: asyncio.TimerHandle | None = None
@@ -117,7 +118,12 @@ class OpcUaPublisher:
         values = {register.name: value for register, value in found if register.address in NAMED}
         numbers = {register.address: value for register, value in found}
         return RegisterPicture(
-            values, numbers, registers.valid_until_s, tuple(self._jobs()), self._displayed(values)
+            values,
+            numbers,
+            registers.valid_until_s,
+            tuple(self._jobs()),
+            self._displayed(values),
+            self._called,
         )
 
     def _displayed(self, values: Mapping[str, reg.Number]) -> ResultRecord | None:
@@ -165,6 +171,7 @@ class OpcUaPublisher:
         sequence = int(picture.values["LAST_SEQ"]) % reg.UINT16_MAX + 1
         words: dict[str, reg.Number] = {register.name: 0 for register in reg.COMMAND.registers}
         words |= {**wanted, "CMD_SEQ": sequence, "OPTIONS": reg.Option.ONCE}
+        self._called = sequence
         error = self._put(session, words)
         after = self._picture() or picture
         self._watch.show_soon()

@@ -18,7 +18,7 @@ from asyncua import ua
 from asyncua.common.events import Event
 
 from edged.adapters.opcua.model import Instances, Model, add_types, type_node
-from edged.adapters.opcua.nodes import Nodes, base, in_cell, variable_attributes
+from edged.adapters.opcua.nodes import CELL_URI, Nodes, base, in_cell, variable_attributes
 from edged.adapters.opcua.picture import RegisterPicture, ResultRecord, job_name
 from edged.adapters.opcua.session import Server
 from edged.adapters.opcua.settings import OpcUaSettings
@@ -154,6 +154,29 @@ class Space:
         self.instances.variables[LATEST] = latest
         self.instances.fill(2002, LATEST, latest, OPTIONAL)
         self._build_registers(system)
+        self._build_metadata()
+
+    def _build_metadata(self) -> None:
+        """Say which ids all cells have, as the table does for OPC 40100-1 (OPC 10000-5, 6.3.13)."""
+        node = self._nodes.object(
+            "Namespace", own_name(CELL_URI), base(ua.ObjectIds.Server_Namespaces), base(11616)
+        )
+        kinds = ua.VariantType
+        for name, data_type, kind, value in (
+            ("NamespaceUri", 12, kinds.String, CELL_URI),
+            ("NamespaceVersion", 12, kinds.String, str(reg.MAP_VERSION)),
+            ("NamespacePublicationDate", 13, kinds.DateTime, reg.MAP_PUBLISHED),
+            ("IsNamespaceSubset", 1, kinds.Boolean, False),
+            ("StaticNodeIdTypes", 256, kinds.Int32, [ua.Int32(ua.IdType.String)]),
+            ("StaticNumericNodeIdRange", 291, kinds.String, []),
+            ("StaticStringNodeIdPattern", 12, kinds.String, f"{REGISTERS}.%"),
+        ):
+            is_array = isinstance(value, list)
+            attributes = variable_attributes(
+                base(data_type), ua.Variant(value, kind, is_array=is_array), rank=1 if is_array else -1
+            )
+            place, own = f"Namespace.{name}", ua.QualifiedName(name, 0)
+            self._nodes.variable(place, own, node, attributes, is_property=True)
 
     def _notify(self, node: ua.NodeId) -> None:
         attribute = self._server.aspace[node].attributes[ua.AttributeIds.EventNotifier]
@@ -391,7 +414,7 @@ class Space:
         if picture.result is not None and picture.result.name != shown:
             yield RESULT_READY, "The result is ready", USUAL, self._result_fields(picture.result)
         if state != self._state:
-            yield from self._transition(state, job)
+            yield from self._transition(state, job, picture)
 
     def _result_fields(self, record: ResultRecord) -> dict[str, tuple[object, ua.VariantType]]:
         data = self.result_data(record)
@@ -405,26 +428,29 @@ class Space:
         }
 
     def _transition(
-        self, state: VisionState, job: JobIdDataType
+        self, state: VisionState, job: JobIdDataType, picture: RegisterPicture
     ) -> Iterator[tuple[int, str, int, Mapping[str, tuple[object, ua.VariantType]]]]:
-        new = self._state
+        new, cause = self._state, transition_cause(picture, self._state.automatic)
         if new.top is not state.top:
             kind = STATE_CHANGED
             if Top.ERROR in (new.top, state.top):
                 kind = ERROR_EVENT if new.top is Top.ERROR else ERROR_RESOLVED
-            said = self._transition_fields(state.top.value[2], new.top.value[2])
+            said = self._transition_fields(state.top.value[2], new.top.value[2], cause)
             severity = SEVERE if new.top is Top.ERROR else USUAL
             yield kind, f"{state.top.value[2]} to {new.top.value[2]}", severity, said
         elif new.automatic is not None and state.automatic is not None:
             names = state.automatic.value[2], new.automatic.value[2]
-            yield STATE_CHANGED, " to ".join(names), USUAL, self._transition_fields(*names)
+            yield STATE_CHANGED, " to ".join(names), USUAL, self._transition_fields(*names, cause)
         if new.automatic is Automatic.READY:
             yield READY, "Ready for the next job", USUAL, {"JobId": (job, ua.VariantType.ExtensionObject)}
 
-    def _transition_fields(self, source: str, target: str) -> dict[str, tuple[object, ua.VariantType]]:
+    def _transition_fields(
+        self, source: str, target: str, cause: str
+    ) -> dict[str, tuple[object, ua.VariantType]]:
         text, node = ua.VariantType.LocalizedText, ua.VariantType.NodeId
         ids = {state.value[2]: type_node(state.value[1]) for state in (*Top, *Automatic)}
-        found = next((row for row in self._model.rows if row.name.startswith(f"{source}To{target}")), None)
+        rows = {row.name: row for row in self._model.rows}
+        found = rows.get(f"{source}To{target}{cause}", rows.get(f"{source}To{target}Auto"))
         found_fields: dict[str, tuple[object, ua.VariantType]] = {
             "FromState": (ua.LocalizedText(source), text),
             "FromState/Id": (ids[source], node),
@@ -471,6 +497,14 @@ RESULT_KINDS: dict[str, ua.VariantType] = {
     "ResultContent": ua.VariantType.Variant,
 }
 """Types of the fields of a result that are not structures."""
+
+
+def transition_cause(picture: RegisterPicture, to: Automatic | None) -> str:
+    """End of the name of the shown transition: the specification names them by their causes."""
+    if picture.values["COMMAND"] == CommandKind.CHANGE_JOB:
+        return "Recipe"
+    is_called = to is Automatic.SINGLE_EXECUTION and picture.values["LAST_SEQ"] == picture.called
+    return "" if is_called else "Auto"
 
 
 def is_unknown(register: reg.Register, value: reg.Number) -> bool:

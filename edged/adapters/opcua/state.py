@@ -10,6 +10,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from edged.domain.cell import CellPhase
+from edged.domain.events import CommandKind
 from edged.plc.registers import Flag, Number, StatusBit
 from edged.plc.statuswords import STATES
 
@@ -49,7 +50,9 @@ def vision_state(values: Mapping[str, Number], *, free_running: bool) -> VisionS
         return VisionState(Top.HALTED, None)
     if state == STATES[CellPhase.FAULT] or bits & StatusBit.ERROR:
         return VisionState(Top.ERROR, None)
-    if int(values["OPEN_COMMANDS"]):
+    if int(values["OPEN_COMMANDS"]) and values["COMMAND"] == CommandKind.CHANGE_JOB:
+        automatic = Automatic.INITIALIZED  # no recipe is prepared until it is loaded
+    elif int(values["OPEN_COMMANDS"]):
         automatic = Automatic.SINGLE_EXECUTION
     elif free_running:
         automatic = Automatic.CONTINUOUS_EXECUTION

@@ -37,6 +37,7 @@ from edged.plc.registers.schema import (
     INT32_MAX,
     INT32_MIN,
     MAGIC,
+    MAP_PUBLISHED,
     MAP_VERSION,
     ROW_WORDS,
     TABLE_ROWS,

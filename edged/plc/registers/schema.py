@@ -7,10 +7,11 @@ import re
 import struct
 import textwrap
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from typing import Literal
 
 MAGIC = 0x4544  # "ED"
-MAP_VERSION = 4
+MAP_VERSION, MAP_PUBLISHED = 4, datetime(2026, 11, 23, tzinfo=UTC)
 INT32_MIN = -(2**31)
 INT32_MAX = 2**31 - 1
 UINT16_MAX = 0xFFFF
