@@ -39,6 +39,8 @@ An expected miss (no target, low quality) is a `domain.Status`, never an excepti
 from __future__ import annotations
 
 import re
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 
 _FOLDERS = re.compile(r"(?<![\w/.:~-])/(?:[^\s/:;,'\"<>()|]+/)+")
 
@@ -259,3 +261,12 @@ class PlcFault(EdgedError):
 
 class TookTooLong(ListenError):
     """A server that has not started, or ended, within its time. It may do so later."""
+
+
+@contextmanager
+def translated(kind: Callable[[str], EdgedError], what: str) -> Iterator[None]:
+    """Raise what the operating system refuses as an error of ours, whose message begins with `what`."""
+    try:
+        yield
+    except OSError as error:
+        raise kind(f"{what}: {error.strerror or error}") from error

@@ -118,7 +118,7 @@ class _Cameras:
         def exposure(request: ExposureRequest) -> Image:
             return stamped(side, request.exposed_ns)
 
-        camera = GigeCamera(ADDRESSES[side], serial or f"BENCH-{side}", exposure, width=WIDTH, height=HEIGHT)
+        camera = GigeCamera(ADDRESSES[side], serial or f"BENCH-{side}", exposure, size=(WIDTH, HEIGHT))
         camera.start()
         self._cameras[side] = camera
 

@@ -268,5 +268,5 @@ def model_camera(model: Model, address: str, serial: str) -> tuple[GigeCamera, M
         image[0] = request.frame_id * 16 % 256  # no picture is like the one before
         return 255 - image if spoiled(camera, make) else image
 
-    camera = GigeCamera(address, serial, picture, width=WIDTH, height=HEIGHT, make=make)
+    camera = GigeCamera(address, serial, picture, size=(WIDTH, HEIGHT), make=make)
     return camera, make

@@ -115,7 +115,7 @@ def bench(world: VirtualWorld, *, loses: bool) -> Iterator[Bench]:
     moved = transform(rotation_matrix(np.radians(SPARE_DEG)), np.array(SPARE_MM)) @ first.camera_from_rig
     lens = replace(first.camera, fx=LONGER * first.camera.fx, fy=LONGER * first.camera.fy)
     other = RenderedView(lens, moved, first.sensor)
-    with GigeCamera(*SPARE, cell.exposure("right", other), width=lens.width, height=lens.height):
+    with GigeCamera(*SPARE, cell.exposure("right", other), size=(lens.width, lens.height)):
         losses = Losses(world.devices[0]) if loses else None
         yield Bench(world, (cell.part, DISC), (first, other), losses)
 

@@ -12,7 +12,7 @@ from pathlib import Path
 from edged.app.lesserprocess import NICER, environment
 from edged.config.configuration import Config
 from edged.connections import Rate
-from edged.errors import CommandRefused
+from edged.errors import CommandRefused, translated
 from edged.files.private import close_to_others
 from edged.setup.cellfiles import exposed_secrets
 
@@ -66,7 +66,5 @@ def close_secrets(path: Path, config: Config) -> None:
     for secret in exposed_secrets(path, config):
         if not secret.can_be_closed:
             raise CommandRefused(f"{secret}")
-        try:
+        with translated(CommandRefused, f"{secret.file}"):
             close_to_others(secret.file)
-        except OSError as error:
-            raise CommandRefused(f"{secret.file}: {error.strerror or error}") from error

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from edged.cli.options import JsonOption
+from edged.cli.options import JsonOption, screen
 
 app = typer.Typer()
 
@@ -102,8 +102,6 @@ def sim(
     While it runs, lines on standard input change what goes wrong: `set left unplugged on`, `reboot both`,
     `pulse both Line1`, `steal right`; `help` lists them.
     """
-    from rich.console import Console
-
     from edged.commands.sim import SimOptions
     from edged.commands.sim import sim as command
 
@@ -122,7 +120,7 @@ def sim(
                 weather_k,
                 day_s,
             ),
-            Console(),
+            screen(),
         )
     )
 
@@ -163,11 +161,9 @@ def registers(
 ) -> None:
     """Print the Modbus map or a client's source, generated from the schema; --read reads a cell."""
     if read is not None:
-        from rich.console import Console
-
         from edged.commands.readregisters import read as read_command
 
-        raise typer.Exit(read_command(read, base_address, unit_id, Console()))
+        raise typer.Exit(read_command(read, base_address, unit_id, screen()))
     from edged.commands.registers import registers as command
 
     raise typer.Exit(command(format, output, config, name))
@@ -200,8 +196,6 @@ def watch(
     ] = False,
 ) -> None:
     """Show live results of every cell that is reachable over Zenoh. 1: not --count within --timeout."""
-    from rich.console import Console
-
     from edged.app.fleet import ClientTls
     from edged.commands.watch import WatchOptions
     from edged.commands.watch import watch as command
@@ -217,4 +211,4 @@ def watch(
         tls=None if files == ClientTls() else files,
         shared_key=shared_key,
     )
-    raise typer.Exit(command(options, Console()))
+    raise typer.Exit(command(options, screen()))

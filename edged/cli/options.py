@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
+
+if TYPE_CHECKING:
+    from rich.console import Console
 
 BrandOption = Annotated[
     str,
@@ -16,3 +19,10 @@ BrandOption = Annotated[
 ]
 RigOption = Annotated[Path, typer.Option("--rig", help="calibrated rig, written by `edged calibrate`")]
 JsonOption = Annotated[bool, typer.Option("--json", help="print one JSON object and nothing else on stdout")]
+
+
+def screen(*, stderr: bool = False, soft_wrap: bool = False) -> Console:
+    """Where a command prints; rich is imported once one does."""
+    from rich.console import Console
+
+    return Console(stderr=stderr, soft_wrap=soft_wrap)

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from edged.cli.options import JsonOption
+from edged.cli.options import JsonOption, screen
 
 app = typer.Typer()
 
@@ -37,11 +37,9 @@ def doctor(
     as_json: JsonOption = False,
 ) -> None:
     """Examine machine, network and cameras: likely problems, and the command that fixes each."""
-    from rich.console import Console
-
     from edged.commands.doctor import doctor as command
 
-    raise typer.Exit(command(config, as_json, Console(), trigger=trigger, daemon=daemon))
+    raise typer.Exit(command(config, as_json, screen(), trigger=trigger, daemon=daemon))
 
 
 @app.command()
@@ -72,11 +70,9 @@ def status(
     as_json: JsonOption = False,
 ) -> None:
     """Show what the cell does now, from its status page. 0: ready; 1: not ready or not reached."""
-    from rich.console import Console
-
     from edged.commands.status import status as command
 
-    raise typer.Exit(command(url, as_json, Console()))
+    raise typer.Exit(command(url, as_json, screen()))
 
 
 @app.command()
@@ -91,11 +87,9 @@ def replay(
     ] = None,
 ) -> None:
     """Measure recorded cycles again; says if any result differs in a single bit."""
-    from rich.console import Console
-
     from edged.commands.replay import replay as command
 
-    raise typer.Exit(command(path, as_json, Console(), export, overlays))
+    raise typer.Exit(command(path, as_json, screen(), export, overlays))
 
 
 @app.command()
@@ -108,11 +102,9 @@ def backup(
     ] = None,
 ) -> None:
     """Put configuration, rig, jobs and the register map into one checksummed archive."""
-    from rich.console import Console
-
     from edged.commands.backup import backup as command
 
-    raise typer.Exit(command(config, output, Console(soft_wrap=True), force=force, key=sign))
+    raise typer.Exit(command(config, output, screen(soft_wrap=True), force=force, key=sign))
 
 
 @app.command()
@@ -131,11 +123,9 @@ def restore(
     ] = None,
 ) -> None:
     """Check a backup and put it into a folder. 0: done; 1: done, but it would not start."""
-    from rich.console import Console
-
     from edged.commands.backup import restore as command
 
-    raise typer.Exit(command(archive, output, Console(soft_wrap=True), force=force, signed_by=verify))
+    raise typer.Exit(command(archive, output, screen(soft_wrap=True), force=force, signed_by=verify))
 
 
 @app.command()
@@ -157,11 +147,9 @@ def audit(
     ] = None,
 ) -> None:
     """Show who did what on the page. 0: the chain holds; 1: it does not, or the journal has another one."""
-    from rich.console import Console
-
     from edged.commands.audit import audit as command
 
-    raise typer.Exit(command(config, Console(soft_wrap=True), as_json=as_json, last=last, against=against))
+    raise typer.Exit(command(config, screen(soft_wrap=True), as_json=as_json, last=last, against=against))
 
 
 web = typer.Typer(help="Users of the page on which a cell is set up.", no_args_is_help=True)

@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 import typer
 
-from edged.cli.options import BrandOption, JsonOption, RigOption
+from edged.cli.options import BrandOption, JsonOption, RigOption, screen
 
 app = typer.Typer()
 
@@ -38,17 +38,15 @@ def cameras(
     With --report two of them are measured: firmware, features, what they lack, skew of both exposures, time
     from trigger to images, packets sent again at full rate, temperature. Their settings are those of a cell.
     """
-    from rich.console import Console
-
     from edged.commands.cameras import address as give
     from edged.commands.cameras import cameras as command
     from edged.commands.cameras import report as look
 
     if give_address is not None:
-        raise typer.Exit(give(give_address, address, Console()))
+        raise typer.Exit(give(give_address, address, screen()))
     if report is not None:
-        raise typer.Exit(look(report, device or [], minutes, Console(stderr=True)))
-    raise typer.Exit(command(as_json, Console()))
+        raise typer.Exit(look(report, device or [], minutes, screen(stderr=True)))
+    raise typer.Exit(command(as_json, screen()))
 
 
 @app.command()
@@ -63,11 +61,9 @@ def grab(
     With --count, a terminal asks for Enter before each pair; otherwise a pair is taken whenever the view has
     changed and rests. Each is on the disc before the next, and none is ever overwritten.
     """
-    from rich.console import Console
-
     from edged.commands.grab import grab as command
 
-    raise typer.Exit(command(config, output, count, name, Console(stderr=True)))
+    raise typer.Exit(command(config, output, count, name, screen(stderr=True)))
 
 
 @app.command()
@@ -87,11 +83,9 @@ def board(
     ] = None,
 ) -> None:
     """Draw a calibration board, or reference marks, to print, with rulers that tell how true they are."""
-    from rich.console import Console
-
     from edged.commands.board import board as command
 
-    raise typer.Exit(command(spec, paper, output, Console(stderr=True), marks=marks))
+    raise typer.Exit(command(spec, paper, output, screen(stderr=True), marks=marks))
 
 
 @app.command()
@@ -112,11 +106,9 @@ def calibrate(
     ] = False,
 ) -> None:
     """Calibrate a stereo rig from pairs of pictures of a board."""
-    from rich.console import Console
-
     from edged.commands.calibrate import calibrate as command
 
-    console = Console(stderr=True)
+    console = screen(stderr=True)
     raise typer.Exit(command(directory, board, output, model, report, console, plate_shape=plate_shape))
 
 
@@ -140,13 +132,11 @@ def verify(
     as_json: JsonOption = False,
 ) -> None:
     """Check a rig against one fresh pair: rows must agree, and a known length must come out."""
-    from rich.console import Console
-
     from edged.commands.verify import verify as command
     from edged.setup.calibration.checking import Limits
 
     limits = Limits(max_epipolar, max_length_error)
-    raise typer.Exit(command(rig, (left, right), board, job, length or [], limits, as_json, Console()))
+    raise typer.Exit(command(rig, (left, right), board, job, length or [], limits, as_json, screen()))
 
 
 rig_app = typer.Typer(name="rig", help="Rig files of other software.", no_args_is_help=True)
@@ -171,11 +161,9 @@ def rig_convert(
     ] = 3.45,
 ) -> None:
     """Convert a rig from or to OpenCV, ROS camera_info, Kalibr or HALCON."""
-    from rich.console import Console
-
     from edged.commands.rig import convert as command
 
-    raise typer.Exit(command(source, target, to, from_, size, unit, pixel_um, Console(stderr=True)))
+    raise typer.Exit(command(source, target, to, from_, size, unit, pixel_um, screen(stderr=True)))
 
 
 @app.command()
@@ -254,8 +242,6 @@ def teach(
     as_json: JsonOption = False,
 ) -> None:
     """Teach a job from one stereo pair, or from a drawing: shape model and metric features."""
-    from rich.console import Console
-
     from edged.commands.teach import DrawingSource, PairSource, TeachOptions, chosen_source, parse_contrast
     from edged.commands.teach import teach as command
     from edged.vision.edges.hysteresis import EdgeThresholds
@@ -267,7 +253,7 @@ def teach(
     )
     params = ModelParams(EdgeThresholds(*parse_contrast(contrast), min_component), levels)
     asked = TeachOptions(number, params, tilt)
-    console = Console(stderr=True)
+    console = screen(stderr=True)
     raise typer.Exit(command(rig, source, name, output, console, asked, report=report, as_json=as_json))
 
 
@@ -290,13 +276,11 @@ def locate(
     ] = "fixed_xyz",
 ) -> None:
     """Locate the part in one stereo pair, offline."""
-    from rich.console import Console
-
     from edged.commands.locate import LocateOutputs
     from edged.commands.locate import locate as command
 
     raise typer.Exit(
-        command(rig, job, left, right, as_json, Console(), LocateOutputs(overlay, ply, cloud), convention)
+        command(rig, job, left, right, as_json, screen(), LocateOutputs(overlay, ply, cloud), convention)
     )
 
 
@@ -312,11 +296,9 @@ def golden(
     Written beside the rig, as the command GOLDEN does; a running cell knows it after a reload. 0: kept, 1:
     there is not one good part.
     """
-    from rich.console import Console
-
     from edged.commands.golden import golden as command
 
-    raise typer.Exit(command(rig, job, left, right, Console()))
+    raise typer.Exit(command(rig, job, left, right, screen()))
 
 
 @app.command()
@@ -346,8 +328,6 @@ def accept(
     as_json: JsonOption = False,
 ) -> None:
     """Test a cell in its own place, and write a page to sign. 0: passed; 1: not, or not whole."""
-    from rich.console import Console
-
     from edged.commands.accept import Signed
     from edged.commands.accept import accept as command
     from edged.commands.verify import parse_length
@@ -355,7 +335,7 @@ def accept(
 
     known = None if length is None else parse_length(length)
     shown = StatedTruth(known, length_job, truth_um, robot_um, days)
-    console = Console(soft_wrap=True)
+    console = screen(soft_wrap=True)
     raise typer.Exit(
         command(directory, rig, job, output, shown, console, signed=Signed(by, sign), as_json=as_json)
     )
@@ -373,24 +353,13 @@ def study(
     as_json: JsonOption = False,
 ) -> None:
     """Is the cell fit to inspect a size? Capability by a master, gauge R&R by parts. 0: fit; 1: not."""
-    from rich.console import Console
-
     from edged.commands.study import parse_tolerance
     from edged.commands.study import study as command
+    from edged.setup.acceptance.studying import StudiedSize
 
-    limits = parse_tolerance(tolerance)
+    of, console = StudiedSize(size, *parse_tolerance(tolerance)), screen(soft_wrap=True)
     raise typer.Exit(
-        command(
-            directory,
-            rig,
-            job,
-            size,
-            limits,
-            Console(soft_wrap=True),
-            reference=reference,
-            report=report,
-            as_json=as_json,
-        )
+        command(directory, rig, job, of, console, reference=reference, report=report, as_json=as_json)
     )
 
 
@@ -411,11 +380,9 @@ def marks_teach(
 
     Written as marks.json beside the rig; a running cell knows them after a reload. 0: kept.
     """
-    from rich.console import Console
-
     from edged.commands.marks import teach as command
 
-    raise typer.Exit(command(directory, rig, material, Console()))
+    raise typer.Exit(command(directory, rig, material, screen()))
 
 
 @marks.command("status")
@@ -431,13 +398,11 @@ def marks_status(
 
     0: results may be given; 1: not, and why.
     """
-    from rich.console import Console
-
     from edged.commands.marks import status as command
     from edged.vision.marks.tracking import MarksSettings
 
     settings = MarksSettings(material, range_k)
-    raise typer.Exit(command(rig, left, right, settings, Console(), as_json=as_json))
+    raise typer.Exit(command(rig, left, right, settings, screen(), as_json=as_json))
 
 
 grasp = typer.Typer(help="How a tool takes a part.", no_args_is_help=True)
@@ -464,14 +429,12 @@ def grasp_touch(
     ] = 1,
 ) -> None:
     """From where the robot stands when it takes the part. 0: added to the job; 1: the part is not good."""
-    from rich.console import Console
-
     from edged.commands.grasp import Touch
     from edged.commands.grasp import touch as command
 
     retreat = approach_mm if retreat_mm is None else retreat_mm
     asked = Touch(pose, brand, name, approach_mm, retreat, symmetry)
-    raise typer.Exit(command(rig, job, left, right, asked, Console()))
+    raise typer.Exit(command(rig, job, left, right, asked, screen()))
 
 
 register = typer.Typer(help="Bring results into the robot's frame.", no_args_is_help=True)
@@ -500,11 +463,9 @@ def register_touch(
 
     With five or more a wrong point is named. The points of a map lie all around where parts may lie.
     """
-    from rich.console import Console
-
     from edged.commands.register import touch as command
 
-    raise typer.Exit(command(rig, points, output, limit, as_json, Console(stderr=as_json), with_map=with_map))
+    raise typer.Exit(command(rig, points, output, limit, as_json, screen(stderr=as_json), with_map=with_map))
 
 
 @register.command("marks")
@@ -519,11 +480,9 @@ def register_marks(
 
     Neither plate nor robot may have moved between both teachings. The new marks.json is beside --rig.
     """
-    from rich.console import Console
-
     from edged.commands.register import by_marks as command
 
-    raise typer.Exit(command(rig, former, former_marks, output, limit, Console(soft_wrap=True)))
+    raise typer.Exit(command(rig, former, former_marks, output, limit, screen(soft_wrap=True)))
 
 
 @register.command("hand-eye")
@@ -541,13 +500,11 @@ def register_hand_eye(
     as_json: JsonOption = False,
 ) -> None:
     """From poses of the flange, each with a view of a board that it holds. 0: saved; 1: over the limit."""
-    from rich.console import Console
-
     from edged.commands.register import FlangePoses
     from edged.commands.register import hand_eye_command as command
 
     mount: Literal["eye-in-hand", "eye-to-hand"] = "eye-in-hand" if in_hand else "eye-to-hand"
-    console = Console(stderr=as_json)
+    console = screen(stderr=as_json)
     raise typer.Exit(
         command(rig, FlangePoses(directory, poses, board), brand, mount, output, limit, as_json, console)
     )
@@ -563,11 +520,9 @@ def register_self_test(
     as_json: JsonOption = False,
 ) -> None:
     """Which convention, unit and mount the poses are in: every reading is tried. 0: one stands out."""
-    from rich.console import Console
-
     from edged.commands.register import FlangePoses
     from edged.commands.register import self_test as command
 
     raise typer.Exit(
-        command(rig, FlangePoses(directory, poses, board), brand, as_json, Console(stderr=as_json))
+        command(rig, FlangePoses(directory, poses, board), brand, as_json, screen(stderr=as_json))
     )

@@ -15,7 +15,7 @@ from rich.console import Console
 
 from edged.commands.saying import say
 from edged.config.reading import load
-from edged.errors import FileFormatError, UserError
+from edged.errors import FileFormatError, UserError, translated
 from edged.files.statefolder import page_folder
 from edged.identity.audit import LINES, AuditFile, AuditVerdict
 from edged.identity.auditjournal import FIELDS, MAX_LINE_BYTES, JournalVerdict, JournalWriter, compare
@@ -35,11 +35,8 @@ def audit(config: Path, console: Console, *, as_json: bool, last: int, against: 
     Raises `UserError` when one of them cannot be read.
     """
     folder = page_folder(config)
-    try:
-        with as_owner(folder) as place:
-            verdict = AuditFile(place, called=folder).verify(last=last)
-    except OSError as error:
-        raise FileFormatError(f"{folder}: cannot read the audit: {error.strerror or error}") from error
+    with translated(FileFormatError, f"{folder}: cannot read the audit"), as_owner(folder) as place:
+        verdict = AuditFile(place, called=folder).verify(last=last)
     witness = None if against is None else _against(against, config, folder)
     if as_json:
         document = {
@@ -64,12 +61,13 @@ def _against(source: str, config: Path, folder: Path) -> JournalVerdict:
     except FileNotFoundError:  # nothing is kept, or all was deleted
         user = os.getuid()
     writer = JournalWriter(config.stem, load(config).cell.name, user)
-    try:
-        with _entries(source) as stream, as_owner(folder) as place:
-            lines = iter(lambda: stream.readline(MAX_LINE_BYTES), b"")
-            return compare(AuditFile(place, called=folder), lines, writer)
-    except OSError as error:
-        raise UserError(f"{source}: the journal cannot be read: {error.strerror or error}") from error
+    with (
+        translated(UserError, f"{source}: the journal cannot be read"),
+        _entries(source) as stream,
+        as_owner(folder) as place,
+    ):
+        lines = iter(lambda: stream.readline(MAX_LINE_BYTES), b"")
+        return compare(AuditFile(place, called=folder), lines, writer)
 
 
 @contextmanager

@@ -18,7 +18,7 @@ from edged.app.cameras import head_of
 from edged.config.reading import load
 from edged.domain.arrays import FloatArray, Image
 from edged.domain.frames import FramePair
-from edged.errors import CaptureError, FileFormatError
+from edged.errors import CaptureError, FileFormatError, translated
 from edged.files.atomic import write_atomically
 from edged.files.outputs import check_folder, make_folder
 from edged.files.pairs import next_number
@@ -186,11 +186,11 @@ class Grab:
         stem = f"{self.name}_{next_number(self.output, self.name):02d}"
         pictures = {"left": pair.left.image, "right": pair.right.image}
         encoded = {side: cv2.imencode(".png", image)[1].tobytes() for side, image in pictures.items()}
-        try:
-            with as_owner(self.output) as folder:
-                _write_all(folder, {f"{stem}_{side}.png": png for side, png in encoded.items()})
-        except OSError as error:
-            raise FileFormatError(f"{self.output}: cannot be written: {error.strerror or error}") from error
+        with (
+            translated(FileFormatError, f"{self.output}: cannot be written"),
+            as_owner(self.output) as folder,
+        ):
+            _write_all(folder, {f"{stem}_{side}.png": png for side, png in encoded.items()})
         self.movement.take(pair)
         self.taken += 1
         skew_ms = abs(pair.left.exposed_ns - pair.right.exposed_ns) * 1e-6

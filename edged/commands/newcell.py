@@ -8,7 +8,7 @@ from pathlib import Path
 from edged.app.discovery import CameraInfo, aravis_missing, list_cameras
 from edged.config.chosencameras import UNCHOSEN
 from edged.domain.arrays import SIDES
-from edged.errors import UserError
+from edged.errors import UserError, translated
 from edged.files.private import write_private
 
 log = logging.getLogger(__name__)
@@ -53,10 +53,8 @@ def config_in(place: Path) -> Path:
     if path.exists():
         return path
     cameras = [] if aravis_missing() else list_cameras()
-    try:
+    with translated(UserError, f"{path}: cannot be written"):
         write_private(path, new_cell(cameras).encode())
-    except OSError as error:
-        raise UserError(f"{path}: cannot be written: {error.strerror or error}") from error
     log.warning("%s was written: %d camera(s) found, and all else is set up on the page", path, len(cameras))
     return path
 

@@ -88,15 +88,14 @@ def sim(options: SimOptions, console: Console) -> int:
 def build(options: SimOptions) -> dict[str, GigeCamera]:
     """The cameras, not yet started. Raises `UserError`."""
     where = _places(options)
-    (width, height), exposures = _pictures(options)
+    size, exposures = _pictures(options)
     quirks = frozenset(_quirk(name) for name in options.quirks)
     cameras = {
         side: GigeCamera(
             address,
             serial,
             exposures[side],
-            width=width,
-            height=height,
+            size=size,
             faults=Faults(),
             clock=DeviceClock(drift_ppm=options.drift_ppm if side == "right" else 0.0),
             quirks=quirks,

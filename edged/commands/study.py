@@ -28,8 +28,7 @@ def study(
     folder: Path,
     rig: Path,
     job: Path,
-    size: str,
-    limits: tuple[float, float],
+    of: StudiedSize,
     console: Console,
     *,
     reference: float | None = None,
@@ -38,10 +37,9 @@ def study(
 ) -> int:
     """Study what `folder` has: master/ (with `reference`), parts/PART/PERSON/. 0: fit; 1: not, or hardly.
 
-    size : as in `edged verify --length`. limits : of the tolerance, mm. Raises `UserError`.
+    of : its name is as in `edged verify --length`. Raises `UserError`.
     """
     check_outputs({"--report": report})
-    of = StudiedSize(size, *limits)
     prepared, taught = prepare(load_rig(rig)), load_job(job)
     master, parts = folder / "master", folder / "parts"
     if not (master.is_dir() or parts.is_dir()):
@@ -55,7 +53,7 @@ def study(
     if master.is_dir():
         if reference is None:
             raise UserError(f"{master}: --reference MM says how large the master is")
-        sizes = _sizes(prepared, taught, master, pairs_of(master), size)
+        sizes = _sizes(prepared, taught, master, pairs_of(master), of.name)
         try:
             found, sigma_mm, test = by_master(sizes, reference, of)
         except ValueError as error:
@@ -65,7 +63,7 @@ def study(
         values["master"] = [value for value, _ in sizes]
         figures["type1"] = asdict(found) | {"good": found.good, "sigma_mm": sigma_mm}
     if parts.is_dir():
-        by_both = _of_parts(prepared, taught, parts, size)
+        by_both = _of_parts(prepared, taught, parts, of.name)
         try:
             gauge, test = by_parts(crossed(by_both, parts), of)
         except ValueError as error:

@@ -9,7 +9,7 @@ from pathlib import Path
 from pydantic import TypeAdapter, ValidationError
 
 from edged.config.reading import load
-from edged.errors import UserError
+from edged.errors import UserError, translated
 from edged.files.statefolder import page_folder
 from edged.identity.audit import AuditEntry, AuditFile
 from edged.identity.invite import VALID_S, Invite
@@ -27,12 +27,9 @@ def invite(config: Path, name: str) -> int:
     except ValidationError as error:
         raise UserError(f"{name!r} cannot be a name: expected 1 to 64 printable characters") from error
     folder, who = page_folder(config), getpass.getuser()
-    try:
-        with as_owner(folder) as place:
-            code = Invite(place).make(name)
-            _note(AuditFile(place), AuditEntry(who, "", "", "make", f"invitation of {name}", "ok"), folder)
-    except OSError as error:
-        raise UserError(f"{folder}: the code cannot be saved: {error.strerror or error}") from error
+    with translated(UserError, f"{folder}: the code cannot be saved"), as_owner(folder) as place:
+        code = Invite(place).make(name)
+        _note(AuditFile(place), AuditEntry(who, "", "", "make", f"invitation of {name}", "ok"), folder)
     scheme, host = "https" if web.certificate else "http", f"[{web.host}]" if ":" in web.host else web.host
     address, hours = f"{scheme}://{host}:{web.port}/invite", round(VALID_S / 3600)
     print(f"{code}   for {name} at {address}, once, within {hours} hours")

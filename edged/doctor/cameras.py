@@ -10,7 +10,7 @@ from edged.app.discovery import CameraInfo, aravis_missing, control_state, list_
 from edged.config.cameras import CameraSection
 from edged.config.chosencameras import UNCHOSEN
 from edged.config.configuration import Config
-from edged.doctor.findings import Check, CheckResult
+from edged.doctor.findings import Check, CheckResult, bad, ok, skip, warn
 from edged.doctor.firewall import look_at_firewall
 from edged.doctor.host import Interface, interfaces
 from edged.doctor.network import CameraPort, home, look_at_network
@@ -26,9 +26,8 @@ def look_at_cameras(
     rig : tells how large the images are.  daemon : of this cell, which has the cameras where it runs.
     """
     if missing := aravis_missing():
-        yield Check(
+        yield bad(
             "Aravis",
-            CheckResult.BAD,
             missing,
             "no camera can be reached",
             "apt install gir1.2-aravis-0.8 python3-gi",
@@ -38,7 +37,7 @@ def look_at_cameras(
     yield from twins(discovered)
     ports = interfaces()
     if ports is None:
-        yield Check("network ports", CheckResult.SKIP, "the command `ip` is missing: apt install iproute2")
+        yield skip("network ports", "the command `ip` is missing: apt install iproute2")
     places = list[CameraPort]()
     for side, section in (("left", config.cameras.left), ("right", config.cameras.right)):
         info = _configured(section.device, discovered)
@@ -53,7 +52,7 @@ def look_at_cameras(
         yield where
         places.append(CameraPort(side, info, interface))
     if rig is None:
-        yield Check("network", CheckResult.SKIP, "how large images are is not known before the calibration")
+        yield skip("network", "how large images are is not known before the calibration")
     else:
         image_bytes = {"left": rig.left.width * rig.left.height, "right": rig.right.width * rig.right.height}
         yield from look_at_network(places, ports or (), image_bytes, config)
@@ -75,17 +74,15 @@ def _configured(device: str, found: Sequence[CameraInfo]) -> CameraInfo | None:
 def twins(found: Sequence[CameraInfo]) -> Iterator[Check]:
     """Two cameras with one address, or one serial number."""
     for address, who in _shared((info.address, info.serial) for info in found):
-        yield Check(
+        yield bad(
             "camera addresses",
-            CheckResult.BAD,
             f"{address} is the address of {who}",
             "images of one camera arrive as the other's, or not at all",
             "unplug one, then give the other another address: arv-tool-0.8, or the maker's tool",
         )
     for serial, where in _shared((info.serial, info.address) for info in found if info.serial):
-        yield Check(
+        yield warn(
             "camera serial numbers",
-            CheckResult.WARN,
             f"{serial} answers at {where}",
             "edged cannot tell them apart by serial number",
             "write the IP addresses as `device` (one camera with two ports answers twice: take one of them)",
@@ -116,24 +113,22 @@ def camera(
         return _absent(name, section.device, found, ports)
     text = f"{info.vendor} {info.model} {info.serial} at {info.address}"
     if info.control == "controlled" and daemon is not None and daemon.has_cameras:
-        return Check(name, CheckResult.OK, f"{text}: this cell's own daemon has it")
+        return ok(name, f"{text}: this cell's own daemon has it")
     if info.control == "controlled":
-        return Check(
+        return warn(
             name,
-            CheckResult.WARN,
             f"{text}: controlled by another program",
             "edged cannot take it",
             "close the viewer, or the other daemon: systemctl status 'edged*'",
         )
     if info.control not in ("", "free"):
-        return Check(
+        return bad(
             name,
-            CheckResult.BAD,
             f"{text}: {info.control}",
             "CAPTURE_FAULT in every cycle",
             f"ping {info.address}, and what is said of its network below",
         )
-    return Check(name, CheckResult.OK, text)
+    return ok(name, text)
 
 
 def _absent(name: str, device: str, found: Sequence[CameraInfo], ports: Sequence[Interface]) -> Check:
@@ -142,7 +137,7 @@ def _absent(name: str, device: str, found: Sequence[CameraInfo], ports: Sequence
     if device in UNCHOSEN.values():
         finding = f"not chosen yet; cameras that answer: {others}"
         consequence = "the cell starts in SETUP, and does not measure"
-        return Check(name, CheckResult.WARN, finding, consequence, "choose it on its page, /setup")
+        return warn(name, finding, consequence, "choose it on its page, /setup")
     consequence = "CAPTURE_FAULT in every cycle"
     try:
         address = ipaddress.ip_address(device)
@@ -152,11 +147,10 @@ def _absent(name: str, device: str, found: Sequence[CameraInfo], ports: Sequence
         if dead:
             remedy = f"no link at {dead}: cable, power, switch; then: edged cameras"
         finding = f"no camera with serial number {device} answers; cameras that do: {others}"
-        return Check(name, CheckResult.BAD, finding, consequence, remedy)
+        return bad(name, finding, consequence, remedy)
     if control_state(device) in ("free", "controlled"):
-        return Check(
+        return warn(
             name,
-            CheckResult.WARN,
             f"{device} answers when asked, but not to a broadcast",
             "it works by its address, and would not by its serial number",
             "a router lies between, or a firewall drops the answer (see below)",
@@ -170,4 +164,4 @@ def _absent(name: str, device: str, found: Sequence[CameraInfo], ports: Sequence
         remedy = f"no link at {near[0].name}: cable, power of camera and switch"
     else:
         remedy = "cable, power, another address by now? edged cameras lists what answers"
-    return Check(name, CheckResult.BAD, finding, consequence, remedy)
+    return bad(name, finding, consequence, remedy)

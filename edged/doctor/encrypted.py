@@ -11,7 +11,7 @@ from pathlib import Path
 from cryptography import x509
 
 from edged.config.configuration import Config
-from edged.doctor.findings import Check, CheckResult
+from edged.doctor.findings import Check, bad, ok, warn
 from edged.doctor.host import at_home
 
 ANSWER_S = 2.0
@@ -38,10 +38,9 @@ def look_at_opcua(host: str, port: int) -> Check | None:
     except OSError as error:
         kind = str(error.strerror or error).encode()
     if kind == b"ACK":
-        return Check(name, CheckResult.OK, f"{place} answers")
-    return Check(
+        return ok(name, f"{place} answers")
+    return bad(
         name,
-        CheckResult.BAD,
         f"{place} does not answer as one: {kind.decode('latin-1') or 'it hung up'}",
         "no client of OPC UA can connect",
         f"ss -ltnp 'sport = :{port}'; the log of the service says whether it is served",
@@ -60,19 +59,15 @@ def _good_until(place: str, file: Path, now: datetime) -> Check:
     try:
         certificate = x509.load_pem_x509_certificate(file.read_bytes())
     except (OSError, ValueError) as error:
-        return Check(place, CheckResult.BAD, f"{file}: {error}", "its server does not start", f"cat {file}")
+        return bad(place, f"{file}: {error}", "its server does not start", f"cat {file}")
     begin, end = certificate.not_valid_before_utc, certificate.not_valid_after_utc
     until = f"{file.name} is good until {end:%Y-%m-%d}"
     remedy = "make another one, put it in its place, and reload"
     if now < begin:
         what = f"{file.name} is good from {begin:%Y-%m-%d %H:%M} UTC on only"
-        return Check(
-            place, CheckResult.BAD, what, "clients refuse it", "date; is the clock of this machine right?"
-        )
+        return bad(place, what, "clients refuse it", "date; is the clock of this machine right?")
     if now > end:
-        return Check(place, CheckResult.BAD, f"{until}: it has expired", "clients refuse it", remedy)
+        return bad(place, f"{until}: it has expired", "clients refuse it", remedy)
     if now + SOON > end:
-        return Check(
-            place, CheckResult.WARN, f"{until}: {(end - now).days} days", "clients refuse it then", remedy
-        )
-    return Check(place, CheckResult.OK, until)
+        return warn(place, f"{until}: {(end - now).days} days", "clients refuse it then", remedy)
+    return ok(place, until)

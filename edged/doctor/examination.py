@@ -7,7 +7,7 @@ from pathlib import Path
 
 from edged.config.reading import load
 from edged.doctor.cameras import look_at_cameras
-from edged.doctor.findings import Check, CheckResult
+from edged.doctor.findings import Check, bad, ok, skip, warn
 from edged.doctor.machine import ClockWatch, look_at_machine, look_at_ports
 from edged.doctor.ourdaemon import our_daemon
 from edged.doctor.pictures import take_pictures
@@ -42,9 +42,8 @@ def examine(path: Path, *, trigger: bool = True, process: int | None = None) -> 
     if isinstance(cell, UnfinishedCell):
         rig, fingerprint = cell.rig, cell.fingerprint
         for missing in cell.missing:
-            yield Check(
+            yield warn(
                 "configuration",
-                CheckResult.WARN,
                 f"not yet: {missing}",
                 "the cell starts in SETUP, and does not measure",
                 "set it up on its page, /setup; or edged calibrate and edged teach, then reload",
@@ -52,19 +51,17 @@ def examine(path: Path, *, trigger: bool = True, process: int | None = None) -> 
     elif cell is not None:
         rig, fingerprint = cell.rig, cell.fingerprint
         jobs = f"{len(cell.jobs)} job(s), calibration {rig.calibration_id}"
-        yield Check("configuration", CheckResult.OK, jobs)
+        yield ok("configuration", jobs)
         for doubt in doubts(cell):
-            yield Check(
+            yield warn(
                 "calibration",
-                CheckResult.WARN,
                 doubt,
                 "lengths may be wrong",
                 "edged calibrate; then edged verify",
             )
     for secret in exposed_secrets(path, config):
-        yield Check(
+        yield warn(
             "secrets",
-            CheckResult.WARN,
             f"{secret.place}: every user of this machine may read {secret.file}",
             "a private key is theirs, a password's hash they can try guesses on",
             secret.remedy,
@@ -82,9 +79,7 @@ def examine(path: Path, *, trigger: bool = True, process: int | None = None) -> 
     if config.cameras.source == "aravis":
         yield from look_at_cameras(config, rig, daemon)
     if trigger and daemon is not None:
-        yield Check(
-            "test pictures", CheckResult.SKIP, "the daemon has the cameras: its page shows what they see"
-        )
+        yield skip("test pictures", "the daemon has the cameras: its page shows what they see")
     elif trigger:
         yield from take_pictures(config, rig)
     yield from clock.look()
@@ -92,4 +87,4 @@ def examine(path: Path, *, trigger: bool = True, process: int | None = None) -> 
 
 def _mistakes(path: Path, error: ConfigError) -> Iterator[Check]:
     for problem in error.problems:
-        yield Check("configuration", CheckResult.BAD, problem, "the daemon does not start", f"edit {path}")
+        yield bad("configuration", problem, "the daemon does not start", f"edit {path}")

@@ -33,3 +33,23 @@ class Check:
     def to_json(self) -> dict[str, str]:
         """Plain values."""
         return {key: str(value) for key, value in asdict(self).items()}
+
+
+def ok(name: str, finding: str) -> Check:
+    """All is well."""
+    return Check(name, CheckResult.OK, finding)
+
+
+def skip(name: str, finding: str) -> Check:
+    """It could not be looked at."""
+    return Check(name, CheckResult.SKIP, finding)
+
+
+def warn(name: str, finding: str, consequence: str, remedy: str, mend: str = "") -> Check:
+    """It may do harm."""
+    return Check(name, CheckResult.WARN, finding, consequence, remedy, mend)
+
+
+def bad(name: str, finding: str, consequence: str, remedy: str, mend: str = "") -> Check:
+    """The cell does not work with it."""
+    return Check(name, CheckResult.BAD, finding, consequence, remedy, mend)

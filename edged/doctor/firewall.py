@@ -13,7 +13,7 @@ import json
 from collections.abc import Sequence
 from typing import Any
 
-from edged.doctor.findings import Check, CheckResult
+from edged.doctor.findings import Check, CheckResult, ok, skip, warn
 from edged.doctor.host import CAP_NET_RAW, has_capability, read, run
 
 Rules = Sequence[dict[str, Any]]
@@ -26,15 +26,13 @@ def look_at_firewall(cameras: Sequence[tuple[str, str]]) -> Check:
     if rules is None:
         return _old_firewall()
     if accepts_by_default(rules):
-        return Check("firewall", CheckResult.OK, "drops nothing by default")
+        return ok("firewall", "drops nothing by default")
     places = accepted_places(rules)
     shut = [(port, address) for port, address in cameras if not _is_accepted(port, address, places)]
     if not cameras:
-        return Check(
-            "firewall", CheckResult.SKIP, "drops by default; where the cameras would be is not known"
-        )
+        return skip("firewall", "drops by default; where the cameras would be is not known")
     if not shut:
-        return Check("firewall", CheckResult.OK, "drops by default, and has rules that let the cameras in")
+        return ok("firewall", "drops by default, and has rules that let the cameras in")
     port, _ = shut[0]
     packet_socket = has_capability(CAP_NET_RAW)
     consequence = "a camera is not found by its serial number"
@@ -128,16 +126,15 @@ def _old_firewall() -> Check:
     """Without nft: at least what the older iptables does by default."""
     tables = read("/proc/net/ip_tables_names")
     if tables is not None and "filter" not in tables.split():
-        return Check("firewall", CheckResult.SKIP, "nft is not here; no filter by the older iptables")
+        return skip("firewall", "nft is not here; no filter by the older iptables")
     policy = run("iptables", "-S", "INPUT")
     if policy is None:
-        return Check("firewall", CheckResult.SKIP, "cannot be read: as root, with nft: nft list ruleset")
+        return skip("firewall", "cannot be read: as root, with nft: nft list ruleset")
     if "-P INPUT DROP" in policy:
-        return Check(
+        return warn(
             "firewall",
-            CheckResult.WARN,
             "iptables drops what no rule names",
             "a camera may not be found, or send no image that arrives",
             "iptables -I INPUT -i PORT -p udp -j ACCEPT   (PORT: where the cameras are)",
         )
-    return Check("firewall", CheckResult.OK, "iptables drops nothing by default")
+    return ok("firewall", "iptables drops nothing by default")

@@ -17,7 +17,7 @@ import numba
 
 from edged.config.configuration import Config
 from edged.doctor.encrypted import look_at_certificates, look_at_opcua
-from edged.doctor.findings import Check, CheckResult
+from edged.doctor.findings import Check, CheckResult, bad, ok, skip, warn
 from edged.doctor.host import CAP_NET_BIND_SERVICE, has_capability, read, run
 from edged.doctor.ourdaemon import OurDaemon
 from edged.domain.numerals import is_whole
@@ -44,9 +44,8 @@ class ClockWatch:
         """A check when it was set since this was made; nothing when not."""
         step_s = self._ahead() - self._ahead_s
         if abs(step_s) > CLOCK_STEP_S:
-            yield Check(
+            yield warn(
                 "clock steps",
-                CheckResult.WARN,
                 f"the clock was set by {step_s:+.3f} s while these checks ran",
                 "exposure times in results jump with it",
                 "one time service only, and one that slews: timedatectl timesync-status; chronyc tracking",
@@ -71,30 +70,27 @@ def look_at_machine(config: Config) -> Iterator[Check]:
 def _cache() -> Check:
     folder = Path(os.environ.get("NUMBA_CACHE_DIR") or getattr(numba.config, "CACHE_DIR", "") or "")
     if str(folder) in ("", "."):
-        return Check(
+        return warn(
             "kernel cache",
-            CheckResult.WARN,
             "NUMBA_CACHE_DIR is not set: kernels are cached beside the program, where that is allowed",
             "a start may compile for 20 s",
             "export NUMBA_CACHE_DIR=/var/cache/edged/numba",
         )
     if not os.access(folder, os.W_OK):
-        return Check(
+        return bad(
             "kernel cache",
-            CheckResult.BAD,
             f"{folder} cannot be written",
             "every start compiles for 20 s, or fails",
             f"sudo install -d -o $USER {folder}",
         )
     if not any(folder.rglob("*.nbi")):
-        return Check(
+        return warn(
             "kernel cache",
-            CheckResult.WARN,
             f"{folder} is empty",
             "the first start compiles for 20 s",
             "edged warm",
         )
-    return Check("kernel cache", CheckResult.OK, str(folder))
+    return ok("kernel cache", str(folder))
 
 
 def _clock() -> Check:
@@ -102,42 +98,37 @@ def _clock() -> Check:
     timex = (ctypes.c_long * TIMEX_LONGS)()  # modes = 0: only look
     state = ctypes.CDLL(None).adjtimex(timex)
     if state < 0:
-        return Check("clock", CheckResult.SKIP, "the kernel does not tell")
+        return skip("clock", "the kernel does not tell")
     if state == TIME_ERROR:
-        return Check(
+        return warn(
             "clock",
-            CheckResult.WARN,
             "not synchronised by NTP or PTP",
             "exposure times in results cannot be compared with other machines'",
             "sudo timedatectl set-ntp true",
         )
-    return Check(
-        "clock", CheckResult.OK, f"synchronised, to {timex[TIMEX_MAXERROR_US] * 1e-3:.1f} ms at worst"
-    )
+    return ok("clock", f"synchronised, to {timex[TIMEX_MAXERROR_US] * 1e-3:.1f} ms at worst")
 
 
 def _governor() -> Check:
     text = read("/sys/devices/system/cpu/cpu0/cpufreq/scaling_governor")
     if text is None:
-        return Check("processor speed", CheckResult.SKIP, "no CPU frequency governor found")
+        return skip("processor speed", "no CPU frequency governor found")
     if text != "performance":
-        return Check(
+        return warn(
             "processor speed",
-            CheckResult.WARN,
             f"governor {text}",
             "cycles after a pause take up to twice as long",
             "sudo cpupower frequency-set -g performance",
         )
-    return Check("processor speed", CheckResult.OK, "governor performance")
+    return ok("processor speed", "governor performance")
 
 
 def _disk(folder: Path, min_free_mib: int) -> Check:
     place = next((parent for parent in (folder, *folder.parents) if parent.exists()), Path("/"))
     free = shutil.disk_usage(place).free / 2**20
     if not os.access(place, os.W_OK):
-        return Check(
+        return bad(
             "recordings",
-            CheckResult.BAD,
             f"{place} cannot be written",
             "nothing is recorded",
             f"sudo chown $USER {place}   (for the service: a folder below /var/lib/edged)",
@@ -150,23 +141,22 @@ def _disk(folder: Path, min_free_mib: int) -> Check:
             "recording stops when there is no more room",
             f"du -xh --max-depth=2 {place} | sort -h | tail   (free some, or lower recorder.min_free_mib)",
         )
-    return Check("recordings", CheckResult.OK, f"{free:.0f} MiB free at {place}")
+    return ok("recordings", f"{free:.0f} MiB free at {place}")
 
 
 def _serial(device: Path) -> Check:
     name = "serial port"
     if not device.exists():
-        return Check(
+        return bad(
             name,
-            CheckResult.BAD,
             f"{device} is not there",
             "no Modbus RTU",
             "ls /dev/tty*; is it plugged in?",
         )
     if not os.access(device, os.R_OK | os.W_OK):
         remedy = "sudo usermod -aG dialout $USER, then log in again"
-        return Check(name, CheckResult.BAD, f"no right to use {device}", "no Modbus RTU", remedy)
-    return Check(name, CheckResult.OK, str(device))
+        return bad(name, f"no right to use {device}", "no Modbus RTU", remedy)
+    return ok(name, str(device))
 
 
 # --- ports ---------------------------------------------------------------------------------------
@@ -196,9 +186,7 @@ def _writers(config: Config) -> Check:
     """Addresses whose writes were refused, by the daemon's log, and that still may not write."""
     name, tried = "Modbus writers", run("journalctl", "--no-pager", "-F", "EDGED_REFUSED_WRITER")
     if tried is None:
-        return Check(
-            name, CheckResult.SKIP, "who was refused stands in the journal, which cannot be read here"
-        )
+        return skip(name, "who was refused stands in the journal, which cannot be read here")
     networks = [ipaddress.ip_network(writer) for writer in config.modbus.writers]
     refused = [
         peer
@@ -206,12 +194,9 @@ def _writers(config: Config) -> Check:
         if not any(ipaddress.ip_address(peer) in network for network in networks)
     ]
     if not refused:
-        return Check(
-            name, CheckResult.OK, f"nobody else tried than {', '.join(map(str, networks)) or 'nobody'}"
-        )
-    return Check(
+        return ok(name, f"nobody else tried than {', '.join(map(str, networks)) or 'nobody'}")
+    return warn(
         name,
-        CheckResult.WARN,
         f"{', '.join(sorted(refused))} wrote, and may not",
         "each of its writes ends in exception 1 (illegal function); reading goes on",
         f'if it is your PLC: [modbus] writers = [..., "{min(refused)}"] in cell.toml, then reload',
@@ -221,11 +206,10 @@ def _writers(config: Config) -> Check:
 def _port(name: str, host: str, port: int, daemon: OurDaemon | None) -> Check:
     place = f"{host}:{port}"
     if daemon is not None and daemon.has(port):
-        return Check(name, CheckResult.OK, f"{place}: this cell's own daemon listens")
+        return ok(name, f"{place}: this cell's own daemon listens")
     if port < 1024 and not has_capability(CAP_NET_BIND_SERVICE):
-        return Check(
+        return warn(
             name,
-            CheckResult.WARN,
             f"{place} needs a right that you do not have here; the service has it",
             "started by hand, the daemon cannot listen",
             "take a port above 1023, or run it as a service",
@@ -236,14 +220,13 @@ def _port(name: str, host: str, port: int, daemon: OurDaemon | None) -> Check:
             probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             probe.bind(address)
     except OSError as error:
-        return Check(
+        return bad(
             name,
-            CheckResult.BAD,
             f"{place}: {_why_not(error, host, port)}",
             "the daemon does not start",
             f"ss -ltnp 'sport = :{port}'",
         )
-    return Check(name, CheckResult.OK, f"{place} is free")
+    return ok(name, f"{place} is free")
 
 
 def _why_not(error: OSError, host: str, port: int) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from edged.config.configuration import Config
-from edged.doctor.findings import Check, CheckResult
+from edged.doctor.findings import Check, ok, warn
 from edged.domain.frames import FramePair
 from edged.domain.marks import MarksState
 from edged.errors import FileFormatError
@@ -36,11 +36,10 @@ def look_at_marks(config: Config, rig: StereoRig | None, pair: FramePair) -> Ite
     seen = f"{report.seen} of {report.taught} are seen"
     if report.state is MarksState.CORRECTED:
         moved = " and ".join(f"{1e3 * (way or 0.0):.0f}" for way in (report.left_mm, report.right_mm))
-        yield Check(NAME, CheckResult.OK, f"{seen}; the cameras moved by {moved} um since they were taught")
+        yield ok(NAME, f"{seen}; the cameras moved by {moved} um since they were taught")
         return
-    yield Check(
+    yield warn(
         NAME,
-        CheckResult.WARN,
         f"{report.state.name}: {report.why or seen}",
         "results are refused"
         if not report.valid

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from edged.app.discovery import CameraInfo
 from edged.config.configuration import Config
-from edged.doctor.findings import Check, CheckResult
+from edged.doctor.findings import Check, bad, ok, skip, warn
 from edged.doctor.host import CAP_NET_RAW, Interface, has_capability, owners, read, route
 from edged.domain.numerals import is_whole
 
@@ -55,14 +55,13 @@ def home(side: str, info: CameraInfo, interfaces: Sequence[Interface]) -> tuple[
                 return _taken(name, info, interface), interface
             if address in network.network:
                 text = f"{network} on {interface.name}"
-                return Check(f"{name}'s network", CheckResult.OK, text), interface
+                return ok(f"{name}'s network", text), interface
     return _homeless(name, info, interfaces), None
 
 
 def _taken(name: str, info: CameraInfo, interface: Interface) -> Check:
-    return Check(
+    return bad(
         name,
-        CheckResult.BAD,
         f"{info.address} is also the address of this machine's {interface.name}",
         "what is meant for the camera never leaves this machine",
         f"sudo ip addr del {info.address}/24 dev {interface.name}   (and give it another one)",
@@ -74,9 +73,8 @@ def _homeless(name: str, info: CameraInfo, interfaces: Sequence[Interface]) -> C
     networks = ", ".join(
         f"{network} on {port.name}" for port in interfaces if port.name in ports for network in port.networks
     )
-    return Check(
+    return bad(
         name,
-        CheckResult.BAD,
         f"{info.vendor} {info.model} {info.serial} at {info.address}, which is in no network of this machine"
         f" ({networks or 'no port has a link'})",
         "it is seen, but nothing can be sent to it: CAPTURE_FAULT in every cycle",
@@ -97,9 +95,8 @@ def overlaps(interfaces: Sequence[Interface]) -> Iterator[Check]:
     for index, (port, network) in enumerate(ports):
         for other, another in ports[index + 1 :]:
             if port.name != other.name and network.network.overlaps(another.network):
-                yield Check(
+                yield bad(
                     "networks of the ports",
-                    CheckResult.BAD,
                     f"{port.name} ({network}) and {other.name} ({another}) are in the same network",
                     f"what is meant for cameras at {other.name} may be sent through {port.name}",
                     f"give each port a network of its own: 192.168.10.1/24 {port.name}, "
@@ -114,9 +111,8 @@ def _route(place: CameraPort) -> Iterator[Check]:
     if way is None or there == "lo" or way == "lo":
         return
     if way != there:
-        yield Check(
+        yield bad(
             name,
-            CheckResult.BAD,
             f"{place.info.address} is in the network of {there}, but is sent to through {way}",
             "no answer arrives",
             f"sudo ip route replace {place.info.address}/32 dev {there}",
@@ -126,7 +122,7 @@ def _route(place: CameraPort) -> Iterator[Check]:
     finding = f"through {there}"
     if strict:
         finding += "; strict reverse path filter, which this route passes"
-    yield Check(name, CheckResult.OK, finding)
+    yield ok(name, finding)
 
 
 def _owners(place: CameraPort) -> Iterator[Check]:
@@ -136,30 +132,26 @@ def _owners(place: CameraPort) -> Iterator[Check]:
     name, camera = f"{place.side} camera's address", place.info.address
     macs = owners(place.interface.name, camera)
     if macs is None:
-        yield Check(
-            name, CheckResult.SKIP, "who else has it can only be asked with CAP_NET_RAW: run it as root"
-        )
+        yield skip(name, "who else has it can only be asked with CAP_NET_RAW: run it as root")
         return
     if len(macs) > 1:
-        yield Check(
+        yield bad(
             name,
-            CheckResult.BAD,
             f"{len(macs)} devices say that {camera} is theirs: {', '.join(sorted(macs))}"
             f" (the camera: {place.info.physical_id.lower()})",
             "the camera answers at times, and is lost at times",
             "find the other device by that MAC address, and give one of them another address",
         )
     else:
-        yield Check(name, CheckResult.OK, f"nobody else has {camera}")
+        yield ok(name, f"nobody else has {camera}")
 
 
 def _our_owners(interface: Interface) -> Iterator[Check]:
     """Nobody else may have this host's address either: only others are heard to answer."""
     for network in interface.networks if interface.ethernet else ():
         if macs := owners(interface.name, str(network.ip)):
-            yield Check(
+            yield bad(
                 f"address of {interface.name}",
-                CheckResult.BAD,
                 f"{network.ip} is this machine's, and {', '.join(sorted(macs))} says that it has it too",
                 "images go to that device at times",
                 "find it by that MAC address, and give one of both another address",
@@ -170,21 +162,20 @@ def receive_buffers(image_bytes: int) -> Check:
     """Whether the kernel's buffers hold a burst of packets."""
     name = "receive buffers"
     if has_capability(CAP_NET_RAW):
-        return Check(name, CheckResult.OK, "packet socket (CAP_NET_RAW)")
+        return ok(name, "packet socket (CAP_NET_RAW)")
     text = read("/proc/sys/net/core/rmem_max")
     if text is None or not is_whole(text):
-        return Check(name, CheckResult.SKIP, "net.core.rmem_max cannot be read")
+        return skip(name, "net.core.rmem_max cannot be read")
     if int(text) < 2 * image_bytes:
         wanted = 4 * image_bytes
-        return Check(
+        return bad(
             name,
-            CheckResult.BAD,
             f"net.core.rmem_max is {text} bytes, an image has {image_bytes}, and without CAP_NET_RAW"
             " it is all there is (the service has that right)",
             "most images are lost under load",
             f"echo net.core.rmem_max={wanted} | sudo tee /etc/sysctl.d/60-edged.conf; sudo sysctl --system",
         )
-    return Check(name, CheckResult.OK, f"net.core.rmem_max {text} bytes")
+    return ok(name, f"net.core.rmem_max {text} bytes")
 
 
 def link(interface: Interface, sides: Sequence[str], image_bytes: int, config: Config) -> Iterator[Check]:
@@ -193,17 +184,15 @@ def link(interface: Interface, sides: Sequence[str], image_bytes: int, config: C
     asked = [section.packet_size for section in (config.cameras.left, config.cameras.right)]
     packet = max((size for size in asked if size is not None), default=0)
     if packet > interface.mtu:
-        yield Check(
+        yield bad(
             name,
-            CheckResult.BAD,
             f"MTU {interface.mtu}, and packets of {packet} bytes are configured",
             "no image arrives",
             f"sudo ip link set {interface.name} mtu 9000 (if the switch can), or leave packet_size out",
         )
     elif interface.mtu < JUMBO_MTU and interface.name != "lo":
-        yield Check(
+        yield warn(
             name,
-            CheckResult.WARN,
             f"MTU {interface.mtu}",
             "six times as many packets as needed: more load, sooner a loss",
             f"sudo ip link set {interface.name} mtu 9000 (if camera and switch can)",
@@ -219,10 +208,9 @@ def _budget(name: str, rate_mbit: int, sides: Sequence[str], image_bytes: int, c
     limit_s = min(config.cameras.timeout_s, config.cycle.period_s) if free else config.cameras.timeout_s
     finding = f"{rate_mbit} Mbit/s: {' and '.join(sides)} take {takes_s * 1e3:.0f} ms"
     if takes_s < limit_s:
-        return Check(name, CheckResult.OK, finding)
-    return Check(
+        return ok(name, finding)
+    return bad(
         name,
-        CheckResult.BAD,
         f"{finding}, there are {limit_s * 1e3:.0f}",
         "packets are lost, or every exposure is too late",
         "a port for each camera, a faster link (is it a gigabit cable?), or a longer cycle.period_s",

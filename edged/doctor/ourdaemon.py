@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from edged.config.configuration import Config
-from edged.doctor.findings import Check, CheckResult
+from edged.doctor.findings import Check, ok, warn
 from edged.doctor.host import at_home, run
 from edged.plc.registers import CONSTANTS, MAGIC, decode
 
@@ -59,25 +59,23 @@ class OurDaemon:
         """How it is. fingerprint : of the files as they are now; "": they cannot be read."""
         name, text = "daemon", f"this cell's own runs, process {self.process}"
         if self.loaded and fingerprint and self.loaded != fingerprint:
-            return Check(
+            return warn(
                 name,
-                CheckResult.WARN,
                 f"{text}, by configuration {self.loaded}; the files are {fingerprint} now",
                 "what was changed does not count yet",
                 f"sudo systemctl reload edged   (in a terminal: kill -HUP {self.process})",
                 "reload",
             )
         if self.is_set_up:
-            return Check(name, CheckResult.OK, f"{text}, {self.why}")
+            return ok(name, f"{text}, {self.why}")
         if self.ready is False:
-            return Check(
+            return warn(
                 name,
-                CheckResult.WARN,
                 f"{text}, and is not ready: {self.why or 'it does not say why'}",
                 "a trigger is refused",
                 "edged status; journalctl -u edged -e",
             )
-        return Check(name, CheckResult.OK, text + (", ready" if self.ready else ""))
+        return ok(name, text + (", ready" if self.ready else ""))
 
 
 def our_daemon(path: Path, config: Config, process: int | None = None) -> OurDaemon | None:

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 
 from edged.app.cameras import camera_facts, camera_gammas, head_of
 from edged.config.configuration import Config
-from edged.doctor.findings import Check, CheckResult
+from edged.doctor.findings import Check, bad, ok, skip, warn
 from edged.doctor.marks import look_at_marks
 from edged.errors import (
     CameraBusy,
@@ -48,7 +48,7 @@ def take_pictures(config: Config, rig: StereoRig | None) -> Iterator[Check]:
     """
     source, mode = config.cameras.source, config.cameras.trigger.mode
     if mode == "line" or config.cycle.mode == "external" or config.cameras.trigger.first_line:
-        yield Check("test pictures", CheckResult.SKIP, "somebody else triggers the cameras: run it and see")
+        yield skip("test pictures", "somebody else triggers the cameras: run it and see")
         return
     try:
         if source.startswith("virtual"):
@@ -57,9 +57,7 @@ def take_pictures(config: Config, rig: StereoRig | None) -> Iterator[Check]:
         else:
             yield from asyncio.run(_shoot(config, rig, None))
     except EdgedError as error:
-        yield Check(
-            "test pictures", CheckResult.BAD, str(error), "CAPTURE_FAULT in every cycle", _remedy(error)
-        )
+        yield bad("test pictures", str(error), "CAPTURE_FAULT in every cycle", _remedy(error))
 
 
 async def _shoot(config: Config, rig: StereoRig | None, world: VirtualWorld | None) -> list[Check]:
@@ -80,9 +78,8 @@ async def _shoot(config: Config, rig: StereoRig | None, world: VirtualWorld | No
             skews_ms.append(abs(pair.left.exposed_ns - pair.right.exposed_ns) * 1e-6)
             if sizes is not None and [pair.left.image.shape, pair.right.image.shape] != sizes:
                 return [
-                    Check(
+                    bad(
                         "test pictures",
-                        CheckResult.BAD,
                         f"{pair.left.image.shape[::-1]} and {pair.right.image.shape[::-1]} pixels",
                         "the rig was calibrated for another size: every cycle fails",
                         "calibrate again, or set Width and Height as they were",
@@ -100,16 +97,15 @@ async def _shoot(config: Config, rig: StereoRig | None, world: VirtualWorld | No
     for side, parts in facts.items():
         text += f"; {side}: " + "; ".join(part["text"] for part in parts if part["code"] != "lacks")
     lacking = [
-        Check(f"{side} camera", CheckResult.OK, part["text"])
+        ok(f"{side} camera", part["text"])
         for side, parts in facts.items()
         for part in parts
         if part["code"] == "lacks"
     ]
     if faults:
         return [
-            Check(
+            bad(
                 "test pictures",
-                CheckResult.BAD,
                 f"{text}; {faults[0]}",
                 "CAPTURE_FAULT in such cycles",
                 _remedy(faults[0]),
@@ -118,7 +114,7 @@ async def _shoot(config: Config, rig: StereoRig | None, world: VirtualWorld | No
             *marks,
             *_responses(rig, gammas),
         ]
-    return [Check("test pictures", CheckResult.OK, text), *lacking, *marks, *_responses(rig, gammas)]
+    return [ok("test pictures", text), *lacking, *marks, *_responses(rig, gammas)]
 
 
 def _responses(rig: StereoRig | None, gammas: dict[str, tuple[float, str]]) -> Iterator[Check]:
@@ -130,9 +126,8 @@ def _responses(rig: StereoRig | None, gammas: dict[str, tuple[float, str]]) -> I
             calibrated = rig.left.gamma if side == "left" else rig.right.gamma
             measured, then = f"the calibration measured {calibrated:g}", "and calibrate again"
         if gamma != 1.0 or calibrated != 1.0:
-            yield Check(
+            yield warn(
                 f"{side} response",
-                CheckResult.WARN,
                 f"the camera's Gamma is {gamma:g}, and {measured}",
                 "a response that the calibration does not know moves every edge: radii by about 10 µm",
                 f"set {linear} under cameras.{side}.features {then}",

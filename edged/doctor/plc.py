@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from edged.app.plcmemory import ask
 from edged.config.plc import PlcSection
-from edged.doctor.findings import Check, CheckResult
+from edged.doctor.findings import Check, bad, ok
 from edged.errors import ListenError, PlcFault
 
 
@@ -12,13 +12,12 @@ def look_at_plc(section: PlcSection) -> Check:
     """Connect, read, hang up; nothing is written."""
     name = "PLC's memory"
     try:
-        return Check(name, CheckResult.OK, ask(section))
+        return ok(name, ask(section))
     except ListenError as error:
-        return Check(name, CheckResult.BAD, str(error), "the daemon does not start", "install it")
+        return bad(name, str(error), "the daemon does not start", "install it")
     except PlcFault as fault:
-        return Check(
+        return bad(
             name,
-            CheckResult.BAD,
             str(fault),
             "the PLC gets nothing and commands nothing; the cell tries again for ever",
             f"ping {section.host}; what the PLC must permit: docs/how-to/plc-memory.md",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from edged.doctor.findings import Check, CheckResult
+from edged.doctor.findings import Check, ok, warn
 from edged.robot.errormap import error_map
 from edged.robot.picking import frame_of
 from edged.setup.cellfiles import CellFiles
@@ -27,8 +27,8 @@ def look_at_map(cell: CellFiles, *, is_used: bool) -> Iterator[Check]:
     touch = "edged register touch --map with points there, too"
     if beyond:
         names = ", ".join(beyond)
-        yield Check(NAME, CheckResult.WARN, f"{text}; {names}: taught beyond it", "OUT_OF_MAP there", touch)
+        yield warn(NAME, f"{text}; {names}: taught beyond it", "OUT_OF_MAP there", touch)
     elif not is_used:
-        yield Check(NAME, CheckResult.WARN, f"{text}; the daemon runs without it", NOT_YET, RELOAD, "reload")
+        yield warn(NAME, f"{text}; the daemon runs without it", NOT_YET, RELOAD, "reload")
     else:
-        yield Check(NAME, CheckResult.OK, text)
+        yield ok(NAME, text)

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from pathlib import Path
 
 from edged.domain.acceptance import Acceptance, AcceptanceState
-from edged.domain.numerals import json_of
 from edged.errors import FileFormatError
 from edged.files.atomic import read_bytes, write_file
-from edged.files.jsonfields import JsonFields
+from edged.files.jsonfields import JsonFields, text_of_json
 from edged.robot.golden import registration_digest
 from edged.vision.geometry.camera import StereoRig
 
@@ -38,7 +36,7 @@ def document_of(
         "due_ns": found.due_ns,
         **more,
     }
-    return (json.dumps(document, indent=1, allow_nan=False) + "\n").encode()
+    return text_of_json(document)
 
 
 def save_acceptance(path: Path, document: bytes) -> None:
@@ -69,11 +67,7 @@ def load_acceptance(path: Path, calibration_id: str, registration: str) -> Accep
 
 def acceptance_in(data: bytes, path: Path, calibration_id: str, registration: str) -> Acceptance:
     """The acceptance in a file that was read; raises as `load_acceptance`."""
-    try:
-        document = json_of(data)
-    except (ValueError, RecursionError) as error:
-        raise FileFormatError(f"{path}: not JSON: {error}") from error
-    reader = JsonFields.of_document(document, path, "acceptance test", ACCEPTANCE_FORMAT, ACCEPTANCE_VERSION)
+    reader = JsonFields.of(data, path, "acceptance test", ACCEPTANCE_FORMAT, ACCEPTANCE_VERSION)
     passed = reader.document.get("passed")
     if not isinstance(passed, bool):
         raise reader.error("passed", f"expected true or false, got {passed!r}")

@@ -13,7 +13,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from secrets import token_hex
 
-from edged.errors import FileFormatError
+from edged.errors import FileFormatError, translated
 from edged.owners import open_to_read
 
 MAX_FILE_BYTES = 64 * 1024 * 1024  # a model is megabytes: more is a wrong file
@@ -82,10 +82,8 @@ def open_folder(folder: Path) -> Iterator[int]:
 
 def write_file(path: Path, data: bytes, *, mode: int = 0o644) -> None:
     """`write_atomically` for what a person asked for. Raises `FileFormatError` where the disc refuses."""
-    try:
+    with translated(FileFormatError, f"{path}: cannot be written"):
         write_atomically(path, data, mode=mode)
-    except OSError as error:
-        raise FileFormatError(f"{path}: cannot be written: {error.strerror or error}") from error
 
 
 def generations(first: Path) -> dict[int, Path]:
@@ -215,10 +213,8 @@ def read_folder(folder: Path, names: Sequence[str], what: str) -> dict[str, byte
     `FileFormatError` that names the file.
     """
     while True:
-        try:
+        with translated(FileFormatError, f"{folder}: cannot read {what}"):
             opened = open_to_read(folder, os.O_DIRECTORY)
-        except OSError as error:
-            raise FileFormatError(f"{folder}: cannot read {what}: {error.strerror or error}") from error
         try:
             return {name: _read(folder / name, what, opened) for name in names}
         except FileFormatError:
@@ -239,7 +235,7 @@ def _is_named(folder: Path, opened: int) -> bool:
 
 def _read(path: Path, what: str, folder: int | None, most: int = MAX_FILE_BYTES) -> bytes:
     """A file; of an open folder the one of that name in it."""
-    try:
+    with translated(FileFormatError, f"{path}: cannot read {what}"):
         handle = open_to_read(path if folder is None else Path(path.name), folder=folder)
         with os.fdopen(handle, "rb") as file:
             size = os.fstat(handle).st_size
@@ -249,8 +245,6 @@ def _read(path: Path, what: str, folder: int | None, most: int = MAX_FILE_BYTES)
                     f"{path}: {max(size, len(data))} bytes are too many for {what}: expected at most {most}"
                 )
             return data
-    except OSError as error:
-        raise FileFormatError(f"{path}: cannot read {what}: {error.strerror or error}") from error
 
 
 def put_back(path: Path, former: bytes | None) -> None:

@@ -6,7 +6,6 @@ leave it where it is. What it was kept with stands in it, and is compared when i
 
 from __future__ import annotations
 
-import json
 import math
 import re
 from pathlib import Path
@@ -14,10 +13,9 @@ from pathlib import Path
 import numpy as np
 
 from edged.domain.golden import Golden
-from edged.domain.numerals import json_of
-from edged.errors import FileFormatError
+from edged.errors import FileFormatError, translated
 from edged.files.atomic import make_folders, read_bytes, write_file
-from edged.files.jsonfields import JsonFields
+from edged.files.jsonfields import JsonFields, text_of_json
 
 GOLDEN_FORMAT = "edged-golden"
 GOLDEN_VERSION = 1
@@ -52,21 +50,15 @@ def save_golden(path: Path, golden: Golden) -> None:
         "points_mm": golden.points_mm.tolist(),
         "free_axis": None if golden.free_axis is None else golden.free_axis.tolist(),
     }
-    try:
+    with translated(FileFormatError, f"{path.parent}: cannot be made"):
         make_folders(path.parent)
-    except OSError as error:
-        raise FileFormatError(f"{path.parent}: cannot be made: {error.strerror or error}") from error
-    write_file(path, (json.dumps(document, indent=1, allow_nan=False) + "\n").encode())
+    write_file(path, text_of_json(document))
 
 
 def load_golden(path: Path) -> Golden:
     """Read one. Every flaw is a `FileFormatError` that names the file, the field and the expectation."""
     data = read_bytes(path, "a golden part", MAX_GOLDEN_BYTES)
-    try:
-        document = json_of(data)
-    except (ValueError, RecursionError) as error:
-        raise FileFormatError(f"{path}: not JSON: {error}") from error
-    reader = JsonFields.of_document(document, path, "golden part", GOLDEN_FORMAT, GOLDEN_VERSION)
+    reader = JsonFields.of(data, path, "golden part", GOLDEN_FORMAT, GOLDEN_VERSION)
     golden = Golden(
         number=reader.whole("number", 0xFFFF),
         job=reader.text("job"),
@@ -79,7 +71,7 @@ def load_golden(path: Path) -> Golden:
         covariance=reader.covariance("covariance", 6),
         own=reader.covariance("own_covariance", 6),
         points_mm=_points(reader),
-        free_axis=None if document.get("free_axis") is None else reader.array("free_axis", (3,)),
+        free_axis=None if reader.document.get("free_axis") is None else reader.array("free_axis", (3,)),
     )
     if not np.allclose(reader.transform("robot_from_part"), golden.robot_from_part, rtol=0, atol=1e-6):
         raise reader.error("robot_from_part", "expected robot_from_rig times rig_from_part")

@@ -10,7 +10,7 @@ import numpy as np
 from cv2.typing import MatLike
 
 from edged.domain.arrays import Image
-from edged.errors import ImageError
+from edged.errors import ImageError, translated
 from edged.files.imagesizes import MAX_PIXELS, MAX_UNPACKED_BYTES, claimed_size
 from edged.owners import file_to_read
 
@@ -30,12 +30,9 @@ def load_image(path: Path) -> Image:
         raise ImageError(f"{path}: is a folder, expected an image")
     if not path.is_file():
         raise ImageError(f"{path}: no such file")
-    try:
-        with file_to_read(path) as file:
-            size = os.fstat(file.fileno()).st_size
-            data = b"" if size > MAX_IMAGE_BYTES else file.read(MAX_IMAGE_BYTES + 1)
-    except OSError as error:
-        raise ImageError(f"{path}: cannot be read: {error.strerror or error}") from error
+    with translated(ImageError, f"{path}: cannot be read"), file_to_read(path) as file:
+        size = os.fstat(file.fileno()).st_size
+        data = b"" if size > MAX_IMAGE_BYTES else file.read(MAX_IMAGE_BYTES + 1)
     if max(size, len(data)) > MAX_IMAGE_BYTES:
         raise ImageError(f"{path}: {size} bytes: expected an image, at most {MAX_IMAGE_BYTES}")
     return decode_image(data, str(path))

@@ -2,13 +2,21 @@
 
 from __future__ import annotations
 
+import json
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from edged.domain.arrays import FloatArray
+from edged.domain.numerals import json_of
 from edged.errors import FileFormatError
+
+
+def text_of_json(document: Mapping[str, Any]) -> bytes:
+    """A document as such files have it."""
+    return (json.dumps(document, indent=1, allow_nan=False) + "\n").encode()
 
 
 class JsonFields:
@@ -18,11 +26,15 @@ class JsonFields:
         self.path, self.document, self.prefix = path, document, prefix
 
     @staticmethod
-    def of_document(document: Any, path: Path, what: str, form: str, version: int) -> JsonFields:
+    def of(data: bytes, path: Path, what: str, form: str, version: int) -> JsonFields:
         """The fields of a whole document of ours. what, form : what it is, for people and in its "format".
 
         Raises `FileFormatError` for another document, or another version of it.
         """
+        try:
+            document = json_of(data)
+        except (ValueError, RecursionError) as error:
+            raise FileFormatError(f"{path}: not JSON: {error}") from error
         if not isinstance(document, dict) or document.get("format") != form:
             raise FileFormatError(f'{path}: not a {what} (expected "format": "{form}")')
         if document.get("version") != version:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -11,7 +10,7 @@ import numpy as np
 from edged.domain.numerals import json_of
 from edged.errors import FileFormatError
 from edged.files.atomic import read_bytes, write_file
-from edged.files.jsonfields import JsonFields
+from edged.files.jsonfields import JsonFields, text_of_json
 from edged.vision.geometry.camera import StereoRig
 from edged.vision.marks.frame import CODES
 from edged.vision.marks.params import MARKS
@@ -64,7 +63,7 @@ def marks_text(taught: TaughtMarks) -> bytes:
         "places_in_own_frame_mm": places_in_own_frame(taught).tolist(),
         "covariance": taught.covariance.tolist(),
     }
-    return (json.dumps(document, indent=1, allow_nan=False) + "\n").encode()
+    return text_of_json(document)
 
 
 def keep_old_marks(path: Path, calibration_id: str) -> Path | None:
@@ -110,18 +109,8 @@ def marks_of(data: bytes, path: Path, rig: StereoRig) -> TaughtMarks | None:
     """
     if len(data) > MAX_MARKS_BYTES:
         raise FileFormatError(f"{path}: {len(data)} bytes: expected marks, at most {MAX_MARKS_BYTES}")
-    try:
-        document = json_of(data)
-    except (ValueError, RecursionError) as error:
-        raise FileFormatError(f"{path}: not JSON: {error}") from error
-    if not isinstance(document, dict) or document.get("format") != MARKS_FORMAT:
-        raise FileFormatError(f'{path}: no reference marks (expected "format": "{MARKS_FORMAT}")')
-    if document.get("version") != MARKS_VERSION:
-        raise FileFormatError(
-            f"{path}: version {document.get('version')!r}, this edged reads {MARKS_VERSION}"
-        )
-    reader = JsonFields(path, document)
-    identity = document.get("calibration_id")
+    reader = JsonFields.of(data, path, "file of reference marks", MARKS_FORMAT, MARKS_VERSION)
+    identity = reader.document.get("calibration_id")
     if not isinstance(identity, str) or not identity:
         raise reader.error("calibration_id", f"expected a name, got {identity!r}")
     taught = _taught(reader, rig)

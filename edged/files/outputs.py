@@ -6,7 +6,7 @@ import tempfile
 from collections.abc import Mapping
 from pathlib import Path
 
-from edged.errors import FileFormatError, UserError
+from edged.errors import FileFormatError, UserError, translated
 from edged.owners import as_owner
 
 
@@ -51,11 +51,8 @@ def make_folder(folder: Path) -> None:
 
     Raises `FileFormatError`.
     """
-    try:
-        with as_owner(folder) as place:
-            place.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise FileFormatError(f"{folder}: cannot be written: {error.strerror or error}") from error
+    with translated(FileFormatError, f"{folder}: cannot be written"), as_owner(folder) as place:
+        place.mkdir(parents=True, exist_ok=True)
 
 
 def _check_file(path: Path) -> None:
@@ -69,10 +66,8 @@ def _check_file(path: Path) -> None:
 
 def _check_takes(path: Path, folder: Path) -> None:
     """A file is written beside its place and renamed, so the folder decides: it takes one for a moment."""
-    try:
-        with tempfile.TemporaryFile(dir=folder):
-            pass
-    except OSError as error:
-        raise FileFormatError(
-            f"{path}: cannot be written into {folder}: {error.strerror or error}"
-        ) from error
+    with (
+        translated(FileFormatError, f"{path}: cannot be written into {folder}"),
+        tempfile.TemporaryFile(dir=folder),
+    ):
+        pass

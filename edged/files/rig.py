@@ -103,11 +103,7 @@ def rig_of(data: bytes, path: Path) -> StereoRig:
     """The rig in a file that was read; raises as `load_rig`. path : where, for messages."""
     if len(data) > MAX_DOCUMENT_BYTES:  # of a backup or a recording, which may be larger as a whole
         raise FileFormatError(f"{path}: {len(data)} bytes: expected a rig, at most {MAX_DOCUMENT_BYTES}")
-    try:
-        document = json.loads(data)
-    except (ValueError, RecursionError) as error:
-        raise FileFormatError(f"{path}: not JSON: {error}") from error
-    reader = JsonFields.of_document(document, path, "rig file", RIG_FORMAT, RIG_VERSION)
+    reader = JsonFields.of(data, path, "rig file", RIG_FORMAT, RIG_VERSION)
     left, right = _camera_from_json(reader.sub("left")), _camera_from_json(reader.sub("right"))
     right_from_left = reader.transform("right_from_left")
     if float(np.linalg.norm(right_from_left[:3, 3])) <= 0:
@@ -117,10 +113,10 @@ def rig_of(data: bytes, path: Path) -> StereoRig:
         raise reader.error("flange_from_rig", "a rig is fixed to the robot's base or to its flange, not both")
     identity = reader.text("calibration_id")
     registration = None
-    if document.get("registration_covariance") is not None:
+    if reader.document.get("registration_covariance") is not None:
         registration = reader.covariance("registration_covariance", 6)
     rig = StereoRig(left, right, right_from_left, identity, robot, None, registration, flange, _map(reader))
-    stored = document.get("covariance")
+    stored = reader.document.get("covariance")
     if stored is None:
         return rig
     size = len(rig.parameter_names)

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Protocol, Self, TypeVar
 
 from edged.domain.arrays import SIDES, Image, Side
-from edged.errors import CalibrationError, ImageError
+from edged.errors import CalibrationError, ImageError, translated
 from edged.files.atomic import write_atomically
 from edged.files.images import load_image
 from edged.files.pairs import ImagePair
@@ -118,9 +118,7 @@ def write_pair(folder: Path, name: str, images: tuple[Image, Image], small: tupl
 
     Raises `CalibrationError` for a disc that refuses.
     """
-    try:
+    with translated(CalibrationError, f"{folder}: the pair cannot be kept"):
         write_pictures(folder / "pictures", name, images)
         for side, thumbnail in zip(SIDES, small, strict=True):
             write_atomically(folder / "small" / f"{name}_{side}.jpg", jpeg(thumbnail, THUMBNAIL_QUALITY))
-    except OSError as error:
-        raise CalibrationError(f"{folder}: the pair cannot be kept: {error.strerror or error}") from error

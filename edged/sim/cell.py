@@ -124,9 +124,6 @@ class VirtualCell:
         seed: int = 0,
         motion: PartMotion | None = None,
         board: Plate | None = None,
-        table: Surface | None = None,
-        light: SceneLight | None = None,
-        sensor: Sensor | None = None,
         weather: Weather | None = None,
         marks: MarkFrame | None = None,
         pace: float = 1.0,
@@ -137,9 +134,9 @@ class VirtualCell:
         self._moved: dict[str, RenderedView] = {}
         self._seed = seed
         self._motion = motion or PartMotion()
-        self._table = table or Surface(albedo=0.16, contrast=0.25, feature_mm=0.6, seed=2)
-        self._light = light or SceneLight()
-        self._views = stereo_views(rig, sensor)
+        self._table = Surface(albedo=0.16, contrast=0.25, feature_mm=0.6, seed=2)
+        self._light = SceneLight()
+        self._views = stereo_views(rig)
         self._showing = ShownNow()
         self._moments: deque[_Moment] = deque(maxlen=HISTORY)
         self._born = 0

@@ -5,13 +5,11 @@ from __future__ import annotations
 from types import TracebackType
 
 from edged.domain.arrays import SIDES, Side
-from edged.sim.cell import VirtualCell, demo_part, demo_rig, inside
+from edged.sim.cell import VirtualCell, demo_part, demo_rig
 from edged.sim.gige.camera import GigeCamera
 from edged.sim.inprocess import InProcessCamera
 from edged.sim.stage import Stage, stage_board
-from edged.sim.weather import Weather
 from edged.vision.geometry.camera import StereoRig
-from edged.vision.marks.frame import MarkFrame
 
 ADDRESSES = ("127.0.0.1", "127.0.0.2")
 SERIALS = ("EDGED-VIRTUAL-L", "EDGED-VIRTUAL-R")
@@ -29,7 +27,6 @@ class VirtualWorld:
     rig : as it truly is, and how large its pictures are; None: the demo's.
     addresses : (left, right) of the GigE Vision cameras, None for cameras inside this process.
     stage : where somebody shows board and part; None: the part lies elsewhere at every exposure.
-    marks, weather, pace : as of `VirtualCell`.
     """
 
     def __init__(
@@ -39,21 +36,9 @@ class VirtualWorld:
         rig: StereoRig | None = None,
         seed: int = 0,
         staged: bool = False,
-        marks: MarkFrame | None = None,
-        weather: Weather | None = None,
-        pace: float = 1.0,
     ) -> None:
         board = stage_board() if staged else None
-        self.cell = VirtualCell(
-            rig or demo_rig(),
-            demo_part(),
-            seed=seed,
-            board=board,
-            marks=marks,
-            weather=weather,
-            pace=pace,
-            motion=None if marks is None else inside(marks),
-        )
+        self.cell = VirtualCell(rig or demo_rig(), demo_part(), seed=seed, board=board)
         self.stage = Stage(self.cell, seed=seed) if staged else None
         self.addresses = ADDRESSES if gige else None
         self._devices: list[GigeCamera] = []
@@ -63,7 +48,7 @@ class VirtualWorld:
         try:
             for address, serial, side in zip(self.addresses or (), SERIALS, SIDES, strict=False):
                 width, height = self._size(side)
-                device = GigeCamera(address, serial, self.cell.exposure(side), width=width, height=height)
+                device = GigeCamera(address, serial, self.cell.exposure(side), size=(width, height))
                 device.start()
                 self._devices.append(device)
             if self._devices:

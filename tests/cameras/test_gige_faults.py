@@ -24,7 +24,7 @@ PACKETS = tuple(range(8))  # leader, 6 of 540 bytes for 64 x 48 px, trailer
 @pytest.fixture
 def camera() -> Iterator[GigeCamera]:
     """A small one."""
-    with GigeCamera(ADDRESS, "EDGED-F1", moving_ramp, width=64, height=48) as camera:
+    with GigeCamera(ADDRESS, "EDGED-F1", moving_ramp, size=(64, 48)) as camera:
         yield camera
 
 
@@ -184,7 +184,7 @@ def test_a_lost_answer_does_not_mean_that_nothing_was_done(camera: GigeCamera) -
 def quirky(request: pytest.FixtureRequest) -> Iterator[Client]:
     """The controlling client of a camera with a quirk."""
     with (
-        GigeCamera(ADDRESS, "EDGED-Q1", moving_ramp, width=64, height=48, quirks=[request.param]),
+        GigeCamera(ADDRESS, "EDGED-Q1", moving_ramp, size=(64, 48), quirks=[request.param]),
         Stream(Client(ADDRESS)) as stream,
     ):
         yield stream.client

@@ -50,7 +50,7 @@ class Sensor:
 @pytest.fixture
 def camera() -> Iterator[GigeCamera]:
     """A small camera with a test pattern."""
-    with GigeCamera(ADDRESS, "EDGED-SIM", moving_ramp, width=64, height=48) as camera:
+    with GigeCamera(ADDRESS, "EDGED-SIM", moving_ramp, size=(64, 48)) as camera:
         yield camera
 
 
@@ -181,7 +181,7 @@ def test_a_taken_port_is_a_clear_error(camera: GigeCamera) -> None:
 def test_stopping_leaves_nothing_behind() -> None:
     """Start and stop over and over on one address."""
     for _ in range(5):
-        with GigeCamera(ADDRESS, "AGAIN", moving_ramp, width=64, height=48):
+        with GigeCamera(ADDRESS, "AGAIN", moving_ramp, size=(64, 48)):
             pass
 
 
@@ -190,8 +190,8 @@ def test_stopping_leaves_nothing_behind() -> None:
 def test_aravis_finds_two_cameras_of_one_process() -> None:
     """Broadcast discovery is answered by both."""
     with (
-        GigeCamera(ADDRESS, "EDGED-D1", moving_ramp, width=64, height=48),
-        GigeCamera(OTHER, "EDGED-D2", moving_ramp, width=64, height=48),
+        GigeCamera(ADDRESS, "EDGED-D1", moving_ramp, size=(64, 48)),
+        GigeCamera(OTHER, "EDGED-D2", moving_ramp, size=(64, 48)),
     ):
         found = {camera.serial: camera.address for camera in list_cameras()}
 
@@ -226,5 +226,5 @@ def test_lost_packets_are_sent_again_and_every_image_is_whole(user_socket: bool)
             await camera.close()
         return whole
 
-    with GigeCamera(ADDRESS, "EDGED-LOSS", sensor, width=640, height=480, faults=Faults(packet_loss=0.02)):
+    with GigeCamera(ADDRESS, "EDGED-LOSS", sensor, size=(640, 480), faults=Faults(packet_loss=0.02)):
         assert asyncio.run(shoot(10)) >= 8

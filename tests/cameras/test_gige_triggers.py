@@ -27,7 +27,7 @@ OUTPUT = g.LINE_MODE + 4 * g.LINES["Line2"]
 
 def small(address: str = ADDRESS, **options: object) -> GigeCamera:
     """A camera with small images."""
-    return GigeCamera(address, f"S{address[-1]}", moving_ramp, width=64, height=48, **options)
+    return GigeCamera(address, f"S{address[-1]}", moving_ramp, size=(64, 48), **options)
 
 
 @pytest.fixture

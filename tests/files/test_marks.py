@@ -67,7 +67,7 @@ def test_marks_that_this_rig_cannot_see_there_are_refused(tmp_path: Path) -> Non
 @pytest.mark.parametrize(
     ("changes", "why"),
     [
-        ({"format": "edged-rig"}, "no reference marks"),
+        ({"format": "edged-rig"}, "not a file of reference marks"),
         ({"version": 2}, "version 2, this edged reads 1"),
         ({"calibration_id": 3}, "calibration_id: expected a name"),
         ({"codes": [1, 2]}, "codes: 2 marks: expected 6 to 64"),

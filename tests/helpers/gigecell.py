@@ -47,7 +47,7 @@ def gige_camera(
     address: str, serial: str, sensor: Sensor, width: int = WIDTH, height: int = HEIGHT, **options: Any
 ) -> GigeCamera:
     """A simulated GigE Vision camera, to be entered."""
-    return GigeCamera(address, serial, sensor, width=width, height=height, **options)
+    return GigeCamera(address, serial, sensor, size=(width, height), **options)
 
 
 class Cell:

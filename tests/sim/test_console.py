@@ -23,7 +23,7 @@ PATTERN = SimOptions(pattern="64x48")
 def cameras() -> dict[str, GigeCamera]:
     """Two that are not switched on."""
     return {
-        side: GigeCamera(f"127.0.54.{number}", f"C{number}", moving_ramp, width=64, height=48)
+        side: GigeCamera(f"127.0.54.{number}", f"C{number}", moving_ramp, size=(64, 48))
         for number, side in enumerate(("left", "right"), 1)
     }
 

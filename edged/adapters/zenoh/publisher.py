@@ -74,7 +74,7 @@ class ZenohPublisher:
 
     commander : takes the commands of `trigger`; None makes the cell read-only.
     jobs : (number, name) of every job. config : what `config` answers; no secrets, please.
-    Both are called on the event loop. utc_ns : for stamps, clock_s : monotonic, for ages.
+    Both are called on the event loop.
     session : `configured`, so that its files need not be read again; None: they are read at the start.
     """
 
@@ -85,27 +85,23 @@ class ZenohPublisher:
         *,
         jobs: Callable[[], Sequence[tuple[int, str]]] = tuple,
         config: Callable[[], Mapping[str, Any]] = dict,
-        utc_ns: Callable[[], int] = time.time_ns,
-        clock_s: Callable[[], float] = time.monotonic,
         session: zenoh.Config | None = None,
     ) -> None:
         self._settings = settings
         self._commander = commander
         self._jobs = jobs
         self._config = config
-        self._utc_ns = utc_ns
-        self._clock_s = clock_s
-        self._exposures = ExposureClock(clock_s)
+        self._exposures = ExposureClock(time.monotonic)
         self._session_config = session
         self._encode, self._encoding = ENCODINGS[settings.encoding]
         self._base = f"{PREFIX}/{settings.cell}"
         self._session: zenoh.Session | None = None
-        self._sealer = Sealer("", None, utc_ns)  # nothing is sent before there is a session
+        self._sealer = Sealer("", None, time.time_ns)  # nothing is sent before there is a session
         self._ros2: Ros2Topics | None = None
         self._preview: Preview | None = None
         self._publishers: dict[str, zenoh.ext.AdvancedPublisher | zenoh.Publisher] = {}
         self._sequences = {"target": 0, "state": 0, "health": 0}
-        self._started_ns = utc_ns()
+        self._started_ns = time.time_ns()
         self._outbox = JobThread("zenoh-publish", OUTBOX_LENGTH)
         self._answers = JobThread("zenoh-answer", 2 * MAX_PENDING)
         self._triggers: PendingTriggers[zenoh.Query] = PendingTriggers()
@@ -125,7 +121,7 @@ class ZenohPublisher:
         self._session = session = await bounded(
             lambda: open_session(config), OPEN_TIMEOUT_S, what, zenoh.Session.close
         )
-        self._sealer = Sealer(str(session.zid()), self._settings.shared_key, self._utc_ns)
+        self._sealer = Sealer(str(session.zid()), self._settings.shared_key, time.time_ns)
         try:
             self._declare(session)
         except ConfigError:
@@ -253,7 +249,7 @@ class ZenohPublisher:
         topics = self._ros2
         if topics is None:
             return
-        pose, sent_ns = pose_of(snapshot, topics.cell), self._utc_ns()
+        pose, sent_ns = pose_of(snapshot, topics.cell), time.time_ns()
         if pose is not None:
             self._outbox.post(lambda: topics.send(pose, sent_ns))
 
@@ -261,7 +257,7 @@ class ZenohPublisher:
         return message(kind, self._settings.cell, self._started_ns, body, sequence)
 
     def _dated(self, body: Mapping[str, Any]) -> Json:
-        return {"published_ns": self._utc_ns(), **body}
+        return {"published_ns": time.time_ns(), **body}
 
     async def _beat(self) -> None:
         while True:
@@ -302,7 +298,7 @@ class ZenohPublisher:
             self._reply_error(query, "nothing has been measured since the start or the last reload")
             return
         snapshot, sequence, exposed_s = self._last
-        age_ms = (self._clock_s() - exposed_s) * 1e3
+        age_ms = (time.monotonic() - exposed_s) * 1e3
         self._reply(
             query,
             "last",

@@ -18,7 +18,7 @@ from pydantic import ValidationError
 
 from edged.config.reading import not_toml, not_utf8, problem_of
 from edged.config.tomltext import toml_of
-from edged.errors import FileFormatError
+from edged.errors import FileFormatError, translated
 from edged.files.arrays import pack_arrays, unpack_arrays
 from edged.files.atomic import read_folder, replace_folder
 from edged.files.jobs.schema import JobFile
@@ -146,10 +146,7 @@ def save_job(folder: Path, job: Job) -> Path | None:
     """
     folder = by_name(Path(folder))
     check_job_folder(folder)
-    try:
-        with as_owner(folder.parent) as above:
-            place = unlinked(above / folder.name)
-            kept = replace_folder(place, job_files(job), place.with_name(f"{place.name}{REPLACED}"))
-    except OSError as error:
-        raise FileFormatError(f"{folder}: cannot write a job: {error.strerror or error}") from error
+    with translated(FileFormatError, f"{folder}: cannot write a job"), as_owner(folder.parent) as above:
+        place = unlinked(above / folder.name)
+        kept = replace_folder(place, job_files(job), place.with_name(f"{place.name}{REPLACED}"))
     return None if kept is None else unlinked(folder).with_name(kept.name)

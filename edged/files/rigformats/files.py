@@ -13,7 +13,7 @@ import yaml
 
 from edged.domain.arrays import FloatArray
 from edged.domain.numerals import decimal
-from edged.errors import FileFormatError, UserError
+from edged.errors import FileFormatError, UserError, translated
 from edged.files.atomic import read_bytes
 from edged.files.imagesizes import MAX_PIXELS
 from edged.vision.geometry.camera import CameraModel, StereoRig, calibration_identity
@@ -251,7 +251,5 @@ def holds(path: Path, *names: str) -> bool:
 
 def files_in(folder: Path, *suffixes: str) -> list[Path]:
     """The folder's files with these suffixes, by name."""
-    try:
+    with translated(FileFormatError, f"{folder}: cannot be read"):
         return sorted(p for p in folder.iterdir() if p.suffix.lower() in suffixes and p.is_file())
-    except OSError as error:
-        raise FileFormatError(f"{folder}: cannot be read: {error.strerror or error}") from error

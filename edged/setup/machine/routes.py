@@ -15,7 +15,7 @@ from edged.adapters.web.routes import Answer, Body, Call, route
 from edged.errors import UserError
 from edged.setup.draftroutes import Nothing
 from edged.setup.machine.service import ArchiveSummary, Examination, MachineService
-from edged.setup.releases.routes import Activating, ReleaseDocument, document_of_release, signed_mandate
+from edged.setup.releases.routes import Activating, ReleaseDocument, noted, signed_mandate
 
 MOST_BYTES = 64 * 1024 * 1024
 """The largest archive: one of a hundred jobs has a tenth of it."""
@@ -105,11 +105,10 @@ class MachineRoutes:
         needs_password=True,
     )
     async def _restore(self, call: Call[Restoring]) -> ReleaseDocument:
-        digest = call.body.digest
-        call.trail.object, call.trail.before = digest, self._machine.fingerprint
-        release = await self._machine.restore(digest, signed_mandate(call))
-        call.trail.after = release.fingerprint
-        return document_of_release(release, is_active=True)
+        call.trail.object = digest = call.body.digest
+        return await noted(
+            call, self._machine.fingerprint, self._machine.restore(digest, signed_mandate(call))
+        )
 
     @route(
         "POST",

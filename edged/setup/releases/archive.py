@@ -38,7 +38,7 @@ from edged.config.chosenconnections import connections_file, read_connections
 from edged.config.configuration import Config
 from edged.config.tomltext import toml_of
 from edged.domain.numerals import json_of
-from edged.errors import FileFormatError, UserError
+from edged.errors import FileFormatError, UserError, translated
 from edged.files.acceptance import acceptance_file
 from edged.files.atomic import read_bytes, replace_folder
 from edged.files.golden import golden_file
@@ -405,7 +405,7 @@ def restore(taken: Backup, output: Path, *, force: bool) -> Path | None:
     nothing has changed.
     """
     output = by_name(output)
-    try:
+    with translated(FileFormatError, f"{output}: cannot be written"):
         if output.exists() and not output.is_dir():
             raise UserError(f"{output}: exists and is no folder")
         if output.is_dir() and any(output.iterdir()) and not force:
@@ -418,8 +418,6 @@ def restore(taken: Backup, output: Path, *, force: bool) -> Path | None:
             keep = _unused(place.with_name(f"{place.name}.before-restore"))
             is_kept = _put(taken, place, output, keep)
         return unlinked(output).with_name(keep.name) if is_kept else None
-    except OSError as error:
-        raise FileFormatError(f"{output}: cannot be written: {error.strerror or error}") from error
 
 
 def _put(taken: Backup, place: Path, output: Path, keep: Path) -> bool:

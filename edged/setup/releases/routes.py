@@ -78,11 +78,8 @@ class ReleaseRoutes:
     )
     async def _return(self, call: Call[Returning]) -> ReleaseDocument:
         await self._activation.check(call.body.token)
-        number, body = int(call.part("number")), call.body
-        call.trail.before = self._activation.fingerprint
-        release = await known(self._activation.activate_again(number, mandate(call, body.reason)))
-        call.trail.after = release.fingerprint
-        return document_of_release(release, is_active=True)
+        asked = self._activation.activate_again(int(call.part("number")), mandate(call, call.body.reason))
+        return await noted(call, self._activation.fingerprint, known(asked))
 
     @route(
         "GET",
@@ -131,10 +128,16 @@ async def activated(
     """Let the cell run by the rig that a draft was solved to. Raises as `Activation.activate`; `KeyError`."""
     await activation.check(call.body.token)
     rig = await solution(call.part("id"))
-    call.trail.before = activation.fingerprint
-    release = await activation.activate(rig, signed_mandate(call))
-    call.trail.after = release.fingerprint
+    release = await noted(call, activation.fingerprint, activation.activate(rig, signed_mandate(call)))
     await drafts.tell_again(call.part("id"))
+    return release
+
+
+async def noted(call: Call[Any], fingerprint: str, asked: Awaitable[Release]) -> ReleaseDocument:
+    """Await a release, with the fingerprints before and after it in the audit."""
+    call.trail.before = fingerprint
+    release = await asked
+    call.trail.after = release.fingerprint
     return document_of_release(release, is_active=True)
 
 
@@ -215,7 +218,7 @@ class JobRoutes:
     async def _change(self, call: Call[Changing]) -> JobList:
         await self._activation.check(call.body.token)
         folder, body = call.part("name"), call.body
-        call.trail.object, call.trail.before = folder, self._activation.fingerprint
+        call.trail.object = folder
         if body.signed is not None:
             call.trail.reason = f"{body.note or ''}; signed: {body.signed}".removeprefix("; ")
         if body.retired is None:
@@ -230,7 +233,7 @@ class JobRoutes:
         else:
             by = mandate(call, body.note or f"{folder} is in use again", body.signed)
             asked = self._jobs.bring_back(folder, by, number=body.number)
-        call.trail.after = (await known(asked)).fingerprint
+        await noted(call, self._activation.fingerprint, known(asked))
         return await self._jobs.listed()
 
     @route(
@@ -244,11 +247,11 @@ class JobRoutes:
     async def _copy(self, call: Call[Copying]) -> JobList:
         await self._activation.check(call.body.token)
         job, body = call.part("name"), call.body
-        call.trail.object, call.trail.before = body.new_name, self._activation.fingerprint
+        call.trail.object = body.new_name
         note = body.note or f"{body.new_name}, as {job}"
         by = mandate(call, note, body.signed)
         asked = self._jobs.copy(job, by, name=body.new_name, number=body.number)
-        call.trail.after = (await known(asked)).fingerprint
+        await noted(call, self._activation.fingerprint, known(asked))
         return await self._jobs.listed()
 
     @route("GET", f"{JOB}/versions", "The releases that changed a job", role=Role.VIEWER)

@@ -15,7 +15,7 @@ from edged.setup.releases.routes import (
     Activating,
     ReleaseDocument,
     add_activation,
-    document_of_release,
+    noted,
     signed_mandate,
 )
 from edged.setup.releases.service import Activation
@@ -207,14 +207,14 @@ class TeachingRoutes:
     async def _activate(self, draft: str, call: Call[Activating]) -> ReleaseDocument:
         await self._activation.check(call.body.token)
         candidate = await self._teachings.candidate(draft)
-        call.trail.object, call.trail.before = candidate.folder, self._activation.fingerprint
+        call.trail.object = candidate.folder
         # first: a kill after the exchange must not leave a draft that does not know its job
         await self._teachings.note_activated(draft, candidate)
         try:
-            release = await self._activation.activate_jobs(candidate.put, signed_mandate(call))
+            asked = self._activation.activate_jobs(candidate.put, signed_mandate(call))
+            release = await noted(call, self._activation.fingerprint, asked)
         except (EdgedError, OSError):
             await self._teachings.note_activated(draft, None)
             raise
-        call.trail.after = release.fingerprint
         await self._teachings.note_job(draft)
-        return document_of_release(release, is_active=True)
+        return release

@@ -75,8 +75,7 @@ class GigeCamera:
     exposure : called in the exposure thread; returns the (height, width) uint8 image.
     faults : what goes wrong; its fields may be changed at any time.
     quirks : what its firmware does otherwise than others. make : it is called, and has the features, of
-    another
-    maker's camera.
+    another maker's camera. size : width and height of a picture.
     clock : its clock; offset, drift and PTP may be changed at any time.
     registers : its memory. exposures : how many there were since it was made.
     """
@@ -87,8 +86,7 @@ class GigeCamera:
         serial: str,
         exposure: Callable[[ExposureRequest], Image],
         *,
-        width: int = 1280,
-        height: int = 960,
+        size: tuple[int, int] = (1280, 960),
         faults: Faults | None = None,
         clock: DeviceClock | None = None,
         quirks: Collection[Quirk] = (),
@@ -106,7 +104,7 @@ class GigeCamera:
         identity = CameraIdentity(address, serial, mac=int.from_bytes(socket.inet_aton(address), "big"))
         if make is not None:
             identity = replace(identity, model=make.model, vendor=make.vendor)
-        table = make.features if make is not None else g.features(width, height, self._quirks)
+        table = make.features if make is not None else g.features(*size, self._quirks)
         self.registers = CameraRegisters(identity, table, self._quirks)
         self._triggers = CameraTriggers(self.registers, self.clock, self._quirks)
         self._held: tuple[float, float] | None = None
@@ -444,7 +442,7 @@ def _main() -> None:
     parser.add_argument("--width", type=int, default=1280)
     parser.add_argument("--height", type=int, default=960)
     options = parser.parse_args()
-    with GigeCamera(options.address, options.serial, moving_ramp, width=options.width, height=options.height):
+    with GigeCamera(options.address, options.serial, moving_ramp, size=(options.width, options.height)):
         print(f"virtual camera {options.serial} on {options.address}", flush=True)
         threading.Event().wait()
 

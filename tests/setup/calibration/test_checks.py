@@ -91,7 +91,7 @@ async def test_a_check_says_whether_the_rig_is_what_the_cameras_are(tmp_path: Pa
             "turned NOT_OK",
             *(f"{true.calibration_id} {one}" for one in ("OK", "UNDECIDED")),
         ]
-        noted = [one for one in noted if one[1] not in ("input", "invalid")]
+        noted = [one for one in noted if one[1] not in ("input_no_job", "invalid")]
         assert [("checks", "setup_refused"), *((f"checks/{one}", "ok") for one in judged)] == noted
 
         quality = {"board": f"dots:7x7:5,{BOARD}"}
