@@ -16,6 +16,7 @@ from edged.config.reading import load
 from edged.errors import ConfigError
 from edged.setup.cellfiles import read_any_cell, read_cell
 from edged.setup.releases import archive as releases
+from edged.setup.releases import restoring
 from edged.sim.cell import VirtualCell, demo_part
 
 
@@ -83,7 +84,7 @@ def test_it_goes_with_the_rig_into_a_backup_and_back(config: Path, tmp_path: Pat
     choose(config, exposure_us=700.0)
     chosen = releases.read(_saved(tmp_path / "chosen", config))
     for taken in (chosen, plain, chosen):
-        releases.restore(taken, tmp_path / "restored", force=True)
+        restoring.restore(taken, tmp_path / "restored", force=True)
         restored = tmp_path / "restored" / config.name
         assert taken.fingerprint == read_cell(restored).fingerprint
         expected = 700.0 if taken is chosen else None
@@ -97,7 +98,7 @@ def test_connections_go_into_a_backup_and_back(config: Path, tmp_path: Path) -> 
     file.write_text(json.dumps({"modbus": {"port": 1702}}))
     chosen = releases.read(_saved(tmp_path / "chosen", config))
     for taken, port in ((chosen, 1702), (plain, 1502), (chosen, 1702)):
-        releases.restore(taken, tmp_path / "restored", force=True)
+        restoring.restore(taken, tmp_path / "restored", force=True)
         again = load(tmp_path / "restored" / config.name)
         assert port == again.modbus.port
     assert 0 == connections_file(again.cell.rig).stat().st_mode & 0o077

@@ -13,7 +13,7 @@ from typing import Annotated
 import typer
 
 from edged import __version__
-from edged.cli import around, service, setup
+from edged.cli import around, robot, service, setup
 
 app = typer.Typer(
     name="edged",
@@ -41,6 +41,7 @@ def _options(
 
 for _panel, _commands in (
     ("Make a rig and its jobs", setup.app),
+    ("Make a rig and its jobs", robot.app),
     ("Run a cell", service.app),
     ("Try it, connect to it", around.app),
 ):

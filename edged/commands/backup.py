@@ -13,7 +13,7 @@ from edged.files.atomic import write_file
 from edged.files.outputs import check_folder, check_outputs
 from edged.setup.cellfiles import read_cell
 from edged.setup.releases.archive import REGISTERS, Backup, fits_map, make, read
-from edged.setup.releases.archive import restore as put_back
+from edged.setup.releases.restoring import restore as put_back
 from edged.setup.releases.rights import rights_at, rights_in
 from edged.setup.releases.signing import signature_file, signature_of
 

@@ -8,12 +8,18 @@ import numpy as np
 from edged.domain.arrays import Image
 
 
+def shrunk(image: Image, width_px: int) -> Image:
+    """An image (H, W) uint8, so wide at most."""
+    height, width = image.shape
+    if width <= width_px:
+        return image
+    size = (width_px, max(1, round(height * width_px / width)))
+    return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)
+
+
 def jpeg(image: Image, quality: int, width_px: int | None = None) -> bytes:
     """A JPEG of an image (H, W) uint8. quality : per cent. width_px : at most; None: as wide as it is."""
-    height, width = image.shape
-    if width_px is not None and width > width_px:
-        size = (width_px, max(1, round(height * width_px / width)))
-        image = np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)
+    image = image if width_px is None else shrunk(image, width_px)
     return _encoded(".jpg", image, cv2.IMWRITE_JPEG_QUALITY, quality)
 
 

@@ -104,13 +104,15 @@ def _pool() -> Iterator[ThreadPoolExecutor]:
         pool.shutdown(wait=True, cancel_futures=True)
 
 
-def write_pictures(folder: Path, name: str, images: tuple[Image, Image]) -> None:
-    """Write a pair, every grey value, as NAME_left.png and NAME_right.png; the left one makes it a pair.
+def write_sides(
+    folder: Path, name: str, images: tuple[Image, Image], encode: Callable[[Image], bytes] = png
+) -> None:
+    """Write both pictures; the left one, which comes last, makes them a pair. name : with {side} in it.
 
     Raises `OSError`.
     """
     for side, image in reversed(list(zip(SIDES, images, strict=True))):
-        write_atomically(folder / f"{name}_{side}.png", png(image))
+        write_atomically(folder / name.format(side=side), encode(image))
 
 
 def write_pair(folder: Path, name: str, images: tuple[Image, Image], small: tuple[Image, Image]) -> None:
@@ -119,6 +121,5 @@ def write_pair(folder: Path, name: str, images: tuple[Image, Image], small: tupl
     Raises `CalibrationError` for a disc that refuses.
     """
     with translated(CalibrationError, f"{folder}: the pair cannot be kept"):
-        write_pictures(folder / "pictures", name, images)
-        for side, thumbnail in zip(SIDES, small, strict=True):
-            write_atomically(folder / "small" / f"{name}_{side}.jpg", jpeg(thumbnail, THUMBNAIL_QUALITY))
+        write_sides(folder / "pictures", f"{name}_{{side}}.png", images)
+        write_sides(folder / "small", f"{name}_{{side}}.jpg", small, partial(jpeg, quality=THUMBNAIL_QUALITY))

@@ -23,7 +23,8 @@ from rich.console import Console, ConsoleDimensions
 from edged.adapters.zenoh import open_session, session_config
 from edged.app.fleet import ClientTls, News
 from edged.cbor import decode_cbor
-from edged.commands.watch import CellView, WatchOptions, fleet_view, watch
+from edged.commands.fleetview import CellView, fleet_view
+from edged.commands.watch import WatchOptions, watch
 from edged.domain.cell import CalibrationHealth, DriftState
 from edged.domain.events import Snapshot
 from edged.domain.measurement import Status

@@ -15,7 +15,7 @@ from edged.setup.acceptance.accepting import TOUCHED_NAME
 from edged.setup.acceptance.verdicts import LEAST_LENGTHS, LEAST_POSES, LEAST_STILL, LEAST_TOUCHED
 from edged.setup.documents import Frozen, LastDocument, Message, now_text
 from edged.setup.inuse import CellInUse
-from edged.setup.pairs import Progress, write_pictures
+from edged.setup.pairs import Progress, write_sides
 from edged.vision.part.job import Job
 
 FUNCTIONS = {name: f"edged.setup.acceptance.work:{name}" for name in ("accept_cell", "measure_size")}
@@ -114,7 +114,7 @@ class Accepting:
                 raise UserError(f"{MOST} pictures of a test are enough: begin it anew")
             pair = await self._cell.session.capture(token)
             images = pair.images
-            await asyncio.to_thread(write_pictures, folder, f"view_{first:03d}", images)
+            await asyncio.to_thread(write_sides, folder, f"view_{first:03d}_{{side}}.png", images)
 
     async def touched(self, token: str, table: str) -> AcceptanceDocument:
         """Keep what the robot touched: lines of rig x, y, z and robot x, y, z. Raises `SetupRefused`."""

@@ -9,11 +9,11 @@ from dataclasses import asdict, dataclass, replace
 from functools import partial
 from typing import Any
 
-import cv2
 import numpy as np
 
 from edged.domain.arrays import SIDES, Image, Side
 from edged.errors import CalibrationError
+from edged.pictures.encoding import shrunk
 from edged.report.calibration import ReportExtras, calibration_report
 from edged.setup.calibration.boards import check_board_shown, shows_another, spread
 from edged.setup.pairs import Pair, Picture, Progress, silent, work_on
@@ -316,13 +316,7 @@ def _look(picture: Picture, boards: Sequence[NominalBoard]) -> Looked:
         seen_another = any(isinstance(result, Detection) for result in results)
         results.append(NotDetected("shows another board") if seen_another else detect_board(image, board))
     size = image.shape[1], image.shape[0]
-    return Looked(size, hashlib.sha256(image.tobytes()).digest(), _small(image), results)
-
-
-def _small(image: Image) -> Image:
-    shrink = max(1.0, image.shape[1] / THUMBNAIL_PX)
-    size = round(image.shape[1] / shrink), max(1, round(image.shape[0] / shrink))
-    return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)
+    return Looked(size, hashlib.sha256(image.tobytes()).digest(), shrunk(image, THUMBNAIL_PX), results)
 
 
 def _view(

@@ -11,7 +11,7 @@ from edged.files.atomic import make_folders
 from edged.files.marks import MARKS_NAME
 from edged.setup.documents import Frozen, LastDocument, SigmaXyz, now_text
 from edged.setup.inuse import CellInUse
-from edged.setup.pairs import Progress, write_pictures
+from edged.setup.pairs import Progress, write_sides
 from edged.vision.marks.params import MARKS
 
 FUNCTIONS = {name: f"edged.setup.marking.work:{name}" for name in ("look_at_marks", "teach_marks")}
@@ -120,7 +120,7 @@ class Marking:
                 progress("take pairs", number, count)
                 pair = await self._cell.session.capture(token)
                 images = pair.images
-                await asyncio.to_thread(write_pictures, folder, f"view_{number:03d}", images)
+                await asyncio.to_thread(write_sides, folder, f"view_{number:03d}_{{side}}.png", images)
             found = await self._cell.worker.run("teach_marks", rig, folder, material, progress=progress)
         finally:
             await asyncio.to_thread(shutil.rmtree, folder, ignore_errors=True)

@@ -9,12 +9,12 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 
 from edged.domain.arrays import FloatArray, Image
 from edged.domain.frames import FramePair
 from edged.domain.measurement import Reject, Target
+from edged.pictures.encoding import shrunk
 from edged.pipeline import locate, prepare
 from edged.setup.inuse import RigInUse
 from edged.setup.outlines import seen_at
@@ -112,7 +112,7 @@ def marks_at(
 
 def _keep(folder: Path, name: str, images: Images) -> None:
     """Write a pair to a draft. Raises as `write_pair`."""
-    left, right = map(_small, images)
+    left, right = (shrunk(image, WIDEST_PX) for image in images)
     write_pair(folder, name, images, (left, right))
 
 
@@ -147,11 +147,3 @@ def _spread(points_mm: FloatArray, seen: Sequence[int]) -> dict[tuple[int, int],
             if index not in found.values():
                 found[row + 1, column + 1] = index
     return found
-
-
-def _small(image: Image) -> Image:
-    height, width = image.shape
-    if width <= WIDEST_PX:
-        return image
-    size = WIDEST_PX, round(height * WIDEST_PX / width)
-    return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA))

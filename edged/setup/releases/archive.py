@@ -11,7 +11,7 @@ owner's alone (mode 0600).
 
 A backup is restored once into a temporary folder before it counts: the cell in it must load, and have the
 fingerprint that its results carry. An archive may come from anywhere: nothing is written before all of it has
-been checked. A folder may hold several cells: only files of the one in the archive are replaced.
+been checked.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 from typing import Any
 
 from edged import __version__
@@ -38,14 +38,12 @@ from edged.config.chosenconnections import connections_file, read_connections
 from edged.config.configuration import Config
 from edged.config.tomltext import toml_of
 from edged.domain.numerals import json_of
-from edged.errors import FileFormatError, UserError, translated
+from edged.errors import FileFormatError, UserError
 from edged.files.acceptance import acceptance_file
 from edged.files.atomic import read_bytes, replace_folder
 from edged.files.golden import golden_file
 from edged.files.marks import marks_file
-from edged.files.replacing import replace_files
 from edged.files.rig import read_rig
-from edged.owners import as_owner, by_name, unlinked
 from edged.setup.cellfiles import CellFiles, UnfinishedCell, read_any_cell, read_cell
 from edged.setup.releases.jobsfolder import Jobs, jobs_in, without_pictures
 from edged.setup.releases.signing import check_signature
@@ -129,7 +127,7 @@ def with_parts(config: Path, parts: Parts) -> Backup:
 
 def parts_of(taken: Backup) -> Parts:
     """The parts in a backup."""
-    name = _named(taken.files[taken.config], taken.config).get("cell.rig", "")
+    name = names_in(taken.files[taken.config], taken.config).get("cell.rig", "")
     rig, cameras, connections = map(
         taken.files.get, (name, _chosen_member(name), connections_file(Path(name)).as_posix())
     )
@@ -166,7 +164,7 @@ def restored(taken: Backup) -> CellFiles | UnfinishedCell:
 
 def rig_in(taken: Backup) -> bytes:
     """The rig in a backup. Raises `FileFormatError` when there is none."""
-    name = _named(taken.files[taken.config], taken.config).get("cell.rig", "")
+    name = names_in(taken.files[taken.config], taken.config).get("cell.rig", "")
     if name not in taken.files:
         raise FileFormatError(f"{taken.config} of the backup: cell.rig: {name!r} is not in it")
     return taken.files[name]
@@ -174,7 +172,7 @@ def rig_in(taken: Backup) -> bytes:
 
 def jobs_of(taken: Backup) -> dict[str, bytes]:
     """The jobs in a backup."""
-    folder = _named(taken.files[taken.config], taken.config).get("cell.jobs", "")
+    folder = names_in(taken.files[taken.config], taken.config).get("cell.jobs", "")
     inside = f"{folder}/"
     return {name.removeprefix(inside): data for name, data in taken.files.items() if name.startswith(inside)}
 
@@ -247,7 +245,7 @@ def _chosen_member(rig: str) -> str:
 
 
 def _add(files: dict[str, bytes], member: str, path: Path, data: bytes | None = None) -> None:
-    problem = _wrong_name(member)
+    problem = wrong_name(member)
     if problem or member in files or member == MANIFEST:
         raise UserError(f"{path}: cannot be {member!r} in a backup: {problem or 'the name is taken'}")
     files[member] = read_bytes(path, "a file of a backup") if data is None else data
@@ -365,7 +363,7 @@ def _members(data: bytes, place: str) -> dict[str, bytes]:
             raise FileFormatError(f"{place}: unpacks to more than {MAX_BYTES // 2**20} MiB: not a backup")
         with tarfile.open(fileobj=io.BytesIO(plain), mode="r:") as archive:
             for info in archive:
-                problem = _wrong_name(info.name)
+                problem = wrong_name(info.name)
                 if info.name in found:
                     problem = "it is there twice"
                 elif not info.isreg() or info.issparse():
@@ -381,7 +379,7 @@ def _members(data: bytes, place: str) -> dict[str, bytes]:
     return found
 
 
-def _wrong_name(name: str) -> str:
+def wrong_name(name: str) -> str:
     """Why a member must not be called so; "" when it may."""
     if all(PART.fullmatch(part) for part in name.split("/")) and len(name) <= 1000:
         return ""
@@ -395,82 +393,7 @@ def _table(manifest: dict[str, Any], key: str, place: str) -> dict[str, Any]:
     return value
 
 
-# --- into the folder --------------------------------------------------------------------------
-
-
-def restore(taken: Backup, output: Path, *, force: bool) -> Path | None:
-    """Let `output` hold the restored cell, in one step; returns where its former files are kept.
-
-    force : files of this cell that are there make room; others stay as they are. Raises `UserError`; then
-    nothing has changed.
-    """
-    output = by_name(output)
-    with translated(FileFormatError, f"{output}: cannot be written"):
-        if output.exists() and not output.is_dir():
-            raise UserError(f"{output}: exists and is no folder")
-        if output.is_dir() and any(output.iterdir()) and not force:
-            raise UserError(
-                f"{output}: is not empty; choose another folder, or replace this cell's files in it",
-                "not_empty",
-            )
-        with as_owner(output.parent) as above:
-            place = unlinked(above / output.name)
-            keep = _unused(place.with_name(f"{place.name}.before-restore"))
-            is_kept = _put(taken, place, output, keep)
-        return unlinked(output).with_name(keep.name) if is_kept else None
-
-
-def _put(taken: Backup, place: Path, output: Path, keep: Path) -> bool:
-    """Exchange the files; returns whether any is kept. output : how messages name the place."""
-    names = _named(taken.files[taken.config], f"{taken.config} of the backup")
-    replaced = _replaced(taken, place, names.get("cell.jobs", ""))
-    rig = names.get("cell.rig", "")
-    beside = [chosen_file(Path(rig)).as_posix(), connections_file(Path(rig)).as_posix()] if rig else []
-    # or another cell's cameras and connections would be this one's
-    replaced |= {name for name in beside if not _wrong_name(name) and os.path.lexists(place / name)}
-    _leave_others_alone(taken, place, output, replaced)
-    private = {taken.config, names.get("zenoh.config_file", taken.config), *beside[1:]}
-    return replace_files(place, taken.files, replaced, keep, private=private)
-
-
-def _replaced(taken: Backup, output: Path, jobs: str) -> set[str]:
-    """Names of what has to make room in the folder: members, links that lead there, and all former jobs."""
-    replaced = {name for name in taken.files if os.path.lexists(output / name)}
-    parents = {str(parent) for name in taken.files for parent in PurePosixPath(name).parents}
-    replaced |= {parent for parent in parents if (output / parent).is_symlink()}
-    if not _wrong_name(jobs) and (output / jobs).is_dir():
-        replaced |= {
-            file.relative_to(output).as_posix()
-            for file in (output / jobs).rglob("*")
-            if file.is_symlink() or not file.is_dir()
-        }
-    return replaced
-
-
-def _leave_others_alone(taken: Backup, place: Path, output: Path, replaced: set[str]) -> None:
-    """Raise `UserError` where another cell of the folder stands on a file that would change."""
-    changed = [
-        (place / name).resolve()
-        for name in replaced | taken.files.keys()
-        if name != REGISTERS and not _is_same(place / name, taken.files.get(name))
-    ]
-    for other in sorted(place.glob("*.toml")):
-        if other.name == taken.config or not other.is_file():
-            continue
-        for option, name in _named(read_bytes(other, "a configuration"), str(output / other.name)).items():
-            used = (place / name).resolve()
-            if any(file.is_relative_to(used) for file in changed):
-                raise UserError(
-                    f"{output}: {option} of {other.name} is {name}, too, and would become another one; "
-                    "restore into another folder"
-                )
-
-
-def _is_same(file: Path, data: bytes | None) -> bool:
-    return data is not None and file.is_file() and read_bytes(file, "a file of the cell") == data
-
-
-def _named(text: bytes, place: str) -> dict[str, str]:
+def names_in(text: bytes, place: str) -> dict[str, str]:
     """What a configuration names, by dotted path. Raises `UserError` where that cannot be told."""
     try:
         document = toml_of(text)
@@ -482,8 +405,3 @@ def _named(text: bytes, place: str) -> dict[str, str]:
         if isinstance(table, dict) and isinstance(table.get(key), str):
             found[f"{section}.{key}"] = table[key]
     return found
-
-
-def _unused(path: Path) -> Path:
-    names = (path.with_name(f"{path.name}-{number}") for number in range(1, 10_000))
-    return next(name for name in names if not name.exists())

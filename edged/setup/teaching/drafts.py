@@ -16,6 +16,7 @@ import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from datetime import datetime
+from functools import partial
 from pathlib import Path
 from typing import Literal
 
@@ -24,11 +25,12 @@ from pydantic import JsonValue, ValidationError
 from edged.config.reading import problem_of
 from edged.domain.arrays import SIDES, Image
 from edged.errors import TeachError
-from edged.files.atomic import read_bytes, write_atomically
+from edged.files.atomic import read_bytes
 from edged.files.images import load_image
-from edged.pictures.encoding import jpeg, png
+from edged.pictures.encoding import jpeg
 from edged.setup.documents import read_model
 from edged.setup.history import DraftFile, DraftFolders, Kept, beginning
+from edged.setup.pairs import write_sides
 from edged.setup.teaching.model import Content, TeachOperation, TeachState
 
 KEPT = 20
@@ -73,7 +75,7 @@ class TeachingDraft(DraftFile[TeachState]):
             raise TeachError("the pair is of another size than the first one", "further_size")
         pixels = pair.left.tobytes() + pair.right.tobytes()
         name = hashlib.sha256(pixels).hexdigest()[:12]
-        _write_pair(self.pictures, pair.left, pair.right, name)
+        _write_pair(self.pictures, (pair.left, pair.right), name)
         return name
 
     def propose(self, shapes: list[JsonValue]) -> None:
@@ -130,9 +132,8 @@ class TeachingDrafts(DraftFolders[TeachState, TeachingDraft]):
         )
         try:
             place = self.place(state.id) / "pictures"
-            _write_pair(place, pair.left, pair.right)
-            for name, (left, right) in pair.further.items():
-                _write_pair(place, left, right, name)
+            for name, images in {"": (pair.left, pair.right), **pair.further}.items():
+                _write_pair(place, images, name)
             return self.add(state)
         except OSError:  # a disc that is full is not filled further
             self.clear(state.id)
@@ -144,11 +145,10 @@ def picture_name(side: str, suffix: str, pair: str = "") -> str:
     return f"{pair}-{side}.{suffix}" if pair else f"{side}.{suffix}"
 
 
-def _write_pair(place: Path, left: Image, right: Image, name: str = "") -> None:
-    """Write both pictures, for the cell and for people.  name : of a further pair."""
-    for side, image in zip(SIDES, (left, right), strict=True):
-        write_atomically(place / picture_name(side, "png", name), png(image))
-        write_atomically(place / picture_name(side, "jpg", name), jpeg(image, JPEG_QUALITY))
+def _write_pair(place: Path, images: tuple[Image, Image], name: str) -> None:
+    """Write both pictures, for the cell and for people.  name : of a further pair, or ""."""
+    write_sides(place, picture_name("{side}", "png", name), images)
+    write_sides(place, picture_name("{side}", "jpg", name), images, partial(jpeg, quality=JPEG_QUALITY))
 
 
 def _pictures(state: TeachState) -> list[str]:

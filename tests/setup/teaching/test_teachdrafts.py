@@ -16,7 +16,7 @@ from helpers.powercuts import Record, cut
 
 from edged.errors import FileFormatError, TeachError
 from edged.files.images import load_image
-from edged.setup.teaching import drafts as teachdrafts
+from edged.setup import pairs as pairfiles
 from edged.setup.teaching.drafts import KeptPair, TeachingDraft, TeachingDrafts, kept_pair
 from edged.setup.teaching.model import Brush, Content, Mark, Rectangle, nearest, region_of
 from edged.vision.teaching.region import Region, painted_region
@@ -116,7 +116,7 @@ def test_a_disc_that_is_full_leaves_nothing_behind(tmp_path: Path, monkeypatch: 
     def full(path: Path, data: bytes, **_: Any) -> None:
         raise OSError(errno.ENOSPC, "No space left on device", str(path))
 
-    monkeypatch.setattr(teachdrafts, "write_atomically", full)
+    monkeypatch.setattr(pairfiles, "write_atomically", full)
     with pytest.raises(OSError, match="No space"):
         begin(tmp_path)
     assert ["there"] == [entry.name for entry in tmp_path.iterdir()]

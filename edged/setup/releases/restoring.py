@@ -1,0 +1,94 @@
+"""A backup restored into a folder, in one step.
+
+A folder may hold several cells: only files of the one in the archive are replaced.
+"""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path, PurePosixPath
+
+from edged.config.chosencameras import chosen_file
+from edged.config.chosenconnections import connections_file
+from edged.errors import FileFormatError, UserError, translated
+from edged.files.atomic import read_bytes
+from edged.files.replacing import replace_files
+from edged.owners import as_owner, by_name, unlinked
+from edged.setup.releases.archive import REGISTERS, Backup, names_in, wrong_name
+
+
+def restore(taken: Backup, output: Path, *, force: bool) -> Path | None:
+    """Let `output` hold the restored cell, in one step; returns where its former files are kept.
+
+    force : files of this cell that are there make room; others stay as they are. Raises `UserError`; then
+    nothing has changed.
+    """
+    output = by_name(output)
+    with translated(FileFormatError, f"{output}: cannot be written"):
+        if output.exists() and not output.is_dir():
+            raise UserError(f"{output}: exists and is no folder")
+        if output.is_dir() and any(output.iterdir()) and not force:
+            raise UserError(
+                f"{output}: is not empty; choose another folder, or replace this cell's files in it",
+                "not_empty",
+            )
+        with as_owner(output.parent) as above:
+            place = unlinked(above / output.name)
+            keep = _unused(place.with_name(f"{place.name}.before-restore"))
+            is_kept = _put(taken, place, output, keep)
+        return unlinked(output).with_name(keep.name) if is_kept else None
+
+
+def _put(taken: Backup, place: Path, output: Path, keep: Path) -> bool:
+    """Exchange the files; returns whether any is kept. output : how messages name the place."""
+    names = names_in(taken.files[taken.config], f"{taken.config} of the backup")
+    replaced = _replaced(taken, place, names.get("cell.jobs", ""))
+    rig = names.get("cell.rig", "")
+    beside = [chosen_file(Path(rig)).as_posix(), connections_file(Path(rig)).as_posix()] if rig else []
+    # or another cell's cameras and connections would be this one's
+    replaced |= {name for name in beside if not wrong_name(name) and os.path.lexists(place / name)}
+    _leave_others_alone(taken, place, output, replaced)
+    private = {taken.config, names.get("zenoh.config_file", taken.config), *beside[1:]}
+    return replace_files(place, taken.files, replaced, keep, private=private)
+
+
+def _replaced(taken: Backup, output: Path, jobs: str) -> set[str]:
+    """Names of what has to make room in the folder: members, links that lead there, and all former jobs."""
+    replaced = {name for name in taken.files if os.path.lexists(output / name)}
+    parents = {str(parent) for name in taken.files for parent in PurePosixPath(name).parents}
+    replaced |= {parent for parent in parents if (output / parent).is_symlink()}
+    if not wrong_name(jobs) and (output / jobs).is_dir():
+        replaced |= {
+            file.relative_to(output).as_posix()
+            for file in (output / jobs).rglob("*")
+            if file.is_symlink() or not file.is_dir()
+        }
+    return replaced
+
+
+def _leave_others_alone(taken: Backup, place: Path, output: Path, replaced: set[str]) -> None:
+    """Raise `UserError` where another cell of the folder stands on a file that would change."""
+    changed = [
+        (place / name).resolve()
+        for name in replaced | taken.files.keys()
+        if name != REGISTERS and not _is_same(place / name, taken.files.get(name))
+    ]
+    for other in sorted(place.glob("*.toml")):
+        if other.name == taken.config or not other.is_file():
+            continue
+        for option, name in names_in(read_bytes(other, "a configuration"), str(output / other.name)).items():
+            used = (place / name).resolve()
+            if any(file.is_relative_to(used) for file in changed):
+                raise UserError(
+                    f"{output}: {option} of {other.name} is {name}, too, and would become another one; "
+                    "restore into another folder"
+                )
+
+
+def _is_same(file: Path, data: bytes | None) -> bool:
+    return data is not None and file.is_file() and read_bytes(file, "a file of the cell") == data
+
+
+def _unused(path: Path) -> Path:
+    names = (path.with_name(f"{path.name}-{number}") for number in range(1, 10_000))
+    return next(name for name in names if not name.exists())
