@@ -206,6 +206,14 @@ class Browser:
         await self.ask("Input.insertText", text=text)
         await self.value(f"document.querySelector({json.dumps(selector)}).blur()")
 
+    async def choose(self, selector: str, value: str) -> None:
+        """An entry of a list, as if it was clicked."""
+        await self.value(
+            f"""{{ const list = document.querySelector({json.dumps(selector)});
+            list.value = {json.dumps(value)};
+            list.dispatchEvent(new Event("change", {{ bubbles: true }})); }}"""
+        )
+
     async def violations(self) -> list[str]:
         """What axe-core finds wrong for people who see, hear or move otherwise: rule and place of each."""
         if not await self.value("Boolean(window.axe)"):

@@ -70,6 +70,12 @@ class BrowserSession:
         """Of the session that is used now."""
         return {cookie.key: cookie.value for cookie in self.session.cookie_jar}
 
+    async def log_in_anew(self, name: str) -> dict[str, str]:
+        """Another session of somebody, which is used from now on; its cookies."""
+        self.session.cookie_jar.clear()
+        await self.log_in(name)
+        return self.cookies()
+
     def use(self, cookies: Mapping[str, str]) -> None:
         """Another session from now on."""
         self.session.cookie_jar.clear()

@@ -82,11 +82,7 @@ def beside(kind: str, connections: int) -> tuple[int, int]:
     async def bounded() -> tuple[int, int]:
         async with asyncio.timeout(WHOLE_S), running(modbus=ModbusSettings(port=0)) as cell:
             assert cell.modbus is not None
-            sessions = list[dict[str, str]]()
-            for _ in range(TABS // OF_SESSION):
-                await cell.log_in("Vera")
-                sessions.append(cell.cookies())
-                cell.session.cookie_jar.clear()
+            sessions = [await cell.log_in_anew("Vera") for _ in range(TABS // OF_SESSION)]
             strangers = [{}] if kind == "requests" else sessions
             async with flood(cell, kind, connections, *strangers) as closed:
                 count = await answered(cell.modbus.port)

@@ -106,11 +106,7 @@ async def test_sessions_with_the_pages_password_displace_nobody() -> None:
     """Seventy of them end no engineer's; of one address eight stay."""
     async with running(visitor="Anna") as cell:
         anna = cell.cookies()
-        seen = list[dict[str, str]]()
-        for _ in range(70):
-            cell.session.cookie_jar.clear()
-            await cell.log_in("")
-            seen.append(cell.cookies())
+        seen = [await cell.log_in_anew("") for _ in range(70)]
         cell.use(anna)
         assert 200 == (await cell.ask("GET", "/api/v1/me"))[0]
         open_still = 0
@@ -124,11 +120,7 @@ async def test_a_persons_ninth_session_ends_their_own_first() -> None:
     """And no other person's."""
     async with running(visitor="Ben") as cell:
         ben = cell.cookies()
-        seen = list[dict[str, str]]()
-        for _ in range(9):
-            cell.session.cookie_jar.clear()
-            await cell.log_in("Anna")
-            seen.append(cell.cookies())
+        seen = [await cell.log_in_anew("Anna") for _ in range(9)]
         statuses = list[int]()
         for cookies in (ben, *seen):
             cell.use(cookies)

@@ -30,14 +30,6 @@ def answers(port: int) -> bool:
     return True
 
 
-async def choose(page: Browser, name: str, value: str) -> None:
-    """From a list, as its change is told."""
-    await page.value(
-        f"""{{ const list = document.querySelector("[name={name}]"); list.value = {json.dumps(value)};
-        list.dispatchEvent(new Event("change", {{ bubbles: true }})); }}"""
-    )
-
-
 async def save(page: Browser) -> None:
     """Check what was chosen, and use it."""
     await press(page, "Check these connections")
@@ -67,10 +59,10 @@ def test_a_plc_and_a_robot_are_connected_on_the_page(tmp_path: Path) -> None:
             await page.value(f"{CHANGE}.open = true")
             await page.type("[name=port]", str(first))
             await page.type("[name=writers]", "127.0.0.1/32, 192.168.10.2/32")
-            await choose(page, "convention", "kuka_abc")
+            await page.choose('[name="convention"]', "kuka_abc")
             await page.click("[name=socket]")
             await page.type("[name=socket-port]", str(lines))
-            await choose(page, "brand", "fanuc")
+            await page.choose('[name="brand"]', "fanuc")
             await page.until(said("FANUC shows"))
             assert await page.value(
                 """[...document.querySelectorAll("button")]

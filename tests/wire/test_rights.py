@@ -208,9 +208,7 @@ async def test_everybody_sees_their_sessions_and_ends_them_all() -> None:
         ben = cell.cookies()
         seen = list[Mapping[str, str]]()
         for _ in range(2):
-            cell.session.cookie_jar.clear()
-            await cell.log_in("Anna")
-            seen.append(cell.cookies())
+            seen.append(await cell.log_in_anew("Anna"))
             cell.sleep(30)
         _, told = await cell.ask("GET", "/api/v1/me/sessions")
         shown = [(one["address"], one["age_s"], one["this"]) for one in told["sessions"]]
@@ -219,8 +217,7 @@ async def test_everybody_sees_their_sessions_and_ends_them_all() -> None:
         for cookies, expected in ((seen[0], 401), (seen[1], 401), (ben, 200)):
             cell.use(cookies)
             assert expected == (await cell.ask("GET", "/api/v1/me"))[0]
-        cell.session.cookie_jar.clear()
-        await cell.log_in("")
+        await cell.log_in_anew("")
         for method in ("GET", "DELETE"):
             status, problem = await cell.ask(method, "/api/v1/me/sessions")
             assert (404, "no_user") == (status, problem["code"])

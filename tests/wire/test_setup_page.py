@@ -90,10 +90,7 @@ async def test_the_page_speaks_as_it_is_told() -> None:
     likewise; numbers are written, and read, as people write them.
     """
     async with on_the_page() as (page, cell):
-        await page.value(
-            """(() => { const list = document.querySelector(".language select"); list.value = "de";
-            list.dispatchEvent(new Event("change", {bubbles: true})); })()"""
-        )
+        await page.choose(".language select", "de")
         await page.until(f'{STATE} === "BEREIT"')
         await page.ask("Page.reload")
         await page.until(f'document.querySelector("#state") && {STATE} === "BEREIT"')
@@ -108,10 +105,7 @@ async def test_the_page_speaks_as_it_is_told() -> None:
         await page.value("document.cookie = 'edged_language=; path=/; max-age=0'")
         await page.open(f"{cell.origin}/", 1280, 900)
         await page.until(said("Letzte Zyklen"))
-        await page.value(
-            """(() => { const list = document.querySelector("#language"); list.value = "en";
-            list.dispatchEvent(new Event("change")); })()"""
-        )
+        await page.choose("#language", "en")
         await page.until(said("Last cycles"))
         await page.value(
             """(async () => { while ((await (await fetch("/api/v1/me")).json()).language !== "en"); })()"""
@@ -350,10 +344,7 @@ async def test_what_cannot_be_fetched_is_no_uncaught_error() -> None:
         await page.value("globalThis.fetch = () => Promise.reject(new TypeError('NetworkError')), 0")
         await page.value('location.hash = "#/system"')
         await page.until(said("This page could not be loaded."))
-        await page.value(
-            """(() => { const list = document.querySelector(".language select"); list.value = "de";
-            list.dispatchEvent(new Event("change", {bubbles: true})); })()"""
-        )
+        await page.choose(".language select", "de")
         await page.until('document.documentElement.lang === "de"')
 
 

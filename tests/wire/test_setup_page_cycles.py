@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
@@ -97,15 +96,6 @@ async def on_the_page(
         assert [] == page.complaints
 
 
-async def choose(page: Browser, name: str, value: str) -> None:
-    """In a list of the filter."""
-    await page.value(
-        f"""(() => {{ const list = document.querySelector("select[name={name}]");
-        list.value = {json.dumps(value)};
-        list.dispatchEvent(new Event("change", {{bubbles: true}})); }})()"""
-    )
-
-
 async def look(page: Browser, status: str) -> None:
     """At the newest cycle that ended so."""
     await page.value(
@@ -128,7 +118,7 @@ async def test_a_failed_cycle_is_understood_and_a_rig_tested_before_its_use(
         await page.until(f"({THUMBNAILS}).join() === '0,160,160,160,160,160'")
         when = await page.value('[...document.querySelectorAll(".cycle .figure")].map((e) => e.innerText)')
         assert all(re.search(r"\d:\d\d:\d\d", one) for one in when), when
-        await choose(page, "reason", "SIGMA_LIMIT")
+        await page.choose('select[name="reason"]', "SIGMA_LIMIT")
         await page.until(f"({LINES}).length === 1")
         await look(page, "Not good")
         await page.until(f"({VIEWS}).length === 4")

@@ -134,10 +134,7 @@ async def check_probes(page: Browser) -> None:
     for text, sentence in shown.items():
         await page.type("[name=shows]", text)
         await page.until(said(sentence))
-    await page.value(
-        """(one => { one.value = "PROBE_F32"; one.dispatchEvent(new Event("change", {bubbles: true})); })
-        (document.querySelector("[name=probe]"))"""
-    )
+    await page.choose("[name=probe]", "PROBE_F32")
     (whole,) = struct.unpack(">I", struct.pack(">f", 123.456))
     (other,) = struct.unpack(">f", struct.pack(">I", swapped(whole, words=True, octets=False)))
     for text, sentence in {"123,456": "Right: words", repr(other): "The words are swapped"}.items():

@@ -34,14 +34,6 @@ window.fetch = async (path, request) => {
 """From now on answers to changes come after what is told of them."""
 
 
-async def choose(page: Browser, name: str, value: str) -> None:
-    """An entry of a list, as if it was clicked."""
-    await page.value(
-        f"""(one => {{ one.value = "{value}"; one.dispatchEvent(new Event("change", {{bubbles: true}})); }})
-        (document.querySelector("[name={name}]"))"""
-    )
-
-
 async def paste(page: Browser, text: str) -> None:
     """What was copied elsewhere, into the field for it."""
     await page.type("[name=pasted]", text)
@@ -90,7 +82,7 @@ async def test_a_robot_is_registered_by_touch(tmp_path: Path) -> None:
     """
     async with on_stage(tmp_path) as (_, page):
         await accessible(page)
-        await choose(page, "brand", "fanuc")
+        await page.choose('[name="brand"]', "fanuc")
         await press(page, "Begin")
         await page.until(said("Point 1 of 6"))
         await press(page, "Take a picture of it")
@@ -202,7 +194,7 @@ async def test_poses_of_another_brand_are_told_and_read_rightly_by_one_button(tm
     """They are said to be KUKA's and are those of Universal Robots; the sky has them; nothing is cut off."""
     async with on_stage(tmp_path) as (newcomer, page):
         await page.click("[name=way][value=poses]")
-        await choose(page, "brand", "kuka")
+        await page.choose('[name="brand"]', "kuka")
         await press(page, "Begin")
         for step in range(4):
             await page.until(said(f"Pose {step + 1} of 10"))

@@ -250,10 +250,7 @@ async def test_reference_grip_and_sizes_are_picked_on_the_part(stand: Stand) -> 
 
     await press(page, "No other place")
     await page.until('!document.querySelector("[name=grip-z]")')
-    await page.value(
-        """(() => { const list = document.querySelector(".columns select"); list.value = "c0";
-            list.dispatchEvent(new Event("change", {bubbles: true})); })()"""
-    )
+    await page.choose(".columns select", "c0")
     await stand.until(lambda now: now["reference"]["key"] == "c0")
     await page.type("[name=job]", "no spaces")
     await page.until(said("beginning with a letter or digit"))

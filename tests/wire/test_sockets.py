@@ -263,8 +263,7 @@ async def test_a_ping_is_answered_and_too_many_end_the_socket(monkeypatch: pytes
             aiohttp.WSCloseCode.ABNORMAL_CLOSURE,
         )
         assert 429 == (await cell.ask("GET", "/api/v1/me"))[0]
-        cell.session.cookie_jar.clear()
-        await cell.log_in("Anna")
+        await cell.log_in_anew("Anna")
         assert 200 == (await cell.ask("GET", "/api/v1/me"))[0]
 
 
