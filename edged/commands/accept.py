@@ -11,7 +11,7 @@ from rich.console import Console
 from edged.commands.saying import say
 from edged.domain.acceptance import Acceptance
 from edged.errors import UserError
-from edged.files.acceptance import acceptance_file, save_acceptance
+from edged.files.acceptance import acceptance_file
 from edged.files.atomic import write_file
 from edged.files.jobs import load_job
 from edged.files.outputs import check_folder
@@ -61,7 +61,7 @@ def accept(
     if signature is not None:
         write_file(signature_file(output / "acceptance.json"), signature[0])
     with as_owner(rig_path.resolve().parent) as place:
-        save_acceptance(acceptance_file(place / rig_path.name), made.document)
+        write_file(acceptance_file(place / rig_path.name), made.document)
     if as_json:
         print(made.document.decode(), end="")
     else:

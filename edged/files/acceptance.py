@@ -39,11 +39,6 @@ def document_of(
     return text_of_json(document)
 
 
-def save_acceptance(path: Path, document: bytes) -> None:
-    """Write it; a former one is replaced in one step. Raises `FileFormatError` where the disc refuses."""
-    write_file(path, document)
-
-
 def exchange_acceptance(path: Path, data: bytes, rig: StereoRig) -> bytes | None:
     """Write an acceptance of this rig; returns what was there. Raises `FileFormatError`."""
     found = acceptance_in(data, path, rig.calibration_id, registration_digest(rig))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -26,13 +26,21 @@ class JsonFields:
         self.path, self.document, self.prefix = path, document, prefix
 
     @staticmethod
-    def of(data: bytes, path: Path, what: str, form: str, version: int) -> JsonFields:
+    def of(
+        data: bytes,
+        path: Path,
+        what: str,
+        form: str,
+        version: int,
+        parse: Callable[[bytes], Any] = json_of,
+    ) -> JsonFields:
         """The fields of a whole document of ours. what, form : what it is, for people and in its "format".
 
+        parse : `json.loads` where numbers that are not finite are to be named by their field.
         Raises `FileFormatError` for another document, or another version of it.
         """
         try:
-            document = json_of(data)
+            document = parse(data)
         except (ValueError, RecursionError) as error:
             raise FileFormatError(f"{path}: not JSON: {error}") from error
         if not isinstance(document, dict) or document.get("format") != form:

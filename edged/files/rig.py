@@ -103,7 +103,7 @@ def rig_of(data: bytes, path: Path) -> StereoRig:
     """The rig in a file that was read; raises as `load_rig`. path : where, for messages."""
     if len(data) > MAX_DOCUMENT_BYTES:  # of a backup or a recording, which may be larger as a whole
         raise FileFormatError(f"{path}: {len(data)} bytes: expected a rig, at most {MAX_DOCUMENT_BYTES}")
-    reader = JsonFields.of(data, path, "rig file", RIG_FORMAT, RIG_VERSION)
+    reader = JsonFields.of(data, path, "rig file", RIG_FORMAT, RIG_VERSION, json.loads)
     left, right = _camera_from_json(reader.sub("left")), _camera_from_json(reader.sub("right"))
     right_from_left = reader.transform("right_from_left")
     if float(np.linalg.norm(right_from_left[:3, 3])) <= 0:

@@ -120,13 +120,14 @@ def sigma_angles_deg(R: FloatArray, covariance: FloatArray, convention: Conventi
     step_rad = 1e-6  # central difference: error ~ step² = 1e-12, rounding ~ 1e-16 / step = 1e-10
     jacobian = np.empty((3, 3))
     for axis in range(3):
-        ahead, behind = (np.array(angles(_small_turn(axis, h) @ R)) for h in (step_rad, -step_rad))
+        ahead, behind = (np.array(angles(about(axis, h) @ R)) for h in (step_rad, -step_rad))
         jacobian[:, axis] = wrapped(ahead - behind, 360.0) / (2 * step_rad)
     variance = np.einsum("ij,jk,ik->i", jacobian, covariance, jacobian)
     return np.asarray(np.sqrt(np.maximum(variance, 0.0)), np.float64)
 
 
-def _small_turn(axis: int, angle_rad: float) -> FloatArray:
+def about(axis: int, angle_rad: float) -> FloatArray:
+    """(3, 3) rotation about x (0), y (1) or z (2)."""
     c, s = math.cos(angle_rad), math.sin(angle_rad)
     turn = np.eye(3)
     j, k = (axis + 1) % 3, (axis + 2) % 3
@@ -170,11 +171,6 @@ POSE_FIELDS: dict[Brand, str] = {
     Brand.TECHMAN: "X Y Z in mm, Rx Ry Rz in degrees",
 }
 """Numbers of a pose, for messages."""
-
-
-def about(axis: int, angle_rad: float) -> FloatArray:
-    """(3, 3) rotation about x (0), y (1) or z (2)."""
-    return _small_turn(axis, angle_rad)
 
 
 def matrix_fixed_xyz(w_rad: float, p_rad: float, r_rad: float) -> FloatArray:
@@ -302,4 +298,6 @@ READINGS: dict[str, tuple[int, Callable[..., FloatArray]]] = {
     "quaternion, scalar last (ROS)": (4, lambda x, y, z, w: matrix_quaternion(w, x, y, z)),
 }
 """Every way to read the orientation of a pose that is met in practice: numbers it takes, and the reader."""
+REGISTER_CONVENTIONS = {Brand.ABB: Convention.ABB_ZYX, **CONVENTIONS}
+"""What A, B, C of the registers are to be for a robot of a brand."""
 LENGTH_UNITS_MM = {"mm": 1.0, "m": 1000.0, "inch": 25.4}

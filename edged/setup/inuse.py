@@ -13,7 +13,7 @@ from edged.errors import SetupRefused, UserError
 from edged.files.rig import rig_of
 from edged.files.statefolder import page_folder
 from edged.ports import Commissioner
-from edged.robot.orientations import Brand, Convention
+from edged.robot.orientations import REGISTER_CONVENTIONS, Brand, Convention
 from edged.setup.cellfiles import CellFiles, UnfinishedCell
 from edged.setup.releases.jobsinuse import JobsInUse, lines_in
 from edged.vision.geometry.camera import StereoRig
@@ -29,14 +29,7 @@ if TYPE_CHECKING:  # the worker process knows rigs, and needs none of these
     from edged.setup.jobs.worker import Worker
     from edged.vision.part.job import Job
 
-BRANDS = {
-    Convention.FIXED_XYZ: Brand.FANUC,
-    Convention.KUKA_ABC: Brand.KUKA,
-    Convention.UR_ROTATION_VECTOR: Brand.UR,
-    Convention.STAUBLI_XYZ: Brand.STAUBLI,
-    Convention.KAWASAKI_OAT: Brand.KAWASAKI,
-    Convention.ABB_ZYX: Brand.ABB,
-}
+BRANDS = {angles: brand for brand, angles in reversed(REGISTER_CONVENTIONS.items())}
 """The first brand whose pendant shows poses in a convention."""
 
 

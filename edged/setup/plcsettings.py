@@ -14,7 +14,7 @@ from edged.config.chosenconnections import ChosenConnections
 from edged.errors import UserError
 from edged.identity.passwords import hash_password
 from edged.identity.visitors import Role
-from edged.robot.orientations import CONVENTIONS, Brand, Convention
+from edged.robot.orientations import REGISTER_CONVENTIONS, Brand
 from edged.setup.draftroutes import Revised, Revision
 from edged.setup.inuse import CellInUse
 from edged.setup.settingsdraft import SettingsDraft, SettingsDraftDocument
@@ -25,8 +25,6 @@ PortNumber = Annotated[int, Field(ge=1, le=65535)]
 ConventionName = Literal[
     "fixed_xyz", "kuka_abc", "ur_rotation_vector", "staubli_xyz", "kawasaki_oat", "abb_zyx"
 ]
-BRAND_CONVENTIONS = {Brand.ABB: Convention.ABB_ZYX, **CONVENTIONS}
-"""What A, B, C of the Modbus map are to be for a robot of a brand."""
 
 
 class TlsChoice(Body):
@@ -168,7 +166,7 @@ class PlcSettingsRoutes:
             opcua_password=bool(password if isinstance(password, str) else password.get_secret_value()),
             is_chosen=chosen.connects,
             draft=self._draft.document(),
-            conventions={brand.value: angles.name.lower() for brand, angles in BRAND_CONVENTIONS.items()},
+            conventions={brand.value: angles.name.lower() for brand, angles in REGISTER_CONVENTIONS.items()},
         )
 
 

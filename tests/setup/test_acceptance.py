@@ -12,7 +12,8 @@ import pytest
 from edged.domain.acceptance import NS_PER_DAY, Acceptance, AcceptanceState
 from edged.domain.arrays import FloatArray
 from edged.errors import FileFormatError, UserError
-from edged.files.acceptance import acceptance_file, document_of, load_acceptance, save_acceptance
+from edged.files.acceptance import acceptance_file, document_of, load_acceptance
+from edged.files.atomic import write_file
 from edged.report.acceptance import ReportedTest, acceptance_page, acceptance_pdf
 from edged.setup.acceptance.measuring import crossed, read_truth
 from edged.setup.acceptance.studies import capability, gauge_study, guard_bands
@@ -244,7 +245,7 @@ def test_an_acceptance_is_read_back_and_says_what_it_says_today(tmp_path: Path) 
     path = acceptance_file(tmp_path / "rig.json")
     assert load_acceptance(path, "cal", "reg").state(5) is AcceptanceState.NONE
     made = Acceptance(passed=True, made_ns=NS_PER_DAY, due_ns=11 * NS_PER_DAY)
-    save_acceptance(path, document_of(made, "cal", "reg", {"by": "me"}))
+    write_file(path, document_of(made, "cal", "reg", {"by": "me"}))
     found = load_acceptance(path, "cal", "reg")
     assert found == made
     assert found.state(2 * NS_PER_DAY) is AcceptanceState.PASSED
