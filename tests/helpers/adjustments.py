@@ -3,11 +3,17 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 
-from edged.domain.arrays import FloatArray
-from edged.vision.curves.samples import Samples
+from edged.domain.arrays import FloatArray, IntArray
+from edged.vision.curves.adjustment import solve_samples
+from edged.vision.curves.jointstep import is_finite
+from edged.vision.curves.operatorwidth import choose
+from edged.vision.curves.params import FIT
+from edged.vision.curves.samples import JointSolution, Samples
+from edged.vision.edges.subpixel import EdgeSamples
 
 
 def ring(count: int) -> FloatArray:
@@ -69,3 +75,55 @@ def problem(
         kinds=np.array([0, 1, 0, 1]),
     )
     return samples, truth
+
+
+def solve(samples: Samples, unknowns: int, priors: int) -> JointSolution | None:
+    """The step that all samples want; None where they do not determine it."""
+    count = len(samples.values)
+    solution = JointSolution(
+        np.zeros(unknowns),
+        np.empty((unknowns, unknowns)),
+        np.empty(count),
+        np.empty(count),
+        np.empty(len(samples.starts) - 1),
+        np.empty(samples.expected.shape),
+    )
+    plain = Samples._make(np.ascontiguousarray(field) for field in samples)
+    rounds = solve_samples(plain, priors, FIT.settled, solution)
+    return solution if rounds and is_finite(solution) else None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ChosenEdges:
+    """The edges of K curves at the width that suits each.
+
+    offset_px (N,) : NaN where there is no edge; base (N,) : prior weights.
+    bias_px (K,) : one sigma of each of the systematic shifts; blur2_px2 (K,) : variance of the image's
+    own blur across the edge.
+    """
+
+    offset_px: FloatArray
+    base: FloatArray
+    bias_px: FloatArray
+    blur2_px2: FloatArray
+
+
+def choose_widths(seen: EdgeSamples, starts: IntArray, waves: FloatArray, min_slope: float) -> ChosenEdges:
+    """Choose for each curve; with one width there is nothing to choose, bias and blur are 0.
+
+    starts (K + 1,) : where the samples of each curve begin.  waves (N, M) : systematic shifts.
+    min_slope : grey values per px below which there is no edge.
+    """
+    samples = np.empty((2, len(waves)))
+    curves = np.zeros((2, len(starts) - 1))
+    choose(
+        np.ascontiguousarray(seen.offset_px),
+        np.ascontiguousarray(seen.slope),
+        seen.clipped,
+        np.ascontiguousarray(starts),
+        np.ascontiguousarray(waves),
+        float(min_slope),
+        samples,
+        curves,
+    )
+    return ChosenEdges(samples[0], samples[1], curves[0], curves[1])

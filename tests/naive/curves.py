@@ -11,7 +11,7 @@ import numpy.typing as npt
 from edged.domain.arrays import FloatArray
 from edged.vision.curves.outlines import CurveOutline
 from edged.vision.curves.samples import Samples
-from edged.vision.geometry.camera import CameraModel
+from edged.vision.geometry.camera import CameraModel, StereoRig
 from edged.vision.geometry.projection import project_with_jacobians
 from naive.kernels import median_scale, tukey_weights
 
@@ -227,3 +227,83 @@ def curvatures(pixels: FloatArray, normals: FloatArray) -> FloatArray:
     angles = np.arctan2(normals[:, 1], normals[:, 0])
     turn = np.abs(np.angle(np.exp(1j * (np.roll(angles, -1) - np.roll(angles, 1)))))
     return turn / np.linalg.norm(np.roll(pixels, -1, axis=0) - np.roll(pixels, 1, axis=0), axis=1)
+
+
+def paired_rows(
+    offset: FloatArray, base: FloatArray, gain: FloatArray, starts: FloatArray, together: bool
+) -> list[list[tuple[FloatArray, FloatArray, float, float]]]:
+    """Parts of each curve: lists of (row of the left image's weights, of the right one's, value, base).
+
+    The first two of (N,) are how a sample of both images makes up the row. Parts are means, differences, left
+    alone, right alone, those with too few edges left out.
+    """
+    total, most = len(base[0]), np.abs(gain).max()
+    share = np.full(total, 0.5)
+    both = np.zeros(total, bool)
+    if together:
+        both = (np.abs(gain).min(axis=0) > 0.05 * most) & (base.min(axis=0) > 0.2 * base.max(axis=0))
+        share = _camera_shares(np.nan_to_num(offset) / gain, both, starts)
+    found = []
+    for first, last in itertools.pairwise(starts):
+        parts: dict[str, list[tuple[FloatArray, FloatArray, float, float]]] = {}
+        for n in range(first, last):
+            unit, middle = np.eye(total)[n], gain[:, n].mean()
+            left, right = middle / gain[0, n] * unit, middle / gain[1, n] * unit
+            rows = [share[n] * left, left, unit, 0 * unit], [(1 - share[n]) * right, -right, 0 * unit, unit]
+            weight = 2 / (1 / base[0, n] + 1 / base[1, n]) if both[n] else 0.0
+            weights = [weight, weight, *(0.0 if both[n] else float(value) for value in base[:, n])]
+            for name, of_left, of_right, heavy in zip("mdlr", *rows, weights, strict=True):
+                value = float((of_left @ np.nan_to_num(offset[0])) + (of_right @ np.nan_to_num(offset[1])))
+                parts.setdefault(name, []).append((of_left, of_right, value, heavy))
+        found.append([part for part in parts.values() if sum(row[3] > 0 for row in part) >= 12])
+    return found
+
+
+def _camera_shares(places: FloatArray, both: npt.NDArray[np.bool_], starts: FloatArray) -> FloatArray:
+    """(N,) share of the left camera: the more, the less it scatters by itself."""
+    share = np.full(len(both), 0.5)
+    for first, last in itertools.pairwise(starts):
+        rows = [n for n in range(first, last - 8) if both[n] and both[n + 8]]
+        if len(rows) < 12:
+            continue
+        left, right = (np.array([side[n + 8] - side[n] for n in rows]) for side in places)
+        squares = []
+        for values in (left, right, left - right):
+            limit = 2.5 * median_scale(values, np.ones(len(values)))
+            squares.append(float(np.mean(np.minimum(np.abs(values), limit) ** 2)))
+        if squares[2] > 0:
+            share[first:last] = np.clip(0.5 * (squares[2] + squares[1] - squares[0]) / squares[2], 0.1, 0.9)
+    return share
+
+
+def displaced(normals: FloatArray, gain: FloatArray, slant: FloatArray) -> FloatArray:
+    """(2, N, 12) : two waves in space, two waves of the cameras against each other, two walls."""
+    angle = np.arctan2(normals[:, 1], normals[:, 0])
+    waves = [np.ones(len(angle)), *(f(m * angle) for m in (1, 2) for f in (np.cos, np.sin))]
+    waves = np.column_stack(waves) * np.array([1.5, *(math.sqrt(2) * np.array([1.0, 1.0, 0.5, 0.5]))])
+    sides = []
+    for side, half in enumerate((0.5, -0.5)):
+        lit = [np.maximum(sign * slant[side] / 0.05, 0.0) for sign in (1, -1)]
+        walls = np.column_stack([1.5 * way * np.exp(1 - way) for way in lit])
+        columns = np.hstack([waves, half * waves, walls])
+        sides.append(columns * (gain[side] / np.abs(gain.mean(axis=0)))[:, None])
+    return np.stack(sides)
+
+
+def across_rows(rig: StereoRig, points_mm: FloatArray, pixels: FloatArray, normals: FloatArray) -> FloatArray:
+    """(2, N) : motion along the normals when the right image moves by 0.3 px across the epipolar lines.
+
+    points_mm (N, 3), rig frame; pixels, normals (2, N, 2).
+    """
+    rotation, translation = rig.right_from_left[:3, :3], rig.right_from_left[:3, 3]
+    centre, found = -rotation.T @ translation, np.empty((2, len(points_mm)))
+    for n, point in enumerate(points_mm):
+        beyond = (
+            rig.left.project(point + 1e-3 * (point - centre)),
+            rig.right.project(rotation @ (1.001 * point) + translation),
+        )
+        for side in range(2):
+            line = beyond[side] - pixels[side, n]
+            across = np.array([-line[1], line[0]]) / np.linalg.norm(line)
+            found[side, n] = 0.15 * normals[side, n] @ across
+    return found

@@ -35,49 +35,6 @@ _NEIGHBOURS = 4  # samples with common terms ...
 _MIN_BINS = 32  # ... where at least so many terms remain for a part
 
 
-def solve(samples: Samples, unknowns: int, priors: int, settled: float = FIT.settled) -> JointSolution | None:
-    """Solve for the step that all samples want; None where they do not determine it.
-
-    The last `priors` of the unknowns are expected to be 0 with sigma 1.  settled : the rounds end when none
-    moves by more, in its own sigma.
-    """
-    count = len(samples.values)
-    solution = JointSolution(
-        np.zeros(unknowns),
-        np.empty((unknowns, unknowns)),
-        np.empty(count),
-        np.empty(count),
-        np.empty(len(samples.starts) - 1),
-        np.empty(samples.expected.shape),
-    )
-    plain = Samples._make(np.ascontiguousarray(field) for field in samples)
-    rounds = _solve(plain, int(priors), float(settled), solution)
-    if rounds == 0 or not np.isfinite(solution.delta).all() or not np.isfinite(solution.covariance).all():
-        return None
-    return solution
-
-
-def precise(
-    samples: Samples, unknowns: int, priors: int, precision: FloatArray, bias: FloatArray
-) -> JointSolution | None:
-    """The solution of samples that are all where they should be, of known precision; None: undetermined.
-
-    precision (Q,), bias (K, F) : as `JointSolution` has them.
-    """
-    count = len(samples.values)
-    solution = JointSolution(
-        np.zeros(unknowns),
-        np.empty((unknowns, unknowns)),
-        np.empty(count),
-        np.zeros(count),
-        np.array(precision, np.float64),
-        np.array(bias, np.float64),
-    )
-    plain = Samples._make(np.ascontiguousarray(field) for field in samples)
-    good = _weigh_all(plain, int(priors), solution) and np.isfinite(solution.covariance).all()
-    return solution if good else None
-
-
 def propagate(samples: Samples, solution: JointSolution, causes: FloatArray) -> FloatArray:
     """(P, Q): how the solution moves when causes (N, Q) shift each sample, per unit of each cause.
 
@@ -371,7 +328,7 @@ def _reweigh(samples: Samples, memory: Memory, round_: int, solution: JointSolut
 
 
 @kernel("i8(Samples, i8, f8, JointSolution)", tuples=(Samples, JointSolution))
-def _solve(samples: Samples, priors: int, settled: float, solution: JointSolution) -> int:
+def solve_samples(samples: Samples, priors: int, settled: float, solution: JointSolution) -> int:
     """The rounds; fills the solution. Returns the number of rounds, 0 where it is singular."""
     many = samples.waves.shape[1]
     for k in range(len(samples.kinds)):
@@ -396,7 +353,7 @@ def _solve(samples: Samples, priors: int, settled: float, solution: JointSolutio
 
 
 @kernel("b1(Samples, i8, JointSolution)", tuples=(Samples, JointSolution))
-def _weigh_all(samples: Samples, priors: int, solution: JointSolution) -> bool:
+def weigh_all(samples: Samples, priors: int, solution: JointSolution) -> bool:
     """Fill weights and covariance for the precision and the bias that the solution has."""
     memory = _memory_for(samples, len(solution.delta))
     for q in range(len(samples.starts) - 1):

@@ -10,30 +10,27 @@ camera alone makes them independent. A point that one camera sees alone stays as
 
 from __future__ import annotations
 
-import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from edged.domain.arrays import B8, F64, I64, FloatArray
 from edged.vision.curves.params import FIT
-from edged.vision.curves.samples import Samples
-from edged.vision.curves.systematic import FAMILIES, shrunk
-from edged.vision.kernels.jit import kernel
+from edged.vision.kernels.jit import B1, F1, F2, I1, kernel
 from edged.vision.kernels.robust import MIN_SAMPLES, robust_scale
 
 # numba freezes globals when it compiles: kernels read these by name
 _APART = FIT.apart
 _CLIP = FIT.clip
 _MIN_SHARE = FIT.min_camera_share
+_MIN_GAIN = FIT.min_gain
+_MIN_PRIOR_RATIO = FIT.min_prior_ratio
 LEAST_GAIN = 1e-9  # px/mm: no division by 0
 PARTS = ("means", "differences", "left alone", "right alone")
 """Parts of a curve's rows, as `Pairs.rows` numbers them."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Pairs:
+class Pairs(NamedTuple):
     """How the rows of the left and of the right image (N each) become parts of K curves.
 
     both (N,) bool : seen by both cameras.  share (N,) : of the left one in the mean.  gain (2, N) : as `pair`
@@ -42,142 +39,89 @@ class Pairs:
     starts (Q + 1,), parts (K + 1,), paired (K,), base (M,) : as `adjustment.Samples` has them.
     """
 
-    both: B8
-    share: FloatArray
-    gain: FloatArray
-    rows: I64
-    starts: I64
-    parts: I64
-    paired: B8
-    base: FloatArray
+    both: B1
+    share: F1
+    gain: F2
+    rows: I1
+    starts: I1
+    parts: I1
+    paired: B1
+    base: F1
 
     def rows_of(self, left: FloatArray, right: FloatArray) -> FloatArray:
         """(M, ...) from what both images have: (N, ...) each."""
         shape = (len(self.both), -1)
-        scale = self.gain.mean(axis=0) / self.gain
-        rows = _rows_of(
-            np.ascontiguousarray(left.reshape(shape)),
-            np.ascontiguousarray(right.reshape(shape)),
-            self.share,
-            scale,
-            self.rows,
+        rows = rows_of(
+            self, np.ascontiguousarray(left.reshape(shape)), np.ascontiguousarray(right.reshape(shape))
         )
         return rows.reshape(len(self.rows), *left.shape[1:])
 
-    def by_camera(self, rows: FloatArray) -> FloatArray:
-        """(2, N) residuals in the images from those of the rows (M,); 0 where there is none."""
-        means, differences, left, right = self._spread(rows)
-        scale = self.gain / self.gain.mean(axis=0)
-        a = (means + (1 - self.share) * differences) * scale[0]
-        b = (means - self.share * differences) * scale[1]
-        return np.stack([np.where(self.both, a, left), np.where(self.both, b, right)])
 
-    def weights_by_camera(self, weights: FloatArray) -> FloatArray:
-        """(2, N) : of a pair the lower one of both."""
-        means, differences, left, right = self._spread(weights)
-        pair = np.minimum(means, differences)
-        return np.stack([np.where(self.both, pair, left), np.where(self.both, pair, right)])
-
-    def _spread(self, rows: FloatArray) -> FloatArray:
-        full = np.zeros(4 * len(self.both))
-        full[self.rows] = rows
-        return full.reshape(4, -1)
-
-
-def pair(offset_px: FloatArray, base: FloatArray, gain: FloatArray, starts: I64, together: bool) -> Pairs:
+@kernel("Pairs(f8[:, ::1], f8[:, ::1], f8[:, ::1], i8[::1], b1)", tuples=(Pairs,))
+def pair(offset_px: F64, base: F64, gain: F64, starts: I64, together: bool) -> Pairs:
     """Pair the edges of K curves.
 
     offset_px, base (2, N) : along the normals, left and right, and prior weights, 0 where there is no edge.
     gain (2, N) : motion along the normals of the images per motion of the curve along its own, px/mm.
     starts (K + 1,).  together : False keeps all edges as they are, for curves not yet in their place.
     """
-    gain = np.where(np.abs(gain) > LEAST_GAIN, gain, LEAST_GAIN)
-    both, share, paired, alone = np.zeros(len(gain[0]), bool), np.full(len(gain[0]), 0.5), 0.0 * base[0], base
+    count, curves = len(base[0]), len(starts) - 1
+    sure, most = np.empty((2, count)), 0.0
+    for side in range(2):
+        for n in range(count):
+            sure[side, n] = gain[side, n] if abs(gain[side, n]) > LEAST_GAIN else LEAST_GAIN
+            most = max(most, abs(sure[side, n]))
+    both, share, weights = np.zeros(count, np.bool_), np.full(count, 0.5), np.zeros((4, count))
+    weights[2:] = base
     if together:
-        both = np.abs(gain).min(axis=0) > FIT.min_gain * np.abs(gain).max()
-        both &= base.min(axis=0) > FIT.min_prior_ratio * base.max(axis=0)
-        share = _shares(np.where(np.isnan(offset_px), 0.0, offset_px) / gain, both, starts)
-        with np.errstate(divide="ignore"):
-            paired = np.where(both, 2.0 / np.sum(1.0 / base, axis=0), 0.0)
-        alone = np.where(both, 0.0, base)
-    weights = np.stack([paired, paired, *alone])
-    counts = np.add.reduceat(weights > 0, starts[:-1], axis=1)
-    rows, lengths, parts = [], [0], [0]
-    for k in range(len(starts) - 1):
-        for kind in np.flatnonzero(counts[:, k] >= MIN_SAMPLES):
-            rows.append(kind * len(both) + np.arange(starts[k], starts[k + 1]))
-            lengths.append(len(rows[-1]))
-        parts.append(len(rows))
-    chosen = np.concatenate(rows) if rows else np.zeros(0, np.int64)
-    return Pairs(
-        both,
-        share,
-        gain,
-        chosen,
-        np.cumsum(lengths),
-        np.array(parts),
-        counts[0] >= MIN_SAMPLES,
-        weights.ravel()[chosen],
-    )
+        places = np.empty((2, count))
+        for n in range(count):
+            left, right = base[0, n], base[1, n]
+            both[n] = min(abs(sure[0, n]), abs(sure[1, n])) > _MIN_GAIN * most
+            both[n] &= min(left, right) > _MIN_PRIOR_RATIO * max(left, right)
+            if both[n]:
+                weights[0, n] = weights[1, n] = 2.0 / (1.0 / left + 1.0 / right)
+                weights[2, n] = weights[3, n] = 0.0
+            for side in range(2):
+                known = not np.isnan(offset_px[side, n])
+                places[side, n] = offset_px[side, n] / sure[side, n] if known else 0.0
+        share = _shares(places, both, starts)
+    counts, parts = np.zeros((4, curves), np.int64), np.zeros(curves + 1, np.int64)
+    borders, total = np.zeros(4 * curves + 1, np.int64), 0
+    paired = np.zeros(curves, np.bool_)
+    for k in range(curves):
+        parts[k + 1] = parts[k]
+        for kind in range(4):
+            for n in range(starts[k], starts[k + 1]):
+                counts[kind, k] += weights[kind, n] > 0.0
+            if counts[kind, k] >= MIN_SAMPLES:
+                total += starts[k + 1] - starts[k]
+                parts[k + 1] += 1
+                borders[parts[k + 1]] = total
+        paired[k] = counts[0, k] >= MIN_SAMPLES
+    rows, chosen, m = np.empty(total, np.int64), np.empty(total), 0
+    for k in range(curves):
+        for kind in range(4):
+            for n in range(starts[k], starts[k + 1] if counts[kind, k] >= MIN_SAMPLES else 0):
+                rows[m], chosen[m] = kind * count + n, weights[kind, n]
+                m += 1
+    return Pairs(both, share, sure, rows, borders[: parts[curves] + 1].copy(), parts, paired, chosen)
 
 
-def samples_of(
-    pairs: Pairs,
-    design: Sequence[FloatArray] | FloatArray,
-    columns: I64,
-    offset_px: FloatArray,
-    bias_px: FloatArray,
-    polarity: I64,
-    displaced: tuple[FloatArray, FloatArray] | None,
-    unknowns: int,
-) -> tuple[Samples, int]:
-    """The samples of K curves as the solver takes them, and how many unknowns of shared shifts follow.
-
-    design : (N, C) for each camera; columns (K, C), all -1 for a curve not seen.  offset_px (2, N), NaN
-    where there is no edge.  bias_px (2, K) : sigma to expect of systematic shifts.  displaced : their shapes
-    (N, A) for each camera, None for curves not yet in their place.
-    Half of a systematic shift is the curve's own, half that of its kind, the polarity: what one kind of edge
-    has in common, it has in both images, for light and walls are the same.
-    """
-    seen = columns[:, 0] >= 0
-    _, kinds = np.unique(polarity > 0, return_inverse=True)
-    shared, priors = np.full(len(kinds), -1), 0
-    waves, families = (np.zeros((len(pairs.both), 0)),) * 2, FAMILIES[:0]
-    if displaced is not None:
-        waves, families = displaced, FAMILIES
-        common = np.unique(kinds[seen])
-        priors = len(families) * len(common)
-        shared = np.where(seen, unknowns + len(families) * np.searchsorted(common, kinds), -1)
-    expected = shrunk(np.sqrt(np.mean(bias_px**2, axis=0)), kinds) * math.sqrt(0.5)
-    samples = Samples(
-        pairs.rows_of(*design),
-        columns,
-        pairs.starts,
-        pairs.parts,
-        pairs.paired,
-        pairs.rows_of(*np.where(np.isnan(offset_px), 0.0, offset_px)),
-        pairs.base,
-        pairs.rows_of(*waves),
-        families,
-        np.repeat(expected[:, None], FAMILIES.max() + 1, axis=1),
-        shared,
-        kinds,
-    )
-    return samples, priors
-
-
-@kernel("f8[:, ::1](f8[:, ::1], f8[:, ::1], f8[::1], f8[:, ::1], i8[::1])")
-def _rows_of(left: F64, right: F64, share: F64, scale: F64, rows: I64) -> F64:
-    """Those of the means, differences, left and right rows that are wanted (see `Pairs`)."""
+@kernel("f8[:, ::1](Pairs, f8[:, ::1], f8[:, ::1])", tuples=(Pairs,))
+def rows_of(pairs: Pairs, left: F64, right: F64) -> F64:
+    """(M, C) : those of the means, differences, left and right rows, (N, C) each, that are wanted."""
     count, columns = left.shape
-    found = np.empty((len(rows), columns))
-    for m in range(len(rows)):
-        kind, n = rows[m] // count, rows[m] % count
+    found = np.empty((len(pairs.rows), columns))
+    for m in range(len(pairs.rows)):
+        kind, n = pairs.rows[m] // count, pairs.rows[m] % count
+        middle = 0.5 * (pairs.gain[0, n] + pairs.gain[1, n])
         of_left, of_right = 0.0, 0.0
         if kind == 0:
-            of_left, of_right = share[n] * scale[0, n], (1.0 - share[n]) * scale[1, n]
+            of_left = pairs.share[n] * (middle / pairs.gain[0, n])
+            of_right = (1.0 - pairs.share[n]) * (middle / pairs.gain[1, n])
         elif kind == 1:
-            of_left, of_right = scale[0, n], -scale[1, n]
+            of_left, of_right = middle / pairs.gain[0, n], -(middle / pairs.gain[1, n])
         elif kind == 2:
             of_left = 1.0
         else:
@@ -185,6 +129,28 @@ def _rows_of(left: F64, right: F64, share: F64, scale: F64, rows: I64) -> F64:
         for c in range(columns):
             found[m, c] = of_left * left[n, c] + of_right * right[n, c]
     return found
+
+
+@kernel("void(Pairs, f8[::1], f8[::1], f8[:, ::1], f8[:, ::1])", tuples=(Pairs,))
+def by_camera(pairs: Pairs, residuals: F64, weights: F64, seen_residuals: F64, seen_weights: F64) -> None:
+    """Fill (2, N) each, 0 where there is no edge, with residuals and weights (M,) of the rows.
+
+    The weight of a pair is the lower one of both.
+    """
+    count = len(pairs.both)
+    full = np.zeros((2, 4 * count))
+    for m in range(len(pairs.rows)):
+        full[0, pairs.rows[m]], full[1, pairs.rows[m]] = residuals[m], weights[m]
+    for n in range(count):
+        for side in range(2):
+            seen_residuals[side, n] = full[0, (2 + side) * count + n]
+            seen_weights[side, n] = full[1, (2 + side) * count + n]
+        if pairs.both[n]:
+            middle = 0.5 * (pairs.gain[0, n] + pairs.gain[1, n])
+            mean, apart, share = full[0, n], full[0, count + n], pairs.share[n]
+            seen_residuals[0, n] = (mean + (1.0 - share) * apart) * (pairs.gain[0, n] / middle)
+            seen_residuals[1, n] = (mean - share * apart) * (pairs.gain[1, n] / middle)
+            seen_weights[0, n] = seen_weights[1, n] = min(full[1, n], full[1, count + n])
 
 
 @kernel("f8(f8[::1])")

@@ -18,11 +18,11 @@ import math
 
 import numpy as np
 
-from edged.domain.arrays import I64, SIDES, FloatArray, Image
-from edged.vision.curves.outlines import ProjectedOutline, camera_pose
+from edged.domain.arrays import I64, FloatArray, Image
+from edged.vision.curves.jointstep import shapes_of
+from edged.vision.curves.outlines import ProjectedOutline
 from edged.vision.curves.params import BREAKS, FIT
-from edged.vision.curves.planestate import FitProblem, State
-from edged.vision.curves.systematic import slants
+from edged.vision.curves.planestate import FitStep, State
 from edged.vision.edges.subpixel import edge_profiles
 
 EVEN = 1.0 / math.sqrt(12.0)
@@ -37,35 +37,36 @@ HALF = math.sqrt(0.5)
 """Half of a shift's variance is the curve's own, half is common to its kind."""
 
 
-def break_widths_mm(state: State, problem: FitProblem) -> FloatArray:
+def break_widths_mm(state: State, step: FitStep) -> FloatArray:
     """(K,) how wide the breaks of the curves may be, as the images show them; 0 for sharp edges."""
-    known = np.array([curve.break_mm for curve in problem.curves])
-    seen = np.flatnonzero(np.diff(problem.pairs.parts) > 0)
-    px_per_mm = _px_per_mm(problem)
-    found = _glint_mm(state, problem, seen, px_per_mm)
+    known = np.array([curve.break_mm for curve in state.curves])
+    seen = np.flatnonzero(np.diff(step.solved.pairs.parts) > 0)
+    px_per_mm = _px_per_mm(step)
+    found = _glint_mm(state, step, seen, px_per_mm)
     # nearer, by ratio, to what a usual break would be than to what sharp edges show
-    lengths = np.diff(problem.starts)[seen]
+    lengths = np.diff(step.laid.starts)[seen]
     if lengths.any():
-        shift_px = math.sqrt(np.average(problem.solution.bias[seen, 0] ** 2, weights=lengths))
+        shift_px = math.sqrt(np.average(step.solved.solution.bias[seen, 0] ** 2, weights=lengths))
         usual_px = HALF * SEEN_SHARE * BREAKS.usual_mm * float(np.average(px_per_mm[seen], weights=lengths))
         found = max(found, BREAKS.usual_mm if shift_px > math.sqrt(BREAKS.sharp_px * usual_px) else 0.0)
     return np.asarray(np.maximum(known, found))
 
 
-def break_shifts(state: State, problem: FitProblem, widths_mm: FloatArray) -> tuple[FloatArray, FloatArray]:
+def break_shifts(step: FitStep, widths_mm: FloatArray) -> tuple[FloatArray, FloatArray]:
     """(N, C) for each camera: by how much breaks of these widths (K,) move the edges, one sigma each, px.
 
     What the fit reckons with as systematic shifts is taken off.
     """
-    starts, gain = problem.starts, problem.pairs.gain
-    counts = np.diff(starts)
-    by_waves_px = WAVE_SHARE * widths_mm * _px_per_mm(problem)
-    more_px = np.sqrt(np.maximum(by_waves_px**2 - 2.0 * problem.solution.bias[:, 0] ** 2, 0.0))
-    waves = state.shift_basis(problem.outline, problem.sides, gain)
-    lower = _lower(state, problem)
+    counts = np.diff(step.laid.starts)
+    by_waves_px = WAVE_SHARE * widths_mm * _px_per_mm(step)
+    more_px = np.sqrt(np.maximum(by_waves_px**2 - 2.0 * step.solved.solution.bias[:, 0] ** 2, 0.0))
+    waves, slant, _ = shapes_of(step.at, step.laid, *step.sides)
+    lower = (
+        -step.solved.pairs.gain * slant
+    )  # motion of the edges along their normals per mm that they lie lower
     sigma = HALF * np.repeat(more_px, counts)[:, None]
     lower_mm = HALF * np.repeat(EVEN * widths_mm, counts)[:, None]
-    kinds = np.array([curve.polarity > 0 for curve in problem.curves], np.int64)
+    kinds = (step.at.curves.polarity > 0).astype(np.int64)
     groups = [np.repeat(np.arange(len(counts)), counts), len(counts) + np.repeat(kinds, counts)]
     sides = []
     for camera in range(2):
@@ -80,32 +81,21 @@ def break_shifts(state: State, problem: FitProblem, widths_mm: FloatArray) -> tu
     return sides[0], sides[1]
 
 
-def _px_per_mm(problem: FitProblem) -> FloatArray:
+def _px_per_mm(step: FitStep) -> FloatArray:
     """(K,) motion of the images along their normals per motion of each curve along its own, in the mean."""
-    gain = np.abs(problem.pairs.gain).mean(axis=0)
-    return np.asarray(np.add.reduceat(gain, problem.starts[:-1]) / np.diff(problem.starts))
+    gain = np.abs(step.solved.pairs.gain).mean(axis=0)
+    return np.asarray(np.add.reduceat(gain, step.laid.starts[:-1]) / np.diff(step.laid.starts))
 
 
-def _lower(state: State, problem: FitProblem) -> tuple[FloatArray, FloatArray]:
-    """(N,) for each camera: how the edges move along their normals per mm by which they lie lower."""
-    space = problem.face.to_rig(problem.outline.points)
-    outwards = problem.outline.normals @ problem.face.axes[:2]
-    left, right = (
-        -gain * slants(space, outwards, problem.face.normal, camera_pose(state.rig, side)[1])
-        for gain, side in zip(problem.pairs.gain, SIDES, strict=True)
-    )
-    return left, right
-
-
-def _glint_mm(state: State, problem: FitProblem, seen: I64, px_per_mm: FloatArray) -> float:
+def _glint_mm(state: State, step: FitStep, seen: I64, px_per_mm: FloatArray) -> float:
     """Width of the highlight that runs beside most of the curves seen, in both images; 0 without one."""
-    if not problem.edges.bias_px[:, seen].max(initial=0.0) >= BREAKS.wider_px:
+    if not step.solved.bias[:, seen].max(initial=0.0) >= BREAKS.wider_px:
         return 0.0
     widths, shares, lengths = [], [], []
     for k in seen:
-        rows = slice(*problem.starts[k : k + 2])
-        curve, count = problem.curves[k], rows.stop - rows.start
-        for side, (outline, image) in enumerate(zip(problem.sides, state.images, strict=True)):
+        rows = slice(*step.laid.starts[k : k + 2])
+        curve, count = state.curve(int(k)), rows.stop - rows.start
+        for side, (outline, image) in enumerate(zip(step.sides, state.images, strict=True)):
             sign = int(np.sign(curve.signs_at(side, count).sum())) or curve.polarity
             width, share = 0.0, 0.0
             if image.size and sign:

@@ -14,13 +14,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from edged.domain.arrays import B8, I64, SIDES, FloatArray, Side
-from edged.vision.curves.adjustment import precise, propagate
-from edged.vision.curves.commonmode import LEAST_GAIN, PARTS, Pairs, samples_of
-from edged.vision.curves.outlines import Curve, CurveOutline, Face, ProjectedOutline, project_outline
+from edged.domain.arrays import B8, I64, FloatArray, Side
+from edged.vision.curves.adjustment import propagate
+from edged.vision.curves.commonmode import LEAST_GAIN, PARTS, Pairs
+from edged.vision.curves.flatcurves import LaidCurves, lay
+from edged.vision.curves.jointstep import arcs_px, solve_known
+from edged.vision.curves.outlines import Curve, Face, ProjectedOutline, projected
 from edged.vision.curves.params import FORESIGHT, FitParams
-from edged.vision.curves.planefit import Known, PlaneFit, Scatter, arcs_px, result_of
-from edged.vision.curves.planestate import CurveEdges, FitProblem, FitStep, State
+from edged.vision.curves.planefit import Known, PlaneFit, Scatter, result_of
+from edged.vision.curves.planestate import FitStep, State, state_of
 from edged.vision.geometry.camera import StereoRig
 
 NOTHING = np.zeros((0, 0), np.uint8)
@@ -68,16 +70,18 @@ def foresee_plane(
     broken = tuple(
         replace(curve, break_mm=scatter.break_mm) for curve, scatter in zip(curves, scatters, strict=True)
     )
-    state = State(rig, (NOTHING, NOTHING), face, broken, params, False, False, rigid_mm)
-    sampled = state.sampled(FORESIGHT.spacing_px)
-    if sampled is None:
+    state = state_of(rig, (NOTHING, NOTHING), face, broken, params, rigid_mm=rigid_mm)
+    laid = lay(state.at, FORESIGHT.spacing_px)
+    starts = laid.starts
+    if not starts[-1]:
         return None
-    outline, starts = sampled
-    with np.errstate(invalid="ignore", divide="ignore"):
-        left, right = (project_outline(rig, side, face, outline) for side in SIDES)
+    left, right = (
+        projected(camera, state.at.face, laid.outline) for camera in (state.at.left, state.at.right)
+    )
     inside = _inside(rig, "left", left) & _inside(rig, "right", right)
     counts = np.add.reduceat(inside, starts[:-1], dtype=np.int64)
     kept = (counts >= FORESIGHT.min_samples) & (counts >= min_support * np.diff(starts))
+    kept &= [bool(scatter.information.any()) for scatter in scatters]
     if not kept.any():
         return None
     if not kept.all():
@@ -91,23 +95,23 @@ def foresee_plane(
             min_support=min_support,
             noises=None if noises is None else [noises[k] for k in fewer],
         )
-    step = _step(state, scatters, sampled, (left, right), inside)
+    step = _step(state, scatters, laid, (left, right), inside)
     if step is None:
         return None
-    return result_of(state, step, None if noises is None else _by_noise(step, noises, state.unknowns))
+    return result_of(state, step, None if noises is None else _by_noise(step, noises))
 
 
-def _by_noise(step: FitStep, noises: Sequence[tuple[float, float]], unknowns: int) -> Known:
+def _by_noise(step: FitStep, noises: Sequence[tuple[float, float]]) -> Known:
     """Covariance from noise, independent in each sample of each picture."""
-    problem = step.problem
-    counts, total = np.diff(problem.starts), int(problem.starts[-1])
-    arcs = np.maximum(arcs_px(problem.sides, problem.starts), FORESIGHT.min_arc_px)
+    solved, starts, unknowns = step.solved, step.laid.starts, len(step.solved.delta)
+    counts, total, used = np.diff(starts), int(starts[-1]), step.solved.formed.used
+    arcs = np.maximum(arcs_px(*step.sides, starts), FORESIGHT.min_arc_px)
     sigma = np.sqrt(np.repeat(np.array(noises).T, counts, axis=1) / arcs)
     none = np.zeros((total, total))
-    causes = problem.pairs.rows_of(np.hstack([np.diag(sigma[0]), none]), np.hstack([none, np.diag(sigma[1])]))
-    moved = propagate(problem.samples, problem.solution, causes)[: len(problem.used)]
+    causes = solved.pairs.rows_of(np.hstack([np.diag(sigma[0]), none]), np.hstack([none, np.diag(sigma[1])]))
+    moved = propagate(solved.formed.samples, solved.solution, causes)[: len(used)]
     covariance = np.zeros((unknowns, unknowns))
-    covariance[np.ix_(problem.used, problem.used)] = moved @ moved.T
+    covariance[np.ix_(used, used)] = moved @ moved.T
     return Known(covariance, covariance, math.nan)
 
 
@@ -122,54 +126,22 @@ def _inside(rig: StereoRig, side: Side, seen: ProjectedOutline) -> B8:
 def _step(
     state: State,
     scatters: Sequence[Scatter],
-    sampled: tuple[CurveOutline, I64],
+    laid: LaidCurves,
     sides: tuple[ProjectedOutline, ProjectedOutline],
     inside: B8,
 ) -> FitStep | None:
     """The step that edges of this scatter, all of them where the curves lie, would give."""
-    outline, starts = sampled
+    starts = laid.starts
     counts = np.diff(starts)
     pairs, precision = _pairs(scatters, starts, sides, inside)
-    columns = state.columns(np.ones(len(counts), bool))
-    used = np.unique(columns[columns >= 0])
-    dense = np.where(columns < 0, -1, np.searchsorted(used, columns))
-    still, shifts = np.zeros((2, starts[-1])), np.array([scatter.shift_px for scatter in scatters])
-    samples, priors = samples_of(
-        pairs,
-        state.with_row_shift(outline, sides),
-        np.pad(dense, ((0, 0), (0, 1)), constant_values=-1),
-        still,
-        np.zeros((2, len(counts))),
-        np.array([curve.polarity for curve in state.curves]),
-        state.shift_basis(outline, sides, pairs.gain),
-        len(used),
+    shifts = np.array([scatter.shift_px for scatter in scatters])
+    clipped, soft = (
+        np.repeat(np.array([getattr(scatter, name) for scatter in scatters]).T, counts, axis=1)
+        for name in ("clipped", "soft")
     )
-    samples.columns[:, -1] = len(used) + priors
-    known_before = int(np.count_nonzero(used >= state.shared - 1)) if state.rigid_mm is not None else 0
-    solution = precise(samples, len(used) + priors + 1, known_before + priors + 1, precision, shifts)
-    if solution is None:
-        return None
-    edges = CurveEdges(
-        still,
-        np.ones_like(still),
-        np.zeros((2, len(counts))),
-        np.repeat(np.array([scatter.clipped for scatter in scatters]).T, counts, axis=1),
-        np.repeat(np.array([scatter.soft for scatter in scatters]).T, counts, axis=1),
-    )
-    problem = FitProblem(
-        samples, solution, pairs, state.face, state.curves, outline, sides, edges, starts, used, True
-    )
-    return FitStep(
-        np.zeros(state.unknowns),
-        problem,
-        np.zeros(len(counts)),
-        0.0,
-        starts,
-        np.stack([side.pixels for side in sides]),
-        still,
-        np.stack([inside, inside]).astype(np.float64),
-        still,
-    )
+    weights = np.stack([inside, inside]).astype(np.float64)
+    solved = solve_known(state.at, laid, *sides, pairs, precision, shifts, weights, clipped, soft)
+    return FitStep(state.at, laid, sides, solved, final=True) if solved.rounds else None
 
 
 def _pairs(
@@ -180,7 +152,7 @@ def _pairs(
 ) -> tuple[Pairs, FloatArray]:
     """The parts of each curve of which its scatter tells anything, and their precision (Q,) by px of arc."""
     counts, total = np.diff(starts), int(starts[-1])
-    arcs = np.where(inside, arcs_px(sides, starts), 0.0)
+    arcs = np.where(inside, arcs_px(*sides, starts), 0.0)
     rows, lengths, parts, precision = [], [0], [0], []
     for k, scatter in enumerate(scatters):
         for kind in np.flatnonzero(scatter.information > 0):
@@ -195,9 +167,9 @@ def _pairs(
         np.repeat([scatter.share for scatter in scatters], counts),
         np.where(np.abs(gain) > LEAST_GAIN, gain, LEAST_GAIN),
         chosen,
-        np.cumsum(lengths),
-        np.array(parts),
-        np.array([scatter.information[0] > 0 for scatter in scatters]),
+        np.cumsum(lengths, dtype=np.int64),
+        np.array(parts, np.int64),
+        np.array([bool(scatter.information[0] > 0) for scatter in scatters]),
         np.tile(arcs, len(PARTS))[chosen],
     )
     return pairs, np.array(precision)

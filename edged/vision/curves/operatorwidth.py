@@ -7,13 +7,11 @@ otherwise than the narrowest one, slowly changing around the curve, is its bias.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
-from edged.domain.arrays import B8, F64, I64, FloatArray
+from edged.domain.arrays import B8, F64, I64
 from edged.vision.curves.params import FIT
-from edged.vision.edges.subpixel import WIDTHS_PX, EdgeSamples
+from edged.vision.edges.subpixel import WIDTHS_PX
 from edged.vision.kernels.cholesky import invert
 from edged.vision.kernels.jit import kernel
 from edged.vision.kernels.median import median
@@ -34,45 +32,8 @@ SIGNIFICANT = FIT.significant
 CERTAIN = FIT.certain
 START_WIDTH = FIT.start_width
 NEIGHBOURS = FIT.contrast_neighbours
-_OUTPUTS = 2  # arrays of a kernel
 FIRST_ROUNDS = FIT.first_rounds
 NEXT_ROUNDS = FIT.next_rounds
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class ChosenEdges:
-    """The edges of K curves at the width that suits each.
-
-    offset_px (N,) : NaN where there is no edge; base (N,) : prior weights.
-    bias_px (K,) : one sigma of each of the systematic shifts; blur2_px2 (K,) : variance of the image's
-    own blur across the edge.
-    """
-
-    offset_px: FloatArray
-    base: FloatArray
-    bias_px: FloatArray
-    blur2_px2: FloatArray
-
-
-def choose_widths(seen: EdgeSamples, starts: I64, waves: FloatArray, min_slope: float) -> ChosenEdges:
-    """Choose for each curve; with one width there is nothing to choose, bias and blur are 0.
-
-    starts (K + 1,) : where the samples of each curve begin.  waves (N, M) : systematic shifts.
-    min_slope : grey values per px below which there is no edge.
-    """
-    samples = np.empty((_OUTPUTS, len(waves)))
-    curves = np.zeros((_OUTPUTS, len(starts) - 1))
-    _choose(
-        np.ascontiguousarray(seen.offset_px),
-        np.ascontiguousarray(seen.slope),
-        seen.clipped,
-        np.ascontiguousarray(starts),
-        np.ascontiguousarray(waves),
-        float(min_slope),
-        samples,
-        curves,
-    )
-    return ChosenEdges(samples[0], samples[1], curves[0], curves[1])
 
 
 @kernel("void(f8[::1], f8[::1], b1[::1], f8, f8[::1], f8[::1])")
@@ -174,7 +135,7 @@ def _blur2(narrow_slope: F64, narrow_base: F64, wide_slope: F64, wide_base: F64)
 
 
 @kernel("void(f8[:, ::1], f8[:, ::1], b1[::1], i8[::1], f8[:, ::1], f8, f8[:, ::1], f8[:, ::1])")
-def _choose(
+def choose(
     offset: F64,
     slope: F64,
     clipped: B8,

@@ -15,7 +15,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from edged.domain.arrays import F64, I64, FloatArray
+from edged.domain.arrays import F64, I64, SIDES, FloatArray
 from edged.vision.geometry.camera import CameraModel, StereoRig
 from edged.vision.kernels.jit import F1, F2, INT, for_kernel, kernel
 
@@ -44,6 +44,12 @@ class Face:
     def from_rig(self, points_mm: FloatArray) -> FloatArray:
         """Points (N, 3) in the axes of the face: u, v, height."""
         return np.asarray((points_mm - self.origin) @ self.axes.T)
+
+    def flat(self) -> FloatArray:
+        """(4, 3) axes u, v, normal and origin, as kernels take them."""
+        flat = np.empty((4, 3))
+        flat[:3], flat[3] = self.axes, self.origin
+        return flat
 
     def moved(self, plane: FloatArray) -> Face:
         """The face after a step of height and slopes; the axes stay as near to the old ones as they can."""
@@ -251,10 +257,10 @@ class ProjectedOutline(NamedTuple):
     design: F2
 
 
-class _View(NamedTuple):
-    """A camera at a face. focal (2,), centre (2,) px; lens (5,), 0 where there is no coefficient.
+class FlatCamera(NamedTuple):
+    """A camera as kernels take it. focal (2,), centre (2,) px; lens (5,), 0 where there is no coefficient.
 
-    model : of the lens.  pose (4, 4) : camera_from_rig.  face (4, 3) : axes u, v, n and origin, rig frame.
+    model : of the lens.  pose (4, 4) : camera_from_rig.
     """
 
     focal: F1
@@ -262,7 +268,21 @@ class _View(NamedTuple):
     lens: F1
     model: INT
     pose: F2
-    face: F2
+
+
+@lru_cache(maxsize=8)  # of the cell's rig, as calibrated and as its marks show it
+def flat_cameras(rig: StereoRig) -> tuple[FlatCamera, FlatCamera]:
+    """The left and the right camera of a rig."""
+    left, right = (
+        FlatCamera(
+            np.array([camera.fx, camera.fy]),
+            np.array([camera.cx, camera.cy]),
+            *packed_lens(camera),
+            for_kernel(pose, np.float64),
+        )
+        for camera, pose in (camera_pose(rig, side) for side in SIDES)
+    )
+    return left, right
 
 
 def camera_pose(rig: StereoRig, side: str) -> tuple[CameraModel, FloatArray]:
@@ -272,20 +292,8 @@ def camera_pose(rig: StereoRig, side: str) -> tuple[CameraModel, FloatArray]:
 
 def project_outline(rig: StereoRig, side: str, face: Face, outline: CurveOutline) -> ProjectedOutline:
     """Project samples of the curves of a face into a raw image."""
-    camera, camera_from_rig = camera_pose(rig, side)
-    view = _View(
-        np.array([camera.fx, camera.fy]),
-        np.array([camera.cx, camera.cy]),
-        *packed_lens(camera),
-        for_kernel(camera_from_rig, np.float64),
-        for_kernel(np.vstack([face.axes, face.origin]), np.float64),
-    )
-    count, free = outline.speed.shape
-    seen = ProjectedOutline(
-        np.empty((count, 2)), np.empty((count, 2)), np.empty(count), np.empty((count, 3 + free))
-    )
-    _project_outline(view, CurveOutline._make(for_kernel(field, np.float64) for field in outline), seen)
-    return seen
+    plain = CurveOutline._make(for_kernel(field, np.float64) for field in outline)
+    return projected(flat_cameras(rig)[SIDES.index(side)], face.flat(), plain)
 
 
 def project_circle(
@@ -349,16 +357,19 @@ def _turn(pose: F64, vector: F64, turned: F64) -> None:
 
 
 @kernel(
-    "void(_View, CurveOutline, ProjectedOutline)",
-    tuples=(_View, CurveOutline, ProjectedOutline),
+    "ProjectedOutline(FlatCamera, f8[:, ::1], CurveOutline)",
+    tuples=(FlatCamera, CurveOutline, ProjectedOutline),
     any_order=True,
 )
-def _project_outline(view: _View, outline: CurveOutline, seen: ProjectedOutline) -> None:
-    """Fill what is seen; in the camera's frame within."""
-    pose, focal, centre, design = view.pose, view.focal, view.centre, seen.design
+def projected(camera: FlatCamera, face: F64, outline: CurveOutline) -> ProjectedOutline:
+    """What a camera sees of samples of the curves of a face (4, 3), see `Face.flat`."""
+    count, free = outline.speed.shape
+    design = np.empty((count, 3 + free))
+    seen = ProjectedOutline(np.empty((count, 2)), np.empty((count, 2)), np.empty(count), design)
+    pose, focal, centre = camera.pose, camera.focal, camera.centre
     axes = np.empty((4, 3))
     for i in range(4):
-        _turn(pose, view.face[i], axes[i])
+        _turn(pose, face[i], axes[i])
     for i in range(3):
         axes[3, i] += pose[i, 3]
     u0, u1, u2 = axes[0, 0], axes[0, 1], axes[0, 2]
@@ -370,7 +381,7 @@ def _project_outline(view: _View, outline: CurveOutline, seen: ProjectedOutline)
         nearness = 1.0 / (axes[3, 2] + px * u2 + py * v2 + pz * n2)
         u = (axes[3, 0] + px * u0 + py * v0 + pz * n0) * nearness
         v = (axes[3, 1] + px * u1 + py * v1 + pz * n1) * nearness
-        x, y, xu, xv, yu, yv = distorted(u, v, view.lens, view.model)
+        x, y, xu, xv, yu, yv = distorted(u, v, camera.lens, camera.model)
         # d pixel / d u and v, then along the curve and across it
         xu, xv = focal[0] * xu * nearness, focal[0] * xv * nearness
         yu, yv = focal[1] * yu * nearness, focal[1] * yv * nearness
@@ -395,6 +406,7 @@ def _project_outline(view: _View, outline: CurveOutline, seen: ProjectedOutline)
         design[n, 2] = up * py - pz * (v0 * du + v1 * dv + v2 * dw)
         for f in range(outline.speed.shape[1]):
             design[n, 3 + f] = gain * outline.speed[n, f]
+    return seen
 
 
 @kernel("f8[::1](f8[:, ::1], f8[:, ::1], i8[::1])")

@@ -17,6 +17,7 @@ are not five independent witnesses (see `systematic`).
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -24,18 +25,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from edged.domain.arrays import I64, FloatArray, Image
+from edged.domain.arrays import FloatArray, Image
 from edged.vision.curves.adjustment import propagate
 from edged.vision.curves.commonmode import PARTS
 from edged.vision.curves.edgebreaks import break_shifts, break_widths_mm
-from edged.vision.curves.outlines import PLANE_PARAMETERS, Curve, Face, ProjectedOutline, circle_axes
+from edged.vision.curves.flatcurves import RIGID_PARAMETERS
+from edged.vision.curves.outlines import PLANE_PARAMETERS, Curve, Face, circle_axes
 from edged.vision.curves.params import DEFAULT_PARAMS, FIT, FitParams
-from edged.vision.curves.planestate import (
-    RIGID_PARAMETERS,
-    FitProblem,
-    FitStep,
-    State,
-)
+from edged.vision.curves.planestate import FitStep, State, state_of
 from edged.vision.curves.systematic import FAMILIES
 from edged.vision.geometry.camera import StereoRig
 from edged.vision.geometry.projection import shifts_by_calibration
@@ -170,7 +167,18 @@ def fit_plane(
     rigid_mm : the curves are those of one part, its places and sizes known to this sigma; it moves, turns and
     grows as a whole. None: each curve lies where it will.
     """
-    return _fitted(State(rig, images, face, tuple(curves), params, fixed_normal, fixed_radius, rigid_mm))
+    return _fitted(
+        state_of(
+            rig,
+            images,
+            face,
+            curves,
+            params,
+            fixed_normal=fixed_normal,
+            fixed_radius=fixed_radius,
+            rigid_mm=rigid_mm,
+        )
+    )
 
 
 def fit_circle(
@@ -210,7 +218,7 @@ def _fitted(start: State) -> PlaneFit | None:
             state = state.with_polarity(reach, spacing_px)
         step = None if state is None else state.step(reach, spacing_px, final=False)
         state = None if state is None or step is None else state.moved(step)
-        if number > 0 and step is not None and step.moved_px.max() < FIT.still_px:
+        if number > 0 and step is not None and step.solved.moved_px.max() < FIT.still_px:
             break
     if state is None:
         return None
@@ -223,14 +231,14 @@ def _fitted(start: State) -> PlaneFit | None:
         if step is None or not kept:
             return None
         if params.min_support and len(kept) < len(state.curves):  # what is not there must not pull the others
-            state = replace(state, curves=tuple(state.curves[k] for k in kept))
+            state = state.only(kept)
             continue
         left -= 1
         moved = state.moved(step)
         if moved is None:
             return None
         state = moved
-        if step.moved_px.max() < FIT.still_px:
+        if step.solved.moved_px.max() < FIT.still_px:
             break
     return None if step is None else result_of(state, step)
 
@@ -240,49 +248,48 @@ def result_of(state: State, step: FitStep, known: Known | None = None) -> PlaneF
     kept = step.supported(state.params.min_support)
     if not kept:
         return None
-    fits, support = [], step.support()
-    breaks_mm = np.zeros(len(state.curves))
-    if step.problem.final:
-        breaks_mm = break_widths_mm(state, step.problem)
-    whole = known or _known(step.problem, state, breaks_mm)
-    first = np.cumsum([state.shared, *(curve.free for curve in state.curves)])
-    for k, scatter in zip(kept, _scatters_of(step, kept, breaks_mm), strict=True):
-        rows = slice(*step.starts[k : k + 2])
-        weights = step.weights[:, rows]
-        curve = state.curves[k]
+    solved, starts, sums = step.solved, step.laid.starts, step.solved.sums
+    breaks_mm = break_widths_mm(state, step) if step.final else np.zeros(len(state.curves))
+    whole = known or _known(step, state, breaks_mm)
+    free = [curve.free for curve in state.curves]
+    first = list(itertools.accumulate(free, initial=state.shared))
+    borders, (left, right) = starts.tolist(), sums.support.tolist()
+    rms, mismatch = sums.rms.tolist(), (sums.mean[0] - sums.mean[1]).tolist()
+    curves, fits = [state.curve(k) for k in kept], []
+    for k, curve, scatter in zip(kept, curves, _scatters_of(step, kept, breaks_mm), strict=True):
+        rows = slice(borders[k], borders[k + 1])
         if state.rigid_mm is not None:
-            own = state.rigid_mm * step.delta[first[k] : first[k + 1]]
-            curve = curve.moved(own) or curve
-        with np.errstate(invalid="ignore"):
-            means = np.nansum(step.offsets[:, rows] * weights, axis=1) / weights.sum(axis=1)
+            curve = curve.moved(state.rigid_mm * solved.delta[first[k] : first[k + 1]]) or curve
         fits.append(
             CurveFit(
                 curve,
-                support[:, k],
-                float(np.sqrt(np.sum(weights * step.residuals[:, rows] ** 2) / weights.sum())),
-                float(means[0] - means[1]),
-                step.points[:, rows],
-                weights,
+                np.array([left[k], right[k]]),
+                rms[k],
+                mismatch[k],
+                solved.points[:, rows],
+                solved.weights[:, rows],
                 scatter,
             )
         )
-    unknowns = np.concatenate([np.arange(state.shared), *(np.arange(*first[k : k + 2]) for k in kept)])
+    unknowns = [*range(state.shared), *(u for k in kept for u in range(first[k], first[k] + free[k]))]
+    wanted = np.ix_(unknowns, unknowns)
+    covariance, by_edges = whole.covariance[wanted], whole.edge_covariance[wanted]
     rigid = None
-    if state.rigid_mm is None:
-        lift = _block_diagonal([np.eye(PLANE_PARAMETERS), *(state.curves[k].lift() for k in kept)])
-    else:
-        lift = _rigid_lift(state, kept)
+    if state.rigid_mm is not None:
         units = np.append(np.ones(state.shared - 1), FIT.growth_sigma)
         common = slice(state.shared)
         rigid = RigidMotion(
             whole.covariance[common, common] * np.outer(units, units),
             whole.edge_covariance[common, common] * np.outer(units, units),
-            FIT.growth_sigma * float(step.delta[state.shared - 1]),
+            FIT.growth_sigma * float(solved.delta[state.shared - 1]),
         )
-    covariance, by_edges = (
-        np.asarray(lift @ inner[np.ix_(unknowns, unknowns)] @ lift.T)
-        for inner in (whole.covariance, whole.edge_covariance)
-    )
+    if rigid is not None or any(curve.kind == "edge" for curve in curves):
+        lift = (
+            _rigid_lift(state, curves)
+            if rigid is not None
+            else _block_diagonal([np.eye(PLANE_PARAMETERS), *(curve.lift() for curve in curves)])
+        )
+        covariance, by_edges = lift @ covariance @ lift.T, lift @ by_edges @ lift.T
     return PlaneFit(
         state.face, tuple(fits), covariance, by_edges, step.row_shift_px, whole.row_sigma_px, rigid
     )
@@ -290,44 +297,15 @@ def result_of(state: State, step: FitStep, known: Known | None = None) -> PlaneF
 
 def _scatters_of(step: FitStep, numbers: Sequence[int], breaks_mm: FloatArray) -> list[Scatter]:
     """The scatters of some curves of a step."""
-    if not step.problem.final:
+    if not step.final:
         return [UNKNOWN] * len(numbers)
-    arcs = arcs_px(step.problem.sides, step.starts)
-    lengths = np.add.reduceat(arcs, step.starts[:-1])
+    sums, bias_px = step.solved.sums, step.solved.solution.bias
+    shares, widths = sums.share.tolist(), breaks_mm.tolist()
+    clipped, soft = (list(zip(*flags.tolist(), strict=True)) for flags in (sums.clipped, sums.soft))
     return [
-        replace(_scatter_of(step, number, float(lengths[number])), break_mm=float(breaks_mm[number]))
-        for number in numbers
+        Scatter(sums.information[k], shares[k], bias_px[k].copy(), clipped[k], soft[k], widths[k])
+        for k in numbers
     ]
-
-
-def _scatter_of(step: FitStep, number: int, arc_px: float) -> Scatter:
-    problem = step.problem
-    samples, solution, pairs = problem.samples, problem.solution, problem.pairs
-    rows = slice(*step.starts[number : number + 2])
-    information = np.zeros(len(PARTS))
-    for part in range(*samples.parts[number : number + 2]):
-        first, last = samples.starts[part : part + 2]
-        kind = pairs.rows[first] // len(pairs.both)
-        information[kind] = solution.precision[part] * solution.weights[first:last].sum() / arc_px
-    clipped, soft = (
-        flags[:, rows].mean(axis=1) > 0.5 for flags in (problem.edges.clipped, problem.edges.soft)
-    )
-    return Scatter(
-        information,
-        float(pairs.share[rows].mean()),
-        solution.bias[number].copy(),
-        (bool(clipped[0]), bool(clipped[1])),
-        (bool(soft[0]), bool(soft[1])),
-    )
-
-
-def arcs_px(sides: tuple[ProjectedOutline, ProjectedOutline], starts: I64) -> FloatArray:
-    """(N,) length of the images of curves, mean of both, that each sample stands for."""
-    arcs = np.zeros(starts[-1])
-    for seen in sides:
-        arcs[:-1] += 0.5 * np.linalg.norm(np.diff(seen.pixels, axis=0), axis=1)
-    arcs[starts[1:] - 1] = arcs[starts[1:] - 2]  # not to where the next curve begins
-    return np.nan_to_num(arcs)
 
 
 class Known(NamedTuple):
@@ -340,53 +318,53 @@ class Known(NamedTuple):
     row_sigma_px: float
 
 
-def _known(problem: FitProblem, state: State, breaks_mm: FloatArray) -> Known:
+def _known(step: FitStep, state: State, breaks_mm: FloatArray) -> Known:
     """How well a step is known.  breaks_mm (K,) : how wide the edge breaks of its curves may be."""
-    rig, unknowns = state.rig, state.unknowns
-    samples, solution, pairs, sides = problem.samples, problem.solution, problem.pairs, problem.sides
-    used, edges = problem.used, problem.edges
+    rig, unknowns, solved = state.rig, len(step.solved.delta), step.solved
+    formed, solution, pairs = solved.formed, solved.solution, solved.pairs
+    used = formed.used
     by_edges = whole = solution.covariance[: len(used), : len(used)]
     row, row_variance = len(solution.delta) - 1, math.nan
-    if problem.final:
+    if step.final:
         row_variance = float(solution.covariance[row, row])
-    if problem.final and (edges.clipped.any() or edges.soft.any()):
-        causes = pairs.rows_of(*_poor_light(problem))
-        by_cause = propagate(samples, solution, causes)
+    if step.final and (solved.clipped.any() or solved.soft.any()):
+        causes = pairs.rows_of(*_poor_light(step))
+        by_cause = propagate(formed.samples, solution, causes)
         by_edges = by_edges + by_cause[: len(used)] @ by_cause[: len(used)].T
         row_variance += float(by_cause[row] @ by_cause[row])
         whole = by_edges
     if breaks_mm.any():
-        by_cause = propagate(samples, solution, pairs.rows_of(*break_shifts(state, problem, breaks_mm)))
+        by_cause = propagate(formed.samples, solution, pairs.rows_of(*break_shifts(step, breaks_mm)))
         by_edges = by_edges + by_cause[: len(used)] @ by_cause[: len(used)].T
         row_variance += float(by_cause[row] @ by_cause[row])
         whole = by_edges
-    if problem.final and rig.covariance is not None:
-        space = problem.face.to_rig(problem.outline.points)
-        causes = pairs.rows_of(*shifts_by_calibration(rig, space, *(side.normals for side in sides)))
-        by_cause = propagate(samples, solution, causes)
+    if step.final and rig.covariance is not None:
+        face = step.at.face
+        space = Face(face[3], face[:3]).to_rig(step.laid.outline.points)
+        causes = pairs.rows_of(*shifts_by_calibration(rig, space, *(side.normals for side in step.sides)))
+        by_cause = propagate(formed.samples, solution, causes)
         row_variance += float(by_cause[row] @ rig.covariance @ by_cause[row])
         by_cause = by_cause[: len(used)]
         whole = whole + by_cause @ rig.covariance @ by_cause.T
-    covariances = np.zeros((2, unknowns, unknowns))
-    for all_of_it, part in zip(covariances, (whole, by_edges), strict=True):
-        all_of_it[np.ix_(used, used)] = part
+    covariances, where = np.zeros((2, unknowns, unknowns)), np.ix_(used, used)
+    covariances[0][where], covariances[1][where] = whole, by_edges
     return Known(covariances[0], covariances[1], FIT.row_sigma_px * math.sqrt(row_variance))
 
 
-def _poor_light(problem: FitProblem) -> tuple[FloatArray, FloatArray]:
+def _poor_light(step: FitStep) -> tuple[FloatArray, FloatArray]:
     """(N, 4) for each camera: by how much saturation and blur move the edges, one sigma, px.
 
     A saturated sensor moves all of them towards the dark, in both cameras much alike: they see one light.
     A blurred edge is one with what lies beside it, a chamfer, a wall, a shadow: to one side of the part,
     in each camera by itself. Along the rows that is a depth.
     """
-    edges = problem.edges
-    towards = -np.repeat([float(curve.polarity) for curve in problem.curves], np.diff(problem.starts))
-    left, right = FIT.clipped_px * towards * edges.clipped
+    solved = step.solved
+    towards = -np.repeat(step.at.curves.polarity.astype(np.float64), np.diff(step.laid.starts))
+    left, right = FIT.clipped_px * towards * solved.clipped
     none = np.zeros(len(towards))
     soft_left, soft_right = (
         FIT.soft_shift_px * seen.normals[:, 0] * soft
-        for seen, soft in zip(problem.sides, edges.soft, strict=True)
+        for seen, soft in zip(step.sides, solved.soft, strict=True)
     )
     return (
         np.column_stack([left, FIT.clipped_apart * left, soft_left, none]),
@@ -394,13 +372,12 @@ def _poor_light(problem: FitProblem) -> tuple[FloatArray, FloatArray]:
     )
 
 
-def _rigid_lift(state: State, kept: Sequence[int]) -> FloatArray:
+def _rigid_lift(state: State, curves: Sequence[Curve]) -> FloatArray:
     """(P, U) : plane and parameters of the kept curves by the unknowns of a rigid fit that are theirs."""
     assert state.rigid_mm is not None
-    own = _block_diagonal([state.rigid_mm * state.curves[k].lift() for k in kept])
+    own = _block_diagonal([state.rigid_mm * curve.lift() for curve in curves])
     rows = []
-    for k in kept:
-        curve = state.curves[k]
+    for curve in curves:
         x, y = curve.parameters[:2]
         moved = np.zeros((len(curve.parameters), RIGID_PARAMETERS))
         moved[:2] = [[1.0, 0.0, -y, FIT.growth_sigma * x], [0.0, 1.0, x, FIT.growth_sigma * y]]

@@ -19,11 +19,9 @@ Sources: C. R. Rao, "Estimation of Variance and Covariance Components in Linear 
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
-from edged.domain.arrays import F64, I64, FloatArray
+from edged.domain.arrays import F64, I64
 from edged.vision.curves.params import FIT
 from edged.vision.curves.samples import JointSolution, Memory, Samples
 from edged.vision.kernels.jit import kernel
@@ -31,26 +29,33 @@ from edged.vision.kernels.jit import kernel
 # numba freezes globals when it compiles: kernels read these by name
 DOUBT_PX = FIT.doubt_px
 EXPECTED_WAVES = FIT.expected_waves
+WAVE_SIGMAS = FIT.wave_sigmas
+WALL_SIGMA = FIT.wall_sigma
+WALL_SLANT = FIT.wall_slant
+ALIKE = FIT.alike
 
 
-def fourier_basis(normals: FloatArray) -> FloatArray:
-    """(N, 5): up to two waves around a curve by the direction of its normals (N, 2) in the image.
+@kernel("void(f8[:, ::1], f8[:, ::1])")
+def fill_waves(normals: F64, waves: F64) -> None:
+    """Fill (N, 5): up to two waves around a curve by the direction of its normals (N, 2) in the image.
 
     What a wrong circle looks like, and a displacement: light and view have one direction in the image. Each
     has a mean square of 1 around a closed curve.
     """
-    cosine, sine = normals.T
-    root2 = math.sqrt(2.0)
-    waves = np.empty((len(normals), 5))
-    waves[:, 0] = 1.0
-    waves[:, 1:3] = root2 * normals
-    waves[:, 3] = root2 * (cosine * cosine - sine * sine)
-    waves[:, 4] = 2.0 * root2 * cosine * sine
-    return waves
+    root2 = np.sqrt(2.0)
+    for n in range(len(normals)):
+        cosine, sine = normals[n, 0], normals[n, 1]
+        waves[n, 0], waves[n, 1], waves[n, 2] = 1.0, root2 * cosine, root2 * sine
+        waves[n, 3], waves[n, 4] = root2 * (cosine * cosine - sine * sine), 2.0 * root2 * cosine * sine
 
 
-def shift_basis(normals: FloatArray, gain: FloatArray, slant: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """(N, 12) for the left and for the right image: shapes of what displaces a curve, each with a sigma of 1.
+FAMILIES = np.repeat([0, 1], [2 * len(FIT.wave_sigmas), 2])
+"""Family of each column of `fill_shifts`: 0 waves, 1 walls; each is as large as it shows in the picture."""
+
+
+@kernel("void(f8[:, ::1], f8[:, ::1], f8[:, ::1], f8[:, :, ::1])")
+def fill_shifts(normals: F64, gain: F64, slant: F64, shifts: F64) -> None:
+    """Fill shifts (2, N, 12), left and right image: shapes of what displaces a curve, each with a sigma of 1.
 
     First waves that displace the curve in space and hence in both images alike, then such as displace it
     against each other, then the walls. `FAMILIES` numbers these.
@@ -59,35 +64,56 @@ def shift_basis(normals: FloatArray, gain: FloatArray, slant: FloatArray) -> tup
     slant (2, N) : tangent of the angle between the plane's normal and the ray from each camera, positive
     where the ray runs outwards: a hole's wall is seen there, and a disc's where it is negative.
     """
-    waves = fourier_basis(normals) * FIT.wave_sigmas
-    relative = gain / np.maximum(np.abs(gain.mean(axis=0)), 1e-9)
-    sides = []
-    for half, scale, tangent in zip((0.5, -0.5), relative, slant, strict=True):
-        seen = np.maximum(np.stack([tangent, -tangent], axis=1) / FIT.wall_slant, 0.0)
-        wall = FIT.wall_sigma * seen * np.exp(1.0 - seen)
-        sides.append(np.hstack([waves, half * waves, wall]) * scale[:, None])
-    return sides[0], sides[1]
+    many = len(WAVE_SIGMAS)
+    waves = np.empty((len(normals), many))
+    fill_waves(normals, waves)
+    for n in range(len(normals)):
+        middle = max(abs(0.5 * (gain[0, n] + gain[1, n])), 1e-9)
+        for side in range(2):
+            scale, half, found = gain[side, n] / middle, 0.5 - side, shifts[side, n]
+            for m in range(many):
+                wave = waves[n, m] * WAVE_SIGMAS[m]
+                found[m], found[many + m] = wave * scale, half * wave * scale
+            for wall in range(2):
+                tangent = slant[side, n] if wall == 0 else -slant[side, n]
+                seen = max(tangent / WALL_SLANT, 0.0)
+                found[2 * many + wall] = WALL_SIGMA * seen * np.exp(1.0 - seen) * scale
 
 
-FAMILIES = np.repeat([0, 1], [2 * len(FIT.wave_sigmas), 2])
-"""Family of each column of `shift_basis`: 0 waves, 1 walls; each is as large as it shows in the picture."""
+@kernel("f8[::1](f8[::1], i8[::1])")
+def shrunk(expected_px: F64, kinds: I64) -> F64:
+    """(K,) expected sigmas, of which none is far below the rms of its kind (K,), numbers below K."""
+    count = len(kinds)
+    square, many, result = np.zeros(count), np.zeros(count), np.empty(count)
+    for k in range(count):
+        square[kinds[k]] += expected_px[k] ** 2
+        many[kinds[k]] += 1.0
+    for k in range(count):
+        mean = square[kinds[k]] / many[kinds[k]]
+        result[k] = np.sqrt(expected_px[k] ** 2 + ALIKE**2 * mean)
+    return result
 
 
-def shrunk(expected_px: FloatArray, kinds: I64) -> FloatArray:
-    """(G,) expected sigmas, of which none is far below the rms of its kind (G,)."""
-    square = np.bincount(kinds, expected_px**2) / np.maximum(np.bincount(kinds), 1)
-    return np.sqrt(expected_px**2 + FIT.alike**2 * square[kinds])
+@kernel("void(f8[:, ::1], f8[:, ::1], f8[:, ::1], f8[:, ::1], f8[::1])")
+def fill_slants(points: F64, normals: F64, face: F64, pose: F64, slant: F64) -> None:
+    """Fill slant (N,) of one camera, as `fill_shifts` wants them.
 
-
-def slants(points_mm: FloatArray, outwards: FloatArray, normal: FloatArray, pose: FloatArray) -> FloatArray:
-    """(N,) as `shift_basis` wants them.
-
-    points_mm, outwards (N, 3) : samples of curves and their normals in the plane with this normal (3,), rig
-    frame.  pose (4, 4) : camera_from_rig.
+    points (N, 3), normals (N, 2) : samples of curves and their normals in a face (4, 3).  pose (4, 4) :
+    camera_from_rig.
     """
-    rays = points_mm + pose[:3, :3].T @ pose[:3, 3]
-    across = np.maximum(np.abs(rays @ normal), 1e-9)
-    return np.asarray(np.sum(rays * outwards, axis=1) / across)
+    eye = np.zeros(3)
+    for i in range(3):
+        for j in range(3):
+            eye[i] -= pose[j, i] * pose[j, 3]
+    for n in range(len(points)):
+        outward, away = 0.0, 0.0
+        for i in range(3):
+            ray = face[3, i] - eye[i]
+            for axis in range(3):
+                ray += points[n, axis] * face[axis, i]
+            outward += ray * (normals[n, 0] * face[0, i] + normals[n, 1] * face[1, i])
+            away += ray * face[2, i]
+        slant[n] = outward / max(abs(away), 1e-9)
 
 
 @kernel(

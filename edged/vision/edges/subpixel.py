@@ -108,7 +108,7 @@ def _measured(
     points = _columns(points_px)
     signs = np.full(len(points), polarity, dtype=np.int32)
     widths = np.asarray(widths_px, dtype=np.float64)
-    result = _edge_offsets(
+    result = edge_offsets(
         _pixels(image), points, _columns(normals), float(reach_px), widths, signs, float(step_px)
     )
     count = len(widths)
@@ -404,7 +404,7 @@ def _derivative(width: float, step: float, taps: F32) -> None:
 
 
 @kernel("f8[:, ::1](u1[:, ::1], f8[:, ::1], f8[:, ::1], f8, f8[::1], i4[::1], f8)")
-def _edge_offsets(
+def edge_offsets(
     image: Image, points: F64, normals: F64, reach: float, widths: F64, polarity: I32, step: float
 ) -> F64:
     """Rows: the offset at each width, then the slope at each width, then 1 where the sensor clips."""

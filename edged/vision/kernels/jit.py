@@ -40,6 +40,7 @@ F3 = Annotated[npt.NDArray[np.float64], "f8[:, :, ::1]"]
 I1 = Annotated[npt.NDArray[np.int64], "i8[::1]"]
 I2 = Annotated[npt.NDArray[np.int64], "i8[:, ::1]"]
 B1 = Annotated[npt.NDArray[np.bool_], "b1[::1]"]
+B2 = Annotated[npt.NDArray[np.bool_], "b1[:, ::1]"]
 S2 = Annotated[npt.NDArray[np.int16], "i2[:, ::1]"]
 G2 = Annotated[npt.NDArray[np.float32], "f4[:, ::1]"]
 N2 = Annotated[npt.NDArray[np.int32], "i4[:, ::1]"]
@@ -59,7 +60,8 @@ def kernel(
     signatures : numba signatures, e.g. "f8(f4[:, ::1], f8, f8)", and no other is ever compiled; loaded, or
     compiled where it is not stored, when it is first called. `load_called` does so ahead, so that no image
     waits. Without a signature it is compiled for what it is called with (helpers called by other kernels).
-    tuples : `NamedTuple` classes that the signatures name, their fields annotated as `F1`, `I2`, ...
+    tuples : `NamedTuple` classes that the signatures name, their fields annotated as `F1`, `I2`, ..., or as a
+    class that comes earlier among them.
     any_order : sums may be added side by side, in an order that is fixed when it is compiled; four times
     faster. Otherwise no fastmath: NaN marks missing values in edged.
     Results are bit-equal on replay.
@@ -170,7 +172,10 @@ def _parsed(signature: str, tuples: Tuples) -> Any:
     known: dict[str, Any] = {}
     for named in tuples:
         hints = get_type_hints(named, include_extras=True)
-        fields = [_type(hint.__metadata__[0]) for hint in hints.values()]
+        fields = [
+            known[hint.__name__] if isinstance(hint, type) else _type(hint.__metadata__[0])
+            for hint in hints.values()
+        ]
         alike = len(set(fields)) == 1
         known[named.__name__] = (
             types.NamedUniTuple(fields[0], len(fields), named) if alike else types.NamedTuple(fields, named)

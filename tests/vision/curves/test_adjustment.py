@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from helpers.adjustments import problem
+from helpers.adjustments import problem, solve
 from naive import curves as naive
 
-from edged.vision.curves.adjustment import propagate, solve
+from edged.vision.curves.adjustment import propagate
 
 
 @pytest.mark.parametrize("bias", [0.0, 0.05])

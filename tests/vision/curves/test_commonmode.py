@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from edged.domain.arrays import FloatArray
-from edged.vision.curves.commonmode import Pairs, pair
+from edged.vision.curves.commonmode import Pairs, by_camera, pair
 
 STARTS = np.array([0, 400, 640])
 
@@ -23,7 +23,7 @@ def edges(seed: int, of_left: float, of_right: float, common: float) -> tuple[Fl
 def paired(seed: int = 0, of_left: float = 0.01, of_right: float = 0.01, common: float = 0.01) -> Pairs:
     """Two curves of which all edges are seen."""
     gain, offset = edges(seed, of_left, of_right, common)
-    return pair(offset, np.ones((2, 640)), gain, STARTS, together=True)
+    return pair(offset, np.ones((2, 640)), gain, STARTS, True)
 
 
 def test_there_and_back() -> None:
@@ -31,13 +31,14 @@ def test_there_and_back() -> None:
     gain, offset = edges(1, 0.01, 0.02, 0.01)
     base = np.ones((2, 640))
     base[0, 50:100] = base[1, 200:260] = 0.0
-    pairs = pair(offset, base, gain, STARTS, together=True)
+    pairs = pair(offset, base, gain, STARTS, True)
     assert pairs.paired.all()
     assert list(pairs.parts) == [0, 4, 6]
-    back = pairs.by_camera(pairs.rows_of(*offset))
+    back, weights = np.empty((2, *base.shape))
+    by_camera(pairs, pairs.rows_of(*offset), pairs.base, back, weights)
     np.testing.assert_allclose(back[base > 0], offset[base > 0])
-    assert (pairs.weights_by_camera(pairs.base) > 0)[base > 0].all()
-    assert not pairs.weights_by_camera(pairs.base)[base == 0].any()
+    assert (weights > 0)[base > 0].all()
+    assert not weights[base == 0].any()
 
 
 @pytest.mark.parametrize(("of_left", "of_right"), [(0.01, 0.01), (0.01, 0.02), (0.02, 0.01)])
@@ -46,7 +47,7 @@ def test_mean_and_difference_are_independent(of_left: float, of_right: float) ->
     together = []
     for seed in range(40):
         gain, offset = edges(seed, of_left, of_right, 0.015)
-        pairs = pair(offset, np.ones((2, 640)), gain, STARTS, together=True)
+        pairs = pair(offset, np.ones((2, 640)), gain, STARTS, True)
         means, differences = pairs.rows_of(*offset)[:800].reshape(2, 400)
         together.append(np.corrcoef(means, differences)[0, 1])
         assert pairs.share[0] == pytest.approx(of_right**2 / (of_left**2 + of_right**2), abs=0.25)
@@ -69,7 +70,7 @@ def test_a_spoilt_edge_is_not_paired() -> None:
     base = np.ones((2, 640))
     base[1, :400] = 0.02
     base[:, 408:] = 0.0
-    pairs = pair(offset, base, gain, STARTS, together=True)
+    pairs = pair(offset, base, gain, STARTS, True)
     assert not pairs.both[:400].any()
     assert list(pairs.parts) == [0, 2, 2]
     assert not pairs.paired.any()
@@ -79,10 +80,10 @@ def test_a_spoilt_edge_is_not_paired() -> None:
 def test_what_is_not_in_place_is_not_paired() -> None:
     """Curves that still move keep the edges of each camera; where nothing is seen, there is no row."""
     gain, offset = edges(3, 0.01, 0.01, 0.01)
-    apart = pair(offset, np.ones((2, 640)), gain, STARTS, together=False)
+    apart = pair(offset, np.ones((2, 640)), gain, STARTS, False)
     np.testing.assert_array_equal(
         apart.rows_of(*offset), np.concatenate([offset[:, :400].ravel(), offset[:, 400:].ravel()])
     )
-    nothing = pair(np.full((2, 640), np.nan), np.zeros((2, 640)), gain, STARTS, together=True)
+    nothing = pair(np.full((2, 640), np.nan), np.zeros((2, 640)), gain, STARTS, True)
     assert list(nothing.parts) == [0, 0, 0]
     assert nothing.rows_of(*offset).shape == (0,)

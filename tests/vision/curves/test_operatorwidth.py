@@ -6,10 +6,11 @@ import math
 
 import numpy as np
 import pytest
+from helpers.adjustments import ChosenEdges, choose_widths
 from naive import curves as naive
 
 from edged.domain.arrays import FloatArray, Image
-from edged.vision.curves.operatorwidth import ChosenEdges, choose_widths, variance_of_mean
+from edged.vision.curves.operatorwidth import variance_of_mean
 from edged.vision.edges.subpixel import WIDTHS_PX, EdgeSamples, edges_at_widths
 
 SIZE = 200

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from helpers.adjustments import problem
+from helpers.adjustments import problem, solve
 
 from edged.domain.arrays import FloatArray
-from edged.vision.curves.adjustment import solve
-from edged.vision.curves.systematic import FAMILIES, shift_basis, slants
+from edged.vision.curves.systematic import FAMILIES, fill_shifts, fill_slants
 
 
 def ring(count: int) -> FloatArray:
@@ -17,14 +16,30 @@ def ring(count: int) -> FloatArray:
     return np.column_stack([np.cos(angle), np.sin(angle), np.zeros(count)])
 
 
+def shift_basis(normals: FloatArray, gain: FloatArray, slant: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """The shapes in the left and in the right image."""
+    shifts = np.empty((2, len(normals), len(FAMILIES)))
+    fill_shifts(normals, gain, slant, shifts)
+    return shifts[0], shifts[1]
+
+
+def slants(points: FloatArray, outwards: FloatArray, pose: FloatArray) -> FloatArray:
+    """Of points (N, 3) and directions in a plane that is looked at from above, rig axes."""
+    found = np.empty(len(points))
+    face = np.concatenate([np.eye(3) * [1.0, 1.0, -1.0], np.zeros((1, 3))])
+    plain = np.ascontiguousarray(points * [1.0, 1.0, -1.0])
+    fill_slants(plain, np.ascontiguousarray(outwards[:, :2]), face, pose, found)
+    return found
+
+
 def test_a_wall_is_seen_where_the_ray_runs_outwards() -> None:
     """From above a ring every ray runs outwards, by radius over height; from the side half of them."""
-    radial, normal = ring(60), np.array([0.0, 0.0, -1.0])
-    above = slants(np.array([0.0, 0.0, 200.0]) + 10.0 * radial, radial, normal, np.eye(4))
+    radial = ring(60)
+    above = slants(np.array([0.0, 0.0, 200.0]) + 10.0 * radial, radial, np.eye(4))
     np.testing.assert_allclose(above, 0.05)
     camera = np.eye(4)
     camera[:3, 3] = -100.0, 0.0, 0.0  # stands at x = 100: the ring lies to its left
-    aside = slants(np.array([0.0, 0.0, 200.0]) + 10.0 * radial, radial, normal, camera)
+    aside = slants(np.array([0.0, 0.0, 200.0]) + 10.0 * radial, radial, camera)
     assert aside[0] == pytest.approx((10.0 - 100.0) / 200.0)
     assert aside[30] == pytest.approx((10.0 + 100.0) / 200.0)
 

@@ -1,0 +1,348 @@
+"""Curves of one face as flat arrays: laid out as samples, and moved by a step of a fit, in kernels.
+
+The formulas are those of `Curve` and `Face`, sample by sample: a fit lays and moves its curves half a dozen
+times, and numpy takes longer to be called for a dozen numbers than to work on them.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from edged.domain.arrays import F64
+from edged.vision.curves.outlines import (
+    MIN_RADIUS_MM,
+    PLANE_PARAMETERS,
+    Curve,
+    CurveOutline,
+    FlatCamera,
+    distorted,
+)
+from edged.vision.curves.params import FIT
+from edged.vision.kernels.jit import F1, F2, FLOAT, I1, I2, INT, kernel
+
+RIGID_PARAMETERS = 4
+"""Parameters of a rigid part besides its plane: shift along u and v, turn, growth."""
+CIRCLE, EDGE, SLOT = 0, 1, 2
+NUMBERS = {"circle": CIRCLE, "edge": EDGE, "slot": SLOT}
+SIZE_OF_ANY = 5  # parameters of a slot, which has most
+
+# numba freezes globals when it compiles: kernels read these by name
+PROBE_MM = FIT.probe_mm
+MARGIN_PX = FIT.margin_px
+LEAST_AROUND_PX = 2 * math.pi * FIT.min_radius_px
+MIN_LENGTH_PX = FIT.min_length_px
+MAX_LENGTH_PX = FIT.max_length_px
+MIN_SAMPLES_AROUND = FIT.min_samples_around
+FEWEST_SAMPLES = FIT.min_samples
+MOST_SAMPLES = FIT.max_samples
+GROWTH_SIGMA = FIT.growth_sigma
+MAX_SLOPE = FIT.max_slope
+MAX_RISE = FIT.max_rise
+RUNAWAY = FIT.runaway
+_AT_ONCE = 64  # places around a circle, each from the one before; then anew, so that nothing adds up
+
+
+class FlatCurves(NamedTuple):
+    """K curves of a face, as `Curve` has them.
+
+    kinds (K,) : of `NUMBERS`; parameters (K, 5), 0 where a kind has fewer; length_mm, height_mm (K,),
+    polarity (K,); signs (2, S) : of the stretches of all curves, those of each from first (K + 1,) on.
+    """
+
+    kinds: I1
+    parameters: F2
+    length_mm: F1
+    height_mm: F1
+    polarity: I1
+    signs: I2
+    first: I1
+
+
+class Freedom(NamedTuple):
+    """What a fit may change: the plane's normal, circles' radii (0: held).
+
+    rigid_mm : the curves are those of one part, see `fit_plane`; NaN: each lies where it will.
+    """
+
+    normal: INT
+    radius: INT
+    rigid_mm: FLOAT
+
+
+class CurvesAt(NamedTuple):
+    """Curves of a face (4, 3), see `Face.flat`, before two cameras, and what a fit may change."""
+
+    left: FlatCamera
+    right: FlatCamera
+    face: F2
+    curves: FlatCurves
+    freedom: Freedom
+
+
+class LaidCurves(NamedTuple):
+    """Samples of curves; those of each from starts (K + 1,) on."""
+
+    outline: CurveOutline
+    starts: I1
+
+
+TUPLES = (FlatCamera, CurveOutline, FlatCurves, Freedom, CurvesAt, LaidCurves)
+"""For the signatures of kernels that take them."""
+
+
+def flattened(curves: Sequence[Curve]) -> FlatCurves:
+    """The curves as kernels take them."""
+    parameters = np.zeros((len(curves), SIZE_OF_ANY))
+    signs, first = [np.zeros((2, 0), np.int64)], [0]
+    for row, curve in zip(parameters, curves, strict=True):
+        row[: len(curve.parameters)] = curve.parameters
+        if curve.signs is not None:
+            signs.append(curve.signs)
+        first.append(first[-1] + (0 if curve.signs is None else curve.signs.shape[1]))
+    return FlatCurves(
+        np.array([NUMBERS[curve.kind] for curve in curves], np.int64),
+        parameters,
+        np.array([curve.length_mm for curve in curves], np.float64),
+        np.array([curve.height_mm for curve in curves], np.float64),
+        np.array([curve.polarity for curve in curves], np.int64),
+        np.concatenate(signs, axis=1) if len(signs) > 1 else signs[0],
+        np.array(first, np.int64),
+    )
+
+
+@kernel("i8(i8)")
+def free_of(kind: int) -> int:
+    """Unknowns of a fit for a curve: an edge cannot be moved along itself."""
+    return 2 if kind == EDGE else (3 if kind == CIRCLE else SIZE_OF_ANY)
+
+
+@kernel()
+def shared_of(freedom: Freedom) -> int:
+    """Unknowns of all curves together, which come first."""
+    return PLANE_PARAMETERS + (0 if np.isnan(freedom.rigid_mm) else RIGID_PARAMETERS)
+
+
+@kernel()
+def most_free(curves: FlatCurves) -> int:
+    """Unknowns of the curve that has most."""
+    most = 0
+    for k in range(len(curves.kinds)):
+        most = max(most, free_of(curves.kinds[k]))
+    return most
+
+
+@kernel()
+def pixel_of(camera: FlatCamera, x: float, y: float, z: float) -> tuple[float, float]:
+    """Where a camera shows a point of its own frame."""
+    place = distorted(x / z, y / z, camera.lens, camera.model)
+    return place[0] * camera.focal[0] + camera.centre[0], place[1] * camera.focal[1] + camera.centre[1]
+
+
+@kernel()
+def _px_per_mm(at: CurvesAt, k: int) -> float:
+    """Scale of the left image at a curve; NaN behind the camera."""
+    face, middle = at.face, np.empty(3)
+    x, y, height = at.curves.parameters[k, 0], at.curves.parameters[k, 1], at.curves.height_mm[k]
+    for i in range(3):
+        middle[i] = face[3, i] + (x * face[0, i] + y * face[1, i] + height * face[2, i])
+    if not middle[2] > 0.0:
+        return np.nan
+    px, py = pixel_of(at.left, middle[0], middle[1], middle[2])
+    scale = 0.0
+    for axis in range(2):
+        u, v, w = PROBE_MM * face[axis, 0], PROBE_MM * face[axis, 1], PROBE_MM * face[axis, 2]
+        qx, qy = pixel_of(at.left, middle[0] + u, middle[1] + v, middle[2] + w)
+        scale += 0.5 * np.sqrt((qx - px) ** 2 + (qy - py) ** 2)
+    return float(scale / PROBE_MM)
+
+
+@kernel()
+def _perimeter(curves: FlatCurves, k: int) -> float:
+    parameters = curves.parameters[k]
+    if curves.kinds[k] == CIRCLE:
+        return float(2.0 * np.pi * parameters[2])
+    if curves.kinds[k] == EDGE:
+        return float(curves.length_mm[k])
+    return float(2.0 * (parameters[3] - parameters[4]) + np.pi * parameters[4])
+
+
+@kernel("void(f8[::1], f8[:, ::1], f8[:, ::1], f8[:, ::1])")
+def _lay_circle(parameters: F64, points: F64, normals: F64, speed: F64) -> None:
+    x, y, radius = parameters[0], parameters[1], parameters[2]
+    count = len(points)
+    angle = 2.0 * np.pi / count
+    step_x, step_y = np.cos(angle), np.sin(angle)
+    cosine, sine = 1.0, 0.0
+    for n in range(count):
+        if n % _AT_ONCE == 0:
+            cosine, sine = np.cos((n + 0.5) * angle), np.sin((n + 0.5) * angle)
+        else:
+            cosine, sine = cosine * step_x - sine * step_y, sine * step_x + cosine * step_y
+        points[n, 0], points[n, 1] = x + radius * cosine, y + radius * sine
+        normals[n, 0], normals[n, 1] = cosine, sine
+        speed[n, 0], speed[n, 1], speed[n, 2] = cosine, sine, 1.0
+
+
+@kernel("void(f8[::1], f8, f8[:, ::1], f8[:, ::1], f8[:, ::1])")
+def _lay_edge(parameters: F64, length: float, points: F64, normals: F64, speed: F64) -> None:
+    cosine, sine = np.cos(parameters[2]), np.sin(parameters[2])
+    for n in range(len(points)):
+        along = ((n + 0.5) / len(points) - 0.5) * max(length, 0.0)
+        points[n, 0], points[n, 1] = parameters[0] + along * cosine, parameters[1] + along * sine
+        normals[n, 0], normals[n, 1] = -sine, cosine
+        speed[n, 0], speed[n, 1] = 1.0, along
+
+
+@kernel("void(f8[::1], f8, f8[:, ::1], f8[:, ::1], f8[:, ::1])")
+def _lay_slot(parameters: F64, perimeter: float, points: F64, normals: F64, speed: F64) -> None:
+    """Around from the middle of the right end: arc, upper line, left arc, lower line, arc."""
+    cosine, sine = np.cos(parameters[2]), np.sin(parameters[2])
+    half, radius = 0.5 * (parameters[3] - parameters[4]), 0.5 * parameters[4]
+    quarter = 0.5 * np.pi * radius
+    for n in range(len(points)):
+        way = (n + 0.5) / len(points) * perimeter
+        straight = False
+        if way < quarter:
+            phase, middle = way / radius, half
+        elif way < quarter + 2.0 * half:
+            phase, middle, straight = 0.5 * np.pi, half - (way - quarter), True
+        elif way < 3.0 * quarter + 2.0 * half:
+            phase, middle = (way - 2.0 * half) / radius, -half
+        elif way < 3.0 * quarter + 4.0 * half:
+            phase, middle, straight = 1.5 * np.pi, -half + (way - 3.0 * quarter - 2.0 * half), True
+        else:
+            phase, middle = (way - 4.0 * half) / radius, half
+        a, b = np.cos(phase), np.sin(phase)
+        px, py = radius * a + middle, radius * b
+        points[n, 0] = px * cosine - py * sine + parameters[0]
+        points[n, 1] = px * sine + py * cosine + parameters[1]
+        normals[n, 0], normals[n, 1] = a * cosine - b * sine, a * sine + b * cosine
+        by_length = 0.0 if straight else 0.5 * abs(a)
+        speed[n, 0], speed[n, 1], speed[n, 2] = normals[n, 0], normals[n, 1], px * b - py * a
+        speed[n, 3], speed[n, 4] = by_length, 0.5 - by_length
+
+
+@kernel("LaidCurves(CurvesAt, f8)", tuples=TUPLES)
+def lay(at: CurvesAt, spacing_px: float) -> LaidCurves:
+    """Samples of all curves, so far apart in the left image; the unknowns of a rigid part come first.
+
+    None at all where a curve lies behind the cameras, or has a size that no image can show.
+    """
+    curves, rigid_mm = at.curves, at.freedom.rigid_mm
+    count, common = len(curves.kinds), shared_of(at.freedom) - PLANE_PARAMETERS
+    starts, margins = np.zeros(count + 1, np.int64), np.empty(count)
+    for k in range(count):
+        scale, closed = _px_per_mm(at, k), curves.kinds[k] != EDGE
+        size_px = _perimeter(curves, k) * scale - (0.0 if closed else 2.0 * MARGIN_PX)
+        least_px = LEAST_AROUND_PX if curves.kinds[k] == CIRCLE else MIN_LENGTH_PX
+        if not least_px < size_px < MAX_LENGTH_PX:  # False for NaN
+            starts[:] = 0
+            break
+        fewest = MIN_SAMPLES_AROUND if closed else FEWEST_SAMPLES
+        starts[k + 1] = starts[k] + min(max(int(size_px / spacing_px), fewest), MOST_SAMPLES)
+        margins[k] = MARGIN_PX / scale
+    total = starts[count]
+    points, normals = np.empty((total, 3)), np.empty((total, 2))
+    speed, own = np.zeros((total, common + most_free(curves))), np.zeros((total, SIZE_OF_ANY))
+    for k in range(count if total > 0 else 0):
+        a, b, parameters = starts[k], starts[k + 1], curves.parameters[k]
+        if curves.kinds[k] == CIRCLE:
+            _lay_circle(parameters, points[a:b], normals[a:b], own[a:b])
+        elif curves.kinds[k] == EDGE:
+            length = curves.length_mm[k] - 2.0 * margins[k]
+            _lay_edge(parameters, length, points[a:b], normals[a:b], own[a:b])
+        else:
+            _lay_slot(parameters, _perimeter(curves, k), points[a:b], normals[a:b], own[a:b])
+        for n in range(a, b):
+            points[n, 2] = curves.height_mm[k]
+            for f in range(free_of(curves.kinds[k])):
+                speed[n, common + f] = own[n, f]
+    for n in range(total if common else 0):
+        for f in range(common, speed.shape[1]):
+            speed[n, f] *= rigid_mm
+        x, y, out_x, out_y = points[n, 0], points[n, 1], normals[n, 0], normals[n, 1]
+        speed[n, 0], speed[n, 1] = out_x, out_y
+        speed[n, 2] = x * out_y - y * out_x
+        speed[n, 3] = GROWTH_SIGMA * (x * out_x + y * out_y)
+    return LaidCurves(CurveOutline(points, normals, speed), starts)
+
+
+@kernel("void(f8[:, ::1], f8[::1], f8[:, ::1])")
+def _move_face(face: F64, plane: F64, moved: F64) -> None:
+    """Fill moved (4, 3), as `Face.moved`: the axes stay as near to the old ones as they can."""
+    long, short, along = 0.0, 0.0, 0.0
+    for i in range(3):
+        moved[2, i] = face[2, i] - plane[1] * face[0, i] - plane[2] * face[1, i]
+        moved[3, i] = face[3, i] + plane[0] * face[2, i]
+        long += moved[2, i] ** 2
+    for i in range(3):
+        moved[2, i] /= np.sqrt(long)
+        along += face[0, i] * moved[2, i]
+    for i in range(3):
+        moved[0, i] = face[0, i] - along * moved[2, i]
+        short += moved[0, i] ** 2
+    for i in range(3):
+        moved[0, i] /= np.sqrt(short)
+    for i in range(3):
+        j, k = (i + 1) % 3, (i + 2) % 3
+        moved[1, i] = moved[2, j] * moved[0, k] - moved[2, k] * moved[0, j]
+
+
+@kernel("b1(i8, f8[::1], f8[::1], f8[::1])")
+def _move_curve(kind: int, parameters: F64, delta: F64, moved: F64) -> bool:
+    """Fill moved (5,), as `Curve.moved`; False where it has run away or nothing is left of the curve."""
+    free, size = free_of(kind), 3 if kind != SLOT else SIZE_OF_ANY
+    moved[:] = parameters
+    if kind == EDGE:
+        moved[0] -= np.sin(parameters[2]) * delta[0]
+        moved[1] += np.cos(parameters[2]) * delta[0]
+        moved[2] += delta[1]
+    else:
+        for f in range(free):
+            moved[f] += delta[f]
+    for i in range(size):
+        if not np.isfinite(moved[i]):
+            return False
+    if kind == CIRCLE:
+        for f in range(free):
+            if abs(delta[f]) >= RUNAWAY * parameters[2]:
+                return False
+    if kind != EDGE and moved[size - 1] < MIN_RADIUS_MM:
+        return False
+    return not (kind == SLOT and moved[3] < moved[4])
+
+
+@kernel("b1(CurvesAt, f8[::1], f8[:, ::1], f8[:, ::1])", tuples=TUPLES)
+def move(at: CurvesAt, delta: F64, face: F64, parameters: F64) -> bool:
+    """Fill face (4, 3) and parameters (K, 5) after a step of the unknowns; False when it has run away.
+
+    A curve that would run away by itself stays; of a rigid part all stay, and the face moves with the part.
+    """
+    curves, freedom = at.curves, at.freedom
+    for i in range(len(delta)):
+        if not np.isfinite(delta[i]):
+            return False
+    if max(abs(delta[1]), abs(delta[2])) > MAX_SLOPE or abs(delta[0]) > MAX_RISE * abs(at.face[3, 2]):
+        return False
+    _move_face(at.face, delta[:PLANE_PARAMETERS], face)
+    parameters[:] = curves.parameters
+    first = shared_of(freedom)
+    if first > PLANE_PARAMETERS:
+        cosine, sine = np.cos(delta[5]), np.sin(delta[5])
+        for i in range(3):
+            u, v = face[0, i], face[1, i]
+            face[3, i] += delta[3] * u + delta[4] * v
+            face[0, i], face[1, i] = cosine * u + sine * v, cosine * v - sine * u
+        return True
+    for k in range(len(curves.kinds)):
+        free = free_of(curves.kinds[k])
+        if not _move_curve(curves.kinds[k], curves.parameters[k], delta[first : first + free], parameters[k]):
+            if len(curves.kinds) == 1:
+                return False
+            parameters[k] = curves.parameters[k]
+        first += free
+    return True
