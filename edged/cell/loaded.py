@@ -12,7 +12,7 @@ from edged.cell.drift import DriftLimits
 from edged.domain.acceptance import Acceptance
 from edged.domain.arrays import FloatArray
 from edged.domain.cell import SetupSource
-from edged.domain.events import Command, CommandKind
+from edged.domain.events import WITHOUT_PICTURE, Command, CommandKind
 from edged.domain.frames import FramePair
 from edged.domain.marks import MarksReport, MarksState, MarksTrack
 from edged.domain.measurement import Outcome
@@ -109,8 +109,8 @@ class Setup:
 
     def problem(self, command: Command) -> str:
         """Why a command cannot be carried out; "" when it can."""
-        if command.kind is CommandKind.NEXT_PART:
-            return "NEXT_PART is answered from a list of parts, which this client has not"
+        if command.kind in WITHOUT_PICTURE:
+            return f"{command.kind.name} is answered from the last picture, and this client has none"
         if command.job and command.job not in self.jobs:
             known = ", ".join(f"{job.number} ({job.name})" for job in self.jobs.values())
             return f"unknown job {command.job}, there are {known}"

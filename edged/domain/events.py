@@ -40,8 +40,12 @@ class CommandKind(enum.IntEnum):
     """Solve, and register the rig if the result is good; a NACK changes nothing."""
     GOLDEN = 10
     """Measure, and keep where the one good part lies: later results say how they lie against it."""
+    NEXT_GRASP = 11
+    """Give another allowed way to take the part that is shown, without another picture."""
 
 
+WITHOUT_PICTURE = frozenset({CommandKind.NEXT_PART, CommandKind.NEXT_GRASP})
+"""Commands that are answered from what the last picture showed, to the client that asked for it."""
 REGISTERING = frozenset(
     {
         CommandKind.HAND_EYE_START,

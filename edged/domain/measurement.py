@@ -189,7 +189,8 @@ class Target:
     epipolar_rms_px : rms row difference of corresponding points, rectified pixels.
     free_axis (3,) : unit, rig frame: the axis about which the part looks the same from all sides, so that its
     rotation about it is not known; None where the part has no such axis.
-    grasp : how a tool takes it; None where the job has none, or none that is allowed.
+    grasp : how a tool takes it; None where the job has none, or none that is allowed. other_grasps : further
+    allowed ways, in their order.
     rig_from_model (4, 4) : where the frame of the job's CAD model lies; None where it was taught without one.
     reported : what is published in place of the reference point's pose; None: that one.
     offset : how it lies against the golden part; None where the job has none.
@@ -218,6 +219,7 @@ class Target:
     by_doubt: FloatArray = field(default_factory=lambda: np.zeros((6, 6)))
     by_marks: FloatArray | None = None
     grasp: GraspPose | None = None
+    other_grasps: tuple[GraspPose, ...] = ()
     rig_from_model: FloatArray | None = None
     reported: ReportedPose | None = None
     offset: Offset | None = None

@@ -35,7 +35,7 @@ class NackReason(enum.IntEnum):
     BASELINE = 8
     """The first CMD_SEQ of a connection, after a start, or after another client's turn: nothing ran."""
     NO_LIST = 9
-    """NEXT_PART, and there is no next part: the list is at its end, too old or gone, or never was."""
+    """NEXT_PART or NEXT_GRASP, and there is none: all were given, the picture is too old, or never was."""
     NO_REGISTRATION = 10
     """REGISTER_ADD or REGISTER_SOLVE, and nothing was begun, or it ended meanwhile: begin again."""
     NOT_SEEN = 11

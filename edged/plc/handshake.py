@@ -29,6 +29,8 @@ The rules:
   its own sequence, without an exposure, and ends at once: a part is shown once, by one command. The list is
   as old as its exposure; it is gone with any other command (accepted or refused, 0 too), with its connection,
   a client that is lost, the validity time-out, another basis and SETUP. Without one NEXT_PART is a NACK.
+- NEXT_GRASP shows the part on display anew, to the client that asked for it, with another way to take it, as
+  long as it is valid: without a picture, no younger, and the list stays. Without another way it is a NACK.
 - During SETUP (`Suspended` to `Resumed`) nothing is open, shown or valid: open and new commands end in NACK,
   SETUP. Only while a robot's program registers the rig, the commands of the registration run; they never show
   a result.
@@ -322,8 +324,9 @@ def _is_used_up(state: Handshake[Payload], result: ShownResult[Payload], now_s: 
 
 
 def _command(
-    state: Handshake[Payload], event: SequenceWritten, now_s: float
+    state: Handshake[Payload], event: SequenceWritten[Payload], now_s: float
 ) -> tuple[Handshake[Payload], tuple[Effect, ...]]:
+    shown = state.result if event.client == state.synchronised and is_valid(state, now_s) else None
     is_baseline = event.client != state.synchronised and not event.once
     state = replace(state, synchronised=event.client)
     # an answer to another connection under the same number does not answer this one
@@ -346,6 +349,9 @@ def _command(
         return _refuse(state, NackReason.UNKNOWN_COMMAND)
     if event.next_of is not None:
         return _next_part(state, parts, event)
+    if event.asks_way:
+        mine = parts if parts is not None and parts.client == event.client else None
+        return _next_way(replace(state, parts=mine), shown, event)
     if len(state.open) >= state.limits.queue:
         return _refuse(replace(state, overrun=True), NackReason.QUEUE_FULL)
     deadline_s = float("inf") if event.timeout_s is None else now_s + event.timeout_s
@@ -362,19 +368,33 @@ def _refuse(state: Handshake[Payload], reason: NackReason) -> tuple[Handshake[Pa
 
 
 def _next_part(
-    state: Handshake[Payload], parts: PartList[Payload] | None, event: SequenceWritten
+    state: Handshake[Payload], parts: PartList[Payload] | None, event: SequenceWritten[Payload]
 ) -> tuple[Handshake[Payload], tuple[Effect, ...]]:
     """Show the next part of the previous list; the command is never open."""
     if parts is None or parts.client != event.client or event.next_of not in (0, parts.job):
         return _refuse(state, NackReason.NO_LIST)
-    shown = ShownResult(event.sequence, ResultVerdict.GOOD, parts.exposed_s, parts.rest[0])
+    rest = replace(parts, rest=parts.rest[1:]) if len(parts.rest) > 1 else None
+    return _show_at_once(replace(state, parts=rest), event.sequence, parts.exposed_s, parts.rest[0])
+
+
+def _next_way(
+    state: Handshake[Payload], shown: ShownResult[Payload] | None, event: SequenceWritten[Payload]
+) -> tuple[Handshake[Payload], tuple[Effect, ...]]:
+    """Show the part that was on display with another way to take it; the command is never open."""
+    if shown is None or event.way is None:
+        return _refuse(state, NackReason.NO_LIST)
+    return _show_at_once(state, event.sequence, shown.exposed_s, event.way)
+
+
+def _show_at_once(
+    state: Handshake[Payload], sequence: int, exposed_s: float, payload: Payload
+) -> tuple[Handshake[Payload], tuple[Effect, ...]]:
     state = replace(
         state,
-        result=shown,
-        parts=replace(parts, rest=parts.rest[1:]) if len(parts.rest) > 1 else None,
+        result=ShownResult(sequence, ResultVerdict.GOOD, exposed_s, payload),
         exposure_done=True,
         overrun=False,
-        done_sequence=event.sequence,
+        done_sequence=sequence,
         answer=AckState.ACK,
         reason=NackReason.NONE,
     )

@@ -13,12 +13,13 @@ Payload = TypeVar("Payload")
 
 
 @dataclass(frozen=True, slots=True)
-class SequenceWritten:
+class SequenceWritten(Generic[Payload]):
     """CMD_SEQ was written. known : the command register holds a command that exists.
 
     client : the writer. once : written once, not cyclically: it runs as a client's first command, too.
     timeout_s : for this command; None: without limit. next_of : NEXT_PART from a list of this job (0: any);
-    None: another command. registers : a registration command.
+    None: another command. registers : a registration command. asks_way : NEXT_GRASP; way : what it shows,
+    of the part on display; None: there is no other.
     """
 
     sequence: int
@@ -28,6 +29,8 @@ class SequenceWritten:
     once: bool = False
     next_of: int | None = None
     registers: bool = False
+    asks_way: bool = False
+    way: Payload | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -148,7 +151,7 @@ class Tick:
 
 
 Event = (
-    SequenceWritten
+    SequenceWritten[Payload]
     | AckWritten
     | HeartbeatWritten
     | Declined

@@ -71,7 +71,7 @@ class LineStatus(enum.IntEnum):
     OUT_OF_LIMITS = 118
     """Found and good, but where the robot must not go (`[limits]`)."""
     NO_GRASP = 119
-    """GRASP or APPROACH, and the part that was given last has no grasp."""
+    """GRASP, APPROACH or NEXT_GRASP, and the part that was given last has none, or no other."""
     NO_SUCH_BRAND = 120
     """The request names a brand that this cell does not know."""
     NO_OFFSET = 121

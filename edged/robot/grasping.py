@@ -6,6 +6,7 @@ stands now, or, where that is not known, to its taught orientation.
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
@@ -18,28 +19,32 @@ from edged.domain.picking import Grasp, GraspPose
 from edged.robot.orientations import about
 from edged.vision.geometry.rigid import rotation_vector, skew, transform
 
+MAX_WAYS = 8
+"""Ways to take one part that are kept: who cannot reach so many gives up the part."""
+TURNS_OF_ANY = 8
+"""Turns that are tried of a part that may be taken after any: half of the least one frees a finger of 45°."""
 ALONG_Z = 0.999
 """Least cosine between a part's axis of symmetry and its z for the two to be taken as one."""
 
 
-def best_grasp(
+def allowed_grasps(
     target: Target,
     grasps: Sequence[Grasp],
     is_allowed: Callable[[GraspPose], bool],
     rig_from_tip: FloatArray | None = None,
-) -> GraspPose | None:
-    """The first allowed alternative of the grasps, in the order of the job; None if none is allowed.
+) -> tuple[GraspPose, ...]:
+    """The first `MAX_WAYS` allowed alternatives of the grasps, in the order of the job.
 
     rig_from_tip (4, 4) : how the tool stands now; None: not known.
     """
     if not (np.isfinite(target.rig_from_part).all() and np.isfinite(target.covariance).all()):
-        return None
+        return ()
     poses = (
         pose
         for number, grasp in enumerate(grasps, 1)
         for pose in alternatives(target, grasp, number, rig_from_tip)
     )
-    return next(filter(is_allowed, poses), None)
+    return tuple(itertools.islice(filter(is_allowed, poses), MAX_WAYS))
 
 
 def alternatives(
@@ -48,10 +53,9 @@ def alternatives(
     """Every way to take the part by this grasp, the least turn of the tool first: from how it stands now."""
     before = grasp.rig_from_tcp if rig_from_tip is None else rig_from_tip
     is_any = grasp.symmetry == 0 or _looks_the_same(target)
-    if is_any:
-        turns_rad = [_least_turn_rad(target.rig_from_part, grasp, before)]
-    else:
-        turns_rad = [2 * math.pi * k / grasp.symmetry for k in range(grasp.symmetry)]
+    first_rad = _least_turn_rad(target.rig_from_part, grasp, before) if is_any else 0.0
+    count = TURNS_OF_ANY if is_any else grasp.symmetry
+    turns_rad = [first_rad + 2 * math.pi * k / count for k in range(count)]
     poses = [(turn_rad, _rig_from_tcp(target.rig_from_part, grasp, turn_rad)) for turn_rad in turns_rad]
     poses.sort(key=lambda turned: round(_turned_rad(turned[1], before), 9))
     for turn_rad, pose in poses:

@@ -52,25 +52,38 @@ def swept(gripper: Gripper, along_mm: float) -> Iterator[Solid]:
         yield solid_of(Box(box.name, (x_mm, y_mm, z_mm - along_mm), box.max_mm))
 
 
-def meet(first: Solid, other: Solid) -> bool:
-    """Whether two boxes have a point in common: no axis separates them.
+def any_meet(some: Iterable[Solid], others: Sequence[Solid]) -> bool:
+    """Whether one of these boxes has a point in common with one of those: no axis separates them.
 
     Source: S. Gottschalk, M. C. Lin, D. Manocha, "OBBTree", SIGGRAPH 1996, section 5 (15 axes).
     """
-    apart = other.centre_mm - first.centre_mm
-    edges = [np.cross(a, b) for a, b in itertools.product(first.axes.T, other.axes.T)]
-    for axis in (*first.axes.T, *other.axes.T, *edges):
-        if np.linalg.norm(axis) < PARALLEL:
-            continue
-        reach = sum(float(solid.half_mm @ np.abs(solid.axes.T @ axis)) for solid in (first, other))
-        if abs(float(apart @ axis)) > reach:
-            return False
-    return True
+    first = list(some)
+    if not first or not others:
+        return False
+    own, theirs = (np.array([solid.axes.T for solid in solids]) for solids in (first, others))
+    own, theirs = own[:, np.newaxis], theirs[np.newaxis]
+    edges = np.cross(own[..., np.newaxis, :], theirs[..., np.newaxis, :, :])
+    pairs = edges.shape[:2]
+    axes = np.concatenate(
+        [np.broadcast_to(faces, (*pairs, 3, 3)) for faces in (own, theirs)] + [edges.reshape(*pairs, 9, 3)], 2
+    )
+    reach = _reach(axes, own, np.array([solid.half_mm for solid in first])[:, np.newaxis])
+    reach += _reach(axes, theirs, np.array([solid.half_mm for solid in others])[np.newaxis])
+    apart = np.array([[other.centre_mm - solid.centre_mm for other in others] for solid in first])
+    gap = np.abs(np.einsum("mnai,mni->mna", axes, apart))
+    separates = (gap > reach) & (np.linalg.norm(axes, axis=3) >= PARALLEL)
+    return not bool(separates.any(axis=2).all())
 
 
-def any_meet(some: Iterable[Solid], others: Sequence[Solid]) -> bool:
-    """Whether one of these meets one of those."""
-    return any(meet(first, other) for first in some for other in others)
+def _reach(axes: FloatArray, own: FloatArray, half_mm: FloatArray) -> FloatArray:
+    """Half of the shadow of each box on each axis."""
+    return np.asarray(
+        np.einsum(
+            "mnak,mnk->mna",
+            np.abs(axes @ own.swapaxes(-1, -2)),
+            np.broadcast_to(half_mm, (*axes.shape[:2], 3)),
+        )
+    )
 
 
 def body_of(target: Target) -> Solid | None:

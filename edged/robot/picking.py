@@ -18,7 +18,7 @@ from edged.domain.measurement import Outcome, Reject, Status, Target
 from edged.domain.picking import Bounds, Box, GraspPose, Gripper, Order, Picking
 from edged.domain.robotmap import RobotShift
 from edged.robot.errormap import ErrorMap, error_map
-from edged.robot.grasping import best_grasp
+from edged.robot.grasping import allowed_grasps
 from edged.robot.gripper import Solid, any_meet, body_of, flange_from_tip, solid_of, swept
 from edged.vision.geometry.camera import StereoRig
 from edged.vision.geometry.rigid import invert
@@ -98,10 +98,19 @@ def picked(outcome: Outcome, picking: Picking, frame: RobotFrame) -> Outcome:
 
 def _mapped(target: Target, frame: RobotFrame) -> Target:
     """The target with what the map of the robot's error says of it and of its grasp."""
-    shift, grasp = frame.shift(target.position_mm), target.grasp
-    if grasp is not None:
-        grasp = replace(grasp, robot_shift=frame.shift(grasp.rig_from_tcp[:3, 3]))
-    return target if shift is None else replace(target, robot_shift=shift, grasp=grasp)
+    shift = frame.shift(target.position_mm)
+    if shift is None:
+        return target
+    ways = target.other_grasps if target.grasp is None else (target.grasp, *target.other_grasps)
+    return _taken(
+        replace(target, robot_shift=shift),
+        tuple(replace(way, robot_shift=frame.shift(way.rig_from_tcp[:3, 3])) for way in ways),
+    )
+
+
+def _taken(target: Target, ways: tuple[GraspPose, ...]) -> Target:
+    """The target with the ways to take it, the first one first."""
+    return replace(target, grasp=ways[0] if ways else None, other_grasps=ways[1:])
 
 
 def _skipped(
@@ -127,7 +136,7 @@ def allowed(target: Target, picking: Picking, frame: RobotFrame, found: Iterable
     reject = target.reject | _refusal(place_mm, picking.bounds, frame)
     if not frame.is_mapped(place_mm):
         reject |= Reject.OUT_OF_MAP
-    grasp = None
+    ways: tuple[GraspPose, ...] = ()
     if picking.grasps and not reject:
         gripper = picking.gripper
         others: list[Solid] = []
@@ -140,11 +149,11 @@ def allowed(target: Target, picking: Picking, frame: RobotFrame, found: Iterable
                 gripper is None or _is_clear(pose, gripper, picking.bounds, frame, others)
             )
 
-        grasp = best_grasp(target, picking.grasps, is_free, frame.rig_from_tip(gripper))
-        reject = Reject.NONE if grasp is not None else Reject.NO_GRASP
-    if reject == target.reject and grasp is target.grasp:
+        ways = allowed_grasps(target, picking.grasps, is_free, frame.rig_from_tip(gripper))
+        reject = Reject.NONE if ways else Reject.NO_GRASP
+    if reject == target.reject and not ways and target.grasp is None:
         return target
-    return replace(target, reject=reject, grasp=grasp)
+    return _taken(replace(target, reject=reject), ways)
 
 
 def _is_free(grasp: GraspPose, bounds: Sequence[Bounds], frame: RobotFrame) -> bool:

@@ -192,6 +192,10 @@ class EdgedCell:
         """
         return self._measure("NEXT_PART", job, timeout_s)
 
+    def next_grasp(self, timeout_s: float = 5.0) -> Result:
+        """Another way to take the part that is on display; without one `CommandNacked` says NO_LIST."""
+        return self._measure("NEXT_GRASP", 0, timeout_s)
+
     def parts(self, job: int = 0, timeout_s: float = 5.0) -> Iterator[Result]:
         """Every good part of one picture, each acknowledged when the next one is asked for.
 

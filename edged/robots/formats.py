@@ -83,7 +83,7 @@ VAL3_PROGRAMS = (
     *("runLocate", "runPerform", "openAndAsk", "runFetch", "runGrasp", "acknowledge"),
     *("nextNumber", "ask", "newField", "takeCode", "takeField", "openLink", "hangUp"),
     *("send", "receive", "addPlace", "startClock", "readClock", "pause"),
-    *("locate", "expose", "result", "nextPart", "grasp", "perform", "start", "stop"),
+    *("locate", "expose", "result", "nextPart", "grasp", "nextGrasp", "perform", "start", "stop"),
     *("golden", "offset"),
 )
 

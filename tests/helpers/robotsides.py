@@ -106,12 +106,15 @@ class Abb:
     def result(self) -> tuple[float, ...] | None:
         return self._pose(self.program.call("EdgedResult", 5, self.part))
 
-    def grasp(self) -> list[tuple[float, ...]] | None:
+    def grasp(self, name: str = "EdgedGrasp") -> list[tuple[float, ...]] | None:
         grasp, approach = (rapid.TYPES.variable("pose") for _ in range(2))
-        if not self.program.call("EdgedGrasp", 5, grasp, approach):
+        if not self.program.call(name, 5, grasp, approach):
             return None
         plain = [one.value.plain() for one in (grasp, approach)]
         return [(*one["trans"].values(), *one["rot"].values()) for one in plain]
+
+    def next_grasp(self) -> list[tuple[float, ...]] | None:
+        return self.grasp("EdgedNextGrasp")
 
     def golden(self) -> bool:
         return bool(self.program.call("EdgedGolden", 0, 5))
@@ -333,9 +336,13 @@ class Doosan:
         pose = self.names["edged_result"](5.0)
         return None if pose is None else tuple(pose)
 
-    def grasp(self) -> list[tuple[float, ...]] | None:
-        poses = [self.names[name](5.0) for name in ("edged_grasp", "edged_approach")]
+    def grasp(self, name: str = "edged_grasp") -> list[tuple[float, ...]] | None:
+        poses = [self.names[name](5.0)]
+        poses += [self.names["edged_approach"](5.0)] if poses[0] is not None else []
         return None if None in poses else [tuple(pose) for pose in poses]
+
+    def next_grasp(self) -> list[tuple[float, ...]] | None:
+        return self.grasp("edged_next_grasp")
 
     def golden(self) -> bool:
         return bool(self.names["edged_golden"](0, 5.0))
@@ -402,8 +409,11 @@ class Shared:
         self.run("result", 5.0)
         return self._part()
 
-    def grasp(self) -> list[tuple[float, ...]] | None:
-        self.run("grasp", 5.0)
+    def next_grasp(self) -> list[tuple[float, ...]] | None:
+        return self.grasp("next_grasp")
+
+    def grasp(self, name: str = "grasp") -> list[tuple[float, ...]] | None:
+        self.run(name, 5.0)
         return [self.pose("grasp"), self.pose("approach")] if self.error() == 0 else None
 
     def golden(self) -> bool:
@@ -451,7 +461,7 @@ class Staubli(Shared):
         return self.program.named(prefix + name.replace("_", "")).get()
 
     def run(self, name: str, *arguments: Any) -> None:
-        self.program.call({"next": "nextPart"}.get(name, name), *arguments)
+        self.program.call({"next": "nextPart", "next_grasp": "nextGrasp"}.get(name, name), *arguments)
 
 
 class StaubliThatStays(Staubli):
@@ -475,7 +485,9 @@ class Kawasaki(Shared):
         return self.program.named(f"ed_{name}").get()
 
     def run(self, name: str, *arguments: Any) -> None:
-        self.program.call("edged_" + name.replace("acknowledge", "ack"), *arguments)
+        self.program.call(
+            "edged_" + {"acknowledge": "ack", "next_grasp": "regrasp"}.get(name, name), *arguments
+        )
 
 
 class KawasakiThatHearsNothing(Kawasaki):
@@ -501,7 +513,12 @@ class Epson(Shared):
         return tuple(one.get() for one in self.named(name).elements[1:])
 
     def run(self, name: str, *arguments: Any) -> None:
-        other = {"acknowledge": "Ack", "grasp": "FetchGrasp", "offset": "FetchOffset"}
+        other = {
+            "acknowledge": "Ack",
+            "grasp": "FetchGrasp",
+            "offset": "FetchOffset",
+            "next_grasp": "NextGrasp",
+        }
         self.program.call("Edged" + other.get(name, name), *arguments)
 
 
@@ -534,9 +551,9 @@ class Denso(Shared):
     def run(self, name: str, *arguments: Any) -> None:
         given = [round(one * 1000) if isinstance(one, float) else one for one in arguments]
         wanted = {"locate": ("part",), "next": ("part",), "result": ("part",), "offset": ("offset",)}
-        wanted["grasp"] = ("grasp", "approach")
+        wanted["grasp"] = wanted["next_grasp"] = ("grasp", "approach")
         given += [self.poses[one] for one in wanted.get(name, ())]
-        self.code = self.program.call("Edged" + name, *given)
+        self.code = self.program.call("Edged" + name.replace("_", ""), *given)
 
 
 class DensoAfterAnotherTask(Denso):

@@ -171,7 +171,7 @@ class WatchedRegisters(CellRegisters):
         if self.is_over:  # a connection of it ends: nobody is told any more
             return effects
         for effect in effects:
-            is_next = isinstance(event, ev.SequenceWritten) and event.next_of is not None
+            is_next = isinstance(event, ev.SequenceWritten) and (event.next_of is not None or event.asks_way)
             if isinstance(effect, ev.Submit) or (is_next and effect.answer is answers.AckState.ACK):
                 sequence = effect.ticket & hs.SEQUENCE_MASK
                 self._exposed_for_s = self._exposed_for_s if is_next else now_s
@@ -197,8 +197,8 @@ class Book:
     violations: list[str] = field(default_factory=list)
 
     def note(self, cell: object, event: Any, effects: tuple[ev.Effect, ...], now_s: float) -> None:
-        """Count what was accepted and how it ended; what NEXT_PART asks for is never open."""
-        is_next = isinstance(event, ev.SequenceWritten) and event.next_of is not None
+        """Count what was accepted and how it ended; what NEXT_PART and NEXT_GRASP ask for is never open."""
+        is_next = isinstance(event, ev.SequenceWritten) and (event.next_of is not None or event.asks_way)
         for effect in effects:
             key = (id(cell), effect.ticket)
             if isinstance(effect, ev.Submit):
@@ -651,7 +651,7 @@ class Soak:
 
     async def _handshake(self, line: Line, sequence: int) -> bool:
         """Whether the command was answered."""
-        kind = self.dice.choices(list(CommandKind), (90, 3, 3, 4, 2, 0, 0, 1, 1, 1))[0]
+        kind = self.dice.choices(list(CommandKind), (90, 3, 3, 4, 2, 0, 0, 1, 1, 1, 0))[0]
         job = self.dice.choice((1, 2)) if self.dice.random() < 0.99 else 9
         goes_on = self._listed[1] > 0 and self.dice.random() < 0.8
         if goes_on:

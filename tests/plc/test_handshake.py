@@ -572,6 +572,33 @@ def test_a_result_that_fell_never_becomes_valid_again(fell: str) -> None:
     assert not hs.is_as_published(run.state, run.now_s)
 
 
+def test_another_way_to_take_the_part_on_display_leaves_the_list_as_it_is() -> None:
+    """NEXT_GRASP: under its own number, no younger; without another way, and once acknowledged, a NACK."""
+    run = Run()
+    run.tell(ev.SequenceWritten(1))
+    run.good(1, 1, "a", "b")
+    run.now_s += 1.5
+    (answered,) = run.tell(ev.SequenceWritten(2, asks_way=True, way="a, other"))
+    assert ev.Answered(2, AckState.ACK, NackReason.NONE) == answered
+    assert (True, 2, "a, other") == (run.valid, run.state.result.sequence, run.state.result.payload)
+    assert (100.0, 1, ()) == (run.state.result.exposed_s, hs.remaining(run.state), run.state.open)
+    (answered,) = run.tell(ev.SequenceWritten(3, asks_way=True))
+    assert (NackReason.NO_LIST, False, 1) == (answered.reason, run.valid, hs.remaining(run.state))
+    assert "b" == run.next_part(4)
+    run.tell(ev.AckWritten(4))
+    (answered,) = run.tell(ev.SequenceWritten(5, asks_way=True, way="b, other"))
+    assert (NackReason.NO_LIST, None) == (answered.reason, run.state.result), "the robot has it already"
+
+
+def test_only_who_asked_for_a_part_gets_another_way_to_take_it() -> None:
+    """Another connection's NEXT_GRASP is a NACK, and ends the list as any command of its does."""
+    run = Run()
+    run.tell(ev.SequenceWritten(1))
+    run.good(1, 1, "a", "b")
+    (answered,) = run.tell(ev.SequenceWritten(2, client=5, once=True, asks_way=True, way="a, other"))
+    assert (NackReason.NO_LIST, False, 0) == (answered.reason, run.valid, hs.remaining(run.state))
+
+
 class AnyClientAnyCell(RuleBasedStateMachine):
     """Random clients, cells, faults and times. The payload of a result is the ticket that asked for it.
 
@@ -667,6 +694,30 @@ class AnyClientAnyCell(RuleBasedStateMachine):
         assert AckState.NACK is answered.answer
         assert not asked or NackReason.NO_LIST is answered.reason
         self.list = []
+
+    @rule(
+        sequence=st.sampled_from([0, 1, 2, 3, 4]), client=st.sampled_from([1, 1, 1, 2]), has_one=st.booleans()
+    )
+    def ask_another_way(self, sequence: int, client: int, has_one: bool) -> None:
+        """The part on display once more, to its client alone, to whom what is left of the list stays."""
+        before, is_heard = self.run.state, client == self.last_writer and not self.is_set_up
+        self.last_writer, mine = client, client == self.last_writer
+        shown = before.result.payload if before.result is not None and self.run.valid else ""
+        way = f"{shown}, taken as {before.ticket}" if has_one else None
+        effects = self.run.tell(ev.SequenceWritten(sequence, client=client, asks_way=True, way=way))
+        assert not any(isinstance(effect, ev.Submit) for effect in effects), "NEXT_GRASP made an exposure"
+        if sequence == before.command_sequence and (mine or not sequence):
+            return
+        self.written_at = self.run.state.ticket if sequence else None
+        self.list = self.list if sequence and is_heard and client == self.list_client else []
+        self.shown = way if way and shown and sequence and is_heard else ""
+        assert bool(self.shown) == self.run.valid
+        if self.shown:
+            self.bases[self.shown] = self.bases[shown]
+            assert (self.shown, before.result.exposed_s) == (
+                self.run.state.result.payload,
+                self.run.state.result.exposed_s,
+            )
 
     def due(self) -> bool:
         """Whether there is a list now."""

@@ -17,7 +17,7 @@ from edged.config.reading import limits_of
 from edged.domain.arrays import FloatArray
 from edged.domain.measurement import Circle3D, Edge3D, Outcome, Reject, Status, Target
 from edged.domain.picking import Bounds, Box, Grasp, Gripper, Picking
-from edged.robot.gripper import Solid, body_of, flange_from_tip, meet
+from edged.robot.gripper import Solid, any_meet, body_of, flange_from_tip
 from edged.robot.picking import RobotFrame, picked
 
 ROBOT_FROM_RIG = make_transform((math.pi, 0.0, 0.4), (500.0, 100.0, 900.0))
@@ -70,10 +70,11 @@ boxes = st.builds(
 def test_two_boxes_meet_where_a_point_lies_in_both(one: Solid, other: Solid) -> None:
     """However they are turned; an independent witness looks for the point."""
     grown, shrunk = (
-        meet(replace(one, half_mm=one.half_mm + by), other) for by in (1e-6, -np.minimum(1e-6, one.half_mm))
+        any_meet([replace(one, half_mm=one.half_mm + by)], [other])
+        for by in (1e-6, -np.minimum(1e-6, one.half_mm))
     )
     if grown == shrunk:  # neither just touches the other
-        assert in_common(one, other) == meet(one, other)
+        assert in_common(one, other) == any_meet([one], [other])
 
 
 def test_a_part_is_the_box_around_what_was_measured_of_it() -> None:

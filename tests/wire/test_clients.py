@@ -30,7 +30,7 @@ from edged.adapters.modbus import ModbusSettings
 from edged.config.servers import ModbusSection
 from edged.domain.frames import FramePair
 from edged.domain.measurement import Outcome, Reject, Status
-from edged.domain.picking import Bounds, Box
+from edged.domain.picking import Bounds, Box, Picking
 from edged.plc.registers import ADDRESS, GRASP, STATUS, UR, Option, crc16
 from edged.robot.orientations import Brand, Convention, transform_of
 from edged.robots.formats import render
@@ -246,7 +246,14 @@ def test_the_python_client_says_where_the_tool_takes_the_part(client_module: Mod
         tool = cell.targets[0].rig_from_part @ PART_FROM_TCP
         assert [round(x * 1000) for x in tool[:3, 3]] == [result.grasp[axis] for axis in "XYZ"]
         assert (1, 80_000) == (result.grasp["GRASP"], result.grasp["RETREAT"])
-        client.acknowledge(result)
+        with pytest.raises(client_module.CommandNacked, match="NO_LIST"):
+            client.next_grasp()
+        turned = Picking(grasps=(dataclasses.replace(GRASPS.grasps[0], symmetry=2),))
+        cell.call(lambda: cell.cycle.exchange(cell.pick(turned).setup))
+        ways = [client.locate().grasp, client.next_grasp().grasp]
+        assert [0, 180_000] == [abs(way["TURN"]) for way in ways]
+        assert 2 == cell.head.captures
+        client.acknowledge(client.latest())
         assert client.latest().grasp is None
 
 
@@ -998,6 +1005,19 @@ def test_urscript_says_where_the_tool_takes_the_part() -> None:
         robot["edged_locate"](0, 5.0)
         robot["edged_grasp"]()
         assert (False, 108) == (robot["edged_ok"], robot["edged_error"])
+
+
+def test_urscript_asks_for_another_way_to_take_the_part() -> None:
+    """Half a turn of a symmetric part; then edged_ok is False, 9, and nothing may be moved to."""
+    turned = Picking(grasps=(dataclasses.replace(GRASPS.grasps[0], symmetry=2),))
+    with LiveCell().pick(turned) as cell, urscript.Controller(cell.port) as controller:
+        robot = started(controller)
+        robot["edged_locate"](0, 5.0)
+        half = cell.targets[0].rig_from_part @ np.diag([-1.0, -1.0, 1.0, 1.0]) @ PART_FROM_TCP
+        np.testing.assert_allclose(robot["edged_next_grasp"](5.0)[:3], half[:3, 3] * 1e-3, atol=1e-6)
+        assert robot["edged_ok"]
+        assert [0.0] * 6 == [*robot["edged_next_grasp"](5.0)]
+        assert (False, 9, 1) == (robot["edged_ok"], robot["edged_error"], cell.head.captures)
 
 
 def test_urscript_moves_no_robot_by_a_simulation_unless_told_so() -> None:

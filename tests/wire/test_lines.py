@@ -131,6 +131,48 @@ def test_a_part_that_could_not_be_picked_comes_last_in_the_next_picture() -> Non
         assert (15, 0, 0) == robot.ask("15,SKIP,0")[:3]
 
 
+def test_another_way_to_take_the_same_part_is_given_on_request() -> None:
+    """NEXT_GRASP answers with the tool's pose, as GRASP then does; at the end 119, and NEXT goes on."""
+    turned = Picking(grasps=(dataclasses.replace(GRASPS.grasps[0], symmetry=2), GRASPS.grasps[0]))
+    with LiveCell(KUKA).pick(turned) as cell, connected(cell) as robot:
+        ready(cell)
+        assert LineStatus.NO_GRASP == robot.ask("1,NEXT_GRASP")[1]
+        cell.targets = tuple(make_target(x_mm=x_mm) for x_mm in (10.0, 200.0))
+        lines = (
+            "5,LOCATE,0",
+            "5,GRASP",
+            "6,NEXT_GRASP",
+            "6,NEXT_GRASP",
+            "6,GRASP",
+            "7,APPROACH",
+            "7,NEXT_GRASP",
+        )
+        seen = [robot.ask(line) for line in lines]
+        assert [0] * 7 == [status for _, status, *_ in seen]
+        assert [1] * 7 == [remaining for _, _, remaining, _ in seen]
+        first, second, again, as_grasp, _, third = (
+            transform_of(Brand.KUKA, tuple(one[3][:6])) for one in seen[1:]
+        )
+        part = cell.targets[0].rig_from_part
+        half = part @ np.diag([-1.0, -1.0, 1.0, 1.0]) @ PART_FROM_TCP
+        for expected, given in (
+            (part @ PART_FROM_TCP, first),
+            (half, second),
+            (half, again),
+            (half, as_grasp),
+        ):
+            np.testing.assert_allclose(given[:3, 3], expected[:3, 3], atol=1.1e-3)
+            np.testing.assert_allclose(given[:3, :3], expected[:3, :3], atol=5e-5)
+        np.testing.assert_allclose(third, first, atol=1e-6)
+        assert (8, LineStatus.NO_GRASP) == robot.ask("8,NEXT_GRASP")[:2]
+        assert (9, LineStatus.NOT_VALID) == robot.ask("9,GRASP")[:2]
+        sequence, status, _, numbers = robot.ask("10,NEXT")
+        assert (10, 0, 200.0) == (sequence, status, pytest.approx(numbers[0]))
+        assert (10, 0) == robot.ask("10,ACK")[:2]
+        assert (11, LineStatus.NO_GRASP) == robot.ask("11,NEXT_GRASP")[:2], "the robot has it already"
+        assert 1 == cell.head.captures
+
+
 def test_every_target_is_given_one_after_the_other() -> None:
     """LOCATE gives the first and how many remain, NEXT the others without a new picture, then none."""
     with LiveCell(KUKA) as cell, connected(cell) as robot:

@@ -349,6 +349,26 @@ def test_the_tool_and_from_where_it_comes_are_given(make: type[Any]) -> None:
         side.acknowledge()
 
 
+@pytest.mark.parametrize(
+    "make", [one for one in TALKERS if hasattr(one, "next_grasp")], ids=lambda one: one.__name__
+)
+def test_another_way_to_take_the_part_is_asked_for(make: type[Any]) -> None:
+    """Half a turn of a symmetric part, then None and 119; the next part of the picture is still given."""
+    with running(make) as (cell, side):
+        turned = Picking(grasps=(dataclasses.replace(GRASPS.grasps[0], symmetry=2),))
+        cell.call(lambda: cell.cycle.exchange(cell.pick(turned).setup))
+        cell.targets = tuple(make_target(x_mm=x_mm) for x_mm in (10.0, 20.0))
+        assert side.locate(1) is not None
+        half = cell.targets[0].rig_from_part @ np.diag([-1.0, -1.0, 1.0, 1.0]) @ PART_FROM_TCP
+        for pose, away_mm in zip(side.next_grasp(), (0.0, 50.0), strict=True):
+            given = transform_of(side.brand, pose)
+            np.testing.assert_allclose(given[:3, 3], half[:3, 3] - away_mm * half[:3, 2], atol=1.2e-3)
+            np.testing.assert_allclose(given[:3, :3], half[:3, :3], atol=5e-5)
+        assert (None, LineStatus.NO_GRASP) == (side.next_grasp(), side.error())
+        assert (20.0, 1) == ((side.next() or (0,))[0], cell.head.captures)
+        side.acknowledge()
+
+
 @pytest.mark.parametrize("make", [one for one in SIDES if one is not Yaskawa], ids=lambda one: one.__name__)
 def test_a_robot_that_carries_the_cameras_says_where_its_flange_is(make: type[Any]) -> None:
     """The part is where they saw it from there, however the flange stands and whatever tool is on it."""

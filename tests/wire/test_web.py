@@ -47,7 +47,7 @@ from edged.identity.attempts import MAX_WAITING, TooManyAttempts
 from edged.payload import said
 from edged.plc.registers import Kind, Register
 from edged.plc.registers.values import measured
-from edged.robot.grasping import best_grasp
+from edged.robot.grasping import allowed_grasps
 from edged.robot.orientations import Convention
 from edged.sim.cell import demo_rig
 from edged.vision.geometry.rectification import make_rectification
@@ -300,8 +300,7 @@ def test_the_tool_is_drawn_where_it_takes_the_part() -> None:
     """From where it comes to its tip, as the camera models see them; a part without a grasp has none."""
     target = make_target()
     assert [] == outlines(target, RECTIFICATION, "left")["tool"]
-    grasp = best_grasp(target, GRASPS.grasps, lambda _pose: True)
-    assert grasp is not None
+    (grasp,) = allowed_grasps(target, GRASPS.grasps, lambda _pose: True)
     width, height = RECTIFICATION.size
     held = replace(target, grasp=grasp)
     for side, camera in (("left", RECTIFICATION.rig.left), ("right", RECTIFICATION.rig.right)):

@@ -343,6 +343,8 @@ class CellRegisters:
             reg.Option.ONCE in options,
             job if code == CommandKind.NEXT_PART else None,
             registers=code in REGISTERING,
+            asks_way=code == CommandKind.NEXT_GRASP,
+            way=self._another_way(job),
         )
         for effect in self._step(event, now_s):
             if isinstance(effect, ev.Submit):
@@ -366,6 +368,11 @@ class CellRegisters:
             return None
         pose = shown.payload.poses[shown.payload.index]
         return None if pose is None else (pose.exact[0], pose.exact[1], pose.exact[2])
+
+    def _another_way(self, job: int) -> reg.RegisterResult | None:
+        """What NEXT_GRASP of this job (0: any) shows; None: the part on display has no other grasp."""
+        shown = self._state.result
+        return shown.payload.another_way() if shown is not None and job in (0, shown.payload.job) else None
 
     def _taken_flange(self) -> tuple[FloatArray | None, tuple[float, ...]]:
         """Take robot_from_flange (4, 4) and its numbers (mm, degrees) out of FLANGE; None if all are zero.

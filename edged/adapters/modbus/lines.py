@@ -9,6 +9,7 @@ write and reads of `CellRegisters`, as of any other client.
     7,LOCATE,0:2                                         of the second box of the limits alone
     7,EXPOSE,0 and 8,RESULT                              LOCATE in two: answered when the picture is taken
     7,SKIP,0                                             LOCATE, and the part that was shown last comes last
+    8,NEXT_GRASP                                         another way to take the part that was given last
     kuka,7,LOCATE,0                                      with the robot's brand
     7,0,2,412.300000,...,0.153000                        the answer, see `edged.plc.lines.LineAnswer`
 
@@ -44,6 +45,8 @@ LOOK_S = 0.05
 """Poll period while waiting for the end of a command, which may come by time alone."""
 TOOLS = ("GRASP", "APPROACH")
 """Queries about the tool for the part that was given last."""
+NEXT = {"NEXT_PART": LineStatus.NO_FURTHER, "NEXT_GRASP": LineStatus.NO_GRASP}
+"""Commands without a picture, and their status when there is no next one."""
 OFFSETS = {"OFFSET": "O", "OFFSET_PART": "OP"}
 """Queries about how that part lies against the golden one, and how their registers begin."""
 QUALITY = ("RMS", "HELD_OUT", "LIMIT")
@@ -134,7 +137,7 @@ def parse_frame(frame: bytes, configured: Brand) -> LineRequest:
 class Robot:
     """The requests of one connection.
 
-    _sequence : CMD_SEQ of its newest command. _asked : the robot's number of it, and whether it is NEXT.
+    _sequence : CMD_SEQ of its newest command. _asked : the robot's number of it, and its name if it is NEXT.
     _located : the robot's number of the command before all NEXT. _given : its numbers since then.
     """
 
@@ -146,7 +149,7 @@ class Robot:
         self._line = line
         self._may_write = may_write
         self._sequence = 0
-        self._asked = (0, False)
+        self._asked = (0, "")
         self._located = 0
         self._given: set[int] = set()
 
@@ -192,7 +195,7 @@ class Robot:
             return self._tool(request)
         if request.command in OFFSETS:
             return self._offset(request)
-        if request.command == "NEXT_PART":
+        if request.command in NEXT:
             return await self._next(request)
         if CommandKind.__members__.get(request.command) in REGISTERING:
             return await self._register(request)
@@ -221,7 +224,7 @@ class Robot:
     async def _locate(self, request: LineRequest) -> None:
         """Carry out any command but NEXT, under the robot's number."""
         shown = self._read(reg.STATUS)["CMD_SEQ_ECHO"]
-        if self._asked != (request.sequence, False) or shown != self._sequence:
+        if self._asked != (request.sequence, "") or shown != self._sequence:
             if shown == request.sequence:
                 # a number of another client, or of NEXT, whose answer does not belong to this command
                 self._write("CMD_SEQ", [0])
@@ -230,22 +233,23 @@ class Robot:
         await self._end(at_exposure=request.command == "EXPOSE")
 
     async def _next(self, request: LineRequest) -> LineAnswer:
-        """Give the next part of the picture, under a number of the cell's that cannot clash with the robot's.
+        """Give the next part of the picture, or way to take it, under a number of the cell's: none clashes.
 
         With the number of the LOCATE each line is a new request; with a number of its own it may be repeated.
         """
+        at_end = NEXT[request.command]
         shown = int(self._read(reg.STATUS)["CMD_SEQ_ECHO"])
         if self._sequence == 0 or shown != self._sequence:
-            raise _Refused(LineStatus.NO_FURTHER)  # another client's list must stay
-        if self._asked != (request.sequence, True) or request.sequence == self._located:
+            raise _Refused(at_end)  # another client's list must stay
+        if self._asked != (request.sequence, request.command) or request.sequence == self._located:
             self._begin(request, shown % 0xFFFF + 1)
             self._given.add(request.sequence)
         try:
             await self._end()
         except _Refused as refused:
             is_end = refused.status == NackReason.NO_LIST
-            raise _Refused(LineStatus.NO_FURTHER if is_end else refused.status) from None
-        return self._part(request, LineStatus.NO_FURTHER)
+            raise _Refused(at_end if is_end else refused.status) from None
+        return self._tool(request) if at_end is LineStatus.NO_GRASP else self._part(request, at_end)
 
     async def _register(self, request: LineRequest) -> LineAnswer:
         """Carry out a registration command; the answer has its state instead of a pose, also when refused."""
@@ -275,7 +279,8 @@ class Robot:
         finally:
             if request.box:  # it counts for this command alone
                 self._write("BOX", [box])
-        self._sequence, self._asked = sequence, (request.sequence, request.command == "NEXT_PART")
+        self._sequence = sequence
+        self._asked = (request.sequence, request.command if request.command in NEXT else "")
 
     async def _end(self, *, at_exposure: bool = False) -> None:
         """Wait for the end of the command, or only until its picture is taken."""
@@ -328,7 +333,7 @@ class Robot:
         result, grasp = self._usable(LineStatus.NOT_VALID), self._read(reg.GRASP)
         if not int(grasp["G_FLAGS"]) & reg.Flag.VALID:
             raise _Refused(LineStatus.NO_GRASP)
-        place = "G" if request.command == "GRASP" else "G_APPROACH"
+        place = "G_APPROACH" if request.command == "APPROACH" else "G"
         pose = [*(grasp[f"{place}_{axis}"] for axis in "XYZ"), *(grasp[f"G_{axis}"] for axis in "ABC")]
         return self._answer(request, {**result, **grasp}, pose, "G_SIGMA")
 

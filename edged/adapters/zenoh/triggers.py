@@ -11,7 +11,7 @@ import zenoh
 
 from edged.adapters.zenoh.keys import TRIGGER_PARAMETERS
 from edged.domain.arrays import FloatArray
-from edged.domain.events import Command, CommandKind
+from edged.domain.events import WITHOUT_PICTURE, Command, CommandKind
 from edged.domain.numerals import decimal, whole
 from edged.errors import CommandRefused
 from edged.robot.orientations import Brand, transform_of
@@ -105,7 +105,7 @@ def parse_trigger(parameters: zenoh.Parameters, default_timeout_s: float) -> Tri
             raise CommandRefused(f"unknown parameter {name[:40]!r}, expected {', '.join(known)}")
         known[name] = value
     # one answer holds every part: there is no next one to ask for
-    kinds = {kind.name.lower(): kind for kind in CommandKind if kind is not CommandKind.NEXT_PART}
+    kinds = {kind.name.lower(): kind for kind in CommandKind if kind not in WITHOUT_PICTURE}
     kind = kinds.get(known["kind"].lower())
     if kind is None:
         raise CommandRefused(f"kind: expected one of {', '.join(kinds)}, got {known['kind'][:40]!r}")

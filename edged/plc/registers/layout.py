@@ -59,9 +59,9 @@ COMMAND = make_block(
     f"""
     COMMAND          u16 - {list_codes(CommandKind)}. GRAB takes the picture only; VERIFY measures and
         answers OK or NOK, but no robot gets coordinates from it; NEXT_PART goes on with the parts of the
-        last LOCATE; GOLDEN measures and keeps where the one good part lies: RESULT is then KEPT, and later
-        results have an offset from it; the others register the rig by the robot's own program, where
-        `[registration]` allows it
+        last LOCATE; NEXT_GRASP gives another way to take the part that is shown; GOLDEN measures and keeps
+        where the one good part lies: RESULT is then KEPT, and later results have an offset from it; the
+        others register the rig by the robot's own program, where `[registration]` allows it
     JOB              u16 - job number; 0: the active one
     CMD_SEQ          u16 - write it last: the command runs when this changes. 0: no command, shows a
         free-running cell. The first one of a connection, and after the start or another client's, runs
@@ -108,7 +108,7 @@ STATUS = make_block(
     OPEN_COMMANDS    u16 - accepted and not ended, at most 8
     NACK_REASON      u16 - 0 none, 1 unknown command, 2 refused, 3 queue full, 4 time-out, 5 failed,
         6 camera fault, 7 the cell is in SETUP, 8 first CMD_SEQ of a connection, or after a start or another
-        client's: nothing ran, 9 no next part; of a registration 10 none is under way, 11 not seen,
+        client's: nothing ran, 9 no next part or grasp; of a registration 10 none is under way, 11 not seen,
         12 same place, 13 too few, 14 turn more, 15 not good, 16 other reading; 17 there was a reload while
         it waited
     WRITE_OWNER      u16 - 1: a client holds the right to write

@@ -16,6 +16,7 @@ from edged.domain.events import Basis, CommandKind, Snapshot
 from edged.domain.golden import Offset
 from edged.domain.marks import MarksReport
 from edged.domain.measurement import Status, Target
+from edged.domain.picking import GraspPose
 from edged.domain.registration import Registration
 from edged.domain.robotmap import MapFigures
 from edged.plc.registers.layout import AXES
@@ -90,6 +91,7 @@ class Pose:
     reject: int
     epipolar_rms_px: float
     tool: Tool | None = None
+    other_tools: tuple[Tool, ...] = ()
     shift: Shift | None = None
 
 
@@ -122,6 +124,16 @@ class RegisterResult:
             for index, pose in enumerate(self.poses)
             if index > self.index and pose is not None and not pose.reject
         )
+
+    def another_way(self) -> RegisterResult | None:
+        """A copy that shows the next way to take the part that is shown; None: there is none."""
+        shown = self.poses[self.index] if self.poses else None
+        if shown is None or not shown.other_tools:
+            return None
+        tool, *others = shown.other_tools
+        poses = [*self.poses]
+        poses[self.index] = replace(shown, tool=tool, other_tools=tuple(others))
+        return replace(self, poses=tuple(poses))
 
 
 def measured(snapshot: Snapshot, convention: Convention) -> RegisterResult:
@@ -209,7 +221,12 @@ def _pose(target: Target, snapshot: Snapshot, convention: Convention) -> Pose | 
         score=target.match.score,
         reject=int(target.reject) & UINT16_MAX,
         epipolar_rms_px=target.epipolar_rms_px,
-        tool=_tool(target, snapshot, convention),
+        tool=_tool(target, target.grasp, snapshot, convention),
+        other_tools=tuple(
+            tool
+            for grasp in target.other_grasps
+            if (tool := _tool(target, grasp, snapshot, convention)) is not None
+        ),
         shift=_shift(target.offset, convention),
     )
 
@@ -235,9 +252,9 @@ def _shift(offset: Offset | None, convention: Convention) -> Shift | None:
     return Shift(found[0], found[1], vector, sigmas[0], sigmas[1])
 
 
-def _tool(target: Target, snapshot: Snapshot, convention: Convention) -> Tool | None:
-    """The grasp in registers' units; None without a grasp, or when a number does not fit its register."""
-    grasp, robot = target.grasp, snapshot.robot_from_rig
+def _tool(target: Target, grasp: GraspPose | None, snapshot: Snapshot, convention: Convention) -> Tool | None:
+    """A grasp in registers' units; None without one, or when a number does not fit its register."""
+    robot = snapshot.robot_from_rig
     if grasp is None:
         return None
     reading = reading_of(held(target, grasp), robot, snapshot.registration_covariance, convention)
