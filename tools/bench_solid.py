@@ -175,7 +175,7 @@ def measure(
                 *pair_of(pictured), rig.rectification, None, read[1].curves, design, design
             )
             job = settled.job
-            print("\n".join(settled.said))
+            print("\n".join(settled.remarks))
         else:
             job = teach(*pair_of(pictured), rig.rectification, None, design)
         taught_too = [p for p, parts in truths.items() if [one["design"] for one in parts] == [design]]

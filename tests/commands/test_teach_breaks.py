@@ -83,7 +83,7 @@ def test_a_break_that_the_file_does_not_show_is_in_the_sigma(
     job = replace(found.job, tilt_rad=math.radians(45.0))
     assert job.part_from_model is not None
     targets = locate(frame_pair(*see(where, break_mm, grey, 9)), job, prepare(small_rig())).targets
-    assert ("upper edge" in " ".join(found.said)) == (grey < 0.5)
+    assert ("upper edge" in " ".join(found.remarks)) == (grey < 0.5)
     assert (job.sigma_mm > 0.05) == (grey > 0.5)
     true = apply(where @ invert(job.part_from_model), job.place_of(job.reference))
     for target in targets:

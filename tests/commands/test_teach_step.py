@@ -170,7 +170,7 @@ def test_an_edge_break_is_stated_and_kept() -> None:
     job = taught()
     circles = tuple(replace(one, radius_mm=one.radius_mm + 0.4) for one in job.circles)
     found = settled(replace(job, circles=circles), taught_pair())
-    said = [line for line in found.said if "edge break" in line]
+    said = [line for line in found.remarks if "edge break" in line]
     assert 1 == len(said)
     low, high = (float(number) for number in re.findall(r"(\d\.\d+)", said[0])[:2])
     assert 0.4 == pytest.approx(low, abs=0.02)
@@ -312,7 +312,7 @@ def test_an_stl_file_settles_a_pair_as_well(tmp_path: Path) -> None:
         taught(), curves, StereoImages.of(prepare(small_rig()).rectification, *taught_pair()), "D3.STL"
     )
     exact = settled(taught(), taught_pair()).job
-    assert "D3.STL: 11 of 11 curves lie where it has them" in found.said
+    assert "D3.STL: 11 of 11 curves lie where it has them" in found.remarks
     for one, other in zip(exact.circles, found.job.circles, strict=True):
         assert np.abs(one.centre_mm - other.centre_mm).max() < 1e-4
         assert one.radius_mm == pytest.approx(other.radius_mm, abs=1e-4)
@@ -330,7 +330,7 @@ def test_radii_of_a_coarse_file_are_those_of_the_pair(tmp_path: Path) -> None:
     )
     assert [one.radius_mm for one in taught().circles] == [one.radius_mm for one in found.job.circles]
     assert 0.0 == found.job.sigma_mm
-    assert [line for line in found.said if "radius as seen" in line and "0.020 mm open: c0, c1" in line]
+    assert [line for line in found.remarks if "radius as seen" in line and "0.020 mm open: c0, c1" in line]
     alone = teach_model(read_step(STEP), coarse, prepare(small_rig()).rectification, 205.0, "D3")[0]
     assert math.hypot(0.1, 0.02) == pytest.approx(alone.sigma_mm)
 

@@ -97,7 +97,7 @@ def propose_from_pair(
             left, right, rectification, region, model.curves, model.name, name, number,
             exclude=exclude, params=params,
         )  # fmt: skip
-        job, settled = found.job, found.said
+        job, settled = found.job, found.remarks
     if further or (model is None and (job.solid or wanted.tilt_deg is not None)):
         job, shown = with_breaks_shown(job, (left, right), further, rectification)
         settled = (*settled, *shown)

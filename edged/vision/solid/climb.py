@@ -10,17 +10,12 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
-from edged.domain.arrays import FloatArray
+from edged.domain.arrays import F64, I64, U8, FloatArray
 from edged.vision.curves.outlines import distorted, packed_lens
 from edged.vision.geometry.camera import CameraModel
 from edged.vision.kernels.jit import F1, F2, INT, for_kernel, kernel
 from edged.vision.solid.params import CLIMB
-
-F64 = npt.NDArray[np.float64]
-I64 = npt.NDArray[np.int64]
-U8 = npt.NDArray[np.uint8]
 
 # numba freezes globals when it compiles: kernels read these by name
 HALVINGS = CLIMB.halvings

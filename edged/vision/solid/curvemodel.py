@@ -11,15 +11,12 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from edged.domain.arrays import FloatArray
 from edged.vision.part.job import CircleFeature, EdgeFeature, Job, SlotFeature
 from edged.vision.part.traced import TracedCurve
 from edged.vision.solid.edgemodel import EdgeModel
 from edged.vision.solid.params import BREAKS, CURVES
-
-B64 = npt.NDArray[np.bool_]
 
 UP = np.array([0.0, 0.0, -1.0])
 """Towards the cameras, part frame."""

@@ -13,14 +13,11 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
-from edged.domain.arrays import FloatArray
+from edged.domain.arrays import B8, I64, FloatArray
 from edged.vision.kernels.jit import B1, F2, I1
 from edged.vision.part.body import PartBody
 from edged.vision.solid.params import MODEL
-
-I64 = npt.NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -47,8 +44,8 @@ class EdgeModel:
     end: FloatArray
     normals: FloatArray
     chain: I64
-    sharp: npt.NDArray[np.bool_]
-    breakable: npt.NDArray[np.bool_]
+    sharp: B8
+    breakable: B8
     by_break: FloatArray
     breaks_mm: FloatArray
     vertices: FloatArray
@@ -87,7 +84,7 @@ def chains_of(curve: I64) -> I64:
     return np.asarray(curve // EDGES)
 
 
-def are_unbroken(curve: I64) -> npt.NDArray[np.bool_]:
+def are_unbroken(curve: I64) -> B8:
     """(N,) which edges (N,) that are numbered as in `EdgePoints` are no ends of a break."""
     return np.asarray(curve % EDGES == 0)
 
@@ -125,7 +122,7 @@ def model_of(body: PartBody) -> EdgeModel:
     return with_open_forms(model, body.merged_mm) if body.merged_mm > 0 else model
 
 
-def _upwards(normals: FloatArray, by_break: FloatArray, breakable: npt.NDArray[np.bool_]) -> FloatArray:
+def _upwards(normals: FloatArray, by_break: FloatArray, breakable: B8) -> FloatArray:
     """(E, 3) of `EdgeModel`."""
     height, rows = normals[:, :, 2], np.arange(len(normals))  # a part's z leads away from the cameras
     upper = height.argmin(axis=1)
@@ -163,9 +160,7 @@ def widths_of(sides: I64, known: I64, widths_mm: FloatArray) -> FloatArray:
     return np.array([widths.get((min(a, b), max(a, b)), 0.0) for a, b in sides.tolist()])
 
 
-def _chained(
-    points: FloatArray, sides: I64, sharp: npt.NDArray[np.bool_]
-) -> tuple[I64, npt.NDArray[np.bool_], I64]:
+def _chained(points: FloatArray, sides: I64, sharp: B8) -> tuple[I64, B8, I64]:
     """Order (E,) in which the sharp sides of one smooth curve follow each other, head to tail.
 
     And which sides (E,) are to be flipped for that, and the number of each one's curve (E,).
@@ -206,7 +201,7 @@ def _walk(
     at: dict[int, list[int]],
     sides: I64,
     heading: FloatArray,
-    used: npt.NDArray[np.bool_],
+    used: B8,
 ) -> list[tuple[int, bool]]:
     """Sides that go on smoothly from one end of a side, each with whether it is walked backwards."""
     vertex, way = int(sides[first, onward]), heading[first] * (1.0 if onward else -1.0)

@@ -12,15 +12,12 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
-from edged.domain.arrays import FloatArray
+from edged.domain.arrays import B8, I64, FloatArray
 from edged.vision.solid.edgemodel import EdgeModel, are_unbroken, chains_of
 from edged.vision.solid.lock import Pyramids, edges_beside, seen_by
 from edged.vision.solid.params import EVIDENCE, LOCK
 from edged.vision.solid.visible import find_neighbours
-
-B64 = npt.NDArray[np.bool_]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -32,14 +29,14 @@ class PoseEvidence:
     walled (M,) : both faces look at the camera.
     """
 
-    hit: B64
+    hit: B8
     chance: FloatArray
-    curve: npt.NDArray[np.int64]
+    curve: I64
     pixels: FloatArray
-    camera: npt.NDArray[np.int64]
-    walled: B64
+    camera: I64
+    walled: B8
 
-    def log_ratio(self, chosen: B64 | None = None) -> FloatArray:
+    def log_ratio(self, chosen: B8 | None = None) -> FloatArray:
         """(K,) log likelihood of the part against chance, of each block of the chosen samples."""
         rows = np.arange(len(self.hit)) if chosen is None else np.flatnonzero(chosen)
         if not len(rows):
@@ -58,7 +55,7 @@ class PoseEvidence:
             whole * (share * np.log(hit / chance) + (1 - share) * np.log((1 - hit) / (1 - chance)))
         )
 
-    def shown(self) -> tuple[npt.NDArray[np.int64], B64]:
+    def shown(self) -> tuple[I64, B8]:
         """(K,) which of the model's curves are in the pictures' range, and which of these they rather show.
 
         Both edges of each together.
@@ -109,7 +106,7 @@ def _smooth(density: FloatArray) -> FloatArray:
     ]
 
 
-def apart(mine: PoseEvidence, other: PoseEvidence, shapes: list[tuple[int, int]]) -> B64:
+def apart(mine: PoseEvidence, other: PoseEvidence, shapes: list[tuple[int, int]]) -> B8:
     """(M,) which samples of one pose the other does not predict within a few pixels."""
     result = np.ones(len(mine.hit), bool)
     for k, (height, width) in enumerate(shapes):

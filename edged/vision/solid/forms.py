@@ -12,9 +12,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
-from edged.domain.arrays import FloatArray
+from edged.domain.arrays import B8, I64, FloatArray
 from edged.vision.geometry.rectification import StereoImages
 from edged.vision.geometry.rigid import apply, rotation_vector
 from edged.vision.kernels.robust import mad_sigma, tukey_weights
@@ -114,9 +113,7 @@ def refined(
     return RefinedForm(model, tuple(now), sigma, common, squares, contradicts, cost)
 
 
-def _misfits(
-    model: EdgeModel, views: Sequence[LaidPair]
-) -> tuple[npt.NDArray[np.int64], FloatArray, npt.NDArray[np.bool_]]:
+def _misfits(model: EdgeModel, views: Sequence[LaidPair]) -> tuple[I64, FloatArray, B8]:
     """Edge, square misfit px², at most 1, of each profile (M,), and whether it shows anything."""
     found = [view.profiles(model) for view in views]
     edge = np.concatenate([profiles.seen.curve for profiles in found])
@@ -133,7 +130,7 @@ def _without_needless(model: EdgeModel, views: Sequence[LaidPair]) -> EdgeModel:
     return with_breaks(model, np.where(are_needed(with_own, without)[model.chain], model.breaks_mm, 0.0))
 
 
-def are_needed(with_own: FloatArray, without: FloatArray) -> npt.NDArray[np.bool_]:
+def are_needed(with_own: FloatArray, without: FloatArray) -> B8:
     """(C,) of which curves the breaks must be believed: two edges can take the form of one."""
     return np.asarray(with_own < without * (1 - BREAKS.better))
 

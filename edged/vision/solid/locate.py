@@ -12,9 +12,8 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
-import numpy.typing as npt
 
-from edged.domain.arrays import FloatArray
+from edged.domain.arrays import B8, FloatArray
 from edged.domain.measurement import Match, NotMeasured, Reject, Target
 from edged.vision.geometry.rectification import StereoImages
 from edged.vision.geometry.rigid import apply, skew, transform, turn_between
@@ -181,7 +180,7 @@ def weighed(
         return max(mine, key=lambda k: float(seen[k].log_ratio().sum()))
 
     best = likeliest()
-    if max(_certain(one) for one in seen) > 0:  # else no turn makes it a part
+    if max(_certain(view) for view in seen) > 0:  # else no turn makes it a part
         for motion in turns_of(model):
             pose = np.asarray(poses[best].pose @ motion)
             if any(turn_between(pose, mode.pose) < DECISION.same_turn_rad for mode in poses):
@@ -231,7 +230,7 @@ def _leant(model: EdgeModel, pose: FloatArray) -> list[FloatArray]:
     return [moved(model, pose, way * twist) for twist in twists for way in (1.0, -1.0)]
 
 
-def _certain(seen: PoseEvidence, chosen: npt.NDArray[np.bool_] | None = None) -> float:
+def _certain(seen: PoseEvidence, chosen: B8 | None = None) -> float:
     """Sigmas by which the camera that says less shows the part, of all its samples or of chosen ones (M,)."""
     some = np.ones(len(seen.hit), bool) if chosen is None else chosen
     return min(sigmas_of(seen.log_ratio(some & (seen.camera == k))) for k in (0, 1))
@@ -255,9 +254,7 @@ def _is_whole(job: Job, found: FoundPart) -> bool:
     return bool(present and (not len(circles) or circles.mean() >= DECISION.circles))
 
 
-def _not_of(
-    found: FoundPart, others: Sequence[FoundPart], shapes: list[tuple[int, int]]
-) -> npt.NDArray[np.bool_]:
+def _not_of(found: FoundPart, others: Sequence[FoundPart], shapes: list[tuple[int, int]]) -> B8:
     """(M,) which samples of a part lie beside those of parts that were found before it."""
     chosen = np.ones(len(found.seen.hit), bool)
     for other in others:

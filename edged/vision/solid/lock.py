@@ -7,9 +7,8 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
-from edged.domain.arrays import FloatArray, Image
+from edged.domain.arrays import F32, FloatArray, Image
 from edged.vision.geometry.camera import StereoRig
 from edged.vision.geometry.rigid import invert
 from edged.vision.kernels.jit import for_kernel
@@ -17,8 +16,6 @@ from edged.vision.solid.edgemodel import EdgeModel
 from edged.vision.solid.lockstep import MOST, LevelPicture, find_edges, step
 from edged.vision.solid.params import LOCK, VISIBILITY, LockStep
 from edged.vision.solid.visible import Cameras, VisibleSamples, hidden_from, samples_at, see, view_of
-
-F32 = npt.NDArray[np.float32]
 
 
 class Pyramids:

@@ -10,8 +10,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from edged.domain.arrays import B8, F32, F64, I64
 from edged.vision.kernels.cholesky import factorise, substitute
 from edged.vision.kernels.jit import F1, F2, G2, INT, N2, kernel
 from edged.vision.kernels.median import median
@@ -19,11 +19,6 @@ from edged.vision.kernels.robust import SIGMA_PER_MEDIAN, tukey_weight
 from edged.vision.solid.edgemodel import EdgePoints
 from edged.vision.solid.params import LOCK
 from edged.vision.solid.visible import PartView, VisibleSamples, find_neighbours, find_visible, unfilled
-
-F32 = npt.NDArray[np.float32]
-F64 = npt.NDArray[np.float64]
-I64 = npt.NDArray[np.int64]
-B64 = npt.NDArray[np.bool_]
 
 # numba freezes globals when it compiles: kernels read these by name
 MOST = LOCK.most
@@ -110,7 +105,7 @@ def move(pose: F64, middle: F64, twist: F64) -> None:
     tuples=(EdgePoints, LevelPicture),
 )
 def step(
-    samples: EdgePoints, hidden: B64, left: LevelPicture, right: LevelPicture, middle: F64, half_mm: float,
+    samples: EdgePoints, hidden: B8, left: LevelPicture, right: LevelPicture, middle: F64, half_mm: float,
     reach: float, fine: float, together: int, cap: float, pose: F64, agreeing: F64,
 ) -> bool:  # fmt: skip
     """Move a pose (4, 4), rig_from_part, to the edges within reach; False where too little is seen.

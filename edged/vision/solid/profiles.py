@@ -12,9 +12,8 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
-from edged.domain.arrays import FloatArray
+from edged.domain.arrays import B8, I64, FloatArray
 from edged.vision.edges.subpixel import edge_profiles
 from edged.vision.geometry.projection import shifts_by_calibration
 from edged.vision.geometry.rectification import StereoImages
@@ -27,8 +26,6 @@ from edged.vision.solid.lock import Pyramids, scale_at
 from edged.vision.solid.params import PROFILE, VISIBILITY
 from edged.vision.solid.shifts import NEAR, find_shifts
 from edged.vision.solid.visible import VisibleSamples, find_neighbours, moved, samples_at, see
-
-I64 = npt.NDArray[np.int64]
 
 # numba freezes globals when it compiles: kernels read these by name
 CORRELATED = PROFILE.correlated
@@ -307,7 +304,7 @@ def _with_covariance(
 
 
 @kernel("f8[::1](f8[::1], i8[::1], b1[::1])")
-def scatter_of(left: FloatArray, stretch: I64, good: npt.NDArray[np.bool_]) -> FloatArray:
+def scatter_of(left: FloatArray, stretch: I64, good: B8) -> FloatArray:
     """(M,) robust sigma of the residuals left (M,) about 0, px, each of the stretch of a curve it belongs to.
 
     A rounded or glinting edge errs as a whole, and where its wall is seen otherwise than where it is not; so

@@ -14,9 +14,8 @@ from functools import lru_cache
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
-from edged.domain.arrays import FloatArray
+from edged.domain.arrays import F32, F64, I64, U8, FloatArray
 from edged.vision.geometry.camera import CameraModel, StereoRig
 from edged.vision.geometry.rigid import invert, rotation_matrix, transform, unit
 from edged.vision.kernels.jit import for_both, kernel
@@ -24,10 +23,6 @@ from edged.vision.solid.climb import FULL, Eye, climb, eye_of, seek
 from edged.vision.solid.edgemodel import EdgeModel
 from edged.vision.solid.params import CLIMB, SCAN, VISIBILITY
 from edged.vision.solid.visible import Cameras, at_level, samples_at, see, view_of
-
-F64 = npt.NDArray[np.float64]
-I64 = npt.NDArray[np.int64]
-U8 = npt.NDArray[np.uint8]
 
 # numba freezes globals when it compiles: kernels read these by name
 ALIKE, ALIKE_COS = SCAN.alike, math.cos(SCAN.alike_rad)
@@ -117,7 +112,7 @@ def _leans(lean_rad: float) -> list[FloatArray]:
     return found
 
 
-def responses(grey: npt.NDArray[np.float32]) -> U8:
+def responses(grey: F32) -> U8:
     """(8, H, W): how well a pixel's gradient fits each direction, 0 to FULL, spread by a pixel."""
     soft = cv2.GaussianBlur(grey, (0, 0), SCAN.smoothing_px)
     gx, gy = (cv2.Sobel(soft, cv2.CV_32F, 1 - k, k, scale=1 / 8) for k in (0, 1))
@@ -321,7 +316,7 @@ def look(
 
 
 def starts_of(
-    model: EdgeModel, rig: StereoRig, pictures: Sequence[Sequence[npt.NDArray[np.float32]]],
+    model: EdgeModel, rig: StereoRig, pictures: Sequence[Sequence[F32]],
     tilt_rad: float, distances_mm: tuple[float, float], place: FloatArray,
 ) -> list[FloatArray]:  # fmt: skip
     """Poses rig_from_part (4, 4) that both pictures suggest, best first.
@@ -375,9 +370,7 @@ class _Seen:
     steps: FloatArray
 
     @staticmethod
-    def of(
-        rig: StereoRig, level: int, pictures: Sequence[npt.NDArray[np.float32]], place: FloatArray
-    ) -> _Seen:
+    def of(rig: StereoRig, level: int, pictures: Sequence[F32], place: FloatArray) -> _Seen:
         cameras = Cameras.of(rig, level)
         left, right = (eye_of(cameras.models[k], cameras.from_rig[k]) for k in (0, 1))
         shift = CLIMB.shift_px * float(place[2]) / left.focal[0]

@@ -11,9 +11,8 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
-from edged.domain.arrays import FloatArray
+from edged.domain.arrays import B8, F64, I32, I64, FloatArray
 from edged.vision.curves.outlines import distorted, packed_lens
 from edged.vision.geometry.camera import CameraModel, StereoRig
 from edged.vision.geometry.rigid import invert, rotation_matrix, transform
@@ -21,10 +20,6 @@ from edged.vision.kernels.jit import B1, F1, F2, I1, INT, for_kernel, kernel
 from edged.vision.part.zbuffer import hidden_points
 from edged.vision.solid.edgemodel import EdgeModel, EdgePoints, sampled
 from edged.vision.solid.params import VISIBILITY
-
-F64 = npt.NDArray[np.float64]
-I64 = npt.NDArray[np.int64]
-B64 = npt.NDArray[np.bool_]
 
 # numba freezes globals when it compiles: kernels read these by name
 BORDER_PX = VISIBILITY.border_px
@@ -118,7 +113,7 @@ def see(model: EdgeModel, samples: EdgePoints, view: PartView, buffer_px: int) -
     return VisibleSamples._make(field[:count] for field in seen)
 
 
-def hidden_from(model: EdgeModel, points: FloatArray, eye: FloatArray, buffer_px: int) -> B64:
+def hidden_from(model: EdgeModel, points: FloatArray, eye: FloatArray, buffer_px: int) -> B8:
     """(N,) which points (N, 3) the part's own surface hides from a camera at eye (3,), part frame."""
     if not len(points) or not len(model.triangles):
         return np.zeros(len(points), np.bool_)
@@ -141,7 +136,7 @@ def unfilled(count: int) -> VisibleSamples:
 
 
 @kernel("i8(EdgePoints, b1[::1], PartView, VisibleSamples)", tuples=(EdgePoints, PartView, VisibleSamples))
-def find_visible(samples: EdgePoints, hidden: B64, view: PartView, seen: VisibleSamples) -> int:
+def find_visible(samples: EdgePoints, hidden: B8, view: PartView, seen: VisibleSamples) -> int:
     """Fill the first rows of what is seen, and say how many.
 
     Of sharp edges that is what has a face towards the camera, of smooth walls what is outline; neither too
@@ -212,7 +207,7 @@ def find_neighbours(
     pixels: F64,
     normals: F64,
     curve: I64,
-    drawn: npt.NDArray[np.int32],
+    drawn: I32,
     own_px: float,
     reach_px: float,
     offsets: F64,

@@ -10,9 +10,8 @@ from collections.abc import Sequence
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
-from edged.domain.arrays import FloatArray, Image
+from edged.domain.arrays import B8, FloatArray, Image
 from edged.vision.edges.contours import Contour, find_contours
 from edged.vision.edges.subpixel import edges_along_normals
 from edged.vision.geometry.rigid import Plane, apply
@@ -26,7 +25,7 @@ def without_background(view: TeachingView, rig_from_part: FloatArray, mask: Imag
     rig_from_part (4, 4) : pose of the face.  mask : of the rectified left image.
     """
     normal = rig_from_part[:3, 2]
-    face = Plane(normal, float(normal @ rig_from_part[:3, 3]))
+    face = Plane.through(rig_from_part[:3, 3], normal)
     contours = find_contours(view.images.rectified_left, mask)
     agreeing = [agreeing_with(view, face, contour) for contour in contours]
     total = sum(len(flags) for flags in agreeing)
@@ -45,7 +44,7 @@ def without_background(view: TeachingView, rig_from_part: FloatArray, mask: Imag
     return np.minimum(np.asarray(cv2.dilate(kept, around), np.uint8), mask)
 
 
-def agreeing_with(view: TeachingView, face: Plane, contour: Contour) -> npt.NDArray[np.bool_]:
+def agreeing_with(view: TeachingView, face: Plane, contour: Contour) -> B8:
     """(N,) whether the right image shows the same edge where a contour's point would be in the face."""
     offsets, slopes, _ = edges_in_right(view, face, contour.points, contour.normals, 2.0)
     ratio = slopes / np.maximum(contour.slopes, 1e-9)
@@ -95,7 +94,7 @@ def in_right(view: TeachingView, face: Plane, rectified_px: FloatArray) -> Float
     return np.asarray(view.images.rectification.rectify_points("right", seen), np.float64)
 
 
-def _share(agrees: npt.NDArray[np.bool_], closed: bool) -> FloatArray:
+def _share(agrees: B8, closed: bool) -> FloatArray:
     """(N,) share of the neighbours along a contour that agree; a shorter contour is one neighbourhood."""
     if len(agrees) <= TEACHING.window_px:
         return np.full(len(agrees), float(np.mean(agrees)) if len(agrees) else 0.0)

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from edged.domain.arrays import FloatArray, IntArray
+from edged.domain.arrays import I64, FloatArray
 from edged.vision.geometry.rigid import unit
 from edged.vision.part.body import all_sides, neighbours
 from edged.vision.teaching.params import CAD
@@ -53,8 +53,8 @@ class CadModel:
     """
 
     points_mm: FloatArray
-    triangles: IntArray
-    face_of: IntArray
+    triangles: I64
+    face_of: I64
     surfaces: tuple[Surface | None, ...]
 
 
@@ -129,7 +129,7 @@ class _Meeting:
 
     faces: tuple[int, int]
     segments: FloatArray
-    beside: IntArray
+    beside: I64
 
 
 def triangle_normals(model: CadModel) -> tuple[FloatArray, FloatArray]:
@@ -141,14 +141,14 @@ def triangle_normals(model: CadModel) -> tuple[FloatArray, FloatArray]:
     return corners, np.asarray(normals / np.maximum(length, 1e-300) * (1.0 if volume >= 0 else -1.0))
 
 
-def _welding(points_mm: FloatArray) -> tuple[IntArray, IntArray]:
+def _welding(points_mm: FloatArray) -> tuple[I64, I64]:
     """Distinct points among (N, 3), and the index of each point's distinct one (N,)."""
     keys = np.rint(points_mm / CAD.weld_mm).astype(np.int64)
     _, first, number = np.unique(keys, axis=0, return_index=True, return_inverse=True)
     return first, number.reshape(-1)
 
 
-def welded(corners_mm: FloatArray) -> tuple[FloatArray, IntArray]:
+def welded(corners_mm: FloatArray) -> tuple[FloatArray, I64]:
     """Points (N, 3) and triangles (M, 3) of corners (K, 3, 3), without triangles that have no area."""
     points = corners_mm.reshape(-1, 3)
     first, number = _welding(points)
@@ -157,7 +157,7 @@ def welded(corners_mm: FloatArray) -> tuple[FloatArray, IntArray]:
     return points[first], triangles[whole]
 
 
-def open_sides(triangles: IntArray) -> tuple[int, int]:
+def open_sides(triangles: I64) -> tuple[int, int]:
     """How many sides of triangles (M, 3) not just one other one shares, and how many bodies they are."""
     _, _, _, count = all_sides(triangles)
     label = np.arange(triangles.max() + 1)

@@ -11,9 +11,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
-from edged.domain.arrays import FloatArray
+from edged.domain.arrays import I64, FloatArray
 from edged.errors import TeachError
 from edged.vision.geometry.rectification import StereoImages
 from edged.vision.geometry.rigid import apply
@@ -90,7 +89,7 @@ def _chain_of(model: EdgeModel, centre: FloatArray, radius_mm: float) -> int | N
     return int(np.bincount(on).argmax()) if len(on) else None
 
 
-def _design(seen: VisibleSamples, rows: npt.NDArray[np.int64], inwards: FloatArray) -> FloatArray:
+def _design(seen: VisibleSamples, rows: I64, inwards: FloatArray) -> FloatArray:
     """(M, 3) motion of samples along their normals, px, by a mm along x and y, and of a narrower radius."""
     level = inwards[:, :2] / np.maximum(np.linalg.norm(inwards[:, :2], axis=1, keepdims=True), CAD.same_mm)
     along = seen.design[rows, 3:5]

@@ -34,7 +34,7 @@ class Settled:
     """A job in the frame of its model, and a line for each thing that a person should know."""
 
     job: Job
-    said: tuple[str, ...]
+    remarks: tuple[str, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,8 +95,8 @@ def settle(job: Job, model: ModelCurves, images: StereoImages, what: str) -> Set
             math.hypot(max(used, default=0.0), max(_contradicting(found, settled), default=0.0)), 6
         ),
     )
-    said = _summary(settled, found, what), *_breaks(found.partners, settled), *_others(found)
-    return Settled(taken, (*said, *_coarse(faceted), *measured))
+    remarks = _summary(settled, found, what), *_breaks(found.partners, settled), *_others(found)
+    return Settled(taken, (*remarks, *_coarse(faceted), *measured))
 
 
 def laid_on_pair(job: Job, images: StereoImages, what: str) -> tuple[Job, list[str]]:
@@ -207,7 +207,7 @@ def _summary(settled: Sequence[str], found: ModelRegistration, what: str) -> str
 
 def _breaks(partners: Sequence[Partner], settled: Sequence[str]) -> list[str]:
     """What displaces the others, those alike in one line."""
-    said = []
+    remarks = []
     others = [partner for partner in partners if partner.name not in settled]
     broken = [partner for partner in others if max(partner.wider, partner.deeper) > CAD.min_break_mm]
     for which, seen in (
@@ -217,18 +217,18 @@ def _breaks(partners: Sequence[Partner], settled: Sequence[str]) -> list[str]:
         if seen:
             low, high = f"{min(seen.values()):.3f}", f"{max(seen.values()):.3f}"
             size = low if low == high else f"{low} to {high}"
-            said.append(
+            remarks.append(
                 f"an edge break of {size} mm that the model does not show, seen by its {which} edge: "
                 f"{', '.join(seen)}: kept as seen"
             )
     odd = {partner.name: _off(partner) for partner in others if partner not in broken}
     if odd:
-        said.append(
+        remarks.append(
             f"up to {max(odd.values()):.3f} mm off the model, which no edge break explains: "
             f"{', '.join(odd)}: the others may be seen by the lower edges of breaks; results state so much "
             "as their sigma"
         )
-    return said
+    return remarks
 
 
 def _off(partner: Partner) -> float:

@@ -6,9 +6,8 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
-from edged.domain.arrays import FloatArray, Image
+from edged.domain.arrays import B8, FloatArray, Image
 from edged.vision.edges.contours import Contour, find_contours
 from edged.vision.geometry.rectification import Rectification
 from edged.vision.geometry.rigid import Plane, apply, invert
@@ -90,7 +89,7 @@ def _near(points: FloatArray, shape: tuple[int, ...]) -> Image:
     return np.asarray(cv2.dilate(dots, wide), np.uint8)
 
 
-def _at(mask: Image, points: FloatArray) -> npt.NDArray[np.bool_]:
+def _at(mask: Image, points: FloatArray) -> B8:
     """(N,) what a mask says at points (N, 2)."""
     pixels = np.clip(np.rint(points).astype(np.intp), 0, np.array(mask.shape[::-1]) - 1)
     return np.asarray(mask[pixels[:, 1], pixels[:, 0]] > 0)
@@ -99,7 +98,7 @@ def _at(mask: Image, points: FloatArray) -> npt.NDArray[np.bool_]:
 def _circle_of(job: Job, rectified_px: FloatArray, rectification: Rectification) -> CircleFeature | None:
     """The circle of the job on whose edge, or beside it, most of the points lie."""
     normal = job.rig_from_part[:3, 2]
-    face = Plane(normal, float(normal @ job.rig_from_part[:3, 3]))
+    face = Plane.through(job.rig_from_part[:3, 3], normal)
     ideal = rectification.rig.left.normalise(rectification.raw_points("left", rectified_px))
     space = face.meet(np.column_stack([ideal, np.ones(len(ideal))]))
     places = apply(invert(job.rig_from_part), space)[:, :2]
@@ -112,9 +111,7 @@ def _circle_of(job: Job, rectified_px: FloatArray, rectification: Rectification)
     return best if best is not None and apart[best.name] < TEACHING.cut_band_px * pixel_mm else None
 
 
-def _crossing(
-    contour: Contour, inside: npt.NDArray[np.bool_], rectification: Rectification
-) -> tuple[float, float]:
+def _crossing(contour: Contour, inside: B8, rectification: Rectification) -> tuple[float, float]:
     """Where a contour first leaves the region, px of the raw left image."""
     leaves = np.flatnonzero(inside[:-1] != inside[1:])
     place = contour.points[leaves[:1]] if len(leaves) else contour.points[:1]

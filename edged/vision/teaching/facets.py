@@ -12,9 +12,8 @@ import math
 from collections.abc import Iterator
 
 import numpy as np
-import numpy.typing as npt
 
-from edged.domain.arrays import FloatArray, IntArray
+from edged.domain.arrays import B8, I64, FloatArray
 from edged.vision.geometry.rigid import unit
 from edged.vision.part.body import neighbours
 from edged.vision.teaching.cadmodel import (
@@ -57,7 +56,7 @@ def faceted_curves(model: CadModel, up: FloatArray) -> ModelCurves:
 
 def _sharp_sides(
     model: CadModel, corners: FloatArray, normals: FloatArray, points: FloatArray, up: FloatArray
-) -> tuple[IntArray, IntArray, FloatArray]:
+) -> tuple[I64, I64, FloatArray]:
     """Sides (K, 2) of triangles that are level, sharp, outer and seen; and of the two triangles beside each,
     the one that looks up more first, their numbers (K, 2) and slopes (K, 2)."""
     sides, beside = neighbours(model.triangles)
@@ -79,7 +78,7 @@ def _sharp_sides(
     return sides[seen], beside[seen], slopes[seen]
 
 
-def _chains(sides: IntArray, slopes: FloatArray, points: FloatArray) -> Iterator[tuple[IntArray, bool]]:
+def _chains(sides: I64, slopes: FloatArray, points: FloatArray) -> Iterator[tuple[I64, bool]]:
     """Sides of one kind that follow each other, as their numbers in order; whether they come round.
 
     Of one kind: at one height, between facets of the same slopes.
@@ -92,7 +91,7 @@ def _chains(sides: IntArray, slopes: FloatArray, points: FloatArray) -> Iterator
         yield from _followed(sides, rows)
 
 
-def _followed(sides: IntArray, rows: IntArray) -> Iterator[tuple[IntArray, bool]]:
+def _followed(sides: I64, rows: I64) -> Iterator[tuple[I64, bool]]:
     at: dict[int, list[int]] = {}
     for row in rows.tolist():
         for corner in sides[row].tolist():
@@ -115,7 +114,7 @@ def _followed(sides: IntArray, rows: IntArray) -> Iterator[tuple[IntArray, bool]
         yield np.array(chain), here == corner and len(chain) > 2
 
 
-def _from_a_corner(sides: IntArray, chain: IntArray, points: FloatArray) -> IntArray:
+def _from_a_corner(sides: I64, chain: I64, points: FloatArray) -> I64:
     """A closed chain that starts where it turns most, not within a straight edge."""
     steps = np.diff(points[_corners_along(sides, chain), :2], axis=0)
     heading = np.arctan2(steps[:, 1], steps[:, 0])
@@ -123,7 +122,7 @@ def _from_a_corner(sides: IntArray, chain: IntArray, points: FloatArray) -> IntA
     return np.roll(chain, -int(np.abs(turn).argmax()))
 
 
-def _corners_along(sides: IntArray, chain: IntArray) -> IntArray:
+def _corners_along(sides: I64, chain: I64) -> I64:
     """Corners (K + 1,) along a chain of K sides (K, 2)."""
     if len(chain) == 1:
         return np.asarray(sides[chain[0]])
@@ -159,7 +158,7 @@ def _parts(place: FloatArray, closed: bool) -> tuple[list[tuple[int, int]], list
     return arcs, straight
 
 
-def _arc_from(place: FloatArray, turn: FloatArray, bends: npt.NDArray[np.bool_], first: int) -> int:
+def _arc_from(place: FloatArray, turn: FloatArray, bends: B8, first: int) -> int:
     """Last side + 1 of the arc that begins with a side; 0 where none does."""
     last = first + CAD.min_corners - 1
     if (
@@ -179,7 +178,7 @@ def _arc_from(place: FloatArray, turn: FloatArray, bends: npt.NDArray[np.bool_],
     return last if abs(float(turn[first : last - 1].sum())) > CAD.min_arc_rad else 0
 
 
-def _bends_on(turn: FloatArray, bends: npt.NDArray[np.bool_], first: int, last: int) -> bool:
+def _bends_on(turn: FloatArray, bends: B8, first: int, last: int) -> bool:
     inner = slice(first, last - 1)
     return bool(bends[inner].all()) and bool(abs(np.sign(turn[inner]).sum()) == last - 1 - first)
 

@@ -185,7 +185,7 @@ def _without(view: TeachingView, face: Face, circles: Sequence[Curve]) -> Image:
 
 def _in_face(view: TeachingView, face: Face, rectified_px: FloatArray) -> FloatArray:
     """(N, 2) in the face of points in the rectified left image."""
-    plane = Plane(face.normal, float(face.normal @ face.origin))
+    plane = Plane.through(face.origin, face.normal)
     return face.from_rig(plane.meet(view.images.rays("left", rectified_px)))[:, :2]
 
 

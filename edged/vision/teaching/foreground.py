@@ -13,9 +13,8 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
-from edged.domain.arrays import FloatArray, Image
+from edged.domain.arrays import B8, F32, I32, FloatArray, Image
 from edged.errors import TeachError
 from edged.vision.teaching.params import TEACHING
 from edged.vision.teaching.region import MAX_CORNERS, MIN_WIDTH_PX, first_crossing
@@ -25,7 +24,7 @@ from edged.vision.teaching.region import MAX_CORNERS, MIN_WIDTH_PX, first_crossi
 class _Outline:
     """points (N, 2) int : px of the small picture. strength : grey values per px."""
 
-    points: npt.NDArray[np.int32]
+    points: I32
     area: float
     strength: float
 
@@ -103,9 +102,7 @@ def _outlines(small: Image) -> list[_Outline]:
     return found
 
 
-def _level_sets(
-    small: Image, slope: FloatArray | npt.NDArray[np.float32], least: float
-) -> Iterator[npt.NDArray[np.int32]]:
+def _level_sets(small: Image, slope: FloatArray | F32, least: float) -> Iterator[I32]:
     """Outer borders (N, 2) of the connected parts of every level set, holes filled."""
     border = np.concatenate([small[0], small[-1], small[:, 0], small[:, -1]])
     table = float(np.median(border))
@@ -123,7 +120,7 @@ def _level_sets(
         yield from _borders(cv2.morphologyEx(edges, cv2.MORPH_CLOSE, np.ones((5, 5), np.uint8)) > 0)
 
 
-def _borders(inside: npt.NDArray[np.bool_]) -> Iterator[npt.NDArray[np.int32]]:
+def _borders(inside: B8) -> Iterator[I32]:
     # opened: a bridge of texture is no part of the part
     mask = cv2.morphologyEx(inside.astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
     for contour in cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)[0]:

@@ -47,25 +47,25 @@ def with_breaks_shown(
             f"further pairs: a part with {what} has nothing to learn from them", "further_needless"
         )
     views = [_view(StereoImages.of(rectification, *pair), job.rig_from_part)]
-    settled, said = _by_both_edges(job, views, "this pair")
+    settled, remarks = _by_both_edges(job, views, "this pair")
     if not further:
-        return settled, said
+        return settled, remarks
     for k, raw in enumerate(further, 2):
         view = _found(settled, StereoImages.of(rectification, *raw), k)
         motion = view.pose @ invert(settled.rig_from_part)
         views.append(replace(view, pose=motion @ job.rig_from_part))
-    settled, said = _by_both_edges(job, views, "all pairs")
-    if said:
+    settled, remarks = _by_both_edges(job, views, "all pairs")
+    if remarks:
         turns = [math.degrees(turn_between(view.pose, job.rig_from_part)) for view in views[1:]]
         shown = [f"pair {k}: turned by {turn:.0f} degrees from pair 1" for k, turn in enumerate(turns, 2)]
-        return settled, (*shown, *said)
+        return settled, (*shown, *remarks)
     unknown = replace(job, break_mm=None, break_end=None)
     choice = likeliest_form(models_of(unknown), views)
     if choice is None:
         raise TeachError("further pairs: together they show too little of the part", "further_little")
-    said = tuple(_brought(choice, job, views, k) for k in range(1, len(views)))
+    remarks = tuple(_brought(choice, job, views, k) for k in range(1, len(views)))
     settled, what = _settled(job, choice, forms_of(unknown))
-    return settled, (*said, what)
+    return settled, (*remarks, what)
 
 
 def _by_both_edges(job: Job, views: Sequence[LaidPair], by: str) -> tuple[Job, tuple[str, ...]]:

@@ -13,9 +13,8 @@ from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
-from edged.domain.arrays import FloatArray, Image
+from edged.domain.arrays import I64, FloatArray, Image
 from edged.vision.curves.outlines import Curve, Face
 from edged.vision.curves.params import FitParams
 from edged.vision.curves.planefit import CurveFit, PlaneFit, fit_circle, fit_plane
@@ -92,7 +91,7 @@ def _turned(view: TeachingView, found: Sequence[FoundCircle], face: Plane) -> tu
     """`turned_alike`, but as before where contours agree with that rather."""
     normal, heights = turned_alike(found, face.normal)
     largest = max(found, key=lambda measured: measured.circle.radius_mm).circle.centre_mm
-    now, before = (Plane(each, float(each @ largest)) for each in (normal, face.normal))
+    now, before = (Plane.through(largest, each) for each in (normal, face.normal))
     if tells_apart(view, before, now, strong_contours(view)):
         return face.normal, _levelled(found, face.normal, TEACHING.level_mm)
     return normal, heights
@@ -119,7 +118,7 @@ def _measured(
     middle = plane.meet(images.rays("left", points.mean(axis=0, keepdims=True)))[0]
     if not np.isfinite(middle).all() or middle[2] <= 0:
         return None
-    parallel = Plane(normal, float(normal @ middle))
+    parallel = Plane.through(middle, normal)
     return circle_on(parallel, images, points, ellipse.polarity, fixed_normal=True)
 
 
@@ -206,7 +205,7 @@ def _levelled(found: Sequence[FoundCircle], normal: FloatArray, apart_mm: float)
     return np.array([np.average(along[faces == face]) for face in faces])
 
 
-def _grouped(heights_mm: FloatArray, apart_mm: float) -> npt.NDArray[np.int64]:
+def _grouped(heights_mm: FloatArray, apart_mm: float) -> I64:
     """(N,) number of the face of each circle; faces lie farther apart than so much."""
     order = np.argsort(heights_mm)
     steps = np.concatenate([[0], np.cumsum(np.diff(heights_mm[order]) > apart_mm)])
@@ -215,9 +214,7 @@ def _grouped(heights_mm: FloatArray, apart_mm: float) -> npt.NDArray[np.int64]:
     return faces
 
 
-def _tilted(
-    centres: FloatArray, sizes: FloatArray, faces: npt.NDArray[np.int64], normal: FloatArray
-) -> FloatArray:
+def _tilted(centres: FloatArray, sizes: FloatArray, faces: I64, normal: FloatArray) -> FloatArray:
     """The normal under which the circles of each face lie level, held where only few say so.
 
     A circle by itself knows its normal, too: about as if it were four points on its rim.
@@ -311,7 +308,7 @@ def fitted_as_contours_lie(
     fit = fit_plane(images.rig, images.raw, face, curves, params)
     if fit is None:
         return None
-    before, now = (Plane(each.normal, float(each.normal @ each.origin)) for each in (face, fit.face))
+    before, now = (Plane.through(each.origin, each.normal) for each in (face, fit.face))
     if tells_apart(view, before, now, strong_contours(view)):
         return fit_plane(images.rig, images.raw, face, curves, params, fixed_normal=True)
     return fit

@@ -345,7 +345,7 @@ def _reference(images: StereoImages, ellipses: list[ImageEllipse]) -> tuple[Plan
         found = circle_on(plane, images, ellipse.outline(32)[0], ellipse.polarity, fixed_normal=False)
         if found is not None and _is_clear(found.fit):
             circle = found.circle
-            return Plane(circle.normal, float(circle.normal @ circle.centre_mm)), found
+            return Plane.through(circle.centre_mm, circle.normal), found
     raise TeachError(
         f"{len(ellipses)} circle(s) found in the left image, but none of them in the right one; "
         "is the part seen by both cameras, and does the rig belong to these images? Where its face is bright "
@@ -379,7 +379,7 @@ def _turned_as(
     again = measured_anew(images, largest, plane.normal)
     if again is None:
         return face, largest
-    return Plane(plane.normal, float(plane.normal @ again.circle.centre_mm)), again
+    return Plane.through(again.circle.centre_mm, plane.normal), again
 
 
 def _is_clear(fit: CurveFit) -> bool:

@@ -17,27 +17,27 @@ def carry_over(former: Job, taught: Job) -> tuple[Job, tuple[str, ...]]:
     Limits and search parameters that are not as teaching sets them, and measurements, as far as the features
     that they are of are there again.
     """
-    said: list[str] = []
-    limits = _limits(former, taught, said)
-    search = _search(former, taught, said)
+    remarks: list[str] = []
+    limits = _limits(former, taught, remarks)
+    search = _search(former, taught, remarks)
     if taught.tilt_rad is None and former.tilt_rad is not None:
         taught = replace(taught, tilt_rad=former.tilt_rad)
-        said.append(f"kept: search.tilt_deg = {math.degrees(former.tilt_rad):.6g}")
+        remarks.append(f"kept: search.tilt_deg = {math.degrees(former.tilt_rad):.6g}")
     if taught.body is None and taught.break_mm is None and former.break_mm is not None:
         taught = replace(taught, break_mm=former.break_mm)  # which end was taught is for this pair to say
-        said.append(f"kept: break_mm = {former.break_mm:g}")
+        remarks.append(f"kept: break_mm = {former.break_mm:g}")
     if taught.part_from_model is not None and (former.report != taught.report or former.points):
         taught = replace(taught, report=former.report, points=former.points)
-        said.append(f"kept: report = {former.report}")
+        remarks.append(f"kept: report = {former.report}")
     elif taught.part_from_model is None and former.report != taught.report:
-        said.append(f"report = {former.report} is dropped: it needs the part's CAD model")
-    measurements, witness = _measurements(former, taught, said)
+        remarks.append(f"report = {former.report} is dropped: it needs the part's CAD model")
+    measurements, witness = _measurements(former, taught, remarks)
     if gone := sorted(_names(former) - _names(taught)):
-        said.append(f"no longer there, or renamed by hand before: {', '.join(gone)}")
+        remarks.append(f"no longer there, or renamed by hand before: {', '.join(gone)}")
     if former.reference != taught.reference:
-        said.append(f"reference is {taught.reference}; it was {former.reference}")
+        remarks.append(f"reference is {taught.reference}; it was {former.reference}")
     return replace(taught, limits=limits, search=search, measurements=measurements, witness=witness), tuple(
-        said
+        remarks
     )
 
 
@@ -45,34 +45,34 @@ def _names(job: Job) -> set[str]:
     return {*(c.name for c in job.circles), *(s.name for s in job.slots), *(e.name for e in job.edges)}
 
 
-def _limits(former: Job, taught: Job, said: list[str]) -> ResultLimits:
+def _limits(former: Job, taught: Job, remarks: list[str]) -> ResultLimits:
     was, now = former.limits, taught.limits
     depth_mm = float(former.rig_from_part[2, 3])
     usual = depth_mm * (1 - MEASURING.depth_share), depth_mm * (1 + MEASURING.depth_share)
     if not all(abs(a - b) < 1e-6 * depth_mm for a, b in zip(was.depth_mm, usual, strict=True)):
         now = replace(now, depth_mm=was.depth_mm)
-        said.append(_kept("limits.depth_mm", was.depth_mm, taught.limits.depth_mm))
+        remarks.append(_kept("limits.depth_mm", was.depth_mm, taught.limits.depth_mm))
     for name in (field.name for field in fields(ResultLimits) if field.name != "depth_mm"):
         before, after = getattr(was, name), getattr(now, name)
         by_teaching = name == "max_sigma_mm" and former.sigma_mm != taught.sigma_mm
         if _differ(before, after) and not by_teaching:
             now = replace(now, **{name: before})
-            said.append(_kept(f"limits.{name}", before, after))
+            remarks.append(_kept(f"limits.{name}", before, after))
     return now
 
 
-def _search(former: Job, taught: Job, said: list[str]) -> SearchParams:
+def _search(former: Job, taught: Job, remarks: list[str]) -> SearchParams:
     changed = {}
     for field in fields(SearchParams):
         before, after = getattr(former.search, field.name), getattr(taught.search, field.name)
         if _differ(before, after):
             changed[field.name] = before
-            said.append(_kept(f"search.{field.name}", before, after))
+            remarks.append(_kept(f"search.{field.name}", before, after))
     return replace(taught.search, **changed)
 
 
 def _measurements(
-    former: Job, taught: Job, said: list[str]
+    former: Job, taught: Job, remarks: list[str]
 ) -> tuple[tuple[MeasurementSpec, ...], str | None]:
     """Measurements of the former job, with the taught size unless another was stated."""
     default, _ = known_radius(former.circles, former.reference, is_broken=former.break_end is not None)
@@ -83,11 +83,11 @@ def _measurements(
         if spec == by_teaching.get(spec.name):
             continue  # unedited: the taught job has its own
         if any(former.kind_of(name) != taught.kind_of(name) for name in spec.of):
-            said.append(f"measurement {spec.name} is dropped: {', '.join(spec.of)} is not there any more")
+            remarks.append(f"measurement {spec.name} is dropped: {', '.join(spec.of)} is not there any more")
             continue
         kept.append(spec)
         if spec != fresh.pop(spec.name, None):
-            said.append(f"kept: measurement {spec.name}")
+            remarks.append(f"kept: measurement {spec.name}")
     everything = (*fresh.values(), *kept)
     witness = former.witness if former.witness in {spec.name for spec in everything} else taught.witness
     return everything, witness

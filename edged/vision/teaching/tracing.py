@@ -14,9 +14,8 @@ from typing import Literal
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
-from edged.domain.arrays import FloatArray
+from edged.domain.arrays import B8, F32, I64, FloatArray
 from edged.vision.edges.contours import find_contours, split
 from edged.vision.edges.fitting import fit_circle, fit_line
 from edged.vision.geometry.rigid import Plane, apply, invert
@@ -25,8 +24,6 @@ from edged.vision.part.traced import TracedCurve
 from edged.vision.teaching.background import edges_in_right, in_right
 from edged.vision.teaching.features import TeachingView, strong_contours
 from edged.vision.teaching.params import TEACHING, TRACING
-
-B64 = npt.NDArray[np.bool_]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -83,7 +80,7 @@ class _Tracer:
     x: FloatArray
     y: FloatArray
     normals: FloatArray
-    starts: npt.NDArray[np.int64]
+    starts: I64
 
     @staticmethod
     def of(view: TeachingView, rig_from_part: FloatArray) -> _Tracer:
@@ -172,7 +169,7 @@ class _Tracer:
         rig = self.view.images.rig
         return np.asarray(rig.right.project(apply(rig.right_from_left, apply(self.rig_from_part, points))))
 
-    def _heights(self, points: FloatArray, normals: FloatArray) -> tuple[npt.NDArray[np.int64], FloatArray]:
+    def _heights(self, points: FloatArray, normals: FloatArray) -> tuple[I64, FloatArray]:
         """Whose (K,) and how high (K,) are edges of the right image that look like left points (N, 2)."""
         row = np.clip(np.rint(points[:, 1]).astype(np.int64), 0, len(self.starts) - 2)
         first, count = self.starts[row], self.starts[row + 1] - self.starts[row]
@@ -189,7 +186,7 @@ class _Tracer:
         near = np.abs(heights) < TEACHING.height_share * self.rig_from_part[2, 3]
         return mine[near], heights[near]
 
-    def _seen_right(self, stretch: _Stretch, height_mm: float) -> tuple[FloatArray, B64, FloatArray]:
+    def _seen_right(self, stretch: _Stretch, height_mm: float) -> tuple[FloatArray, B8, FloatArray]:
         """Each point of a stretch, seen in the right image at a height: offset px, alike, px by mm."""
         here, lower = self._plane(height_mm), self._plane(height_mm + TRACING.step_mm)
         offsets, slopes, normals = edges_in_right(
@@ -286,7 +283,7 @@ def above_table(curves: Sequence[TracedCurve], features: Sequence[FloatArray]) -
     return [curve for curve in curves if id(curve) not in of_table]
 
 
-def _share_around(part: npt.NDArray[np.float32], lines: Sequence[FloatArray]) -> float:
+def _share_around(part: F32, lines: Sequence[FloatArray]) -> float:
     """Share of all directions from the middle of a part's hull in which some polylines (N, 3) lie."""
     middle = part[:, 0].mean(axis=0)
     sectors = [
@@ -295,12 +292,12 @@ def _share_around(part: npt.NDArray[np.float32], lines: Sequence[FloatArray]) ->
     return len(np.unique(np.floor(np.concatenate(sectors)))) / TRACING.sectors
 
 
-def _hull(lines: Sequence[FloatArray]) -> npt.NDArray[np.float32]:
+def _hull(lines: Sequence[FloatArray]) -> F32:
     """The convex hull of polylines (N, 3), seen along z."""
     return np.asarray(cv2.convexHull(np.concatenate(list(lines))[:, :2].astype(np.float32)), np.float32)
 
 
-def _within(hull: npt.NDArray[np.float32], points: FloatArray) -> FloatArray:
+def _within(hull: F32, points: FloatArray) -> FloatArray:
     """(N,) by how many mm points (N, 3) lie within a hull; negative outside."""
     return np.array([cv2.pointPolygonTest(hull, (float(x), float(y)), True) for x, y, _ in points])
 
