@@ -138,14 +138,14 @@ class PlaneFit:
         first = PLANE_PARAMETERS
         for fit in self.fits:
             last = first + len(fit.curve.parameters)
-            if fit.name == name:
+            if fit.curve.name == name:
                 return slice(first, last)
             first = last
         return None
 
     def fit_of(self, name: str) -> CurveFit | None:
         """The fit of a curve; None when the images do not show it."""
-        return next((fit for fit in self.fits if fit.name == name), None)
+        return next((fit for fit in self.fits if fit.curve.name == name), None)
 
 
 def fit_plane(

@@ -119,14 +119,23 @@ class Rectification:
         camera, rotation, centre = self._view(side)
         return _rays_to_pixels(rotation, camera.normalise(pixels)) * self.focal_px + centre
 
+    def rectified(self, side: Side, points_mm: FloatArray) -> FloatArray:
+        """Rectified points (..., 2) of points (..., 3) in the raw camera's frame."""
+        _, rotation, centre = self._view(side)
+        return _rays_to_pixels(rotation, points_mm[..., :2] / points_mm[..., 2:]) * self.focal_px + centre
+
     def raw_points(self, side: Side, rectified: FloatArray) -> FloatArray:
         """Raw image points (..., 2) of rectified points (..., 2): the inverse of `rectify_points`.
 
         NaN where the raw camera cannot see in that direction.
         """
+        return self._view(side)[0].pixels(self.directions(side, rectified))
+
+    def directions(self, side: Side, rectified: FloatArray) -> FloatArray:
+        """Undistorted normalised points (..., 2) of the raw camera for rectified ones; NaN as there."""
         camera, rotation, centre = self._view(side)
         ideal = (np.asarray(rectified, dtype=np.float64) - centre) / self.focal_px
-        return _lens_pixels(camera, _rays_to_pixels(rotation.T, ideal))
+        return _within_lens(camera, _rays_to_pixels(rotation.T, ideal))
 
     def disparity_px(self, depth_mm: float) -> float:
         """x_left - x_right in rectified pixels of a point at this depth of the rectified frame."""
@@ -288,25 +297,31 @@ def _bounds(camera: CameraModel, axes: FloatArray) -> FloatArray:
 def _rays_to_pixels(rotation: FloatArray, normalised: FloatArray) -> FloatArray:
     """Turn the rays (x, y, 1) of normalised points (..., 2); NaN for those that end up behind."""
     # without a matrix product, whose result would be interleaved: points keep their layout in memory
-    x, y = np.moveaxis(np.asarray(normalised, dtype=np.float64), -1, 0)
+    normalised = np.asarray(normalised, dtype=np.float64)
+    x, y = normalised[..., 0], normalised[..., 1]
     depth = rotation[2, 0] * x + rotation[2, 1] * y + rotation[2, 2]
     depth = np.where(depth > 1e-6, depth, np.nan)
-    turned = np.empty_like(normalised, dtype=np.float64)
+    turned = np.empty_like(normalised)
     for axis in (0, 1):
         turned[..., axis] = (rotation[axis, 0] * x + rotation[axis, 1] * y + rotation[axis, 2]) / depth
     return turned
 
 
-def _lens_pixels(camera: CameraModel, normalised: FloatArray) -> FloatArray:
-    """Pixels (..., 2); NaN beyond the radius where the lens polynomial would fold back."""
-    inside = np.sum(normalised**2, axis=-1, keepdims=True) < _fold_radius2(camera)
-    return camera.pixels(np.where(inside, normalised, np.nan))
+def _within_lens(camera: CameraModel, normalised: FloatArray) -> FloatArray:
+    """Normalised points (..., 2), NaN beyond the radius where the lens model would fold back."""
+    limit = _fold_radius2(camera)
+    if limit == np.inf:
+        return normalised
+    inside = np.sum(normalised**2, axis=-1, keepdims=True) < limit
+    return np.where(inside, normalised, np.nan)
 
 
+@lru_cache(maxsize=16)
 def _fold_radius2(camera: CameraModel) -> float:
-    """Squared undistorted radius up to which the Brown model's radius grows; inf if it always does."""
+    """Squared undistorted radius up to which the model's radius grows; inf if it always does."""
     if camera.model != "brown":
-        return np.inf
+        kappa = camera.distortion[0]
+        return 1.0 / (4.0 * kappa) if kappa > 0.0 else np.inf
     k1, k2, _, _, k3 = camera.distortion
     roots = np.roots([7 * k3, 5 * k2, 3 * k1, 1.0])
     turning = roots.real[(np.abs(roots.imag) < 1e-9) & (roots.real > 0)]
@@ -327,7 +342,7 @@ def _maps(
         ideal = np.moveaxis(np.empty((2, rows.stop - top, width)), 0, -1)
         ideal[..., 0] = (np.arange(width) - centre[0]) / focal
         ideal[..., 1] = (np.arange(top, rows.stop)[:, None] - centre[1]) / focal
-        raw = _lens_pixels(camera, _rays_to_pixels(axes.T, ideal))
+        raw = camera.pixels(_within_lens(camera, _rays_to_pixels(axes.T, ideal)))
         x, y = raw[..., 0], raw[..., 1]
         with np.errstate(invalid="ignore"):
             valid[rows] = (x >= 0) & (y >= 0) & (x <= camera.width - 1) & (y <= camera.height - 1)
@@ -378,9 +393,9 @@ class StereoImages:
 
     def rays(self, side: Side, rectified_px: FloatArray) -> FloatArray:
         """Directions (N, 3), z = 1 in the raw camera's frame, of rectified pixels (N, 2) of one image."""
-        camera = self.rig.camera(side)
-        normalised = camera.normalise(self.rectification.raw_points(side, rectified_px))
-        return np.column_stack([normalised, np.ones(len(normalised))])
+        rays = np.ones((len(rectified_px), 3))
+        rays[:, :2] = self.rectification.directions(side, rectified_px)
+        return rays
 
 
 def linear_image(image: Image, gamma: float) -> Image:

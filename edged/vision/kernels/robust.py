@@ -8,6 +8,8 @@ Source: P. J. Huber, "Robust Statistics", 1981; J. W. Tukey's biweight with c = 
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from edged.domain.arrays import F64
@@ -28,7 +30,15 @@ _AT_ONCE = 192  # samples whose terms stay in the fastest memory
 
 def mad_sigma(residuals: F64) -> float:
     """The sigma of normal errors, from the median of |residuals| (N,), N >= 1."""
-    return SIGMA_PER_MEDIAN * float(np.median(np.abs(residuals)))
+    return SIGMA_PER_MEDIAN * middle_of(np.abs(residuals))
+
+
+def middle_of(values: F64) -> float:
+    """The median of values (N,), N >= 1, NaN with one among them: numpy's is 36 calls."""
+    ordered, half = np.sort(values), len(values) // 2
+    if math.isnan(ordered[-1]):
+        return math.nan
+    return float(ordered[half] if len(values) % 2 else 0.5 * (ordered[half - 1] + ordered[half]))
 
 
 def tukey_weights(residuals: F64, sigma: float) -> F64:

@@ -13,7 +13,7 @@ import numpy as np
 
 from edged.domain.arrays import FloatArray
 from edged.domain.measurement import Circle3D, Match, Reject, Target
-from edged.vision.curves.outlines import Curve, Face
+from edged.vision.curves.outlines import PLANE_PARAMETERS, Curve, Face
 from edged.vision.curves.params import BREAKS, FitParams
 from edged.vision.curves.planefit import CurveFit, PlaneFit, fit_circle, fit_plane
 from edged.vision.edges.subpixel import edges_along_normals
@@ -74,10 +74,11 @@ def placed(job: Job, match: Match, fit: PlaneFit, start: FloatArray) -> tuple[li
     start (3, 3) : rig_from_part's rotation, but for its turn about the normal.  Raises ValueError for a fit
     without the reference circle.
     """
-    main, by_edges = (circle_in_rig(plane, job.reference) for plane in (fit, fit.by_edges()))
+    found, by_edges = circles_in_rig(fit), circle_in_rig(fit.by_edges(), job.reference)
+    main = next((circle for circle in found if circle.circle.name == job.reference), None)
     if main is None or by_edges is None:
         raise ValueError("the reference circle was not measured")
-    beside = [circle for circle in circles_in_rig(fit) if circle.circle.name != job.reference]
+    beside = [circle for circle in found if circle is not main]
     turned = _rotation(job, fit, main, beside, start)
     agreeing = [beside[index] for index in turned.agreeing]
     target = Target(
@@ -363,19 +364,21 @@ def _rotation(
     taught = {circle.name: circle.centre_mm for circle in job.circles}
     reference = taught[job.reference]
     angles, by_fit, indices = [], [], []
+    in_face = fit.face.axes[:2] @ start[:, :2]
+    sizes = (len(found.curve.parameters) for found in fit.fits)
+    places = itertools.accumulate(sizes, initial=PLANE_PARAMETERS)
+    firsts = dict(zip((found.curve.name for found in fit.fits), places, strict=False))
     for index, circle in enumerate(other.circle for other in others):
         arm = (taught[circle.name] - reference)[:2]
-        lever = float(np.linalg.norm(arm))
+        lever = math.hypot(*arm.tolist())
         if lever < 0.15 * job.reference_circle.radius_mm:
             continue
         seen = (start.T @ (circle.centre_mm - main.circle.centre_mm))[:2]
         angles.append(math.atan2(arm[0] * seen[1] - arm[1] * seen[0], arm @ seen))
-        across = fit.face.axes[:2] @ start[:, :2] @ np.array([-arm[1], arm[0]]) / lever**2
+        across = in_face @ np.array([-arm[1], arm[0]]) / lever**2
         by_fit.append(np.zeros(len(fit.covariance)))
         for name, sign in ((circle.name, 1.0), (job.reference, -1.0)):
-            where = fit.place(name)
-            assert where is not None
-            by_fit[-1][where] += sign * np.append(across, 0.0)
+            by_fit[-1][firsts[name] : firsts[name] + 2] += sign * across
         indices.append(index)
     concentric = [index for index in range(len(others)) if index not in indices]
     if not angles:

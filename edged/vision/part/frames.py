@@ -32,36 +32,43 @@ class FoundCircle:
 
 def circle_in_rig(fit: PlaneFit, name: str) -> FoundCircle | None:
     """A circle of a fit in the rig frame; None when it was not measured."""
-    found, where = fit.fit_of(name), fit.place(name)
-    if found is None or where is None:
-        return None
-    x, y, radius = found.curve.parameters
-    height, face = found.curve.height_mm, fit.face
+    found = circles_in_rig(fit, name)
+    return found[0] if found else None
+
+
+def circles_in_rig(fit: PlaneFit, name: str | None = None) -> list[FoundCircle]:
+    """All circles of a fit, in its order; or the one of this name."""
+    circles, columns, first = [], [], PLANE_PARAMETERS
+    for found in fit.fits:
+        curve = found.curve
+        if curve.kind == "circle" and name in (None, curve.name):
+            circles.append(found)
+            columns.append([0, 1, 2, first, first + 1, first + 2])
+        first += len(curve.parameters)
+    if not circles:
+        return []
+    x, y, radius = np.array([found.curve.parameters for found in circles]).T
+    height = np.array([found.curve.height_mm for found in circles])
+    face, where = fit.face, np.array(columns)
     u, v, n = face.axes
     # by height and slopes of the plane, x, y, radius: as the plane tilts, what stands on it moves sideways
-    lift = np.zeros((7, 6))
-    lift[:3, 0], lift[:3, 1], lift[:3, 2] = n, x * n - height * u, y * n - height * v
-    lift[:3, 3], lift[:3, 4] = u, v
-    lift[3:6, 1], lift[3:6, 2] = -v, u
-    lift[6, 5] = 1.0
-    plane, known = slice(0, PLANE_PARAMETERS), np.empty((6, 6))
-    known[:3, :3], known[:3, 3:] = fit.covariance[plane, plane], fit.covariance[plane, where]
-    known[3:, :3], known[3:, 3:] = fit.covariance[where, plane], fit.covariance[where, where]
-    covariance = lift @ known @ lift.T
-    circle = Circle3D(
-        name,
-        face.to_rig(np.array([[x, y, height]]))[0],
-        n if n[2] < 0 else -n,
-        float(radius),
-        covariance[_PLACE_AND_RADIUS],
-    )
-    return FoundCircle(circle, covariance[:6, :6], found)
-
-
-def circles_in_rig(fit: PlaneFit) -> list[FoundCircle]:
-    """All circles of a fit, in its order."""
-    found = (circle_in_rig(fit, circle.name) for circle in fit.fits if circle.curve.kind == "circle")
-    return [circle for circle in found if circle is not None]
+    lift = np.zeros((len(circles), 7, 6))
+    lift[:, :3, 0], lift[:, :3, 3], lift[:, :3, 4] = n, u, v
+    lift[:, :3, 1] = x[:, None] * n - height[:, None] * u
+    lift[:, :3, 2] = y[:, None] * n - height[:, None] * v
+    lift[:, 3:6, 1], lift[:, 3:6, 2] = -v, u
+    lift[:, 6, 5] = 1.0
+    known = fit.covariance[where[:, :, None], where[:, None, :]]
+    covariances = lift @ known @ lift.transpose(0, 2, 1)
+    centres = face.to_rig(np.column_stack([x, y, height]))
+    normal = n if n[2] < 0 else -n
+    own = covariances[(slice(None), *_PLACE_AND_RADIUS)]
+    return [
+        FoundCircle(Circle3D(found.curve.name, centre, normal, size, small), whole[:6, :6], found)
+        for found, centre, size, small, whole in zip(
+            circles, centres, radius.tolist(), own, covariances, strict=True
+        )
+    ]
 
 
 def with_features(target: Target, job: Job, fit: PlaneFit) -> Target:

@@ -16,7 +16,8 @@ import numpy as np
 from edged.domain.arrays import I64, FloatArray
 from edged.domain.measurement import Match, Target
 from edged.vision.geometry.rectification import Rectification, StereoImages
-from edged.vision.geometry.rigid import Plane, apply, rotation_matrix, transform
+from edged.vision.geometry.rigid import Plane, apply, transform
+from edged.vision.kernels.robust import middle_of
 from edged.vision.part.job import Job
 from edged.vision.part.params import MEASURING
 from edged.vision.shape.ambiguity import RotationSight, look_at, surroundings, turned, turns
@@ -26,8 +27,8 @@ from edged.vision.shape.search import ShapeMatch
 
 def predicted(rectification: Rectification, job: Job, match: ShapeMatch, points_mm: FloatArray) -> FloatArray:
     """Rectified left pixels (N, 2) where points (N, 3) of the part frame should be, by the match."""
-    taught = rectification.rig.left.project(apply(job.rig_from_part, points_mm))
-    return np.asarray(match.apply(rectification.rectify_points("left", taught) - job.shape.origin_px))
+    taught = rectification.rectified("left", apply(job.rig_from_part, points_mm))
+    return np.asarray(match.apply(taught - job.shape.origin_px))
 
 
 def poses_of_match(
@@ -47,8 +48,9 @@ def poses_of_match(
     )
     poses = []
     for vectors in zip(turns[:count], places[:count], strict=True):
-        turn, place = (np.asarray(vector, dtype=np.float64).ravel() for vector in vectors)
-        pose = transform(rotation_matrix(turn), place)
+        turn, place = (np.asarray(vector, dtype=np.float64) for vector in vectors)
+        rotation: FloatArray = np.asarray(cv2.Rodrigues(turn)[0], dtype=np.float64)
+        pose = transform(rotation, place[:, 0])
         if np.isfinite(pose).all() and pose[2, 3] > 0 and pose[2, 2] > 0:  # not a face turned away
             poses.append(pose)
     return poses
@@ -84,19 +86,17 @@ def is_contradicted(images: StereoImages, job: Job, match: ShapeMatch, target: T
         return False
     light = surroundings(sight, job.search.min_contrast)
     known = light.shows(sight).astype(np.float64) - light.denies(sight)
-    for own, foreign, motion in zip(all_turns.own, all_turns.foreign, all_turns.motions, strict=True):
-        if own.sum() < ROTATIONS.min_apart or known[own].mean() > MEASURING.clear:
-            continue
-        others = np.flatnonzero(foreign)
-        other = (
-            _look(images, job, face, turned(pose, motion), others)
-            if len(others) >= ROTATIONS.min_apart
-            else None
-        )
+    # in numbers that are whole: no sum of theirs depends on the order
+    count, theirs_count = (flags.sum(axis=1) for flags in (all_turns.own, all_turns.foreign))
+    mine = all_turns.own @ known / np.maximum(count, 1)
+    open_ = (count >= ROTATIONS.min_apart) & (mine <= MEASURING.clear) & (theirs_count >= ROTATIONS.min_apart)
+    for k in open_.nonzero()[0].tolist():
+        others = all_turns.foreign[k].nonzero()[0]
+        other = _look(images, job, face, turned(pose, all_turns.motions[k]), others)
         if other is None:
             continue
         theirs = light.shows(other).astype(np.float64) - light.denies(other)
-        if known[own].mean() < theirs.mean() - MEASURING.against:
+        if mine[k] < theirs.mean() - MEASURING.against:
             return True
     return False
 
@@ -121,6 +121,6 @@ def _look(images: StereoImages, job: Job, face: Plane, pose: FloatArray, points:
         across = np.column_stack([step[:, 1], -step[:, 0]]) / length[:, None]  # no image is a mirror's
     if not np.isfinite(across).all():
         return None
-    scale = float(np.median(length))
+    scale = middle_of(length)
     placed = np.ascontiguousarray(np.column_stack([middle, across]))
     return look_at(images.right, job.shape, placed, 0, points, scale) if math.isfinite(scale) else None

@@ -21,6 +21,7 @@ from edged.domain.arrays import B8, I64, FloatArray, Image
 from edged.vision.edges.subpixel import edge_profiles, edges_along_normals
 from edged.vision.geometry.rigid import angle_between, rotation_2d, wrapped
 from edged.vision.kernels.jit import kernel
+from edged.vision.kernels.robust import mad_sigma, middle_of
 from edged.vision.shape import refine
 from edged.vision.shape.chance import EVIDENCE, Chance, look_elsewhere
 from edged.vision.shape.model import ShapeModel
@@ -160,7 +161,7 @@ def _face_greys(sight: RotationSight, strong: float) -> tuple[float, float]:
     if beside is None:
         return -math.inf, math.inf
     inside, _, step = beside
-    level = float(np.median(inside))
+    level = middle_of(inside)
     return level - ROTATIONS.textured_share * step, level + ROTATIONS.textured_share * step
 
 
@@ -179,8 +180,8 @@ def _beside_rim(sight: RotationSight, strong: float) -> tuple[FloatArray, FloatA
 
 def _even(greys: FloatArray, step: float) -> tuple[float, float]:
     """The grey value of a surface beside edges of a step, and how much it may vary; NaN if it is not even."""
-    level = float(np.median(greys))
-    sigma = 1.4826 * float(np.median(np.abs(greys - level)))
+    level = middle_of(greys)
+    sigma = mad_sigma(greys - level)
     if 1.35 * sigma >= ROTATIONS.surface_share * step:
         return math.nan, 0.0
     return level, min(

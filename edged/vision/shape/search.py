@@ -274,7 +274,7 @@ class _Search:
 
     def _same_place(self, h: Hypothesis, level: int, other: Hypothesis) -> bool:
         """Whether a hypothesis on a level and a finished one belong to one part, at any rotation."""
-        apart = float(np.linalg.norm(self._middle(h, level) - self._middle(other, 0)))
+        apart = math.dist(self._middle(h, level).tolist(), self._middle(other, 0).tolist())
         return apart < CLIMB.same_place * reach_px(self.model)
 
     def _settles(self, better: Hypothesis, candidate: Hypothesis, top: int) -> bool:
