@@ -27,7 +27,7 @@ from edged.domain.arrays import SIDES, FloatArray, Image
 from edged.sim.cell import demo_part, demo_rig
 from edged.sim.render.scene import Disc, Part, Sensor, Surface
 from edged.vision.curves.outlines import circle_axes, project_circle
-from edged.vision.curves.planefit import fit_circle
+from edged.vision.curves.planefit import CircleGuess, fit_circle
 from edged.vision.edges.subpixel import edge_profiles
 from edged.vision.geometry.camera import StereoRig
 from edged.vision.geometry.rectification import Rectification, StereoImages, make_rectification
@@ -102,7 +102,7 @@ def precision(rig: StereoRig, greys: tuple[FloatArray, FloatArray], noise: float
     for seed in range(draws):
         rng = np.random.default_rng(seed)
         left, right = (noisy(grey, noise, rng) for grey in greys)
-        fit = fit_circle(rig, (left, right), start, -WHERE[:3, 2], RADIUS_MM + 0.05, -1)
+        fit = fit_circle(rig, (left, right), CircleGuess(start, -WHERE[:3, 2], RADIUS_MM + 0.05, -1))
         found = None if fit is None else circle_in_rig(fit, "circle")
         if found is None:
             raise SystemExit(f"noise {noise}, draw {seed}: the disc was not measured")

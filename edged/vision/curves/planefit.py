@@ -181,26 +181,33 @@ def fit_plane(
     )
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class CircleGuess:
+    """Where a circle may be. centre_mm, normal (3,) : rig frame; the normal points towards the cameras.
+
+    polarity : +1 brighter outside, -1 darker outside, 0 whichever most of its edge shows.
+    """
+
+    centre_mm: FloatArray
+    normal: FloatArray
+    radius_mm: float
+    polarity: int = 0
+    name: str = "circle"
+
+
 def fit_circle(
     rig: StereoRig,
     images: tuple[Image, Image],
-    centre_mm: FloatArray,
-    normal: FloatArray,
-    radius_mm: float,
-    polarity: int = 0,
+    guess: CircleGuess,
     params: FitParams = DEFAULT_PARAMS,
     *,
-    name: str = "circle",
     fixed_normal: bool = False,
     fixed_radius: bool = False,
 ) -> PlaneFit | None:
-    """Measure one circle near a first guess; the rest as `fit_plane`.
-
-    centre_mm, normal (3,) : rig frame; the normal points towards the cameras.
-    polarity : +1 brighter outside, -1 darker outside, 0 whichever most of its edge shows.
-    """
-    face = Face(np.asarray(centre_mm, np.float64), np.vstack([circle_axes(-normal), -normal]))
-    circle = Curve(name, "circle", np.array([0.0, 0.0, radius_mm]), polarity)
+    """Measure one circle near a first guess; the rest as `fit_plane`."""
+    axes = np.vstack([circle_axes(-guess.normal), -guess.normal])
+    circle = Curve(guess.name, "circle", np.array([0.0, 0.0, guess.radius_mm]), guess.polarity)
+    face = Face(np.asarray(guess.centre_mm, np.float64), axes)
     return fit_plane(
         rig, images, face, [circle], params, fixed_normal=fixed_normal, fixed_radius=fixed_radius
     )

@@ -15,7 +15,7 @@ from edged.domain.arrays import FloatArray
 from edged.domain.measurement import Circle3D, Match, Reject, Target
 from edged.vision.curves.outlines import PLANE_PARAMETERS, Curve, Face
 from edged.vision.curves.params import BREAKS, FitParams
-from edged.vision.curves.planefit import CurveFit, PlaneFit, fit_circle, fit_plane
+from edged.vision.curves.planefit import CircleGuess, CurveFit, PlaneFit, fit_circle, fit_plane
 from edged.vision.edges.subpixel import edges_along_normals
 from edged.vision.geometry.rectification import Rectification, StereoImages
 from edged.vision.geometry.rigid import Plane, about_z, angle_between, apply, cross, transform, unit
@@ -112,17 +112,9 @@ def _reference(images: StereoImages, job: Job, match: ShapeMatch) -> FoundCircle
     """
     best: FoundCircle | None = None
     for start in _starts(images, job, match):
-        fit = fit_circle(
-            images.rig,
-            images.raw,
-            start.centre_mm,
-            start.normal,
-            job.reference_circle.radius_mm,
-            start.polarity,
-            start.params,
-            name=job.reference,
-            fixed_radius=True,
-        )
+        radius_mm = job.reference_circle.radius_mm
+        guess = CircleGuess(start.centre_mm, start.normal, radius_mm, start.polarity, job.reference)
+        fit = fit_circle(images.rig, images.raw, guess, start.params, fixed_radius=True)
         locked = None if fit is None else circle_in_rig(fit, job.reference)
         if locked is None or not _plausible(locked, start):
             continue

@@ -14,7 +14,7 @@ import numpy as np
 
 from edged.domain.arrays import B8, SIDES, FloatArray
 from edged.vision.curves.outlines import project_circle
-from edged.vision.curves.planefit import fit_circle
+from edged.vision.curves.planefit import CircleGuess, fit_circle
 from edged.vision.edges.subpixel import edge_profiles
 from edged.vision.geometry.rectification import StereoImages
 from edged.vision.part.frames import FoundCircle, circle_in_rig
@@ -108,16 +108,8 @@ def _is_off(
     """Whether both images show the whole circle in its size above or below its place."""
     normal = main.circle.normal
     place = main.circle.centre_mm + rotation @ (circle.centre_mm - job.reference_circle.centre_mm)
-    fit = fit_circle(
-        images.rig,
-        images.raw,
-        place,
-        normal,
-        circle.radius_mm,
-        params=MEASURING.identity,
-        name=circle.name,
-        fixed_normal=True,
-    )
+    guess = CircleGuess(place, normal, circle.radius_mm, name=circle.name)
+    fit = fit_circle(images.rig, images.raw, guess, MEASURING.identity, fixed_normal=True)
     found = None if fit is None else circle_in_rig(fit, circle.name)
     if found is None or found.fit.least_support < MEASURING.identity_support:
         return False

@@ -91,10 +91,10 @@ def lock(
             return None
         if found is not None and rival_of is not None and found.mean < rival_of.mean - SOLID.rival_lacks:
             return None
-        outline, starts = spread(images, curves, pose, spacing_px)
+        laid = spread(images, curves, pose, spacing_px)
         together = max(1, round(SOLID.along_px / spacing_px))
         for reach in reaches:
-            found = _step(images, curves, outline, starts, pose, reach, together, unknowns=unknowns)
+            found = _step(images, curves, laid, pose, reach, together, unknowns=unknowns)
             if found is None:
                 return None
             pose = found.pose
@@ -107,8 +107,7 @@ def lock(
         moved = _step(
             images,
             curves,
-            outline,
-            starts,
+            laid,
             tight.pose,
             SOLID.near_px[-1],
             together,
@@ -132,9 +131,9 @@ def glance(
     """Share of the curves that the cameras agree with about a pose that is good to a few px; 0: none."""
     if pose[2, 3] <= 0:
         return 0.0
-    outline, starts = spread(images, curves, pose, SOLID.far_spacing_px)
+    laid = spread(images, curves, pose, SOLID.far_spacing_px)
     together = round(SOLID.along_px / SOLID.far_spacing_px)
-    seen = _step(images, curves, outline, starts, pose, reach_px, together, unknowns=unknowns)
+    seen = _step(images, curves, laid, pose, reach_px, together, unknowns=unknowns)
     return 0.0 if seen is None else seen.mean
 
 
@@ -163,8 +162,7 @@ def _spread(curves: tuple[Curve, ...], size: int, spacing_px: float) -> tuple[Cu
 def _step(
     images: StereoImages,
     curves: Sequence[Curve],
-    outline: CurveOutline,
-    starts: I64,
+    laid: tuple[CurveOutline, I64],
     pose: FloatArray,
     reach: float,
     together: int,
@@ -176,7 +174,7 @@ def _step(
 
     most_sigma_px : by which edges scatter that are taken for the curves' own.
     """
-    face = Face(pose[:3, 3], pose[:3, :3].T)
+    (outline, starts), face = laid, Face(pose[:3, 3], pose[:3, :3].T)
     expected = np.repeat([float(curve.polarity) for curve in curves], np.diff(starts))
     designs, offsets, odds = [], [], []
     for side, image in zip(SIDES, images.raw, strict=True):

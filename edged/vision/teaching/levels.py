@@ -17,7 +17,7 @@ import numpy as np
 from edged.domain.arrays import I64, FloatArray, Image
 from edged.vision.curves.outlines import Curve, Face
 from edged.vision.curves.params import FitParams
-from edged.vision.curves.planefit import CurveFit, PlaneFit, fit_circle, fit_plane
+from edged.vision.curves.planefit import CircleGuess, CurveFit, PlaneFit, fit_circle, fit_plane
 from edged.vision.edges.contours import find_contours
 from edged.vision.edges.ellipses import ImageEllipse
 from edged.vision.geometry.rectification import Rectification, StereoImages
@@ -131,32 +131,16 @@ def circle_on(
         return None
     centre = ring.mean(axis=0)
     radius = float(np.linalg.norm(ring - centre, axis=1).mean())
-    fit = fit_circle(
-        images.rig,
-        images.raw,
-        centre,
-        plane.normal,
-        radius,
-        polarity,
-        TEACHING.level_fit,
-        fixed_normal=fixed_normal,
-    )
+    guess = CircleGuess(centre, plane.normal, radius, polarity)
+    fit = fit_circle(images.rig, images.raw, guess, TEACHING.level_fit, fixed_normal=fixed_normal)
     return None if fit is None else circle_in_rig(fit, "circle")
 
 
 def measured_anew(images: StereoImages, measured: FoundCircle, normal: FloatArray) -> FoundCircle | None:
     """The circle measured again with a better normal."""
     circle = measured.circle
-    fit = fit_circle(
-        images.rig,
-        images.raw,
-        circle.centre_mm,
-        normal,
-        circle.radius_mm,
-        measured.fit.curve.polarity,
-        TEACHING.together,
-        fixed_normal=True,
-    )
+    guess = CircleGuess(circle.centre_mm, normal, circle.radius_mm, measured.fit.curve.polarity)
+    fit = fit_circle(images.rig, images.raw, guess, TEACHING.together, fixed_normal=True)
     return None if fit is None else circle_in_rig(fit, "circle")
 
 

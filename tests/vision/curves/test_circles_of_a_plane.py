@@ -14,7 +14,7 @@ from edged.domain.arrays import FloatArray, Image
 from edged.sim.cell import demo_rig
 from edged.sim.render.scene import Disc, Hole, Part, RoundedBox, Sensor, Surface
 from edged.vision.curves.outlines import Curve, Face, circle_axes, project_circle
-from edged.vision.curves.planefit import fit_circle, fit_plane
+from edged.vision.curves.planefit import CircleGuess, fit_circle, fit_plane
 from edged.vision.edges.subpixel import edge_profiles
 from edged.vision.geometry.camera import StereoRig
 from edged.vision.geometry.rigid import rotation_matrix
@@ -40,7 +40,7 @@ def measured(
 ) -> FoundCircle | None:
     """The disc's circle from a start 0.3 mm from the truth, its radius 0.1 mm too large."""
     start = TILTED[:3, 3] + START_OFF
-    fit = fit_circle(rig, images, start, normal, 12.1, polarity, fixed_normal=fixed)
+    fit = fit_circle(rig, images, CircleGuess(start, normal, 12.1, polarity), fixed_normal=fixed)
     return None if fit is None else circle_in_rig(fit, "circle")
 
 
@@ -179,7 +179,7 @@ def test_texture_is_no_circle() -> None:
     left, right = pictures(SMALL, scene(table=Surface(albedo=0.4, contrast=0.4, feature_mm=1.0, seed=4)))
     for x in (-6.0, 4.0, 14.0):
         start = np.array([x, 2.0, PLACE_MM[2] + 6.0]) + START_OFF
-        fit = fit_circle(SMALL, (left, right), start, UP, 12.1)
+        fit = fit_circle(SMALL, (left, right), CircleGuess(start, UP, 12.1))
         assert fit is None or fit.fits[0].least_support < 0.75 or fit.fits[0].rms_px > 0.5
 
 
@@ -208,7 +208,7 @@ def test_an_impossible_start_is_none(
     """Behind the camera, far outside, too small, too large, no number: None, not an error."""
     rng = np.random.default_rng(2)
     left, right = (noisy(grey, 1.0, rng) for grey in plain_disc)
-    assert fit_circle(SMALL, (left, right), np.array(centre_mm), UP, radius_mm) is None
+    assert fit_circle(SMALL, (left, right), CircleGuess(np.array(centre_mm), UP, radius_mm)) is None
 
 
 def test_circles_of_one_face_share_their_normal() -> None:
@@ -224,7 +224,7 @@ def test_circles_of_one_face_share_their_normal() -> None:
         Curve("hole", "circle", np.array([x, y, 2.05]), 1),
     ]
     fit = fit_plane(SMALL, (left, right), face, curves)
-    alone = fit_circle(SMALL, (left, right), in_rig, -TILTED[:3, 2], 2.05, 1)
+    alone = fit_circle(SMALL, (left, right), CircleGuess(in_rig, -TILTED[:3, 2], 2.05, 1))
     assert fit is not None
     assert alone is not None
     first, second = circles_in_rig(fit)
@@ -269,7 +269,7 @@ def test_a_shift_across_the_rows_is_measured_and_tilts_nothing(
     down = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.3]])
     lower = np.asarray(cv2.warpAffine(right, down, right.shape[::-1], flags=cv2.INTER_CUBIC), np.uint8)
     start, normal = TILTED[:3, 3] + START_OFF, -TILTED[:3, 2]
-    fits = [fit_circle(SMALL, (left, one), start, normal, 12.1, -1) for one in (right, lower)]
+    fits = [fit_circle(SMALL, (left, one), CircleGuess(start, normal, 12.1, -1)) for one in (right, lower)]
     before, after = (fit for fit in fits if fit is not None)
     assert before.row_shift_px == pytest.approx(0.0, abs=0.02)
     assert after.row_shift_px - before.row_shift_px == pytest.approx(0.3, abs=0.03)
