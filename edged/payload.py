@@ -77,6 +77,8 @@ def target_to_json(
         "reject": reject_names(target.reject),
         "reject_bits": int(target.reject),
     }
+    if target.pocket:
+        document["pocket"] = target.pocket
     if target.offset is not None:
         document["offset"] = _offset(target.offset)
     if target.robot_shift is not None:
@@ -142,6 +144,9 @@ def snapshot_to_json(snapshot: Snapshot) -> Json:
         asked["exposed_count"] = snapshot.exposed_count
     if snapshot.golden is not GoldenState.NONE:
         asked["golden"] = {"state": snapshot.golden.name, "exposed_ns": snapshot.golden_ns or None}
+    if snapshot.pockets:
+        taken = sorted({target.pocket for target in snapshot.targets if target.pocket})
+        asked["tray"] = {"pockets": snapshot.pockets, "taken": taken}
     if snapshot.marks.state is not MarksState.NONE:
         asked["marks"] = marks_to_json(snapshot.marks)
     return {

@@ -130,6 +130,7 @@ class CycleRun:
             targets=outcome.targets,
             dismissed=outcome.dismissed,
             nearest=outcome.nearest,
+            pockets=outcome.pockets,
             marks_before=before,
         )
 

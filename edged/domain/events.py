@@ -133,7 +133,7 @@ class Snapshot:
     published_ns : UTC ns when the result was complete.
     timing_ms : stage name to duration.
     error, error_code : the fault of a CAPTURE_FAULT; empty and 0 otherwise.
-    dismissed, nearest : see `Outcome`.
+    dismissed, nearest, pockets : see `Outcome`.
     basis : number of the `Basis` it was measured on.
     robot_from_rig (4, 4), or None where the rig is not registered to a robot; registration_covariance (6, 6)
     of it, or None where it is not known.  drift : of the calibration, this cycle included.
@@ -168,6 +168,7 @@ class Snapshot:
     golden_ns: int = 0
     marks: MarksReport = field(default_factory=MarksReport)
     marks_before: MarksTrack | None = None
+    pockets: int = 0
 
     def __post_init__(self) -> None:
         for part in (self.targets, self.robot_from_rig, self.registration_covariance, self.marks_before):

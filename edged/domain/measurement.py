@@ -195,6 +195,7 @@ class Target:
     reported : what is published in place of the reference point's pose; None: that one.
     offset : how it lies against the golden part; None where the job has none.
     robot_shift : by the map of the robot's error; None where there is none.
+    pocket : of the tray in which it lies, from 1; 0: in none.
     doubt_mm : part of the distance's sigma, in every covariance, from evidence against the rig: rows that
     do not meet, sizes that are all wrong by one factor.
     by_edges, by_doubt, by_marks (6, 6) : parts of the covariance from the edges, from the doubt, and from the
@@ -220,6 +221,7 @@ class Target:
     by_marks: FloatArray | None = None
     grasp: GraspPose | None = None
     other_grasps: tuple[GraspPose, ...] = ()
+    pocket: int = 0
     rig_from_model: FloatArray | None = None
     reported: ReportedPose | None = None
     offset: Offset | None = None
@@ -310,10 +312,12 @@ class Nearest:
 class Outcome:
     """Result of the pipeline for one pair, without time or identity.
 
-    nearest : where nothing was found at all, a lazy query for the nearest miss.
+    nearest : where nothing was found at all, a lazy query for the nearest miss. pockets : of the job's tray;
+    0: it has none.
     """
 
     status: Status
     targets: tuple[Target, ...] = ()
     dismissed: tuple[NotMeasured, ...] = ()
     nearest: Nearest | None = None
+    pockets: int = 0

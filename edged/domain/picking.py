@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import enum
+import math
 from dataclasses import dataclass
 
 from edged.domain.arrays import FloatArray
@@ -22,6 +23,8 @@ class Order(enum.StrEnum):
     """Leftmost in the left picture first."""
     LEAST_SIGMA = "least_sigma"
     """Smallest sigma of the position first."""
+    POCKET = "pocket"
+    """Lowest pocket of the tray first."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,17 +79,40 @@ class Grasp:
 
 
 @dataclass(frozen=True, slots=True)
+class Tray:
+    """A tray or pallet: places in equal steps along up to three directions.
+
+    first_mm : a part's reported point in the first pocket, frame of the published coordinates. ends_mm : the
+    same in the last one along each of three directions. counts : pockets along each; they are numbered from
+    1, the first direction running fastest. tolerance_mm : how far a part may lie from the middle of its
+    pocket.
+    """
+
+    first_mm: tuple[float, float, float]
+    ends_mm: tuple[tuple[float, float, float], ...]
+    counts: tuple[int, ...]
+    tolerance_mm: float
+
+    @property
+    def pockets(self) -> int:
+        """How many there are."""
+        return math.prod(self.counts)
+
+
+@dataclass(frozen=True, slots=True)
 class Picking:
     """Picking rules of a job.
 
     bounds : all must allow a part. grasps : the first allowed one is given. skipped_mm (x, y, z) : where a
-    part lay that could not be picked, in the frame of the published coordinates; None: nowhere.
+    part lay that could not be picked, in the frame of the published coordinates; None: nowhere. tray : a good
+    part lies in one of its pockets; None: anywhere.
     """
 
     order: Order = Order.SCORE
     bounds: tuple[Bounds, ...] = ()
     grasps: tuple[Grasp, ...] = ()
     skipped_mm: tuple[float, float, float] | None = None
+    tray: Tray | None = None
 
     @property
     def gripper(self) -> Gripper | None:

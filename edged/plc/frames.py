@@ -53,12 +53,11 @@ ANSWER_ROWS = (
 """Names and types (as `struct` writes them), in their order."""
 REQUEST = struct.Struct(">" + "".join(kind for _, kind in REQUEST_ROWS))
 ANSWER = struct.Struct(">" + "".join(kind for _, kind in ANSWER_ROWS))
-QUERIES = {
-    name: number
-    for number, name in enumerate(
-        ("GRASP", "APPROACH", "ACK", "EXPOSE", "RESULT", "AUTO_LOCK", "OFFSET", "OFFSET_PART", "SKIP"), 100
-    )
-}
+_ONLY_HERE = (
+    *("GRASP", "APPROACH", "ACK", "EXPOSE", "RESULT", "AUTO_LOCK", "OFFSET", "OFFSET_PART", "SKIP"),
+    "TRAY",
+)
+QUERIES = {name: number for number, name in enumerate(_ONLY_HERE, 100)}
 COMMANDS = {**{kind.name: int(kind) for kind in CommandKind}, **QUERIES}
 """Values of COMMAND: commands of the registers, and what only lines and frames have."""
 BRANDS = {brand: number for number, brand in enumerate(Brand, 1)}

@@ -20,6 +20,7 @@ from edged.domain.robotmap import RobotShift
 from edged.robot.errormap import ErrorMap, error_map
 from edged.robot.grasping import allowed_grasps
 from edged.robot.gripper import Solid, any_meet, body_of, flange_from_tip, solid_of, swept
+from edged.robot.tray import pocket_of
 from edged.vision.geometry.camera import StereoRig
 from edged.vision.geometry.rigid import invert
 
@@ -81,6 +82,7 @@ def picked(outcome: Outcome, picking: Picking, frame: RobotFrame) -> Outcome:
     Each part has its reported pose: only publishing may follow. Equal parts keep their order, by score.
     """
     key = _KEYS[picking.order]
+    pockets = 0 if picking.tray is None else picking.tray.pockets
     reported = [
         _mapped(allowed(target, picking, frame, outcome.targets).as_reported, frame)
         for target in outcome.targets
@@ -93,7 +95,8 @@ def picked(outcome: Outcome, picking: Picking, frame: RobotFrame) -> Outcome:
 
     targets = sorted(reported, key=place)
     is_bad = outcome.status is Status.OK and bool(targets) and targets[0].reject != Reject.NONE
-    return replace(outcome, status=Status.LOW_QUALITY if is_bad else outcome.status, targets=tuple(targets))
+    status = Status.LOW_QUALITY if is_bad else outcome.status
+    return replace(outcome, status=status, targets=tuple(targets), pockets=pockets)
 
 
 def _mapped(target: Target, frame: RobotFrame) -> Target:
@@ -136,6 +139,11 @@ def allowed(target: Target, picking: Picking, frame: RobotFrame, found: Iterable
     reject = target.reject | _refusal(place_mm, picking.bounds, frame)
     if not frame.is_mapped(place_mm):
         reject |= Reject.OUT_OF_MAP
+    pocket = 0
+    if picking.tray is not None:
+        is_placed = frame.is_known and bool(np.isfinite(place_mm).all())
+        pocket = pocket_of(picking.tray, _in_frame(place_mm, frame)) if is_placed else 0
+        reject |= Reject.NONE if pocket else Reject.OUT_OF_LIMITS
     ways: tuple[GraspPose, ...] = ()
     if picking.grasps and not reject:
         gripper = picking.gripper
@@ -151,9 +159,9 @@ def allowed(target: Target, picking: Picking, frame: RobotFrame, found: Iterable
 
         ways = allowed_grasps(target, picking.grasps, is_free, frame.rig_from_tip(gripper))
         reject = Reject.NONE if ways else Reject.NO_GRASP
-    if reject == target.reject and not ways and target.grasp is None:
+    if reject == target.reject and not (pocket or ways) and target.grasp is None:
         return target
-    return _taken(replace(target, reject=reject), ways)
+    return _taken(replace(target, reject=reject, pocket=pocket), ways)
 
 
 def _is_free(grasp: GraspPose, bounds: Sequence[Bounds], frame: RobotFrame) -> bool:
@@ -240,6 +248,10 @@ def _left_px(target: Target, _robot: FloatArray | None) -> float:
     return target.match.x_px
 
 
+def _pocket(target: Target, _robot: FloatArray | None) -> float:
+    return float(target.pocket)
+
+
 def _variance_mm2(target: Target, _robot: FloatArray | None) -> float:
     return float(np.trace(target.covariance[:3, :3]))
 
@@ -250,5 +262,6 @@ _KEYS: dict[Order, Callable[[Target, FloatArray | None], float]] = {
     Order.TOPMOST: _depth_mm,
     Order.LEFTMOST: _left_px,
     Order.LEAST_SIGMA: _variance_mm2,
+    Order.POCKET: _pocket,
 }
 """Sort keys: the smallest comes first."""

@@ -183,7 +183,7 @@ def test_damaged_outlines_are_named(tmp_path: Path, name: str, value: object, ex
         job_of(files | {"shape.npz": shape}, tmp_path)
 
 
-@pytest.mark.parametrize("order", Order)
+@pytest.mark.parametrize("order", [order for order in Order if order is not Order.POCKET])
 def test_which_part_comes_first_comes_back(folder: Path, tmp_path: Path, order: Order) -> None:
     """Each order is kept; a job without one, as older files are, goes by the score."""
     edit(folder, r'^order = "score"', f'order = "{order}"')
@@ -272,6 +272,64 @@ def test_a_mistake_in_a_grasp_is_named(folder: Path, pattern: str, replacement: 
     edit(folder, r"^\[\[circle\]\]", GRASP + "\n[[circle]]")
     edit(folder, pattern, replacement)
     with pytest.raises(FileFormatError, match=rf"job\.toml: .*{expected}"):
+        load_job(folder)
+
+
+TRAY = """
+[picking.tray]
+first_mm = [400, 50, 700]
+columns = 4
+row_end_mm = [520, 50, 700]
+rows = 2
+column_end_mm = [400, 80, 700]
+tolerance_mm = 12
+"""
+
+
+def test_a_tray_comes_back(folder: Path, tmp_path: Path) -> None:
+    """As people wrote it; a direction with one pocket is left out."""
+    edit(folder, r'^order = "score".*$', 'order = "pocket"' + TRAY)
+    edit(folder, r"^max_matches = .*$", "max_matches = 8")
+    job = load_job(folder)
+    tray = job.picking.tray
+    assert tray is not None
+    assert (Order.POCKET, (4, 2, 1), 8, 12.0) == (
+        job.picking.order,
+        tray.counts,
+        tray.pockets,
+        tray.tolerance_mm,
+    )
+    assert ((520.0, 50.0, 700.0), (400.0, 80.0, 700.0), tray.first_mm) == tray.ends_mm
+    save_job(tmp_path / "again", job)
+    assert job.picking.tray == load_job(tmp_path / "again").picking.tray
+
+
+@pytest.mark.parametrize(
+    ("pattern", "replacement", "expected"),
+    [
+        (r"^columns = 4", "", "row_end_mm is where columns end"),
+        (r"^row_end_mm = .*$", "", "row_end_mm is where columns end"),
+        (r"^columns = 4", "columns = 60", "at most 64 pockets, this one has 120"),
+        (r"^columns = 4", "columns = 6", "max_matches is 8, and a layer of the tray has 12 pockets"),
+        (r"^tolerance_mm = 12", "tolerance_mm = 16", "pockets are 30 mm apart"),
+        (r"^column_end_mm = .*$", "column_end_mm = [400, 50, 700]", "pockets are 0 mm apart"),
+        (r"^first_mm = .*$", "first_mm = [400, 50]", r"picking\.tray\.first_mm"),
+        (r"^rows = 2", "rows = 2\nlines = 3", r"picking\.tray\.lines: unknown key"),
+    ],
+)
+def test_a_mistake_in_a_tray_is_named(folder: Path, pattern: str, replacement: str, expected: str) -> None:
+    """By the file and what was expected."""
+    edit(folder, r'^order = "score".*$', 'order = "pocket"' + TRAY)
+    edit(folder, r"^max_matches = .*$", "max_matches = 8")
+    edit(folder, pattern, replacement)
+    with pytest.raises(FileFormatError, match=rf"job\.toml: .*{expected}"):
+        load_job(folder)
+
+
+def test_pockets_are_an_order_of_a_tray_alone(folder: Path) -> None:
+    """Without one there is nothing to order by."""
+    edit(folder, r'^order = "score"', 'order = "pocket"')
+    with pytest.raises(FileFormatError, match=r"needs \[picking\.tray\]"):
         load_job(folder)
 
 

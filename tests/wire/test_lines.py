@@ -25,7 +25,7 @@ from edged.adapters.modbus import LineSettings, ModbusSettings, lineserver
 from edged.adapters.modbus.lines import parse
 from edged.domain.frames import FramePair
 from edged.domain.measurement import Outcome, Reject, Status
-from edged.domain.picking import Bounds, Box, Picking
+from edged.domain.picking import Bounds, Box, Order, Picking, Tray
 from edged.plc import registers as reg
 from edged.plc.frames import FrameRequest
 from edged.plc.lines import LineStatus, answer_fields
@@ -171,6 +171,32 @@ def test_another_way_to_take_the_same_part_is_given_on_request() -> None:
         assert (10, 0) == robot.ask("10,ACK")[:2]
         assert (11, LineStatus.NO_GRASP) == robot.ask("11,NEXT_GRASP")[:2], "the robot has it already"
         assert 1 == cell.head.captures
+
+
+def test_a_tray_says_which_pockets_have_parts_and_which_is_the_first_without() -> None:
+    """Over lines and registers alike, also of a tray without parts; it falls with the acknowledgement."""
+    tray = Tray((0.0, 20.0, 200.0), ((300.0, 20.0, 200.0), *((0.0, 20.0, 200.0),) * 2), (4, 1, 1), 10.0)
+    with LiveCell(KUKA).pick(Picking(Order.POCKET, tray=tray)) as cell, connected(cell) as robot:
+        ready(cell)
+        assert (1, LineStatus.NO_TRAY) == robot.ask("1,TRAY")[:2]
+        cell.targets = tuple(
+            make_target(x_mm=x_mm) for x_mm in (205.0, 0.0, 50.0)
+        )  # the last one between two
+        assert 0.0 == pytest.approx(robot.ask("2,LOCATE,0")[3][0])
+        assert [1, 2, 2, 4, 0, 0] == robot.ask("2,TRAY")[3][:6]
+        assert [0, 1] == [robot.ask(f"2,TRAY,{pocket}")[3][4] for pocket in (2, 3)]
+        assert (2, LineStatus.NO_TRAY) == robot.ask("2,TRAY,5")[:2]
+        assert 205.0 == pytest.approx(robot.ask("3,NEXT")[3][0])
+        assert [3, 2, 2, 4] == robot.ask("3,TRAY")[3][:4]
+        values = cell.call(lambda: {register.name: value for register, value in cell.server.values()})
+        names = ("P_POCKETS", "POCKET", "P_TAKEN", "P_FIRST_EMPTY", "P_PARTS_1", "P_PARTS_2")
+        assert (4, 3, 2, 2, 0b101, 0) == tuple(values[name] for name in names)
+        assert values["P_SEQ_HEAD"] == values["P_SEQ_TAIL"] == values["SEQ_HEAD"]
+        robot.ask("3,ACK")
+        assert (3, LineStatus.NO_TRAY) == robot.ask("3,TRAY")[:2], "a robot has been in it since"
+        cell.targets = ()
+        assert (4, 100 + reg.ResultCode.NO_TARGET) == robot.ask("4,LOCATE,0")[:2]
+        assert (0, [0, 0, 1, 4]) == (robot.ask("4,TRAY")[1], robot.ask("4,TRAY")[3][:4])
 
 
 def test_every_target_is_given_one_after_the_other() -> None:

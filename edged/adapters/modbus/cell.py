@@ -71,7 +71,7 @@ UR_STATUS = tuple(
     and register.name != "UR_JOB"  # of the result, not of the command
 )
 """Words of the block ur that repeat the status: name in the status, byte of the map."""
-RESULT_BLOCKS = (reg.RESULT, reg.UR, reg.UR_GRASP, reg.FLOAT, reg.GRASP, reg.OFFSET, reg.UR_OFFSET)
+RESULT_BLOCKS = (reg.RESULT, reg.UR, reg.UR_GRASP, reg.FLOAT, reg.GRASP, reg.OFFSET, reg.UR_OFFSET, reg.TRAY)
 """Blocks that show the result on display."""
 EPOCHS = tuple(f"{block}START_EPOCH" for block in reg.PREFIXES)
 TABLE_START = 2 * reg.TABLE[0].address

@@ -10,6 +10,7 @@ write and reads of `CellRegisters`, as of any other client.
     7,EXPOSE,0 and 8,RESULT                              LOCATE in two: answered when the picture is taken
     7,SKIP,0                                             LOCATE, and the part that was shown last comes last
     8,NEXT_GRASP                                         another way to take the part that was given last
+    9,TRAY,7                                             which pockets have parts, and whether the seventh has
     kuka,7,LOCATE,0                                      with the robot's brand
     7,0,2,412.300000,...,0.153000                        the answer, see `edged.plc.lines.LineAnswer`
 
@@ -195,6 +196,8 @@ class Robot:
             return self._tool(request)
         if request.command in OFFSETS:
             return self._offset(request)
+        if request.command == "TRAY":
+            return self._tray(request)
         if request.command in NEXT:
             return await self._next(request)
         if CommandKind.__members__.get(request.command) in REGISTERING:
@@ -347,6 +350,20 @@ class Robot:
         # these angles have a digit more: at a metre from the base 0.0001° is 2 µm
         numbers += [float(offset[f"{place}_{axis}"]) / 10 for axis in "ABC"]
         return self._answer(request, {**result, **offset}, numbers, f"{place}_SIGMA")
+
+    def _tray(self, request: LineRequest) -> LineAnswer:
+        """Answer with what was found in the tray, in place of a pose; a tray without parts, too."""
+        result, tray = self._read(reg.RESULT), self._read(reg.TRAY)
+        pockets, is_mine = int(tray["P_POCKETS"]), tray["P_SEQ_HEAD"] == self._sequence != 0
+        if not is_mine or not pockets or request.job > pockets:
+            raise _Refused(LineStatus.NO_TRAY)
+        if int(result["FLAGS"]) & reg.Flag.SIMULATED and not self._line.allow_simulated:
+            raise _Refused(LineStatus.SIMULATED)
+        word, bit = divmod(max(request.job, 1) - 1, 16)
+        is_taken = int(tray[f"P_PARTS_{word + 1}"]) >> bit & 1 if request.job else 0
+        numbers = (tray["POCKET"], tray["P_TAKEN"], tray["P_FIRST_EMPTY"], pockets, is_taken)
+        pose = [*map(float, numbers), *(0.0,) * (len(POSE_NAMES[request.brand]) - len(numbers))]
+        return LineAnswer(request.sequence, LineStatus.OK, int(result["REMAINING"]), tuple(pose))
 
     def _usable(self, otherwise: LineStatus) -> dict[str, reg.Number]:
         """The result on display, if a robot may move by it."""

@@ -10,8 +10,9 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from edged.config.cell import Zones
 from edged.domain.arrays import FloatArray
-from edged.domain.picking import Bounds, Grasp, Order, Picking
+from edged.domain.picking import Bounds, Grasp, Order, Picking, Tray
 from edged.robot.orientations import matrix_fixed_xyz
+from edged.robot.tray import step_mm
 from edged.vision.geometry.rigid import transform
 from edged.vision.part.job import (
     MAX_TILT_DEG,
@@ -33,6 +34,8 @@ from edged.vision.shape.model import ShapeModel
 from edged.vision.shape.params import Polarity, SearchParams, SubPixel
 
 MIN_LENGTH_MM = 1e-3
+MAX_POCKETS = 64
+"""Of a tray: as many as parts can be found."""
 MAX_FEATURES = 256
 """Features of each kind; neither people nor teaching come near it."""
 
@@ -263,29 +266,76 @@ class _Measurement(_Section):
         return MeasurementSpec(self.name, self.kind, tuple(self.of), nominal, tolerance)
 
 
+Millimetres = Annotated[float, Field(ge=-10_000, le=10_000)]
+Place = Annotated[list[Millimetres], Field(min_length=3, max_length=3)]
+
+
+class _Tray(_Section):
+    """Pockets of a tray or pallet, in equal steps, numbered along the row, then the rows, then the layers.
+
+    Places are those of the reported point of a part that lies there, in the frame of the coordinates.
+    """
+
+    first_mm: Place = Field(description="in the first pocket")
+    columns: int = Field(1, ge=1, le=MAX_POCKETS, description="pockets in a row")
+    row_end_mm: Place | None = Field(None, description="in the last pocket of the first row")
+    rows: int = Field(1, ge=1, le=MAX_POCKETS, description="rows in a layer")
+    column_end_mm: Place | None = Field(None, description="in the first pocket of the last row")
+    layers: int = Field(1, ge=1, le=MAX_POCKETS, description="layers, as of a pallet")
+    layer_end_mm: Place | None = Field(None, description="in the first pocket of the last layer")
+    tolerance_mm: float = Field(10.0, gt=0, le=1000, description="how far a part may lie from the middle")
+
+    @model_validator(mode="after")
+    def _ordered(self) -> _Tray:
+        for count, end in (("columns", "row_end_mm"), ("rows", "column_end_mm"), ("layers", "layer_end_mm")):
+            if (getattr(self, count) > 1) != (getattr(self, end) is not None):
+                raise ValueError(f"{end} is where {count} end: give it with more than one, and only then")
+        tray = self.tray()
+        if tray.pockets > MAX_POCKETS:
+            raise ValueError(f"a tray has at most {MAX_POCKETS} pockets, this one has {tray.pockets}")
+        if 2 * self.tolerance_mm > (apart_mm := step_mm(tray)):
+            raise ValueError(
+                f"tolerance_mm: pockets are {apart_mm:g} mm apart, a part could lie in two; at most "
+                f"{apart_mm / 2:g}"
+            )
+        return self
+
+    def tray(self) -> Tray:
+        first, *ends = (
+            (place[0], place[1], place[2])
+            for end in (self.first_mm, self.row_end_mm, self.column_end_mm, self.layer_end_mm)
+            for place in [self.first_mm if end is None else end]
+        )
+        return Tray(first, tuple(ends), (self.columns, self.rows, self.layers), self.tolerance_mm)
+
+
 class _Picking(_Section):
     """Several parts in one picture: which a robot gets first."""
 
-    order: Literal["score", "nearest", "topmost", "leftmost", "least_sigma"] = Field(
+    order: Literal["score", "nearest", "topmost", "leftmost", "least_sigma", "pocket"] = Field(
         "score",
         description='"score": agrees best with the taught shape; "nearest": to the left camera; "topmost": '
-        'highest in the robot\'s frame; "leftmost": in the left picture; "least_sigma": position known best',
+        'highest in the robot\'s frame; "leftmost": in the left picture; "least_sigma": position known best; '
+        '"pocket": in the lowest pocket of the tray',
     )
+    tray: _Tray | None = Field(None, description="pockets in which the parts lie; left out: anywhere")
+
+    @model_validator(mode="after")
+    def _known(self) -> _Picking:
+        if self.order == "pocket" and self.tray is None:
+            raise ValueError('order "pocket" needs [picking.tray]')
+        return self
 
     def values(self, bounds: tuple[Bounds, ...], grasps: tuple[Grasp, ...]) -> Picking:
-        return Picking(Order(self.order), bounds, grasps)
-
-
-Millimetres = Annotated[float, Field(ge=-10_000, le=10_000)]
+        tray = None if self.tray is None else self.tray.tray()
+        return Picking(Order(self.order), bounds, grasps, tray=tray)
 
 
 class _Grasp(_Section):
     """A grasp of the part. Its z axis is the direction in which it comes."""
 
     name: Name = Field(description="for people")
-    position_mm: Annotated[list[Millimetres], Field(min_length=3, max_length=3)] = Field(
-        description="the tool's tip, part frame"
-    )
+    position_mm: Place = Field(description="the tool's tip, part frame")
     rotation_deg: Annotated[
         list[Annotated[float, Field(ge=-360, le=360)]], Field(min_length=3, max_length=3)
     ] = Field(
@@ -316,9 +366,7 @@ class _Point(_Section):
     """A point of the CAD model's frame, whose pose may be published: its axes are the model's."""
 
     name: Name = Field(description="what `report` may name")
-    position_mm: Annotated[list[Millimetres], Field(min_length=3, max_length=3)] = Field(
-        description="in the frame of the CAD model"
-    )
+    position_mm: Place = Field(description="in the frame of the CAD model")
 
     def value(self) -> ModelPoint:
         return ModelPoint(self.name, np.array(self.position_mm))
@@ -396,6 +444,12 @@ class JobFile(_Section):
             *((slot.name, "slot") for slot in self.slot),
             *((corner.name, "corner") for corner in self.corner),
         ]
+        tray = self.picking.tray
+        if tray is not None and tray.columns * tray.rows > self.search.max_matches:
+            raise ValueError(
+                f"search.max_matches is {self.search.max_matches}, and a layer of the tray has "
+                f"{tray.columns * tray.rows} pockets: a full one would look empty"
+            )
         names = [name for name, _ in kinds]
         if len(set(names)) != len(names):
             raise ValueError(f"two features have one name: {names}")

@@ -7,7 +7,7 @@ import math
 
 import numpy as np
 
-from edged.domain.picking import Bounds, Grasp
+from edged.domain.picking import Bounds, Grasp, Tray
 from edged.robot.orientations import fixed_xyz
 from edged.vision.part.job import Job, MeasurementKind, MeasurementSpec, nominal_size
 
@@ -83,7 +83,8 @@ def to_toml(job: Job) -> str:
         + "   # how far the part may lie tilted, from the bisector of the cameras",
         "",
         "[picking]   # several parts in one picture: which the robot gets first",
-        f'order = "{job.picking.order}"   # score, nearest, topmost, leftmost or least_sigma',
+        f'order = "{job.picking.order}"   # score, nearest, topmost, leftmost, least_sigma or pocket',
+        *_tray_to_toml(job.picking.tray),
     ]
     lines += _points_to_toml(job)
     lines += [*_grasps_to_toml(job.picking.grasps), *_features_to_toml(job), *_measurements_to_toml(job)]
@@ -166,6 +167,16 @@ def grasp_to_toml(grasp: Grasp) -> list[str]:
         f"retreat_mm = {grasp.retreat_mm!r}",
         f"symmetry = {grasp.symmetry}   # ways to take it alike, turned about the part's z; 0: any",
     ]
+
+
+def _tray_to_toml(tray: Tray | None) -> list[str]:
+    if tray is None:
+        return []
+    lines = ["", "[picking.tray]", f"first_mm = {_numbers(tray.first_mm)}   # of a part in the first pocket"]
+    names = (("columns", "row_end_mm"), ("rows", "column_end_mm"), ("layers", "layer_end_mm"))
+    for (name, place), count, end_mm in zip(names, tray.counts, tray.ends_mm, strict=True):
+        lines += [f"{name} = {count}", f"{place} = {_numbers(end_mm)}"] if count > 1 else []
+    return [*lines, f"tolerance_mm = {tray.tolerance_mm!r}   # from the middle of a pocket"]
 
 
 def _grasps_to_toml(grasps: tuple[Grasp, ...]) -> list[str]:

@@ -29,6 +29,7 @@ from edged.plc.registers.layout import (
     STATUS,
     TABLE,
     TABLE_END,
+    TRAY,
     UR,
     UR_GRASP,
     UR_OFFSET,

@@ -384,6 +384,25 @@ ROBOT_MAP = make_block(
     """,
 )
 
+TRAY = make_block(
+    "tray",
+    1410,
+    """
+    P_SEQ_HEAD        u16 - as SEQ_HEAD
+    P_POCKETS         u16 - pockets of the job's tray; 0: it has none, or the result is withdrawn
+    POCKET            u16 - pocket of the part that is shown, from 1; 0 when not VALID
+    P_TAKEN           u16 - pockets in which a part was found, good or bad
+    P_FIRST_EMPTY     u16 - the first pocket in which none was found; 0: a part was found in each
+    P_PARTS_1         u16 bits pockets 1 to 16, bit 0 the first: a part was found there
+    P_PARTS_2         u16 bits pockets 17 to 32
+    P_PARTS_3         u16 bits pockets 33 to 48
+    P_PARTS_4         u16 bits pockets 49 to 64
+    P_START_EPOCH     u32 - as START_EPOCH
+    P_CRC16           u16 - CRC-16/MODBUS of the words of this block before, each high byte first
+    P_SEQ_TAIL        u16 - as SEQ_TAIL
+    """,
+)
+
 JOBS = tuple(_job(index) for index in range(JOB_ROWS))
 TABLE = tuple(_row(index) for index in range(TABLE_ROWS))
 
@@ -391,6 +410,7 @@ BLOCKS = (
     *(CONSTANTS, COMMAND, STATUS),
     *(RESULT, UR, UR_GRASP, FLOAT, BITS, GRASP, REGISTRATION),
     *(*TABLE, TABLE_END, COUNTERS, *JOBS, OFFSET, UR_OFFSET, REFERENCE_MARKS, ACCEPTANCE, ROBOT_MAP),
+    TRAY,
 )
 ROWS = (TABLE, JOBS)
 """Blocks that repeat, row by row."""

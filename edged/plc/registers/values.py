@@ -93,6 +93,7 @@ class Pose:
     tool: Tool | None = None
     other_tools: tuple[Tool, ...] = ()
     shift: Shift | None = None
+    pocket: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,7 +102,8 @@ class RegisterResult:
 
     good : the first part was found and is within all limits.
     poses : of each target; None where a pose cannot be expressed (not finite, out of range).
-    index : the target that is shown. golden, golden_s : O_STATE and O_GOLDEN.
+    index : the target that is shown. golden, golden_s : O_STATE and O_GOLDEN. pockets : of the tray; taken :
+    those of them in which a part was found.
     """
 
     code: ResultCode
@@ -116,6 +118,8 @@ class RegisterResult:
     index: int = 0
     golden: int = 0
     golden_s: int = 0
+    pockets: int = 0
+    taken: frozenset[int] = frozenset()
 
     def further(self) -> tuple[RegisterResult, ...]:
         """Copies that show each further good target, in order."""
@@ -166,12 +170,14 @@ def measured(snapshot: Snapshot, convention: Convention) -> RegisterResult:
         calibration=zlib.crc32(snapshot.calibration_id.encode()),
         golden=int(snapshot.golden),
         golden_s=_clamp(snapshot.golden_ns // 10**9, UINT32_MAX),
+        pockets=snapshot.pockets,
+        taken=frozenset(target.pocket for target in snapshot.targets if target.pocket),
     )
 
 
 def exchanged(shown: RegisterResult) -> RegisterResult:
     """The result after its basis was exchanged: RELOADED, without numbers."""
-    return replace(shown, code=ResultCode.RELOADED, good=False, poses=(), index=0)
+    return replace(shown, code=ResultCode.RELOADED, good=False, poses=(), index=0, pockets=0)
 
 
 def _code(snapshot: Snapshot, poses: tuple[Pose | None, ...]) -> ResultCode:
@@ -228,6 +234,7 @@ def _pose(target: Target, snapshot: Snapshot, convention: Convention) -> Pose | 
             if (tool := _tool(target, grasp, snapshot, convention)) is not None
         ),
         shift=_shift(target.offset, convention),
+        pocket=target.pocket,
     )
 
 
@@ -311,7 +318,7 @@ def _score(score: float) -> int:
     return round(min(max(score, 0.0), 1.0) * 1e4) if math.isfinite(score) else 0
 
 
-PREFIXES = ("", "UR_", "F_", "G_", "UG_", "TABLE_", "O_", "UO_")
+PREFIXES = ("", "UR_", "F_", "G_", "UG_", "TABLE_", "O_", "UO_", "P_")
 """Prefixes of the register names in each block that shows a result."""
 
 
@@ -354,17 +361,27 @@ def result_values(
         **{f"{block}STATE": shown.golden for block in ("O_", "UO_")},
         "O_GOLDEN": shown.golden_s,
     }
+    if as_published and shown.pockets:
+        values |= _tray_values(shown)
     if pose is not None:
         values["REJECT"] = pose.reject
         values["SCORE"] = _score(pose.score)
         values["EPIPOLAR_ERROR"] = _saturated(pose.epipolar_rms_px, 1e-3)
         if valid:
-            values |= _coordinates(pose)
+            values |= {**_coordinates(pose), "POCKET": pose.pocket}
         if valid and pose.tool is not None:
             values |= {"G_FLAGS": flags, "UG_FLAGS": flags, **_grasp_values(pose.tool)}
         if valid and pose.shift is not None:
             values |= {"O_FLAGS": flags, "UO_FLAGS": flags, **_offset_values(pose.shift)}
     return values
+
+
+def _tray_values(shown: RegisterResult) -> dict[str, Number]:
+    empty = (number for number in range(1, shown.pockets + 1) if number not in shown.taken)
+    values: dict[str, Number] = {"P_POCKETS": shown.pockets, "P_TAKEN": len(shown.taken)}
+    values["P_FIRST_EMPTY"] = next(empty, 0)
+    bits = sum(1 << (number - 1) for number in shown.taken)
+    return values | {f"P_PARTS_{word + 1}": bits >> (16 * word) & UINT16_MAX for word in range(4)}
 
 
 def _offset_values(shift: Shift) -> dict[str, Number]:

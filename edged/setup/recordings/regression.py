@@ -129,6 +129,7 @@ def _json_of(
             targets=outcome.targets,
             dismissed=outcome.dismissed,
             nearest=outcome.nearest,
+            pockets=outcome.pockets,
             robot_from_rig=frame.robot_from_rig,
             registration_covariance=registration,
         )
