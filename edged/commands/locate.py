@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import sys
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
@@ -29,12 +29,12 @@ from edged.files.rig import load_rig
 from edged.payload import outcome_to_json
 from edged.pictures.captions import reasons, why_nothing
 from edged.pictures.cloud import cloud_picture
-from edged.pictures.overlay import draw_pair
 from edged.pipeline import cloud as point_cloud
 from edged.pipeline import inspect, judge, prepare
 from edged.robot.orientations import Convention
-from edged.robot.picking import allowed, frame_of, picked
+from edged.robot.picking import frame_of, picked
 from edged.robot.reading import frame_name, reading_of
+from edged.setup.recordings.regression import pictured, within_reach
 from edged.vision.geometry.camera import StereoRig
 
 
@@ -74,27 +74,18 @@ def locate(
     watch = Stopwatch()
     inspection, frame = inspect(pair, taught, prepared, watch), frame_of(prepared.rig)
     timing_ms = {stage: round(taken_ms, 3) for stage, taken_ms in watch.stages_ms().items()}
-    found = [part.target for part in inspection.measured]
-    parts = [
-        replace(part, target=allowed(part.target, taught.picking, frame, found))
-        for part in inspection.measured
-    ]
-    inspection = replace(inspection, measured=tuple(parts))
+    inspection = within_reach(inspection, taught, frame)
     outcome = picked(judge(inspection), taught.picking, frame)
-    nearest = None if inspection.nearest is None else inspection.nearest.ask()
-    images = pair.images
-    swapped = outcome.status is not Status.OK and found_exchanged(*images, taught, prepared)
+    swapped = outcome.status is not Status.OK and found_exchanged(*pair.images, taught, prepared)
     if overlay is not None:
-        seen = inspection.measured, inspection.dismissed
-        picture = draw_pair(*images, prepared.rig, taught, *seen, outcome.status, nearest=nearest)
-        _write_picture(overlay, picture)
+        _write_picture(overlay, pictured(pair.images, inspection, prepared, taught, outcome.status))
     if ply is not None or cloud is not None:
         points = point_cloud(pair, taught, prepared, inspection)
         if ply is not None:
             save_ply(ply, points)
         if cloud is not None:
             best = outcome.targets[0].match if outcome.targets else None
-            poses = [part.target.rig_from_part for part in parts if part.target.match is best]
+            poses = [part.target.rig_from_part for part in inspection.measured if part.target.match is best]
             _write_picture(cloud, cloud_picture(points, poses[0] if poses else None))
     if as_json:
         print(

@@ -6,11 +6,11 @@ import base64
 from collections.abc import Sequence
 from itertools import pairwise
 
-import cv2
 import numpy as np
 from markupsafe import Markup
 
 from edged.domain.arrays import SIDES, FloatArray, Image, Side
+from edged.pictures.encoding import jpeg
 from edged.report.charts import INK, WARN, Chart, bars, field_map, symmetric_limit
 from edged.vision.boards.board import NotDetected, StereoView
 from edged.vision.calibration.calibrate import Calibration
@@ -76,7 +76,6 @@ def thumbnail(view: StereoView, side: Side, small: Image, size: tuple[int, int])
 
     small (h, w) uint8.  size (W, H) : of the image that the marks were measured in.
     """
-    _, jpeg = cv2.imencode(".jpg", small, [cv2.IMWRITE_JPEG_QUALITY, _THUMBNAIL_QUALITY])
     found = view.left if side == "left" else view.right
     path, ring = "", Markup()
     if not isinstance(found, NotDetected):
@@ -92,7 +91,7 @@ def thumbnail(view: StereoView, side: Side, small: Image, size: tuple[int, int])
         '<path d="{}" fill="none" stroke="{}" stroke-width="{:.0f}" stroke-linecap="round"/>{}</svg>'
     )
     label = f"{view.name}, {side}: the marks that were found"
-    encoded = base64.b64encode(jpeg.tobytes()).decode()
+    encoded = base64.b64encode(jpeg(small, _THUMBNAIL_QUALITY)).decode()
     return picture.format(*size, label, encoded, *size, path, _FOUND, size[0] / 50, ring)
 
 

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from edged.cell.drift import refused
-from edged.domain.arrays import FloatArray
+from edged.domain.arrays import FloatArray, Image
 from edged.domain.cell import CalibrationHealth
 from edged.domain.events import Snapshot
 from edged.domain.measurement import Outcome, Status
@@ -72,15 +72,27 @@ def drawn(taken: Recording, inspection: PairInspection, rig: PreparedRig, job: J
     """The pair with what was measured, as `edged locate --overlay` draws it."""
     if taken.pair is None:
         raise ValueError("a recording without images")
-    frame = _frame(rig, _robot_from_flange(taken))[0]
-    found = [part.target for part in inspection.measured]
-    measured = [
-        replace(part, target=allowed(part.target, job.picking, frame, found)) for part in inspection.measured
-    ]
+    seen = within_reach(inspection, job, _frame(rig, _robot_from_flange(taken))[0])
     status = Status[decided(taken, inspection, rig, job)["status"]]
+    return pictured(taken.pair.images, seen, rig, job, status)
+
+
+def within_reach(inspection: PairInspection, job: Job, frame: RobotFrame) -> PairInspection:
+    """An inspection whose parts are refused where the robot may not pick them."""
+    found = [part.target for part in inspection.measured]
+    parts = (
+        replace(part, target=allowed(part.target, job.picking, frame, found)) for part in inspection.measured
+    )
+    return replace(inspection, measured=tuple(parts))
+
+
+def pictured(
+    images: tuple[Image, Image], inspection: PairInspection, rig: PreparedRig, job: Job, status: Status
+) -> Canvas:
+    """A pair with what was measured in it."""
     nearest = None if inspection.nearest is None else inspection.nearest.ask()
-    images = taken.pair.left.image, taken.pair.right.image
-    return draw_pair(*images, rig.rig, job, measured, inspection.dismissed, status, nearest=nearest)
+    seen = inspection.measured, inspection.dismissed
+    return draw_pair(*images, rig.rig, job, *seen, status, nearest=nearest)
 
 
 def _then(taken: Recording, rig: PreparedRig) -> tuple[PreparedRig, bool]:
