@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable, Hashable
 from dataclasses import dataclass
 
-from edged.cell.lease.notices import Notices
+from edged.cell.lease.notices import Listeners, Notices
 from edged.cell.tasks import cancel_and_await
 from edged.domain.frames import FramePair
 from edged.errors import CaptureError, LinkError, SetupRefused
@@ -22,7 +22,6 @@ REST_S = 1.0
 """After a fault of the cameras."""
 UNSEEN_S = 10.0
 """A page that shows no picture for so long is taken off: a sleeping tablet must not keep the cell taken."""
-Listener = Callable[[int, FramePair], None]
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,8 +32,11 @@ class _Want:
     until_s: float
 
 
-class LivePictures:
-    """Used on the event loop only. notices : "live" at the begin, the end, and when the cameras fail."""
+class LivePictures(Listeners[int, FramePair]):
+    """Their numbers and pairs; no exposure waits for a listener, which drops pairs while it is busy.
+
+    notices : "live" at the begin, the end, and when the cameras fail.
+    """
 
     def __init__(
         self,
@@ -42,11 +44,11 @@ class LivePictures:
         notices: Notices,
         clock_s: Callable[[], float] = time.monotonic,
     ) -> None:
+        super().__init__()
         self._commissioner = commissioner
         self._notices = notices
         self._clock_s = clock_s
         self._wants: dict[Hashable, _Want] = {}
-        self._listeners: dict[object, Listener] = {}
         self._task: asyncio.Task[None] | None = None
         self._number = 0
         self._fault = ""
@@ -55,20 +57,6 @@ class LivePictures:
     def is_on(self) -> bool:
         """Whether pictures are being taken."""
         return self._task is not None
-
-    def listen(self, listener: Listener) -> Callable[[], None]:
-        """Add a listener for each pair and its number. Returns a function that removes it.
-
-        Called on the event loop: it must return at once, and drop pairs while it is busy; no exposure waits
-        for a listener.
-        """
-        key = object()
-        self._listeners[key] = listener
-
-        def stop() -> None:
-            self._listeners.pop(key, None)
-
-        return stop
 
     async def want(self, who: Hashable, token: str) -> None:
         """Take pictures for the holder of this token. Raises `SetupRefused`."""
@@ -118,8 +106,7 @@ class LivePictures:
                     continue
                 self._fault = ""
                 self._number += 1
-                for listener in tuple(self._listeners.values()):
-                    listener(self._number, pair)
+                self.tell(self._number, pair)
                 await asyncio.sleep(max(0.0, PERIOD_S - (self._clock_s() - begun_s)))
         finally:
             self._task = None

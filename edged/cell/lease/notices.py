@@ -3,27 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import Any, Generic, ParamSpec
 
-Listener = Callable[[str, Mapping[str, Any]], None]
+Told = ParamSpec("Told")
 
 
-class Notices:
-    """Used on the event loop only; a listener gets what is published after it was added."""
+class Listeners(Generic[Told]):
+    """Used on the event loop only; a listener gets what is told after it was added."""
 
     def __init__(self) -> None:
-        self._listeners: dict[object, Listener] = {}
+        self._listeners: dict[object, Callable[Told, None]] = {}
 
-    def publish(self, kind: str, document: Mapping[str, Any]) -> None:
-        """Pass a new state to every listener.
-
-        kind : "draft", "task", … document : JSON. A slow page may get only the newest document of a
-        kind and `id`.
-        """
-        for listener in tuple(self._listeners.values()):
-            listener(kind, document)
-
-    def listen(self, listener: Listener) -> Callable[[], None]:
+    def listen(self, listener: Callable[Told, None]) -> Callable[[], None]:
         """Add a listener, which must neither block nor raise. Returns a function that removes it."""
         key = object()
         self._listeners[key] = listener
@@ -32,3 +23,20 @@ class Notices:
             self._listeners.pop(key, None)
 
         return stop
+
+    def tell(self, *what: Told.args, **named: Told.kwargs) -> None:
+        """Pass it to every listener."""
+        for listener in tuple(self._listeners.values()):
+            listener(*what, **named)
+
+
+class Notices(Listeners[str, Mapping[str, Any]]):
+    """Their kinds and documents."""
+
+    def publish(self, kind: str, document: Mapping[str, Any]) -> None:
+        """Pass a new state to every listener.
+
+        kind : "draft", "task", … document : JSON. A slow page may get only the newest document of a
+        kind and `id`.
+        """
+        self.tell(kind, document)
