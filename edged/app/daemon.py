@@ -96,11 +96,7 @@ class Daemon:
         head = head_for(loaded, world)
         self._registrar = CellRegistrar(self)
         self._cycle = Cycle(
-            head,
-            loaded.setup,
-            notebook=SetupNote(setup_note(path)),
-            registrar=self._registrar,
-            keeper=self,
+            head, loaded.setup, notebook=SetupNote(setup_note(path)), registrar=self._registrar, keeper=self
         )
         staged = world is not None and world.stage is not None
         self._running = Running(path.resolve(), loaded, self._cycle, head, self._read_again, staged)

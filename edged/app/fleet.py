@@ -52,10 +52,7 @@ def is_name_pattern(text: str) -> bool:
 
 @contextmanager
 def news_of_cells(
-    connect: Sequence[str],
-    cell: str | None,
-    tls: ClientTls | None = None,
-    shared_key: bytes | None = None,
+    connect: Sequence[str], cell: str | None, tls: ClientTls | None = None, shared_key: bytes | None = None
 ) -> Iterator[Fleet]:
     """What cells say while this is open; cell : only the one with this name; shared_key : only what it signs.
 

@@ -196,10 +196,7 @@ class Running:
             states = ", ".join(f"{state.value} {state.name}" for state in AcceptanceState)
             result |= {
                 "acceptance_state": (f"acceptance test: {states}", accepted.state(time.time_ns())),
-                "acceptance_due_seconds": (
-                    "UTC since 1970, when it is due again",
-                    accepted.due_ns / 1e9,
-                ),
+                "acceptance_due_seconds": ("UTC since 1970, when it is due again", accepted.due_ns / 1e9),
             }
         if (mapped := self.cycle.robot_map).degree:
             result |= {
@@ -222,10 +219,7 @@ class Running:
             result |= {
                 "recordings": ("recordings on disk", kept.kept),
                 "recordings_bytes": ("size of all recordings", kept.kept_bytes),
-                "recordings_left_out": (
-                    "cycles skipped since the start: the disk was slower",
-                    kept.left_out,
-                ),
+                "recordings_left_out": ("cycles skipped since the start: the disk was slower", kept.left_out),
                 "recordings_failed": ("recordings that could not be written since the start", kept.failed),
             }
         return result

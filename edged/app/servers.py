@@ -46,10 +46,7 @@ RETRY_S = 5.0
 
 def import_servers(config: Config) -> None:
     """Import what a configuration's servers need; a part of it, as reading certificates, is not Python."""
-    wanted = {
-        "zenoh": config.zenoh.enabled,
-        "opcua": config.opcua is not None,
-    }
+    wanted = {"zenoh": config.zenoh.enabled, "opcua": config.opcua is not None}
     if config.plc is not None:
         wanted[f"plcmemory.{config.plc.family}"] = True
     for name in (name for name, asked in wanted.items() if asked):
@@ -91,10 +88,7 @@ class Servers:
     """
 
     def __init__(
-        self,
-        running: Running,
-        changed: Callable[[], None],
-        page: Callable[[str, WebSection], Publisher],
+        self, running: Running, changed: Callable[[], None], page: Callable[[str, WebSection], Publisher]
     ) -> None:
         self._running = running
         self._started = running.servers

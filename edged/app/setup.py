@@ -47,11 +47,7 @@ class SetupServices:
     """
 
     def __init__(
-        self,
-        running: RemoteCell,
-        notices: Notices,
-        live: LivePictures,
-        addresses: tuple[str, str] | None,
+        self, running: RemoteCell, notices: Notices, live: LivePictures, addresses: tuple[str, str] | None
     ) -> None:
         self._running = running
         services = acceptance, calibrations, cycles, marking, registrations, regressions, teachings, trials

@@ -138,8 +138,7 @@ def registers(
         ),
     ] = None,
     output: Annotated[
-        Path | None,
-        typer.Option("--output", "-o", help="folder for formats of several files"),
+        Path | None, typer.Option("--output", "-o", help="folder for formats of several files")
     ] = None,
     config: Annotated[
         Path | None,

@@ -15,8 +15,7 @@ app = typer.Typer()
 
 @app.command()
 def check(
-    config: Annotated[Path, typer.Argument(help="configuration file")],
-    as_json: JsonOption = False,
+    config: Annotated[Path, typer.Argument(help="configuration file")], as_json: JsonOption = False
 ) -> None:
     """Validate configuration, rig and jobs; report every mistake in one go."""
     from edged.commands.check import check as command

@@ -123,7 +123,4 @@ def _print_witness(verdict: AuditVerdict, witness: JournalVerdict, console: Cons
     if witness.let_go:
         say(f"the journal still has records up to {witness.let_go} that the files have let go", console)
     if witness.lost:
-        say(
-            f"the journal has {witness.lost} actions that the files could not take",
-            console,
-        )
+        say(f"the journal has {witness.lost} actions that the files could not take", console)

@@ -81,11 +81,7 @@ def demo(options: DemoOptions) -> int:
             )
         daemons: list[Daemon] = []
         view = demo_view(
-            world.cell,
-            loaded.cell.config,
-            console,
-            cycles=options.cycles,
-            finished=lambda: daemons[0].stop(),
+            world.cell, loaded.cell.config, console, cycles=options.cycles, finished=lambda: daemons[0].stop()
         )
 
         def build() -> Daemon:

@@ -16,14 +16,7 @@ from typing import TextIO
 from rich.console import Console, RenderableType
 from rich.live import Live
 
-from edged.app.fleet import (
-    ClientTls,
-    Fleet,
-    News,
-    is_cell_name,
-    is_name_pattern,
-    news_of_cells,
-)
+from edged.app.fleet import ClientTls, Fleet, News, is_cell_name, is_name_pattern, news_of_cells
 from edged.commands.fleetview import STATES, CellView, fleet_view, line_of
 from edged.config.zenoh import check_endpoint
 from edged.errors import UserError, printable

@@ -26,12 +26,7 @@ def look_at_cameras(
     rig : tells how large the images are.  daemon : of this cell, which has the cameras where it runs.
     """
     if missing := aravis_missing():
-        yield bad(
-            "Aravis",
-            missing,
-            "no camera can be reached",
-            "apt install gir1.2-aravis-0.8 python3-gi",
-        )
+        yield bad("Aravis", missing, "no camera can be reached", "apt install gir1.2-aravis-0.8 python3-gi")
         return
     discovered = list_cameras()
     yield from twins(discovered)

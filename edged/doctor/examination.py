@@ -53,12 +53,7 @@ def examine(path: Path, *, trigger: bool = True, process: int | None = None) -> 
         jobs = f"{len(cell.jobs)} job(s), calibration {rig.calibration_id}"
         yield ok("configuration", jobs)
         for doubt in doubts(cell):
-            yield warn(
-                "calibration",
-                doubt,
-                "lengths may be wrong",
-                "edged calibrate; then edged verify",
-            )
+            yield warn("calibration", doubt, "lengths may be wrong", "edged calibrate; then edged verify")
     for secret in exposed_secrets(path, config):
         yield warn(
             "secrets",

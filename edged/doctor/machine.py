@@ -84,12 +84,7 @@ def _cache() -> Check:
             f"sudo install -d -o $USER {folder}",
         )
     if not any(folder.rglob("*.nbi")):
-        return warn(
-            "kernel cache",
-            f"{folder} is empty",
-            "the first start compiles for 20 s",
-            "edged warm",
-        )
+        return warn("kernel cache", f"{folder} is empty", "the first start compiles for 20 s", "edged warm")
     return ok("kernel cache", str(folder))
 
 
@@ -147,12 +142,7 @@ def _disk(folder: Path, min_free_mib: int) -> Check:
 def _serial(device: Path) -> Check:
     name = "serial port"
     if not device.exists():
-        return bad(
-            name,
-            f"{device} is not there",
-            "no Modbus RTU",
-            "ls /dev/tty*; is it plugged in?",
-        )
+        return bad(name, f"{device} is not there", "no Modbus RTU", "ls /dev/tty*; is it plugged in?")
     if not os.access(device, os.R_OK | os.W_OK):
         remedy = "sudo usermod -aG dialout $USER, then log in again"
         return bad(name, f"no right to use {device}", "no Modbus RTU", remedy)

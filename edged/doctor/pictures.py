@@ -104,12 +104,7 @@ async def _shoot(config: Config, rig: StereoRig | None, world: VirtualWorld | No
     ]
     if faults:
         return [
-            bad(
-                "test pictures",
-                f"{text}; {faults[0]}",
-                "CAPTURE_FAULT in such cycles",
-                _remedy(faults[0]),
-            ),
+            bad("test pictures", f"{text}; {faults[0]}", "CAPTURE_FAULT in such cycles", _remedy(faults[0])),
             *lacking,
             *marks,
             *_responses(rig, gammas),

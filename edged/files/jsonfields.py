@@ -27,12 +27,7 @@ class JsonFields:
 
     @staticmethod
     def of(
-        data: bytes,
-        path: Path,
-        what: str,
-        form: str,
-        version: int,
-        parse: Callable[[bytes], Any] = json_of,
+        data: bytes, path: Path, what: str, form: str, version: int, parse: Callable[[bytes], Any] = json_of
     ) -> JsonFields:
         """The fields of a whole document of ours. what, form : what it is, for people and in its "format".
 

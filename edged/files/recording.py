@@ -57,15 +57,7 @@ NAME = re.compile(
 )
 DOCUMENT = "recording.json"
 PICTURES: dict[Side, str] = {side: f"{side}.png" for side in SIDES}
-_DAMAGE = (
-    zipfile.BadZipFile,
-    zlib.error,
-    KeyError,
-    ValueError,
-    EOFError,
-    NotImplementedError,
-    RuntimeError,
-)
+_DAMAGE = (zipfile.BadZipFile, zlib.error, KeyError, ValueError, EOFError, NotImplementedError, RuntimeError)
 """Errors of reading a ZIP and its JSON."""
 PNG_QUICK = (cv2.IMWRITE_PNG_COMPRESSION, 1)
 """Lossless at any level; higher ones take three times as long for a tenth less."""

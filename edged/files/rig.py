@@ -14,13 +14,7 @@ import numpy as np
 from edged.domain.arrays import I64
 from edged.domain.robotmap import RobotMap
 from edged.errors import CalibrationError, FileFormatError
-from edged.files.atomic import (
-    MAX_DOCUMENT_BYTES,
-    generations,
-    next_generation,
-    read_bytes,
-    write_file,
-)
+from edged.files.atomic import MAX_DOCUMENT_BYTES, generations, next_generation, read_bytes, write_file
 from edged.files.imagesizes import MAX_PIXELS
 from edged.files.jsonfields import JsonFields
 from edged.robot.errormap import DEGREES, LEAST_POINTS, MOST_POINTS, error_map

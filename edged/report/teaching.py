@@ -73,10 +73,7 @@ def teaching_report(
         reference=job.reference,
         features=_features(job),
         about=HtmlTable(
-            [
-                *(about or {}).items(),
-                ("made", f"{datetime.now(UTC):%Y-%m-%d %H:%M} UTC, edged {__version__}"),
-            ]
+            [*(about or {}).items(), ("made", f"{datetime.now(UTC):%Y-%m-%d %H:%M} UTC, edged {__version__}")]
         ),
     )
 

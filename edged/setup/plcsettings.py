@@ -125,10 +125,7 @@ class PlcSettingsRoutes:
         return await self._changed(forget, call, call.body.revision)
 
     async def _changed(
-        self,
-        change: Callable[[ChosenConnections], ChosenConnections],
-        call: Call[Any],
-        revision: int | None,
+        self, change: Callable[[ChosenConnections], ChosenConnections], call: Call[Any], revision: int | None
     ) -> PlcSettings:
         await self._draft.change(change, call.visitor.name, revision)
         return await asyncio.to_thread(self._now)

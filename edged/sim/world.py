@@ -30,12 +30,7 @@ class VirtualWorld:
     """
 
     def __init__(
-        self,
-        *,
-        gige: bool,
-        rig: StereoRig | None = None,
-        seed: int = 0,
-        staged: bool = False,
+        self, *, gige: bool, rig: StereoRig | None = None, seed: int = 0, staged: bool = False
     ) -> None:
         board = stage_board() if staged else None
         self.cell = VirtualCell(rig or demo_rig(), demo_part(), seed=seed, board=board)

@@ -115,10 +115,7 @@ class Lab:
     def duplicate_address(self) -> Iterator[None]:
         """Another device on the wire has the left camera's address."""
         intruder = Wired("true")
-        sh(
-            f"ip link add spy link eth0 netns {intruder.id} type macvlan mode bridge",
-            inside=self.cameras.id,
-        )
+        sh(f"ip link add spy link eth0 netns {intruder.id} type macvlan mode bridge", inside=self.cameras.id)
         sh(f"ip addr add {LEFT}/24 dev spy", "ip link set spy up", inside=intruder.id)
         yield
         intruder.end()

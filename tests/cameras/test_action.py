@@ -90,11 +90,7 @@ def test_nobody_there_is_a_fault() -> None:
 
 @pytest.mark.parametrize(
     "status, reason",
-    [
-        (0x8016, "too late: its lead is too short"),
-        (0x8013, "no PTP time"),
-        (0x8006, "status 0x8006"),
-    ],
+    [(0x8016, "too late: its lead is too short"), (0x8013, "no PTP time"), (0x8006, "status 0x8006")],
 )
 def test_a_refusal_is_told_with_its_reason(status: int, reason: str) -> None:
     """A schedule in the past, a device that is not ours."""

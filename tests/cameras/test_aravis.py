@@ -40,13 +40,7 @@ from edged.adapters.aravis.features import Features
 from edged.adapters.aravis.library import DEVICE_ERRORS, library, translate, translated
 from edged.adapters.aravis.stream import BLOCK_IDS, Decoder, FrameCounter, pump
 from edged.cell.stereohead import HeadSettings, StereoHead
-from edged.errors import (
-    CameraBusy,
-    CameraSetupError,
-    CameraUnreachable,
-    CaptureError,
-    FrameTimeout,
-)
+from edged.errors import CameraBusy, CameraSetupError, CameraUnreachable, CaptureError, FrameTimeout
 
 pytestmark = needs_aravis()
 

@@ -216,9 +216,7 @@ def test_long_exposures_are_cut_without_a_word(quirky: Client) -> None:
 
 
 @pytest.mark.parametrize("quirky", [Quirk.EXPOSURE_TIME_ABS, Quirk.FEW_NODES], indirect=True)
-def test_the_description_has_the_nodes_of_that_firmware(
-    quirky: Client,
-) -> None:
+def test_the_description_has_the_nodes_of_that_firmware(quirky: Client) -> None:
     """An old name instead of the standard's; or next to no nodes, and no registers behind them."""
     text = b""
     _, body = quirky.ask(0x84, struct.pack(">IHH", g.FIRST_URL, 0, 512))

@@ -154,10 +154,7 @@ CASES: dict[str, Bad] = {
         CHECK,
         "edged: cell.toml: 1 problem\nzenoh.shared_key: ~/zenoh.key: 6 bytes: expected a shared key of 32 at "
         "least, as of openssl rand -hex 32",
-        {
-            "cell.toml": ("[zenoh]", '[zenoh]\nshared_key = "zenoh.key"'),
-            "zenoh.key": b"secret\n",
-        },
+        {"cell.toml": ("[zenoh]", '[zenoh]\nshared_key = "zenoh.key"'), "zenoh.key": b"secret\n"},
     ),
     "page without password": cell(
         "[modbus]",
@@ -280,8 +277,7 @@ CASES: dict[str, Bad] = {
     ),
     # --- boards ---
     "board: no kind": board(
-        "11x8:4.0",
-        "board '11x8:4.0': '11x8' is not a kind of board; expected one of\n" + KINDS,
+        "11x8:4.0", "board '11x8:4.0': '11x8' is not a kind of board; expected one of\n" + KINDS
     ),
     "board: unknown kind": board(
         "checker:11x8:4.0",
@@ -641,12 +637,7 @@ def plain(said: str, place: Path, busy: int) -> str:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", CASES)
-def test_a_mistake_is_named(
-    name: str,
-    place: Path,
-    busy: int,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_a_mistake_is_named(name: str, place: Path, busy: int, capsys: pytest.CaptureFixture[str]) -> None:
     """Its place, what was found and what was expected; the exit status that is documented; no traceback."""
     case = CASES[name]
     for file, change in case.files.items():

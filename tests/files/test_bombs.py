@@ -160,24 +160,14 @@ BOMBS: list[tuple[str, str, Callable[[], bytes], str]] = [
     ("picture", "pgm", lambda: b"P5\n# a camera's\n40000 40000\n255\n", "40000x40000 pixels"),
     ("recording", "pictures", lambda: recording_of(png(20_000, 20_000, zeros(20_001 * 20_000))), "pixels"),
     ("recorded picture", "pictures", lambda: recording_of(png(30_000, 30_000, b"")), "30000x30000 pixels"),
-    (
-        "recording",
-        "bzip2",
-        lambda: lying("recording.json", 500 * MIB, zipfile.ZIP_BZIP2),
-        "or deflated",
-    ),
+    ("recording", "bzip2", lambda: lying("recording.json", 500 * MIB, zipfile.ZIP_BZIP2), "or deflated"),
     (
         "snapshot",
         "deflated",
         lambda: lying("recording.json", 500 * MIB, zipfile.ZIP_DEFLATED),
         "recording.json",
     ),
-    (
-        "recording",
-        "objects",
-        lambda: zipped({"recording.json": OBJECTS}),
-        ".json: .* at most 4194304",
-    ),
+    ("recording", "objects", lambda: zipped({"recording.json": OBJECTS}), ".json: .* at most 4194304"),
     ("snapshot", "directory", crowded, "directory: expected at most 65536 bytes"),
     ("shape", "bzip2", lambda: lying("a.npy", 500 * MIB, zipfile.ZIP_BZIP2), "a.npy: expected it stored"),
     ("rig", "objects", lambda: b'{"format":"edged-rig","x":' + OBJECTS + b"}", "too many for a rig"),
@@ -226,8 +216,7 @@ def name_of(reader: str, what: str) -> str:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("name", "expected"),
-    [pytest.param(name_of(*one[:2]), one[3], id=name_of(*one[:2])) for one in BOMBS],
+    ("name", "expected"), [pytest.param(name_of(*one[:2]), one[3], id=name_of(*one[:2])) for one in BOMBS]
 )
 def test_a_bomb_is_refused_before_it_unpacks(name: str, expected: str, outcomes: dict[str, str]) -> None:
     """In 300 MiB and 20 s: a sentence that names the file, and what was expected."""

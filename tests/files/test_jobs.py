@@ -157,11 +157,7 @@ def test_outlines_that_are_no_features_come_back(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("name", "value", "expected"),
     [
-        (
-            "points_mm",
-            np.zeros((5, 2), np.float32),
-            "traced_points_mm: float32 (5, 2), expected float32",
-        ),
+        ("points_mm", np.zeros((5, 2), np.float32), "traced_points_mm: float32 (5, 2), expected float32"),
         ("points_mm", np.zeros((5, 3)), "traced_points_mm: float64"),
         ("points_mm", np.full((5, 3), np.nan, np.float32), "traced_points_mm: expected up to 20000 within"),
         ("points_mm", np.zeros((5, 3), np.float32), "traced_points_mm: expected no point twice"),

@@ -190,10 +190,7 @@ def test_a_gauge_study_gives_the_published_figures() -> None:
     assert (
         gauge_study(AIAG.transpose(2, 0, 1), 2.0).good,
         gauge_study(AIAG.transpose(2, 0, 1), 30.0).good,
-    ) == (
-        False,
-        True,
-    )
+    ) == (False, True)
 
 
 def test_an_interaction_counts_as_the_gauges() -> None:

@@ -156,10 +156,7 @@ def test_without_a_word_the_job_with_the_lowest_number_is_the_first(folder: Path
         lambda folder: (folder / "jobs" / "flange" / "shape.npz").write_bytes(b"no zip"),
         lambda folder: (folder / "jobs" / "flange").rename(folder / "jobs" / "lid"),
         lambda folder: (shutil.rmtree(folder / "jobs"), (folder / "jobs").write_text("a file")),
-        lambda folder: (
-            (folder / "rig.json").unlink(),
-            (folder / "jobs" / "flange" / "shape.npz").unlink(),
-        ),
+        lambda folder: ((folder / "rig.json").unlink(), (folder / "jobs" / "flange" / "shape.npz").unlink()),
         lambda folder: (
             (folder / "rig.json").unlink(),
             (folder / "cell.toml").write_text(

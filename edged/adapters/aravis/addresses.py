@@ -200,11 +200,7 @@ def _force(camera: HeardCamera, address: str) -> None:
     mac = int(camera.mac.replace(":", ""), 16)
     mask = camera.host.network.netmask
     body = struct.pack(
-        ">2xHI12x4s12x4s12x4x",
-        mac >> 32,
-        mac & 0xFFFF_FFFF,
-        socket.inet_aton(address),
-        mask.packed,
+        ">2xHI12x4s12x4s12x4x", mac >> 32, mac & 0xFFFF_FFFF, socket.inet_aton(address), mask.packed
     )
     with _broadcasting(camera.port) as udp:
         _broadcast(udp, camera.host, FORCE_IP, body)

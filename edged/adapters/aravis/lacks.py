@@ -10,14 +10,7 @@ from dataclasses import dataclass
 
 from edged.adapters.aravis.exposure import gain_scale
 from edged.adapters.aravis.features import Features
-from edged.adapters.aravis.names import (
-    EXPOSURE_ACTIVE,
-    FRAME_RATE,
-    PTP,
-    PTP_MODE,
-    RAW_GAIN,
-    TEMPERATURE,
-)
+from edged.adapters.aravis.names import EXPOSURE_ACTIVE, FRAME_RATE, PTP, PTP_MODE, RAW_GAIN, TEMPERATURE
 
 TRIGGER_SOURCE, CHUNK_SELECTOR = "TriggerSource", "ChunkSelector"
 OUTPUT_SOURCES = ("LineSource", "SyncOutSource")

@@ -124,11 +124,7 @@ def _bits(name: str) -> tuple[int, bool]:
 
 
 def _placement(
-    name: str,
-    device: Any,
-    features: Features,
-    stated: Collection[str],
-    calibrated: tuple[int, int] | None,
+    name: str, device: Any, features: Features, stated: Collection[str], calibrated: tuple[int, int] | None
 ) -> Placement | None:
     """Refuse unintended geometry, or geometry that the calibration does not cover.
 

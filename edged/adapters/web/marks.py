@@ -44,10 +44,7 @@ def outlines(target: Target, rectification: Rectification, side: Side) -> Json:
 
 
 def budget(
-    target: Target,
-    robot_from_rig: FloatArray | None,
-    registration: FloatArray | None,
-    limit_mm: float | None,
+    target: Target, robot_from_rig: FloatArray | None, registration: FloatArray | None, limit_mm: float | None
 ) -> Json | None:
     """Sigmas by their causes: of X, Y, Z in mm, and of the rotation about these axes in degrees.
 

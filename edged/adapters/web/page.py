@@ -264,10 +264,7 @@ class StatusPage:
         rectification = self._sources.rectification()
         width, height = rectification.size
         marks = [
-            {
-                "good": not target.reject,
-                **{side: outlines(target, rectification, side) for side in SIDES},
-            }
+            {"good": not target.reject, **{side: outlines(target, rectification, side) for side in SIDES}}
             for target in shown.snapshot.targets
         ]
         return {"cycle": shown.snapshot.cycle, "width": width, "height": height, "marks": marks}
@@ -319,11 +316,7 @@ def _display_maps(
 
 def _trend(snapshot: Snapshot) -> Json:
     """One point of the trends; a result that is not good has no sigma."""
-    point: Json = {
-        "cycle": snapshot.cycle,
-        "time_ns": snapshot.published_ns,
-        "status": str(snapshot.status),
-    }
+    point: Json = {"cycle": snapshot.cycle, "time_ns": snapshot.published_ns, "status": str(snapshot.status)}
     if snapshot.status is not Status.CAPTURE_FAULT:
         point["total_ms"] = snapshot.timing_ms.get("total")
     if snapshot.status is Status.OK:

@@ -107,11 +107,7 @@ class SetupRoutes:
         """The gate has done it."""
 
     @route(
-        "DELETE",
-        "/setup",
-        "Give the cell back, or end SETUP for its holder",
-        role=Role.OPERATOR,
-        audit=True,
+        "DELETE", "/setup", "Give the cell back, or end SETUP for its holder", role=Role.OPERATOR, audit=True
     )
     async def _leave(self, call: Call[Leaving]) -> None:
         if call.body.token is not None:

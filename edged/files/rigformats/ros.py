@@ -21,15 +21,7 @@ from edged.domain.arrays import FloatArray
 from edged.errors import FileFormatError
 from edged.files.atomic import write_file
 from edged.files.outputs import make_folder
-from edged.files.rigformats.files import (
-    Fields,
-    Imported,
-    Options,
-    files_in,
-    holds,
-    load_yaml,
-    make_rig,
-)
+from edged.files.rigformats.files import Fields, Imported, Options, files_in, holds, load_yaml, make_rig
 from edged.files.rigformats.files import relation as checked_relation
 from edged.files.rigformats.lens import as_brown
 from edged.vision.geometry.camera import CameraModel, StereoRig

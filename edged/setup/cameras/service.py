@@ -54,11 +54,7 @@ class CameraService:
     """
 
     def __init__(
-        self,
-        cell: CellInUse,
-        live: LivePictures,
-        addresses: tuple[str, str] | None,
-        activation: Activation,
+        self, cell: CellInUse, live: LivePictures, addresses: tuple[str, str] | None, activation: Activation
     ) -> None:
         self._cell = cell
         self._activation = activation

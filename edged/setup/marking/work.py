@@ -18,11 +18,7 @@ from edged.vision.marks.tracking import MarksSettings
 
 
 def look_at_marks(
-    rig: RigInUse,
-    content: bytes,
-    stated: tuple[str, float],
-    images: tuple[Image, Image],
-    exposed_ns: int,
+    rig: RigInUse, content: bytes, stated: tuple[str, float], images: tuple[Image, Image], exposed_ns: int
 ) -> Json:
     """What a pair says of the marks in `content`. stated : material and range, K."""
     taught = marks_of(content, Path(MARKS_NAME), rig_of(rig.content, rig.path))

@@ -179,13 +179,7 @@ def taught_part(rig: StereoRig, job: Job) -> PartSight:
         seen = outline_in(rig, apply(job.rig_from_part, outline))
         features.append(_feature(name, kind, size, size, None, None, seen))
     reference = rig.left.project(apply(job.rig_from_part, job.place_of(job.reference)[None]))[0]
-    return PartSight(
-        good=True,
-        measured=True,
-        score=1.0,
-        at=_pixel(reference),
-        features=features,
-    )
+    return PartSight(good=True, measured=True, score=1.0, at=_pixel(reference), features=features)
 
 
 def _measured(target: _Target, rig: StereoRig, job: Job, *, good: bool) -> PartSight:

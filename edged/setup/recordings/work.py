@@ -25,10 +25,7 @@ def what_if(file: Path, change: Change | None, progress: Progress) -> WhatIf:
 
 
 def try_recordings(
-    entries: Sequence[recording.Entry],
-    active: Contents,
-    candidate: Contents,
-    most_s: float,
+    entries: Sequence[recording.Entry], active: Contents, candidate: Contents, most_s: float
 ) -> list[TriedCycle]:
     """The first of some recordings by two setups: as many as the time allows, one at least."""
     end_s = time.monotonic() + most_s

@@ -134,10 +134,7 @@ def changes_of(before: Job, after: Job) -> Iterator[Difference]:
     """What is other in a job."""
     for code in ("number", "reference", "witness", "report"):
         yield from _other(code, None, getattr(before, code), getattr(after, code))
-    for code, old, new in (
-        ("limit", before.limits, after.limits),
-        ("search", before.search, after.search),
-    ):
+    for code, old, new in (("limit", before.limits, after.limits), ("search", before.search, after.search)):
         for name in old.__dataclass_fields__:
             yield from _other(code, name, getattr(old, name), getattr(new, name))
     yield from _other("tilt", None, _degrees(before.tilt_rad), _degrees(after.tilt_rad))

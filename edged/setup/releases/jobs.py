@@ -160,11 +160,7 @@ class Jobs:
         if len(jobs.lines) == 1:
             raise UserError("it is the only job: a cell without any measures nothing", "last_job")
         kept = Retired(
-            name=line.name,
-            number=line.number,
-            features=line.features,
-            by=by.author,
-            at=now_text(),
+            name=line.name, number=line.number, features=line.features, by=by.author, at=now_text()
         )
         # first: what is in use counts as in use, whatever is noted of it
         await asyncio.to_thread(self._note, folder, kept)

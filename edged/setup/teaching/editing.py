@@ -27,11 +27,7 @@ NOTHING_LEFT = (
 
 
 def edited(
-    taught: Job,
-    content: Content,
-    marks: Mapping[str, Mark],
-    pixel_mm: float,
-    moved: FloatArray | None = None,
+    taught: Job, content: Content, marks: Mapping[str, Mark], pixel_mm: float, moved: FloatArray | None = None
 ) -> Job:
     """The job that is wanted. marks : of the taught job's features, by name.  pixel_mm : at its depth.
 
@@ -76,13 +72,7 @@ def without_features(job: Job, names: set[str]) -> Job:
     sizes = tuple(size for size in job.measurements if not gone & set(size.of))
     witness = job.witness if job.witness in {size.name for size in sizes} else None
     return replace(
-        job,
-        circles=circles,
-        slots=slots,
-        edges=edges,
-        corners=corners,
-        measurements=sizes,
-        witness=witness,
+        job, circles=circles, slots=slots, edges=edges, corners=corners, measurements=sizes, witness=witness
     )
 
 
@@ -98,9 +88,7 @@ def _referred_to(job: Job, reference: str, pixel_mm: float) -> Job:
         return job
     usual = usual_limits(job.limits.depth_mm[0], pixel_mm, job.shape, job.circles, reference)
     limits = replace(
-        job.limits,
-        radius_tolerance_mm=usual.radius_tolerance_mm,
-        form_tolerance_mm=usual.form_tolerance_mm,
+        job.limits, radius_tolerance_mm=usual.radius_tolerance_mm, form_tolerance_mm=usual.form_tolerance_mm
     )
     sizes, witness = known_radius(job.circles, reference)
     stated = {size.name: size for size in job.measurements}

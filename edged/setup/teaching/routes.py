@@ -11,13 +11,7 @@ from edged.adapters.web.routes import Body, Call, Name, Problem, RouteTable, Tok
 from edged.errors import EdgedError
 from edged.setup.documents import DraftHead
 from edged.setup.draftroutes import DraftRoutes, Revised
-from edged.setup.releases.routes import (
-    Activating,
-    ReleaseDocument,
-    add_activation,
-    noted,
-    signed_mandate,
-)
+from edged.setup.releases.routes import Activating, ReleaseDocument, add_activation, noted, signed_mandate
 from edged.setup.releases.service import Activation
 from edged.setup.teaching.documents import TeachingDocument, TeachingList
 from edged.setup.teaching.model import (

@@ -37,13 +37,7 @@ from edged.setup.recordings.comparing import (
     try_on,
 )
 from edged.setup.recordings.regression import compare as differences
-from edged.setup.recordings.setups import (
-    Contents,
-    concerned,
-    digest_of,
-    measured_by,
-    successors,
-)
+from edged.setup.recordings.setups import Contents, concerned, digest_of, measured_by, successors
 from edged.setup.releases.jobsfolder import renamed
 from edged.vision.geometry.rigid import apply, rotation_matrix, transform
 

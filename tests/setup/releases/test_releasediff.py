@@ -14,12 +14,7 @@ from edged.files.jobs import load_job, save_job
 from edged.files.rig import load_rig, save_rig
 from edged.setup.cellfiles import read_any_cell, read_cell
 from edged.setup.releases.archive import make
-from edged.setup.releases.differences import (
-    ReleaseDifference,
-    difference,
-    difference_of,
-    moved_between,
-)
+from edged.setup.releases.differences import ReleaseDifference, difference, difference_of, moved_between
 from edged.vision.part.job import CircleFeature, Job, MeasurementSpec
 
 
