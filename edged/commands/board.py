@@ -11,7 +11,7 @@ from rich.markup import escape
 from edged.errors import UserError
 from edged.files.atomic import write_file
 from edged.files.outputs import check_outputs
-from edged.files.pdf import Shapes, Text, one_page
+from edged.files.pdf import PageShapes, Text, one_page
 from edged.vision.boards.artwork import Artwork, artwork
 from edged.vision.boards.board import NominalBoard, parse_board
 from edged.vision.marks.frame import MarkFrame, frame_artwork, parse_frame
@@ -95,14 +95,14 @@ def _needed(drawn: Artwork) -> tuple[float, float]:
 
 def _page(
     drawn: Artwork, size: tuple[float, float], wanted: NominalBoard | MarkFrame
-) -> tuple[list[Shapes], list[Text]]:
+) -> tuple[list[PageShapes], list[Text]]:
     """Board, rulers and text; the board in the middle of what the text leaves."""
     width, height = _ink(drawn)
     left = (size[0] - width) / 2
     top = MARGIN_MM + BESIDE_MM + (size[1] - _needed(drawn)[1]) / 2
     x0, y0 = left - drawn.low[0], top - drawn.low[1]
     shapes = [
-        Shapes(
+        PageShapes(
             0.0 if ink.black else 1.0,
             [(x + x0, y + y0, w, h) for x, y, w, h in ink.rectangles],
             [(x + x0, y + y0, r) for x, y, r in ink.circles],
@@ -113,8 +113,8 @@ def _page(
     across = min(RULER_MM, max(math.floor((size[0] - 2 * MARGIN_MM) / STEP_MM) * STEP_MM, STEP_MM))
     along = min(RULER_MM, max(math.floor(height / STEP_MM) * STEP_MM, STEP_MM))
     below = top + height + 7.0
-    shapes.append(Shapes(0.0, _ruler((size[0] - across) / 2, below, across, upright=False)))
-    shapes.append(Shapes(0.0, _ruler(left - 7.0, top, along, upright=True)))
+    shapes.append(PageShapes(0.0, _ruler((size[0] - across) / 2, below, across, upright=False)))
+    shapes.append(PageShapes(0.0, _ruler(left - 7.0, top, along, upright=True)))
     texts = [
         Text(
             MARGIN_MM,

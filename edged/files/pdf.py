@@ -12,7 +12,7 @@ MAX_TEXT = 200
 
 
 @dataclass(frozen=True, slots=True)
-class Shapes:
+class PageShapes:
     """Filled as one, mm from the page's upper left corner.
 
     grey : 0 black to 1 white.  rectangles : x, y, width, height.  circles : x, y, radius.
@@ -36,7 +36,7 @@ class Text:
 
 
 def one_page(
-    size_mm: tuple[float, float], shapes: Sequence[Shapes], texts: Sequence[Text], title: str
+    size_mm: tuple[float, float], shapes: Sequence[PageShapes], texts: Sequence[Text], title: str
 ) -> bytes:
     """The file. size_mm : width and height of the page."""
     width, height = size_mm

@@ -21,7 +21,7 @@ from edged.domain.arrays import SIDES, Image
 from edged.errors import CalibrationError
 from edged.files.atomic import read_bytes
 from edged.files.pairs import ImagePair
-from edged.setup.calibration.model import DraftState, Operation, PictureState, Solved, ViewState
+from edged.setup.calibration.model import DraftState, Operation, PictureState, SolvedCalibration, ViewState
 from edged.setup.calibration.shown import Seen, seen_in
 from edged.setup.calibration.views import Looked, Views, look_at
 from edged.setup.history import DraftFile, DraftFolders, beginning, solved_file, solved_rig, write_solved
@@ -79,7 +79,9 @@ class Draft(DraftFile[DraftState]):
     def solve(self, solution: Solution) -> None:
         """Keep what the views were solved to."""
         digest = hashlib.sha256(solution.rig).hexdigest()
-        solved = Solved(calibration_id=solution.calibration_id, digest=digest, figures=solution.figures)
+        solved = SolvedCalibration(
+            calibration_id=solution.calibration_id, digest=digest, figures=solution.figures
+        )
         files = {RIG: solution.rig, REPORT: solution.report}
         write_solved(self, self.state.changed(solved=solved), digest, files)
 

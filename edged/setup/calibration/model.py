@@ -38,7 +38,7 @@ class Operation(Kept):
     view: ViewName
 
 
-class Solved(Kept):
+class SolvedCalibration(Kept):
     """A rig from the views in use. digest : SHA-256 of its file; figures : what there is to say about it."""
 
     calibration_id: Text
@@ -57,7 +57,7 @@ class DraftState(History[Operation]):
     goal_um: Annotated[float, Field(gt=0, le=1e6)] | None = None
     lens: LensWish = "auto"
     views: Annotated[dict[ViewName, ViewState], Field(max_length=MOST_VIEWS, default_factory=dict)]
-    solved: Solved | None = None
+    solved: SolvedCalibration | None = None
 
     @model_validator(mode="after")
     def _is_consistent(self) -> DraftState:
