@@ -75,7 +75,7 @@ class LineStatus(enum.IntEnum):
     NO_SUCH_BRAND = 120
     """The request names a brand that this cell does not know."""
     NO_OFFSET = 121
-    """OFFSET or OFFSET_PART, and the part that was given last has none: no GOLDEN, or it no longer holds."""
+    """OFFSET, OFFSET_PART or PLACE, and the part given last has none: no GOLDEN, or it no longer holds."""
     NO_TRAY = 122
     """TRAY, and the job has no tray, this pocket it has not, or what was found is withdrawn."""
 

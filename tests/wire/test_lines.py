@@ -13,9 +13,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.goldenkeeper import golden_cell
 from helpers.linerobot import Robot, connected, ready
 from helpers.livecell import GRASPS, PART_FROM_TCP, LiveCell
-from helpers.snapshots import make_target
+from helpers.snapshots import make_target, make_transform
 from helpers.waiting import wait_until
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -197,6 +198,33 @@ def test_a_tray_says_which_pockets_have_parts_and_which_is_the_first_without() -
         cell.targets = ()
         assert (4, 100 + reg.ResultCode.NO_TARGET) == robot.ask("4,LOCATE,0")[:2]
         assert (0, [0, 0, 1, 4]) == (robot.ask("4,TRAY")[1], robot.ask("4,TRAY")[3][:4])
+
+
+@pytest.mark.parametrize("brand", Brand)
+def test_a_part_that_is_held_askew_is_placed_where_the_golden_one_was(brand: Brand) -> None:
+    """However the tool stands at the look, in every maker's convention, to 5 µm and 0.01°."""
+    look = transform_of(Brand.KUKA, (30.0, -40.0, 150.0, 20.0, 35.0, -70.0))
+    place = transform_of(Brand.KUKA, (700.0, 350.0, -40.0, 95.0, -10.0, 170.0))
+    tool_from_golden = make_transform((0.2, -0.1, 0.4), (4.0, -3.0, 60.0))
+    tool_from_now = tool_from_golden @ make_transform((0.02, 0.03, -0.05), (1.5, -0.8, 0.4))
+    golden_cell(cell := LiveCell(KUKA))
+    with cell, connected(cell) as robot:
+        ready(cell)
+        shown = ",".join(f"{value:.9f}" for value in pose_of(brand, look))
+        cell.targets = (dataclasses.replace(make_target(), rig_from_part=look @ tool_from_golden),)
+        assert (1, 0) == robot.ask(f"{brand},1,GOLDEN,0")[:2]
+        cell.targets = (dataclasses.replace(make_target(), rig_from_part=look @ tool_from_now),)
+        assert (2, 0) == robot.ask(f"{brand},2,LOCATE,0")[:2]
+        assert (2, LineStatus.NOT_UNDERSTOOD) == robot.ask(f"{brand},2,PLACE,0")[:2]
+        sequence, status, _, numbers = robot.ask(f"{brand},2,PLACE,0,{shown}")
+        assert (2, 0) == (sequence, status)
+        correction = transform_of(brand, tuple(numbers[: 7 if brand is Brand.ABB else 6]))
+        wanted, lies = place @ tool_from_golden, place @ correction @ tool_from_now
+        np.testing.assert_allclose(lies[:3, 3], wanted[:3, 3], atol=5e-3)
+        np.testing.assert_allclose(lies[:3, :3], wanted[:3, :3], atol=1.8e-4)
+        assert np.linalg.norm((place @ tool_from_now)[:3, 3] - wanted[:3, 3]) > 1.0
+        robot.ask(f"{brand},2,ACK")
+        assert (3, LineStatus.NOT_VALID) == robot.ask(f"{brand},3,PLACE,0,{shown}")[:2]
 
 
 def test_every_target_is_given_one_after_the_other() -> None:

@@ -10,6 +10,7 @@ write and reads of `CellRegisters`, as of any other client.
     7,EXPOSE,0 and 8,RESULT                              LOCATE in two: answered when the picture is taken
     7,SKIP,0                                             LOCATE, and the part that was shown last comes last
     8,NEXT_GRASP                                         another way to take the part that was given last
+    9,PLACE,0,512.034,-88.120,611.020,12.4,3.0,178.3     how to place a part that was looked at in the gripper
     9,TRAY,7                                             which pockets have parts, and whether the seventh has
     kuka,7,LOCATE,0                                      with the robot's brand
     7,0,2,412.300000,...,0.153000                        the answer, see `edged.plc.lines.LineAnswer`
@@ -22,7 +23,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -38,7 +39,7 @@ from edged.plc.answers import NackReason
 from edged.plc.frames import COMMANDS, MAGIC, read_request
 from edged.plc.lines import POSE_NAMES, UNKNOWN, BadRequest, LineAnswer, LineStatus
 from edged.robot.orientations import ANGLES_DEG, Brand, pose_of, rotation_of, transform_of
-from edged.vision.geometry.rigid import transform
+from edged.vision.geometry.rigid import invert, transform
 
 TIMEOUT_S = 10.0
 """Time-out of a command; then the cell answers NACK, TIMEOUT."""
@@ -196,6 +197,8 @@ class Robot:
             return self._tool(request)
         if request.command in OFFSETS:
             return self._offset(request)
+        if request.command == "PLACE":
+            return self._place(request)
         if request.command == "TRAY":
             return self._tray(request)
         if request.command in NEXT:
@@ -342,14 +345,35 @@ class Robot:
 
     def _offset(self, request: LineRequest) -> LineAnswer:
         """Answer with the offset of the part on display; sigmas are of where it lays the part."""
+        place = OFFSETS[request.command]
+        values, numbers = self._offset_numbers(place)
+        return self._answer(request, values, numbers, f"{place}_SIGMA")
+
+    def _place(self, request: LineRequest) -> LineAnswer:
+        """Answer with what to multiply a taught place by, from the right, for a part that the gripper holds.
+
+        The request says how the tool stood at this LOCATE, and at GOLDEN. The part lies at tool_from_now,
+        and lay at tool_from_golden: the tool goes to place tool_from_golden tool_from_now^-1.
+        """
+        if request.flange is None:
+            raise _Refused(LineStatus.NOT_UNDERSTOOD)
+        values, numbers = self._offset_numbers(OFFSETS["OFFSET"])
+        x, y, z, a, b, c = (number / 1000 for number in numbers)
+        offset = transform(rotation_of(self._settings.convention, a, b, c), np.array([x, y, z]))
+        tool = request.flange
+        answer = self._answer(request, values, numbers, "O_SIGMA")
+        turned = pose_of(request.brand, np.asarray(invert(tool) @ invert(offset) @ tool))
+        return replace(answer, pose=turned, sigma=(UNKNOWN,) * 3)
+
+    def _offset_numbers(self, place: str) -> tuple[dict[str, reg.Number], list[float]]:
+        """The values of result and offset, and X Y Z A B C in µm and 0.001°."""
         result, offset = self._usable(LineStatus.NOT_VALID), self._read(reg.OFFSET)
         if not int(offset["O_FLAGS"]) & reg.Flag.VALID:
             raise _Refused(LineStatus.NO_OFFSET)
-        place = OFFSETS[request.command]
         numbers = [float(offset[f"{place}_{axis}"]) for axis in "XYZ"]
         # these angles have a digit more: at a metre from the base 0.0001° is 2 µm
         numbers += [float(offset[f"{place}_{axis}"]) / 10 for axis in "ABC"]
-        return self._answer(request, {**result, **offset}, numbers, f"{place}_SIGMA")
+        return {**result, **offset}, numbers
 
     def _tray(self, request: LineRequest) -> LineAnswer:
         """Answer with what was found in the tray, in place of a pose; a tray without parts, too."""
