@@ -15,7 +15,7 @@ MOST_BYTES = 256 << 20
 """Several pictures of the largest sensors."""
 _KINDS = {
     "edged.domain.measurement": "Status",
-    "edged.domain.picking": "Bounds Box Grasp Gripper Order Picking",
+    "edged.domain.picking": "Bounds Box Grasp Gripper Order Picking Tray",
     "edged.domain.robotmap": "RobotMap",
     "edged.files.recording": "Entry",
     "edged.robot.orientations": "Brand Convention",
