@@ -28,6 +28,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import wraps
 from pathlib import Path
+from types import FrameType
 from typing import Any
 
 import cv2
@@ -391,10 +392,21 @@ def counting() -> Iterator[Counter[str]]:
 
 def work_of(cell: Bench) -> dict[str, float]:
     """Mean counts per cycle."""
+    frames = [as_frames(pair) for pair in cell.pairs]
     with counting() as counts:
-        for pair in cell.pairs:
-            inspect(as_frames(pair), cell.job, cell.rig)
-    return {what: counts[what] / len(cell.pairs) for what in COUNTED}
+        for pair in frames:
+            inspect(pair, cell.job, cell.rig)
+
+    def called(_frame: FrameType, event: str, _of: object) -> None:
+        counts["Python calls"] += event in ("call", "c_call")
+
+    sys.setprofile(called)  # of this thread
+    try:
+        for pair in frames:
+            inspect(pair, cell.job, cell.rig)
+    finally:
+        sys.setprofile(None)
+    return {what: counts[what] / len(frames) for what in (*COUNTED, "Python calls")}
 
 
 @contextlib.contextmanager

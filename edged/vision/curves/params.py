@@ -95,7 +95,7 @@ class BreakParams:
 
     usual_mm: float = 0.22  # width of an unknown break: geometric mean of 0.1 and 0.5 mm, usual by ISO 13715
     max_mm: float = 0.5  # a second edge farther off is something else
-    against: float = 2.0  # `shift_basis` has half of the waves against each other in either image
+    against: float = 2.0  # `fill_shifts` has half of the waves against each other in either image
     sharp_px: float = 0.01
     """Sigma of a sharp edge's waves: the median of all circles in `tools/table3.py`; rms of a whole part up
     to 0.05 px, of broken ones 0.06-0.3 (`tools/bench breaks`)."""

@@ -11,7 +11,7 @@ from edged.vision.kernels.jit import B1, F1, F2, F3, I1, I2
 
 
 class Samples(NamedTuple):
-    """Samples of K curves in Q parts, for `solve`.
+    """Samples of K curves in Q parts, for `solve_samples`.
 
     design (N, C) : derivatives of each sample by the unknowns that its curve depends on; columns (K, C) :
     which those are, -1 for none.
