@@ -102,7 +102,9 @@ def inspect(
 ) -> PairInspection:
     """`locate` with the evidence: every part found, with its edges."""
     images = _rectified(pair, rig)
-    by_all = (job.solid or job.tilt_rad is not None) and has_enough_curves(job)
+    # of one whose features are the edges in the faces, single edges may be the others of their breaks
+    is_plain = not job.solid and job.tilt_rad is None and job.break_end != "face"
+    by_all = not is_plain and has_enough_curves(job)
     if job.body is not None or (by_all and job.break_end is not None):
         lap("rectify")
         return _inspect_solid(images, job, lap)

@@ -16,6 +16,5 @@ I64 = npt.NDArray[np.int64]
 I32 = npt.NDArray[np.int32]
 U8 = Image
 B8 = npt.NDArray[np.bool_]
-IntArray = I64
 Side = Literal["left", "right"]
 SIDES: tuple[Side, Side] = ("left", "right")

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from edged.domain.arrays import FloatArray, IntArray
+from edged.domain.arrays import I64, FloatArray
 from edged.vision.curves.adjustment import solve_samples
 from edged.vision.curves.jointstep import is_finite
 from edged.vision.curves.operatorwidth import choose
@@ -108,7 +108,7 @@ class ChosenEdges:
     blur2_px2: FloatArray
 
 
-def choose_widths(seen: EdgeSamples, starts: IntArray, waves: FloatArray, min_slope: float) -> ChosenEdges:
+def choose_widths(seen: EdgeSamples, starts: I64, waves: FloatArray, min_slope: float) -> ChosenEdges:
     """Choose for each curve; with one width there is nothing to choose, bias and blur are 0.
 
     starts (K + 1,) : where the samples of each curve begin.  waves (N, M) : systematic shifts.

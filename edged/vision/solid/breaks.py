@@ -23,14 +23,13 @@ from edged.vision.solid.evidence import PoseEvidence, evidence_of, margin_over
 from edged.vision.solid.forms import (
     LaidPair,
     RefinedForm,
-    are_needed,
-    mean_misfits,
     refined,
     widths_by_profiles,
     with_breaks,
 )
+from edged.vision.solid.leavings import Leavings
 from edged.vision.solid.lock import Pyramids, lay, scale_at
-from edged.vision.solid.params import BREAKS, DECISION, PROFILE
+from edged.vision.solid.params import BREAKS, DECISION, LEAVINGS, PROFILE
 from edged.vision.solid.profiles import ProfileFit, best_fit
 
 
@@ -64,14 +63,7 @@ def lay_with_breaks(images: StereoImages, model: EdgeModel, pose: FloatArray) ->
         forms += [form for form in tried if form is not None]
     if not forms:
         return None
-    found = min(forms, key=_cost)
-    if found.model.breaks_mm.any():
-        # those of a part are mostly alike: half of them explain less, and hold a pose where it is
-        width = float(np.median(found.model.breaks_mm[found.model.breaks_mm > 0]))
-        again = refined(with_breaks(model, width), found.views)
-        found = found if again is None else min(found, again, key=_cost)
-    if found.model.breaks_mm.any():
-        found = _each_by_itself(found)
+    found = _explaining_most(forms)
     pose = found.views[0].pose
     merged_mm = BREAKS.form_px / scale_at(images.rig, pose, model)
     laid_model = with_open_forms(found.model, merged_mm)
@@ -117,7 +109,37 @@ def _cost(form: RefinedForm) -> float:
     return share * math.sqrt(form.cost)
 
 
-def _each_by_itself(found: RefinedForm) -> RefinedForm:
+def _with_most(form: RefinedForm) -> RefinedForm:
+    """A form with the breaks of most of its curves at all of them, where they explain more.
+
+    Those of a part are mostly alike: half of them explain less, and hold a pose where it is.
+    """
+    width = float(np.median(form.model.breaks_mm[form.model.breaks_mm > 0]))
+    again = refined(with_breaks(form.model, width), form.views)
+    return form if again is None else min(form, again, key=_cost)
+
+
+def _explaining_most(forms: Sequence[RefinedForm]) -> RefinedForm:
+    """The form that leaves least of the profiles, each curve's breaks by themselves.
+
+    One without breaks lies well on one end of each, and no profile of its own tells of the other end: the
+    same profiles are asked of all. But two steps take more of any profile than one does, so breaks must take
+    half of what is left, or less of it and lessen the misfit.
+    """
+    sharp = min(forms, key=lambda form: (form.model.breaks_mm.any(), _cost(form)))
+    leaves = Leavings.of(with_breaks(sharp.model, 0.0), sharp.views)
+    found, gained = sharp, 0.0
+    for form in sorted(forms, key=lambda form: -leaves.roughly(form.model, form.views))[: BREAKS.kept]:
+        if form.model.breaks_mm.any():
+            own = _each_by_itself(_with_most(form), leaves)
+            gain = leaves.gain(own.model, own.views)
+            shifts_less = gain.mean > 0.5 * LEAVINGS.least_gain and _cost(form) < _cost(sharp)
+            if (gain.is_certain or shifts_less) and gain.mean > gained:
+                found, gained = own, gain.mean
+    return found
+
+
+def _each_by_itself(found: RefinedForm, leaves: Leavings) -> RefinedForm:
     """The breaks anew, each curve's width from a grid and by itself, in turn with the poses.
 
     No rounded or glinting one pulls the others off any more: a fit weighs each by its own scatter.
@@ -127,16 +149,18 @@ def _each_by_itself(found: RefinedForm) -> RefinedForm:
         views = tuple(view for view in after if view is not None)
         if len(views) < len(found.views):
             return found
-        model = with_breaks(found.model, _likeliest_widths(found.model, views))
+        model = with_breaks(found.model, _likeliest_widths(found.model, views, leaves))
         widths, sigma, _ = widths_by_profiles(model, views)
         found = replace(found, model=with_breaks(model, widths), views=views, sigma_mm=sigma)
     return found
 
 
-def _likeliest_widths(model: EdgeModel, views: Sequence[LaidPair]) -> FloatArray:
-    """(E,) the width of a grid that each curve's profiles fit best; 0 where none explains them as well."""
-    costs = np.array([mean_misfits(with_breaks(model, width), views) for width in BREAKS.grid_mm])
-    best = np.where(are_needed(costs.min(axis=0), costs[0]), costs.argmin(axis=0), 0)
+def _likeliest_widths(model: EdgeModel, views: Sequence[LaidPair], leaves: Leavings) -> FloatArray:
+    """(E,) the width of a grid that leaves least of each curve; 0 where none leaves less."""
+    gains = [leaves.gains(with_breaks(model, mm), views, LEAVINGS.blurs_px) for mm in BREAKS.grid_mm]
+    by_curve = np.array([leaves.by_curve(np.nan_to_num(gain)) for gain in gains])
+    needed = by_curve.max(axis=0) > by_curve[0] + LEAVINGS.doubt
+    best = np.where(needed, by_curve.argmax(axis=0), 0)
     return np.array(BREAKS.grid_mm)[best][model.chain]
 
 

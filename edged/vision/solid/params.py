@@ -315,6 +315,7 @@ class BreaksParams:
     )  # fmt: skip
     """Of the lock, from a millimetre off."""
     rounds: int = 4  # of pose and widths in turn
+    kept: int = 3  # forms whose curves have their own widths
     rounds_of_choice: int = 2  # the same, where the start is half of what lies between `unknown_mm` off
     in_question: float = 8.0
     """Sigmas behind the best after one round, from which a form is not refined: twice what decides."""
@@ -339,6 +340,25 @@ class BreaksParams:
 
 
 BREAKS = BreaksParams()
+
+
+@dataclass(frozen=True, slots=True)
+class LeavingsParams:
+    """What forms of a part's edge breaks leave of its profiles.
+
+    Where a line names no source, `tools/bench ablate --only LeavingsParams` shows what the number earns.
+    """
+
+    half_px: float = 8.0  # of a profile's length: both edges of a break of half a millimetre
+    blurs_px: tuple[float, ...] = (0.6, 0.9)  # with which forms are compared roughly
+    doubt: float = 0.2  # of gain that a curve's other end must have: what texture gives by chance
+    least_gain: float = math.log(2.0)
+    """A second step takes half of the square sum that one leaves. Beside sharp edges it takes four tenths at
+    most, of what walls and texture show there (docs/explanation/accuracy.md)."""
+    least_sigmas: float = 2.0  # of that, by curves and cameras: they agree
+
+
+LEAVINGS = LeavingsParams()
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,24 +18,19 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from edged.domain.arrays import FloatArray, IntArray
-from edged.vision.edges.subpixel import edge_profiles
+from edged.domain.arrays import I64, FloatArray
 from edged.vision.geometry.rigid import apply, invert, transform
-from edged.vision.kernels.jit import kernel
 from edged.vision.kernels.robust import mad_sigma, tukey_weights
 from edged.vision.part.job import CircleFeature, EdgeFeature, Job, SlotFeature, known_radius
 from edged.vision.solid.curvemodel import UP, curve_model, curve_points
 from edged.vision.solid.edgemodel import EdgeModel, chains_of
 from edged.vision.solid.forms import LaidPair, weights_of, with_breaks
+from edged.vision.solid.leavings import Gain, Leavings
 from edged.vision.solid.lock import scale_at
-from edged.vision.solid.params import BREAKS, CURVES, DECISION, PROFILE
-from edged.vision.solid.profiles import Profiles, profiles_of, seen_with_neighbours
-from edged.vision.solid.shifts import STEP_PX, fill_steps, misfit
+from edged.vision.solid.params import BREAKS, CURVES, DECISION, LEAVINGS, PROFILE
+from edged.vision.solid.profiles import Profiles, profiles_of
 from edged.vision.solid.visible import moved, samples_at
 from edged.vision.teaching.params import BROKEN
-
-DIGIT = 1 / 3
-"""Square sum of a profile without any noise: four samples rounded to grey values, by 1/12 each."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -44,22 +39,19 @@ class BrokenEdges:
 
     model : its curves are the edges in the faces.  poses : of the pairs, each rig_from_part (4, 4).
     features, shown : how many circles, slots and edges the job has, and how many the profiles show so.
-    gain : mean logarithm of what sharp edges leave of the profiles against what these do.
-    sigmas : of the gain, by curves and cameras.
+    gain : what these leave of the profiles less than sharp edges.
     """
 
     model: EdgeModel
     poses: tuple[FloatArray, ...]
     features: int
     shown: int
-    gain: float
-    sigmas: float
+    gain: Gain
 
     @property
     def is_certain(self) -> bool:
-        """Whether the rims are broken: a second step takes half of what one leaves, and not by chance."""
-        enough = self.shown >= max(CURVES.fewest, DECISION.present * self.features)
-        return enough and self.gain > BROKEN.least_gain and self.sigmas > BROKEN.least_sigmas
+        """Whether the rims are broken, by most features and by all profiles."""
+        return self.shown >= max(CURVES.fewest, DECISION.present * self.features) and self.gain.is_certain
 
     @property
     def width_mm(self) -> float:
@@ -78,7 +70,7 @@ class _Form:
 
     model: EdgeModel
     taught: EdgeModel
-    faces: IntArray
+    faces: I64
     views: tuple[LaidPair, ...]
     blur_px: float = BREAKS.blur_px
 
@@ -103,13 +95,13 @@ def broken_edges(job: Job, views: Sequence[LaidPair]) -> BrokenEdges | None:
     sharp = _adjusted(_Form(model, model, _faces(job), tuple(views)), BROKEN.rounds)
     if sharp is None:
         return None
-    leaves = _Leavings.of(sharp)
+    leaves = Leavings.of(sharp.model, sharp.views)
     begun = []
-    for start in _starts(job, leaves):
-        form = _adjusted(leaves.with_blur(start), BROKEN.first_rounds)
+    for start in _starts(job, sharp, leaves):
+        form = _adjusted(_with_blur(start, leaves), BROKEN.first_rounds)
         if form is not None:
-            form = leaves.with_blur(_by_ends(form, leaves))
-            begun.append((leaves.roughly(form), form))
+            form = _with_blur(_by_ends(form, leaves), leaves)
+            begun.append((leaves.roughly(form.model, form.views), form))
     begun.sort(key=lambda one: -one[0])
     ended = [
         form for _, rough in begun[: BROKEN.kept] if (form := _adjusted(rough, BROKEN.rounds)) is not None
@@ -117,20 +109,20 @@ def broken_edges(job: Job, views: Sequence[LaidPair]) -> BrokenEdges | None:
     ended = [form for form in ended if form.model.breaks_mm.any()]
     if not ended:
         return None
-    found = [np.nan_to_num(leaves.gains(form)) for form in ended]
+    found = [np.nan_to_num(leaves.gains(form.model, form.views)) for form in ended]
     best = max(range(len(ended)), key=lambda k: float(found[k].mean()))
     form = ended[best]
-    shown = leaves.by_curve(found[best]) > BROKEN.doubt
+    shown = leaves.by_curve(found[best]) > LEAVINGS.doubt
     # what runs beside an edge on its other side may look like its break, a width off the face
     shown &= np.abs(form.uneven()) < BROKEN.in_face * float(np.median(form.model.breaks_mm))
     poses = tuple(view.pose for view in form.views)
     features = len(job.circles) + len(job.slots) + len(job.edges)
-    gain, sigmas, by_curve = _gain(leaves, form)
-    clearly = int(np.count_nonzero((shown & (by_curve > BROKEN.least_gain))[:features]))
-    return BrokenEdges(_as_its_face(form, shown), poses, features, clearly, gain, sigmas)
+    gain = leaves.gain(form.model, form.views)
+    clearly = int(np.count_nonzero((shown & (gain.by_curve > LEAVINGS.least_gain))[:features]))
+    return BrokenEdges(_as_its_face(form, shown), poses, features, clearly, gain)
 
 
-def _faces(job: Job) -> IntArray:
+def _faces(job: Job) -> I64:
     """(C,) number of the face in which each curve of a job was taught."""
     level = np.array([points[0, 2] for points in curve_points(job)])
     order = np.argsort(level)
@@ -142,7 +134,7 @@ def _faces(job: Job) -> IntArray:
 # --- forms -----------------------------------------------------------------------------------------
 
 
-def _starts(job: Job, sharp: _Leavings) -> list[_Form]:
+def _starts(job: Job, sharp: _Form, leaves: Leavings) -> list[_Form]:
     """Forms from which the right one is near, those first that gain most.
 
     Of each rim the edge in the face was taught, or that in the wall, or one of both by either camera: then it
@@ -158,8 +150,8 @@ def _starts(job: Job, sharp: _Leavings) -> list[_Form]:
         upper = width * to_upper
         model = replace(model, start=model.start + upper, end=model.end + upper, by_break=by_break)
         for sign in (0, 1, -1):
-            form = _by_ends(_nearer(model, sharp.form, sign * width), sharp)
-            found.append((sharp.roughly(form), width, sign, form))
+            form = _by_ends(_nearer(model, sharp, sign * width), leaves)
+            found.append((leaves.roughly(form.model, form.views), width, sign, form))
     kept: list[tuple[float, int, _Form]] = []
     for _, width, sign, form in sorted(found, key=lambda one: -one[0]):
         if all(abs(width - w) > BROKEN.apart_mm or sign != s for w, s, _ in kept):
@@ -194,16 +186,21 @@ def _grown(model: EdgeModel, share: float) -> EdgeModel:
     return replace(model, start=start, end=end)
 
 
-def _by_ends(form: _Form, sharp: _Leavings) -> _Form:
+def _with_blur(form: _Form, leaves: Leavings) -> _Form:
+    """A form with the blur of the pairs' edges."""
+    return replace(form, blur_px=leaves.blur_px(form.model, form.views))
+
+
+def _by_ends(form: _Form, leaves: Leavings) -> _Form:
     """A form with each curve where it gains most: not all need be taught by the same end of their breaks."""
     model, taught = form.model, replace(form.taught, breaks_mm=form.model.breaks_mm)
     places = [model, *(_across(taught, way) for way in (0.0, -0.5, -1.0))]
     places += [_across(model, way) for way in (1.0, -1.0)]
     gains = []
     for place in places:
-        gain = sharp.gains(replace(form, model=place), BROKEN.blurs_px)
-        gains.append(sharp.by_curve(np.nan_to_num(gain, nan=-BROKEN.doubt)))
-    gains[0] = gains[0] + BROKEN.doubt
+        gain = leaves.gains(place, form.views, LEAVINGS.blurs_px)
+        gains.append(leaves.by_curve(np.nan_to_num(gain, nan=-LEAVINGS.doubt)))
+    gains[0] = gains[0] + LEAVINGS.doubt
     best = np.argmax(gains, axis=0)[model.chain]
     every = np.arange(len(best))
     start, end = (
@@ -305,208 +302,6 @@ def _rows(
         rows[:, common + 1 + 2 * curves] = profiles.by_width
         rows[every, common + 2 + 2 * curves + curve] = profiles.by_width
     return rows, weights_of(profiles)
-
-
-# --- what a form leaves ----------------------------------------------------------------------------
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Windows:
-    """Profiles across the taught curves in one camera, wide enough for both edges of each break.
-
-    curve (M,) : number in `EdgeModel.chain`.  piece (M,) : number in the curve, and share (M,) of it.
-    pixels, normals (M, 2) raw px.  grey (M, S) : without those that show another curve, too.
-    """
-
-    view: int
-    camera: int
-    curve: IntArray
-    piece: IntArray
-    share: FloatArray
-    pixels: FloatArray
-    normals: FloatArray
-    grey: FloatArray
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Leavings:
-    """What sharp edges leave of all windows, to compare forms with: left (M,) of each; curve, block (M,)."""
-
-    form: _Form
-    windows: tuple[_Windows, ...]
-    left: FloatArray
-    curve: IntArray
-    block: IntArray
-
-    @classmethod
-    def of(cls, form: _Form) -> _Leavings:
-        """What a sharp form leaves."""
-        windows = _windows(form.model, form.views)
-        curve = np.concatenate([window.curve for window in windows])
-        place = np.repeat(np.arange(len(windows)), [len(window.curve) for window in windows])
-        left, _ = _left(windows, form, PROFILE.blurs_px)
-        return cls(form, tuple(windows), left, curve, len(windows) * curve + place)
-
-    def gains(self, form: _Form, blurs_px: Sequence[float] = PROFILE.blurs_px) -> FloatArray:
-        """(M,) what a form leaves less; NaN where it does not lie in the window."""
-        return np.asarray(self.left - _left(self.windows, form, blurs_px)[0])
-
-    def roughly(self, form: _Form) -> float:
-        """Mean of what a form leaves less, by the blurs that starts are compared with."""
-        return float(np.nan_to_num(self.gains(form, BROKEN.blurs_px)).mean())
-
-    def with_blur(self, form: _Form) -> _Form:
-        """A form with the blur of the pairs' edges."""
-        return replace(form, blur_px=_left(self.windows, form, PROFILE.blurs_px)[1])
-
-    def by_curve(self, gains: FloatArray) -> FloatArray:
-        """(C,) means of each curve."""
-        count = int(self.form.model.chain.max()) + 1
-        many = np.bincount(self.curve, minlength=count)
-        return np.asarray(np.bincount(self.curve, gains, minlength=count) / np.maximum(many, 1))
-
-
-def _windows(model: EdgeModel, views: Sequence[LaidPair]) -> list[_Windows]:
-    """Windows about a sharp model, in all pairs and both cameras."""
-    return [_windows_of(model, view, v, k) for v, view in enumerate(views) for k in (0, 1)]
-
-
-def _windows_of(model: EdgeModel, view: LaidPair, number: int, camera: int) -> _Windows:
-    samples = samples_at(model, scale_at(view.images.rig, view.pose, model), PROFILE.drawn_px)
-    reach = BROKEN.half_px
-    dense, near = seen_with_neighbours(model, samples, view.pyramids, view.pose, camera, reach)
-    alone = np.flatnonzero(~np.isfinite(near).any(axis=1))[:: PROFILE.every]
-    pixels, normals = (np.ascontiguousarray(each[alone]) for each in (dense.pixels, dense.normals))
-    grey, _ = edge_profiles(view.images.raw[camera], pixels, normals, BROKEN.half_px, PROFILE.step_px)
-    curve = chains_of(dense.curve[alone])
-    piece, share = _places(model, curve, samples.points[dense.row[alone]])
-    return _Windows(number, camera, curve, piece, share, pixels, normals, grey)
-
-
-def _places(model: EdgeModel, curve: IntArray, points: FloatArray) -> tuple[IntArray, FloatArray]:
-    """(N,) pieces of their curves (N,) that points (N, 3) lie on, and the share of each before them."""
-    pieces, shares = np.empty(len(points), np.int64), np.empty(len(points))
-    for number in np.unique(curve):
-        mine, its = curve == number, model.chain == number
-        start, along = model.start[its], (model.end - model.start)[its]
-        gaps = points[mine][:, None] - start
-        share = np.clip(np.einsum("nej,ej->ne", gaps, along) / np.sum(along**2, axis=1), 0.0, 1.0)
-        nearest = np.linalg.norm(gaps - share[..., None] * along, axis=2).argmin(axis=1)
-        pieces[mine], shares[mine] = nearest, share[np.arange(len(nearest)), nearest]
-    return pieces, shares
-
-
-def _left(
-    windows: Sequence[_Windows], form: _Form, blurs_px: Sequence[float], *, slopes: bool = False
-) -> tuple[FloatArray, float]:
-    """(M,) of all windows, the logarithm of the square sum that a form leaves, and the blur with the least.
-
-    NaN where its edges lie outside, or its curve is none of the form's.
-    """
-    edges = [_edges_in(window, form) for window in windows]
-    found = []
-    for blur in blurs_px:
-        left = [np.full(len(window.curve), np.nan) for window in windows]
-        for window, both, logs in zip(windows, edges, left, strict=True):
-            reach = BROKEN.half_px - 1
-            find_left(window.grey, window.curve, both, blur, PROFILE.together, reach, slopes, logs)
-        found.append((np.concatenate(left), blur))
-    means = [float(left[np.isfinite(left)].mean()) if np.isfinite(left).any() else 0.0 for left, _ in found]
-    return found[int(np.argmin(means))]
-
-
-def _edges_in(window: _Windows, form: _Form) -> FloatArray:
-    """(M, 2) px along the normals to both edges of each break; the second NaN of a sharp one."""
-    model, view = form.model, form.views[window.view]
-    first = np.full(int(max(model.chain.max(), window.curve.max())) + 1, -1)
-    numbers, starts = np.unique(model.chain, return_index=True)
-    first[numbers] = starts
-    row = first[window.curve]
-    edges = np.full((len(row), 2), np.nan)
-    some = row >= 0
-    at = row[some] + window.piece[some]
-    place = model.start[at] + window.share[some, None] * (model.end - model.start)[at]
-    rig, widths = view.images.rig, model.breaks_mm[at]
-    for k in (0, 1):
-        there = apply(view.pose, place + widths[:, None] * model.by_break[at, k])
-        pixels = (
-            rig.left.project(there)
-            if window.camera == 0
-            else rig.right.project(apply(rig.right_from_left, there))
-        )
-        edges[some, k] = np.einsum("mj,mj->m", pixels - window.pixels[some], window.normals[some])
-    edges[some, 1] = np.where(widths > 0, edges[some, 1], np.nan)
-    return edges
-
-
-@kernel("void(f8[:, ::1], i8[::1], f8[:, ::1], f8, i8, f8, b1, f8[::1])")
-def find_left(
-    profiles: FloatArray, curve: IntArray, edges: FloatArray, blur: float, together: int, reach: float,
-    slopes: bool, left: FloatArray,
-) -> None:  # fmt: skip
-    """Fill left (M,) with logarithms of square sums of grey values that steps leave of profiles (M, S).
-
-    edges (M, 2) : offsets of the steps, the second NaN where there is one; their heights are free.
-    slopes : so are slopes of the grey values beyond the steps.
-    together : profiles on either side along the same curve that are averaged.  reach : of the first step.
-    left keeps what it has where that lies farther off, or the profile leaves the image.
-    """
-    count, size = profiles.shape
-    grey, steps = np.empty(size), np.empty(2)
-    terms, normal, heights = np.ones((5, size)), np.empty((5, 5)), np.empty(5)
-    for m in range(count):
-        if not abs(edges[m, 0]) < reach:
-            continue
-        first, last = m, m
-        while first > 0 and m - first < together and curve[first - 1] == curve[m]:
-            first -= 1
-        while last < count - 1 and last - m < together and curve[last + 1] == curve[m]:
-            last += 1
-        square, mean = 0.0, 0.0
-        for s in range(size):
-            total = 0.0
-            for n in range(first, last + 1):
-                total += profiles[n, s]
-            grey[s] = total / (last - first + 1)
-            mean += grey[s] / size
-        for s in range(size):
-            grey[s] -= mean
-            square += grey[s] * grey[s]
-        if not np.isfinite(square):
-            continue
-        many = 1
-        steps[0] = edges[m, 0]
-        if np.isfinite(edges[m, 1]):
-            steps[1] = edges[m, 1]
-            many = 2
-        fill_steps(steps, many, 0.0, blur, terms)
-        low, high = min(steps[0], steps[many - 1]), max(steps[0], steps[many - 1])
-        for s in range(size):
-            place = STEP_PX * (s - size // 2)
-            terms[many + 1, s] = min(place - low, 0.0) / reach
-            terms[many + 2, s] = max(place - high, 0.0) / reach
-        rows = many + 2 if slopes else many
-        left[m] = math.log(misfit(grey, square, terms, rows, 0, normal, heights) + DIGIT)
-
-
-def _gain(sharp: _Leavings, form: _Form) -> tuple[float, float, FloatArray]:
-    """Mean of what a form leaves less, how many of its sigmas that is, by curves and cameras, and the means
-    of each curve (C,).
-
-    With slopes beyond the edges: those of a wall or of its shadow are no second edge, and would gain as one.
-    """
-    own, _ = _left(sharp.windows, sharp.form, PROFILE.blurs_px, slopes=True)
-    others, _ = _left(sharp.windows, form, PROFILE.blurs_px, slopes=True)
-    less = own - others
-    by_curve = sharp.by_curve(np.nan_to_num(less))
-    good = np.isfinite(less)
-    if good.sum() < PROFILE.fewest:
-        return 0.0, 0.0, by_curve
-    _, number = np.unique(sharp.block[good], return_inverse=True)
-    mean = float(less[good].mean())
-    # of a mean over clusters of unequal size
-    sigma = math.sqrt(float(np.sum(np.bincount(number, less[good] - mean) ** 2))) / good.sum()
-    return mean, mean / max(sigma, 1e-9) if number.max() > 0 else 0.0, by_curve
 
 
 # --- a job -----------------------------------------------------------------------------------------

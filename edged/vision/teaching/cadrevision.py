@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -17,19 +17,27 @@ from edged.errors import TeachError
 from edged.vision.geometry.rectification import StereoImages
 from edged.vision.geometry.rigid import apply
 from edged.vision.solid.edgemodel import EdgeModel, chains_of
+from edged.vision.solid.forms import LaidPair, with_breaks
+from edged.vision.solid.leavings import Leavings
 from edged.vision.solid.lock import Pyramids, edges_beside, scale_at, seen_by
-from edged.vision.solid.params import DECISION, EVIDENCE
+from edged.vision.solid.params import DECISION, EVIDENCE, LEAVINGS
 from edged.vision.solid.visible import VisibleSamples, samples_at
 from edged.vision.teaching.cadmodel import ModelCircle, ModelCurves
 from edged.vision.teaching.params import CAD
 
 
 @dataclass(frozen=True, slots=True)
-class _Displaced:
-    """A circle beside its place."""
+class Displaced:
+    """A circle beside its place: aside along x and y of its face, and narrower."""
 
-    aside_mm: float
+    x_mm: float
+    y_mm: float
     narrower_mm: float
+
+    @property
+    def aside_mm(self) -> float:
+        """How far it lies aside."""
+        return math.hypot(self.x_mm, self.y_mm)
 
 
 def moved_circle(
@@ -43,6 +51,7 @@ def moved_circle(
     """
     px_per_mm = scale_at(images.rig, rig_from_part, model)
     pyramids = Pyramids(images.rig, images.raw, 1)
+    view = LaidPair(images, pyramids, rig_from_part)
     samples = samples_at(model, px_per_mm, EVIDENCE.spacing_px)
     both = seen_by(model, pyramids, rig_from_part, EVIDENCE.spacing_px)
     reach_px = CAD.near_mm * px_per_mm
@@ -61,7 +70,7 @@ def moved_circle(
             for seen, rows in zip(both, chosen, strict=True)
         ]
         found = _displaced(designs, [offsets[k][chosen[k]] for k in (0, 1)], px_per_mm)
-        if found is not None:
+        if found is not None and explains_more(model, view, chain, inwards, centre, found):
             return _words(circle, found)
     return ""
 
@@ -74,7 +83,7 @@ def another_revision(what: str, why: str) -> TeachError:
     )
 
 
-def _words(circle: ModelCircle, found: _Displaced) -> str:
+def _words(circle: ModelCircle, found: Displaced) -> str:
     if found.aside_mm >= found.narrower_mm:
         return f"{circle.words} lies {found.aside_mm:.3f} mm aside"
     sense = "smaller" if circle.hole else "larger"
@@ -98,7 +107,7 @@ def _design(seen: VisibleSamples, rows: I64, inwards: FloatArray) -> FloatArray:
 
 def _displaced(
     designs: Sequence[FloatArray], offsets: Sequence[FloatArray], px_per_mm: float
-) -> _Displaced | None:
+) -> Displaced | None:
     """Where else both cameras show a circle, that do not show it in its place; None: nowhere."""
     here = max(_share(offset) for offset in offsets)
     if here > 1.0 - CAD.moved_share:
@@ -121,8 +130,30 @@ def _displaced(
     most = float(shares.max())
     if most < DECISION.present or most - here < CAD.moved_share:
         return None
-    aside_x, aside_y, less = tried[shares == most].mean(axis=0)  # between places, all as good
-    return _Displaced(math.hypot(aside_x, aside_y), float(less))
+    return Displaced(*tried[shares == most].mean(axis=0).tolist())  # between places, all as good
+
+
+def explains_more(
+    model: EdgeModel, view: LaidPair, chain: int, inwards: float, centre: FloatArray, found: Displaced
+) -> bool:
+    """Whether a circle leaves less of the pair's profiles there than in its place, as far as they reach.
+
+    A rim that glints on one side has edges aside of it, which alone look like one that was moved.
+    """
+    its = (model.chain == chain)[:, None]
+    aside = np.array([found.x_mm, found.y_mm, 0.0])
+
+    def moved(points: FloatArray) -> FloatArray:
+        level = (points - centre) * (1.0, 1.0, 0.0)
+        level /= np.maximum(np.linalg.norm(level, axis=1, keepdims=True), CAD.same_mm)
+        return np.where(its, points + aside - inwards * found.narrower_mm * level, points)
+
+    there = replace(model, start=moved(model.start), end=moved(model.end))
+    leaves = Leavings.of(with_breaks(model, 0.0), [view])
+    less = leaves.gains(there, [view]) - leaves.gains(model, [view])
+    less = less[leaves.curve == chain]
+    reached = np.isfinite(less)
+    return bool(reached.mean() < 0.5 or less[reached].mean() > LEAVINGS.least_gain) if len(less) else True
 
 
 def _share(offsets: FloatArray) -> float:

@@ -220,19 +220,12 @@ class BrokenEdgesParams:
     first_rounds: int = 2  # of these; then each curve's end is asked for again
     kept: int = 3  # that are adjusted to the end
     rounds: int = 4  # of these
-    blurs_px: tuple[float, ...] = (0.6, 0.9)  # with which starts are compared
-    doubt: float = 0.2  # of gain that a curve's other end must have: what texture gives by chance
-    half_px: float = 8.0  # of a profile's length: both edges of a break of half a millimetre
     growth_sigma: float = 0.004  # of the size: a parallax of half a millimetre at 200
     place_mm: float = 0.1  # sigma of a curve's place aside, from a start
     level_mm: float = 0.02  # of its height besides: faces are flat
     width_mm: float = 0.03  # of its break's width, beside that of all
     in_face: float = 0.75  # of a break: a curve that lies farther off its face was laid by another edge
     max_condition: float = 1e12  # of the normal equations
-    least_gain: float = math.log(2.0)
-    """A second step takes half of the square sum that one leaves. Beside sharp edges it takes four tenths at
-    most, of what walls and texture show there (docs/explanation/accuracy.md)."""
-    least_sigmas: float = 2.0  # of that, by curves and cameras: they agree
 
 
 BROKEN = BrokenEdgesParams()
