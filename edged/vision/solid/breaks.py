@@ -2,9 +2,8 @@
 
 Which width is right cannot be told by the share of edges that are found: with no breaks a model of a broken
 part agreed by 0.93, half a millimetre off. It is told by the profiles, which see both edges of a break apart
-or together: the pose and the widths of all curves are fitted from several common widths, and those that leave
-the profiles least misfit are taken. Breaks are believed where they lessen it by a share, of the whole part
-and of each curve.
+or together: the pose and the widths of all curves are fitted from several common widths, and those are taken
+that leave least of the same profiles. Breaks are believed where they leave half of what sharp edges do.
 """
 
 from __future__ import annotations
