@@ -163,15 +163,15 @@ class Codec:
                 return datetime.fromisoformat(at)
             case "dict", _:
                 return {self._value(key, images): self._value(item, images) for key, item in parts}
-            case "nearest", [bool(is_known), told]:
-                answer = self._value(told, images)
+            case "nearest", [bool(is_known), written]:
+                answer = self._value(written, images)
                 # what is not known is left to the receiver; `ask` of what is known answers at once
                 nearest = Nearest(lambda: answer)
                 if is_known:
                     nearest.ask()
                 return nearest
-            case "error", [kind, text, told]:
-                return error_of(kind, text, self._value(told, images))
+            case "error", [kind, text, written]:
+                return error_of(kind, text, self._value(written, images))
             case _, [stated]:
                 return self._made(self._kind(name), stated, images)
         raise TypeError(f"{printable(name[:60])} does not have {len(parts)} parts of these kinds")

@@ -5,16 +5,16 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any, Generic, ParamSpec
 
-Told = ParamSpec("Told")
+Noticed = ParamSpec("Noticed")
 
 
-class Listeners(Generic[Told]):
+class Listeners(Generic[Noticed]):
     """Used on the event loop only; a listener gets what is told after it was added."""
 
     def __init__(self) -> None:
-        self._listeners: dict[object, Callable[Told, None]] = {}
+        self._listeners: dict[object, Callable[Noticed, None]] = {}
 
-    def listen(self, listener: Callable[Told, None]) -> Callable[[], None]:
+    def listen(self, listener: Callable[Noticed, None]) -> Callable[[], None]:
         """Add a listener, which must neither block nor raise. Returns a function that removes it."""
         key = object()
         self._listeners[key] = listener
@@ -24,7 +24,7 @@ class Listeners(Generic[Told]):
 
         return stop
 
-    def tell(self, *what: Told.args, **named: Told.kwargs) -> None:
+    def tell(self, *what: Noticed.args, **named: Noticed.kwargs) -> None:
         """Pass it to every listener."""
         for listener in tuple(self._listeners.values()):
             listener(*what, **named)

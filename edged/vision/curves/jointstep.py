@@ -27,7 +27,7 @@ from edged.vision.curves.flatcurves import (
 from edged.vision.curves.outlines import PLANE_PARAMETERS, ProjectedOutline
 from edged.vision.curves.params import FIT
 from edged.vision.curves.samples import JointSolution, Samples
-from edged.vision.curves.sighting import Sight
+from edged.vision.curves.sighting import CameraEdges
 from edged.vision.curves.systematic import FAMILIES, fill_shifts, fill_slants, shrunk
 from edged.vision.kernels.jit import B2, F1, F2, F3, I1, INT, kernel
 from edged.vision.kernels.robust import MIN_SAMPLES
@@ -92,7 +92,7 @@ class Solved(NamedTuple):
     delta (U,) : 0 for what is held or not seen; moved_px (K,) : farthest that each curve moves.
     rounds : 0 where the samples do not determine it.
     weights, residuals, offset (2, N), points (2, N, 2), clipped, soft (2, N) : of the samples in both images.
-    bias (2, K) px : as `Sight` has it.
+    bias (2, K) px : as `CameraEdges` has it.
     """
 
     rounds: INT
@@ -205,8 +205,8 @@ def form(
 ) -> Formed:  # fmt: skip
     """The samples as the solver takes them.
 
-    offset (2, N) : NaN where there is no edge; bias (2, K) : as in `Sight`.  final : with systematic shifts,
-    and with the shift of the rows as the last unknown; else the curves are not yet in their place.
+    offset (2, N) : NaN where there is no edge; bias (2, K) : as in `CameraEdges`.  final : with systematic
+    shifts, and with the shift of the rows as the last unknown; else the curves are not yet in their place.
     Half of a systematic shift is the curve's own, half that of its kind, the polarity: what one kind of edge
     has in common, it has in both images, for light and walls are the same.
     """
@@ -354,12 +354,12 @@ def _motion(at: CurvesAt, left: ProjectedOutline, right: ProjectedOutline, start
 
 
 @kernel(
-    "Solved(CurvesAt, LaidCurves, Sight, Sight, b1)",
+    "Solved(CurvesAt, LaidCurves, CameraEdges, CameraEdges, b1)",
     tuples=(
-        *TUPLES, ProjectedOutline, Sight, Pairs, Samples, JointSolution, Formed, CurveSums, Solved
+        *TUPLES, ProjectedOutline, CameraEdges, Pairs, Samples, JointSolution, Formed, CurveSums, Solved
     ),
 )  # fmt: skip
-def solve_step(at: CurvesAt, laid: LaidCurves, left: Sight, right: Sight, final: bool) -> Solved:
+def solve_step(at: CurvesAt, laid: LaidCurves, left: CameraEdges, right: CameraEdges, final: bool) -> Solved:
     """The step that fits the edges of both cameras best.  final : as in `form`."""
     starts = laid.starts
     count, total = len(starts) - 1, starts[len(starts) - 1]
@@ -367,14 +367,14 @@ def solve_step(at: CurvesAt, laid: LaidCurves, left: Sight, right: Sight, final:
     clipped, soft = np.empty((2, total), np.bool_), np.empty((2, total), np.bool_)
     points, bias = np.empty((2, total, 2)), np.empty((2, count))
     for side in range(2):
-        sight = left if side == 0 else right
-        offset[side], base[side], gain[side] = sight.offset, sight.base, sight.seen.gain
-        clipped[side], bias[side] = sight.clipped, sight.bias
+        edges = left if side == 0 else right
+        offset[side], base[side], gain[side] = edges.offset, edges.base, edges.seen.gain
+        clipped[side], bias[side] = edges.clipped, edges.bias
         for k in range(count):
-            soft[side, starts[k] : starts[k + 1]] = sight.blur2[k] >= SOFT_PX2
+            soft[side, starts[k] : starts[k + 1]] = edges.blur2[k] >= SOFT_PX2
         for n in range(total):
             for i in range(2):
-                points[side, n, i] = sight.seen.pixels[n, i] + sight.seen.normals[n, i] * offset[side, n]
+                points[side, n, i] = edges.seen.pixels[n, i] + edges.seen.normals[n, i] * offset[side, n]
     for k in range(count):
         a, b, found = starts[k], starts[k + 1], np.zeros(2, np.int64)
         for side in range(2):

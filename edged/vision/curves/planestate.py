@@ -22,7 +22,7 @@ from edged.vision.curves.flatcurves import (
 from edged.vision.curves.jointstep import Solved, solve_step
 from edged.vision.curves.outlines import PLANE_PARAMETERS, Curve, Face, ProjectedOutline, flat_cameras
 from edged.vision.curves.params import FIT, FitParams
-from edged.vision.curves.sighting import Sight, add_contrasts, look
+from edged.vision.curves.sighting import CameraEdges, add_contrasts, look
 from edged.vision.geometry.camera import StereoRig
 from edged.vision.kernels.jit import for_both, for_kernel
 from edged.vision.kernels.robust import MIN_SAMPLES
@@ -123,11 +123,11 @@ class State:
         if not laid.starts[-1]:
             return None
 
-        def sight(side: int) -> Sight:
+        def edges(side: int) -> CameraEdges:
             return look(self.at, laid, self.images[side], side, reach, self.params.min_slope, final)
 
         # side by side only what takes long enough: handing it over costs as much as a coarse step
-        left, right = for_both(sight) if final else (sight(0), sight(1))
+        left, right = for_both(edges) if final else (edges(0), edges(1))
         solved = solve_step(self.at, laid, left, right, final)
         return FitStep(self.at, laid, (left.seen, right.seen), solved, final) if solved.rounds else None
 

@@ -21,7 +21,7 @@ COARSE_STEP_PX = 1.0  # finds an edge to 0.02 px in half of the time
 WAVES = 5  # up to two waves around a closed curve, or half waves along an edge
 
 
-class Sight(NamedTuple):
+class CameraEdges(NamedTuple):
     """Samples of curves in one image, and the edges across them.
 
     offset (N,) px along the normals, NaN where there is no edge; base (N,) : prior weights.
@@ -65,10 +65,13 @@ def _waves_of(curves: FlatCurves, normals: F64, starts: I64) -> F64:
     return waves
 
 
-@kernel("Sight(CurvesAt, LaidCurves, u1[:, ::1], i8, f8, f8, b1)", tuples=(*TUPLES, ProjectedOutline, Sight))
+@kernel(
+    "CameraEdges(CurvesAt, LaidCurves, u1[:, ::1], i8, f8, f8, b1)",
+    tuples=(*TUPLES, ProjectedOutline, CameraEdges),
+)
 def look(
     at: CurvesAt, laid: LaidCurves, image: Image, side: int, reach: float, min_slope: float, final: bool
-) -> Sight:
+) -> CameraEdges:
     """Look for edges within reach along the normals. side : 0 left, 1 right.
 
     final : each curve chooses its operator width, and its bend is corrected.
@@ -99,7 +102,7 @@ def look(
         for k in range(len(curves.kinds)):
             for n in range(starts[k], starts[k + 1] if curves.kinds[k] != EDGE else 0):
                 samples[0, n] += 0.5 * by_curve[1, k] * bend[n]
-    return Sight(seen, samples[0], samples[1], by_curve[0], by_curve[1], clipped)
+    return CameraEdges(seen, samples[0], samples[1], by_curve[0], by_curve[1], clipped)
 
 
 @kernel("void(CurvesAt, LaidCurves, u1[:, ::1], u1[:, ::1], f8, f8, f8[::1])", tuples=TUPLES)

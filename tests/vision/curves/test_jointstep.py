@@ -24,7 +24,7 @@ from edged.vision.curves.outlines import (
     projected,
 )
 from edged.vision.curves.samples import JointSolution
-from edged.vision.curves.sighting import Sight, add_contrasts, look
+from edged.vision.curves.sighting import CameraEdges, add_contrasts, look
 from edged.vision.edges.subpixel import WIDTHS_PX, edges_at_widths
 from edged.vision.geometry.camera import LensModel, StereoRig
 from edged.vision.geometry.rigid import about_z, rotation_matrix
@@ -174,7 +174,7 @@ def test_contrasts_of_both_images_add_up() -> None:
     np.testing.assert_allclose(total, expected)
 
 
-def sights(at: CurvesAt, laid: LaidCurves, seed: int) -> tuple[Sight, Sight]:
+def sights(at: CurvesAt, laid: LaidCurves, seed: int) -> tuple[CameraEdges, CameraEdges]:
     """Edges that both cameras see scattered about the curves, some alone, some wrong, the slot not at all."""
     rng, count = np.random.default_rng(seed), int(laid.starts[-1])
     found = []
@@ -186,11 +186,13 @@ def sights(at: CurvesAt, laid: LaidCurves, seed: int) -> tuple[Sight, Sight]:
         base[laid.starts[1] + 8 : laid.starts[2]] = 0.0
         offset[base == 0] = np.nan
         bias = rng.uniform(0.01, 0.05, len(CURVES))
-        found.append(Sight(seen, offset, base, bias, rng.uniform(0.5, 2.0, 4), rng.random(count) < 0.1))
+        found.append(CameraEdges(seen, offset, base, bias, rng.uniform(0.5, 2.0, 4), rng.random(count) < 0.1))
     return found[0], found[1]
 
 
-def solved(freedom: Freedom, final: bool) -> tuple[StereoRig, LaidCurves, tuple[Sight, Sight], Solved]:
+def solved(
+    freedom: Freedom, final: bool
+) -> tuple[StereoRig, LaidCurves, tuple[CameraEdges, CameraEdges], Solved]:
     """A step of such edges."""
     rig = make_rig()
     at = placed(rig, freedom)
