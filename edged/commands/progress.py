@@ -8,12 +8,12 @@ from contextlib import ExitStack, contextmanager
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-from edged.setup.pairs import Progress as Noticed
+from edged.setup.pairs import Progress as Told
 from edged.setup.pairs import silent
 
 
 @contextmanager
-def shown_on(console: Console) -> Iterator[Noticed]:
+def shown_on(console: Console) -> Iterator[Told]:
     """Show progress while this is open; nothing where the console is not a terminal."""
     if not console.is_terminal:
         yield silent  # rich would leave an empty line in the file for each stage

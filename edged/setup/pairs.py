@@ -37,7 +37,7 @@ def load_pair(rig: StereoRig, left: Path, right: Path) -> tuple[Image, Image]:
 
 
 class Progress(Protocol):
-    """Noticed how far the work is, from the thread that asked for it; what it raises ends the work."""
+    """Told how far the work is, from the thread that asked for it; what it raises ends the work."""
 
     def __call__(self, stage: str, done: int, total: int) -> None:
         """stage : in words, for people. done of total pieces; total 0: it is one piece, and has begun."""

@@ -30,7 +30,7 @@ def about() -> dict[str, int]:
 
 
 def count(total: int, progress: Progress) -> list[int]:
-    """Noticed at each step."""
+    """Told at each step."""
     for number in range(total + 1):
         progress("counting", number, total)
     return list(range(total))

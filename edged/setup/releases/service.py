@@ -33,7 +33,7 @@ log = logging.getLogger(__name__)
 
 
 Gate = Callable[[Contents, str | None], Awaitable[Tested | None]]
-"""Noticed what the cell would measure by, and why that may make recorded cycles worse, if somebody signs for it.
+"""Told what the cell would measure by, and why that may make recorded cycles worse, if somebody signs for it.
 
 Returns what is kept of it; raises `RegressionNeeded`.
 """
