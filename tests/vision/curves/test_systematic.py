@@ -73,7 +73,7 @@ def test_the_size_is_learned(true_px: float, expected_px: float) -> None:
 
 
 def test_the_covariance_follows_what_was_learned() -> None:
-    """Noticed to expect a tenth of the shifts that there are, chi² is near 1 all the same."""
+    """Told to expect a tenth of the shifts that there are, chi² is near 1 all the same."""
     chi2 = []
     for seed in range(60):
         samples, truth = problem(seed, bias=0.05, noise=0.03)
