@@ -17,7 +17,7 @@ import numpy as np
 from edged.domain.arrays import FloatArray
 from edged.vision.geometry.rectification import StereoImages
 from edged.vision.geometry.rigid import apply, transform, turn_between
-from edged.vision.solid.edgemodel import EdgeModel, with_open_forms
+from edged.vision.solid.edgemodel import EdgeModel
 from edged.vision.solid.evidence import PoseEvidence, evidence_of, margin_over
 from edged.vision.solid.forms import (
     LaidPair,
@@ -65,7 +65,7 @@ def lay_with_breaks(images: StereoImages, model: EdgeModel, pose: FloatArray) ->
     found = _explaining_most(forms)
     pose = found.views[0].pose
     merged_mm = BREAKS.form_px / scale_at(images.rig, pose, model)
-    laid_model = with_open_forms(found.model, merged_mm)
+    laid_model = replace(found.model, merged_mm=merged_mm)
     fit = best_fit(laid_model, pyramids, images, pose)
     if fit is None:
         return None

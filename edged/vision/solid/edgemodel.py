@@ -8,7 +8,7 @@ the model holds both.
 from __future__ import annotations
 
 from collections import defaultdict
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -34,7 +34,7 @@ class EdgeModel:
     centre (3,), size_mm : of the part; poses are turned about the centre.
     taught_px : sigma of the place at which either camera had all of its edges at teaching.
     sigma_break_mm : of the widths of all breaks together.  sigma_own_mm : of each curve's besides.
-    sigma_form_mm (E, 2) : of how deep both edges of each break lie whose form is open; all have one form.
+    merged_mm : breaks narrower than that, of which a picture shows no form, may be chamfers or roundings.
     upwards (E, 3) : from the lower to the upper edge of a break too narrow to be seen, by its width, where
     the upper face looks to the cameras; 0 elsewhere. None: no such breaks.
     """
@@ -55,7 +55,7 @@ class EdgeModel:
     taught_px: float = 0.0
     sigma_break_mm: float = 0.0
     sigma_own_mm: float = 0.0
-    sigma_form_mm: FloatArray | None = None
+    merged_mm: float = 0.0
     upwards: FloatArray | None = None
 
 
@@ -114,12 +114,12 @@ def model_of(body: PartBody) -> EdgeModel:
     if body.breaks_mm is not None:
         breaks = np.where(breakable, widths_of(sides, body.lines[:, :2], body.breaks_mm), 0.0)
     low, high = body.points_mm.min(axis=0), body.points_mm.max(axis=0)
-    model = EdgeModel(
+    return EdgeModel(
         sides, start, end, normals[beside], chain, sharp, breakable, inward, breaks, body.points_mm,
         body.triangles, 0.5 * (low + high), float(np.linalg.norm(high - low)),
-        sigma_break_mm=body.sigma_break_mm, upwards=_upwards(normals[beside], inward, breakable),
+        sigma_break_mm=body.sigma_break_mm, merged_mm=body.merged_mm,
+        upwards=_upwards(normals[beside], inward, breakable),
     )  # fmt: skip
-    return with_open_forms(model, body.merged_mm) if body.merged_mm > 0 else model
 
 
 def _upwards(normals: FloatArray, by_break: FloatArray, breakable: B8) -> FloatArray:
@@ -128,24 +128,6 @@ def _upwards(normals: FloatArray, by_break: FloatArray, breakable: B8) -> FloatA
     upper = height.argmin(axis=1)
     is_open = breakable & (height.min(axis=1) < -MODEL.steep)
     return np.asarray(is_open[:, None] * (by_break[rows, upper] - by_break[rows, 1 - upper]))
-
-
-def with_open_forms(model: EdgeModel, merged_mm: float) -> EdgeModel:
-    """The model where nobody knows of its breaks narrower than merged_mm if they are chamfers or roundings.
-
-    Both edges of a rounding show nearer to each other than it is wide: the upper one, towards which it runs
-    out, is drawn to the lower one, where the surface turns away and its outline is. As a chamfer of that
-    width its lower edge would lie too high, and the part with it. Either is as likely (ISO 13715 leaves the
-    form open): the lower edge is taken for the mean of both, with half of what lies between them as sigma.
-    """
-    height = model.normals[:, :, 2]  # a part's z leads away from the cameras
-    lower, rows = height.argmax(axis=1), np.arange(len(height))
-    is_open = (model.breaks_mm > 0) & (model.breaks_mm < merged_mm) & (np.ptp(height, axis=1) > MODEL.steep)
-    share = np.where(is_open, MODEL.deeper, 0.0)
-    by_break, sigma = model.by_break.copy(), np.zeros(height.shape)
-    by_break[rows, lower] *= 1 + share[:, None]
-    sigma[rows, lower] = share * model.breaks_mm
-    return replace(model, by_break=by_break, sigma_form_mm=sigma)
 
 
 def widths_of(sides: I64, known: I64, widths_mm: FloatArray) -> FloatArray:

@@ -19,9 +19,6 @@ class EdgeModelParams:
     smooth: float = 0.8  # cosine between two sides of one curve: arcs have at least ten chords
     convex: float = -0.2  # cosine between a face and the way into the other one
     steep: float = 0.5  # cosine between two faces: with more the edge is an end of a chamfer of 45 degrees
-    deeper: float = 0.25
-    """Share of its width by which a break of open form has its lower edge deeper: half way from a chamfer to
-    a rounding, which looks half to two thirds as wide as it is (docs/explanation/accuracy.md)."""
     tiny_mm: float = 1e-9  # against a division by 0
 
 
@@ -183,6 +180,12 @@ class ProfileParams:
     blurs_px: tuple[float, ...] = (0.45, 0.6, 0.8, 1.1, 1.5)  # of lens and pixel, the best of them
     min_weight: float = 4.0  # 1 / px²: half a pixel
     model_px: float = 0.1  # of an edge against its model: grain, burrs
+    rounding: float = 0.2
+    """Share of its width w by which both edges of a rounding's glint lie deeper than those of a chamfer.
+
+    Of an arc of radius r that glints by a either way from 45 degrees, w = sqrt(2) r sin a, and that is
+    r (1 - cos(45 - a)): 0 to 0.7 w for a = 45 to 10 degrees, 0.3 rms. A chamfer is as likely (ISO 13715
+    leaves the form open)."""
     unseen_mm: float = 0.1
     """Width of breaks at edges that a drawing has sharp and that no picture has shown broken: those of any
     deburred part (ISO 13715), half a pixel of the part."""

@@ -83,16 +83,10 @@ class ProfileFit:
 
 
 def profiles_of(
-    model: EdgeModel, pyramids: Pyramids, images: StereoImages, pose: FloatArray, blur_px: float,
-    forms: float = 0.0,
-) -> Profiles:  # fmt: skip
-    """Shifts of the profiles in both pictures at a pose.
-
-    forms : sigmas by which the edges of breaks of open form are laid deeper.
-    """
+    model: EdgeModel, pyramids: Pyramids, images: StereoImages, pose: FloatArray, blur_px: float
+) -> Profiles:
+    """Shifts of the profiles in both pictures at a pose."""
     samples = samples_at(model, scale_at(images.rig, pose, model), PROFILE.drawn_px)
-    if forms:
-        samples = samples._replace(points=samples.points + forms * _by_form(model, samples))
 
     def measured(k: int) -> tuple[VisibleSamples, list[FloatArray]]:
         """What one camera sees, and shift, weight and height of it."""
@@ -127,43 +121,29 @@ def seen_with_neighbours(
     return dense, near
 
 
-def _by_form(model: EdgeModel, samples: EdgePoints) -> FloatArray:
-    """(N, 3) mm: how samples move by a sigma of the form of their breaks."""
-    curves = np.zeros((int(model.chain.max()) + 1, 3))  # as `EdgePoints` numbers them
-    if model.sigma_form_mm is not None:
-        curves[model.chain, 1:] = model.sigma_form_mm
-    length = np.maximum(np.linalg.norm(samples.by_break, axis=1), 1e-9)
-    return np.asarray(samples.by_break * (curves.reshape(-1)[samples.curve] / length)[:, None])
+def if_rounded(model: EdgeModel, seen: VisibleSamples) -> FloatArray:
+    """(M,) px by which edges shift if breaks of open form are roundings: a sigma, all are alike.
 
-
-def _moved_by_form(
-    model: EdgeModel, pyramids: Pyramids, images: StereoImages, pose: FloatArray, blur_px: float,
-    profiles: Profiles,
-) -> FloatArray | None:  # fmt: skip
-    """(M,) px by which profiles shift for a sigma of the form of the breaks; 0 where one says nothing."""
-    if model.sigma_form_mm is None or not model.sigma_form_mm.any():
-        return None
-    other = profiles_of(model, pyramids, images, pose, blur_px, 1.0)
-    own, others = (2 * found.seen.row + found.camera for found in (profiles, other))
-    _, mine, theirs = np.intersect1d(own, others, assume_unique=True, return_indices=True)
-    both = (profiles.weight[mine] > PROFILE.min_weight) & (other.weight[theirs] > PROFILE.min_weight)
-    moved = np.zeros(len(profiles.shift_px))
-    moved[mine[both]] = (other.shift_px[theirs] - profiles.shift_px[mine])[both]
-    return moved
+    A chamfer's edges lie in its faces. An arc that glints shows two sharp sides as well, a width apart and a
+    width deep, but both of them deeper. That they are nearer the middle besides, the part's size would tell.
+    """
+    widths = np.zeros(int(model.chain.max()) + 1)
+    widths[model.chain] = np.where(model.breaks_mm < model.merged_mm, model.breaks_mm, 0.0)
+    deeper = np.where(are_unbroken(seen.curve), 0.0, PROFILE.rounding * widths[chains_of(seen.curve)])
+    return np.asarray(deeper * seen.design[:, 5])  # a part's z leads away from the cameras
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Adjusted:
     """A pose by profiles, and what its covariance is made of.
 
-    before : the pose that the profiles were taken at.  blur_px : of theirs.  scale (6,) : of its unknowns.
+    before : the pose that the profiles were taken at.  scale (6,) : of its unknowns.
     design (M, 6 + K) : of them, and of what else is not known, in sigmas.  left, weights (M,) : of the
     profiles.  inverse (6 + K, 6 + K) : of the normal equations.
     """
 
     pose: FloatArray
     before: FloatArray
-    blur_px: float
     profiles: Profiles
     scale: FloatArray
     design: FloatArray
@@ -204,7 +184,7 @@ def best_fit(
         if fit is None or (best is not None and fit.rms_px > best.rms_px):
             break
         best = fit
-    return None if best is None else _with_covariance(model, pyramids, images, best)
+    return None if best is None else _with_covariance(model, images, best)
 
 
 def _adjusted(
@@ -214,7 +194,7 @@ def _adjusted(
     fit: _Adjusted | None = None
     for first_sigma_px in PROFILE.first_sigmas_px:
         profiles = profiles_of(model, pyramids, images, pose, blur_px)
-        fit = adjusted_to(model, pose, blur_px, profiles, first_sigma_px, held, alike)
+        fit = adjusted_to(model, pose, profiles, first_sigma_px, held, alike)
         if fit is None:
             return None
         pose = fit.pose
@@ -222,7 +202,7 @@ def _adjusted(
 
 
 def adjusted_to(
-    model: EdgeModel, pose: FloatArray, blur_px: float, profiles: Profiles, first_sigma_px: float,
+    model: EdgeModel, pose: FloatArray, profiles: Profiles, first_sigma_px: float,
     held: FloatArray | None, alike: bool,
 ) -> _Adjusted | None:  # fmt: skip
     """The motion of a pose that explains most profiles best."""
@@ -254,7 +234,7 @@ def adjusted_to(
             break
     there = moved(model, pose, delta[:6] / scale)
     inverse = np.asarray(np.linalg.inv(normal), np.float64)
-    return _Adjusted(there, pose, blur_px, profiles, scale, design, shift - design @ delta, weights, inverse)
+    return _Adjusted(there, pose, profiles, scale, design, shift - design @ delta, weights, inverse)
 
 
 def _normal(design: FloatArray, weights: FloatArray) -> FloatArray:
@@ -265,9 +245,7 @@ def _normal(design: FloatArray, weights: FloatArray) -> FloatArray:
     return np.asarray(normal)
 
 
-def _with_covariance(
-    model: EdgeModel, pyramids: Pyramids, images: StereoImages, fit: _Adjusted
-) -> ProfileFit:
+def _with_covariance(model: EdgeModel, images: StereoImages, fit: _Adjusted) -> ProfileFit:
     """A fit with what its blocks of curves, light, the part's breaks and the rig say of its error."""
     profiles = fit.profiles
     design, left, weights = fit.design, fit.left, fit.weights
@@ -289,16 +267,14 @@ def _with_covariance(
         by_own = np.zeros((int(curve.max()) + 1, len(left)))
         by_own[curve, np.arange(len(left))] = profiles.by_width
         by_breaks = np.vstack([by_breaks, model.sigma_own_mm * by_own])
-    by_form = _moved_by_form(model, pyramids, images, fit.before, fit.blur_px, profiles)
-    if by_form is not None:
-        by_breaks = np.vstack([by_breaks, by_form])
+    by_breaks = np.vstack([by_breaks, if_rounded(model, profiles.seen)])
     # widths that were settled, and what the edges leave open of the rest
     moves = np.hstack([response @ by_breaks.T, PROFILE.correlated * inverse[:, 6:]])
     edges += moves @ moves.T
     units = np.outer(fit.scale, fit.scale)
     calibration = _by_calibration(images, fit.before, profiles, response)
     # a width that a pair has shown explains no growth
-    unknown = by_breaks if model.sigma_own_mm or by_form is not None else by_breaks[:0]
+    unknown = by_breaks if model.sigma_own_mm or model.merged_mm else by_breaks[:0]
     extra = _extra(_added(model, images, profiles), design, left, weights, excess, fit.inverse, unknown)
     return ProfileFit(fit.pose, edges / units, calibration / units, fit.rms_px, *extra)
 
