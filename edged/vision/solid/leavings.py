@@ -174,7 +174,7 @@ def _left(
 
 def _edges_in(window: _Windows, model: EdgeModel, view: LaidPair) -> FloatArray:
     """(M, 2) px along the normals to both edges of each break; the second NaN of a sharp one."""
-    first = np.full(int(max(model.chain.max(), window.curve.max())) + 1, -1)
+    first = np.full(int(max(model.chain.max(), window.curve.max(initial=0))) + 1, -1)
     numbers, starts = np.unique(model.chain, return_index=True)
     first[numbers] = starts
     row = first[window.curve]

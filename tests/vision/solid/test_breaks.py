@@ -77,6 +77,17 @@ def test_a_part_without_breaks_has_none(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
+def test_a_part_whose_file_has_all_breaks_is_laid_without(tmp_path: Path) -> None:
+    """No edge of it may have one, so no profile is asked."""
+    drawn_model = drawing_of(tmp_path, 214)
+    model = replace(drawn_model, breakable=np.zeros_like(drawn_model.breakable))
+    laid = lay_with_breaks(images_of(214, 5), model, place(0.0))
+    assert laid is not None
+    assert not laid.model.breaks_mm.any()
+    assert (invert(place(0.0)) @ laid.fit.pose)[2, 3] == pytest.approx(0.0, abs=0.02)
+
+
+@pytest.mark.slow
 def test_both_edges_of_breaks_leave_half_of_what_one_leaves(tmp_path: Path) -> None:
     """A width too narrow leaves more, and so does a place aside."""
     model, images = drawing_of(tmp_path, 4), images_of(4, 5)
