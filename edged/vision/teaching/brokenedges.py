@@ -102,7 +102,7 @@ def broken_edges(job: Job, views: Sequence[LaidPair]) -> BrokenEdges | None:
         if form is not None:
             form = _with_blur(_by_ends(form, leaves), leaves)
             begun.append((leaves.roughly(form.model, form.views), form))
-    begun.sort(key=lambda found: -found[0])
+    begun.sort(key=lambda tried: -tried[0])
     ended = [
         form for _, rough in begun[: BROKEN.kept] if (form := _adjusted(rough, BROKEN.rounds)) is not None
     ]
@@ -153,7 +153,7 @@ def _starts(job: Job, sharp: _Form, leaves: Leavings) -> list[_Form]:
             form = _by_ends(_nearer(model, sharp, sign * width), leaves)
             found.append((leaves.roughly(form.model, form.views), width, sign, form))
     kept: list[tuple[float, int, _Form]] = []
-    for _, width, sign, form in sorted(found, key=lambda found: -found[0]):
+    for _, width, sign, form in sorted(found, key=lambda tried: -tried[0]):
         if all(abs(width - w) > BROKEN.apart_mm or sign != s for w, s, _ in kept):
             kept.append((width, sign, form))
     return [form for _, _, form in kept[: BROKEN.begun]]
