@@ -26,7 +26,7 @@ from edged.vision.kernels.jit import F1, F2, FLOAT, I1, I2, INT, kernel
 
 RIGID_PARAMETERS = 4
 """Parameters of a rigid part besides its plane: shift along u and v, turn, growth."""
-CIRCLE, EDGE, SLOT = 0, 1, 2
+CIRCLE, EDGE, SLOT = 0, 1, 2  # kinds of curves, as a kernel tells them
 NUMBERS = {"circle": CIRCLE, "edge": EDGE, "slot": SLOT}
 SIZE_OF_ANY = 5  # parameters of a slot, which has most
 
