@@ -26,7 +26,7 @@ def warm(*, only_if_needed: bool) -> int:
     key = _key()
     if only_if_needed and stamp is not None and stamp.is_file() and stamp.read_text() == key:
         return 0
-    sys.stderr.write("edged: compiling numerical kernels (once, up to a minute)\n")
+    sys.stderr.write("edged: compiling numerical kernels (once, up to three minutes)\n")
     logging.getLogger("edged.vision.kernels").setLevel(logging.ERROR)  # it is said by now
     import edged.sim
     import edged.vision

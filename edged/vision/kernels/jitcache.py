@@ -28,7 +28,7 @@ _said = itertools.count()
 def say_compiling() -> None:
     """Once in a process, before the first kernel that is compiled: whoever waits knows for what."""
     if next(_said) == 0:  # one step: both cameras' threads may come here
-        log.warning("compiling numerical kernels (once, up to a minute)")
+        log.warning("compiling numerical kernels (once, up to three minutes)")
 
 
 class QuickCache(FunctionCache):  # type: ignore[misc]  # numba ships no types
