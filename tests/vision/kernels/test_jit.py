@@ -80,7 +80,8 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> list[dict[str, Any]]:
 @pytest.mark.slow
 def test_whoever_waits_for_the_compiler_is_told_so_once(runs: list[dict[str, Any]]) -> None:
     """In any program, on standard error, before it begins; a kernel that is stored says nothing."""
-    assert ["compiling numerical kernels (once, up to three minutes)\n", ""] == [found["told"] for found in runs]
+    said = [found["told"] for found in runs]
+    assert ["compiling numerical kernels (once, up to three minutes)\n", ""] == said
 
 
 @pytest.mark.slow
