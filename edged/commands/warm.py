@@ -14,6 +14,7 @@ import numba
 
 import edged
 from edged.files.atomic import write_file
+from edged.vision.kernels.jitcache import COMPILING
 
 
 def warm(*, only_if_needed: bool) -> int:
@@ -26,7 +27,7 @@ def warm(*, only_if_needed: bool) -> int:
     key = _key()
     if only_if_needed and stamp is not None and stamp.is_file() and stamp.read_text() == key:
         return 0
-    sys.stderr.write("edged: compiling numerical kernels (once, up to three minutes)\n")
+    sys.stderr.write(f"edged: {COMPILING}\n")
     logging.getLogger("edged.vision.kernels").setLevel(logging.ERROR)  # it is said by now
     import edged.sim
     import edged.vision

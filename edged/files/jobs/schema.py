@@ -34,8 +34,8 @@ from edged.vision.shape.model import ShapeModel
 from edged.vision.shape.params import Polarity, SearchParams, SubPixel
 
 MIN_LENGTH_MM = 1e-3
-MAX_POCKETS = 64
-"""Of a tray: as many as parts can be found."""
+MAX_PARTS = 64
+"""In one picture, so that a tray has no more pockets either."""
 MAX_FEATURES = 256
 """Features of each kind; neither people nor teaching come near it."""
 
@@ -103,7 +103,7 @@ class _Search(_Section):
         None, description="the same along the model's y, where it differs; left out: as along x"
     )
     min_score: float = Field(0.6, ge=0.1, le=1, description="share of the shape that must be seen and agree")
-    max_matches: int = Field(8, ge=1, le=64, description="the best ones are measured")
+    max_matches: int = Field(8, ge=1, le=MAX_PARTS, description="the best ones are measured")
     max_overlap: float = Field(
         0.5, ge=0, le=1, description="of two that share more than this of their area the better one remains"
     )
@@ -277,11 +277,11 @@ class _Tray(_Section):
     """
 
     first_mm: Place = Field(description="in the first pocket")
-    columns: int = Field(1, ge=1, le=MAX_POCKETS, description="pockets in a row")
+    columns: int = Field(1, ge=1, le=MAX_PARTS, description="pockets in a row")
     row_end_mm: Place | None = Field(None, description="in the last pocket of the first row")
-    rows: int = Field(1, ge=1, le=MAX_POCKETS, description="rows in a layer")
+    rows: int = Field(1, ge=1, le=MAX_PARTS, description="rows in a layer")
     column_end_mm: Place | None = Field(None, description="in the first pocket of the last row")
-    layers: int = Field(1, ge=1, le=MAX_POCKETS, description="layers, as of a pallet")
+    layers: int = Field(1, ge=1, le=MAX_PARTS, description="layers, as of a pallet")
     layer_end_mm: Place | None = Field(None, description="in the first pocket of the last layer")
     tolerance_mm: float = Field(10.0, gt=0, le=1000, description="how far a part may lie from the middle")
 
@@ -291,8 +291,8 @@ class _Tray(_Section):
             if (getattr(self, count) > 1) != (getattr(self, end) is not None):
                 raise ValueError(f"{end} is where {count} end: give it with more than one, and only then")
         tray = self.tray()
-        if tray.pockets > MAX_POCKETS:
-            raise ValueError(f"a tray has at most {MAX_POCKETS} pockets, this one has {tray.pockets}")
+        if tray.pockets > MAX_PARTS:
+            raise ValueError(f"a tray has at most {MAX_PARTS} pockets, this one has {tray.pockets}")
         if 2 * self.tolerance_mm > (apart_mm := step_mm(tray)):
             raise ValueError(
                 f"tolerance_mm: pockets are {apart_mm:g} mm apart, a part could lie in two; at most "

@@ -22,13 +22,14 @@ from numba.core.registry import cpu_target
 from numba.core.runtime import rtsys
 
 log = logging.getLogger(__name__)
+COMPILING = "compiling numerical kernels (once, up to three minutes)"
 _said = itertools.count()
 
 
 def say_compiling() -> None:
     """Once in a process, before the first kernel that is compiled: whoever waits knows for what."""
     if next(_said) == 0:  # one step: both cameras' threads may come here
-        log.warning("compiling numerical kernels (once, up to three minutes)")
+        log.warning(COMPILING)
 
 
 class QuickCache(FunctionCache):  # type: ignore[misc]  # numba ships no types

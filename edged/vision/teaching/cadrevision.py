@@ -17,7 +17,7 @@ from edged.errors import TeachError
 from edged.vision.geometry.rectification import StereoImages
 from edged.vision.geometry.rigid import apply
 from edged.vision.solid.edgemodel import EdgeModel, chains_of
-from edged.vision.solid.forms import LaidPair, with_breaks
+from edged.vision.solid.forms import LaidPair
 from edged.vision.solid.leavings import Leavings
 from edged.vision.solid.lock import Pyramids, edges_beside, scale_at, seen_by
 from edged.vision.solid.params import DECISION, EVIDENCE, LEAVINGS
@@ -149,9 +149,8 @@ def explains_more(
         return np.where(its, points + aside - inwards * found.narrower_mm * level, points)
 
     there = replace(model, start=moved(model.start), end=moved(model.end))
-    leaves = Leavings.of(with_breaks(model, 0.0), [view])
-    less = leaves.gains(there, [view]) - leaves.gains(model, [view])
-    less = less[leaves.curve == chain]
+    leaves = Leavings.of(model, [view])
+    less = leaves.gains(there, [view])[leaves.curve == chain]
     reached = np.isfinite(less)
     return bool(reached.mean() < 0.5 or less[reached].mean() > LEAVINGS.least_gain) if len(less) else True
 
