@@ -22,7 +22,7 @@ from typing import Any
 
 import cv2
 import numpy as np
-from bench_solid import measured, pair_of, report
+from bench_solid import asked, measured, pair_of, report
 from benching import finish
 from photoworld import Setting, finish_of, pictures
 from solids import Design
@@ -98,10 +98,9 @@ def main() -> int:
     rows = {}
     for way in options.ways.split(","):
         folder = options.folder / way
-        write_asked(argparse.Namespace(**{**vars(options), "folder": folder}), Film(way, options).draw)
-        asked = {"dataset": folder, "tilt": 45.0, "only": "", "parts": options.parts, "overlays": None}
+        write_asked(options, folder, Film(way, options).draw)
         print(f"\n## {way}: {blown(folder)}\n")
-        rows[way] = measured(argparse.Namespace(**asked, alone=None, step=False))
+        rows[way] = measured(asked(folder, "--parts", options.parts))
         report(rows[way])
     finish(options, {way: [row.to_json() for row in some] for way, some in rows.items()})
     return 0

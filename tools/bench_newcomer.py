@@ -261,8 +261,8 @@ async def newcomer_of(options: argparse.Namespace, folder: Path) -> dict[str, An
     return found
 
 
-def main() -> None:
-    """Print the figures."""
+def newcomer_parser() -> argparse.ArgumentParser:
+    """The arguments that `newcomer_of` reads."""
     parser = bench_parser(__doc__)
     parser.add_argument("--goal", type=float, default=8.0, help="µm: none of the sigmas of X, Y, Z beyond it")
     parser.add_argument("--parts", type=int, default=50)
@@ -272,7 +272,12 @@ def main() -> None:
     parser.add_argument("--second", action="store_true", help="by clicks, and then all of it a second time")
     parser.add_argument("--losses", action="store_true", help="with --second: pictures are lost")
     parser.add_argument("--firefox", action="store_true", help="the clicks in Firefox instead of Chromium")
-    options = parser.parse_args()
+    return parser
+
+
+def main() -> None:
+    """Print the figures."""
+    options = newcomer_parser().parse_args()
     with tempfile.TemporaryDirectory(prefix="edged-newcomer-") as folder:
         found = asyncio.run(newcomer_of(options, Path(folder)))
     finish(options, found)

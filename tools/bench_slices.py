@@ -30,7 +30,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
-from bench_solid import measured, report
+from bench_solid import asked, measured, report
 from benching import bench_parser, finish, share
 from helpers.cells import TEXTURED, frame_pair, pictures, pose, small_rig
 from helpers.flatparts import METAL
@@ -263,16 +263,8 @@ def of_broken(options: argparse.Namespace) -> None:
     first = HELD_OUT if options.held_out else 0
     with tempfile.TemporaryDirectory() as folder:
         write_set(Path(folder), range(first, first + options.designs), options.poses, 0, options.seed)
-        asked = argparse.Namespace(
-            dataset=Path(folder),
-            step=options.step,
-            alone=None,
-            tilt=TILT_DEG,
-            only="",
-            parts="",
-            overlays=None,
-        )
-        report(measured(asked))
+        step = ["--step"] if options.step else []
+        report(measured(asked(Path(folder), "--tilt", str(TILT_DEG), *step)))
 
 
 def of_slices(options: argparse.Namespace) -> None:

@@ -269,12 +269,16 @@ def measured(options: argparse.Namespace) -> list[Part]:
     """Every part of a set, in all its scenes."""
     rig = prepare(true_rig(options.dataset / "rig.json"))
     names = sorted(path.stem.removeprefix("teach_") for path in (options.dataset / "teach").glob("*.json"))
-    asked = options.parts.split(",") if options.parts else names
-    return [row for name in names if name in asked for row in measure(options.dataset, rig, name, options)[0]]
+    some = options.parts.split(",") if options.parts else names
+    return [row for name in names if name in some for row in measure(options.dataset, rig, name, options)[0]]
 
 
-def main() -> int:
-    """Print the table."""
+def asked(dataset: Path, *arguments: str) -> argparse.Namespace:
+    """What `measured` is asked for, as by the command line: what is not named is as usual there."""
+    return _parser().parse_args([str(dataset), *arguments])
+
+
+def _parser() -> argparse.ArgumentParser:
     parser = bench_parser(__doc__)
     parser.add_argument("dataset", type=Path)
     parser.add_argument("--tilt", type=float, default=45.0, help="degrees, as edged teach has it")
@@ -284,7 +288,12 @@ def main() -> int:
     parser.add_argument("--alone", type=float, metavar="DEPTH", help="teach with the STEP files and no pair")
     parser.add_argument("--further", type=int, default=0, metavar="N", help="scenes to teach with besides")
     parser.add_argument("--step", action="store_true", help="teach with the STEP files of DATASET")
-    options = parser.parse_args()
+    return parser
+
+
+def main() -> int:
+    """Print the table."""
+    options = _parser().parse_args()
     rows = measured(options)
     report(rows)
     finish(options, [row.to_json() for row in rows])

@@ -481,7 +481,7 @@ def main() -> int:
         print(f"{design.name}: {setting.finish}, {setting.light}, {setting.table}", flush=True)
         return pair, asdict(setting) | {"samples": options.samples}
 
-    write_asked(options, draw)
+    write_asked(options, options.folder, draw)
     return 0
 
 

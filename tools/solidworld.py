@@ -472,17 +472,18 @@ def set_parser(doc: str | None) -> argparse.ArgumentParser:
     return parser
 
 
-def write_asked(options: argparse.Namespace, draw: Draw = drawn) -> None:
-    """Write the set that the arguments ask for."""
+def write_asked(options: argparse.Namespace, folder: Path, draw: Draw = drawn) -> None:
+    """Write the set that the arguments ask for into a folder."""
     cv2.setNumThreads(1)
     first = options.first + (HELD_OUT if options.held_out else 0)
     numbers = range(first, first + options.designs)
-    write_set(options.folder, numbers, options.scenes, options.decoys, options.seed, draw)
+    write_set(folder, numbers, options.scenes, options.decoys, options.seed, draw)
 
 
 def main() -> int:
     """Write a set."""
-    write_asked(set_parser(__doc__).parse_args())
+    options = set_parser(__doc__).parse_args()
+    write_asked(options, options.folder)
     return 0
 
 

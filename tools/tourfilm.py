@@ -174,17 +174,10 @@ def main() -> int:
     parser.add_argument("-o", "--output", type=Path, default=TOUR)
     options = parser.parse_args()
     film = Film()
-    way = argparse.Namespace(
-        browser=True,
-        second=False,
-        losses=False,
-        firefox=False,
-        film=film,
-        seed=options.seed,
-        goal=8.0,
-        parts=1,
-        lens="auto",
+    way = bench_newcomer.newcomer_parser().parse_args(
+        ["--browser", "--parts", "1", "--seed", str(options.seed)]
     )
+    way.film = film
     with tempfile.TemporaryDirectory(prefix="edged-tour-") as folder:
         found = asyncio.run(bench_newcomer.newcomer_of(way, Path(folder)))
     for quality in QUALITIES:

@@ -10,11 +10,14 @@ import sys
 from fnmatch import fnmatchcase
 from pathlib import Path
 
+import bench_solid
 import pytest
 from helpers import alone
 from helpers.waiting import WHOLE_S
 
 TESTS = Path(__file__).parents[1]
+
+TOOLS = TESTS.parent / "tools"
 
 LIST = "not on the list of tests/helpers/skips.py"
 DOCTOR = "tests/cameras/test_doctor_networks.py"
@@ -88,3 +91,15 @@ def test_the_versions_of_what_is_not_pinned_stand_in_one_line() -> None:
     (line,) = run.stderr.splitlines()
     assert f"Python {platform.python_version()}, Linux {platform.release()}, chromium " in line
     assert line.endswith(", no-such-package is not here")
+
+
+def test_a_bench_asks_another_one_by_its_command_line() -> None:
+    """Options that were put together by hand lack those that are added later, and only a run shows it."""
+    made = [path.name for path in TOOLS.glob("*.py") if "argparse.Namespace(" in path.read_text()]
+    assert made == []
+
+
+def test_what_a_bench_of_solid_parts_is_not_asked_is_as_on_its_command_line(tmp_path: Path) -> None:
+    """Of the benches of slices and of exposures, which lacked `--further`."""
+    options = bench_solid.asked(tmp_path, "--step")
+    assert (options.dataset, options.step, options.alone, options.further) == (tmp_path, True, None, 0)

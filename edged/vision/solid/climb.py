@@ -7,14 +7,15 @@ cameras' responses is compared, and climbed, before any edge is looked for.
 from __future__ import annotations
 
 import math
+from dataclasses import replace
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
 
-from edged.domain.arrays import F64, I64, U8, FloatArray
-from edged.vision.curves.outlines import distorted, packed_lens
+from edged.domain.arrays import B8, F32, F64, I64, U8, FloatArray
 from edged.vision.geometry.camera import CameraModel
-from edged.vision.kernels.jit import F1, F2, INT, for_kernel, kernel
+from edged.vision.kernels.jit import F2, for_kernel, kernel
 from edged.vision.solid.params import CLIMB
 
 # numba freezes globals when it compiles: kernels read these by name
@@ -28,22 +29,48 @@ FULL = 15
 
 
 class Eye(NamedTuple):
-    """A camera: focal (2,), centre (2,) px, lens (5,) and its model, camera_from_rig (4, 4)."""
+    """A camera without distortion: its image_from_rig (3, 4), of homogeneous px."""
 
-    focal: F1
-    centre: F1
-    lens: F1
-    model: INT
-    from_rig: F2
+    image_from_rig: F2
 
 
 def eye_of(camera: CameraModel, from_rig: FloatArray) -> Eye:
-    """A camera as the kernels take it."""
-    lens, model = packed_lens(camera)
-    return Eye(
-        np.array([camera.fx, camera.fy]), np.array([camera.cx, camera.cy]), lens, model,
-        for_kernel(from_rig, np.float64),
-    )  # fmt: skip
+    """A camera whose picture has been `straightened` as the kernels take it."""
+    return Eye(for_kernel(camera.matrix @ from_rig[:3], np.float64))
+
+
+class Straight(NamedTuple):
+    """The camera of a picture without distortion, where its pixels are in the distorted one, and which.
+
+    camera : of the same focal lengths, large enough for all of the distorted picture.
+    source (H, W, 2) px.  inside (H, W).
+    """
+
+    camera: CameraModel
+    source: F32
+    inside: B8
+
+
+@lru_cache(maxsize=8)  # two cameras at two levels, of a rig and of the one before
+def straight(camera: CameraModel) -> Straight:
+    """How a camera's picture loses its distortion."""
+    across, down = (
+        np.linspace(-0.5, size - 0.5, CLIMB.border_points) for size in (camera.width, camera.height)
+    )
+    border = [np.column_stack([across, np.full(len(across), y)]) for y in down[[0, -1]]]
+    border += [np.column_stack([np.full(len(down), x), down]) for x in across[[0, -1]]]
+    size = np.array([camera.width, camera.height])
+    focal = np.array([camera.fx, camera.fy])
+    reach = camera.normalise(np.concatenate(border)) * focal + (camera.cx, camera.cy)
+    low = np.floor(np.maximum(reach.min(axis=0), -CLIMB.wider * size)).astype(np.int64)
+    high = np.ceil(np.minimum(reach.max(axis=0), (1 + CLIMB.wider) * size)).astype(np.int64)
+    width, height = (high - low).tolist()
+    cx, cy = camera.cx - float(low[0]), camera.cy - float(low[1])
+    plain = replace(camera, model="division", distortion=(0.0,), width=width, height=height, cx=cx, cy=cy)
+    places = np.stack(np.meshgrid(np.arange(width), np.arange(height)), axis=-1)
+    source = camera.pixels((places - (cx, cy)) / focal)
+    inside = ((source >= 0) & (source <= size - 1.0)).all(axis=-1)
+    return Straight(plain, np.asarray(source, np.float32), inside)
 
 
 @kernel("i8(f8, f8)", inline=True)
@@ -65,31 +92,28 @@ def response_of(points: F64, along: F64, pose: F64, eye: Eye, maps: U8, every: i
     points, along (P, 3) : what is seen of its edges.  every : of the points that is asked for.
     """
     _, height, width = maps.shape
-    move, there, way = np.empty((3, 4)), np.empty(3), np.empty(3)
+    move = np.empty((3, 4))
     for i in range(3):
         for j in range(4):
-            move[i, j] = eye.from_rig[i, 3] if j == 3 else 0.0
+            move[i, j] = eye.image_from_rig[i, 3] if j == 3 else 0.0
             for k in range(3):
-                move[i, j] += eye.from_rig[i, k] * pose[k, j]
+                move[i, j] += eye.image_from_rig[i, k] * pose[k, j]
     total, count = 0, 0
     for p in range(0, len(points), every):
         count += 1
-        for i in range(3):
-            there[i], way[i] = move[i, 3], 0.0
-            for j in range(3):
-                there[i] += move[i, j] * points[p, j]
-                way[i] += move[i, j] * along[p, j]
-        if not there[2] > 0.0:
+        x, y, z = points[p, 0], points[p, 1], points[p, 2]
+        depth = move[2, 0] * x + move[2, 1] * y + move[2, 2] * z + move[2, 3]
+        if not depth > 0.0:
             continue
-        u, v = there[0] / there[2], there[1] / there[2]
-        x, y, xu, xv, yu, yv = distorted(u, v, eye.lens, eye.model)
-        column = int(np.rint(x * eye.focal[0] + eye.centre[0]))
-        row = int(np.rint(y * eye.focal[1] + eye.centre[1]))
-        if column < 0 or row < 0 or column >= width or row >= height:
+        u = (move[0, 0] * x + move[0, 1] * y + move[0, 2] * z + move[0, 3]) / depth
+        v = (move[1, 0] * x + move[1, 1] * y + move[1, 2] * z + move[1, 3]) / depth
+        if not (-0.5 < u < width - 0.5 and -0.5 < v < height - 0.5):
             continue
-        du, dv = way[0] - u * way[2], way[1] - v * way[2]
-        tx, ty = eye.focal[0] * (xu * du + xv * dv), eye.focal[1] * (yu * du + yv * dv)
-        total += maps[direction_of(tx, -ty), row, column]
+        x, y, z = along[p, 0], along[p, 1], along[p, 2]
+        deeper = move[2, 0] * x + move[2, 1] * y + move[2, 2] * z
+        tx = move[0, 0] * x + move[0, 1] * y + move[0, 2] * z - u * deeper
+        ty = move[1, 0] * x + move[1, 1] * y + move[1, 2] * z - v * deeper
+        total += maps[direction_of(tx, -ty), int(v + 0.5), int(u + 0.5)]
     return total / (FULL * count)
 
 

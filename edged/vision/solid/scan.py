@@ -19,7 +19,7 @@ from edged.domain.arrays import F32, F64, I64, U8, FloatArray
 from edged.vision.geometry.camera import CameraModel, StereoRig
 from edged.vision.geometry.rigid import invert, rotation_matrix, transform, unit
 from edged.vision.kernels.jit import for_both, kernel
-from edged.vision.solid.climb import FULL, Eye, climb, eye_of, seek
+from edged.vision.solid.climb import FULL, Eye, Straight, climb, eye_of, seek, straight
 from edged.vision.solid.edgemodel import EdgeModel
 from edged.vision.solid.params import CLIMB, SCAN, VISIBILITY
 from edged.vision.solid.visible import Cameras, at_level, samples_at, see, view_of
@@ -130,17 +130,17 @@ def responses(grey: F32) -> U8:
 
 
 def scan(
-    model: EdgeModel, rig: StereoRig, camera: int, maps: U8, level: int,
+    model: EdgeModel, rig: StereoRig, camera: int, own: CameraModel, maps: U8, level: int,
     tilt_rad: float, distances_mm: tuple[float, float], place: FloatArray,
 ) -> tuple[ViewSet, I64, FloatArray]:  # fmt: skip
     """The best views of a part in one camera's picture: their set, numbers (K,) and rig_from_part (K, 4, 4).
 
-    maps : `responses` of the picture at a level.  tilt_rad : of the part's -z from the bisector of both
-    cameras.  distances_mm : nearest and farthest of the part's centre from the camera.
-    place (3,) : rig frame, where parts lie, more or less: the bisector is that of there.
+    own, maps : the camera of its picture at a level without distortion, and the picture's `responses`.
+    tilt_rad : of the part's -z from the bisector of both cameras.  distances_mm : nearest and farthest of
+    the part's centre from the camera.  place (3,) : rig frame, where parts lie, more or less: the bisector
+    is that of there.
     """
     cameras = Cameras.of(rig, level)
-    own = cameras.models[camera]
     rig_from_camera = invert(cameras.from_rig[camera])
     eyes = [invert(camera_from_rig)[:3, 3] for camera_from_rig in cameras.from_rig]
     away = [unit(place - eye) for eye in eyes]
@@ -329,7 +329,7 @@ def starts_of(
     if top:
         fine = _Seen.of(rig, top - 1, pictures[top - 1], place)
     reach = CLIMB.sought_share * SCAN.scale
-    step = CLIMB.sought_px / (coarse.eyes[0].focal[0] * rig.baseline_mm / float(place[2]))
+    step = CLIMB.sought_px / (coarse.cameras[0].fx * rig.baseline_mm / float(place[2]))
     shares = np.exp(np.arange(-reach, reach + step, step))
 
     def suggested(camera: int) -> list[tuple[float, FloatArray]]:
@@ -338,7 +338,7 @@ def starts_of(
         share = float(np.linalg.norm(place - eye)) / float(np.linalg.norm(place))
         near, far = distances_mm[0] * share, distances_mm[1] * share
         views, numbers, poses = scan(
-            model, rig, camera, coarse.maps[camera], top, tilt_rad, (near, far), place
+            model, rig, camera, coarse.cameras[camera], coarse.maps[camera], top, tilt_rad, (near, far), place
         )
         lean, scores = views.lean[numbers], np.empty(len(poses))
         seek(views.points, views.along, lean, poses, *coarse.eyes, *coarse.maps,
@@ -363,8 +363,12 @@ def starts_of(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Seen:
-    """Both cameras at one level: as kernels take them, their responses, and first steps (6,) to climb by."""
+    """Both cameras at one level, without distortion: as kernels take them, their responses, and first steps.
 
+    steps (6,) : to climb by.
+    """
+
+    cameras: tuple[CameraModel, CameraModel]
     eyes: tuple[Eye, Eye]
     maps: tuple[U8, U8]
     steps: FloatArray
@@ -372,7 +376,22 @@ class _Seen:
     @staticmethod
     def of(rig: StereoRig, level: int, pictures: Sequence[F32], place: FloatArray) -> _Seen:
         cameras = Cameras.of(rig, level)
-        left, right = (eye_of(cameras.models[k], cameras.from_rig[k]) for k in (0, 1))
-        shift = CLIMB.shift_px * float(place[2]) / left.focal[0]
-        steps = np.r_[np.full(3, CLIMB.turn_rad), np.full(3, shift)]
-        return _Seen((left, right), (responses(pictures[0]), responses(pictures[1])), steps)
+        left, right = (straight(camera) for camera in cameras.models)
+        shift = CLIMB.shift_px * float(place[2]) / left.camera.fx
+        return _Seen(
+            (left.camera, right.camera),
+            (eye_of(left.camera, cameras.from_rig[0]), eye_of(right.camera, cameras.from_rig[1])),
+            (_responses_of(left, pictures[0]), _responses_of(right, pictures[1])),
+            np.r_[np.full(3, CLIMB.turn_rad), np.full(3, shift)],
+        )
+
+
+def _responses_of(view: Straight, grey: F32) -> U8:
+    """`responses` of a picture without its distortion, 0 beyond it."""
+    maps = responses(
+        np.asarray(
+            cv2.remap(grey, view.source, None, cv2.INTER_LINEAR, None, cv2.BORDER_REPLICATE), np.float32
+        )
+    )
+    maps[:, ~view.inside] = 0
+    return maps

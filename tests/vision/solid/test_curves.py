@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 from helpers.blockpart import REFERENCE_MM, block, pair_of_block, taught
@@ -16,12 +17,13 @@ from edged.domain.arrays import FloatArray
 from edged.domain.measurement import Reject
 from edged.domain.stopwatch import Stopwatch
 from edged.pipeline import inspect
+from edged.vision.geometry.camera import CameraModel
 from edged.vision.geometry.rigid import apply, turn_between
-from edged.vision.solid.climb import FULL, climb, eye_of, response_of, step_of
+from edged.vision.solid.climb import FULL, climb, eye_of, response_of, step_of, straight
 from edged.vision.solid.curvemodel import curve_model
 from edged.vision.solid.edgemodel import EdgePoints, sampled
 from edged.vision.solid.scan import BINS
-from edged.vision.solid.visible import Cameras, see
+from edged.vision.solid.visible import Cameras, see, view_of
 
 
 def edges_beside(break_mm: float) -> EdgePoints:
@@ -63,17 +65,34 @@ def test_a_lower_edge_that_was_taught_besides_is_no_second_curve() -> None:
     assert (broken, sharp) == (len(np.unique(curve_model(job).chain)), broken + 1)
 
 
+@pytest.mark.parametrize("distortion", [(0.0,), (-0.8,), (0.6,), (-0.3, 0.1, 1e-3, -5e-4, 0.0)])
+def test_a_picture_without_distortion_holds_all_of_the_one_with_it(distortion: tuple[float, ...]) -> None:
+    """Each of its pixels shows what the lens puts there, and no pixel of the lens' picture is lost."""
+    model = "division" if len(distortion) == 1 else "brown"
+    camera = CameraModel(model, 320, 240, 400.0, 405.0, 150.0, 130.0, distortion)
+    plain, source, inside = straight(camera)
+    rng = np.random.default_rng(3)
+    pixels = rng.uniform((2, 2), (317, 237), (200, 2))
+    u, v = (camera.normalise(pixels) * (plain.fx, plain.fy) + (plain.cx, plain.cy)).T
+    assert np.all((u >= 0) & (v >= 0) & (u <= plain.width - 1) & (v <= plain.height - 1))
+    there = u.astype(np.float32), v.astype(np.float32)
+    shown = np.column_stack([cv2.remap(source[..., k], *there, cv2.INTER_LINEAR).ravel() for k in (0, 1)])
+    assert np.abs(shown - pixels).max() < 0.1
+    assert inside[np.rint(v).astype(int), np.rint(u).astype(int)].all()
+
+
 @pytest.mark.parametrize("seed", range(3))
 def test_a_pose_climbs_to_where_both_cameras_respond(seed: int) -> None:
     """From some degrees and millimetres off, on the responses that the edges themselves would give."""
     rig, model = small_rig(), curve_model(taught().job)
     where = lying(rig, 20.0, 30.0, 40.0)
     cameras = Cameras.of(rig, 2)
-    left, right = (eye_of(cameras.models[k], cameras.from_rig[k]) for k in (0, 1))
+    plain = [straight(camera).camera for camera in cameras.models]
+    left, right = (eye_of(plain[k], cameras.from_rig[k]) for k in (0, 1))
     samples, maps = sampled(model, 0.3), []
     for k in (0, 1):
-        seen = see(model, samples, cameras.view(k, model, where), 256)
-        drawn = np.zeros((BINS, cameras.models[k].height, cameras.models[k].width), np.uint8)
+        seen = see(model, samples, view_of(plain[k], cameras.from_rig[k] @ where, model.centre), 256)
+        drawn = np.zeros((BINS, plain[k].height, plain[k].width), np.uint8)
         x, y = np.rint(seen.pixels).astype(int).T
         angle = np.arctan2(seen.normals[:, 1], seen.normals[:, 0])
         bins = np.rint(angle * BINS / math.pi).astype(int) % BINS
