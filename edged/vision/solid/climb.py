@@ -43,11 +43,12 @@ class Straight(NamedTuple):
     """The camera of a picture without distortion, where its pixels are in the distorted one, and which.
 
     camera : of the same focal lengths, large enough for all of the distorted picture.
-    source (H, W, 2) px.  inside (H, W).
+    column, row (H, W) : px.  inside (H, W).
     """
 
     camera: CameraModel
-    source: F32
+    column: F32
+    row: F32
     inside: B8
 
 
@@ -70,7 +71,8 @@ def straight(camera: CameraModel) -> Straight:
     places = np.stack(np.meshgrid(np.arange(width), np.arange(height)), axis=-1)
     source = camera.pixels((places - (cx, cy)) / focal)
     inside = ((source >= 0) & (source <= size - 1.0)).all(axis=-1)
-    return Straight(plain, np.asarray(source, np.float32), inside)
+    column, row = (np.asarray(source[..., k], np.float32, "C") for k in (0, 1))
+    return Straight(plain, column, row, inside)
 
 
 @kernel("i8(f8, f8)", inline=True)

@@ -388,10 +388,7 @@ class _Seen:
 
 def _responses_of(view: Straight, grey: F32) -> U8:
     """`responses` of a picture without its distortion, 0 beyond it."""
-    maps = responses(
-        np.asarray(
-            cv2.remap(grey, view.source, None, cv2.INTER_LINEAR, None, cv2.BORDER_REPLICATE), np.float32
-        )
-    )
+    seen = cv2.remap(grey, view.column, view.row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    maps = responses(np.asarray(seen, np.float32))
     maps[:, ~view.inside] = 0
     return maps

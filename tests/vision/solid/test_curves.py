@@ -70,13 +70,13 @@ def test_a_picture_without_distortion_holds_all_of_the_one_with_it(distortion: t
     """Each of its pixels shows what the lens puts there, and no pixel of the lens' picture is lost."""
     model = "division" if len(distortion) == 1 else "brown"
     camera = CameraModel(model, 320, 240, 400.0, 405.0, 150.0, 130.0, distortion)
-    plain, source, inside = straight(camera)
+    plain, *source, inside = straight(camera)
     rng = np.random.default_rng(3)
     pixels = rng.uniform((2, 2), (317, 237), (200, 2))
     u, v = (camera.normalise(pixels) * (plain.fx, plain.fy) + (plain.cx, plain.cy)).T
     assert np.all((u >= 0) & (v >= 0) & (u <= plain.width - 1) & (v <= plain.height - 1))
     there = u.astype(np.float32), v.astype(np.float32)
-    shown = np.column_stack([cv2.remap(source[..., k], *there, cv2.INTER_LINEAR).ravel() for k in (0, 1)])
+    shown = np.column_stack([cv2.remap(each, *there, cv2.INTER_LINEAR).ravel() for each in source])
     assert np.abs(shown - pixels).max() < 0.1
     assert inside[np.rint(v).astype(int), np.rint(u).astype(int)].all()
 
