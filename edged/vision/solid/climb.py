@@ -70,7 +70,7 @@ def straight(camera: CameraModel) -> Straight:
     plain = replace(camera, model="division", distortion=(0.0,), width=width, height=height, cx=cx, cy=cy)
     places = np.stack(np.meshgrid(np.arange(width), np.arange(height)), axis=-1)
     source = camera.pixels((places - (cx, cy)) / focal)
-    inside = ((source >= 0) & (source <= size - 1.0)).all(axis=-1)
+    inside = np.asarray(((source >= 0) & (source <= size - 1.0)).all(axis=-1), np.bool_)
     column, row = (np.asarray(source[..., k], np.float32, "C") for k in (0, 1))
     return Straight(plain, column, row, inside)
 
