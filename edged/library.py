@@ -25,10 +25,11 @@ from edged.robot.picking import frame_of, picked
 from edged.setup.calibration.boards import boards_in, stated_boards
 from edged.setup.calibration.views import Calibrated, Views, solve
 from edged.setup.pairs import Pair
-from edged.setup.teaching.proposal import WantedJob, check_name, check_tilt, propose_from_pair
+from edged.setup.teaching.proposal import check_name, check_tilt, propose_from_pair
 from edged.vision.calibration.lenschoice import LensWish
 from edged.vision.geometry.camera import StereoRig
 from edged.vision.part.job import Job
+from edged.vision.teaching.pair import WantedJob
 from edged.vision.teaching.region import Area, Region
 
 PREPARED_RIGS = 4
@@ -105,7 +106,6 @@ def teach(
     exclude: Sequence[Area] = (),
     further: Sequence[tuple[Image, Image]] = (),
     name: str = "part",
-    number: int = 1,
     tilt_rad: float | None = None,
 ) -> Job:
     """Learn a part from one stereo pair: its shape, and the circles, edges and slots that give its pose.
@@ -114,12 +114,11 @@ def teach(
     region : where the part is in the left one, as x, y, width, height in px or as an `Area`; None: all of it.
     exclude : what of it is not the part.
     further : pairs that show the part tilted or in other light: they settle the form of its edge breaks.
-    number : of the job on a PLC.
     tilt_rad : how far parts may lie tilted, up to 45 degrees; None: about as at teaching.
 
-    What makes the job weaker, as an edge that the region cuts, is a Python warning. Raises `TeachError` for a
-    pair that teaches nothing, or a further one that does not show the part, `ImageError` for images that the
-    rig was not calibrated for.
+    Its number on a PLC is 1; another one: `dataclasses.replace(job, number=2)`. What makes the job weaker, as
+    an edge that the region cuts, is a Python warning. Raises `TeachError` for a pair that teaches nothing, or
+    a further one that does not show the part, `ImageError` for images that the rig was not calibrated for.
     """
     check_name(name)
     tilt_deg = None if tilt_rad is None else float(np.degrees(tilt_rad))
@@ -129,7 +128,7 @@ def teach(
         left,
         right,
         _prepared(rig).rectification,
-        WantedJob(name, number, tilt_deg=tilt_deg),
+        WantedJob(name, 1, tilt_deg=tilt_deg),
         region=area,
         exclude=exclude,
         further=further,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from types import UnionType
 from typing import Any, Union, get_args, get_origin
@@ -17,10 +17,30 @@ from edged.config.configuration import Config
 from edged.config.fields import Section
 from edged.config.reading import load
 from edged.errors import ConfigError
-from edged.setup.cellsettings import NOT_HERE, ON_A_PAGE
+from edged.setup.cellsettings import NOT_HERE
 from edged.setup.plcsettings import ModbusChoice, OpcUaChoice
 
 CELL = '[cell]\nname = "c"\nrig = "rig.json"\njobs = "jobs"\n[cameras]\nsource = "virtual"\n'
+ON_A_PAGE: Mapping[str, str] = {
+    **{f"cameras.{side}.{key}": "cameras" for side in ("left", "right") for key in ("device", "serial")},
+    **{f"cameras.{side}.{key}": "light" for side in ("left", "right") for key in ("exposure_us", "gain_db")},
+    **{
+        f"modbus.{key}": "plc"
+        for key in (
+            *("enabled", "host", "port", "unit_id", "word_order", "base_address", "convention"),
+            *("readers", "writers", "tls", "socket"),
+        )
+    },
+    **{
+        f"opcua.{key}": "plc"
+        for key in (
+            *("host", "port", "certificate", "key", "trusted", "user", "password_hash"),
+            *("anonymous", "readers"),
+        )
+    },
+    "cell.job": "jobs",
+}
+"""What a page of its own has, by its name or that of its section, and which."""
 
 
 def names(model: type[Section], above: str = "") -> Iterator[str]:

@@ -160,7 +160,7 @@ def accepted(case: str, shown: Path, work: Path) -> dict[str, object]:
     for name, folder, pair in (("flange", "still", "p0"), ("bar", "bar", "teach")):
         images = [cv2.imread(str(shown / folder / f"{pair}_{side}.png"), 0) for side in SIDES]
         with warnings.catch_warnings(action="ignore"):
-            save_job(work / name, teach(*images, rig, name=name, number=1))
+            save_job(work / name, teach(*images, rig, name=name))
     write_touched(shown, rig, 0.3 if case == "backlash" else 0.0)
     ends = [circle.name for circle in load_job(work / "bar").circles if 2.0 < circle.radius_mm < 3.0]
     known = StatedTruth(("-".join(ends), BAR_MM), work / "bar", 0.0, TOUCH_UM)

@@ -46,7 +46,7 @@ from edged.vision.part.params import MEASURING
 from edged.vision.teaching.cadjob import teach_model
 from edged.vision.teaching.cadpair import teach_with_model
 from edged.vision.teaching.furtherpairs import with_breaks_shown
-from edged.vision.teaching.pair import teach
+from edged.vision.teaching.pair import WantedJob, teach, view_of
 
 DEPTH_SHARE = 0.22
 """By so much nearer and farther than at teaching parts lie in these scenes: a range as a person sets it."""
@@ -171,9 +171,8 @@ def measure(
         if read is not None and options.alone is not None:
             job, _ = teach_model(read[0], read[1].curves, rig.rectification, options.alone, design)
         elif read is not None:
-            settled = teach_with_model(
-                *pair_of(pictured), rig.rectification, None, read[1].curves, design, design
-            )
+            view = view_of(*pair_of(pictured), rig.rectification, None)
+            settled = teach_with_model(view, read[1].curves, design, WantedJob(design, 1))
             job = settled.job
             print("\n".join(settled.remarks))
         else:

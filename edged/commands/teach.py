@@ -31,7 +31,6 @@ from edged.report.teaching import inspection_to_json, teaching_report
 from edged.setup.teaching.proposal import (
     PartModel,
     Proposal,
-    WantedJob,
     check_name,
     check_tilt,
     commit,
@@ -48,6 +47,7 @@ from edged.vision.part.tilt import reach_of, tilted_views
 from edged.vision.shape.params import ModelParams
 from edged.vision.teaching.cadmodel import CadModel, curves_towards
 from edged.vision.teaching.facets import faceted_curves
+from edged.vision.teaching.pair import WantedJob
 from edged.vision.teaching.region import Area, CircleRegion, Painted, PolygonRegion, Region
 
 REGION_FORMS = "X,Y,W,H, circle:X,Y,R, polygon:X,Y;X,Y;X,Y... or mask:FILE.png"

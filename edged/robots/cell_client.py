@@ -45,6 +45,7 @@ OPTIONS = {str(code.name): code.value for code in Option}
 FLAGS = {str(code.name): code.value for code in Flag}
 # </map>
 
+POLL_S = 0.01
 ROW_WORDS = 20
 JOB_ROWS, JOB_WORDS = 16, 16
 # pymodbus calls the unit id `slave` before 3.10 and `device_id` since ("API changes 3.10.0")
@@ -113,7 +114,6 @@ class EdgedCell:
         allow_rig_frame: bool = False,
         allow_simulated: bool = False,
         answer_s: float = 2.0,
-        poll_s: float = 0.01,
     ) -> None:
         self._client = ModbusTcpClient(host, port=port, timeout=answer_s)
         self._unit_id = unit_id
@@ -122,7 +122,6 @@ class EdgedCell:
         self._needed = {"VALID"} if allow_rig_frame else {"VALID", "ROBOT_FRAME"}
         self._unwanted: set[str] = set() if allow_simulated else {"SIMULATED"}
         self._answer_s = answer_s
-        self._poll_s = poll_s
         self._beat = 0
 
     def __enter__(self) -> EdgedCell:
@@ -327,7 +326,7 @@ class EdgedCell:
                 raise CommandNacked(reasons.get(int(status["NACK_REASON"]), "?"))
             if status["DONE_SEQ"] == sequence and "ACK" in status["bits"]:
                 return sequence, epoch
-            time.sleep(self._poll_s)
+            time.sleep(POLL_S)
         raise NoAnswer(f"{command} {sequence} did not end within {timeout_s:g} s")
 
     def _targets(self, values: dict[str, float]) -> tuple[dict[str, float], ...]:

@@ -21,26 +21,6 @@ from edged.setup.releases.routes import mandate
 from edged.setup.releases.service import Activation
 from edged.setup.settingsdraft import SettingsDraft, SettingsDraftDocument
 
-ON_A_PAGE: Mapping[str, str] = {
-    **{f"cameras.{side}.{key}": "cameras" for side in ("left", "right") for key in ("device", "serial")},
-    **{f"cameras.{side}.{key}": "light" for side in ("left", "right") for key in ("exposure_us", "gain_db")},
-    **{
-        f"modbus.{key}": "plc"
-        for key in (
-            *("enabled", "host", "port", "unit_id", "word_order", "base_address", "convention"),
-            *("readers", "writers", "tls", "socket"),
-        )
-    },
-    **{
-        f"opcua.{key}": "plc"
-        for key in (
-            *("host", "port", "certificate", "key", "trusted", "user", "password_hash"),
-            *("anonymous", "readers"),
-        )
-    },
-    "cell.job": "jobs",
-}
-"""What a page of its own has, by its name or that of its section, and which."""
 NOT_HERE: Mapping[str, str] = {
     "cell.name": "names",
     "cell.rig": "names",

@@ -499,10 +499,6 @@ def demo_rig() -> StereoRig:
     )
 
 
-DEMO_MARKS = MarkFrame(60.0, 52.0, 8, 2.0)
-"""Around the pick area of the demo, as wide as both its cameras see."""
-
-
 def inside(marks: MarkFrame) -> PartMotion:
     """Where the demo's part may lie without covering marks; their middle is where both cameras see most."""
     reach_mm = extent_mm(demo_part().outline) + marks.diameter_mm

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers.markedcell import STILL, marked_cell, pair_at, prepared, teach
+from helpers.markedcell import DEMO_MARKS, STILL, marked_cell, pair_at, prepared, teach
 from helpers.schema_check import load_schema, violations
 from helpers.scriptedhead import Ear, Head, locate_command, running
 from helpers.waiting import until
@@ -38,7 +38,7 @@ from edged.payload import snapshot_to_json
 from edged.pictures.twoexposures import merge_exposures
 from edged.pipeline import locate, prepare
 from edged.plc import registers as reg
-from edged.sim.cell import DEMO_MARKS, VirtualCell, demo_part, demo_rig, inside
+from edged.sim.cell import VirtualCell, demo_part, demo_rig, inside
 from edged.sim.weather import Knock, Schedule, Weather
 
 COLD = Schedule(((0.0, 0.0), (1e-9, -8.0)))

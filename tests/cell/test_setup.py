@@ -9,7 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from helpers.scriptedhead import Ear, Head, found_nothing, held, locate_command, make_setup, running
+from helpers.scriptedhead import Ear, Head, held, locate_command, make_setup, running
 from helpers.waiting import until
 from hypothesis import settings
 from hypothesis import strategies as st
@@ -20,8 +20,7 @@ from edged.cell.lease.lease import LEASE_S, SetupLease
 from edged.cell.loaded import Setup
 from edged.domain.cell import CellPhase, CellState, SetupSource
 from edged.domain.events import CommandFailed, ExposureDone, Idle, Snapshot
-from edged.domain.measurement import Outcome, Status
-from edged.errors import BeingSetUp, FrameTimeout, ImageError, SetupRefused
+from edged.errors import BeingSetUp, FrameTimeout, SetupRefused
 from edged.files.statefolder import SetupNote
 
 LACKING = replace(make_setup(), jobs={}, active_job=0, lacks=SetupSource.NO_CALIBRATION)
@@ -74,8 +73,7 @@ async def test_nobody_else_hears_of_pictures_in_setup() -> None:
         token = await cycle.session.enter_setup("Anna")
         pair = await cycle.session.capture(token)
         assert (1, 1) == (pair.left.frame_id, head.captures)
-        tried, outcome = await cycle.session.try_job(token, found_nothing)
-        assert (2, Status.NO_TARGET) == (tried.left.frame_id, outcome.status)
+        assert 2 == (await cycle.session.capture(token)).left.frame_id
         await until(lambda: latest(ear).cameras_ok)
         await cycle.session.leave_setup(token)
         await until(lambda: ear.state() is CellPhase.READY)
@@ -97,19 +95,6 @@ async def test_a_dead_camera_is_told_to_who_asks_and_shows_when_setup_ends() -> 
         await until(lambda: ear.state() is CellPhase.FAULT)
         head.broken = False
         await until(lambda: ear.state() is CellPhase.READY)
-
-
-async def test_a_draft_that_cannot_measure_ends_nothing() -> None:
-    """What is raised on purpose goes to who asked; the next request is served."""
-
-    def unfit(_pair: object, _lap: object) -> Outcome:
-        raise ImageError("of another size")
-
-    async with driven(make_setup()) as (cycle, _, _):
-        token = await cycle.session.enter_setup("Anna")
-        with pytest.raises(ImageError):
-            await cycle.session.try_job(token, unfit)
-        await cycle.session.capture(token)
 
 
 async def test_other_cameras_are_for_setup_alone() -> None:

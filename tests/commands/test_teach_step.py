@@ -43,6 +43,7 @@ from edged.vision.teaching.cadjob import teach_model
 from edged.vision.teaching.cadmodel import CadModel, welded
 from edged.vision.teaching.cadsettling import Settled, settle
 from edged.vision.teaching.facets import faceted_curves
+from edged.vision.teaching.pair import WantedJob, view_of
 from edged.vision.teaching.pair import teach as teach_pair
 from edged.vision.teaching.reteaching import carry_over
 
@@ -161,7 +162,8 @@ def test_what_the_pair_alone_takes_for_another_revision_is_asked_of_all_edges(
 def with_model(pair: tuple[Image, Image]) -> Settled:
     """What a pair and the file teach together."""
     _, model = read_model(STEP, "-z")
-    return cadpair.teach_with_model(*pair, prepare(small_rig()).rectification, None, model.curves, "D3", "D3")
+    view = view_of(*pair, prepare(small_rig()).rectification, None)
+    return cadpair.teach_with_model(view, model.curves, "D3", WantedJob("D3", 1))
 
 
 @pytest.mark.slow

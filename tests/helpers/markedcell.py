@@ -12,13 +12,16 @@ from edged.commands.demo import DemoOptions, prepare_cell
 from edged.domain.arrays import SIDES, Image
 from edged.domain.frames import Frame, FramePair
 from edged.files.marks import marks_file, save_marks
-from edged.sim.cell import DEMO_MARKS, VirtualCell, demo_part, demo_rig, inside
+from edged.sim.cell import VirtualCell, demo_part, demo_rig, inside
 from edged.sim.exposure import ExposureRequest
 from edged.sim.weather import Knock, Schedule, Weather
+from edged.vision.marks.frame import MarkFrame
 from edged.vision.marks.taught import TaughtMarks, teach_marks
 
 STILL = Schedule(((0.0, 0.0),))
 S = 10**9
+DEMO_MARKS = MarkFrame(60.0, 52.0, 8, 2.0)
+"""Around the pick area of the demo, as wide as both its cameras see."""
 
 
 def marked_cell(*knocks: Knock, schedule: Schedule = STILL, seed: int = 3) -> VirtualCell:

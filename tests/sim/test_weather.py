@@ -7,10 +7,10 @@ import math
 import cv2
 import numpy as np
 import pytest
-from helpers.markedcell import marked_cell, pair_at
+from helpers.markedcell import DEMO_MARKS, marked_cell, pair_at
 
 from edged.domain.arrays import SIDES
-from edged.sim.cell import DEMO_MARKS, demo_rig
+from edged.sim.cell import demo_rig
 from edged.sim.weather import DAY_S, Knock, Schedule, Sensitivity, Weather
 from edged.vision.geometry.rigid import apply, invert, rotation_vector
 from edged.vision.marks.measuring import search_marks

@@ -10,7 +10,6 @@ from edged.cell.announcements import log
 from edged.cell.context import CellContext
 from edged.cell.lease.cameras import capture_again
 from edged.cell.lease.lease import SetupRequest
-from edged.cell.loaded import Locate
 from edged.cell.registering import RobotRegistration
 from edged.config.chosencameras import ChosenCamera
 from edged.domain.arrays import Side
@@ -18,7 +17,6 @@ from edged.domain.cell import CellPhase
 from edged.domain.events import Idle
 from edged.domain.exposure import CameraLimits, CameraValues
 from edged.domain.frames import FramePair
-from edged.domain.measurement import Outcome
 from edged.errors import CaptureError, EdgedError
 from edged.ports import Head
 
@@ -82,15 +80,6 @@ class SetupSession:
     async def capture(self, token: str) -> FramePair:
         """One exposure, which is not announced. Raises `SetupRefused`, `CaptureError`."""
         return await self.lease.ask(token, self._cell.setup_picture)
-
-    async def try_job(self, token: str, locate: Locate) -> tuple[FramePair, Outcome]:
-        """One exposure, measured by a draft. Raises `SetupRefused`, and what `locate` raises."""
-
-        async def tried() -> tuple[FramePair, Outcome]:
-            pair = await self._cell.setup_picture()
-            return pair, await self._cell.on_vision_thread(locate, pair, lambda _stage: None)
-
-        return await self.lease.ask(token, tried)
 
     async def try_head(
         self, token: str, head: Head, changes: Mapping[Side, ChosenCamera] | None = None

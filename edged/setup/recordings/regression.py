@@ -33,11 +33,6 @@ SHOWN = (*COMPARED, "dismissed", "nearest")
 """Also what is for people only."""
 
 
-def remeasure(taken: Recording, rig: PreparedRig, job: Job) -> Json:
-    """What of a published snapshot the same exposure decides, measured now by any rig and job."""
-    return decided(taken, inspected(taken, rig, job), rig, job)
-
-
 def inspected(taken: Recording, rig: PreparedRig, job: Job) -> PairInspection | None:
     """What the same exposure shows; None where nothing was measured then."""
     command = taken.snapshot.get("command")

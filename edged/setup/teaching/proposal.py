@@ -19,35 +19,18 @@ from edged.vision.geometry.rigid import invert, unit
 from edged.vision.part.job import MAX_TILT_DEG, Job
 from edged.vision.part.params import MEASURING
 from edged.vision.shape.inspection import ModelInspection, inspect_model
-from edged.vision.shape.params import ModelParams
 from edged.vision.teaching.cadjob import teach_model
 from edged.vision.teaching.cadmodel import CadModel, ModelCurves
 from edged.vision.teaching.cadpair import teach_with_model
 from edged.vision.teaching.cuts import Cut, cut_edges
 from edged.vision.teaching.drawing import teach_drawing
 from edged.vision.teaching.furtherpairs import with_breaks_shown
-from edged.vision.teaching.pair import taught_mask, teach
+from edged.vision.teaching.pair import WantedJob, taught, taught_mask, view_of
 from edged.vision.teaching.region import Area
 from edged.vision.teaching.reteaching import carry_over
 
 MAX_CUTS = 4
 """Named one by one; with more the report's picture says it better."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class WantedJob:
-    """What the job is to be, wherever it is learnt from.
-
-    number : on the PLC. params : of the model; None: automatic.
-    tilt_deg : how far parts may lie tilted; None: about as at teaching.
-    former : the job that it replaces: what a person changed in it is carried over.
-    """
-
-    name: str
-    number: int
-    params: ModelParams | None = None
-    tilt_deg: float | None = None
-    former: Job | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -88,15 +71,12 @@ def propose_from_pair(
     further : pairs that show the same part otherwise; see `with_breaks_shown`.
     Raises `TeachError` for a pair that teaches nothing, or shows another part.
     """
-    name, number, params = wanted.name, wanted.number, wanted.params
+    view = view_of(left, right, rectification, region, exclude)
     settled: tuple[str, ...] = ()
     if model is None:
-        job = teach(left, right, rectification, region, name, number, exclude=exclude, params=params)
+        job = taught(view, wanted)
     else:
-        found = teach_with_model(
-            left, right, rectification, region, model.curves, model.name, name, number,
-            exclude=exclude, params=params,
-        )  # fmt: skip
+        found = teach_with_model(view, model.curves, model.name, wanted)
         job, settled = found.job, found.remarks
     if further or (model is None and (job.solid or wanted.tilt_deg is not None)):
         job, shown = with_breaks_shown(job, (left, right), further, rectification)

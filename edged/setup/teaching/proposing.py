@@ -46,12 +46,13 @@ from edged.setup.teaching.documents import (
 from edged.setup.teaching.drafts import picture_name
 from edged.setup.teaching.editing import FormerFiles, edited, lying, picking_of, with_tolerances
 from edged.setup.teaching.model import Content, Drawing, Mark, Shapes, region_of
-from edged.setup.teaching.proposal import Proposal, WantedJob, propose_from_drawing, propose_from_pair
+from edged.setup.teaching.proposal import Proposal, propose_from_drawing, propose_from_pair
 from edged.vision.geometry.camera import StereoRig
 from edged.vision.geometry.rigid import apply, invert
 from edged.vision.part.job import BreakEnd, Job, MeasurementKind, MeasurementSpec
 from edged.vision.part.measured import MeasuredPart
 from edged.vision.teaching.foreground import likely_part
+from edged.vision.teaching.pair import WantedJob
 
 NOT_AS_DRAWN = (
     "nothing in this pair is like the drawing: is it the face that the cameras see, in its unit, at that "

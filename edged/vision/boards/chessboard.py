@@ -23,8 +23,9 @@ from edged.vision.boards.markmodels import fit_corners
 from edged.vision.boards.params import DETECTION
 from edged.vision.geometry.camera import CameraModel
 
-# What clipping alone gives, in two directions, with some noise: never rough, however precise the others are
 _NEVER_ROUGH_PX = 2.0 * DETECTION.clipped_px
+"""What clipping alone gives, in two directions, with some noise: never rough, however precise
+the others are."""
 
 
 def detect_chessboard(image: Image, board: Chessboard) -> Detection | NotDetected:

@@ -351,13 +351,13 @@ def _rectangle(places: dict[tuple[int, int], int], board: DotBoard) -> I64 | Non
     return grid if shape == (board.columns, board.rows) else np.rot90(grid)
 
 
-# Steps of an asymmetric grid along the two directions grown, as columns, up to quarter turns. The nearest
-# neighbours lie on its diagonals; seen aslant, the mark two rows or columns on may be nearer.
 _STEPS = [
     np.array(steps)
     for steps in ([[1, -1], [1, 1]], [[1, 0], [1, 2]], [[1, -2], [1, 0]], [[2, 1], [0, 1]], [[2, -1], [0, 1]])
 ]
-_QUARTER = np.array([[0, -1], [1, 0]])
+"""Steps of an asymmetric grid along the two directions grown, as columns, up to quarter turns. The nearest
+neighbours lie on its diagonals; seen aslant, the mark two rows or columns on may be nearer."""
+_QUARTER = np.array([[0, -1], [1, 0]])  # turn
 
 
 def _asymmetric(places: dict[tuple[int, int], int], board: CircleGrid) -> I64 | None:

@@ -26,7 +26,7 @@ _RECENTRED = DETECTION.recentred
 _CENTRED_PX = DETECTION.centred_px
 _MIN_SHARE_INSIDE = DETECTION.min_share_inside
 _PIXEL_BLUR_PX = math.sqrt(1.0 / 12.0)  # of a pixel's own width: no lens makes an edge sharper
-_TWO_OVER_ROOT_PI = 2.0 / math.sqrt(math.pi)
+_TWO_OVER_ROOT_PI = 2.0 / math.sqrt(math.pi)  # slope of the error function at 0
 
 
 @kernel(inline=True)

@@ -71,8 +71,8 @@ class BundleState:
     right: CameraModel
     right_from_left: FloatArray
     left_from_board: FloatArray
-    shape: FloatArray = field(default_factory=lambda: np.zeros(0))
-    shape_sigma: float = 1.0
+    shape: FloatArray = field(default_factory=lambda: np.zeros(0))  # as stated
+    shape_sigma: float = 1.0  # mm; divides nothing while shape is empty
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -21,6 +21,7 @@ _PARTS = tuple(
     for row, rows in (("upper", slice(0, 2)), ("middle", slice(2, 4)), ("lower", slice(4, 6)))
     for column, columns in (("left", slice(0, 2)), ("middle", slice(2, 6)), ("right", slice(6, 8)))
 )
+"""Name, rows and columns of the nine parts that messages speak of: the middle is half of each side."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

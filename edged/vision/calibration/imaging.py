@@ -24,6 +24,8 @@ from edged.vision.geometry.camera import StereoRig, calibration_identity
 from edged.vision.geometry.rectification import linear_grey
 
 MIN_LENGTH_PX = 3.5 * IMAGING.reach_px
+"""Of an edge: the patch about its middle, two reaches long, stays 3/4 of a reach off the corners at
+its ends."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -74,7 +76,7 @@ class Imaging:
     halo: float = math.nan
 
 
-UNKNOWN = Imaging(1.0, *[math.nan] * 8)
+UNKNOWN = Imaging(1.0, *[math.nan] * 8)  # gamma of a linear camera
 
 
 def edges_of(image: Image, board: Board, detection: Detection, view: int = 0) -> BoardEdges | None:
@@ -335,6 +337,7 @@ def _profile(edges: BoardEdges) -> _Profile:
 
 
 _HALF = np.arange(IMAGING.bin_px / 2, IMAGING.reach_px - 2.0, IMAGING.bin_px)
+"""Middles of the bins of half a profile, 2 px short of its end: its centre may lie that far off."""
 
 
 def _halo(profile: _Profile) -> float:

@@ -14,8 +14,8 @@ from edged.vision.edges.params import OUTLINES
 
 FINE = 16.0
 """Gradient steps per grey value: a faint edge, smoothed to whole grey values, would be a staircase."""
-UNIT = 8 * FINE
-AXES = ((1, 0), (0, 1))
+UNIT = 8 * FINE  # weights of a Sobel operator add to 8 on a slope of 1 grey value per px
+AXES = ((1, 0), (0, 1))  # x, y
 
 
 @dataclass(frozen=True, slots=True)

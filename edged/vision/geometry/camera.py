@@ -44,7 +44,7 @@ class CameraModel:
     cx: float
     cy: float
     distortion: tuple[float, ...]
-    gamma: float = 1.0
+    gamma: float = 1.0  # linear
 
     def __post_init__(self) -> None:
         expected = len(DISTORTION_NAMES[self.model])

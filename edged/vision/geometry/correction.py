@@ -17,7 +17,7 @@ from edged.vision.geometry.projection import project_with_jacobians
 from edged.vision.geometry.rigid import apply, invert, rotation_matrix, skew, transform
 
 OF_CAMERA = 7  # elements for each camera, see the top
-DISPLACEMENT = 2 * OF_CAMERA
+DISPLACEMENT = 2 * OF_CAMERA  # elements for both
 
 
 def of_side(side: Side) -> slice:

@@ -204,7 +204,7 @@ def _cache_is_usable() -> bool:
 
 T = TypeVar("T")
 
-_RIGHT = ThreadPoolExecutor(1, thread_name_prefix="right-camera")
+_RIGHT = ThreadPoolExecutor(1, thread_name_prefix="right-camera")  # the left one has the caller's thread
 
 
 def for_both(work: Callable[[int], T]) -> tuple[T, T]:

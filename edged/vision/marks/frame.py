@@ -39,7 +39,7 @@ class MarkFrame:
     height_mm: float
     count: int
     diameter_mm: float
-    first: int = 0
+    first: int = 0  # of the printed codes
 
     @property
     def codes(self) -> range:

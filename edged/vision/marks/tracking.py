@@ -50,7 +50,7 @@ class MarksSettings:
     """
 
     material: str = "steel"
-    range_k: float = 10.0
+    range_k: float = 10.0  # chosen: a hall by day and night; more makes sigma larger, less too small
     heals: bool = True
 
 

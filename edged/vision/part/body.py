@@ -34,8 +34,8 @@ class PartBody:
     triangles: I64
     lines: I64
     breaks_mm: FloatArray | None = None
-    sigma_break_mm: float = 0.0
-    merged_mm: float = 0.0
+    sigma_break_mm: float = 0.0  # as stated
+    merged_mm: float = 0.0  # none is
 
     def to_arrays(self) -> dict[str, npt.NDArray[Any]]:
         """For a file; single precision is a nanometre of a part of a centimetre."""

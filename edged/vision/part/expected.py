@@ -27,6 +27,7 @@ from edged.vision.part.pose import circle_curve, edge_curve, find_motion, slot_c
 from edged.vision.part.solid import curves_of, target_of, taught_sigma_mm
 
 GOOD_LIGHT = ExpectedLight(contrast=80.0, noise=2.0, blur_px=0.8)
+"""Chosen: a good picture's; what is foreseen by it holds in such light."""
 USUAL = scatter_in(GOOD_LIGHT, FIT.doubt_px)
 """For a job without measurements."""
 

@@ -14,7 +14,7 @@ from edged.vision.curves.outlines import PLANE_PARAMETERS, Curve, Face
 from edged.vision.curves.planefit import CurveFit, PlaneFit, derived
 from edged.vision.part.job import Job, MeasurementSpec, angle_of_lines
 
-_PLACE_AND_RADIUS = np.ix_([0, 1, 2, 6], [0, 1, 2, 6])
+_PLACE_AND_RADIUS = np.ix_([0, 1, 2, 6], [0, 1, 2, 6])  # of (7, 7): without the rotation, 3 to 5
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -140,10 +140,10 @@ class ResultLimits:
     """
 
     depth_mm: tuple[float, float]
-    min_support: float = 0.3
-    max_rms_px: float = 0.5
-    max_sigma_mm: float = 0.2
-    max_epipolar_px: float = 0.5
+    min_support: float = 0.3  # chosen: more refuses covered parts, less trusts short arcs
+    max_rms_px: float = 0.5  # chosen: more lets another outline through, less refuses rough edges
+    max_sigma_mm: float = 0.2  # chosen: more lets a robot miss, less refuses what a gripper forgives
+    max_epipolar_px: float = 0.5  # chosen: more measures by a rig that moved, less refuses warm cameras
     radius_tolerance_mm: float | None = None
     form_tolerance_mm: float | None = None
 
@@ -151,6 +151,7 @@ class ResultLimits:
 FINE_TOLERANCES_MM = ((6.0, 0.05), (30.0, 0.1), (120.0, 0.15), (400.0, 0.2), (1000.0, 0.3), (math.inf, 0.5))
 """Sizes up to, and by how much they may differ: ISO 2768-1, class f; workshops keep it unasked."""
 LIGHT_PX = MEASURING.displaced_px / 3
+"""By which another light displaces edges: see `MeasuringParams.displaced_px`."""
 
 
 def usual_tolerance_mm(size_mm: float, pixel_mm: float, sigma_mm: float = 0.0) -> float:
@@ -204,7 +205,7 @@ class Job:
     points: tuple[ModelPoint, ...] = ()
     report: str = "reference"
     body: PartBody | None = None
-    sigma_mm: float = 0.0
+    sigma_mm: float = 0.0  # none: taught from a pair
     break_mm: float | None = None
     break_end: BreakEnd | None = None
     traced: tuple[TracedCurve, ...] = ()
@@ -258,6 +259,16 @@ class Job:
                 first, second = (edges[edge] for edge in corner.edges)
                 return crossing(first, second)
         return np.asarray(0.5 * (edges[name].start_mm + edges[name].end_mm))
+
+
+USUAL_SEARCH = SearchParams(
+    scale_min=1 / (1 + MEASURING.depth_share),
+    scale_max=1 / (1 - MEASURING.depth_share),
+    max_matches=8,
+    polarity="local",
+)
+"""Of a job as taught: at all depths that its limits let through. A dark part on a bright table inverts its
+outline, but not the shadow in its holes."""
 
 
 def usual_limits(

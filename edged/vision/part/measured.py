@@ -37,4 +37,4 @@ class Evidence:
     scale: float = math.nan
     sigma_scale: float = math.nan
     form_mm: float = math.nan
-    break_mm: float = 0.0
+    break_mm: float = 0.0  # sharp, or known

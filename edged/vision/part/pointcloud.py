@@ -21,7 +21,7 @@ from edged.vision.geometry.triangulation import triangulate, triangulate_raw, tr
 from edged.vision.part.job import Job
 from edged.vision.part.measured import MeasuredPart
 from edged.vision.part.params import MEASURING
-from edged.vision.stereo.matching import NccParams, PairingReason, match_ncc
+from edged.vision.stereo.matching import PairingReason, match_ncc
 
 CONTOUR, FACE = 0, 1  # kinds of points, in files too
 
@@ -90,7 +90,6 @@ def face_points(
     part: MeasuredPart,
     depth_mm: tuple[float, float],
     grid_px: int = MEASURING.cloud_grid_px,
-    params: NccParams | None = None,
 ) -> FacePoints:
     """Points of a part between its contours, by NCC.
 
@@ -101,7 +100,7 @@ def face_points(
     if not len(grid):
         return FacePoints(np.zeros((0, 3)), np.zeros(0), {})
     ranges = _ranges(images, grid, depth_mm)
-    matches = match_ncc(images.rectified_left, images.rectified_right, grid, ranges, params)
+    matches = match_ncc(images.rectified_left, images.rectified_right, grid, ranges)
     good = matches.accepted
     right_x = grid[good, 0] - matches.disparity_px[good]
     points = triangulate(rectification, grid[good], right_x)

@@ -392,7 +392,7 @@ def turns(model: ShapeModel) -> RivalTurns:
     return RivalTurns(np.array(motions)[best], own[best], foreign[best])
 
 
-_IDENTITY = refine.start_pose(0.0, 0.0, 0.0, 1.0, 1.0)
+_IDENTITY = refine.start_pose(0.0, 0.0, 0.0, 1.0, 1.0)  # not moved, not turned, as large
 
 
 def about(centre: FloatArray, angle_rad: float) -> FloatArray:

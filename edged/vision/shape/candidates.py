@@ -72,10 +72,10 @@ class Hypothesis:
     sign: int
     score: float
     covariance: FloatArray | None = None
-    scanned: float = 0.0
+    scanned: float = 0.0  # by none
     slopes: FloatArray | None = None
     ambiguous: bool = False
-    view: int = 0
+    view: int = 0  # the first
     odds: Odds | None = None
 
     @cached_property

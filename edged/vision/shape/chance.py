@@ -60,8 +60,8 @@ class Chance:
     looked: FloatArray
     met: FloatArray
     thresholds: FloatArray
-    repeated: float = 1.0
-    many: float = 1.0
+    repeated: float = 1.0  # as independent ones
+    many: float = 1.0  # of each by itself
 
     @staticmethod
     def of(known: I64, slope: FloatArray, thresholds: FloatArray, scatter: tuple[float, float]) -> Chance:

@@ -20,7 +20,7 @@ from edged.vision.shape.params import CLIMB
 # numba freezes globals when it compiles: kernels read these by name
 REACH_PX = CLIMB.nearby_reach_px
 STRIDE_PX = CLIMB.nearby_stride_px
-PLACES = 2 * REACH_PX // STRIDE_PX + 1
+PLACES = 2 * REACH_PX // STRIDE_PX + 1  # along x and along y
 
 Array = npt.NDArray[Any]
 

@@ -39,10 +39,10 @@ class ShapeModel:
     origin_px: FloatArray
     radius_px: float
     contrast: float
-    symmetries: FloatArray = field(default_factory=lambda: np.zeros((0, 4)))
-    centre_px: FloatArray = field(default_factory=lambda: np.zeros(2))
+    symmetries: FloatArray = field(default_factory=lambda: np.zeros((0, 4)))  # none
+    centre_px: FloatArray = field(default_factory=lambda: np.zeros(2))  # the origin
     round: bool = False
-    repetition: float = 1.0
+    repetition: float = 1.0  # none
 
     @property
     def same_score(self) -> float:

@@ -59,14 +59,14 @@ class SearchParams:
     """
 
     angle_start_rad: float = -np.pi
-    angle_extent_rad: float = 2 * np.pi
-    scale_min: float = 0.9
-    scale_max: float = 1.1
-    min_score: float = 0.6
-    max_matches: int = 1
-    max_overlap: float = 0.5
+    angle_extent_rad: float = 2 * np.pi  # any
+    scale_min: float = 0.9  # chosen: a tenth of the distance either way; a wider range takes longer
+    scale_max: float = 1.1  # the same
+    min_score: float = 0.6  # chosen: 0.4 of it hidden; more misses covered parts, less takes clutter
+    max_matches: int = 1  # one part
+    max_overlap: float = 0.5  # chosen: parts that lie on one another; more returns one part twice
     polarity: Polarity = "global"
-    min_contrast: float = 2.0
+    min_contrast: float = 2.0  # chosen: more loses dark edges, less counts noise
     scale_y_min: float | None = None
     scale_y_max: float | None = None
     sub_pixel: SubPixel = "projective"

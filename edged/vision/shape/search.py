@@ -42,6 +42,7 @@ FREEDOM = {
     "affine": refine.AFFINE,
     "projective": refine.PROJECTIVE,
 }
+"""Unknowns of the refinement."""
 STEEP_STEPS = tuple((reach, refine.PROJECTIVE) for reach in CLIMB.steep_reach_px)
 
 DEFAULTS = SearchParams()

@@ -14,7 +14,7 @@ import numpy.typing as npt
 from edged.domain.arrays import Image
 from edged.vision.shape.params import SCAN
 
-_ALL_VALID = np.ones((1, 1), np.uint8)
+_ALL_VALID = np.ones((1, 1), np.uint8)  # a mask of one pixel: there is none
 
 
 class Workspace:

@@ -20,16 +20,17 @@ from edged.vision.kernels.jit import kernel
 from edged.vision.stereo.params import PAIRING
 
 RADIUS = 3  # taps to both sides, of a kernel: 4 sigma
-_OFFSETS = np.arange(-RADIUS, RADIUS + 1)
+_OFFSETS = np.arange(-RADIUS, RADIUS + 1)  # px
 TAPS = (
     np.exp(-0.5 * (_OFFSETS / PAIRING.smoothing_px) ** 2)
     / np.exp(-0.5 * (_OFFSETS / PAIRING.smoothing_px) ** 2).sum()
 )
+"""A Gaussian, of sum 1."""
 NOISE_GAIN = float(np.sum(TAPS**2) ** 2)
 """Variance of smoothed white noise of variance 1."""
 TAP2_COVARIANCE = float(np.sum(TAPS**2) * np.sum(TAPS[2:] * TAPS[:-2]))
 """Covariance of smoothed white noise two pixels apart in x."""
-_FREQUENCY = np.linspace(0.0, math.pi, 20_001)
+_FREQUENCY = np.linspace(0.0, math.pi, 20_001)  # rad per px, for a mean over all
 _RESPONSE = np.cos(np.outer(_FREQUENCY, _OFFSETS)) @ TAPS
 SLOPE_NOISE_GAIN = float(np.sum(TAPS**2) * np.mean((_FREQUENCY * _RESPONSE) ** 2))
 """Variance of the derivative by x of smoothed white noise of variance 1."""

@@ -51,14 +51,14 @@ SURE_SCORE = PAIRING.sure_score
 class PairingReason(enum.IntEnum):
     """Why a point has no disparity."""
 
-    ACCEPTED = 0
+    ACCEPTED = 0  # it has one
     OUTSIDE = 1  # window or search range leaves an image, or the peak lies at an end of the range
-    TEXTURELESS = 2
+    TEXTURELESS = 2  # no more to see than noise
     EDGE_PARALLEL = 3  # all there is to see runs along the row
-    LOW_SCORE = 4
-    AMBIGUOUS = 5
-    LEFT_RIGHT = 6
-    DIVERGED = 7
+    LOW_SCORE = 4  # nothing in the row looks like it
+    AMBIGUOUS = 5  # a second place looks as much like it
+    LEFT_RIGHT = 6  # the way back leads elsewhere
+    DIVERGED = 7  # the fit leaves the peak
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,29 +72,15 @@ class NccParams:
     max_sigma_px : largest standard deviation of a disparity.
     noise_grey : standard deviation of a pixel, to tell texture from noise before the search.
     row_sigma_px : standard deviation of what rectification leaves between corresponding rows.
-    either_polarity : whether a negative image of the window is a match, too.
     """
 
-    half_size_px: int = 10
-    min_score: float = 0.6
-    max_ambiguity: float = 0.9
-    left_right_px: float = 1.0
-    max_sigma_px: float = 0.25
-    noise_grey: float = 2.0
-    row_sigma_px: float = 0.03
-    either_polarity: bool = False
-
-    def __post_init__(self) -> None:
-        if not self.row_sigma_px >= 0.0:
-            raise ValueError(f"row_sigma_px: expected 0 or more, got {self.row_sigma_px}")
-        if not 3 <= self.half_size_px <= 20:
-            raise ValueError(f"half_size_px: expected 3 to 20, got {self.half_size_px}")
-        for name in ("min_score", "max_ambiguity"):
-            if not 0.0 <= getattr(self, name) <= 1.0:
-                raise ValueError(f"{name}: expected 0 to 1, got {getattr(self, name)}")
-        for name in ("left_right_px", "max_sigma_px", "noise_grey"):
-            if not getattr(self, name) > 0.0:
-                raise ValueError(f"{name}: expected a positive number, got {getattr(self, name)}")
+    half_size_px: int = 10  # chosen: 441 px of texture; more blurs the face's form, less leaves more to noise
+    min_score: float = 0.6  # chosen: more refuses glossy faces, less lets other texture through
+    max_ambiguity: float = 0.9  # chosen: more takes the next tooth of a pattern, less refuses texture
+    left_right_px: float = 1.0  # of whole-pixel matches: neighbours agree
+    max_sigma_px: float = 0.25  # chosen: more lets vague points in, less leaves holes
+    noise_grey: float = 2.0  # chosen: more refuses faint texture, less matches noise
+    row_sigma_px: float = 0.03  # chosen: of a good calibration; it is part of each sigma
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -162,7 +148,6 @@ def match_ncc(
             params.max_sigma_px,
             params.noise_grey,
             params.row_sigma_px,
-            float(params.either_polarity),
         ]
     )
     _match(
@@ -208,12 +193,12 @@ class _Point(NamedTuple):
 ACCEPTED, OUTSIDE, TEXTURELESS, EDGE_PARALLEL, LOW_SCORE, AMBIGUOUS, LEFT_RIGHT, DIVERGED = map(
     int, PairingReason
 )
-# entries of the start of a fit: whole disparity, its fraction, slopes, sign of the correlation
-WHOLE, FRACTION, START_SLOPE_X, START_SLOPE_Y, SIGN = range(5)
-# columns of the results, as in NccMatches
+WHOLE, FRACTION, START_SLOPE_X, START_SLOPE_Y = range(4)
+"""Entries of the start of a fit: whole disparity, its fraction, slopes."""
 DISPARITY, SIGMA, RESULT_SLOPE_X, RESULT_SLOPE_Y, SCORE, AMBIGUITY, CURVATURE = range(7)
-# entries of the limits, as in NccParams
-MIN_SCORE, MAX_AMBIGUITY, MAX_LEFT_RIGHT, MAX_SIGMA, NOISE, ROW_SIGMA, EITHER_POLARITY = range(7)
+"""Columns of the results, as in `NccMatches`."""
+MIN_SCORE, MAX_AMBIGUITY, MAX_LEFT_RIGHT, MAX_SIGMA, NOISE, ROW_SIGMA = range(6)
+"""Entries of the limits, as in `NccParams`."""
 
 
 @kernel()
@@ -243,22 +228,10 @@ def _texture(patch: F64, noise: float) -> tuple[float, float]:
 
 
 @kernel()
-def _best_along_row(
-    image: Image, y: int, start: int, count: int, either_polarity: bool, s: _Search
-) -> tuple[int, float]:
-    """Search s.window along a row; s.found is that of the peak.
-
-    Returns the peak's index, -1 if there is none, and the sign of its score.
-    """
+def _best_along_row(image: Image, y: int, start: int, count: int, s: _Search) -> int:
+    """Index of the peak of s.window along a row, -1 if there is none; s.found is that of the peak."""
     ncc_along_row(s.window, image, start, y, count, s.strip, s.products, s.scores)
-    if not either_polarity:
-        return find_peak(s.scores, count, s.found), 1.0
-    strongest = 0.0
-    for k in range(count):
-        if abs(s.scores[k]) > abs(strongest):
-            strongest = s.scores[k]
-        s.scores[k] = abs(s.scores[k])
-    return find_peak(s.scores, count, s.found), -1.0 if strongest < 0.0 else 1.0
+    return find_peak(s.scores, count, s.found)
 
 
 @kernel()
@@ -267,7 +240,6 @@ def _search(
 ) -> int:
     """Find the whole-pixel match of a point, there and back; a `PairingReason`. `start` is written."""
     half, width = s.window.shape[0] // 2, left.shape[1]
-    either = limits[EITHER_POLARITY] != 0.0
     # one more at both ends, so that a peak at the end of the range still has two sides
     lowest, highest = math.floor(point.lowest) - 1, math.ceil(point.highest) + 1
     first, last = max(point.x - highest, half), min(point.x - lowest, width - 1 - half)
@@ -278,11 +250,11 @@ def _search(
         slope_x, slope_y = SLOPES[h]
         stretch = 1.0 / (1.0 - slope_x)
         sheared_window(left, point.x, point.y, stretch, slope_y * stretch, half, s.window)
-        peak, sign = _best_along_row(right, point.y, first, last - first + 1, either, s)
+        peak = _best_along_row(right, point.y, first, last - first + 1, s)
         if s.found[0] > best:
             best, peaked = s.found[0], peak >= 0
-            result[SCORE] = sign * best
-            start[START_SLOPE_X], start[START_SLOPE_Y], start[SIGN] = slope_x, slope_y, sign
+            result[SCORE] = best
+            start[START_SLOPE_X], start[START_SLOPE_Y] = slope_x, slope_y
             if peaked:
                 result[AMBIGUITY], result[CURVATURE] = s.found[1], s.found[2]
                 start[WHOLE], start[FRACTION] = point.x - (first + peak), -s.found[3]
@@ -300,7 +272,7 @@ def _search(
     first, last = max(x_right + lowest, half), min(x_right + highest, width - 1 - half)
     if last - first < 2:
         return OUTSIDE
-    peak, _ = _best_along_row(left, point.y, first, last - first + 1, either, s)
+    peak = _best_along_row(left, point.y, first, last - first + 1, s)
     back = first + peak + s.found[3] - x_right
     if peak < 0 or abs(back - start[WHOLE] - start[FRACTION]) > limits[MAX_LEFT_RIGHT]:
         return LEFT_RIGHT
@@ -314,11 +286,11 @@ def _refine(right: Image, point: _Point, start: F64, row_sigma_px: float, p: Pat
     x_right = point.x - int(start[WHOLE])
     cut_out(right, x_right, point.y, p.spline)
     spline_rows(p.spline)
-    unknowns = np.array([start[FRACTION], start[START_SLOPE_X], start[START_SLOPE_Y], start[SIGN], 0.0])
+    unknowns = np.array([start[FRACTION], start[START_SLOPE_X], start[START_SLOPE_Y], 1.0, 0.0])
     variance = fit(unknowns, p)
     if variance == LEFT_PATCH:
         return OUTSIDE
-    if variance < 0.0 or unknowns[GAIN] * start[SIGN] <= 0.0:
+    if variance < 0.0 or unknowns[GAIN] <= 0.0:
         return DIVERGED
     reach = half * (abs(1.0 - unknowns[SLOPE_X]) + abs(unknowns[SLOPE_Y])) + abs(unknowns[SHIFT])
     if x_right - reach < 0.0 or x_right + reach > right.shape[1] - 1:
@@ -347,7 +319,7 @@ def _match_point(
     needed = 2.0 * (limits[NOISE] / limits[MAX_SIGMA]) ** 2
     if energy_x < needed:
         return EDGE_PARALLEL if energy_y >= needed else TEXTURELESS
-    start = np.zeros(5)
+    start = np.zeros(4)
     reason = _search(left, right, point, limits, s, result, start)
     if reason == ACCEPTED:
         reason = _refine(right, point, start, limits[ROW_SIGMA], p, result)

@@ -23,6 +23,7 @@ from edged.vision.geometry.rectification import Rectification
 from edged.vision.geometry.rigid import apply, transform
 from edged.vision.part.bodysight import hidden_samples
 from edged.vision.part.job import (
+    USUAL_SEARCH,
     CircleFeature,
     CornerFeature,
     EdgeFeature,
@@ -31,11 +32,9 @@ from edged.vision.part.job import (
     known_radius,
     usual_limits,
 )
-from edged.vision.part.params import MEASURING
 from edged.vision.part.pose import circle_curve, edge_curve
 from edged.vision.shape.learning import create_model
 from edged.vision.shape.params import ModelParams
-from edged.vision.shape.search import SearchParams
 from edged.vision.teaching.cadbody import body_of
 from edged.vision.teaching.cadmatch import levelled
 from edged.vision.teaching.cadmodel import CadModel, ModelCurves, triangle_normals
@@ -100,12 +99,7 @@ def teach_model(
             usual_limits(depth_mm, 1 / scale, shape, circles, reference, sigma_mm),
             max_sigma_mm=CAD.max_sigma_mm * sigma_mm / CAD.sigma_mm,
         ),
-        search=SearchParams(
-            scale_min=1 / (1 + MEASURING.depth_share),
-            scale_max=1 / (1 - MEASURING.depth_share),
-            max_matches=8,
-            polarity="local",
-        ),
+        search=USUAL_SEARCH,
         edges=tuple(edges),
         corners=tuple(corners),
         part_from_model=part_from_model,

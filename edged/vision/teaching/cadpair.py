@@ -7,17 +7,15 @@ features are the model's own.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from edged.domain.arrays import FloatArray, Image
 from edged.errors import TeachError
-from edged.vision.geometry.rectification import Rectification, StereoImages
+from edged.vision.geometry.rectification import StereoImages
 from edged.vision.geometry.rigid import apply, invert, transform, unit
 from edged.vision.part.job import usual_limits
-from edged.vision.shape.params import ModelParams
 from edged.vision.solid.edgemodel import model_of
 from edged.vision.solid.forms import with_breaks
 from edged.vision.solid.locate import weighed
@@ -30,44 +28,29 @@ from edged.vision.teaching.cadmatch import levelled
 from edged.vision.teaching.cadmodel import ModelCurves
 from edged.vision.teaching.cadrevision import another_revision, moved_circle
 from edged.vision.teaching.cadsettling import Settled, laid_on_pair, settle
-from edged.vision.teaching.pair import taught_mask, teach
+from edged.vision.teaching.features import TeachingView
+from edged.vision.teaching.pair import WantedJob, taught
 from edged.vision.teaching.params import CAD
-from edged.vision.teaching.region import Area
 
 OPEN = ("no_feature", "one_sided", "open_turn", "not_shown", "no_fit", "patterned_table", "revision")
 """Codes of what a pair alone may fail in, and still show the model."""
 
 
-def teach_with_model(
-    left: Image,
-    right: Image,
-    rectification: Rectification,
-    region: Area | None,
-    curves: ModelCurves,
-    what: str,
-    name: str,
-    number: int = 1,
-    *,
-    exclude: Sequence[Area] = (),
-    params: ModelParams | None = None,
-) -> Settled:
-    """Learn the part inside a region, and where its model lies; arguments as `pair.teach` has them.
+def teach_with_model(view: TeachingView, curves: ModelCurves, what: str, wanted: WantedJob) -> Settled:
+    """Learn the part that a view shows, and where its model lies.
 
     what : the model's name, for messages.
     Raises `TeachError` for a pair that shows no part of that model, its mirror image or another revision.
     """
-    images = StereoImages.of(rectification, left, right)
     try:
-        job = teach(left, right, rectification, region, name, number, exclude=exclude, params=params)
-        return settle(job, curves, images, what)
+        return settle(taught(view, wanted), curves, view.images, what)
     except TeachError as error:
         if error.code not in OPEN:
             raise
-        mask = taught_mask(region, exclude, rectification)
-        pose = _looked_for(images, curves, mask)
+        pose = _looked_for(view.images, curves, view.mask)
         if pose is None:
             raise
-        return _from_model(images, curves, pose, what, name, number, params)
+        return _from_model(view.images, curves, pose, what, wanted)
 
 
 def _looked_for(images: StereoImages, curves: ModelCurves, mask: Image) -> FloatArray | None:
@@ -107,13 +90,13 @@ def _where_axes_meet(images: StereoImages) -> FloatArray:
 
 
 def _from_model(
-    images: StereoImages, curves: ModelCurves, rig_from_model: FloatArray, what: str, name: str, number: int,
-    params: ModelParams | None,
-) -> Settled:  # fmt: skip
+    images: StereoImages, curves: ModelCurves, rig_from_model: FloatArray, what: str, wanted: WantedJob
+) -> Settled:
     """The job of a model that a pair shows: its features are the model's, its place and breaks the pair's."""
     centre = 0.5 * (curves.model.points_mm.min(axis=0) + curves.model.points_mm.max(axis=0))
     depth_mm = float(apply(rig_from_model, centre)[2])
-    job, _ = teach_model(curves.model, curves, images.rectification, depth_mm, name, number, params)
+    named = wanted.name, wanted.number, wanted.params
+    job, _ = teach_model(curves.model, curves, images.rectification, depth_mm, *named)
     part_from_model = job.part_from_model
     assert part_from_model is not None
     pixel_mm = depth_mm / images.rectification.focal_px

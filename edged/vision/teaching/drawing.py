@@ -19,6 +19,7 @@ from edged.errors import TeachError
 from edged.vision.geometry.rectification import Rectification
 from edged.vision.geometry.rigid import transform
 from edged.vision.part.job import (
+    USUAL_SEARCH,
     CircleFeature,
     CornerFeature,
     EdgeFeature,
@@ -26,10 +27,8 @@ from edged.vision.part.job import (
     known_radius,
     usual_limits,
 )
-from edged.vision.part.params import MEASURING
 from edged.vision.shape.learning import create_model
 from edged.vision.shape.params import ModelParams
-from edged.vision.shape.search import SearchParams
 from edged.vision.teaching.coverage import coverage
 from edged.vision.teaching.params import CAD
 
@@ -94,12 +93,7 @@ def teach_drawing(
         reference=reference,
         rig_from_part=rig_from_part,
         limits=usual_limits(depth_mm, depth_mm / rectification.focal_px, shape, circles, reference),
-        search=SearchParams(
-            scale_min=1 / (1 + MEASURING.depth_share),
-            scale_max=1 / (1 - MEASURING.depth_share),
-            max_matches=8,
-            polarity="local",
-        ),
+        search=USUAL_SEARCH,
         edges=tuple(EdgeFeature(e.name, e.start_mm + shift, e.end_mm + shift, e.polarity) for e in edges),
         corners=tuple(corners),
     )

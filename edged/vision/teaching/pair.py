@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -23,17 +23,16 @@ from edged.vision.part.frames import FoundCircle, circles_in_rig
 from edged.vision.part.initialplane import find_plane
 from edged.vision.part.job import (
     LIGHT_PX,
+    USUAL_SEARCH,
     CircleFeature,
     Job,
     crossing,
     known_radius,
     usual_limits,
 )
-from edged.vision.part.params import MEASURING
 from edged.vision.part.pose import circle_curve
 from edged.vision.shape.learning import create_model
 from edged.vision.shape.params import ModelParams
-from edged.vision.shape.search import SearchParams
 from edged.vision.solid.curvemodel import curve_points
 from edged.vision.teaching.background import tells_apart, without_background
 from edged.vision.teaching.features import (
@@ -66,6 +65,22 @@ another end stands off by 1 / (2 tan 12°) of what these lie apart (24° between
 and 0.06 mm that breaks of 0.1 mm gave two holes tilted a milled plate by 0.2° (`tools/bench breaks`)."""
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class WantedJob:
+    """What the job is to be, wherever it is learnt from.
+
+    number : on the PLC. params : of the model; None: automatic.
+    tilt_deg : how far parts may lie tilted; None: about as at teaching.
+    former : the job that it replaces: what a person changed in it is carried over.
+    """
+
+    name: str
+    number: int
+    params: ModelParams | None = None
+    tilt_deg: float | None = None
+    former: Job | None = None
+
+
 def teach(
     left: Image,
     right: Image,
@@ -84,13 +99,24 @@ def teach(
     Raises `TeachError` when the region shows no usable shape or no circle that both cameras see, `ImageError`
     when the images do not fit the rig.
     """
+    return taught(view_of(left, right, rectification, region, exclude), WantedJob(name, number, params))
+
+
+def view_of(
+    left: Image, right: Image, rectification: Rectification, region: Area | None, exclude: Sequence[Area] = ()
+) -> TeachingView:
+    """What `teach` learns from. Raises `ImageError` when the images do not fit the rig."""
     mask = taught_mask(region, exclude, rectification)
-    view = TeachingView(StereoImages.of(rectification, left, right), mask)
-    job = _taught(view, name, number, params)
+    return TeachingView(StereoImages.of(rectification, left, right), mask)
+
+
+def taught(view: TeachingView, wanted: WantedJob) -> Job:
+    """Learn what a view shows. Raises `TeachError` as `teach`."""
+    job = _untraced(view, wanted)
     return replace(job, traced=trace(view, job.rig_from_part, curve_points(job)))
 
 
-def _taught(view: TeachingView, name: str, number: int, params: ModelParams | None) -> Job:
+def _untraced(view: TeachingView, wanted: WantedJob) -> Job:
     shown = find_ellipses(view.images.rectified_left, view.mask)
     ellipses = without_pattern(view, shown)
     try:
@@ -103,13 +129,13 @@ def _taught(view: TeachingView, name: str, number: int, params: ModelParams | No
         if levels is not None:
             solid = solid_features(view, levels)
             if solid is not None:
-                return _solid_job(view, params, name, number, solid)
+                return _solid_job(view, wanted, solid)
         circles = _circles(view, ellipses, face, largest)
     except TeachError:
         edges = _from_edges(view)
         if edges is None:
             raise
-        return _job(view, params, name, number, *edges)
+        return _job(view, wanted, *edges)
     reference = circles[0].circle
     rig_from_part = part_frame(reference.normal, reference.centre_mm)
     view = replace(view, mask=without_background(view, rig_from_part, view.mask))
@@ -128,7 +154,7 @@ def _taught(view: TeachingView, name: str, number: int, params: ModelParams | No
             "patterned_table",
         )
     sigma_mm = reference.sigma_radius_mm
-    return _job(view, params, name, number, rig_from_part, features[0].name, found, features, sigma_mm)
+    return _job(view, wanted, rig_from_part, features[0].name, found, features, sigma_mm)
 
 
 def _is_concentric(circles: Sequence[CircleFeature]) -> bool:
@@ -210,17 +236,13 @@ def _circles(
     return circles_in_rig(together)
 
 
-def _solid_job(
-    view: TeachingView, params: ModelParams | None, name: str, number: int, solid: SolidFeatures
-) -> Job:
+def _solid_job(view: TeachingView, wanted: WantedJob, solid: SolidFeatures) -> Job:
     """The job of a part of several heights; what is searched for is its main face."""
     features = _circle_features(view, solid.circles, solid.rig_from_part)
     reference = solid.circles[0].circle
     job = _job(
         view,
-        params,
-        name,
-        number,
+        wanted,
         solid.rig_from_part,
         reference.name,
         solid.found,
@@ -271,9 +293,7 @@ def _from_edges(view: TeachingView) -> tuple[FloatArray, str, FoundFeatures] | N
 
 def _job(
     view: TeachingView,
-    params: ModelParams | None,
-    name: str,
-    number: int,
+    wanted: WantedJob,
     rig_from_part: FloatArray,
     reference: str,
     found: FoundFeatures,
@@ -287,18 +307,18 @@ def _job(
     # a radius vaguer than any light makes it is that of a broken rim: its other end is out of tolerance
     sigma_mm = min(sigma_mm, LIGHT_PX * pixel_mm)
     if main_face is not None:
-        shape = create_model(view.images.rectified_left, main_face, params=params)
+        shape = create_model(view.images.rectified_left, main_face, params=wanted.params)
     elif circles:
         place = rectification.rig.left.project(rig_from_part[None, :3, 3])
         origin = rectification.rectify_points("left", place)[0]
-        shape = create_model(view.images.rectified_left, view.mask, origin, params)
+        shape = create_model(view.images.rectified_left, view.mask, origin, wanted.params)
     else:  # its origin amid the part: from a corner, overlapping matches would look far apart
         mask = without_background(view, rig_from_part, outline_mask(view))
-        shape = create_model(view.images.rectified_left, mask, params=params)
+        shape = create_model(view.images.rectified_left, mask, params=wanted.params)
     sizes, witness = known_radius(circles, reference)
     return Job(
-        name=name,
-        number=number,
+        name=wanted.name,
+        number=wanted.number,
         shape=shape,
         circles=circles,
         measurements=sizes,
@@ -306,13 +326,7 @@ def _job(
         reference=reference,
         rig_from_part=rig_from_part,
         limits=usual_limits(depth, pixel_mm, shape, circles, reference, sigma_mm),
-        search=SearchParams(
-            scale_min=1 / (1 + MEASURING.depth_share),
-            scale_max=1 / (1 - MEASURING.depth_share),
-            max_matches=8,
-            # a dark part on a bright table inverts its outline, but not the shadow in its holes
-            polarity="local",
-        ),
+        search=USUAL_SEARCH,
         edges=found.edges,
         slots=found.slots,
         corners=found.corners,

@@ -18,7 +18,7 @@ from edged.files.jobs import load_job
 from edged.files.recording import Recording, decode, encode
 from edged.files.rig import save_rig
 from edged.pipeline import locate, prepare
-from edged.setup.recordings.regression import COMPARED, compare, remeasure
+from edged.setup.recordings.regression import COMPARED, compare, decided, inspected
 from edged.setup.teaching.proposal import Proposal, WantedJob, commit, former_job, propose_from_pair
 from edged.vision.teaching.region import Region
 
@@ -102,10 +102,10 @@ def test_an_exposure_is_measured_by_any_rig_and_job(flat: cells.Flange, folder: 
         registration_covariance=flat.rig.registration_covariance,
     )
     taken = decode(encode(published, pair), "there")
-    assert [] == _differences(taken, remeasure(taken, rig, job))
+    assert [] == _differences(taken, decided(taken, inspected(taken, rig, job), rig, job))
 
     strict = replace(job, limits=replace(job.limits, max_sigma_mm=1e-6))
-    changed = _differences(taken, remeasure(taken, rig, strict))
+    changed = _differences(taken, decided(taken, inspected(taken, rig, strict), rig, strict))
 
     assert 'status: "OK" -> "LOW_QUALITY"' in changed
 
