@@ -23,7 +23,8 @@ from edged.vision.part.pointcloud import PointCloud, point_cloud
 from edged.vision.part.prediction import match_in_raw
 from edged.vision.part.tilt import views_of
 from edged.vision.part.trued import trued
-from edged.vision.shape.params import SearchParams, ShapeMatch
+from edged.vision.shape.candidates import ShapeMatch
+from edged.vision.shape.params import SearchParams
 from edged.vision.shape.search import find_shapes
 from edged.vision.shape.workspace import WorkspacePool
 from edged.vision.solid.curvemodel import has_enough_curves

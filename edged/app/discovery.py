@@ -1,4 +1,4 @@
-"""Which cameras answer in the networks of this machine, who controls them, and which addresses they have."""
+"""Which devices answer: cameras in the networks of this machine, and the PLC whose memory the cell uses."""
 
 from edged.adapters.aravis import (
     CameraInfo,
@@ -9,11 +9,13 @@ from edged.adapters.aravis import (
     list_cameras,
     with_addresses,
 )
+from edged.adapters.plcmemory import ask as ask_plc
 
 __all__ = [
     "CameraInfo",
     "HeardCamera",
     "aravis_missing",
+    "ask_plc",
     "control_state",
     "give_address",
     "list_cameras",

@@ -130,7 +130,7 @@ def restore(
 @app.command()
 def password() -> None:
     """Ask for a password and print its hash, for `web.password_hash` or `opcua.password_hash`."""
-    from edged.commands.password import password as command
+    from edged.commands.web import password as command
 
     raise typer.Exit(command())
 

@@ -1,4 +1,4 @@
-"""`edged web invite`: a one-time code that makes its user an engineer on the page."""
+"""`edged web invite`: a one-time code that makes its user an engineer; `edged password`: a hash."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from edged.errors import UserError, translated
 from edged.files.statefolder import page_folder
 from edged.identity.audit import AuditEntry, AuditFile
 from edged.identity.invite import VALID_S, Invite
+from edged.identity.passwords import MIN_LENGTH, hash_password, why_weak
 from edged.identity.users import UserName
 from edged.owners import as_owner
 
@@ -33,6 +34,26 @@ def invite(config: Path, name: str) -> int:
     scheme, host = "https" if web.certificate else "http", f"[{web.host}]" if ":" in web.host else web.host
     address, hours = f"{scheme}://{host}:{web.port}/invite", round(VALID_S / 3600)
     print(f"{code}   for {name} at {address}, once, within {hours} hours")
+    return 0
+
+
+def password() -> int:
+    """Ask twice on a terminal, or read one line from a pipe; print the hash."""
+    if sys.stdin.isatty():
+        first = getpass.getpass("password: ", stream=sys.stderr)
+        if first != getpass.getpass("again: ", stream=sys.stderr):
+            raise UserError("the two passwords differ")
+    else:
+        first = sys.stdin.readline().rstrip("\n")
+    if len(first) < MIN_LENGTH:
+        raise UserError(f"a password of at least {MIN_LENGTH} characters is expected")
+    if why := why_weak(first):
+        raise UserError(why)
+    print(hash_password(first))
+    sys.stderr.write(
+        "edged: for web.password_hash or opcua.password_hash; "
+        "edged check says whether others may read the file\n"
+    )
     return 0
 
 

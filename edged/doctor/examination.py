@@ -5,17 +5,22 @@ from __future__ import annotations
 from collections.abc import Iterator
 from pathlib import Path
 
+from edged.app.discovery import ask_plc
+from edged.config.plc import PlcSection
 from edged.config.reading import load
 from edged.doctor.cameras import look_at_cameras
 from edged.doctor.findings import Check, bad, ok, skip, warn
 from edged.doctor.machine import ClockWatch, look_at_machine, look_at_ports
 from edged.doctor.ourdaemon import our_daemon
 from edged.doctor.pictures import take_pictures
-from edged.doctor.plc import look_at_plc
-from edged.doctor.robotmap import look_at_map
-from edged.errors import ConfigError
+from edged.errors import ConfigError, ListenError, PlcFault
+from edged.robot.errormap import error_map
+from edged.robot.picking import frame_of
 from edged.setup.cellfiles import CellFiles, UnfinishedCell, doubts, exposed_secrets, read_any_cell
 from edged.vision.geometry.camera import StereoRig
+
+MAP_NAME = "robot's error"
+NOT_YET, RELOAD = "places are off as before it was made", "sudo systemctl reload edged"
 
 
 def examine(path: Path, *, trigger: bool = True, process: int | None = None) -> Iterator[Check]:
@@ -78,6 +83,46 @@ def examine(path: Path, *, trigger: bool = True, process: int | None = None) -> 
     elif trigger:
         yield from take_pictures(config, rig)
     yield from clock.look()
+
+
+def look_at_plc(section: PlcSection) -> Check:
+    """Whether the PLC answers, and has both images: connect, read, hang up; nothing is written."""
+    name = "PLC's memory"
+    try:
+        return ok(name, ask_plc(section))
+    except ListenError as error:
+        return bad(name, str(error), "the daemon does not start", "install it")
+    except PlcFault as fault:
+        return bad(
+            name,
+            str(fault),
+            "the PLC gets nothing and commands nothing; the cell tries again for ever",
+            f"ping {section.host}; what the PLC must permit: docs/how-to/plc-memory.md",
+        )
+
+
+def look_at_map(cell: CellFiles, *, is_used: bool) -> Iterator[Check]:
+    """What the map of a robot's error is worth, and whether parts lie in it: a finding where the rig has one.
+
+    is_used : no daemon runs by other files than these.
+    """
+    made = cell.rig.robot_map
+    if made is None:
+        return
+    found, frame = error_map(made).figures, frame_of(cell.rig)
+    text = (
+        f"a map of degree {found.degree} by {found.points} points; one that was left out is off by "
+        f"{1e3 * found.held_out_mm:.0f} um, {1e3 * found.alone_mm:.0f} by the registration alone"
+    )
+    beyond = [job.name for job in cell.jobs if not frame.is_mapped(job.rig_from_part[:3, 3])]
+    touch = "edged register touch --map with points there, too"
+    if beyond:
+        names = ", ".join(beyond)
+        yield warn(MAP_NAME, f"{text}; {names}: taught beyond it", "OUT_OF_MAP there", touch)
+    elif not is_used:
+        yield warn(MAP_NAME, f"{text}; the daemon runs without it", NOT_YET, RELOAD, "reload")
+    else:
+        yield ok(MAP_NAME, text)
 
 
 def _mistakes(path: Path, error: ConfigError) -> Iterator[Check]:

@@ -19,10 +19,9 @@ from functools import cache, partial
 from edged.errors import FileFormatError
 from edged.identity.attempts import Attempts
 from edged.identity.invite import Invite
-from edged.identity.names import key_of
 from edged.identity.passwords import hash_password, is_password
 from edged.identity.sessions import Session, Sessions, session_of
-from edged.identity.users import User, UserFile
+from edged.identity.users import User, UserFile, key_of
 from edged.identity.visitors import Role, Visitor
 
 PAGE, METRICS = "page", "metrics"

@@ -13,7 +13,7 @@ from pathlib import Path
 from edged.domain.numerals import json_of
 from edged.errors import FileFormatError
 from edged.files.atomic import make_folders, read_bytes, sync, write_atomically
-from edged.identity.names import key_of
+from edged.identity.users import key_of
 
 LETTERS = "abcdefghjkmnpqrstuvwxyz23456789"
 """Letters that are not mistaken for each other."""

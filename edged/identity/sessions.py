@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 
 from edged.connections import network_of
-from edged.identity.names import key_of
+from edged.identity.users import key_of
 
 SESSION_S = 12 * 3600.0
 IDLE_S = 600.0

@@ -16,8 +16,8 @@ from helpers.snapshots import make_snapshot, make_target, make_transform
 
 from edged.app.cell import LoadedCell, load_cell, with_golden, with_registration
 from edged.commands.demo import DemoOptions, prepare_cell
+from edged.doctor.examination import look_at_map
 from edged.doctor.findings import CheckResult
-from edged.doctor.robotmap import look_at_map
 from edged.domain.events import Snapshot
 from edged.domain.golden import GoldenState
 from edged.domain.measurement import Outcome, Status

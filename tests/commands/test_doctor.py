@@ -36,12 +36,11 @@ from edged.config.chosencameras import UNCHOSEN
 from edged.config.reading import load
 from edged.doctor import cameras, firewall, machine, network
 from edged.doctor.encrypted import look_at_certificates, look_at_opcua
-from edged.doctor.examination import examine
+from edged.doctor.examination import examine, look_at_plc
 from edged.doctor.findings import Check, CheckResult
 from edged.doctor.firewall import Rules
 from edged.doctor.host import Interface
 from edged.doctor.ourdaemon import OurDaemon, our_daemon
-from edged.doctor.plc import look_at_plc
 from edged.domain.arrays import SIDES, Side
 from edged.files.private import can_close
 from edged.sim.cell import VirtualCell, demo_part, demo_rig

@@ -11,7 +11,7 @@ from helpers.markedcell import marked_cell, pair_at, prepared, teach
 
 from edged.config.reading import load
 from edged.doctor.findings import CheckResult
-from edged.doctor.marks import look_at_marks
+from edged.doctor.pictures import look_at_marks
 from edged.domain.frames import FramePair
 from edged.files.rig import load_rig
 from edged.sim.weather import Knock

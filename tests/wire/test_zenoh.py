@@ -33,7 +33,7 @@ from edged.adapters.zenoh import (
     session,
     session_config,
 )
-from edged.adapters.zenoh.routers import PATIENCE, Routers
+from edged.adapters.zenoh.publisher import PATIENCE, Routers
 from edged.adapters.zenoh.triggers import parse_trigger
 from edged.adapters.zenoh.worker import JobThread
 from edged.domain.events import (

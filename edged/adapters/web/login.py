@@ -1,4 +1,5 @@
-"""The forms of the page that need no session: log in, log out, and come in by an invitation."""
+"""The forms of the page that need no session: log in, log out, and come in by an invitation; from
+which hosts they are taken."""
 
 from __future__ import annotations
 
@@ -6,16 +7,23 @@ import asyncio
 import hashlib
 import logging
 import math
+import re
+import socket
+from ipaddress import ip_address
+from pathlib import Path
 from urllib.parse import parse_qs
 
 from aiohttp import web
+from cryptography import x509
 from markupsafe import Markup
 from pydantic import TypeAdapter, ValidationError
 
 from edged.adapters.web.auditing import Auditor
 from edged.adapters.web.people import Password
 from edged.adapters.web.places import body_of
+from edged.adapters.web.settings import WebSettings
 from edged.adapters.web.texts import Texts, language_of
+from edged.config.fields import is_loopback
 from edged.errors import FileFormatError
 from edged.identity.access import Access
 from edged.identity.attempts import TooManyAttempts
@@ -61,6 +69,34 @@ def is_from_here(request: web.Request) -> bool:
     """Whether a browser's page of this very host sent a request."""
     host = request.headers.get("Host")
     return host is not None and request.headers.get("Origin") == f"{request.scheme}://{host}"
+
+
+class ServedNames:
+    """The names that this machine is asked by: its own, those of the certificate, and those of the settings.
+
+    A page elsewhere that had its own name lead here (DNS rebinding) would read a cell without a password, and
+    guess passwords from its visitors' browsers. An address cannot be made to lead elsewhere: with a password
+    every address is served, since their translation may lie between.
+    """
+
+    def __init__(self, settings: WebSettings) -> None:
+        own = socket.gethostname().lower()
+        self._is_open = not settings.password_hash
+        self._names = {settings.host.lower(), *map(str.lower, settings.names)}
+        if not self._is_open:
+            self._names |= {own, own.partition(".")[0], f"{own.partition('.')[0]}.local"}
+            self._names |= set(_certified(settings.certificate))
+
+    def has(self, host: str) -> bool:
+        """Whether a Host header names this machine."""
+        name = re.sub(r":[0-9]*$", "", host).strip("[]").lower().removesuffix(".")
+        if is_loopback(name):
+            return True
+        try:
+            ip_address(name)
+        except ValueError:
+            return name in self._names or f"*.{name.partition('.')[2]}" in self._names
+        return not self._is_open or name in self._names
 
 
 class LoginForms:
@@ -195,6 +231,18 @@ def tell_of_users(users: UserFile, invite: Invite, place: str) -> None:
         log.warning(
             "nobody may set the cell up yet: %s/invite with the code %s, today, by a new name", place, code
         )
+
+
+def _certified(certificate: Path | None) -> list[str]:
+    """DNS names of a certificate; none where it cannot be read, which `page_context` has said."""
+    if certificate is None:
+        return []
+    try:
+        found = x509.load_pem_x509_certificate(certificate.read_bytes())
+        names = found.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
+    except (OSError, ValueError, x509.ExtensionNotFound):
+        return []
+    return [name.lower() for name in names.get_values_for_type(x509.DNSName)]
 
 
 def _check_origin(request: web.Request) -> None:

@@ -23,7 +23,14 @@ from aiohttp.http_exceptions import HttpProcessingError
 from edged.adapters.web.assets import modules, read_assets
 from edged.adapters.web.auditing import Auditor, AuditRoutes
 from edged.adapters.web.gate import Gate
-from edged.adapters.web.login import MAX_FORM_BYTES, LoginForms, cookie_name, tell_of_users, visitor_of
+from edged.adapters.web.login import (
+    MAX_FORM_BYTES,
+    LoginForms,
+    ServedNames,
+    cookie_name,
+    tell_of_users,
+    visitor_of,
+)
 from edged.adapters.web.manualfiles import FOLDER, is_built
 from edged.adapters.web.overview import OverviewRoutes
 from edged.adapters.web.page import PageSources, StatusPage
@@ -31,7 +38,7 @@ from edged.adapters.web.pages import PageHandlers, html
 from edged.adapters.web.people import People
 from edged.adapters.web.places import CLIENT, displaced_by
 from edged.adapters.web.routes import BASE, RouteTable
-from edged.adapters.web.settings import ServedNames, WebSettings, page_context
+from edged.adapters.web.settings import WebSettings, page_context
 from edged.adapters.web.setup import SetupRoutes
 from edged.adapters.web.sockets import Sockets
 from edged.adapters.web.viewers import Viewers

@@ -15,7 +15,7 @@ import asyncio
 import functools
 import logging
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 import zenoh
@@ -25,7 +25,6 @@ from edged.adapters.zenoh.health import HealthCounts
 from edged.adapters.zenoh.keys import PREFIX, QUERYABLES
 from edged.adapters.zenoh.preview import Preview
 from edged.adapters.zenoh.ros2 import Ros2Topics, pose_of
-from edged.adapters.zenoh.routers import Routers
 from edged.adapters.zenoh.seals import Sealer
 from edged.adapters.zenoh.session import ZenohSettings, configured, open_session, plain
 from edged.adapters.zenoh.triggers import PendingTriggers, parse_trigger
@@ -63,6 +62,8 @@ OUTBOX_LENGTH = 64  # a second of the fastest cell; more would only be old news
 MAX_PENDING = 32  # triggers that wait for their answer
 OPEN_TIMEOUT_S = 5.0
 CLOSE_TIMEOUT_S = 1.0
+PATIENCE = 5
+"""Looks for routers, a second apart, until a cell that has found none yet says so."""
 ENCODINGS: dict[str, tuple[Callable[[Json], bytes], zenoh.Encoding]] = {
     "json": (encode, zenoh.Encoding.APPLICATION_JSON),
     "cbor": (encode_cbor, zenoh.Encoding.APPLICATION_CBOR),
@@ -384,3 +385,24 @@ def _on_loop(
             query.drop()  # type: ignore[no-untyped-call]  # its stub says no type
 
     return arrived
+
+
+class Routers:
+    """Logs when a router comes or goes. endpoints : that the cell connects to."""
+
+    def __init__(self, endpoints: Sequence[str]) -> None:
+        self._endpoints = ", ".join(endpoints)
+        self._known: frozenset[str] = frozenset()
+        self._looks = 0
+
+    def look(self, routers: Iterable[str]) -> None:
+        """Take note of the routers that are connected now, by their ids."""
+        now = frozenset(routers)
+        for router in sorted(self._known - now):
+            log.warning("zenoh: the router %s is gone; the cell goes on and connects again by itself", router)
+        for router in sorted(now - self._known):
+            log.info("zenoh: connected to the router %s", router)
+        self._known = now
+        self._looks += 1
+        if self._looks == PATIENCE and self._endpoints and not now:
+            log.warning("zenoh: no router answers at %s; the cell goes on and tries again", self._endpoints)

@@ -66,11 +66,11 @@ class Plan:
     more_views: int | None
 
 
-def volume_points(calibration: Calibration, count: int = 5) -> FloatArray:
+def volume_points(calibration: Calibration) -> FloatArray:
     """Points (N, 3) all over the volume that the boards were held in and both cameras see."""
     rig = calibration.rig
-    x = np.linspace(0.05, 0.95, count) * (rig.left.width - 1)
-    y = np.linspace(0.05, 0.95, count) * (rig.left.height - 1)
+    x = np.linspace(0.05, 0.95, 5) * (rig.left.width - 1)
+    y = np.linspace(0.05, 0.95, 5) * (rig.left.height - 1)
     u, v = np.meshgrid(x, y)
     rays = rig.left.normalise(np.column_stack([u.ravel(), v.ravel()]))
     rays = np.column_stack([rays, np.ones(len(rays))])

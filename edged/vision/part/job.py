@@ -267,7 +267,7 @@ USUAL_SEARCH = SearchParams(
     max_matches=8,
     polarity="local",
 )
-"""Of a job as taught: at all depths that its limits let through. A dark part on a bright table inverts its
+"""A job as taught is looked for at all depths that its limits let through. A dark part on a bright table inverts its
 outline, but not the shadow in its holes."""
 
 

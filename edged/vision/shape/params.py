@@ -7,7 +7,6 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from edged.domain.arrays import FloatArray
 from edged.errors import TeachError, UserError
 from edged.vision.edges.hysteresis import EdgeThresholds
 
@@ -101,44 +100,6 @@ class SearchParams:
 def _in_range(name: str, value: float, low: float, high: float) -> None:
     if not low <= value <= high:
         raise UserError(f"search.{name}: expected {low:g} to {high:g}, got {value:g}")
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class ShapeMatch:
-    """One found shape, in px of the searched image.
-
-    x_px, y_px : the model's origin.  angle_rad : from x to y.  scale_x, scale_y : along the model's axes.
-    linear (2, 2), tilt (2,) : the map that was fitted, see `apply`; score in [0, 1].
-    inverted : all contrasts are opposite to the taught ones.
-    ambiguous : another rotation explains the image nearly as well.
-    model : index of the model among those looked for.
-    symmetric : the taught shape looks the same at other angles; this is the one nearest to the taught.
-    covariance (5, 5) : of x_px, y_px, angle_rad, scale_x, scale_y, from the residuals of the edges; NaN
-        where the mode leaves one at rest or nothing was refined.
-    """
-
-    x_px: float
-    y_px: float
-    angle_rad: float
-    scale_x: float
-    scale_y: float
-    score: float
-    linear: FloatArray
-    tilt: FloatArray
-    inverted: bool
-    ambiguous: bool
-    model: int
-    symmetric: bool
-    covariance: FloatArray
-
-    def apply(self, points_px: FloatArray) -> FloatArray:
-        """Image points (N, 2) of model points (N, 2): origin + linear p / (1 + tilt . p)."""
-        depth = 1 + points_px @ self.tilt
-        return np.asarray(points_px @ self.linear.T / depth[:, None] + (self.x_px, self.y_px))
-
-    def transform(self) -> FloatArray:
-        """(2, 3) affine map from model points (relative to its origin) to the image."""
-        return np.column_stack([self.linear, (self.x_px, self.y_px)])
 
 
 @dataclass(frozen=True, slots=True)

@@ -23,13 +23,14 @@ from edged.vision.shape import refine
 from edged.vision.shape.candidates import (
     Hypothesis,
     PlacedMatch,
+    ShapeMatch,
     ShapeViews,
     disc_overlap,
     scan_top,
     without_overlap,
 )
 from edged.vision.shape.model import ShapeModel, reach_px
-from edged.vision.shape.params import CLIMB, EACH_EDGE_ITSELF, SCAN, SearchParams, ShapeMatch
+from edged.vision.shape.params import CLIMB, EACH_EDGE_ITSELF, SCAN, SearchParams
 from edged.vision.shape.workspace import Workspace
 
 __all__ = ["SearchParams", "ShapeMatch", "Workspace", "find_shapes"]
