@@ -24,7 +24,7 @@ from edged.vision.geometry.camera import StereoRig, calibration_identity
 from edged.vision.geometry.rectification import linear_grey
 
 MIN_LENGTH_PX = 3.5 * IMAGING.reach_px
-"""A shorter edge has no room for the patch about its middle, two reaches long, 3/4 of a reach off its corners."""
+"""A shorter edge has no room for the patch about its middle, two reaches long, off its corners."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

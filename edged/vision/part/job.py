@@ -267,8 +267,8 @@ USUAL_SEARCH = SearchParams(
     max_matches=8,
     polarity="local",
 )
-"""A job as taught is looked for at all depths that its limits let through. A dark part on a bright table inverts its
-outline, but not the shadow in its holes."""
+"""A job as taught is looked for at all depths that its limits let through. A dark part on a bright table
+inverts its outline, but not the shadow in its holes."""
 
 
 def usual_limits(
