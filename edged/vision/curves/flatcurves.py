@@ -33,7 +33,7 @@ SIZE_OF_ANY = 5  # parameters of a slot, which has most
 # numba freezes globals when it compiles: kernels read these by name
 PROBE_MM = FIT.probe_mm
 MARGIN_PX = FIT.margin_px
-LEAST_AROUND_PX = 2 * math.pi * FIT.min_radius_px
+LEAST_AROUND_PX = 2 * math.pi * FIT.min_radius_px  # of a circle
 MIN_LENGTH_PX = FIT.min_length_px
 MAX_LENGTH_PX = FIT.max_length_px
 MIN_SAMPLES_AROUND = FIT.min_samples_around

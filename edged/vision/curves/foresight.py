@@ -25,7 +25,7 @@ from edged.vision.curves.planefit import Known, PlaneFit, Scatter, result_of
 from edged.vision.curves.planestate import FitStep, State, state_of
 from edged.vision.geometry.camera import StereoRig
 
-NOTHING = np.zeros((0, 0), np.uint8)
+NOTHING = np.zeros((0, 0), np.uint8)  # no picture
 
 
 @dataclass(frozen=True, slots=True)

@@ -38,9 +38,9 @@ RAY_STEP = FIT.ray_step
 AGREE_PX = FIT.agree_px
 SETTLED = FIT.settled
 ROUGHLY = FIT.roughly
-SOFT_PX2 = FIT.soft_px**2
+SOFT_PX2 = FIT.soft_px**2  # of variances
 SHIFTS = len(FAMILIES)
-HALF = math.sqrt(0.5)
+HALF = math.sqrt(0.5)  # each of two that have half of the variance
 
 
 class Shapes(NamedTuple):

@@ -81,10 +81,10 @@ class Curve:
     kind: Kind
     parameters: FloatArray
     polarity: int
-    length_mm: float = 0.0
-    height_mm: float = 0.0
+    length_mm: float = 0.0  # no edge
+    height_mm: float = 0.0  # in the face
     signs: I64 | None = None
-    break_mm: float = 0.0
+    break_mm: float = 0.0  # as seen
 
     def signs_at(self, side: int, count: int) -> I64:
         """(count,) the polarity at samples of `spread`; 0 : not known, or, of stretches, not measured."""
@@ -239,7 +239,7 @@ def _slot(curve: Curve, share: FloatArray) -> Samples:
 
 
 _DIVISION, _BROWN = 0, 1  # lens models, as the kernel knows them
-_NO_MOTION = np.eye(4)
+_NO_MOTION = np.eye(4)  # the rig frame is the left camera's
 
 
 class ProjectedOutline(NamedTuple):
