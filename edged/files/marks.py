@@ -160,8 +160,8 @@ def _taught(reader: JsonFields, rig: StereoRig) -> TaughtMarks:
         (float(blur_px[0]), float(blur_px[1])),
         noise,
         reader.covariance("covariance", 3 * count),
-        _whole(reader, "exposures", 10**6),
-        _whole(reader, "exposed_ns", 2**63 - 1),
+        reader.whole("exposures", 10**6),
+        reader.whole("exposed_ns", 2**63 - 1),
     )
 
 
@@ -173,10 +173,3 @@ def _codes(reader: JsonFields) -> tuple[int, ...]:
     if not MARKS.min_agreeing <= len(found) <= MAX_TAUGHT:
         raise reader.error("codes", f"{len(found)} marks: expected {MARKS.min_agreeing} to {MAX_TAUGHT}")
     return tuple(found)
-
-
-def _whole(reader: JsonFields, name: str, most: int) -> int:
-    value = reader.document.get(name)
-    if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value <= most:
-        raise reader.error(name, f"expected a whole number from 0 to {most}, got {value!r}")
-    return value
