@@ -67,6 +67,7 @@ COUNTED = {
     "fits on a coarse level": (refine, "settle"),
     "places looked around": (localsearch, "best_nearby"),
     "fits on the finest level": (search._Search, "_finest"),  # noqa: SLF001 - likewise
+    "coarse steps of the joint fit": (State, "approached"),
     "steps of the joint fit": (State, "step"),
 }
 
@@ -376,8 +377,9 @@ def counting() -> Iterator[Counter[str]]:
     def counted(what: str, function: Callable[..., Any]) -> Callable[..., Any]:
         @wraps(function)
         def wrapper(*arguments: Any, **named: Any) -> Any:
-            counts[what] += 1
-            return function(*arguments, **named)
+            result = function(*arguments, **named)
+            counts[what] += result[1].made if what.startswith("coarse") and result else 1
+            return result
 
         return wrapper
 

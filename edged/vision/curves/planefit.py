@@ -215,25 +215,19 @@ def fit_circle(
 
 def _fitted(start: State) -> PlaneFit | None:
     """Lay the curves where they are, then measure them."""
-    params = start.params
-    state: State | None = start
+    params, state = start.params, start
     step: FitStep | None = None
-    spacing_px = max(params.spacing_px, FIT.coarse_spacing_px)
-    for number, reach in enumerate(params.reach_px[:-1] if params.repeats else params.reach_px):
-        if number == 1 and state is not None:
-            # far away there is one dominant edge; from here on each curve keeps its sign
-            state = state.with_polarity(reach, spacing_px)
-        step = None if state is None else state.step(reach, spacing_px, final=False)
-        state = None if state is None or step is None else state.moved(step)
-        if number > 0 and step is not None and step.solved.moved_px.max() < FIT.still_px:
-            break
-    if state is None:
-        return None
+    reaches = params.reach_px[:-1] if params.repeats else params.reach_px
+    if reaches:
+        found = state.approached(reaches, max(params.spacing_px, FIT.coarse_spacing_px))
+        if found is None:
+            return None
+        state, step = found
     if params.repeats:
         state = state.with_polarity(params.reach_px[-1], params.spacing_px)
     left = params.repeats
     while left:
-        step = state.step(params.reach_px[-1], params.spacing_px, final=True)
+        step = state.step(params.reach_px[-1], params.spacing_px)
         kept = [] if step is None else step.supported(params.min_support)
         if step is None or not kept:
             return None
@@ -258,15 +252,15 @@ def result_of(state: State, step: FitStep, known: Known | None = None) -> PlaneF
     solved, starts, sums = step.solved, step.laid.starts, step.solved.sums
     breaks_mm = break_widths_mm(state, step) if step.final else np.zeros(len(state.curves))
     whole = known or _known(step, state, breaks_mm)
-    free = [curve.free for curve in state.curves]
+    own_mm, free = state.rigid_mm, [curve.free for curve in state.curves]
     first = list(itertools.accumulate(free, initial=state.shared))
     borders, (left, right) = starts.tolist(), sums.support.tolist()
     rms, mismatch = sums.rms.tolist(), (sums.mean[0] - sums.mean[1]).tolist()
     curves, fits = [state.curve(k) for k in kept], []
     for k, curve, scatter in zip(kept, curves, _scatters_of(step, kept, breaks_mm), strict=True):
         rows = slice(borders[k], borders[k + 1])
-        if state.rigid_mm is not None:
-            curve = curve.moved(state.rigid_mm * solved.delta[first[k] : first[k + 1]]) or curve
+        if own_mm is not None:
+            curve = curve.moved(own_mm * solved.delta[first[k] : first[k + 1]]) or curve
         fits.append(
             CurveFit(
                 curve,
@@ -278,11 +272,12 @@ def result_of(state: State, step: FitStep, known: Known | None = None) -> PlaneF
                 scatter,
             )
         )
-    unknowns = [*range(state.shared), *(u for k in kept for u in range(first[k], first[k] + free[k]))]
-    wanted = np.ix_(unknowns, unknowns)
-    covariance, by_edges = whole.covariance[wanted], whole.edge_covariance[wanted]
+    covariance, by_edges = whole.covariance, whole.edge_covariance
+    if len(kept) < len(free):
+        unknowns = [*range(state.shared), *(u for k in kept for u in range(first[k], first[k] + free[k]))]
+        covariance, by_edges = (matrix[unknowns][:, unknowns] for matrix in (covariance, by_edges))
     rigid = None
-    if state.rigid_mm is not None:
+    if own_mm is not None:
         units = np.append(np.ones(state.shared - 1), FIT.growth_sigma)
         common = slice(state.shared)
         rigid = RigidMotion(
@@ -353,8 +348,8 @@ def _known(step: FitStep, state: State, breaks_mm: FloatArray) -> Known:
         row_variance += float(by_cause[row] @ rig.covariance @ by_cause[row])
         by_cause = by_cause[: len(used)]
         whole = whole + by_cause @ rig.covariance @ by_cause.T
-    covariances, where = np.zeros((2, unknowns, unknowns)), np.ix_(used, used)
-    covariances[0][where], covariances[1][where] = whole, by_edges
+    covariances, rows = np.zeros((2, unknowns, unknowns)), used[:, None]
+    covariances[0, rows, used], covariances[1, rows, used] = whole, by_edges
     return Known(covariances[0], covariances[1], FIT.row_sigma_px * math.sqrt(row_variance))
 
 

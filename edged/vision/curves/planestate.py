@@ -9,7 +9,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from edged.domain.arrays import Image
+from edged.domain.arrays import F64, Image
+from edged.vision.curves.approach import approach, signs_of
 from edged.vision.curves.flatcurves import (
     RIGID_PARAMETERS,
     CurvesAt,
@@ -22,7 +23,7 @@ from edged.vision.curves.flatcurves import (
 from edged.vision.curves.jointstep import Solved, solve_step
 from edged.vision.curves.outlines import PLANE_PARAMETERS, Curve, Face, ProjectedOutline, flat_cameras
 from edged.vision.curves.params import FIT, FitParams
-from edged.vision.curves.sighting import CameraEdges, add_contrasts, look
+from edged.vision.curves.sighting import CameraEdges, look
 from edged.vision.geometry.camera import StereoRig
 from edged.vision.kernels.jit import for_both, for_kernel
 from edged.vision.kernels.robust import MIN_SAMPLES
@@ -32,7 +33,7 @@ class FitStep(NamedTuple):
     """One step of the joint problem, of curves as they lay.
 
     sides : the samples in both images.  final : with systematic shifts, and with the shift of the rows as the
-    last unknown of the solver.
+    last unknown of the solver.  made : how many were made, with those before it.
     """
 
     at: CurvesAt
@@ -40,6 +41,7 @@ class FitStep(NamedTuple):
     sides: tuple[ProjectedOutline, ProjectedOutline]
     solved: Solved
     final: bool
+    made: int = 1
 
     @property
     def row_shift_px(self) -> float:
@@ -106,39 +108,52 @@ class State:
         curves = self.at.curves
         if curves.polarity.all():
             return self
-        laid, total = lay(self.at, spacing_px), np.zeros(len(self.curves))
-        if not laid.starts[-1]:
-            return self
-        add_contrasts(self.at, laid, *self.images, float(reach), self.params.min_slope, total)
-        signs = np.where(total < 0, -1, 1)
-        polarity = np.where(curves.polarity == 0, signs, curves.polarity)
+        laid = lay(self.at, spacing_px)
+        polarity = signs_of(self.at, laid, *self.images, float(reach), self.params.min_slope)
         return replace(self, at=self.at._replace(curves=curves._replace(polarity=polarity)))
 
-    def step(self, reach: float, spacing_px: float, *, final: bool) -> FitStep | None:
+    def approached(self, reaches: Sequence[float], spacing_px: float) -> tuple[State, FitStep] | None:
+        """The state after coarse steps within these reaches, and the last of them."""
+        laid = lay(self.at, spacing_px)
+        if not laid.starts[-1]:
+            return None
+        found = approach(
+            self.at, laid, *self.images, np.array(reaches, np.float64), spacing_px, self.params.min_slope
+        )
+        if not found.steps:
+            return None
+        curves = self.at.curves._replace(parameters=found.places, polarity=found.polarity)
+        at = self.at._replace(face=found.before, curves=curves)
+        step = FitStep(at, found.laid, (found.left, found.right), found.solved, final=False, made=found.steps)
+        return self._at(at, found.face, found.parameters), step
+
+    def step(self, reach: float, spacing_px: float) -> FitStep | None:
         """Measure the edges at the present curves, and solve for the step that fits them best.
 
-        final : each curve chooses its operator width, and systematic shifts are reckoned with.
+        Each curve chooses its operator width, and systematic shifts are reckoned with.
         """
         laid = lay(self.at, spacing_px)
         if not laid.starts[-1]:
             return None
 
         def edges(side: int) -> CameraEdges:
-            return look(self.at, laid, self.images[side], side, reach, self.params.min_slope, final)
+            return look(self.at, laid, self.images[side], side, reach, self.params.min_slope, True)
 
-        # side by side only what takes long enough: handing it over costs as much as a coarse step
-        left, right = for_both(edges) if final else (edges(0), edges(1))
-        solved = solve_step(self.at, laid, left, right, final)
-        return FitStep(self.at, laid, (left.seen, right.seen), solved, final) if solved.rounds else None
+        left, right = for_both(edges)
+        solved = solve_step(self.at, laid, left, right, True)
+        return FitStep(self.at, laid, (left.seen, right.seen), solved, final=True) if solved.rounds else None
 
     def moved(self, step: FitStep) -> State | None:
         """The state after a step; None when it has run away."""
         face, parameters = np.empty((4, 3)), np.empty_like(self.at.curves.parameters)
         if not move(self.at, step.solved.delta, face, parameters):
             return None
-        at = self.at
-        curves = at.curves._replace(parameters=parameters)
-        return State(self.rig, self.images, self.curves, self.params, at._replace(face=face, curves=curves))
+        return self._at(self.at, face, parameters)
+
+    def _at(self, at: CurvesAt, face: F64, parameters: F64) -> State:
+        """The state of curves that have moved."""
+        at = at._replace(face=face, curves=at.curves._replace(parameters=parameters))
+        return State(self.rig, self.images, self.curves, self.params, at)
 
 
 def state_of(

@@ -58,6 +58,11 @@ def cross(a: FloatArray, b: FloatArray) -> FloatArray:
     return np.array([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx])
 
 
+def length_of(vector: FloatArray) -> float:
+    """Length of a vector (N,): numpy's own function is six calls."""
+    return math.sqrt(vector @ vector)
+
+
 def unit(vector: FloatArray) -> FloatArray:
     """A vector (3,) in its direction with length 1."""
     return np.asarray(vector / math.sqrt(vector @ vector))

@@ -35,7 +35,8 @@ def mad_sigma(residuals: F64) -> float:
 
 def middle_of(values: F64) -> float:
     """The median of values (N,), N >= 1, NaN with one among them: numpy's is 36 calls."""
-    ordered, half = np.sort(values), len(values) // 2
+    ordered, half = np.array(values), len(values) // 2
+    ordered.sort()
     if math.isnan(ordered[-1]):
         return math.nan
     return float(ordered[half] if len(values) % 2 else 0.5 * (ordered[half - 1] + ordered[half]))

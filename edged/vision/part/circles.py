@@ -18,11 +18,20 @@ from edged.vision.curves.params import BREAKS, FitParams
 from edged.vision.curves.planefit import CircleGuess, CurveFit, PlaneFit, fit_circle, fit_plane
 from edged.vision.edges.subpixel import edges_along_normals
 from edged.vision.geometry.rectification import Rectification, StereoImages
-from edged.vision.geometry.rigid import Plane, about_z, angle_between, apply, cross, transform, unit
+from edged.vision.geometry.rigid import (
+    Plane,
+    about_z,
+    angle_between,
+    apply,
+    cross,
+    length_of,
+    transform,
+    unit,
+)
 from edged.vision.kernels.robust import mad_sigma
 from edged.vision.part.consistency import distance_share, scale_deviation
 from edged.vision.part.edgeidentity import is_doubtful
-from edged.vision.part.frames import FoundCircle, circle_in_rig, circles_in_rig
+from edged.vision.part.frames import FoundCircle, by_edges_alone, circle_in_rig, circles_in_rig
 from edged.vision.part.initialplane import find_plane
 from edged.vision.part.job import LIGHT_PX, CircleFeature, Job
 from edged.vision.part.measured import Evidence, MeasuredPart
@@ -51,13 +60,10 @@ def measure(images: StereoImages, job: Job, match: ShapeMatch) -> MeasuredPart |
         return None
     start = _start_rotation(images, job, match, main.circle)
     agreeing, target = placed(job, match_in_raw(images.rectification, match), fit, start)
-    target = replace(
-        target,
-        epipolar_rms_px=_epipolar_rms(images.rectification, main.fit),
-        reject=Reject.AMBIGUOUS_ROTATION if match.ambiguous else Reject.NONE,
-    )
+    reject = Reject.AMBIGUOUS_ROTATION if match.ambiguous else Reject.NONE
     if is_doubtful(images, job, main, agreeing, target.rig_from_part[:3, :3]):
-        target = replace(target, reject=target.reject | Reject.AMBIGUOUS_EDGE)
+        reject |= Reject.AMBIGUOUS_EDGE
+    target = replace(target, epipolar_rms_px=_epipolar_rms(images.rectification, main.fit), reject=reject)
     evidence = Evidence(
         main.fit.least_support,
         main.fit.rms_px,
@@ -74,7 +80,7 @@ def placed(job: Job, match: Match, fit: PlaneFit, start: FloatArray) -> tuple[li
     start (3, 3) : rig_from_part's rotation, but for its turn about the normal.  Raises ValueError for a fit
     without the reference circle.
     """
-    found, by_edges = circles_in_rig(fit), circle_in_rig(fit.by_edges(), job.reference)
+    found, by_edges = circles_in_rig(fit), circle_in_rig(by_edges_alone(fit), job.reference)
     main = next((circle for circle in found if circle.circle.name == job.reference), None)
     if main is None or by_edges is None:
         raise ValueError("the reference circle was not measured")
@@ -96,7 +102,7 @@ def placed(job: Job, match: Match, fit: PlaneFit, start: FloatArray) -> tuple[li
 def _growth(images: StereoImages, job: Job, fit: PlaneFit) -> tuple[float, float]:
     """Relative excess of the circles over the taught ones, and its sigma, the depth's included."""
     same_rig = job.calibration_id == images.rig.calibration_id
-    found = circles_in_rig(fit.by_edges() if same_rig else fit)
+    found = circles_in_rig(by_edges_alone(fit) if same_rig else fit)
     growth, sigma = scale_deviation(job, tuple(circle.circle for circle in found))
     main = next(circle for circle in found if circle.circle.name == job.reference)
     known = distance_share(main.circle.centre_mm, main.pose_covariance[:3, :3])
@@ -126,7 +132,7 @@ def _reference(images: StereoImages, job: Job, match: ShapeMatch) -> FoundCircle
 
 
 def _plausible(found: FoundCircle, start: _Start) -> bool:
-    moved = float(np.linalg.norm(found.circle.centre_mm - start.centre_mm))
+    moved = length_of(found.circle.centre_mm - start.centre_mm)
     return moved < 0.2 * found.circle.radius_mm and found.fit.least_support >= MEASURING.min_support
 
 
@@ -251,7 +257,7 @@ def _other_end_mm(images: StereoImages, job: Job, fit: PlaneFit) -> float:
     this part's.
     """
     taught = {circle.name: circle.radius_mm for circle in job.circles}
-    found = [circle.circle for circle in circles_in_rig(fit.by_edges())]
+    found = [circle.circle for circle in circles_in_rig(by_edges_alone(fit))]
     apart = {circle.name: circle.radius_mm - taught[circle.name] for circle in found}
     allowed_mm = job.limits.radius_tolerance_mm
     if allowed_mm is not None and abs(apart.get(job.reference, 0.0)) > allowed_mm:
@@ -297,7 +303,7 @@ def _predicted_outline(
 ) -> tuple[FloatArray, FloatArray]:
     """Points (N, 2) and outward normals of the reference circle in the rectified left image, by the match."""
     points = predicted(rectification, job, match, _outline(job.reference_circle, MEASURING.outline_points))
-    tangent = np.roll(points, -1, axis=0) - np.roll(points, 1, axis=0)
+    tangent = _chords(points)
     normals = np.column_stack([tangent[:, 1], -tangent[:, 0]])
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     outward = np.sum(normals * (points - points.mean(axis=0)), axis=1)
@@ -308,7 +314,7 @@ def _seen_polarity(images: StereoImages, job: Job, match: ShapeMatch) -> int:
     """+1 when most of the reference circle's contrast in the left image is brighter outside, else -1."""
     points, normals = _predicted_outline(images.rectification, job, match)
     _, slopes = edges_along_normals(images.rectified_left, points, normals, MEASURING.outline_reach_px, 0)
-    strong = np.nan_to_num(slopes)[np.abs(np.nan_to_num(slopes)) >= job.search.min_contrast]
+    strong = slopes[np.abs(slopes) >= job.search.min_contrast]  # False for NaN
     return 1 if strong.sum() > 0 else -1
 
 
@@ -415,7 +421,7 @@ def _epipolar_rms(rectification: Rectification, fit: CurveFit) -> float:
         return float("nan")
     right = rectification.rectify_points("right", fit.points[1])
     rows = rectification.rectify_points("left", fit.points[0][both])[:, 1] - right[both, 1]
-    tangent = (np.roll(right, -1, axis=0) - np.roll(right, 1, axis=0))[both]
+    tangent = _chords(right)[both]
     tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
     vague = np.abs(tangent[:, 1]) > 0.7  # the edge runs down the image: its row is not defined by it
     usable = ~vague & np.isfinite(rows)
@@ -423,8 +429,17 @@ def _epipolar_rms(rectification: Rectification, fit: CurveFit) -> float:
         return float("nan")
     stretch = np.flatnonzero(both)[usable] // MEASURING.row_stretch
     count = np.bincount(stretch)
-    means = np.bincount(stretch, rows[usable])[count > 0] / count[count > 0]
-    return float(np.sqrt(np.average(means**2, weights=count[count > 0])))
+    many = count[count > 0]
+    means = np.bincount(stretch, rows[usable])[count > 0] / many
+    return math.sqrt(float((means**2 * many).sum() / many.sum()))
+
+
+def _chords(points: FloatArray) -> FloatArray:
+    """(N, 2) from the point before to the one after, of a closed line (N, 2)."""
+    chords = np.empty_like(points)
+    chords[1:-1] = points[2:] - points[:-2]
+    chords[0], chords[-1] = points[1] - points[-1], points[0] - points[-2]
+    return chords
 
 
 def _in_order(job: Job, found: list[FoundCircle]) -> tuple[Circle3D, ...]:

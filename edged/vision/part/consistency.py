@@ -21,6 +21,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from functools import lru_cache
 from typing import TypeVar
 
 import numpy as np
@@ -28,6 +29,7 @@ import numpy as np
 from edged.domain.arrays import FloatArray
 from edged.domain.measurement import Circle3D, Corner3D, Edge3D, Measurement, Reject, Slot3D, Target
 from edged.vision.geometry.rectification import Rectification
+from edged.vision.geometry.rigid import length_of
 from edged.vision.kernels.robust import mad_sigma
 from edged.vision.part.job import Job
 from edged.vision.part.measured import Evidence
@@ -47,7 +49,7 @@ def scale_deviation(job: Job, circles: tuple[Circle3D, ...]) -> tuple[float, flo
     rows = [(circle.radius_mm, found.radius_mm, found.sigma_radius_mm) for circle, found in seen]
     middle, hub = job.reference_circle, by_name.get(job.reference_circle.name)
     for circle, found in seen:
-        arm = float(np.linalg.norm(circle.centre_mm - middle.centre_mm))
+        arm = length_of(circle.centre_mm - middle.centre_mm)
         if hub is not None and arm > MEASURING.arm * middle.radius_mm:
             rows.append((arm, *_distance(hub, found)))
     if len(rows) < MEASURING.min_sizes:
@@ -66,7 +68,7 @@ def scale_deviation(job: Job, circles: tuple[Circle3D, ...]) -> tuple[float, flo
 def _distance(first: Circle3D, second: Circle3D) -> tuple[float, float]:
     """Between two centres, and its sigma."""
     gap = second.centre_mm - first.centre_mm
-    length = float(np.linalg.norm(gap))
+    length = length_of(gap)
     along = gap / length
     spread = first.covariance[:3, :3] + second.covariance[:3, :3]
     return length, math.sqrt(max(float(along @ spread @ along), 0.0))
@@ -82,7 +84,7 @@ def doubt_by_rows(rectification: Rectification, target: Target, shift_px: float,
 
 def distance_share(place_mm: FloatArray, covariance: FloatArray) -> float:
     """Sigma of a distance against the taught one, in shares of it; of a place (3,), covariance (3, 3)."""
-    distance = float(np.linalg.norm(place_mm))
+    distance = length_of(place_mm)
     ray = place_mm / distance
     return math.sqrt(2 * max(float(ray @ covariance @ ray), 0.0)) / distance
 
@@ -193,9 +195,10 @@ def judged(job: Job, rectification: Rectification, target: Target, evidence: Evi
         (by_rows, Reject.LEFT_RIGHT_MISMATCH),
         (by_sizes, Reject.TOLERANCE),
     ):
-        if share * float(np.linalg.norm(target.position_mm)) > limits.max_sigma_mm:
+        if share * length_of(target.position_mm) > limits.max_sigma_mm:
             reject |= reason
-    return replace(doubted(target, math.hypot(by_rows, by_sizes), rectification.baseline_mm), reject=reject)
+    target = doubted(target, math.hypot(by_rows, by_sizes), rectification.baseline_mm)
+    return target if reject == target.reject else replace(target, reject=reject)
 
 
 def size_reasons(measurements: tuple[Measurement, ...]) -> Reject:
@@ -216,11 +219,14 @@ def vaguest_mm(job: Job, target: Target) -> float:
     normal, reference = target.rig_from_part[:3, 2], job.place_of(job.reference)
     arms = (_ends_mm(job) - reference) @ target.rig_from_part[:3, :3].T
     # a rotation w of the part lifts the end of an arm by n (w x arm) = w (arm x n)
-    lifts = np.hstack([np.tile(normal, (len(arms), 1)), np.cross(arms, normal)])
+    lifts = np.empty((len(arms), 6))
+    lifts[:, :3] = normal
+    lifts[:, 3:] = arms[:, (1, 2, 0)] * normal[[2, 0, 1]] - arms[:, (2, 0, 1)] * normal[[1, 2, 0]]
     heights = np.einsum("ki,ij,kj->k", lifts, target.covariance, lifts).tolist()
     return math.sqrt(max(*np.diag(target.covariance)[:3].tolist(), *heights))
 
 
+@lru_cache(maxsize=16)
 def _ends_mm(job: Job) -> FloatArray:
     """(N, 3) part frame: how far the features reach."""
     cross = np.array([[1.0, 0.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, -1.0, 0.0]])

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 
@@ -32,21 +33,31 @@ class FoundCircle:
 
 def circle_in_rig(fit: PlaneFit, name: str) -> FoundCircle | None:
     """A circle of a fit in the rig frame; None when it was not measured."""
-    found = circles_in_rig(fit, name)
-    return found[0] if found else None
+    return next((found for found in _circles(fit) if found.circle.name == name), None)
 
 
-def circles_in_rig(fit: PlaneFit, name: str | None = None) -> list[FoundCircle]:
-    """All circles of a fit, in its order; or the one of this name."""
+def circles_in_rig(fit: PlaneFit) -> list[FoundCircle]:
+    """All circles of a fit, in its order."""
+    return list(_circles(fit))
+
+
+@lru_cache(maxsize=4)  # asked for again and again while one part is measured
+def by_edges_alone(fit: PlaneFit) -> PlaneFit:
+    """`PlaneFit.by_edges`."""
+    return fit.by_edges()
+
+
+@lru_cache(maxsize=4)
+def _circles(fit: PlaneFit) -> tuple[FoundCircle, ...]:
     circles, columns, first = [], [], PLANE_PARAMETERS
     for found in fit.fits:
         curve = found.curve
-        if curve.kind == "circle" and name in (None, curve.name):
+        if curve.kind == "circle":
             circles.append(found)
             columns.append([0, 1, 2, first, first + 1, first + 2])
         first += len(curve.parameters)
     if not circles:
-        return []
+        return ()
     x, y, radius = np.array([found.curve.parameters for found in circles]).T
     height = np.array([found.curve.height_mm for found in circles])
     face, where = fit.face, np.array(columns)
@@ -63,12 +74,12 @@ def circles_in_rig(fit: PlaneFit, name: str | None = None) -> list[FoundCircle]:
     centres = face.to_rig(np.column_stack([x, y, height]))
     normal = n if n[2] < 0 else -n
     own = covariances[(slice(None), *_PLACE_AND_RADIUS)]
-    return [
+    return tuple(
         FoundCircle(Circle3D(found.curve.name, centre, normal, size, small), whole[:6, :6], found)
         for found, centre, size, small, whole in zip(
             circles, centres, radius.tolist(), own, covariances, strict=True
         )
-    ]
+    )
 
 
 def with_features(target: Target, job: Job, fit: PlaneFit) -> Target:

@@ -213,7 +213,10 @@ class Job:
     @property
     def reference_circle(self) -> CircleFeature:
         """The circle that the measurement begins with: the reference, or else the largest one."""
-        return next((circle for circle in self.circles if circle.name == self.reference), self.circles[0])
+        for circle in self.circles:
+            if circle.name == self.reference:
+                return circle
+        return self.circles[0]
 
     @property
     def reference_from_part(self) -> FloatArray:

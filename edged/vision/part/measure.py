@@ -17,7 +17,7 @@ from edged.domain.measurement import Match, Reject, ReportedPose, Target
 from edged.vision.curves.outlines import PLANE_PARAMETERS, Curve, Face
 from edged.vision.curves.planefit import PlaneFit, differentiated, fit_plane
 from edged.vision.geometry.rectification import Rectification, StereoImages
-from edged.vision.geometry.rigid import about_z, transform
+from edged.vision.geometry.rigid import about_z, length_of, transform
 from edged.vision.geometry.uncertainty import levered_covariance
 from edged.vision.part.circles import measure
 from edged.vision.part.consistency import distance_share, judged
@@ -129,7 +129,8 @@ def _measured_flat(images: StereoImages, job: Job, match: ShapeMatch) -> Measure
     """A part of one face, whose curves are measured free: each says by itself where it is."""
     result: MeasuredPart | Reject
     if job.circles:
-        main = replace(job, reference=job.reference_circle.name)
+        first = job.reference_circle.name
+        main = job if job.reference == first else replace(job, reference=first)
         measured = measure(images, main, match)
         if measured is None:
             return Reject.LEFT_RIGHT_MISMATCH
@@ -186,7 +187,8 @@ def completed(job: Job, target: Target, fit: PlaneFit | None) -> Target:
     """A target of measured circles with its other features and its sizes, from one fit of them all."""
     if fit is not None and not _is_turn_known(job, target):
         target = _turned(job, fit, target)
-    target = replace(target, measurements=measure_sizes(job, fit, target.circles))
+    if job.measurements:
+        target = replace(target, measurements=measure_sizes(job, fit, target.circles))
     if fit is not None:
         target = with_features(target, job, fit)
     target = with_free_axis(job, target)
@@ -206,8 +208,7 @@ def _circles_tell_rotation(job: Job, found: set[str]) -> bool:
     """
     reference = job.reference_circle
     return any(
-        float(np.linalg.norm(circle.centre_mm - reference.centre_mm))
-        > MEASURING.concentric * reference.radius_mm
+        length_of(circle.centre_mm - reference.centre_mm) > MEASURING.concentric * reference.radius_mm
         for circle in job.circles
         if circle.name in found
     )
@@ -304,12 +305,12 @@ def with_free_axis(job: Job, target: Target) -> Target:
 
 def _is_round(job: Job) -> bool:
     """Whether the part is rotationally symmetric."""
-    if not job.circles:
+    if not (job.circles and job.shape.round):
         return False
     centre = job.reference_circle.centre_mm
     reach = MEASURING.concentric * job.reference_circle.radius_mm
     concentric = all(np.linalg.norm(circle.centre_mm - centre) < reach for circle in job.circles)
-    return job.shape.round and concentric and not job.edges and not job.slots
+    return concentric and not job.edges and not job.slots
 
 
 # --- parts without circles -------------------------------------------------------------------------

@@ -268,15 +268,15 @@ class _Search:
 
     # --- rivals ------------------------------------------------------------------------------------
 
-    def _middle(self, h: Hypothesis, level: int) -> FloatArray:
-        """(2,) where the point is about which the shape could be turned, px of the finest level."""
-        shrink = 2.0**level
-        centre = self.model.centre_px
-        return (h.pose[:2] + 0.5) * shrink - 0.5 + h.pose[2:6].reshape(2, 2) @ centre
+    def _middle(self, h: Hypothesis, level: int) -> tuple[float, float]:
+        """Where the point is about which the shape could be turned, px of the finest level."""
+        shrink, (x, y) = 2.0**level, self.model.centre_px.tolist()
+        u, v, a, b, c, d = h.pose[:6].tolist()
+        return (u + 0.5) * shrink - 0.5 + a * x + b * y, (v + 0.5) * shrink - 0.5 + c * x + d * y
 
     def _same_place(self, h: Hypothesis, level: int, other: Hypothesis) -> bool:
         """Whether a hypothesis on a level and a finished one belong to one part, at any rotation."""
-        apart = math.dist(self._middle(h, level).tolist(), self._middle(other, 0).tolist())
+        apart = math.dist(self._middle(h, level), self._middle(other, 0))
         return apart < CLIMB.same_place * reach_px(self.model)
 
     def _settles(self, better: Hypothesis, candidate: Hypothesis, top: int) -> bool:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 from helpers.adjustments import choose_widths
@@ -11,6 +13,7 @@ from helpers.rigs import make_rig
 from naive import curves as naive
 
 from edged.domain.arrays import SIDES, Image
+from edged.vision.curves.approach import approach, laid_at, signs_of
 from edged.vision.curves.commonmode import Pairs
 from edged.vision.curves.flatcurves import CurvesAt, Freedom, LaidCurves, flattened, lay, move
 from edged.vision.curves.jointstep import Solved, solve_step, sums_of
@@ -332,3 +335,55 @@ def test_sums_leave_out_what_is_not_seen() -> None:
     np.testing.assert_allclose(sums.share, [0.3, 0.6])
     assert [[True, False], [False, False]] == sums.clipped.tolist()
     assert [[False, True], [True, False]] == sums.soft.tolist()
+
+
+def discs(rig: StereoRig, curves: tuple[Curve, ...]) -> tuple[Image, Image]:
+    """Both pictures of dark discs in a bright face, blurred a little."""
+    pictures = []
+    for side, camera in zip(SIDES, (rig.left, rig.right), strict=True):
+        image = np.full((camera.height, camera.width), 190, np.uint8)
+        for curve in curves:
+            seen = project_outline(rig, side, FACE, curve.spread(400)).pixels
+            cv2.fillPoly(image, [np.rint(16 * seen).astype(np.int32)], 60, cv2.LINE_AA, 4)
+        pictures.append(cv2.GaussianBlur(image, (0, 0), 1.0))
+    return pictures[0], pictures[1]
+
+
+@pytest.mark.parametrize("reaches", [(3.0,), (6.0, 4.0, 2.5, 2.0)])
+def test_coarse_steps_are_those_of_one_after_the_other(reaches: tuple[float, ...]) -> None:
+    """In every bit: laid, seen, solved and moved by the single kernels, with the sign of most contrast."""
+    rig, true = make_rig(), (CURVES[0], CURVES[3])
+    start = tuple(replace(curve, parameters=curve.parameters + 0.05, polarity=0) for curve in true)
+    images, at = discs(rig, true), placed(rig, FREE, start)
+    found = approach(at, lay(at, 3.0), *images, np.array(reaches), 3.0, 1.5)
+    made, step = 0, None
+    for number, reach in enumerate(reaches):
+        laid = lay(at, 3.0)
+        if number == 1:
+            at = laid_at(at, at.face, at.curves.parameters, signs_of(at, laid, *images, reach, 1.5))
+            assert [1, 1] == at.curves.polarity.tolist()
+        left, right = (look(at, laid, images[side], side, reach, 1.5, False) for side in (0, 1))
+        step = solve_step(at, laid, left, right, False)
+        before, face, parameters = at, np.empty((4, 3)), np.empty((2, 5))
+        assert move(at, step.delta, face, parameters)
+        at, made = laid_at(at, face, parameters, at.curves.polarity), made + 1
+        if number > 0 and step.moved_px.max() < 0.2:
+            break
+    assert step is not None
+    assert (made, 1 if len(reaches) == 1 else 2) == (found.steps, min(made, 2))
+    np.testing.assert_array_equal(found.face, at.face)
+    np.testing.assert_array_equal(found.parameters, at.curves.parameters)
+    np.testing.assert_array_equal(found.places, before.curves.parameters)
+    np.testing.assert_array_equal(found.before, before.face)
+    np.testing.assert_array_equal(found.solved.weights, step.weights)
+    # a filled outline is half a pixel larger
+    np.testing.assert_allclose(found.parameters[:, :2], [curve.parameters[:2] for curve in true], atol=0.02)
+
+
+def test_a_circle_that_runs_away_is_lost() -> None:
+    """The edge lies outside by more than half of its radius: no step is made."""
+    rig, start = make_rig(), replace(CURVES[3], parameters=np.array([-5.0, 4.0, 0.5]), polarity=1)
+    wide = replace(start, parameters=np.array([-5.0, 4.0, 0.82]))
+    at = placed(rig, FREE, (start,))
+    images = discs(rig, (wide,))
+    assert 0 == approach(at, lay(at, 3.0), *images, np.array([6.0, 4.0]), 3.0, 1.5).steps
