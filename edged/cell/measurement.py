@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 from edged.cell.announcements import log
 from edged.cell.context import CellContext
@@ -122,8 +123,9 @@ class CycleRun:
     def _exposed(
         self, job: LoadedJob, pair: FramePair, outcome: Outcome, before: MarksTrack | None = None
     ) -> Snapshot:
-        return replace(
-            self._blank(job, outcome.status),
+        return self._blank(
+            job,
+            outcome.status,
             exposed_ns=pair.exposed_ns,
             exposed_bound_ns=pair.exposed_bound_ns,
             exposed_count=pair.count,
@@ -134,8 +136,8 @@ class CycleRun:
             marks_before=before,
         )
 
-    def _blank(self, job: LoadedJob, status: Status) -> Snapshot:
-        """A snapshot without exposure and result."""
+    def _blank(self, job: LoadedJob, status: Status, exposed_ns: int = 0, **exposed: Any) -> Snapshot:
+        """A snapshot with what is known of its exposure and result; nothing by itself."""
         setup = self.cell.setup
         frame, registration = setup.frame(self.command)
         return Snapshot(
@@ -147,7 +149,7 @@ class CycleRun:
             calibration_id=setup.calibration_id,
             fingerprint=setup.fingerprint,
             simulated=setup.simulated,
-            exposed_ns=0,
+            exposed_ns=exposed_ns,
             published_ns=self.utc_ns(),
             timing_ms=self.lap.timing_ms(),
             robot_from_rig=frame.robot_from_rig,
@@ -155,4 +157,5 @@ class CycleRun:
             drift=self.cell.drift.state(),
             basis=self.cell.announcements.basis.number,
             marks=self.cell.marks,
+            **exposed,
         )

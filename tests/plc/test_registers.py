@@ -102,6 +102,19 @@ def test_crc_is_the_published_check_value() -> None:
     assert 0x4B37 == reg.crc16(b"123456789")
 
 
+def test_crc_is_the_same_in_pieces_and_byte_by_byte() -> None:
+    """Of an even and of an odd number of bytes, each shifted out bit by bit."""
+    data = bytes(range(7, 256, 31))
+    for count in range(len(data)):
+        expected = reg.CRC_START
+        for byte in data[:count]:
+            expected ^= byte
+            for _ in range(8):
+                expected = (expected >> 1) ^ (0xA001 if expected & 1 else 0)
+        assert expected == reg.crc16(data[:count])
+        assert expected == reg.crc16(data[1:count], reg.crc16(data[: min(count, 1)]))
+
+
 @pytest.mark.parametrize("order", ["high", "low"])
 def test_a_result_reads_back(order: reg.WordOrder) -> None:
     """X Y Z in µm, angles in 0.001°, sigma, mirror and UR block all say what the snapshot said."""
