@@ -5,8 +5,6 @@ from __future__ import annotations
 import enum
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, is_dataclass
-from functools import lru_cache
-from typing import Any
 
 import numpy as np
 
@@ -184,16 +182,9 @@ def _seal(value: object) -> None:
     elif isinstance(value, tuple):
         for part in value:
             _seal(part)
-    else:
-        kind: type[Any] = type(value)
-        for name in _members(kind):
-            _seal(getattr(value, name))
-
-
-@lru_cache(maxsize=64)
-def _members(kind: type[Any]) -> tuple[str, ...]:
-    """Names of the fields of a data class; none of another type."""
-    return tuple(member.name for member in fields(kind)) if is_dataclass(kind) else ()
+    elif is_dataclass(value):
+        for member in fields(value):
+            _seal(getattr(value, member.name))
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,7 +13,6 @@ from helpers.rigs import make_rig
 from naive import curves as naive
 
 from edged.domain.arrays import SIDES, Image
-from edged.vision.curves.approach import approach, laid_at, signs_of
 from edged.vision.curves.commonmode import Pairs
 from edged.vision.curves.flatcurves import CurvesAt, Freedom, LaidCurves, flattened, lay, move
 from edged.vision.curves.jointstep import Solved, solve_step, sums_of
@@ -26,6 +25,7 @@ from edged.vision.curves.outlines import (
     project_outline,
     projected,
 )
+from edged.vision.curves.planestate import approach, laid_at, signs_of
 from edged.vision.curves.samples import JointSolution
 from edged.vision.curves.sighting import CameraEdges, add_contrasts, look
 from edged.vision.edges.subpixel import WIDTHS_PX, edges_at_widths
