@@ -76,7 +76,9 @@ def status(
 
 @app.command()
 def replay(
-    path: Annotated[Path, typer.Argument(help="a recording, or a recorder's folder")],
+    path: Annotated[
+        Path, typer.Argument(help="a recording, a recorder's folder, or a bundle of `edged support`")
+    ],
     as_json: JsonOption = False,
     export: Annotated[
         Path | None, typer.Option(help="folder to write the recordings, their setups and a report to")
@@ -125,6 +127,20 @@ def restore(
     from edged.commands.backup import restore as command
 
     raise typer.Exit(command(archive, output, screen(soft_wrap=True), force=force, signed_by=verify))
+
+
+@app.command()
+def support(
+    config: Annotated[Path, typer.Argument(help="configuration file")],
+    output: Annotated[Path, typer.Option("--output", "-o", help="bundle to write, FILE.zip")],
+    cycle: Annotated[
+        int | None, typer.Option(min=0, help="number of a recording; left out: the newest that was not good")
+    ] = None,
+) -> None:
+    """Write a bundle for who helps from afar: a failed cycle, findings, versions, audit; no secrets."""
+    from edged.commands.support import support as command
+
+    raise typer.Exit(command(config, output, cycle, screen(soft_wrap=True)))
 
 
 @app.command()

@@ -17,6 +17,7 @@ from edged.files.atomic import read_bytes, write_file
 from edged.files.outputs import check_folder, make_folder
 from edged.files.secrettext import without_secrets
 from edged.payload import Json
+from edged.setup.machine.bundle import opened
 from edged.setup.recordings.regression import COMPARED, compare, decided, drawn, inspected
 from edged.setup.recordings.setups import rig_and_job
 
@@ -45,12 +46,18 @@ class Report:
 def replay(
     path: Path, as_json: bool, console: Console, export: Path | None = None, overlays: Path | None = None
 ) -> int:
-    """Replay a recording, or all of a folder. 0: every result is the same to the last bit; 1: not so.
+    """Replay a recording, or all of a folder or bundle. 0: each is the same to the last bit; 1: not so.
 
     export : folder to write the recordings with their setups and the report to, for a bug report.
     overlays : folder for a picture (PNG) of each measured pair with the evidence.
     """
-    files = _files(path)
+    with opened(path) as folder:
+        return _replay(_files(folder), as_json, console, export, overlays)
+
+
+def _replay(
+    files: list[Path], as_json: bool, console: Console, export: Path | None, overlays: Path | None
+) -> int:
     for folder in (export, overlays):
         if folder is not None:  # before the work, which may take an hour
             check_folder(folder)

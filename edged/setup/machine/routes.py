@@ -113,12 +113,12 @@ class MachineRoutes:
     @route(
         "POST",
         "/support",
-        "A file for who helps from afar: findings, configuration, figures; no picture, no password, no key",
-        answer="application/json",
+        "A bundle for who helps from afar: a failed cycle, findings, configuration; no password, no key",
+        answer="application/zip",
         audit=True,
     )
     async def _support(self, _call: Call[Nothing]) -> web.Response:
-        return _file(*await self._machine.support(), "application/json")
+        return _file(*await self._machine.support(), "application/zip")
 
 
 def _findings(found: Examination | None) -> Findings:

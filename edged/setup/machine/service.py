@@ -5,19 +5,18 @@ from __future__ import annotations
 import asyncio
 import hashlib
 import json
-import platform
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from typing import Any, Literal
 
-from edged import __version__
 from edged.config.chosenconnections import chosen_connections
 from edged.errors import FileFormatError, UserError
 from edged.files.atomic import make_folders, read_bytes, write_atomically
 from edged.setup.cellfiles import CellFiles
 from edged.setup.documents import Frozen
 from edged.setup.inuse import CellInUse
+from edged.setup.machine import bundle
 from edged.setup.releases.archive import MAX_BYTES, Backup, fits_map, make, restored, unpack
 from edged.setup.releases.releasefolder import Release
 from edged.setup.releases.service import Activation, Mandate
@@ -125,16 +124,21 @@ class MachineService:
         return unpack(archive, PLACE)
 
     async def support(self) -> tuple[str, bytes]:
-        """Name and content of a file for who helps from afar: no picture, no password and no key.
+        """Name and content of a bundle for who helps from afar: a failed cycle, no password and no key.
 
-        Raises `CommandRefused`.
+        Raises `CommandRefused`, `UserError`.
         """
         found = self.last or await self.examine()
         releases, active = await self._activation.listed()
         now = datetime.now(UTC)
-        document = await asyncio.to_thread(self._document, found, releases, active, now)
-        name = f"{self._cell.files.config.cell.name}-support-{now:%Y%m%d-%H%M}.json"
-        return name, json.dumps(document, indent=1, default=str).encode()
+        content = await asyncio.to_thread(self._bundle, found, releases, active, now)
+        return f"{self._cell.files.config.cell.name}-support-{now:%Y%m%d-%H%M}.zip", content
+
+    def _bundle(
+        self, found: Examination, releases: Sequence[Release], active: int | None, now: datetime
+    ) -> bytes:
+        document = self._document(found, releases, active, now)
+        return bundle.pack(document, bundle.failed_cycle(self._cell.recordings))
 
     def _document(
         self, found: Examination, releases: Sequence[Release], active: int | None, now: datetime
@@ -145,17 +149,11 @@ class MachineService:
             chosen["opcua"].pop("password_hash", None)
         rig = json.loads(files.contents.get("rig.json", b"{}"))
         return {
-            "edged": __version__,
-            "python": platform.python_version(),
-            "system": platform.platform(),
-            "created": now.isoformat(),
-            "cell": files.config.cell.name,
-            "fingerprint": files.fingerprint,
+            **bundle.about(self._cell.folder, files, now),
             "missing": summary.overview.missing,
             "facts": summary.facts,
             "jobs": summary.jobs,
             "plc": None if summary.plc is None else asdict(summary.plc),
-            "configuration": files.contents["cell.toml"].decode("utf-8", "replace"),
             "chosen": chosen,
             "calibration": rig.get("quality"),
             "active_release": active,

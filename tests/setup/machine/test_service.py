@@ -17,6 +17,7 @@ from edged.config.chosenconnections import ChosenConnections, connections_file
 from edged.errors import FileFormatError, UserError
 from edged.files.rig import load_rig, rig_text
 from edged.link.summary import CellSummary
+from edged.setup.machine.bundle import unpack as unpack_bundle
 from edged.setup.machine.service import MachineService
 from edged.setup.releases.archive import make, parts_at
 from edged.setup.releases.releasefolder import ReleaseFolder
@@ -92,9 +93,10 @@ def test_a_file_for_help_holds_no_secret(template: Path, tmp_path: Path) -> None
     chosen = ChosenConnections(opcua={"password_hash": HASH, "anonymous": True})
     connections_file(running.files.config.cell.rig).write_bytes(chosen.content() or b"")
     name, told = asyncio.run(machine.support())
-    document = json.loads(told)
-    assert name.endswith(".json")
-    assert b"argon2id" not in told
+    document, members = unpack_bundle(told, name)
+    assert name.endswith(".zip")
+    assert {} == members, "it records nothing"
+    assert "argon2id" not in json.dumps(document)
     assert "clock" == document["checks"][0]["name"]
     assert "[cell]" in document["configuration"]
     assert {"anonymous": True} == document["chosen"]["opcua"]
