@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from edged import __version__
+from edged.adapters.history import CycleHistory, HistoryFigures
 from edged.adapters.modbus import ModbusPublisher
 from edged.adapters.plcmemory import PlcMemoryPublisher
 from edged.adapters.recorder import Recorder
@@ -29,7 +30,14 @@ from edged.ports import Publisher
 from edged.setup.cellfiles import CellFiles, UnfinishedCell
 from edged.vision.geometry.uncertainty import calibration_covariance
 
-GROUPS = {"modbus": "Modbus", "plc": "PLC", "opcua": "OPC UA", "zenoh": "Zenoh", "recorder": "Recorder"}
+GROUPS = {
+    "modbus": "Modbus",
+    "plc": "PLC",
+    "opcua": "OPC UA",
+    "zenoh": "Zenoh",
+    "recorder": "Recorder",
+    "history": "History",
+}
 """Where the status page says what is wrong with a server."""
 
 
@@ -148,6 +156,10 @@ class Running:
             }
             if kept.problem:
                 groups["Recorder"]["problem"] = said("own-words", without_folders(kept.problem))
+        if (written := self.history()) is not None:
+            groups["History"] = {"written": written.written, "skipped": written.left_out}
+            if written.problem:
+                groups["History"]["problem"] = said("own-words", without_folders(written.problem))
         for name, problem in self.problems.items():
             if name in GROUPS:
                 groups.setdefault(GROUPS[name], {})["problem"] = said("own-words", without_folders(problem))
@@ -161,6 +173,11 @@ class Running:
             "rows, mean": _figure(drift.rows_px, ".3f", "px"),
             "known length, mean": _figure(drift.length_percent, "+.3f", "%"),
         }
+
+    def history(self) -> HistoryFigures | None:
+        """Figures of the history; None where none is written."""
+        found = self.servers.get("history")
+        return found.figures if isinstance(found, CycleHistory) else None
 
     def figures(self) -> dict[str, tuple[str, float]]:
         """Figures of the parts for /metrics."""
@@ -209,6 +226,8 @@ class Running:
                 "robot_map_held_out_metres": ("the same with the map", mapped.held_out_mm / 1000),
                 "robot_map_noise_metres": ("one sigma of what it does not tell", mapped.noise_mm / 1000),
             }
+        if (written := self.history()) is not None:
+            result["history_left_out"] = ("cycles that the history lacks", written.left_out)
         recorder = self.servers.get("recorder")
         if (modbus := self.modbus()) is not None:
             result["modbus_clients"] = ("Modbus clients that are connected", modbus.clients)

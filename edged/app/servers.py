@@ -7,14 +7,17 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import importlib
+import importlib.util
 import logging
+import sys
 from collections.abc import Callable, Mapping
 from functools import partial
 
+from edged.adapters.history import CycleHistory
 from edged.adapters.modbus import ModbusPublisher, server_context
 from edged.adapters.plcmemory import PlcMemoryPublisher, make_memory
 from edged.adapters.recorder import Recorder
+from edged.app.lesserprocess import LESSER, environment
 from edged.app.running import Running
 from edged.app.wantedservers import (
     WantedServer,
@@ -23,7 +26,7 @@ from edged.app.wantedservers import (
     wanted_servers,
     zenoh_settings,
 )
-from edged.config.cell import RecorderSection
+from edged.config.cell import HistorySection, RecorderSection
 from edged.config.configuration import Config
 from edged.config.plc import PlcSection
 from edged.config.servers import ModbusSection, OpcUaSection, WebSection
@@ -250,6 +253,8 @@ class Servers:
                 )
             case RecorderSection():
                 return partial(Recorder, section, running.recorded)
+            case HistorySection():
+                return _history_builder(section, wanted.cell)
             case OpcUaSection():
                 return self._opcua_builder(wanted, section)
             case PlcSection():
@@ -269,6 +274,15 @@ class Servers:
         settings = opcua_settings(section, wanted)
         running, identity = self._running, identity_of(settings)
         return partial(OpcUaPublisher, settings, running.modbus, running.jobs, identity=identity)
+
+
+def _history_builder(section: HistorySection, cell: str) -> Build:
+    """Raises `ListenError` where nothing could pack what is written."""
+    if importlib.util.find_spec("pyarrow") is None:
+        raise ListenError("history: needs another package: pip install 'edged[history]'")
+    limits = str(section.max_days), str(section.max_mib)
+    program = [*LESSER, sys.executable, "-m", "edged.files.history.packing", str(section.folder)]
+    return partial(CycleHistory, section, cell, ([*program, section.plant, cell, *limits], environment()))
 
 
 def _show_bug(trying: asyncio.Task[None]) -> None:

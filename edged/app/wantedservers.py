@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from edged.adapters.modbus import LineSettings, ModbusSettings, SerialSettings, TlsSettings
-from edged.config.cell import RecorderSection
+from edged.config.cell import HistorySection, RecorderSection
 from edged.config.configuration import Config
 from edged.config.plc import PlcSection
 from edged.config.servers import ModbusSection, OpcUaSection, WebSection
@@ -31,7 +31,15 @@ class WantedServer(NamedTuple):
     files : digest of each file that it reads at its start: certificates, authorities, access control.
     """
 
-    section: ModbusSection | ZenohSection | RecorderSection | WebSection | OpcUaSection | PlcSection
+    section: (
+        ModbusSection
+        | ZenohSection
+        | RecorderSection
+        | HistorySection
+        | WebSection
+        | OpcUaSection
+        | PlcSection
+    )
     cell: str = ""
     files: tuple[tuple[Path, bytes], ...] = ()
     free_running: bool = False
@@ -57,8 +65,8 @@ class WantedServer(NamedTuple):
                 return ", ".join(places)
             case ZenohSection() as zenoh:
                 return ", ".join([*zenoh.listen, *zenoh.connect]) or "no address"
-            case RecorderSection() as recorder:
-                return str(recorder.folder)
+            case RecorderSection() | HistorySection() as kept:
+                return str(kept.folder)
             case PlcSection() as plc:
                 return plc.place
             case section:
@@ -74,6 +82,8 @@ def wanted_servers(config: Config) -> dict[str, WantedServer]:
     files = config.machine_files()
     if config.recorder is not None:
         wanted["recorder"] = WantedServer(config.recorder)
+    if config.history is not None:
+        wanted["history"] = WantedServer(config.history, config.cell.name)
     if config.web is not None:
         wanted["web"] = WantedServer(config.web, config.cell.name, _digests(files, "web."))
     if config.zenoh.enabled:

@@ -9,6 +9,7 @@ from typing import Annotated
 import typer
 
 from edged.cli.options import JsonOption, screen
+from edged.errors import UserError
 
 app = typer.Typer()
 
@@ -141,6 +142,39 @@ def support(
     from edged.commands.support import support as command
 
     raise typer.Exit(command(config, output, cycle, screen(soft_wrap=True)))
+
+
+@app.command()
+def history(
+    folders: Annotated[
+        list[Path], typer.Option("--in", help="folder of a cell's [history], or with those of many; repeat")
+    ],
+    sql: Annotated[str | None, typer.Argument(help="a SELECT over the table `cycles`")] = None,
+    week: Annotated[
+        Path | None, typer.Option("--week", help="FILE.html: write the report of seven days")
+    ] = None,
+    compare: Annotated[
+        bool, typer.Option("--compare", help="compare the cells of seven days, job by job")
+    ] = False,
+    until: Annotated[
+        str | None, typer.Option(help="the last of the seven days; left out: the newest with cycles")
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Ask what cells measured: in SQL, as a report, or against each other. 1: a cell differs."""
+    if (sql is not None) + (week is not None) + compare != 1:
+        raise UserError("expected either SQL, --week or --compare")
+    try:
+        from edged.commands import history as command
+    except ImportError as error:
+        raise UserError(f"history: needs another package: pip install 'edged[history]' ({error})") from error
+
+    console = screen(soft_wrap=True)
+    if week is not None:
+        raise typer.Exit(command.week(folders, until, week, console))
+    if compare:
+        raise typer.Exit(command.compared(folders, until, as_json, console))
+    raise typer.Exit(command.question(sql or "", folders, as_json, console))
 
 
 @app.command()

@@ -192,3 +192,15 @@ class RecorderSection(Section):
     min_free_mib: int = Field(
         1000, ge=0, le=100_000_000, description="of the disk, which is never filled further"
     )
+
+
+class HistorySection(Section):
+    """Each cycle as a row, for `edged history`. Left out: none; needs the extra `history`."""
+
+    folder: FilePath = Field(description="where rows go, as Parquet by plant, day and cell")
+    plant: Name = Field("plant", description="name of the plant, by which cells of several are told apart")
+    max_days: int = Field(400, ge=1, le=36_500, description="days with cycles; older ones are removed")
+    max_mib: int = Field(2000, ge=1, le=100_000_000, description="of this cell's rows")
+    min_free_mib: int = Field(
+        500, ge=0, le=100_000_000, description="of the disk: with less no rows are written"
+    )

@@ -11,6 +11,7 @@ from edged.config.cell import (
     CellSection,
     CycleSection,
     DriftSection,
+    HistorySection,
     LimitsSection,
     MarksSection,
     RecorderSection,
@@ -36,6 +37,7 @@ class Config(Section):
     limits: LimitsSection = LimitsSection()
     registration: RegistrationSection | None = None
     recorder: RecorderSection | None = None
+    history: HistorySection | None = None
     web: WebSection | None = None
     opcua: OpcUaSection | None = None
 

@@ -403,6 +403,7 @@ def fingerprint(config: Config, files: Mapping[str, bytes]) -> str:
     stated = config.model_dump()
     if config.marks == MarksSection():
         del stated["marks"]  # nothing was stated: the cell is what it was before there were such keys
+    del stated["history"]  # no result stands on what is written down of it
     settings = json.dumps(stated, default=_identity, sort_keys=True)
     digest = hashlib.sha256(settings.encode())
     for name in sorted(files):

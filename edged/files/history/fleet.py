@@ -1,0 +1,121 @@
+"""Cells with the same job against each other: which of them measures otherwise than the rest."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+
+from edged.domain.outliers import OUTLIERS, deviations, limit, outliers
+from edged.files.history.query import ask
+from edged.payload import Json
+
+FIGURES = """
+WITH chosen AS (SELECT *, plant || '/' || cell AS who FROM cycles WHERE day BETWEEN '{first}' AND '{last}'),
+good AS (SELECT * FROM chosen WHERE status = 'OK'),
+many AS (SELECT job, who FROM good GROUP BY ALL HAVING count(*) >= {min_cycles}),
+size AS (SELECT job, who, unnest(sizes) AS size FROM good)
+SELECT job, 'OK rate' AS figure, '' AS unit, who, avg((status = 'OK')::INT) AS value, count(*) AS noise
+    FROM chosen SEMI JOIN many USING (job, who) GROUP BY ALL
+UNION ALL SELECT job, 'sigma', 'mm', who,
+    median(sqrt(sigma_x_mm ** 2 + sigma_y_mm ** 2 + sigma_z_mm ** 2)), 0.0
+    FROM good SEMI JOIN many USING (job, who) GROUP BY ALL
+UNION ALL SELECT job, 'row difference', 'px', who, median(rows_px), 0.0
+    FROM good SEMI JOIN many USING (job, who) GROUP BY ALL
+UNION ALL SELECT job, 'size ' || size.name, size.unit, who,
+    median(size.value - coalesce(size.nominal, 0.0)), median(size.sigma)
+    FROM size SEMI JOIN many USING (job, who) GROUP BY job, size.name, size.unit, who
+ORDER BY ALL
+"""
+
+
+@dataclass(frozen=True, slots=True)
+class CompareParams:
+    """min_cycles : good ones that a cell needs to be compared. The others: spreads that do not count.
+
+    sigma_share, rows_share : of the median: as much as light and dirt make. ok_rate : of a rate. size_share :
+    of a size's stated sigma: what a single measurement could not tell either.
+    """
+
+    min_cycles: int = 50
+    sigma_share: float = 0.05
+    rows_share: float = 0.05
+    ok_rate: float = 0.005
+    size_share: float = 0.5
+
+    def least_spread(self, figure: str, values: list[float], noise: list[float]) -> float:
+        """The spread of a figure that does not count. noise : of OK rates the cycles, of sizes the sigma."""
+        middle, typical = float(np.median(values)), float(np.median(noise))
+        match figure:
+            case "OK rate":
+                by_chance = math.sqrt(middle * (1.0 - middle) / max(typical, 1.0))
+                return max(self.ok_rate, by_chance)
+            case "sigma":
+                return self.sigma_share * abs(middle)
+            case "row difference":
+                return self.rows_share * abs(middle)
+            case _:
+                return self.size_share * typical
+
+
+COMPARE = CompareParams()
+
+
+@dataclass(frozen=True, slots=True)
+class Differing:
+    """A cell that differs, as PLANT/CELL, and by how many robust sigmas, with the sign."""
+
+    cell: str
+    value: float
+    deviation: float
+
+
+@dataclass(frozen=True, slots=True)
+class Comparison:
+    """A figure of a job over its cells. limit : of the deviations; None where too few cells have the job."""
+
+    job: str
+    figure: str
+    unit: str
+    cells: int
+    median: float
+    limit: float | None
+    differing: tuple[Differing, ...]
+
+    def to_json(self) -> Json:
+        """One object."""
+        return asdict(self)
+
+
+def compare(
+    folders: Sequence[Path], first: str, last: str, params: CompareParams = COMPARE
+) -> list[Comparison]:
+    """Every figure of every job, from day to day. Raises `UserError`."""
+    wanted = FIGURES.format(first=first, last=last, min_cycles=params.min_cycles)
+    groups: dict[tuple[str, str, str], list[tuple[str, float, float]]] = {}
+    for job, figure, unit, who, value, noise in ask(folders, wanted)[1]:
+        if value is not None:
+            groups.setdefault((job, figure, unit), []).append((who, value, noise or 0.0))
+    found = []
+    for (job, figure, unit), rows in groups.items():
+        who, values, noise = ([*column] for column in zip(*rows, strict=True))
+        least = params.least_spread(figure, values, noise)
+        away = deviations(np.array(values), least)
+        found.append(
+            Comparison(
+                job,
+                figure,
+                unit,
+                len(rows),
+                float(np.median(values)),
+                limit(len(rows)) if len(rows) >= OUTLIERS.min_count else None,
+                tuple(
+                    Differing(who[index], values[index], float(away[index]))
+                    for index in outliers(np.array(values), least)
+                ),
+            )
+        )
+    return found

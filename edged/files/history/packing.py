@@ -1,0 +1,127 @@
+"""Rows of a spool into Parquet: one file for each plant, day and cell; none is lost, none is there twice.
+
+`python -m edged.files.history.packing FOLDER PLANT CELL MAX_DAYS MAX_MIB`, in a process of its own.
+
+A day's file is written anew with the rows that it lacks, by their key, and replaced in one step; only then
+its spool goes. Killed at any moment, the next run finds the spool again, and the rows that are in already.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import shutil
+import sys
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+from pyarrow import parquet
+
+from edged.files.atomic import make_folders, sync, write_atomically
+from edged.files.history.rows import FULL, spool_folder
+
+SIZE = pa.struct(
+    [
+        ("name", pa.string()),
+        ("unit", pa.string()),
+        ("value", pa.float64()),
+        ("sigma", pa.float64()),
+        ("nominal", pa.float64()),
+    ]
+)
+SCHEMA = pa.schema(
+    [
+        *((name, pa.int64()) for name in ("started_ns", "cycle", "at_ns")),
+        ("at", pa.timestamp("us", "UTC")),
+        ("status", pa.string()),
+        ("job", pa.string()),
+        ("job_number", pa.int32()),
+        *((name, pa.string()) for name in ("command", "calibration", "fingerprint")),
+        ("simulated", pa.bool_()),
+        ("parts", pa.int32()),
+        ("rejects", pa.list_(pa.string())),
+        *((name, pa.float64()) for name in ("x_mm", "y_mm", "z_mm")),
+        *((name, pa.float64()) for name in ("sigma_x_mm", "sigma_y_mm", "sigma_z_mm", "score", "rows_px")),
+        ("sizes", pa.list_(SIZE)),
+        *((name, pa.float64()) for name in ("drift_rows_px", "drift_length_percent")),
+        ("marks", pa.string()),
+        ("total_ms", pa.float64()),
+        ("error_code", pa.int32()),
+    ]
+)
+"""Columns of a file; see `rows.row_of`."""
+FILE = "cycles.parquet"
+MIB = 1024 * 1024
+
+
+def day_file(folder: Path, plant: str, day: str, cell: str) -> Path:
+    """The file of a cell's day (UTC)."""
+    return folder / f"plant={plant}" / f"day={day}" / f"cell={cell}" / FILE
+
+
+def pack(folder: Path, plant: str, cell: str, max_days: int, max_mib: int) -> int:
+    """Pack all that waits, and remove the oldest days beyond the limits; returns rows. Raises `OSError`."""
+    packed = 0
+    for path in sorted(spool_folder(folder, cell).glob(f"*{FULL}")):
+        days: dict[str, list[dict[str, Any]]] = {}
+        for row in _rows(path):
+            at = datetime.fromtimestamp(row["at_ns"] / 1e9, UTC)
+            days.setdefault(f"{at:%Y-%m-%d}", []).append({**row, "at": at})
+        for day, rows in days.items():
+            packed += _add(day_file(folder, plant, day, cell), rows)
+        path.unlink()
+        sync(path.parent)
+    _bound(folder, plant, cell, max_days, max_mib)
+    return packed
+
+
+def _rows(path: Path) -> list[dict[str, Any]]:
+    """Whole lines; what a cut tore was never promised."""
+    found = []
+    for line in path.read_bytes().split(b"\n"):
+        try:
+            row = json.loads(line)
+            int(row["started_ns"]), int(row["cycle"]), int(row["at_ns"])
+        except (ValueError, TypeError, KeyError):
+            continue
+        found.append(row)
+    return found
+
+
+def _add(path: Path, rows: list[dict[str, Any]]) -> int:
+    """Write a day's file with the rows that it lacks; returns how many."""
+    make_folders(path.parent)
+    for left in path.parent.glob(f".{FILE}.*"):  # of a run that was killed
+        left.unlink()
+    there = parquet.ParquetFile(path).read() if path.exists() else SCHEMA.empty_table()
+    keys = set(zip(there["started_ns"].to_pylist(), there["cycle"].to_pylist(), strict=True))
+    new = {(row["started_ns"], row["cycle"]): row for row in rows}
+    lacking = [row for key, row in new.items() if key not in keys]
+    if not lacking:
+        return 0
+    table = pa.concat_tables(
+        [there, pa.Table.from_pylist(lacking, schema=SCHEMA)], promote_options="default"
+    ).sort_by("at_ns")
+    buffer = io.BytesIO()
+    parquet.write_table(table, buffer, compression="zstd")
+    write_atomically(path, buffer.getvalue())
+    return len(lacking)
+
+
+def _bound(folder: Path, plant: str, cell: str, max_days: int, max_mib: int) -> None:
+    """Remove the oldest days. Days with cycles are counted: a clock that is set deletes nothing."""
+    days = sorted(folder.glob(f"plant={plant}/day=*/cell={cell}"))
+    sizes = [sum(file.stat().st_size for file in day.iterdir()) for day in days]
+    while len(days) > 1 and (len(days) > max_days or sum(sizes) > max_mib * MIB):
+        oldest = days.pop(0)
+        sizes.pop(0)
+        shutil.rmtree(oldest)
+        if not any(oldest.parent.iterdir()):
+            oldest.parent.rmdir()
+
+
+if __name__ == "__main__":
+    _folder, _plant, _cell, _days, _mib = sys.argv[1:]
+    pack(Path(_folder), _plant, _cell, int(_days), int(_mib))
