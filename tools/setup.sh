@@ -102,6 +102,15 @@ import gi
 gi.require_version("Aravis", "0.8")
 PY
 
+# of Prometheus its checker alone: the package would run a server here
+if [ "$EDGED_FOR" = test ] && [ ! -x .venv/bin/promtool ] && command -v apt-get >/dev/null; then
+    say "taking promtool from Debian's package prometheus"
+    unpacked=$(mktemp -d)
+    (cd "$unpacked" && apt-get -qq download prometheus 2>/dev/null && dpkg -x prometheus_*.deb . &&
+        install usr/bin/promtool "$EDGED_ROOT/.venv/bin/") || say "no promtool: what is shipped for Prometheus is not judged"
+    rm -rf "$unpacked"
+fi
+
 # one line in any terminal, `. .venv/bin/activate`, then puts `edged` on the PATH with the kernels that are compiled here
 cache="export NUMBA_CACHE_DIR=\"$EDGED_ROOT/.venv/numba-cache\""
 grep -qxF "$cache" .venv/bin/activate || printf '%s\n' "$cache" >>.venv/bin/activate

@@ -7,6 +7,7 @@ import re
 import urllib.request
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 import yaml
@@ -17,8 +18,10 @@ from prometheus_client.parser import text_string_to_metric_families
 
 CONFIG = Path(__file__).parent.parent.parent / "config"
 DASHBOARD = json.loads((CONFIG / "grafana-dashboard.json").read_text())
+FLEET = json.loads((CONFIG / "grafana-fleet.json").read_text())
 RULES = yaml.safe_load((CONFIG / "prometheus-alerts.yml").read_text())["groups"][0]["rules"]
 EXPRESSIONS = [target["expr"] for panel in DASHBOARD["panels"] for target in panel["targets"]]
+OF_FLEET = [target["expr"] for panel in FLEET["panels"] for target in panel["targets"]]
 EXPRESSIONS += [rule["expr"] for rule in RULES]
 
 
@@ -29,6 +32,7 @@ def served(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, set[s
     cell = Cell(folder, 'source = "virtual-inprocess"')
     port = free_port()
     more = f'\n[web]\nport = {port}\n[recorder]\nfolder = "recordings"\nmin_free_mib = 0\n'
+    more += '[history]\nfolder = "history"\nmin_free_mib = 0\n'
     cell.config.write_text(cell.config.read_text() + more)
 
     def samples() -> dict[str, set[str]]:
@@ -59,7 +63,7 @@ def used(expression: str) -> dict[str, set[str]]:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("expression", EXPRESSIONS)
+@pytest.mark.parametrize("expression", [*EXPRESSIONS, *OF_FLEET])
 def test_every_figure_that_is_shown_or_watched_exists(expression: str, served: dict[str, set[str]]) -> None:
     """A metric that was renamed would leave an empty panel, or an alarm that never comes."""
     names = used(expression)
@@ -67,8 +71,8 @@ def test_every_figure_that_is_shown_or_watched_exists(expression: str, served: d
     assert names.keys() <= served.keys()
     grouped = {label for labels in re.findall(r"by \(([^)]*)\)", expression) for label in labels.split(", ")}
     for name, labels in names.items():
-        # Prometheus adds `instance` and `job` when it scrapes
-        assert labels | grouped <= served[name] | {"instance", "job"}, name
+        # Prometheus adds `instance` and `job` when it scrapes, that of a plant its own label
+        assert labels | grouped <= served[name] | {"instance", "job", "plant"}, name
 
 
 @pytest.mark.slow
@@ -81,9 +85,10 @@ def test_the_dashboard_misses_nothing_that_an_operator_needs(served: dict[str, s
     assert {"edged_recordings"} == own - shown
 
 
-def test_the_dashboard_can_be_imported_anywhere() -> None:
+@pytest.mark.parametrize("dashboard", [DASHBOARD, FLEET], ids=["cells", "fleet"])
+def test_the_dashboard_can_be_imported_anywhere(dashboard: dict[str, Any]) -> None:
     """No data source of somebody's own; panels are numbered, do not overlap, and say what they show."""
-    panels = DASHBOARD["panels"]
+    panels = dashboard["panels"]
     assert len({panel["id"] for panel in panels}) == len(panels)
     places = [
         (x, y)
@@ -94,7 +99,7 @@ def test_the_dashboard_can_be_imported_anywhere() -> None:
     assert len(set(places)) == len(places)
     assert max(x for x, _ in places) < 24
     assert all(panel["description"] and panel["fieldConfig"]["defaults"]["unit"] for panel in panels)
-    sources = re.findall(r'"uid": "([^"]*)"', json.dumps(DASHBOARD["panels"]))
+    sources = re.findall(r'"uid": "([^"]*)"', json.dumps(panels))
     assert {"${datasource}"} == set(sources)
 
 
