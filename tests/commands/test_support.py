@@ -162,32 +162,40 @@ def test_comments_go_and_nothing_else() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
+    "name",
+    ["../evil", "setups/1a2b3c4d/../../../evil", "setups/1a2b3c4d//evil", "/tmp/evil", "cycles/evil.sh", "x"],
+)
+def test_a_member_that_leads_elsewhere_is_refused(name: str, made: Path, tmp_path: Path) -> None:
+    """Also where the document names it with its digest: exit 2, and no file is written."""
+    document, members = bundle.unpack(made.read_bytes(), "made")
+    hostile = tmp_path / "in" / "hostile.zip"
+    hostile.parent.mkdir()
+    hostile.write_bytes(bundle.pack(document | {"files": {}}, members | {name: b"x"}))
+    assert 2 == exit_code("replay", hostile)
+    assert ["in"] == [path.name for path in tmp_path.iterdir()]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
     "change",
     [
-        lambda files: files | {"../evil": b"x"},
-        lambda files: files | {"setups/1a2b3c4d/../../../evil": b"x"},
-        lambda files: files | {"setups/1a2b3c4d//evil": b"x"},
-        lambda files: files | {"/tmp/evil": b"x"},
-        lambda files: files | {"cycles/evil.sh": b"x"},
         lambda files: {name: b"" if name.endswith("rig.json") else data for name, data in files.items()},
         lambda files: {name: data for name, data in files.items() if not name.endswith("rig.json")},
         lambda files: {**files, "support.json": b"[" * 100_000},
         lambda files: {**files, "support.json": b'{"format": "edged-support", "version": 9}'},
     ],
 )
-def test_a_hostile_bundle_is_refused_as_a_whole(
+def test_a_changed_bundle_is_refused_as_a_whole(
     change: Callable[[dict[str, bytes]], dict[str, bytes]], made: Path, tmp_path: Path
 ) -> None:
-    """Names that lead elsewhere, members that are other, missing or not ours: exit 2, no file is written."""
+    """Members that are other or missing, and a document that is none: exit 2."""
     with zipfile.ZipFile(made) as archive:
         files = {name: archive.read(name) for name in archive.namelist()}
-    hostile = tmp_path / "in" / "hostile.zip"
-    hostile.parent.mkdir()
-    with zipfile.ZipFile(hostile, "w") as archive:
+    changed = tmp_path / "changed.zip"
+    with zipfile.ZipFile(changed, "w") as archive:
         for name, data in change(files).items():
             archive.writestr(name, data)
-    assert 2 == exit_code("replay", hostile)
-    assert ["in"] == [path.name for path in tmp_path.iterdir()]
+    assert 2 == exit_code("replay", changed)
 
 
 def test_a_bomb_is_not_unpacked() -> None:

@@ -82,6 +82,18 @@ def test_rows_lie_by_plant_day_and_cell(tmp_path: Path) -> None:
     assert [] == list(spool_folder(tmp_path, "left").iterdir())
 
 
+def test_rows_of_another_version_stay(tmp_path: Path) -> None:
+    """A file that lacks columns, or has one more, gets today's when a row is added."""
+    path = day_file(tmp_path, "north", "2026-01-31", "left")
+    path.parent.mkdir(parents=True)
+    parquet.write_table(
+        pa.table({"started_ns": [1], "cycle": [1], "at_ns": [START_NS], "former": ["x"]}), path
+    )
+    packed(tmp_path, "left", rows(3))
+    found = ask([tmp_path], "SELECT cycle, status FROM cycles ORDER BY cycle")[1]
+    assert [(1, None), (2, "OK"), (3, "OK")] == found
+
+
 def test_what_was_packed_before_a_cut_is_not_there_twice(tmp_path: Path) -> None:
     """The spool is there again, as if its removal had not lasted: nothing is added. A torn line is no row."""
     packed(tmp_path, "left", rows(5))

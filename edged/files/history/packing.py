@@ -12,6 +12,7 @@ import io
 import json
 import shutil
 import sys
+from contextlib import ExitStack
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -95,19 +96,39 @@ def _add(path: Path, rows: list[dict[str, Any]]) -> int:
     make_folders(path.parent)
     for left in path.parent.glob(f".{FILE}.*"):  # of a run that was killed
         left.unlink()
-    there = parquet.ParquetFile(path).read() if path.exists() else SCHEMA.empty_table()
-    keys = set(zip(there["started_ns"].to_pylist(), there["cycle"].to_pylist(), strict=True))
-    new = {(row["started_ns"], row["cycle"]): row for row in rows}
-    lacking = [row for key, row in new.items() if key not in keys]
-    if not lacking:
-        return 0
-    table = pa.concat_tables(
-        [there, pa.Table.from_pylist(lacking, schema=SCHEMA)], promote_options="default"
-    ).sort_by("at_ns")
     buffer = io.BytesIO()
-    parquet.write_table(table, buffer, compression="zstd")
+    with (
+        parquet.ParquetWriter(buffer, SCHEMA, compression="zstd") as writer,
+        ExitStack() as opened,
+    ):
+        there = opened.enter_context(parquet.ParquetFile(path)) if path.exists() else None
+        lacking = _lacking(rows, there)
+        if not lacking:
+            return 0
+        if there is not None:
+            for number in range(there.num_row_groups):  # one at a time in memory
+                writer.write_table(_as_now(there.read_row_group(number)))
+        writer.write_table(pa.Table.from_pylist(lacking, schema=SCHEMA))
     write_atomically(path, buffer.getvalue())
     return len(lacking)
+
+
+def _lacking(rows: list[dict[str, Any]], there: parquet.ParquetFile | None) -> list[dict[str, Any]]:
+    """The rows whose key is not in a file, each once."""
+    wanted = {(row["started_ns"], row["cycle"]): row for row in rows}
+    if there is None:
+        return [*wanted.values()]
+    keys = there.read(["started_ns", "cycle"])
+    started_ns, cycles = keys["started_ns"].to_numpy(), keys["cycle"].to_numpy()
+    for start in {start for start, _ in wanted}:
+        for cycle in cycles[started_ns == start].tolist():
+            wanted.pop((start, cycle), None)
+    return [*wanted.values()]
+
+
+def _as_now(rows: pa.Table) -> pa.Table:
+    """Rows that another version wrote, with today's columns."""
+    return pa.concat_tables([SCHEMA.empty_table(), rows], promote_options="default").select(SCHEMA.names)
 
 
 def _bound(folder: Path, plant: str, cell: str, max_days: int, max_mib: int) -> None:

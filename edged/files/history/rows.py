@@ -20,8 +20,8 @@ from edged.files.atomic import make_folders, sync
 from edged.payload import Json, reject_names
 
 OPEN, FULL = ".open", ".jsonl"
-FULL_BYTES = 32 * 1024 * 1024
-"""A spool file is full then: an hour of ten cycles a second with three sizes each has 20 MB."""
+FULL_BYTES = 8 * 1024 * 1024
+"""A spool file is full then: an hour of three cycles a second, which packing has in memory at once."""
 
 
 def row_of(snapshot: Snapshot, started_ns: int) -> Json:

@@ -9,14 +9,19 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 from helpers.cellinuse import StillCell
+from helpers.recordedcell import record
 from helpers.webcell import HASH
 
 from edged.config.chosenconnections import ChosenConnections, connections_file
+from edged.domain.frames import FramePair
 from edged.errors import FileFormatError, UserError
 from edged.files.rig import load_rig, rig_text
+from edged.identity.audit import AuditEntry, AuditFile
 from edged.link.summary import CellSummary
+from edged.setup.cellfiles import read_cell
 from edged.setup.machine.bundle import unpack as unpack_bundle
 from edged.setup.machine.service import MachineService
 from edged.setup.releases.archive import make, parts_at
@@ -100,3 +105,21 @@ def test_a_file_for_help_holds_no_secret(template: Path, tmp_path: Path) -> None
     assert "clock" == document["checks"][0]["name"]
     assert "[cell]" in document["configuration"]
     assert {"anonymous": True} == document["chosen"]["opcua"]
+
+
+@pytest.mark.slow
+def test_a_file_for_help_has_the_cycle_that_failed(template: Path, tmp_path: Path) -> None:
+    """The newest one with pictures that was not good, which anybody can measure again, and what was done."""
+    machine, running = machine_of(template, tmp_path / "cell")
+    text = running.path.read_text().split("[recorder]")[0]
+    running.path.write_text(f'{text}\n[recorder]\nfolder = "recordings"\n')
+    running.files = files = read_cell(running.path)
+    size = files.rig.left.height, files.rig.left.width
+    dark = FramePair.of_images(*(np.zeros(size, np.uint8) for _ in range(2)))
+    recorded = record(tmp_path / "cell" / "recordings", files, [dark, None])
+    AuditFile(running.in_use().folder).add(AuditEntry("Anna", "engineer", "", "POST", "support", "ok"))
+    name, told = asyncio.run(machine.support())
+    document, members = unpack_bundle(told, name)
+    assert f"cycles/{recorded[0].path.name}" in members
+    assert f"setups/{files.fingerprint}/rig.json" in members
+    assert ["Anna"] == [entry["user"] for entry in document["audit"]["records"]]
