@@ -16,6 +16,7 @@ from edged.setup.calibration import service as calibrations
 from edged.setup.calibration.checks import Checks
 from edged.setup.calibration.service import Calibrations
 from edged.setup.cameras.service import CameraService
+from edged.setup.fleet.gate import FleetGate
 from edged.setup.inuse import CellInUse
 from edged.setup.jobs.tasks import Tasks
 from edged.setup.jobs.worker import Worker
@@ -74,6 +75,8 @@ class SetupServices:
         self._jobs = Jobs(cell, releases, self._activation)
         self._cameras = CameraService(cell, live, addresses, self._activation)
         self._machine = MachineService(cell, self._activation)
+        self._gate = FleetGate(cell, self._activation, self._regressions)
+        self._gate.start()
         self._stop = live.listen(self._offer)
 
     def routes(self) -> Sequence[object]:
@@ -121,6 +124,7 @@ class SetupServices:
     async def close(self) -> None:
         """End the worker process; drafts are on disc."""
         self._stop()
+        await self._gate.close()
         await self._cameras.close()
         await self._calibrations.close()
         await self._trials.close()

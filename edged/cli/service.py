@@ -9,9 +9,11 @@ from typing import Annotated
 import typer
 
 from edged.cli.options import JsonOption, screen
+from edged.cli.release import release
 from edged.errors import UserError
 
 app = typer.Typer()
+app.add_typer(release, name="release")
 
 
 @app.command()

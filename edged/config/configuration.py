@@ -18,6 +18,7 @@ from edged.config.cell import (
     RegistrationSection,
 )
 from edged.config.fields import Section
+from edged.config.fleet import FleetSection
 from edged.config.plc import PlcSection
 from edged.config.servers import ModbusSection, OpcUaSection, WebSection
 from edged.config.zenoh import ZenohSection, tcp_port
@@ -40,6 +41,7 @@ class Config(Section):
     history: HistorySection | None = None
     web: WebSection | None = None
     opcua: OpcUaSection | None = None
+    fleet: FleetSection | None = None
 
     @model_validator(mode="after")
     def _triggered(self) -> Config:
@@ -106,7 +108,10 @@ class Config(Section):
         return {place: hashed for place, hashed in found.items() if hashed}
 
     def machine_files(self) -> dict[str, Path]:
-        """Certificates and keys by their dotted path: they belong to the machine, not to the cell."""
+        """Certificates, keys and the root of releases by their dotted path.
+
+        They belong to the machine, not to the cell.
+        """
         found: dict[str, Path] = {}
         if (tls := self.modbus.tls) is not None:
             found |= {
@@ -118,6 +123,8 @@ class Config(Section):
             found |= {"opcua.certificate": opcua.certificate, "opcua.key": opcua.key}
         if self.zenoh.enabled and self.zenoh.shared_key is not None:
             found["zenoh.shared_key"] = self.zenoh.shared_key
+        if self.fleet is not None:
+            found["fleet.root"] = self.fleet.root
         return found
 
     def missing_files(self) -> list[str]:

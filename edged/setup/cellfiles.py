@@ -400,7 +400,7 @@ def fingerprint(config: Config, files: Mapping[str, bytes]) -> str:
     Of a path only its name counts: a cell that was restored elsewhere is the same cell. So it is with another
     password, and what is published tells nothing of it.
     """
-    stated = config.model_dump()
+    stated = config.model_dump(exclude={"fleet"})  # where releases come from measures nothing
     if config.marks == MarksSection():
         del stated["marks"]  # nothing was stated: the cell is what it was before there were such keys
     del stated["history"]  # no result stands on what is written down of it

@@ -300,18 +300,23 @@ def pack(taken: Backup) -> bytes:
             f"{taken.cell}: more than {MAX_MEMBERS} files or {MAX_BYTES // 2**21} MiB: not a cell"
         )
     members = {MANIFEST: json.dumps(manifest, indent=1).encode(), **dict(sorted(taken.files.items()))}
+    return packed(members, int(taken.created.timestamp()))
+
+
+def packed(members: Mapping[str, bytes], modified_s: int = 0) -> bytes:
+    """Files as a compressed tar, in their order."""
     buffer = io.BytesIO()
     with tarfile.open(fileobj=buffer, mode="w", format=tarfile.PAX_FORMAT) as archive:
         for name, data in members.items():
             info = tarfile.TarInfo(name)
-            info.size, info.mtime, info.mode = len(data), int(taken.created.timestamp()), 0o644
+            info.size, info.mtime, info.mode = len(data), modified_s, 0o644
             archive.addfile(info, io.BytesIO(data))
     return gzip.compress(buffer.getvalue(), mtime=0)
 
 
 def unpack(data: bytes, place: str) -> Backup:
     """Read an archive and check all of it. Raises `FileFormatError` that names place and member."""
-    members = _members(data, place)
+    members = members_of(data, place)
     try:
         manifest = json_of(members.pop(MANIFEST))
     except KeyError:
@@ -353,7 +358,7 @@ def unpack(data: bytes, place: str) -> Backup:
     )
 
 
-def _members(data: bytes, place: str) -> dict[str, bytes]:
+def members_of(data: bytes, place: str) -> dict[str, bytes]:
     """Content of the archive by name; only plain files with harmless names."""
     found: dict[str, bytes] = {}
     try:

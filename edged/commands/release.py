@@ -1,0 +1,265 @@
+"""`edged release`: signed releases for many cells, in a repository that is a plain folder."""
+
+from __future__ import annotations
+
+import getpass
+import json
+import os
+import sys
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from pydantic import ValidationError
+from rich.console import Console
+
+from edged.commands.saying import say
+from edged.config.reading import load, problem_of
+from edged.errors import UserError, translated
+from edged.files.atomic import MAX_FILE_BYTES, make_folders, read_bytes, write_file
+from edged.files.statefolder import page_folder
+from edged.owners import as_owner
+from edged.setup.fleet.offers import (
+    FOLDER,
+    RINGS,
+    Offer,
+    fetched_in,
+    gate_in,
+    jobs_in_release,
+    packed_jobs,
+    ring_of,
+)
+from edged.setup.releases.jobsfolder import jobs_in
+
+try:
+    from edged.setup.fleet.client import Client
+    from edged.setup.fleet.keys import make_key, public_key, signer_of
+    from edged.setup.fleet.repository import Repository
+except ModuleNotFoundError as missing:
+    raise UserError(f"releases need another package: pip install 'edged[fleet]' ({missing})") from missing
+
+PASSPHRASE_VARIABLE = "EDGED_PASSPHRASE"
+
+
+def key(file: Path, console: Console) -> int:
+    """Make a key, encrypted with a passphrase that is asked for."""
+    passphrase = _passphrase(file, again=True)
+    public = make_key(file, passphrase)
+    say(f"{file}: the private half, keep it offline; {public}: the public one, to give away", console)
+    return 0
+
+
+def root(
+    folder: Path, keys: Sequence[Path], threshold: int, targets: Path, online: Path, console: Console
+) -> int:
+    """Say whose keys count. keys : of the root, public halves, or private ones, which sign at once."""
+    private = [file for file in keys if file.suffix != ".pub"]
+    public = [public_key(file.with_suffix(".pub")) for file in keys]
+    signers = [_signer(file) for file in private]
+    file = Repository(folder).make_root(public, threshold, public_key(targets), public_key(online), signers)
+    lacking = max(threshold - len(signers), 0)
+    say(
+        f"{file}: {len(signers)} of {threshold} signatures" + _then(lacking, "edged release countersign"),
+        console,
+    )
+    return 0
+
+
+def countersign(folder: Path, file: Path, console: Console) -> int:
+    """Sign the root with one more of its keys."""
+    lacking = Repository(folder).countersign(_signer(file))
+    say(f"{folder}: the root is signed with {file}" + _then(lacking, "edged release countersign"), console)
+    return 0
+
+
+def delegate(folder: Path, plant: str, plant_key: Path, file: Path, console: Console) -> int:
+    """Let a key sign the releases of a plant."""
+    Repository(folder).delegate(plant, public_key(plant_key), _signer(file))
+    say(f"{folder}: {plant_key} signs what is below {plant}/, and nothing else", console)
+    return 0
+
+
+def sign(
+    folder: Path, plant: str, name: str, file: Path, console: Console, *,
+    jobs: Path | None, other: Path | None, ring: str | None, cells: Path | None, may_move_mm: float | None,
+    note: str | None,
+) -> int:  # fmt: skip
+    """Sign a release, or another ring of one that is signed. jobs : a folder of them; other : any file."""
+    if jobs is not None and other is not None:
+        raise UserError("expected --jobs or --file, not both")
+    if ring is not None and ring not in RINGS:
+        raise UserError(f"--ring {ring}: expected one of {', '.join(RINGS)}")
+    path, data = f"{plant}/{name}" if other is not None else f"{plant}/{name}.jobs.tar.gz", None
+    custom: dict[str, Any] = {} if ring is None else {"ring": RINGS.index(ring)}
+    if jobs is not None:
+        data = packed_jobs(jobs_in(jobs))
+        jobs_in_release(data, str(jobs))
+    elif other is not None:
+        data = read_bytes(other, "a file of a release", MAX_FILE_BYTES)
+    elif not (folder / "targets").is_dir() or ring is None:
+        raise UserError("expected --jobs FOLDER or --file FILE, or --ring of what is signed already")
+    if data is not None:
+        custom |= {"kind": "jobs" if other is None else "file", "name": name, "ring": custom.get("ring", 0)}
+    if cells is not None:
+        custom["cells"] = tuple(sorted(read_bytes(cells, "a list of cells").decode().split()))
+    may_move_um = None if may_move_mm is None else round(1000 * may_move_mm)
+    custom |= {
+        key: value for key, value in (("may_move_um", may_move_um), ("note", note)) if value is not None
+    }
+    try:
+        offer = Repository(folder).sign(plant, _signer(file), path, data, custom)
+    except ValidationError as error:
+        raise UserError(f"{name}: {problem_of(error.errors()[0], Offer)}") from error
+    say(
+        f"{path}: number {offer.number}, ring {RINGS[offer.ring]}{_then(1, 'edged release publish')}", console
+    )
+    return 0
+
+
+def publish(folder: Path, file: Path, days: float, console: Console) -> int:
+    """Let cells see what is signed."""
+    seen = Repository(folder).publish(_signer(file), days)
+    roles = ", ".join(
+        f"{name.removesuffix('.json')} {meta.version}" for name, meta in sorted(seen.meta.items())
+    )
+    say(
+        f"{folder}: published, snapshot {seen.version} ({roles}), until {seen.expires:%Y-%m-%d %H:%M} UTC",
+        console,
+    )
+    return 0
+
+
+def pull(config: Path, console: Console, *, place: str | None, name: str | None, output: Path | None) -> int:
+    """Fetch the newest release that this cell is to take, for its gate; or any file of its plant.
+
+    place : another one than configured, such as a stick. 0: fetched, or there already; 1: there is none.
+    """
+    with _kept(config) as kept:
+        client, cell = _client(config, place, kept)
+        offers = client.offers()
+        if name is not None:
+            path = next((path for path, offer in offers.items() if offer.name == name), name)
+            data = client.fetch(path)
+            if output is None:
+                raise UserError("--name NAME: expected --output FILE, too")
+            write_file(output, data)
+            say(f"{output}: {path}, verified, {len(data)} bytes", console)
+            return 0
+        section = load(config).fleet
+        given = None if section is None else section.ring
+        due = [
+            (path, offer) for path, offer in offers.items()
+            if offer.kind == "jobs" and ring_of(cell, offer.name, offer.cells, given) <= offer.ring
+        ]  # fmt: skip
+        there = fetched_in(kept / FOLDER)
+        if not due:
+            say(f"{cell}: no release for it yet, of {len(offers)}", console)
+            return 1
+        path, offer = due[-1]
+        if there is not None and there.path == path and there.offer.number == offer.number:
+            say(f"{cell}: {path} is fetched already", console)
+            return 0
+        client.stage(path, offer)
+    say(f"{cell}: {path} is verified and fetched: the gate tries it on recorded cycles next", console)
+    return 0
+
+
+def status(config: Path, console: Console, *, place: str | None, as_json: bool) -> int:
+    """Show what is published, and what this cell has of it. 0: the repository is good; 1: it is not."""
+    problem, offers, section = "", dict[str, Offer](), load(config).fleet
+    with _kept(config) as kept:
+        try:
+            client, cell = _client(config, place, kept)
+            offers = client.offers()
+        except UserError as error:
+            problem, cell = str(error), load(config).cell.name
+        there, gate = fetched_in(kept / FOLDER), gate_in(kept / FOLDER)
+    given = None if section is None else section.ring
+    published = [
+        {"path": path, **offer.model_dump(mode="json", exclude={"cells"}), "ring": RINGS[offer.ring],
+         "ring_of_cell": RINGS[ring_of(cell, offer.name, offer.cells, given)], "cells": len(offer.cells)}
+        for path, offer in offers.items()
+    ]  # fmt: skip
+    if as_json:
+        fetched = None if there is None else there.model_dump(mode="json", exclude={"offer": {"cells"}})
+        step = None if gate is None else {
+            "release": gate.staged.offer.name, "step": gate.step, "why": gate.why, "at": gate.at,
+            "before": gate.before, "wanted": gate.wanted,
+        }  # fmt: skip
+        document = {
+            "cell": cell,
+            "published": published,
+            "fetched": fetched,
+            "gate": step,
+            "problem": problem or None,
+        }
+        print(json.dumps(document))
+        return int(bool(problem))
+    for offer in published:
+        own = (
+            ""
+            if offer["kind"] == "file"
+            else f", ring {offer['ring']}; this cell is in ring {offer['ring_of_cell']}"
+        )
+        say(
+            f"{offer['number']:5}  {offer['created']}  {offer['path']}{own}  {offer['note']}".rstrip(),
+            console,
+        )
+    if problem:
+        sys.stderr.write(f"edged: {problem}\n")
+    if there is not None:
+        say(f"{cell}: fetched {there.path} from {there.repository}", console)
+    said = (
+        "no release yet"
+        if gate is None
+        else f"{gate.staged.offer.name} is {gate.step} since {gate.at}: {gate.why}"
+    )
+    say(f"{cell}: {said}", console)
+    return int(bool(problem))
+
+
+@contextmanager
+def _kept(config: Path) -> Iterator[Path]:
+    """The page's folder, as its owner. Raises `UserError`."""
+    folder = page_folder(config)
+    with translated(UserError, f"{folder}: releases cannot be kept there"):
+        if not folder.is_dir():
+            make_folders(folder)
+        with as_owner(folder) as place:
+            yield place
+
+
+def _client(config: Path, place: str | None, kept: Path) -> tuple[Client, str]:
+    """The releases of a cell's plant, and the cell's name."""
+    stated = load(config)
+    if stated.fleet is None:
+        raise UserError(f"{config}: [fleet] is missing: repository, plant and root")
+    chosen = stated.fleet.repository if place is None else place
+    if not chosen.startswith("https://"):
+        if "://" in chosen:
+            raise UserError(f"{chosen}: expected https://HOST/FOLDER, or a folder")
+        chosen = str(Path(chosen).absolute())
+    return Client(chosen, stated.fleet.plant, stated.fleet.root, kept), stated.cell.name
+
+
+def _signer(file: Path) -> Any:
+    return signer_of(file, _passphrase(file))
+
+
+def _passphrase(file: Path, *, again: bool = False) -> str:
+    given = os.environ.get(PASSPHRASE_VARIABLE)
+    if given is not None:
+        return given
+    if not sys.stdin.isatty():
+        raise UserError(
+            f"{file}: needs its passphrase, expected in {PASSPHRASE_VARIABLE}, or a terminal to ask"
+        )
+    first = getpass.getpass(f"passphrase of {file}: ", stream=sys.stderr)
+    if again and first != getpass.getpass("once more: ", stream=sys.stderr):
+        raise UserError(f"{file}: these are two passphrases: nothing was made")
+    return first
+
+
+def _then(lacking: int, command: str) -> str:
+    return f"; next: {command}" if lacking else ""

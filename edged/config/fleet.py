@@ -1,0 +1,54 @@
+"""The signed releases that a cell takes by itself."""
+
+from __future__ import annotations
+
+import re
+from datetime import time
+from pathlib import Path
+
+from pydantic import Field, field_validator
+
+from edged.config.fields import FilePath, Name, Section
+
+_WINDOW = re.compile(r"([01][0-9]|2[0-3]):([0-5][0-9])-([01][0-9]|2[0-3]):([0-5][0-9])")
+
+
+class FleetSection(Section):
+    """Signed releases, which `edged release pull` fetches and the cell tries before it runs by them."""
+
+    repository: str = Field(description="https://HOST/FOLDER, or the absolute path of a folder")
+    plant: Name = Field(description="whose releases: the name that the repository delegates to")
+    root: FilePath = Field(description="the repository's 1.root.json, brought here by a trusted way")
+    ring: int | None = Field(
+        None, ge=1, le=4, description="1 first to 4 last; left out: as the release's list of cells says"
+    )
+    window: str | None = Field(
+        None, description='"22:00-05:00", local time: releases become active then; left out: at any time'
+    )
+
+    @field_validator("repository")
+    @classmethod
+    def _is_place(cls, text: str) -> str:
+        if not (re.match(r"https://[^/\s]", text) or Path(text).is_absolute()):
+            raise ValueError("expected https://HOST/FOLDER, or the absolute path of a folder")
+        return text
+
+    @field_validator("window")
+    @classmethod
+    def _is_window(cls, text: str | None) -> str | None:
+        if text is not None and _WINDOW.fullmatch(text) is None:
+            raise ValueError('expected two times of day, as "22:00-05:00"')
+        return text
+
+    def is_open(self, now: time) -> bool:
+        """Whether a time of day lies in the window.
+
+        >>> night = FleetSection(repository="/usb", plant="north", root=Path("r"), window="22:00-05:00")
+        >>> [night.is_open(time(hour)) for hour in (4, 5, 21, 22)]
+        [True, False, False, True]
+        """
+        found = None if self.window is None else _WINDOW.fullmatch(self.window)
+        if found is None:
+            return True
+        begin, end = (time(int(found[i]), int(found[i + 1])) for i in (1, 3))
+        return begin <= now < end if begin <= end else now >= begin or now < end

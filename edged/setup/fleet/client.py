@@ -1,0 +1,143 @@
+"""What a cell sees of a repository: verified by python-tuf's own client, from a web server or a folder.
+
+The client keeps the newest metadata that it saw, so that an older repository is refused. Nothing of a
+target is read before its hash holds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from urllib.parse import quote, unquote, urlsplit
+
+from tuf.api.exceptions import (
+    BadVersionNumberError,
+    DownloadError,
+    DownloadHTTPError,
+    DownloadLengthMismatchError,
+    ExpiredMetadataError,
+    LengthOrHashMismatchError,
+    RepositoryError,
+    SlowRetrievalError,
+    UnsignedMetadataError,
+)
+from tuf.api.metadata import TargetFile
+from tuf.ngclient import FetcherInterface, Updater, UpdaterConfig
+from urllib3.exceptions import HTTPError
+
+from edged.errors import UserError
+from edged.files.atomic import make_folders, read_bytes, write_atomically
+from edged.setup.fleet.offers import FOLDER, STAGED, Offer, Staged, file_of, jobs_in_release
+from edged.setup.fleet.repository import FILES, METADATA, metadata_at, offer_of
+
+CHUNK_BYTES = 1 << 20
+WHY = (
+    (ExpiredMetadataError, "is old: what it says is no more in force, or somebody holds news back"),
+    (BadVersionNumberError, "is older than what this cell has seen"),
+    (UnsignedMetadataError, "is not signed by those who may"),
+    (LengthOrHashMismatchError, "was changed: it is not what was signed"),
+    (DownloadLengthMismatchError, "was changed: it is longer than what was signed"),
+    (SlowRetrievalError, "answers too slowly"),
+    (DownloadError, "is not whole"),
+)
+
+
+class Client:
+    """The releases of one plant, verified. folder : of the page, where the newest metadata is kept.
+
+    place : https://..., or the path of a folder. root : the first root that is trusted. Raises `UserError`
+    where the repository cannot be trusted; it names the place, and the file.
+    """
+
+    def __init__(self, place: str, plant: str, root: Path, folder: Path) -> None:
+        self._place, self._plant = place.rstrip("/"), plant
+        self._kept = folder / FOLDER
+        make_folders(self._kept / METADATA)
+        url = self._place if "://" in place else f"file://{quote(self._place)}"
+        fetcher = FolderFetcher() if url.startswith("file:") else None
+        config = UpdaterConfig(targets_max_length=5_000_000, max_delegations=1000)
+        bootstrap = read_bytes(root, "a root of releases")
+        with self._explained(METADATA):
+            self._updater = Updater(
+                str(self._kept / METADATA),
+                f"{url}/{METADATA}/",
+                target_base_url=f"{url}/{FILES}/",
+                fetcher=fetcher,
+                config=config,
+                bootstrap=bootstrap,
+            )
+            self._updater.refresh()
+
+    def offers(self) -> dict[str, Offer]:
+        """All releases of the plant, by path, in their order."""
+        found = {path: offer_of(target) for path, target in self._targets().items()}
+        return dict(sorted(found.items(), key=lambda item: item[1].number))
+
+    def fetch(self, path: str) -> bytes:
+        """The content of a target."""
+        target, draft = self._targets().get(path), self._kept / ".fetched"
+        if target is None:
+            raise UserError(f"{self._place}: {self._plant} has published no {path}")
+        try:
+            with self._explained(f"{FILES}/{path}"):
+                self._updater.download_target(target, str(draft))
+            return read_bytes(draft, "a release", target.length)
+        finally:
+            draft.unlink(missing_ok=True)
+
+    def stage(self, path: str, offer: Offer) -> Staged:
+        """Fetch a release of jobs, read it, and lay it ready for the gate."""
+        data = self.fetch(path)
+        jobs_in_release(data, f"{self._place}: {path}")
+        staged = Staged(
+            offer=offer, path=path, sha256=self._targets()[path].hashes["sha256"], repository=self._place
+        )
+        # the note comes last: it names a content that is there
+        write_atomically(self._kept / file_of(staged), data, is_state=True)
+        write_atomically(self._kept / STAGED, staged.model_dump_json(indent=1).encode(), is_state=True)
+        for other in self._kept.glob("*.tar.gz"):
+            if other.name != file_of(staged):
+                other.unlink(missing_ok=True)
+        return staged
+
+    def _targets(self) -> dict[str, TargetFile]:
+        """What the plant has signed, and may."""
+        with self._explained(f"{METADATA}/{self._plant}.json"):
+            # loads the plant's metadata, and keeps it once it is verified
+            self._updater.get_targetinfo(f"{self._plant}/.")
+            file = self._kept / METADATA / f"{self._plant}.json"
+            if not file.is_file():
+                raise UserError(f"{self._place}: {METADATA}/targets.json delegates nothing to {self._plant}")
+            targets: dict[str, TargetFile] = metadata_at(file).signed.targets
+            for path, target in targets.items():
+                if self._updater.get_targetinfo(path) != target:
+                    file = Path(METADATA, file.name)
+                    raise UserError(f"{self._place}: {file}: {path} is not delegated to {self._plant}")
+        return targets
+
+    @contextmanager
+    def _explained(self, file: str) -> Iterator[None]:
+        """Errors of TUF and of its transport, in the words of who looks after the cell."""
+        try:
+            yield
+        except (RepositoryError, DownloadError, HTTPError) as error:
+            cause = error.__cause__ or error
+            why = next((words for kind, words in WHY if isinstance(error, kind)), "is not what it should be")
+            if isinstance(cause, HTTPError | OSError):
+                why = "cannot be read"
+            raise UserError(f"{self._place}: {file}: {why} ({cause or type(error).__name__})") from error
+        except OSError as error:
+            raise UserError(f"{self._place}: {file}: cannot be read ({error})") from error
+
+
+class FolderFetcher(FetcherInterface):
+    """A repository in a folder, for example on a stick."""
+
+    def _fetch(self, url: str) -> Iterator[bytes]:
+        try:
+            with Path(unquote(urlsplit(url).path)).open("rb") as file:
+                while some := file.read(CHUNK_BYTES):
+                    yield some
+        except FileNotFoundError as error:
+            raise DownloadHTTPError(f"{url} is missing", 404) from error

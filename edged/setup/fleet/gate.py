@@ -1,0 +1,373 @@
+"""The gate of a cell: a fetched release is tried on its recordings, waits for leave, and has its probation.
+
+    staged -> waiting -> activating -> probation -> committed
+           -> refused                            -> rolling back -> rolled back
+
+Each step is noted on disc before it is taken: whenever the power fails the cell runs by the old jobs or by
+the new ones, as `Activation` promises, and the gate goes on where it was: the cell's fingerprint tells.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import hashlib
+import logging
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from datetime import datetime
+from pathlib import Path
+
+from edged.errors import EdgedError, FileFormatError, LinkError, RegressionNeeded, SetupRefused, UserError
+from edged.files.atomic import make_folders, read_bytes, write_atomically
+from edged.identity.audit import AuditEntry, AuditFile
+from edged.setup.documents import now_text
+from edged.setup.fleet.offers import (
+    DONE,
+    FOLDER,
+    GATE,
+    GateNote,
+    Staged,
+    fetched_in,
+    file_of,
+    gate_in,
+    jobs_in_release,
+)
+from edged.setup.fleet.probation import LAST, JudgedCycle, baseline_of, judge
+from edged.setup.inuse import CellInUse
+from edged.setup.recordings.recorded import CAPTURE, CycleLine, Records
+from edged.setup.recordings.regressiondocuments import ChangedCycle, RegressionDocument, TriedCandidate
+from edged.setup.recordings.regressions import Regressions
+from edged.setup.recordings.setups import Contents, concerned, facts_of_jobs, successors
+from edged.setup.releases.archive import MAX_BYTES, Parts, parts_at, with_parts
+from edged.setup.releases.jobsfolder import Jobs, contents_with, of_job, with_job
+from edged.setup.releases.service import Activation, Mandate
+
+log = logging.getLogger(__name__)
+
+AUTHOR = "fleet"
+POLL_S = 2.0
+LEAST_GOOD = 5
+"""Good recordings that each changed job must have, else nobody knows whether it still measures as it did."""
+TURNED_DEG = 1.0
+"""A release that may move results may not turn them by more: a grip is lost before."""
+
+
+class FleetGate:
+    """Used on the event loop. now : local time, for the window."""
+
+    def __init__(
+        self,
+        cell: CellInUse,
+        activation: Activation,
+        regressions: Regressions,
+        now: Callable[[], datetime] = lambda: datetime.now().astimezone(),
+    ) -> None:
+        self._cell = cell
+        self._activation = activation
+        self._regressions = regressions
+        self._now = now
+        self._records: Records | None = None
+        self._running: asyncio.Task[None] | None = None
+
+    @property
+    def _folder(self) -> Path:
+        return self._cell.folder / FOLDER
+
+    def start(self) -> None:
+        """Look for releases from now on."""
+        self._running = asyncio.create_task(self._run(), name="fleet")
+        self._running.add_done_callback(_tell_of_a_bug)
+
+    async def close(self) -> None:
+        """Stop; the next start goes on."""
+        if self._running is not None:
+            self._running.cancel()
+            await asyncio.wait({self._running})
+
+    async def _run(self) -> None:
+        last = ""
+        while True:
+            try:
+                if self._cell.files.config.fleet is not None and self._cell.is_complete:
+                    await self.step()
+                last = ""
+            except (EdgedError, OSError) as error:
+                if str(error) != last:
+                    # the message says what and where: a traceback says no more
+                    log.error("the gate of releases waits: %s", error)  # noqa: TRY400
+                last = str(error)
+            await asyncio.sleep(POLL_S)
+
+    async def step(self) -> GateNote | None:
+        """Take the next step, if there is one; returns how far it is. Raises `EdgedError`, `OSError`."""
+        staged, note = await asyncio.to_thread(self._read)
+        if staged is not None and (note is None or (note.step in DONE and note.staged != staged)):
+            note = await self._note(GateNote(staged=staged), "staged", "fetched and verified")
+        if note is None or note.step in DONE:
+            return note
+        try:
+            return await self._next(note)
+        except SetupRefused as error:  # between the look at the lock and the cell's own
+            log.info("release %s waits: %s", note.staged.offer.name, error)
+            return note
+
+    async def _next(self, note: GateNote) -> GateNote:
+        running = self._cell.files.fingerprint
+        match note.step:
+            case "staged":
+                return await self._try(note)
+            case "waiting":
+                return await self._activate(note) if self._has_leave(in_window=True) else note
+            case "activating":
+                if running == note.wanted:
+                    return await self._begin_probation(note)
+                return await self._note(note, "waiting", "the cell was stopped before it became active")
+            case "probation" if running == note.wanted:
+                return await self._judge(note)
+            case "rolling back" if running == note.wanted:
+                return await self._roll_back(note) if self._has_leave(in_window=False) else note
+            case "rolling back" if running == note.before:
+                return await self._note(note, "rolled back", note.why)
+        return await self._note(note, "left", "somebody has changed the cell meanwhile: it is theirs")
+
+    def _has_leave(self, *, in_window: bool) -> bool:
+        """Whether the plant lets jobs change now: as it would let a person."""
+        session, section = self._cell.session, self._cell.files.config.fleet
+        is_open = section is None or section.is_open(self._now().time())
+        return not session.is_locked and not session.holder and (is_open or not in_window)
+
+    # --- steps --------------------------------------------------------------------------------------
+
+    async def _try(self, note: GateNote) -> GateNote:
+        """Measure recorded cycles with it."""
+        try:
+            jobs = await asyncio.to_thread(self._jobs, note.staged)
+            active = self._cell.files.contents
+            candidate = contents_with(active, merged((await asyncio.to_thread(self._there)).jobs, jobs))
+            changed = await asyncio.to_thread(self._changed, active, candidate)
+            why = "only new jobs: nothing recorded is measured otherwise"
+            if changed:
+                why = await self._regression(note.staged, active, candidate, changed)
+        except UserError as error:
+            return await self._note(note, "refused", str(error))
+        return await self._note(
+            note.model_copy(update={"jobs": tuple(sorted(changed.values()))}), "waiting", why
+        )
+
+    async def _regression(
+        self, staged: Staged, active: Contents, candidate: Contents, changed: Mapping[int, int]
+    ) -> str:
+        """What recorded cycles say for it. Raises `UserError` where they speak against it."""
+        await asyncio.to_thread(self._check_recorded, active, changed)
+        what = TriedCandidate(kind="release", id=staged.offer.name)
+        task, identity = await self._regressions.begin(candidate, what, AUTHOR)
+        while self._cell.tasks.is_running(task):  # noqa: ASYNC110  (a worker's process measures)
+            await asyncio.sleep(0.1)
+        try:
+            found = await self._regressions.get(identity)
+        except KeyError:
+            problem = self._cell.tasks.document(task).problem
+            reason = "it was cancelled" if problem is None else problem.detail
+            raise FileFormatError(f"recorded cycles could not be measured: {reason}") from None
+        if against := objection(found, staged.offer.may_move_um / 1000):
+            raise UserError(f"regression {identity}: {against}")
+        return f"regression {identity}: {found.counts.good_stay} good recorded cycles stay as they are"
+
+    async def _activate(self, note: GateNote) -> GateNote:
+        jobs = await asyncio.to_thread(self._jobs, note.staged)
+        before, there = self._cell.files, await asyncio.to_thread(self._there)
+        wanted = merged(there.jobs, jobs)
+        with_it = await asyncio.to_thread(with_parts, self._cell.path, replace(there, jobs=wanted))
+        fingerprint = with_it.fingerprint
+        if fingerprint == before.fingerprint:
+            return await self._note(note, "committed", "the cell runs by these jobs already")
+        changed = await asyncio.to_thread(
+            self._changed, before.contents, contents_with(before.contents, wanted)
+        )
+        last, cycles = await asyncio.to_thread(self._cycles_before, changed)
+        known = {
+            "before": before.fingerprint,
+            "wanted": fingerprint,
+            "since": last,
+            "baseline": baseline_of(cycles),
+            "jobs": tuple(sorted(changed.values())),
+        }
+        note = await self._note(note.model_copy(update=known), "activating", note.why)
+        by = Mandate(AUTHOR, f"release {note.staged.offer.name}")
+        try:
+            await self._activation.activate_jobs(lambda there: merged(there, jobs), by)
+        except SetupRefused as error:
+            return await self._note(note, "waiting", str(error))
+        except (UserError, FileFormatError) as error:
+            return await self._note(note, "refused", str(error))
+        except RegressionNeeded as error:  # the cell was changed since it was tried
+            return await self._note(note, "staged", str(error))
+        except LinkError as error:  # whether the cell has it, its fingerprint tells
+            log.warning("release %s: %s", note.staged.offer.name, error)
+        return note
+
+    async def _begin_probation(self, note: GateNote) -> GateNote:
+        releases, active = await self._activation.listed()
+        former = next((release.parent for release in releases if release.number == active), None)
+        if former is None or not any(release.number == former for release in releases):
+            former = next((r.number for r in releases if r.fingerprint == note.before), None)
+        return await self._note(
+            note.model_copy(update={"former": former}), "probation", "the cell runs by it"
+        )
+
+    async def _judge(self, note: GateNote) -> GateNote:
+        cycles = await asyncio.to_thread(self._cycles_since, note)
+        found = judge(note.baseline, cycles)
+        if found.decision == "commit":
+            return await self._note(note, "committed", found.why)
+        if found.decision == "roll back":
+            return await self._note(note, "rolling back", found.why)
+        return (
+            note if note.why == found.why else await self._note(note, "probation", found.why, is_news=False)
+        )
+
+    async def _roll_back(self, note: GateNote) -> GateNote:
+        if note.former is None:
+            return await self._note(
+                note, "left", f"{note.why}; and no release of before is there to go back to"
+            )
+        by = Mandate(AUTHOR, f"back from release {note.staged.offer.name}: {note.why}")
+        await self._activation.activate_again(note.former, by)
+        return await self._note(note, "rolled back", note.why)
+
+    # --- files --------------------------------------------------------------------------------------
+
+    def _read(self) -> tuple[Staged | None, GateNote | None]:
+        return fetched_in(self._folder), gate_in(self._folder)
+
+    async def _note(self, note: GateNote, step: str, why: str, *, is_news: bool = True) -> GateNote:
+        noted = GateNote.model_validate(
+            {**note.model_dump(), "step": step, "why": why[:2000], "at": now_text()}
+        )
+        await asyncio.to_thread(self._write, noted, is_news)
+        if noted.step in DONE:
+            self._records = None
+        return noted
+
+    def _write(self, note: GateNote, is_news: bool) -> None:
+        make_folders(self._folder)
+        write_atomically(self._folder / GATE, note.model_dump_json(indent=1).encode())
+        if not is_news:
+            return
+        name = note.staged.offer.name
+        log.info("release %s: %s: %s", name, note.step, note.why)
+        entry = AuditEntry(
+            AUTHOR,
+            "",
+            "",
+            note.step,
+            f"release {name}",
+            "ok",
+            note.before or None,
+            note.wanted or None,
+            note.why,
+        )
+        AuditFile(self._cell.folder).add(entry)
+
+    def _jobs(self, staged: Staged) -> Jobs:
+        """The jobs of a release. Raises `FileFormatError`."""
+        file = self._folder / file_of(staged)
+        data = read_bytes(file, "a release", MAX_BYTES)
+        if hashlib.sha256(data).hexdigest() != staged.sha256:
+            raise FileFormatError(f"{file}: is not what was signed: fetch it again")
+        return jobs_in_release(data, str(file))
+
+    def _there(self) -> Parts:
+        section = self._cell.files.config.cell
+        return parts_at(section.rig, section.jobs)
+
+    @staticmethod
+    def _changed(active: Contents, candidate: Contents) -> dict[int, int]:
+        """Numbers of the jobs that are measured otherwise, before and after."""
+        there, numbers = successors(active, candidate), concerned(active, candidate)
+        return {old: new for old, new in there.items() if numbers is None or old in numbers}
+
+    # --- recordings ---------------------------------------------------------------------------------
+
+    def _lines(self) -> list[CycleLine]:
+        """Recorded cycles that say how the jobs do, newest first."""
+        folder = self._cell.recordings
+        if folder is None:
+            return []
+        if self._records is None or self._records.folder != folder:
+            self._records = Records(folder)
+        lines = map(self._records.line, self._records.entries())
+        return [
+            line
+            for line in lines
+            if isinstance(line, CycleLine) and line.kind != "GRAB" and line.reasons != (CAPTURE,)
+        ]
+
+    def _check_recorded(self, active: Contents, changed: Mapping[int, int]) -> None:
+        """Raises `UserError` for a changed job that too little is known of."""
+        good = [line.job_number for line in self._lines() if line.status == "OK" and line.has_pictures]
+        for job in facts_of_jobs(active):
+            if job.number in changed and good.count(job.number) < LEAST_GOOD:
+                raise UserError(
+                    f"job {job.name}: good recorded cycles: {good.count(job.number)}, expected {LEAST_GOOD}: "
+                    "measure with it first, with [recorder] in the configuration"
+                )
+
+    def _cycles_before(self, changed: Mapping[int, int]) -> tuple[int, list[JudgedCycle]]:
+        """Index of the newest recording, and the last cycles of the jobs that change."""
+        lines = self._lines()
+        found = [line for line in lines if line.job_number in changed][:LAST]
+        return max((line.number for line in lines), default=-1), [
+            _judged(line, changed[line.job_number]) for line in reversed(found)
+        ]
+
+    def _cycles_since(self, note: GateNote) -> list[JudgedCycle]:
+        return [
+            _judged(line, line.job_number)
+            for line in reversed(self._lines())
+            if line.number > note.since and line.fingerprint == note.wanted and line.job_number in note.jobs
+        ]
+
+
+def merged(there: Jobs, jobs: Jobs) -> Jobs:
+    """The cell's jobs with those of a release; others stay."""
+    for folder in {place.split("/")[0] for place in jobs}:
+        there = with_job(there, folder, of_job(jobs, folder), None)
+    return there
+
+
+def objection(found: RegressionDocument, may_move_mm: float) -> str:
+    """What recorded cycles say against a release; "" for nothing."""
+    counts = found.counts
+    if counts.good_to_bad:
+        worst = found.good_to_bad[0]
+        return f"{counts.good_to_bad} good recorded cycles become bad, as cycle {worst.number}: {worst.after}"
+    if counts.lost:
+        return f"{counts.lost} good parts of recorded cycles are not found any more"
+    moved = [cycle for cycle in found.apart if _moves(cycle, may_move_mm)]
+    if moved:
+        worst = max(moved, key=lambda cycle: (cycle.turned_deg or 0.0, _moved_mm(cycle)))
+        turned = "" if worst.turned_deg is None else f", turned by {worst.turned_deg:.1f}°"
+        return (
+            f"{len(moved)} good recorded cycles come out elsewhere, as cycle {worst.number}: by "
+            f"{_moved_mm(worst):.3f} mm{turned}; the release may move results by {may_move_mm:g} mm"
+        )
+    return "" if counts.good_stay else "no good recorded cycle could be measured with it"
+
+
+def _moves(cycle: ChangedCycle, may_move_mm: float) -> bool:
+    return may_move_mm == 0 or _moved_mm(cycle) > may_move_mm or (cycle.turned_deg or 0.0) > TURNED_DEG
+
+
+def _moved_mm(cycle: ChangedCycle) -> float:
+    return math.hypot(*(cycle.apart_um or [0.0])) / 1000
+
+
+def _judged(line: CycleLine, job: int) -> JudgedCycle:
+    return JudgedCycle(job, line.status == "OK", line.sigma_um)
+
+
+def _tell_of_a_bug(ended: asyncio.Task[None]) -> None:
+    if not ended.cancelled() and (bug := ended.exception()) is not None:
+        log.error("the gate of releases has ended: no release becomes active", exc_info=bug)

@@ -1,0 +1,154 @@
+"""What a signed release says of itself, what a cell has fetched, and how far its gate has come."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping, Sequence
+from pathlib import Path, PurePosixPath
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from edged.errors import FileFormatError
+from edged.files.jobs import SHAPE, TEXT, job_of
+from edged.setup.documents import read_model
+from edged.setup.history import Digest, Kept, Text
+from edged.setup.releases.archive import members_of, packed
+from edged.setup.releases.jobsfolder import Jobs, of_job
+
+FOLDER, STAGED, GATE = "fleet", "staged.json", "gate.json"
+"""In the folder of the page: what was fetched, and how far the gate has come with it."""
+RINGS = ("none", "1", "5%", "25%", "all")
+"""By its number: the cells that take a release. Ring 1 is one cell."""
+PERCENT = (1, 0), (2, 5), (3, 25)
+"""Ring, and how many of the cells are in it or before it; one at least."""
+
+Ring = Annotated[int, Field(ge=0, le=4)]
+
+
+class Offer(Kept):
+    """A release as its plant signs it: the `edged` of a target's custom metadata.
+
+    number : counts the plant's releases. ring : of `RINGS`. cells : all of the plant. may_move_um : by how
+    much results on recorded cycles may move. "file": anything else, that no cell takes by itself.
+    """
+
+    kind: Literal["jobs", "file"]
+    name: Text
+    number: Annotated[int, Field(ge=1)]
+    ring: Ring
+    cells: Annotated[tuple[Text, ...], Field(max_length=10_000, strict=False)] = ()
+    may_move_um: Annotated[int, Field(ge=0, le=1_000_000)] = 0  # TUF signs no fractions
+    note: Text = ""
+    created: Text
+
+
+class Staged(Kept):
+    """A release that was verified and fetched. path : of the target. repository : where it came from."""
+
+    offer: Offer
+    path: Text
+    sha256: Digest
+    repository: Text
+
+
+class JobSigma(Kept):
+    """Sigma of one job before a release: its logarithm's median, and scatter about it."""
+
+    log: float
+    scatter: float
+
+
+class Baseline(Kept):
+    """The last cycles before a release, of the jobs that it changes. sigmas : by the jobs' new numbers."""
+
+    good: int = 0
+    bad: int = 0
+    sigmas: dict[int, JobSigma] = Field(default_factory=dict)
+
+
+Step = Literal[
+    "staged",
+    "waiting",
+    "activating",
+    "probation",
+    "rolling back",
+    "committed",
+    "rolled back",
+    "refused",
+    "left",
+]
+DONE: tuple[Step, ...] = ("committed", "rolled back", "refused", "left")
+
+
+class GateNote(Kept):
+    """How far a release has come on this cell; written before each step. why : in words.
+
+    before, wanted : fingerprints of the cell without and with it. former : this cell's own release to go back
+    to. since : index of the last recording before it. jobs : new numbers of the changed jobs.
+    """
+
+    staged: Staged
+    step: Step = "staged"
+    why: Text = ""
+    at: Text = ""
+    before: Text = ""
+    wanted: Text = ""
+    former: int | None = None
+    since: int = -1
+    baseline: Baseline = Baseline()
+    jobs: Annotated[tuple[int, ...], Field(strict=False)] = ()
+
+
+def ring_of(cell: str, release: str, cells: Sequence[str], given: int | None = None) -> int:
+    """Ring of a cell, 1 to 4, the same wherever it is computed; another one for each release.
+
+    cells : of the plant, in order of SHA-256 of release and name; one that is not among them comes last.
+    given : what the cell's configuration says instead.
+
+    >>> sorted(ring_of(cell, "r7", "abcdefgh") for cell in "abcdefgh")
+    [1, 3, 4, 4, 4, 4, 4, 4]
+    """
+    if given is not None:
+        return given
+    ranked = sorted({*cells}, key=lambda name: hashlib.sha256(f"{release}\0{name}".encode()).digest())
+    if cell not in ranked:
+        return 4
+    rank = ranked.index(cell)
+    return next((ring for ring, share in PERCENT if rank < max(1, -(-share * len(ranked) // 100))), 4)
+
+
+def packed_jobs(jobs: Jobs) -> bytes:
+    """The target of a release of jobs: the same bytes for the same jobs."""
+    return packed(dict(sorted(jobs.items())))
+
+
+def jobs_in_release(data: bytes, place: str) -> Mapping[str, bytes]:
+    """The jobs of a release, each of which can be read. Raises `FileFormatError`."""
+    files = members_of(data, place)
+    folders = sorted({name.split("/")[0] for name in files})
+    for folder in folders:
+        files_of = of_job(files, folder)
+        if TEXT not in files_of or SHAPE not in files_of:
+            raise FileFormatError(f"{place}: {folder}: expected a job: {TEXT} and {SHAPE}")
+        job_of({name: files_of[name] for name in (TEXT, SHAPE)}, Path(f"{place}: {folder}"))
+    if not folders:
+        raise FileFormatError(f"{place}: no job is in it")
+    return files
+
+
+def file_of(staged: Staged) -> str:
+    """Name of its content, beside `STAGED`."""
+    return f"{staged.sha256}{''.join(PurePosixPath(staged.path).suffixes[-2:])}"
+
+
+def fetched_in(folder: Path) -> Staged | None:
+    """What was fetched last; None: nothing. Raises `FileFormatError`."""
+    file = folder / STAGED
+    return read_model(file, Staged, "a fetched release") if file.exists() else None
+
+
+def gate_in(folder: Path) -> GateNote | None:
+    """How far the gate has come; None: nothing was fetched yet. Raises `FileFormatError`."""
+    file = folder / GATE
+    return read_model(file, GateNote, "the gate's note") if file.exists() else None

@@ -1,0 +1,224 @@
+"""A repository of signed releases in a folder, as The Update Framework has it; for a web server or a stick.
+
+    metadata/1.root.json, 1.targets.json, 3.PLANT.json, 7.snapshot.json, timestamp.json
+    targets/PLANT/SHA256.NAME
+
+Each plant signs its releases with its own key, and can sign nothing of another plant's. What is signed is
+seen by cells once it is published. Source: The Update Framework Specification 1.0.34.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from typing import Any, TypeVar
+
+from securesystemslib.signer import CryptoSigner, SSlibKey
+from tuf.api.exceptions import RepositoryError
+from tuf.api.metadata import (
+    DelegatedRole,
+    Delegations,
+    Metadata,
+    MetaFile,
+    Role,
+    Root,
+    Signed,
+    Snapshot,
+    TargetFile,
+    Targets,
+    Timestamp,
+)
+from tuf.api.serialization import DeserializationError
+
+from edged.errors import FileFormatError, UserError
+from edged.files.atomic import make_folders, read_bytes, write_file
+from edged.setup.fleet.offers import Offer
+
+ROOT, TARGETS, SNAPSHOT, TIMESTAMP = (role.type for role in (Root, Targets, Snapshot, Timestamp))
+METADATA, FILES, CUSTOM = "metadata", "targets", "edged"
+SIGNED_DAYS = 365
+"""Life of what people sign offline."""
+PLANT = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}")
+S = TypeVar("S", bound=Signed)
+
+
+class Repository:
+    """A folder. Whatever writes raises `UserError`, and names the file."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self._metadata = folder / METADATA
+
+    def make_root(
+        self, keys: Sequence[SSlibKey], threshold: int, targets: SSlibKey, online: SSlibKey,
+        signers: Sequence[CryptoSigner],
+    ) -> Path:  # fmt: skip
+        """Say whose keys count, anew or for the first time. Returns the file.
+
+        keys : of the root; threshold : how many of them must sign. targets : names the plants. online :
+        publishes.
+        """
+        if not 1 <= threshold <= len(keys):
+            raise UserError(
+                f"{self._folder}: the root has {len(keys)} keys: of these {threshold} cannot sign"
+            )
+        root = Root(version=self._version(ROOT) + 1)
+        root.expires = _in_days(SIGNED_DAYS)
+        root.roles = {role: Role([], 1) for role in (ROOT, TARGETS, SNAPSHOT, TIMESTAMP)}
+        root.roles[ROOT].threshold = threshold
+        for role, own in ((ROOT, keys), (TARGETS, [targets]), (SNAPSHOT, [online]), (TIMESTAMP, [online])):
+            for key in own:
+                root.add_key(key, role)
+        signed = Metadata(root)
+        for signer in signers:
+            signed.sign(signer, append=True)
+        return self._write(signed)
+
+    def countersign(self, signer: CryptoSigner) -> int:
+        """Sign the newest root with one more key; returns how many signatures it still lacks."""
+        root = self._load(ROOT)
+        if signer.public_key.keyid not in root.signed.roles[ROOT].keyids:
+            raise UserError(f"{self._newest(ROOT)}: this key is not among those of the root")
+        root.sign(signer, append=True)
+        self._write(root)
+        return int(root.signed.get_verification_result(ROOT, root.signed_bytes, root.signatures).missing)
+
+    def delegate(self, plant: str, key: SSlibKey, signer: CryptoSigner) -> None:
+        """Let a key, and no other, sign the releases of a plant."""
+        if not PLANT.fullmatch(plant) or plant in (ROOT, TARGETS, SNAPSHOT, TIMESTAMP):
+            raise UserError(f"{plant!r}: expected a name of letters, digits and _ . -, and none of TUF's own")
+        targets = Metadata(Targets()) if self._newest(TARGETS) is None else self._load(TARGETS)
+        if targets.signed.delegations is None:
+            targets.signed.delegations = Delegations({}, {})
+        delegations = targets.signed.delegations
+        roles = delegations.roles or {}
+        roles[plant] = DelegatedRole(plant, [], 1, True, paths=[f"{plant}/*"])
+        delegations.roles = roles
+        targets.signed.add_key(key, plant)
+        self._sign(targets, signer, TARGETS, self._load(ROOT).signed)
+
+    def sign(
+        self, plant: str, signer: CryptoSigner, path: str, data: bytes | None, custom: dict[str, Any]
+    ) -> Offer:
+        """Sign a target of a plant; data : None: as it is, with other metadata. Returns what is signed.
+
+        custom : of `Offer`, without number and time.
+        """
+        there = self._plant(plant)
+        known = there.signed.targets.get(path)
+        offers = {name: offer_of(target) for name, target in there.signed.targets.items()}
+        if data is None and known is None:
+            raise UserError(
+                f"{self._folder}: {plant} has signed no {path}: there is {', '.join(offers) or 'none'}"
+            )
+        target = known if known is not None and data is None else TargetFile.from_data(path, data or b"")
+        if known is not None and target.hashes != known.hashes:
+            raise UserError(f"{self._folder}: {path} is signed with another content: choose another name")
+        now, former = datetime.now(UTC).isoformat(timespec="seconds"), offers.get(path)
+        number = max((offer.number for offer in offers.values()), default=0) + 1
+        stated = {"number": number, "created": now} if former is None else former.model_dump(mode="json")
+        offer = Offer.model_validate({**stated, **custom})
+        target.unrecognized_fields["custom"] = {CUSTOM: offer.model_dump(mode="json")}
+        there.signed.targets[path] = target
+        self._sign(there, signer, plant, self._load(TARGETS).signed)
+        if data is not None:
+            place = self._folder / FILES / target.get_prefixed_paths()[0]
+            make_folders(place.parent)
+            write_file(place, data)
+        return offer
+
+    def publish(self, signer: CryptoSigner, days: float) -> Snapshot:
+        """Let cells see what is signed, for so many days; the timestamp comes last. Returns what they see."""
+        root, targets = self._load(ROOT), self._load(TARGETS)
+        self._check(root, ROOT, root.signed)
+        self._check(targets, TARGETS, root.signed)
+        plants = list((targets.signed.delegations.roles or {}) if targets.signed.delegations else {})
+        meta = {f"{TARGETS}.json": MetaFile(targets.signed.version)}
+        for plant in plants:
+            if self._newest(plant) is None:
+                raise UserError(f"{self._folder}: {plant} has signed nothing yet: edged release sign")
+            there = self._load(plant)
+            self._check(there, plant, targets.signed)
+            meta[f"{plant}.json"] = MetaFile(there.signed.version)
+        snapshot = Metadata(Snapshot(meta=meta))
+        self._sign(snapshot, signer, SNAPSHOT, root.signed, days)
+        stamp = Metadata(Timestamp(snapshot_meta=MetaFile(snapshot.signed.version)))
+        self._sign(stamp, signer, TIMESTAMP, root.signed, days)
+        return snapshot.signed
+
+    # --- files --------------------------------------------------------------------------------------
+
+    def _plant(self, plant: str) -> Metadata[Targets]:
+        if self._newest(plant) is not None:
+            return self._load(plant)
+        return Metadata(Targets())
+
+    def _newest(self, role: str) -> Path | None:
+        """The file of a role, of the highest version."""
+        if role == TIMESTAMP:
+            return stamp if (stamp := self._metadata / "timestamp.json").is_file() else None
+        found = re.compile(rf"([0-9]{{1,9}})\.{re.escape(role)}\.json")
+        files = [*self._metadata.iterdir()] if self._metadata.is_dir() else []
+        numbered = [(int(match[1]), file) for file in files if (match := found.fullmatch(file.name))]
+        return max(numbered)[1] if numbered else None
+
+    def _version(self, role: str) -> int:
+        """The newest; 0: none is there."""
+        return 0 if self._newest(role) is None else int(self._load(role).signed.version)
+
+    def _load(self, role: str) -> Metadata[Any]:
+        file = self._newest(role)
+        if file is None:
+            raise UserError(f"{self._metadata}: no {role}.json: not a repository, or not finished")
+        return metadata_at(file)
+
+    def _sign(
+        self,
+        signed: Metadata[Any],
+        signer: CryptoSigner,
+        role: str,
+        by: Root | Targets,
+        days: float = SIGNED_DAYS,
+    ) -> None:
+        signed.signed.version = self._version(role) + 1
+        signed.signed.expires = _in_days(days)
+        signed.sign(signer)
+        self._check(signed, role, by)
+        self._write(signed, role)
+
+    def _check(self, signed: Metadata[Any], role: str, by: Root | Targets) -> None:
+        try:
+            by.verify_delegate(role, signed.signed_bytes, signed.signatures)
+        except (RepositoryError, ValueError) as error:
+            raise UserError(
+                f"{self._metadata}: {role}.json: {error}: signed with a key that does not count"
+            ) from error
+
+    def _write(self, signed: Metadata[Any], role: str = ROOT) -> Path:
+        name = "timestamp.json" if role == TIMESTAMP else f"{signed.signed.version}.{role}.json"
+        make_folders(self._metadata)
+        write_file(self._metadata / name, signed.to_bytes())
+        return self._metadata / name
+
+
+def metadata_at(file: Path) -> Metadata[Any]:
+    """Metadata in a file. Raises `FileFormatError`."""
+    try:
+        return Metadata[Any].from_bytes(read_bytes(file, "metadata of releases"))
+    except (DeserializationError, RepositoryError) as error:
+        raise FileFormatError(f"{file}: not metadata of releases: {error}") from error
+
+
+def offer_of(target: TargetFile) -> Offer:
+    """What a target says of itself. Raises `FileFormatError` for one that says nothing that is known."""
+    custom = target.unrecognized_fields.get("custom")
+    try:
+        return Offer.model_validate(custom[CUSTOM] if isinstance(custom, dict) else custom)
+    except (KeyError, ValueError) as error:
+        raise FileFormatError(f"{target.path}: not a release of edged: {error}") from error
+
+
+def _in_days(days: float) -> datetime:
+    return (datetime.now(UTC) + timedelta(days=days)).replace(microsecond=0)

@@ -1,0 +1,273 @@
+"""A repository of releases: what is signed as it must be arrives, everything else is refused by its name."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Callable
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from typing import Any
+
+import pytest
+from helpers.commandline import exit_code, printed
+from helpers.releases import PASSPHRASE, Releases, served
+from securesystemslib.signer import CryptoSigner
+from tuf.api.metadata import Metadata, TargetFile, Targets
+
+from edged.files.statefolder import page_folder
+from edged.setup.fleet.keys import signer_of
+from edged.setup.fleet.offers import STAGED, ring_of
+from edged.setup.releases.jobsfolder import jobs_in
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory, template: Path) -> Releases:
+    """With one release for all, published."""
+    releases = Releases(tmp_path_factory.mktemp("releases"))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("EDGED_PASSPHRASE", PASSPHRASE)
+        releases.make()
+        assert 0 == releases.sign(
+            "first", "--jobs", template / "jobs", "--ring", "all", "--note", "new light"
+        )
+        assert 0 == releases.publish()
+    return releases
+
+
+@pytest.fixture
+def releases(made: Releases, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Releases:
+    """One's own."""
+    monkeypatch.setenv("EDGED_PASSPHRASE", PASSPHRASE)
+    shutil.copytree(made.keys.parent, tmp_path / "fleet")
+    return Releases(tmp_path / "fleet")
+
+
+@pytest.fixture
+def cell(releases: Releases, own_cell: Path) -> Path:
+    """Configuration of a cell of the plant north."""
+    config = own_cell / "cell.toml"
+    config.write_text(config.read_text() + releases.section())
+    return config
+
+
+def staged(cell: Path) -> dict[str, Any]:
+    """What was fetched."""
+    return dict(json.loads((page_folder(cell) / "fleet" / STAGED).read_bytes()))
+
+
+def test_a_release_arrives_from_a_folder_as_it_was_signed(
+    releases: Releases, cell: Path, template: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A stick is a folder: no network is asked. The jobs are the very ones that the plant has signed."""
+    stick = shutil.copytree(releases.repository, tmp_path / "stick")
+    shutil.rmtree(releases.repository / "targets")
+    assert 0 == exit_code("release", "pull", cell, "--from", stick)
+    assert (str(stick), "new light") == (staged(cell)["repository"], staged(cell)["offer"]["note"])
+    capsys.readouterr()
+    assert 0 == exit_code("release", "status", cell, "--from", stick, "--json")
+    said = json.loads(capsys.readouterr().out)
+    assert ("first", "all", 1) == tuple(said["published"][0][key] for key in ("name", "ring", "number"))
+    assert said["fetched"]["path"] == "north/first.jobs.tar.gz"
+    assert jobs_in(template / "jobs") == jobs_in(cell.parent / "jobs")
+
+
+@pytest.mark.slow
+def test_a_release_arrives_from_a_static_https_server_that_the_cell_trusts(
+    releases: Releases, cell: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:  # fmt: skip
+    """The cell asks; it opens no port. A server that shows a certificate of nobody is not believed."""
+    with served(releases.repository, tmp_path / "tls") as url:
+        config = cell.read_text()
+        cell.write_text(config.replace(str(releases.repository), url, 1))
+        assert 2 == exit_code("release", "pull", cell)
+        assert "certificate verify failed" in printed(capsys)
+        monkeypatch.setenv("SSL_CERT_FILE", str(tmp_path / "tls" / "ca.pem"))
+        assert 0 == exit_code("release", "pull", cell)
+        assert url == staged(cell)["repository"]
+        capsys.readouterr()
+    assert 2 == exit_code("release", "pull", cell)
+    assert f"{url}: metadata: cannot be read" in printed(capsys)
+
+
+# --- what is refused ------------------------------------------------------------------------------
+
+
+def tampered_target(releases: Releases) -> None:
+    """One byte of the jobs."""
+    file = next((releases.repository / "targets" / "north").iterdir())
+    data = bytearray(file.read_bytes())
+    data[len(data) // 2] ^= 1
+    file.write_bytes(data)
+
+
+def tampered_ring(releases: Releases) -> None:
+    """The ring of a release, which no key has signed."""
+    file = releases.repository / "metadata" / "1.north.json"
+    file.write_text(file.read_text().replace('"ring":4', '"ring":3'))
+
+
+def of_another_plant(releases: Releases) -> None:
+    """The plant signs what belongs to another one, with its own, valid key."""
+    file = releases.repository / "metadata" / "1.north.json"
+    signed: Metadata[Targets] = Metadata.from_file(str(file))
+    target = TargetFile.from_data("south/evil.jobs.tar.gz", b"evil")
+    target.unrecognized_fields["custom"] = signed.signed.targets["north/first.jobs.tar.gz"].custom
+    signed.signed.targets[target.path] = target
+    resigned(file, signed, releases, "north")
+
+
+def by_another_plant(releases: Releases) -> None:
+    """The key of another plant signs this one's releases."""
+    file = releases.repository / "metadata" / "1.north.json"
+    resigned(file, Metadata.from_file(str(file)), releases, "south")
+
+
+def expired(releases: Releases) -> None:
+    """A timestamp that its publisher has let expire: news are held back."""
+    file = releases.repository / "metadata" / "timestamp.json"
+    stamp = Metadata[Any].from_file(str(file))
+    stamp.signed.expires = datetime.now(UTC).replace(microsecond=0) - timedelta(seconds=1)
+    resigned(file, stamp, releases, "online")
+
+
+def by_one_root(releases: Releases) -> None:
+    """A new root that names another key for publishing, signed by one of the two that it takes."""
+    file = releases.repository / "metadata" / "1.root.json"
+    root = Metadata[Any].from_file(str(file))
+    root.signed.version = 2
+    resigned(file.with_name("2.root.json"), root, releases, "root1")
+
+
+def resigned(file: Path, signed: Metadata[Any], releases: Releases, key: str) -> None:
+    """Sign with a key, anew."""
+    signer: CryptoSigner = signer_of(releases.private(key), PASSPHRASE)
+    signed.sign(signer)
+    signed.to_file(str(file))
+
+
+@pytest.mark.parametrize(
+    ("attack", "expected"),
+    [
+        (tampered_target, "targets/north/first.jobs.tar.gz: was changed"),
+        (tampered_ring, "metadata/north.json: is not signed by those who may"),
+        (of_another_plant, "metadata/north.json: south/evil.jobs.tar.gz is not delegated to north"),
+        (by_another_plant, "metadata/north.json: is not signed by those who may"),
+        (expired, "metadata: is old"),
+        (by_one_root, "metadata: is not signed by those who may"),
+    ],
+)
+def test_what_is_not_as_it_was_signed_is_refused_and_its_place_named(
+    attack: Callable[[Releases], None], expected: str, releases: Releases, cell: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:  # fmt: skip
+    """Nothing of it is fetched."""
+    attack(releases)
+    assert 2 == exit_code("release", "pull", cell)
+    assert f"{releases.repository}: {expected}" in printed(capsys)
+    assert not (page_folder(cell) / "fleet" / STAGED).exists()
+
+
+def test_an_older_repository_than_the_cell_has_seen_is_refused(
+    releases: Releases, cell: Path, tmp_path: Path, template: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Every signature in it is right, and it has not expired: it is the roll-back that the cell remembers."""
+    before = shutil.copytree(releases.repository, tmp_path / "before")
+    assert 0 == releases.sign("second", "--jobs", template / "jobs", "--ring", "all")
+    assert 0 == releases.publish()
+    assert 0 == exit_code("release", "pull", cell)
+    capsys.readouterr()
+    assert 2 == exit_code("release", "pull", cell, "--from", before)
+    assert f"{before}: metadata: is older than what this cell has seen" in printed(capsys)
+    assert "second" == staged(cell)["offer"]["name"]
+
+
+def test_a_root_counts_once_enough_of_its_keys_have_signed(
+    releases: Releases, cell: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A key can be exchanged: the new root is signed by two of the old one, and cells follow it."""
+    keys = [argument for key in ("root1", "root2", "root3") for argument in ("--key", releases.public(key))]
+    counts = ("--targets", releases.public("targets"), "--online", releases.public("south"))
+    assert 0 == exit_code("release", "root", releases.repository, *keys, *counts)
+    assert 2 == releases.run("publish", key="south")
+    assert "root.json: root was signed by 0/2 keys" in printed(capsys)
+    assert 2 == releases.run("countersign", key="north")
+    assert [0, 0] == [releases.run("countersign", key=key) for key in ("root1", "root3")]
+    assert 2 == releases.publish()
+    assert 0 == releases.run("publish", key="south")
+    assert 0 == exit_code("release", "pull", cell)
+
+
+def test_a_key_opens_by_its_passphrase_alone_and_is_never_replaced(
+    releases: Releases, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The private half is encrypted on disc, and its owner's alone."""
+    file = releases.private("north")
+    assert file.read_bytes().startswith(b"-----BEGIN ENCRYPTED PRIVATE KEY-----")
+    assert 0o600 == file.stat().st_mode & 0o777
+    assert 2 == exit_code("release", "key", file)
+    monkeypatch.setenv("EDGED_PASSPHRASE", "wrong horse battery")
+    assert 2 == releases.sign("first", "--ring", "1")
+    assert f"{file}: no private key with this passphrase" in printed(capsys)
+
+
+# --- rings ----------------------------------------------------------------------------------------
+
+
+def test_rings_hold_one_cell_then_5_then_25_percent_then_all() -> None:
+    """Of 500 cells; each release begins with another cell, and every machine computes the same."""
+    cells = [f"cell-{number:03}" for number in range(500)]
+    rings = [ring_of(cell, "r7", cells) for cell in cells]
+    assert (1, 25, 125, 500) == tuple(sum(ring <= most for ring in rings) for most in (1, 2, 3, 4))
+    first = {next(cell for cell in cells if ring_of(cell, f"r{number}", cells) == 1) for number in range(20)}
+    assert 15 < len(first)
+    assert 4 == ring_of("unknown", "r7", cells)
+    assert 2 == ring_of("cell-000", "r7", cells, given=2)
+
+
+def test_a_cell_takes_a_release_once_its_ring_is_reached(
+    releases: Releases, cell: Path, template: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Widening needs the plant's key, and no server; before it the cell has the release of before."""
+    cells = tmp_path / "cells"
+    cells.write_text("\n".join(f"other-{number}" for number in range(20)))
+    ring = ("--ring", "1", "--cells", cells)
+    assert 0 == releases.sign("second", "--jobs", template / "jobs", *ring)
+    assert 0 == releases.publish()
+    assert 0 == exit_code("release", "pull", cell)
+    assert "first" == staged(cell)["offer"]["name"]
+    assert [0, 0] == [releases.sign("second", "--ring", "all"), releases.publish()]
+    assert 0 == exit_code("release", "pull", cell)
+    assert ("second", 2) == (staged(cell)["offer"]["name"], staged(cell)["offer"]["number"])
+    cell.write_text(cell.read_text() + "ring = 1\n")
+    assert [0, 0] == [releases.sign("first", "--ring", "none"), releases.publish()]
+    assert 0 == exit_code("release", "pull", cell)
+    assert "is fetched already" in printed(capsys)
+
+
+def test_a_name_keeps_its_content(
+    releases: Releases, tmp_path: Path, template: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """What a name once meant it means for ever; and what is no job is not signed as one."""
+    other = shutil.copytree(template / "jobs", tmp_path / "jobs")
+    text = next(other.iterdir()) / "job.toml"
+    text.write_text(text.read_text() + "\n# another\n")
+    assert 2 == releases.sign("first", "--jobs", other, "--ring", "1")
+    assert "north/first.jobs.tar.gz is signed with another content" in printed(capsys)
+    (next(other.iterdir()) / "shape.npz").write_bytes(b"none")
+    assert 2 == releases.sign("third", "--jobs", other)
+
+
+def test_any_file_of_the_plant_arrives_verified_and_no_cell_takes_it_by_itself(
+    releases: Releases, cell: Path, tmp_path: Path
+) -> None:
+    """A template of a cell, or wheels: by name, for people."""
+    (tmp_path / "station.toml").write_text("[cell]\n")
+    assert 0 == releases.sign("station.toml", "--file", tmp_path / "station.toml")
+    assert 0 == releases.publish()
+    assert 2 == exit_code("release", "pull", cell, "--name", "other.toml", "-o", tmp_path / "new.toml")
+    assert 0 == exit_code("release", "pull", cell, "--name", "station.toml", "-o", tmp_path / "new.toml")
+    assert "[cell]\n" == (tmp_path / "new.toml").read_text()
+    assert 0 == exit_code("release", "pull", cell)
+    assert "first" == staged(cell)["offer"]["name"]
