@@ -33,7 +33,7 @@ from edged.setup.fleet.offers import (
     gate_in,
     jobs_in_release,
 )
-from edged.setup.fleet.probation import LAST, JudgedCycle, baseline_of, judge
+from edged.setup.fleet.probation import LAST, JudgedCycle, baseline_of, counted, judge
 from edged.setup.inuse import CellInUse
 from edged.setup.recordings.recorded import CAPTURE, CycleLine, Records
 from edged.setup.recordings.regressiondocuments import ChangedCycle, RegressionDocument, TriedCandidate
@@ -217,15 +217,15 @@ class FleetGate:
         )
 
     async def _judge(self, note: GateNote) -> GateNote:
-        cycles = await asyncio.to_thread(self._cycles_since, note)
-        found = judge(note.baseline, cycles)
+        since, cycles = await asyncio.to_thread(self._cycles_since, note)
+        tally = counted(note.baseline, note.tally, cycles)
+        found = judge(note.baseline, tally)
+        note = note.model_copy(update={"since": since, "tally": tally})
         if found.decision == "commit":
             return await self._note(note, "committed", found.why)
         if found.decision == "roll back":
             return await self._note(note, "rolling back", found.why)
-        return (
-            note if note.why == found.why else await self._note(note, "probation", found.why, is_news=False)
-        )
+        return await self._note(note, "probation", found.why, is_news=False) if cycles else note
 
     async def _roll_back(self, note: GateNote) -> GateNote:
         if note.former is None:
@@ -322,10 +322,12 @@ class FleetGate:
             _judged(line, changed[line.job_number]) for line in reversed(found)
         ]
 
-    def _cycles_since(self, note: GateNote) -> list[JudgedCycle]:
-        return [
+    def _cycles_since(self, note: GateNote) -> tuple[int, list[JudgedCycle]]:
+        """Index of the newest recording, and what no tally has yet."""
+        lines = self._lines()
+        return max((line.number for line in lines), default=note.since), [
             _judged(line, line.job_number)
-            for line in reversed(self._lines())
+            for line in reversed(lines)
             if line.number > note.since and line.fingerprint == note.wanted and line.job_number in note.jobs
         ]
 

@@ -67,6 +67,20 @@ class Baseline(Kept):
     sigmas: dict[int, JobSigma] = Field(default_factory=dict)
 
 
+class ProbationTally(Kept):
+    """Probation so far. rate, sigma : log likelihood ratios of its two tests, which stay once they decide.
+
+    excess : sum of log sigma over what is usual, of so many cycles as `known`.
+    """
+
+    cycles: int = 0
+    bad: int = 0
+    rate: float = 0.0
+    sigma: float = 0.0
+    known: int = 0
+    excess: float = 0.0
+
+
 Step = Literal[
     "staged",
     "waiting",
@@ -85,7 +99,8 @@ class GateNote(Kept):
     """How far a release has come on this cell; written before each step. why : in words.
 
     before, wanted : fingerprints of the cell without and with it. former : this cell's own release to go back
-    to. since : index of the last recording before it. jobs : new numbers of the changed jobs.
+    to. since : index of the last recording that is judged, or was there before. jobs : the changed
+    jobs' new numbers.
     """
 
     staged: Staged
@@ -97,6 +112,7 @@ class GateNote(Kept):
     former: int | None = None
     since: int = -1
     baseline: Baseline = Baseline()
+    tally: ProbationTally = ProbationTally()
     jobs: Annotated[tuple[int, ...], Field(strict=False)] = ()
 
 

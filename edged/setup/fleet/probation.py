@@ -14,7 +14,7 @@ from typing import Literal
 
 import numpy as np
 
-from edged.setup.fleet.offers import Baseline, JobSigma
+from edged.setup.fleet.offers import Baseline, JobSigma, ProbationTally
 
 LAST = 200
 """Cycles before the release that it is compared with."""
@@ -71,62 +71,69 @@ def baseline_of(cycles: Sequence[JudgedCycle]) -> Baseline:
     return Baseline(good=good, bad=len(cycles) - good, sigmas=sigmas)
 
 
-def judge(
-    before: Baseline, cycles: Sequence[JudgedCycle], params: ProbationParams = ProbationParams()
-) -> Probation:
-    """Compare cycles, in their order, with those before. Each test stops where it first decides."""
+def counted(
+    before: Baseline,
+    tally: ProbationTally,
+    cycles: Iterable[JudgedCycle],
+    params: ProbationParams = ProbationParams(),
+) -> ProbationTally:
+    """A tally with further cycles, in their order. Each test stops where it first decides."""
     if not before.good + before.bad:
+        return tally
+    low, high = _limits(params)
+    number, bad, rate, sigma = tally.cycles, tally.bad, tally.rate, tally.sigma
+    known, excess = tally.known, tally.excess
+    usual, worse = _shares(before, params)
+    for cycle in cycles:
+        number, bad = number + 1, bad + (not cycle.is_good)
+        if low < rate < high:
+            rate += math.log((1 - worse) / (1 - usual)) if cycle.is_good else math.log(worse / usual)
+        own = before.sigmas.get(cycle.job)
+        if own is not None and cycle.sigma_um:
+            over = math.log(cycle.sigma_um) - own.log
+            known, excess = known + 1, excess + over
+            if low < sigma < high:
+                sigma += _step(over, own, params)
+    return ProbationTally(cycles=number, bad=bad, rate=rate, sigma=sigma, known=known, excess=excess)
+
+
+def judge(before: Baseline, tally: ProbationTally, params: ProbationParams = ProbationParams()) -> Probation:
+    """Compare what was counted with the cycles before."""
+    number = before.good + before.bad
+    if not number:
         return Probation("commit", "its jobs are new: there is nothing to compare them with")
+    low, high = _limits(params)
+    said = f"{tally.bad} of {tally.cycles} cycles are bad, before it were {before.bad} of {number}"
+    if tally.rate >= high:
+        return Probation("roll back", said)
+    if tally.sigma >= high:
+        return Probation(
+            "roll back", f"sigma is {math.exp(tally.excess / tally.known):.2f} times what it was"
+        )
+    is_as_before = tally.rate <= low and (tally.sigma <= low or not before.sigmas)
+    return Probation("commit" if is_as_before or tally.cycles >= params.most else "go on", said)
+
+
+def _limits(params: ProbationParams) -> tuple[float, float]:
+    """Log likelihood ratios at which a test decides for "as before", and for "worse"."""
     low = math.log(params.bad_is_kept / (1 - params.good_is_withdrawn))
-    high = math.log((1 - params.bad_is_kept) / params.good_is_withdrawn)
+    return low, math.log((1 - params.bad_is_kept) / params.good_is_withdrawn)
+
+
+def _shares(before: Baseline, params: ProbationParams) -> tuple[float, float]:
+    """Shares of bad cycles: the usual one, and what counts as more."""
     number = before.good + before.bad
     usual = (before.bad + 0.5) / (number + 1)
     usual += params.baseline_sigmas * math.sqrt(usual * (1 - usual) / number)
     usual = min(usual, 0.95)  # a cell that finds hardly anything cannot get much worse
-    worse = max(params.odds * usual / (1 + (params.odds - 1) * usual), min(usual + params.share, 0.97))
-    rate = _decided(
-        (
-            math.log((1 - worse) / (1 - usual)) if cycle.is_good else math.log(worse / usual)
-            for cycle in cycles
-        ),
-        low,
-        high,
-    )
-    bad = sum(not cycle.is_good for cycle in cycles)
-    said = f"{bad} of {len(cycles)} cycles are bad, before it were {before.bad} of {before.good + before.bad}"
-    if rate > 0:
-        return Probation("roll back", said)
-    known = [cycle for cycle in cycles if cycle.job in before.sigmas and cycle.sigma_um]
-    steps = [_step(cycle, before.sigmas[cycle.job], params) for cycle in known]
-    sigma = _decided(iter(steps), low, high)
-    if sigma > 0:
-        grown = np.exp(np.median([_excess(cycle, before.sigmas[cycle.job]) for cycle in known]))
-        return Probation("roll back", f"sigma is {grown:.2f} times what it was")
-    if (rate < 0 and (sigma < 0 or not before.sigmas)) or len(cycles) >= params.most:
-        return Probation("commit", said)
-    return Probation("go on", said)
+    odds = params.odds * usual / (1 + (params.odds - 1) * usual)
+    return usual, max(odds, min(usual + params.share, 0.97))
 
 
-def _decided(steps: Iterable[float], low: float, high: float) -> int:
-    """-1: as before; 1: worse; 0: not yet decided."""
-    total = 0.0
-    for step in steps:
-        total += step
-        if total >= high:
-            return 1
-        if total <= low:
-            return -1
-    return 0
-
-
-def _step(cycle: JudgedCycle, usual: JobSigma, params: ProbationParams) -> float:
+def _step(over: float, usual: JobSigma, params: ProbationParams) -> float:
     shift = math.log(params.larger)
-    step = shift / usual.scatter**2 * (_excess(cycle, usual) - shift / 2)
+    step = shift / usual.scatter**2 * (over - shift / 2)
     return min(max(step, -params.most_step), params.most_step)
-
-
-def _excess(cycle: JudgedCycle, usual: JobSigma) -> float:
-    return math.log(cycle.sigma_um or 1.0) - usual.log
 
 
 def _logs(cycles: Iterable[JudgedCycle]) -> np.ndarray[tuple[int], np.dtype[np.float64]]:

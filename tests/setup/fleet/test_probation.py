@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from edged.setup.fleet.probation import LAST, JudgedCycle, ProbationParams, baseline_of, judge
+from edged.setup.fleet.offers import ProbationTally
+from edged.setup.fleet.probation import LAST, JudgedCycle, ProbationParams, baseline_of, counted, judge
 
 PARAMS = ProbationParams()
 
@@ -21,9 +22,10 @@ def outcome(seed: int, bad_share: float, larger: float = 1.0) -> tuple[str, int]
     """The decision on one release, and after how many cycles; before it a hundredth was bad."""
     rng = np.random.default_rng(seed)
     before, after = baseline_of(cycles(rng, LAST, 0.01)), cycles(rng, PARAMS.most, bad_share, larger)
-    for seen in range(1, len(after) + 1):
-        found = judge(before, after[:seen])
-        if found.decision != "go on":
+    tally = ProbationTally()
+    for seen, cycle in enumerate(after, 1):
+        tally = counted(before, tally, [cycle])
+        if (found := judge(before, tally)).decision != "go on":
             return found.decision, seen
     return "none", len(after)
 
@@ -49,10 +51,20 @@ def test_one_cycle_decides_nothing() -> None:
     """Neither a miss nor one that is measured a hundred times less surely."""
     before = baseline_of(cycles(np.random.default_rng(0), LAST, 0.0))
     for single in (JudgedCycle(1, False, None), JudgedCycle(1, True, 800.0)):
-        assert "go on" == judge(before, [single]).decision
+        assert "go on" == judge(before, counted(before, ProbationTally(), [single])).decision
 
 
 def test_new_jobs_have_nothing_to_be_compared_with() -> None:
     """They are kept, and it is said."""
-    found = judge(baseline_of([]), [])
+    found = judge(baseline_of([]), counted(baseline_of([]), ProbationTally(), []))
     assert ("commit", True) == (found.decision, "new" in found.why)
+
+
+def test_what_is_counted_in_parts_is_what_is_counted_at_once() -> None:
+    """A recorder keeps fewer cycles than a probation takes, and its page may be started again."""
+    rng = np.random.default_rng(3)
+    before, after = baseline_of(cycles(rng, LAST, 0.02)), cycles(rng, 60, 0.1)
+    parts = ProbationTally()
+    for cycle in after:
+        parts = counted(before, ProbationTally.model_validate_json(parts.model_dump_json()), [cycle])
+    assert parts == counted(before, ProbationTally(), after)
