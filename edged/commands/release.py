@@ -157,7 +157,7 @@ def pull(config: Path, console: Console, *, place: str | None, name: str | None,
             say(f"{cell}: no release for it yet, of {len(offers)}", console)
             return 1
         path, offer = due[-1]
-        if there is not None and there.path == path and there.offer.number == offer.number:
+        if there is not None and (there.path, there.offer.may_move_um) == (path, offer.may_move_um):
             say(f"{cell}: {path} is fetched already", console)
             return 0
         client.stage(path, offer)

@@ -108,10 +108,7 @@ class Config(Section):
         return {place: hashed for place, hashed in found.items() if hashed}
 
     def machine_files(self) -> dict[str, Path]:
-        """Certificates, keys and the root of releases by their dotted path.
-
-        They belong to the machine, not to the cell.
-        """
+        """Certificates and keys by their dotted path: they belong to the machine, not to the cell."""
         found: dict[str, Path] = {}
         if (tls := self.modbus.tls) is not None:
             found |= {
@@ -123,8 +120,6 @@ class Config(Section):
             found |= {"opcua.certificate": opcua.certificate, "opcua.key": opcua.key}
         if self.zenoh.enabled and self.zenoh.shared_key is not None:
             found["zenoh.shared_key"] = self.zenoh.shared_key
-        if self.fleet is not None:
-            found["fleet.root"] = self.fleet.root
         return found
 
     def missing_files(self) -> list[str]:

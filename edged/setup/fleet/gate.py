@@ -102,7 +102,9 @@ class FleetGate:
     async def step(self) -> GateNote | None:
         """Take the next step, if there is one; returns how far it is. Raises `EdgedError`, `OSError`."""
         staged, note = await asyncio.to_thread(self._read)
-        if staged is not None and (note is None or (note.step in DONE and note.staged != staged)):
+        if staged is not None and (
+            note is None or (note.step in DONE and note.staged.identity != staged.identity)
+        ):
             note = await self._note(GateNote(staged=staged), "staged", "fetched and verified")
         if note is None or note.step in DONE:
             return note

@@ -51,6 +51,11 @@ class Staged(Kept):
     sha256: Digest
     repository: Text
 
+    @property
+    def identity(self) -> tuple[str, str, int]:
+        """What makes the gate try it, once: not its ring."""
+        return self.path, self.sha256, self.offer.may_move_um
+
 
 class JobSigma(Kept):
     """Sigma of one job before a release: its logarithm's median, and scatter about it."""

@@ -106,6 +106,8 @@ class Repository:
 
         custom : of `Offer`, without number and time.
         """
+        if not PLANT.fullmatch(path.removeprefix(f"{plant}/")):
+            raise UserError(f"{path}: expected a name of letters, digits and _ . -")
         there = self._plant(plant)
         known = there.signed.targets.get(path)
         offers = {name: offer_of(target) for name, target in there.signed.targets.items()}

@@ -228,6 +228,8 @@ def _collect(path: Path, config: Config, parts: Parts) -> tuple[dict[str, bytes]
         raise UserError(f"{path}: has the name of another file of the cell: {path.name}")
     files[path.name] = text.encode()
     left_out = {place: str(file) for place, file in config.machine_files().items()}
+    if config.fleet is not None:
+        left_out["fleet.root"] = str(config.fleet.root)  # trust comes by another way than a backup
     if (golden := golden_file(config.cell.rig, 0).parent).is_dir():
         left_out["golden"] = str(golden)  # it belongs to the path that the robot was taught
     if (marks := marks_file(config.cell.rig)).is_file():

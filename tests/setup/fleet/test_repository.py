@@ -256,7 +256,10 @@ def test_a_name_keeps_its_content(
     assert 2 == releases.sign("first", "--jobs", other, "--ring", "1")
     assert "north/first.jobs.tar.gz is signed with another content" in printed(capsys)
     (next(other.iterdir()) / "shape.npz").write_bytes(b"none")
-    assert 2 == releases.sign("third", "--jobs", other)
+    assert [2, 2] == [
+        releases.sign("third", "--jobs", other),
+        releases.sign("a/b", "--jobs", template / "jobs"),
+    ]
 
 
 def test_any_file_of_the_plant_arrives_verified_and_no_cell_takes_it_by_itself(
