@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from edged import __version__
+from edged.adapters.enip import EnipPublisher
 from edged.adapters.history import CycleHistory, HistoryFigures
 from edged.adapters.modbus import ModbusPublisher
 from edged.adapters.plcmemory import PlcMemoryPublisher
@@ -33,6 +34,7 @@ from edged.vision.geometry.uncertainty import calibration_covariance
 GROUPS = {
     "modbus": "Modbus",
     "plc": "PLC",
+    "ethernetip": "EtherNet/IP",
     "opcua": "OPC UA",
     "zenoh": "Zenoh",
     "recorder": "Recorder",
@@ -78,6 +80,11 @@ class Running:
         """The PLC whose memory is read and written, if any."""
         plc = self.servers.get("plc")
         return plc if isinstance(plc, PlcMemoryPublisher) else None
+
+    def ethernetip(self) -> EnipPublisher | None:
+        """The EtherNet/IP adapter that runs, if any."""
+        ethernetip = self.servers.get("ethernetip")
+        return ethernetip if isinstance(ethernetip, EnipPublisher) else None
 
     def registers(self) -> list[tuple[Register, Number]]:
         """Each register with its value; none where Modbus is off."""
@@ -133,6 +140,8 @@ class Running:
             groups["PLC"] = {"address": plc.place}
             if plc.problem:
                 groups["PLC"]["problem"] = said("own-words", without_folders(plc.problem))
+        if (ethernetip := self.ethernetip()) is not None:
+            groups["EtherNet/IP"] = {"scanner": ethernetip.scanner or said("none", "none")}
         if (opcua := config.opcua) is not None and "opcua" in self.servers:
             groups["OPC UA"] = {
                 "port": opcua.port,
@@ -233,6 +242,11 @@ class Running:
             result["modbus_clients"] = ("Modbus clients that are connected", modbus.clients)
         if (plc := self.plc()) is not None:
             result["plc_reached"] = ("1 while the memory of the PLC is read and written", not plc.problem)
+        if (ethernetip := self.ethernetip()) is not None:
+            result["ethernetip_running"] = (
+                "1 while a scanner writes, and its controller runs",
+                ethernetip.is_running,
+            )
         if isinstance(recorder, Recorder):
             kept = recorder.figures
             result |= {

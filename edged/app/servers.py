@@ -1,4 +1,4 @@
-"""What a configuration publishes by: Modbus, OPC UA, Zenoh, recorder and web page, started and exchanged.
+"""What a configuration publishes by: Modbus, OPC UA, Zenoh, recorder, web page, ..., started and exchanged.
 
 A cell without Zenoh or OPC UA loads none of them: each is a tenth of a start. The page has its own process.
 """
@@ -13,6 +13,7 @@ import sys
 from collections.abc import Callable, Mapping
 from functools import partial
 
+from edged.adapters.enip import EnipPublisher
 from edged.adapters.history import CycleHistory
 from edged.adapters.modbus import ModbusPublisher, server_context
 from edged.adapters.plcmemory import PlcMemoryPublisher, make_memory
@@ -21,6 +22,7 @@ from edged.app.lesserprocess import LESSER, environment
 from edged.app.running import Running
 from edged.app.wantedservers import (
     WantedServer,
+    ethernetip_settings,
     modbus_settings,
     opcua_settings,
     wanted_servers,
@@ -29,7 +31,7 @@ from edged.app.wantedservers import (
 from edged.config.cell import HistorySection, RecorderSection
 from edged.config.configuration import Config
 from edged.config.plc import PlcSection
-from edged.config.servers import ModbusSection, OpcUaSection, WebSection
+from edged.config.servers import EthernetIpSection, ModbusSection, OpcUaSection, WebSection
 from edged.config.zenoh import ZenohSection
 from edged.connections import tls_with
 from edged.errors import EdgedError, ListenError, TookTooLong
@@ -259,6 +261,9 @@ class Servers:
                 return self._opcua_builder(wanted, section)
             case PlcSection():
                 return partial(PlcMemoryPublisher, section, running.modbus, make_memory(section))
+            case EthernetIpSection():
+                settings = ethernetip_settings(section, wanted.cell)
+                return partial(EnipPublisher, settings, running.modbus, section.handshake)
             case WebSection():
                 if section.certificate is not None and section.key is not None:
                     tls_with("status page", section.certificate, section.key)  # the page's process reads them

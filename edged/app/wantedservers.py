@@ -8,13 +8,15 @@ from ipaddress import ip_address, ip_network
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
+from edged.adapters.enip import EnipSettings
 from edged.adapters.modbus import LineSettings, ModbusSettings, SerialSettings, TlsSettings
 from edged.config.cell import HistorySection, RecorderSection
 from edged.config.configuration import Config
 from edged.config.plc import PlcSection
-from edged.config.servers import ModbusSection, OpcUaSection, WebSection
+from edged.config.servers import EthernetIpSection, ModbusSection, OpcUaSection, WebSection
 from edged.config.zenoh import ZenohSection
 from edged.files.private import read_shared_key
+from edged.plc.ethernetip import TCP_PORT
 from edged.robot.orientations import Brand, Convention
 
 if TYPE_CHECKING:  # a cell without them does not load them
@@ -39,6 +41,7 @@ class WantedServer(NamedTuple):
         | WebSection
         | OpcUaSection
         | PlcSection
+        | EthernetIpSection
     )
     cell: str = ""
     files: tuple[tuple[Path, bytes], ...] = ()
@@ -69,6 +72,8 @@ class WantedServer(NamedTuple):
                 return str(kept.folder)
             case PlcSection() as plc:
                 return plc.place
+            case EthernetIpSection() as ethernetip:
+                return f"{ethernetip.host}:{TCP_PORT}"
             case section:
                 return f"{section.host}:{section.port}"
 
@@ -97,6 +102,8 @@ def wanted_servers(config: Config) -> dict[str, WantedServer]:
         wanted["modbus"] = WantedServer(config.modbus, files=_digests(files, "modbus."))
     if config.plc is not None:
         wanted["plc"] = WantedServer(config.plc)
+    if config.ethernetip is not None:
+        wanted["ethernetip"] = WantedServer(config.ethernetip, config.cell.name)
     if config.opcua is not None:
         named = {**files, **{f"opcua.trusted {file}": file for file in _certificates(config.opcua.trusted)}}
         digests, is_free = _digests(named, "opcua."), config.cycle.mode != "command"
@@ -139,6 +146,11 @@ def modbus_settings(section: ModbusSection) -> ModbusSettings:
         line=None if line is None else LineSettings(line.port, Brand(line.brand), line.allow_simulated),
         **section.model_dump(include=set(alike.split())),
     )
+
+
+def ethernetip_settings(section: EthernetIpSection, cell: str) -> EnipSettings:
+    """Settings of the EtherNet/IP adapter."""
+    return EnipSettings(section.host, tuple(ip_network(network) for network in section.scanners), cell)
 
 
 def zenoh_settings(section: ZenohSection, cell: str) -> ZenohSettings:

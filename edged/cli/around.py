@@ -133,6 +133,7 @@ def registers(
             "--format",
             help="md, csv, json; left out: md, or the program of --config's brand; "
             "sources: st, plcopen, scl, twincat, urscript, python; a PLC's own memory: s7db, l5x; "
+            "EtherNet/IP: eds; "
             "for robots with lines of text: rapid, karel, krl, krl6, drl, val3, as, spel, melfa, motoplus, "
             "pacscript",
         ),

@@ -20,7 +20,7 @@ from edged.config.cell import (
 from edged.config.fields import Section
 from edged.config.fleet import FleetSection
 from edged.config.plc import PlcSection
-from edged.config.servers import ModbusSection, OpcUaSection, WebSection
+from edged.config.servers import ETHERNETIP_PORT, EthernetIpSection, ModbusSection, OpcUaSection, WebSection
 from edged.config.zenoh import ZenohSection, tcp_port
 
 
@@ -32,6 +32,7 @@ class Config(Section):
     cameras: CamerasSection
     modbus: ModbusSection = ModbusSection()
     plc: PlcSection | None = None
+    ethernetip: EthernetIpSection | None = None
     zenoh: ZenohSection = ZenohSection()
     drift: DriftSection = DriftSection()
     marks: MarksSection = MarksSection()
@@ -61,7 +62,7 @@ class Config(Section):
 
     @model_validator(mode="after")
     def _registers_are_there(self) -> Config:
-        others = {"opcua serves": self.opcua, "plc shows": self.plc}
+        others = {"opcua serves": self.opcua, "plc shows": self.plc, "ethernetip shows": self.ethernetip}
         for who in [who for who, section in others.items() if section is not None]:
             if not self.modbus.enabled:
                 raise ValueError(
@@ -79,6 +80,8 @@ class Config(Section):
                 ports.append(("modbus.socket.port", self.modbus.socket.port))
         if self.opcua is not None:
             ports.append(("opcua.port", self.opcua.port))
+        if self.ethernetip is not None:
+            ports.append(("ethernetip", ETHERNETIP_PORT))
         if self.zenoh.enabled:
             ports += [("zenoh.listen", port) for port in map(tcp_port, self.zenoh.listen) if port]
         for index, (place, port) in enumerate(ports):

@@ -1,10 +1,11 @@
-"""What listens: Modbus and its lines, the status page, OPC UA."""
+"""What listens: Modbus and its lines, EtherNet/IP, the status page, OPC UA."""
 
 from __future__ import annotations
 
+import ipaddress
 from typing import Annotated, Literal
 
-from pydantic import Field, SecretStr, model_validator
+from pydantic import AfterValidator, Field, SecretStr, model_validator
 
 from edged.config.fields import (
     Address,
@@ -112,6 +113,35 @@ class ModbusSection(Section):
         if self.socket is not None and self.socket.port == self.port:
             raise ValueError(f"port and socket.port are both {self.port}")
         return self
+
+
+ETHERNETIP_PORT = 44818
+"""Fixed, over TCP and UDP: scanners look nowhere else."""
+
+
+def _ipv4(value: str) -> str:
+    if ipaddress.ip_address(value).version != 4:
+        raise ValueError("EtherNet/IP knows IPv4 addresses only")
+    return value
+
+
+class EthernetIpSection(Section):
+    """The EtherNet/IP adapter for a PLC's scanner: registers and handshake of Modbus. Left out: none.
+
+    Its ports are TCP and UDP 44818, UDP 2222.
+    """
+
+    host: Annotated[str, AfterValidator(_ipv4)] = Field(
+        "127.0.0.1",
+        description="IPv4 address to listen on; 0.0.0.0 is also found by who looks for devices",
+    )
+    scanners: list[Network] = Field(
+        default_factory=lambda: ["127.0.0.0/8"],
+        description="networks that may connect, and command",
+    )
+    handshake: Literal["start-bit", "sequence"] = Field(
+        "start-bit", description="what begins a command: START in CONTROL, or another CMD_SEQ"
+    )
 
 
 class WebSection(Section):

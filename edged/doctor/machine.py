@@ -21,6 +21,7 @@ from edged.doctor.findings import Check, CheckResult, bad, ok, skip, warn
 from edged.doctor.host import CAP_NET_BIND_SERVICE, has_capability, read, run
 from edged.doctor.ourdaemon import OurDaemon
 from edged.domain.numerals import is_whole
+from edged.plc.ethernetip import TCP_PORT
 
 TIMEX_LONGS, TIMEX_MAXERROR_US, TIME_ERROR = 26, 3, 5
 """`struct timex` in longs, the place of maxerror, the state of an unsynchronised clock: adjtimex(2)."""
@@ -161,6 +162,8 @@ def look_at_ports(config: Config, daemon: OurDaemon | None = None) -> Iterator[C
         yield _writers(config)
     if config.web is not None:
         yield _port("status page port", config.web.host, config.web.port, daemon)
+    if (ethernetip := config.ethernetip) is not None:
+        yield _port("EtherNet/IP port", ethernetip.host, TCP_PORT, daemon)
     if (opcua := config.opcua) is not None:
         answered = look_at_opcua(opcua.host, opcua.port)
         yield answered or _port("OPC UA port", opcua.host, opcua.port, daemon)

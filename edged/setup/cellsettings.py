@@ -38,6 +38,7 @@ NOT_HERE: Mapping[str, str] = {
     "modbus.serial": "wiring",
     "modbus.reserved": "strangers",
     "plc": "plc",
+    "ethernetip": "strangers",
     "zenoh.enabled": "strangers",
     "zenoh.listen": "strangers",
     "zenoh.connect": "strangers",

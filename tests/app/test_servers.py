@@ -18,6 +18,7 @@ from typing import Any, cast
 
 import pytest
 from helpers.certificates import make_certificates
+from helpers.enipcell import own_address
 from helpers.ports import free_port
 from helpers.waiting import LIMIT_S, WHOLE_S, until
 from helpers.zenohcell import ask
@@ -239,6 +240,28 @@ async def test_a_plc_without_its_package_is_a_mistake_that_names_it(
     with pytest.raises(ListenError, match=rf"edged\[{family}\]"):
         await servers.exchange(wanted)
     await servers.close()
+
+
+async def test_an_ethernetip_adapter_starts_beside_modbus_and_says_who_has_its_port(tmp_path: Path) -> None:
+    """Served on its own address; a second cell of the machine that wants the same is told, and has none."""
+    host = own_address()
+    sections = f"[zenoh]\nenabled = false\n[modbus]\nport = {free_port()}\n[ethernetip]\nhost = '{host}'\n"
+    wanted = config(tmp_path, sections)
+    running = running_cell()
+    servers = Servers(running, lambda: None, PagePort)
+    await servers.start(wanted)
+    try:
+        assert ["modbus", "ethernetip"] == list(servers.started)
+        adapter = running.ethernetip()
+        assert adapter is not None
+        assert ("", False) == (adapter.scanner, adapter.is_running)
+        other = config(tmp_path, sections.replace("port =", f"port = {free_port()} #"))
+        second = Servers(running_cell(), lambda: None, PagePort)
+        with pytest.raises(ListenError, match=r"ethernetip: cannot listen on .*:44818"):
+            await second.start(other)
+        await second.close()
+    finally:
+        await servers.close()
 
 
 def exchange_after(folder: Path, sections: str, change: Callable[[], None], port: int) -> tuple[bool, bool]:

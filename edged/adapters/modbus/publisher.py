@@ -117,7 +117,7 @@ class ModbusPublisher:
         owner = self._cell.owner
         if owner is None:
             return ""
-        return self._cell.addresses.get(owner, "serial line, robot, OPC UA or PLC's memory")
+        return self._cell.addresses.get(owner, "serial line, robot, OPC UA, EtherNet/IP or PLC's memory")
 
     @property
     def settings(self) -> ModbusSettings:

@@ -1,40 +1,26 @@
-"""The cell's side of a PLC's memory, on the event loop: images to the thread that talks to it, commands back.
-
-The registers and their handshake are the cell's, held by the Modbus server: the PLC is one more of its
-clients, which writes its command block whenever its memory holds another one. Each connection is a client of
-its own, so what stood in the PLC's memory before it runs nothing.
-"""
+"""The cell's side of a PLC's memory: images to the thread that talks to it, and commands from there."""
 
 from __future__ import annotations
 
 import asyncio
-import itertools
 import logging
-import time
 from collections.abc import Callable
 
 from edged.adapters.plcmemory.exchange import ANSWER_S, ExchangeThread, PlcMemory
 from edged.adapters.plcmemory.logix import LogixMemory
 from edged.config.plc import LogixSection, PlcSection
 from edged.domain.events import Event
-from edged.errors import CommandRefused, ListenError, PlcFault
+from edged.errors import ListenError, PlcFault
 from edged.logs import FaultLog
-from edged.plc.processimage import IMAGE_BYTES, NO_IMAGE, SHOWN_BLOCKS, image_from_cell, values_to_cell
-from edged.plc.registers import COMMAND
+from edged.plc.imageclient import ImageClient
+from edged.plc.processimage import IMAGE_BYTES, values_to_cell
 from edged.plc.registersource import RegisterSource
-from edged.plc.registerwatch import RegisterWatch
 
 log = logging.getLogger(__name__)
 
-TICK_S = 0.1
-"""Period of HEARTBEAT; everything else is shown when it changes."""
 STOP_S = 1.0
-NAMES = [register.name for register in COMMAND.registers]
-WRITTEN = {
-    "sequence": NAMES[: NAMES.index("CONTROL")],
-    "start-bit": NAMES[NAMES.index("CLIENT_HEARTBEAT") :],
-}
-"""Words of the command block that follow each other, by what begins a command: the other stays unwritten."""
+CLIENTS = 2_000_000
+"""The Modbus server counts its clients from 1, OPC UA from 1,000,000, EtherNet/IP from 3,000,000."""
 
 
 def make_memory(section: PlcSection) -> Callable[[], PlcMemory]:
@@ -86,19 +72,17 @@ class PlcMemoryPublisher:
         registers: Callable[[], RegisterSource | None],
         make: Callable[[], PlcMemory],
     ) -> None:
-        self._section, self._watch = section, RegisterWatch(registers, self._show)
-        self._written, self._is_little = WRITTEN[section.handshake], make().is_little
+        self._section = section
+        self._client = ImageClient(
+            registers, self._post, section.handshake, CLIENTS, is_little=make().is_little
+        )
         self._thread = ExchangeThread(
             make,
             section.period_ms / 1000,
-            lambda image: self._watch.from_thread(lambda: self._take(image)),
-            lambda fault: self._watch.from_thread(lambda: self._leave(fault)),
+            lambda image: self._client.from_thread(lambda: self._take(image)),
+            lambda fault: self._client.from_thread(lambda: self._leave(fault)),
         )
-        self._numbers = itertools.count(2_000_000)  # Modbus counts its clients from 1, OPC UA from 1,000,000
-        self._client = next(self._numbers)
-        self._image: bytes | None = None  # of the PLC, on this connection
-        self._next_show: asyncio.TimerHandle | None = None
-        self._is_refused = False
+        self._is_closed = False
         self._faults = FaultLog(log, kind="plc")
         self.problem = "no answer yet"
         """Why the PLC is not reached; "" while it is."""
@@ -110,79 +94,32 @@ class PlcMemoryPublisher:
 
     async def start(self) -> None:
         """Begin to connect; the cell starts even if the PLC does not answer."""
-        self._watch.start()
-        self._show()
+        self._client.start()
         self._thread.start()
 
     def announce(self, event: Event) -> None:  # noqa: ARG002  (the registers know it)
         """Shown after the registers have taken note of it."""
-        self._watch.show_soon()
+        self._client.show_soon()
 
     async def close(self) -> None:
         """Tell a PLC that answers that nothing is valid, and disconnect."""
-        self._watch.close()
-        if self._next_show is not None:
-            self._next_show.cancel()
-        if self._watch.source is not None:
-            self._watch.source.leave(self._client)
-        if self._watch.loop is not None and not await asyncio.to_thread(self._thread.stop, STOP_S):
+        self._is_closed = True
+        self._client.close()
+        if self._client.is_started and not await asyncio.to_thread(self._thread.stop, STOP_S):
             log.warning("plc: %s does not answer, and is left behind", self.place)
 
-    # --- showing -------------------------------------------------------------------------------
-
-    def _show(self) -> None:
-        """Hand the present image to the thread; again at the next tick, or when the coordinates expire."""
-        if self._watch.is_closed or self._watch.loop is None:
-            return
+    def _post(self, image: bytes) -> None:
         self._thread.look()
-        source, next_s = self._source(), TICK_S
-        if self._is_refused:
-            self._write()
-        if source is None:
-            self._thread.post(NO_IMAGE)
-        else:
-            values = {register.name: value for register, value in source.values(SHOWN_BLOCKS)}
-            self._thread.post(image_from_cell(values, little=self._is_little))
-            if (until_s := source.valid_until_s) > 0:
-                next_s = min(next_s, max(0.001, until_s - time.monotonic()))
-        if self._next_show is not None:
-            self._next_show.cancel()
-        self._next_show = self._watch.loop.call_later(next_s, self._show)
-
-    def _source(self) -> RegisterSource | None:
-        if self._watch.look():
-            self._write()
-        return self._watch.source
-
-    # --- commands, from the thread ---------------------------------------------------------------
+        self._thread.post(image)
 
     def _take(self, image: bytes) -> None:
-        if self._watch.is_closed:
-            return
-        self._image, self.problem = image, ""
-        self._faults.well()
-        if self._source() is not None:
-            self._write()
-
-    def _write(self) -> None:
-        """Write the command block as the PLC has it; during another client's turn again at each tick.
-
-        So does a PLC that writes its registers for ever; what the handshake makes of it is the same.
-        """
-        self._is_refused = False
-        if self._image is None or self._watch.source is None:
-            return
-        values = values_to_cell(self._image, little=self._is_little)
-        try:
-            self._watch.source.write(self._client, {name: values[name] for name in self._written})
-        except CommandRefused:
-            self._is_refused = True
+        if not self._is_closed:
+            self.problem = ""
+            self._faults.well()
+            self._client.take(image)
 
     def _leave(self, fault: PlcFault) -> None:
-        if self._watch.is_closed:
-            return
-        self._faults.failed(f"plc: {fault}", fault.code)
-        self.problem, self._image = str(fault), None
-        if self._watch.source is not None:
-            self._watch.source.leave(self._client)
-        self._client = next(self._numbers)
+        if not self._is_closed:
+            self._faults.failed(f"plc: {fault}", fault.code)
+            self.problem = str(fault)
+            self._client.leave()

@@ -17,7 +17,7 @@ from edged.config.tomltext import toml_of
 from edged.errors import FileFormatError
 from edged.files.atomic import read_bytes
 
-SERVERS = ("modbus", "opcua", "plc", "web", "zenoh")
+SERVERS = ("modbus", "ethernetip", "opcua", "plc", "web", "zenoh")
 """Sections of the configuration."""
 SECRET = "password_hash"
 ZENOH_FILE = "zenoh.config_file"

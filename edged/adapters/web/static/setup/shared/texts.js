@@ -91,7 +91,7 @@ export function t(id, values) {
 }
 
 // A code as spelt in text ids: LOW_QUALITY is low-quality.
-export const dashed = (code) => String(code).toLowerCase().replaceAll(/[ _]/g, "-");
+export const dashed = (code) => String(code).toLowerCase().replaceAll(/[ _/]/g, "-");
 // The text of a code in a family of ids, or the code itself.
 export function inWords(family, code) {
   const id = `${family}-${dashed(code)}`;

@@ -1,0 +1,21 @@
+"""The fuzzer of EtherNet/IP, in small; `tools/fuzz_ethernetip.py` sends a million frames."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+FUZZER = Path(__file__).parents[2] / "tools" / "fuzz_ethernetip.py"
+
+
+@pytest.mark.slow
+def test_thousands_of_hostile_frames_leave_no_trace() -> None:
+    """No crash, nothing grows, and a good scanner keeps its connection."""
+    run = subprocess.run(
+        [sys.executable, str(FUZZER), "--frames", "5000"], capture_output=True, text=True, timeout=120
+    )
+    assert 0 == run.returncode, run.stdout + run.stderr
+    assert "every part was good" in run.stdout
