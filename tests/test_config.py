@@ -352,6 +352,9 @@ PLC = '[plc]\nhost = "10.0.0.1"\n'
             PLC + "[plc.s7]\ndb = 1\n[modbus]\nenabled = false\n",
             "(file): plc shows the registers of modbus, which is off: modbus.enabled = true",
         ),
+        ("[ethernetip]\n[modbus]\nenabled = false\n", "(file): ethernetip shows the registers of modbus"),
+        ('[ethernetip]\nhost = "::1"\n', "ethernetip.host: EtherNet/IP knows IPv4 addresses only"),
+        ("[ethernetip]\n[web]\nport = 44818\n", "(file): web.port and ethernetip are both 44818"),
     ],
 )
 def test_a_plc_has_one_family_and_every_key_its_range(tmp_path: Path, section: str, expected: str) -> None:

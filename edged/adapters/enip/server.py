@@ -257,7 +257,7 @@ class EnipServer:
                 wait_s = min(wait_s, max(0.0, due_s - now_s))
             self._timers[connection.id] = loop.call_later(min(wait_s + 1e-4, 1.0), turn)
 
-        self._timers[connection.id] = loop.call_later(connection.period_s, turn)
+        self._timers[connection.id] = loop.call_later(min(connection.period_s, 1.0), turn)
 
     def _send(self, connection: CipConnection) -> None:
         if self._data is not None and not self._data.is_closing():
