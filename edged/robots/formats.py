@@ -82,9 +82,9 @@ KUKA_FILES = {"edged.src": "krl", "edged.dat": "krl", "edged.xml": ""}
 VAL3_PROGRAMS = (
     *("runLocate", "runPerform", "openAndAsk", "runFetch", "runGrasp", "acknowledge"),
     *("nextNumber", "ask", "newField", "takeCode", "takeField", "openLink", "hangUp"),
-    *("send", "receive", "addPlace", "startClock", "readClock", "pause"),
+    *("send", "receive", "addPlace", "addHere", "startClock", "readClock", "pause"),
     *("locate", "expose", "result", "nextPart", "grasp", "nextGrasp", "perform", "start", "stop"),
-    *("golden", "offset"),
+    *("golden", "offset", "tray", "place"),
 )
 
 

@@ -98,7 +98,8 @@ class Controller:
     def call(self) -> None:
         """CALL JOB:EDGED."""
         self.task = self.task or self._switch_on()
-        numbers = np.array(pose_of(Brand.YASKAWA, self.link.arm.flange))
+        is_tip = self.number("I080") == 12  # PLACE asks where tool 1 is
+        numbers = np.array(pose_of(Brand.YASKAWA, self.link.arm.tip if is_tip else self.link.arm.flange))
         self.memory[PLACE : PLACE + 6] = np.rint(numbers * ([1e3] * 3 + [1e4] * 3))
         self._sent, self._waited = int(self.memory[SENT]), None
         self.run(self.lines)

@@ -72,7 +72,7 @@ class TaskSlot:
         lines = [line.partition(" ") for line in self.declared.lines(source)]
         assert [str(number) for number in range(1, len(lines) + 1)] == [number for number, _, _ in lines]
         texts = [text.partition("'")[0].strip() for _, _, text in lines]
-        self.lines = [re.sub(r"(P_10\d)\((\w+)\)", r"\1[\2]", text) for text in texts]
+        self.lines = [re.sub(r"([PM]_10\d)\((\w+)\)", r"\1[\2]", text) for text in texts]
         self.labels = {text: i for i, text in enumerate(self.lines) if text.startswith("*")}
         assert len(self.labels) == sum(text.startswith("*") for text in self.lines), "a label twice"
         for label in self.labels:
@@ -201,6 +201,7 @@ class Controller:
         self.shared: dict[str, Any] = {f"M_{i:02}": TYPES.variable("number") for i in range(20)}
         for name in ("P_100", "P_101", "P_102"):
             self.shared[name] = TYPES.array("position", 10)
+        self.shared["M_100"] = TYPES.array("number", 10)
         for name in ("P_CURR", "P_TOOL"):
             self.shared[name] = TYPES.variable("position")
         self.shared["P_CURR"].get().fields["fl1"].set(7)

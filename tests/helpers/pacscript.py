@@ -205,7 +205,8 @@ class Controller:
         self.posx, self.posy, self.posz, self.posrx, self.posry, self.posrz = places
 
     def _coordinate(self, index: int, point: Any) -> float:
-        assert "here" == point.get()
+        if (given := point.get()) != "here":
+            return float(tuple(given.plain().values())[index])
         arm = self.link.arm
         return pose_of(Brand.DENSO, arm.tip if self.tool.get() else arm.flange)[index]
 

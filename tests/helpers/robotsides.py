@@ -20,7 +20,7 @@ import numpy as np
 import pytest
 
 from edged.plc.lines import answer_fields
-from edged.robot.orientations import Brand
+from edged.robot.orientations import Brand, pose_of
 from edged.robots.formats import render, written
 from edged.robots.robotlines import Failure
 from helpers import drl, inform, karel, kawasaki, krl, melfa, pacscript, rapid, spel, val3
@@ -61,6 +61,10 @@ LIES: dict[str, Lie] = {
     "nothing": (lambda *_: b"", Failure.LATE),
     "another failure": (lambda b, s: f"{honest(b, s, STATUS='102')}\n".encode(), 102),
 }
+
+
+TRAY = ("pocket", "taken", "empty", "pockets", "is_taken")
+"""Variables of a program that it fills by TRAY."""
 
 
 class Side(Protocol):
@@ -115,6 +119,14 @@ class Abb:
 
     def next_grasp(self) -> list[tuple[float, ...]] | None:
         return self.grasp("EdgedNextGrasp")
+
+    def tray(self, pocket: int) -> list[float] | None:
+        if not self.program.call("EdgedTray", pocket, 5):
+            return None
+        return [self.program.named(f"edged_{name}").get() for name in TRAY]
+
+    def askew(self) -> tuple[float, ...] | None:
+        return self._pose(self.program.call("EdgedPlace", 5, rapid.robtarget(self.link.arm.tip), self.part))
 
     def golden(self) -> bool:
         return bool(self.program.call("EdgedGolden", 0, 5))
@@ -176,6 +188,25 @@ class Fanuc:
         return [
             (poses[91 + i], poses[71 + i], poses[81 + i]) for i in range(int(self.controller.registers[82]))
         ]
+
+    def locate_ways(self) -> list[Taken]:
+        self.locate(0, 5.0, (71, 81, 0, 0, 1))
+        poses = {number: tuple(one.plain().values())[:6] for number, one in self.controller.positions.items()}
+        return [(poses[71 + i], poses[81 + i]) for i in range(int(self.controller.registers[82]))]
+
+    def locate_tray(self) -> list[list[float]]:
+        self.controller.registers.clear()
+        self.controller.arguments = (0, 5000, 81, 91, 3, 0, 0, 0, 0, 2)
+        self.program.call("RUN")
+        values = self.controller.registers
+        tray = [values[88 + i] for i in range(3 if values[88] else 1)]
+        return [tray, [values[91 + i] for i in range(int(values[82]))]]
+
+    def locate_place(self) -> tuple[float, ...] | None:
+        self.controller.activate(1)
+        if self.locate(0, 5.0, (0, 0, 71, 0, 3)) is None:
+            return None
+        return tuple(self.controller.positions[71].plain().values())[:6]
 
     def beside(self) -> None:
         """Measure beside the program that moves, which looks at R[88]."""
@@ -277,6 +308,28 @@ class Kuka:
         poses = ("PART", "GRASP", "APPROACH")
         return [tuple(self.pose(name, i + 1) for name in poses) for i in range(self.count())]
 
+    def locate_ways(self) -> list[Taken]:
+        self.program.call("EDGED_LOCATE_WAYS", 0, 5.0)
+        return [(self.pose("GRASP", i + 1), self.pose("APPROACH", i + 1)) for i in range(self.number("WAYS"))]
+
+    def locate_tray(self) -> list[list[float]]:
+        is_found = self.program.call("EDGED_LOCATE_TRAY", 0, 5.0)
+        assert is_found == (self.count() > 0)
+        names = ("POCKETS", "TAKEN", "EMPTY") if self.number("POCKETS") else ("POCKETS",)
+        pockets = self.program.named("EDGED_POCKET")
+        return [
+            [self.number(name) for name in names],
+            [pockets.element(i + 1).get() for i in range(self.count())],
+        ]
+
+    def locate_place(self) -> tuple[float, ...] | None:
+        if not self.program.call("EDGED_LOCATE_PLACE", 0, 5.0):
+            return None
+        return tuple(self.program.named("EDGED_ASKEW").get().plain().values())
+
+    def number(self, name: str) -> int:
+        return int(self.program.named(f"EDGED_{name}").get())
+
     def golden(self) -> bool:
         return bool(self.program.call("EDGED_GOLDEN", 0, 5.0))
 
@@ -343,6 +396,14 @@ class Doosan:
 
     def next_grasp(self) -> list[tuple[float, ...]] | None:
         return self.grasp("edged_next_grasp")
+
+    def tray(self, pocket: int) -> list[float] | None:
+        values = self.names["edged_tray"](pocket, 5.0)
+        return values and [values[i] for i in (0, 1, 2, 3, 4)]
+
+    def askew(self) -> tuple[float, ...] | None:
+        pose = self.names["edged_askew"](pose_of(Brand.DOOSAN, self.link.arm.tip), 5.0)
+        return None if pose is None else tuple(pose)
 
     def golden(self) -> bool:
         return bool(self.names["edged_golden"](0, 5.0))
@@ -416,6 +477,14 @@ class Shared:
         self.run(name, 5.0)
         return [self.pose("grasp"), self.pose("approach")] if self.error() == 0 else None
 
+    def tray(self, pocket: int) -> list[float] | None:
+        self.run("tray", pocket, 5.0)
+        return [self.named(name) for name in TRAY] if self.error() == 0 else None
+
+    def askew(self) -> tuple[float, ...] | None:
+        self.run("askew", 5.0)
+        return self.pose("askew") if self.error() == 0 else None
+
     def golden(self) -> bool:
         self.run("golden", 0, 5.0)
         return self.error() == 0
@@ -457,11 +526,19 @@ class Staubli(Shared):
         self.program = val3.load(written("val3"), self.controller)
 
     def named(self, name: str) -> Any:
-        prefix = "tr" if name in ("part", "grasp", "approach", "offset") else "n"
+        prefix = "tr" if name in ("part", "grasp", "approach", "offset", "askew") else "n"
         return self.program.named(prefix + name.replace("_", "")).get()
 
     def run(self, name: str, *arguments: Any) -> None:
-        self.program.call({"next": "nextPart", "next_grasp": "nextGrasp"}.get(name, name), *arguments)
+        other = {"next": "nextPart", "next_grasp": "nextGrasp", "askew": "place"}
+        if name == "askew":
+            look = val3.TYPES.initial("trsf")
+            for place, number in zip(
+                look.fields.values(), pose_of(Brand.STAUBLI, self.link.arm.tip), strict=True
+            ):
+                place.set(number)
+            arguments = (look, *arguments)
+        self.program.call(other.get(name, name), *arguments)
 
 
 class StaubliThatStays(Staubli):
@@ -518,7 +595,10 @@ class Epson(Shared):
             "grasp": "FetchGrasp",
             "offset": "FetchOffset",
             "next_grasp": "NextGrasp",
+            "askew": "Place",
         }
+        if name == "askew":
+            self.controller.tool = 1
         self.program.call("Edged" + other.get(name, name), *arguments)
 
 
@@ -532,7 +612,7 @@ class Denso(Shared):
         self.link = link
         self.controller = pacscript.Controller(link, is_left_open=self.is_left_open)
         self.program = pacscript.load(render("pacscript"), self.controller)
-        names = ("part", "grasp", "approach", "offset")
+        names = ("part", "grasp", "approach", "offset", "look", "askew")
         self.poses = {name: pacscript.TYPES.variable("Position") for name in names}
         self.code = 0
 
@@ -543,6 +623,8 @@ class Denso(Shared):
             return self.program.call("EdgedSigma", "xyz".index(name[-1]) + 1)
         if name in self.poses:
             return self.poses[name].get()
+        if name in TRAY:
+            return self.program.call("EdgedTrayIs", TRAY.index(name) + 1)
         return self.program.call("Edged" + name)
 
     def pose(self, name: str) -> tuple[float, ...]:
@@ -552,6 +634,10 @@ class Denso(Shared):
         given = [round(one * 1000) if isinstance(one, float) else one for one in arguments]
         wanted = {"locate": ("part",), "next": ("part",), "result": ("part",), "offset": ("offset",)}
         wanted["grasp"] = wanted["next_grasp"] = ("grasp", "approach")
+        wanted["askew"] = ("look", "askew")
+        look = self.poses["look"].get().fields.values()
+        for place, number in zip(look, pose_of(Brand.DENSO, self.link.arm.tip), strict=False):
+            place.set(number)
         given += [self.poses[one] for one in wanted.get(name, ())]
         self.code = self.program.call("Edged" + name.replace("_", ""), *given)
 
@@ -611,6 +697,23 @@ class Mitsubishi:
             return None
         names = ("P_100", "P_101", "P_102")
         return [tuple(self.pose(name, i + 1) for name in names) for i in range(int(self.number("M_01")))]
+
+    def locate_ways(self) -> list[Taken]:
+        self.locate(0, 5.0, grasps=4)
+        return [
+            (self.pose("P_101", i + 1), self.pose("P_102", i + 1)) for i in range(int(self.number("M_07")))
+        ]
+
+    def locate_tray(self) -> list[list[float]]:
+        self.controller.call(0, 5000, 3, 5)
+        tray = [
+            self.number(name) for name in (("M_07", "M_08", "M_09") if self.number("M_07") else ("M_07",))
+        ]
+        pockets = self.controller.shared["M_100"]
+        return [tray, [pockets.element(i + 1).get() for i in range(int(self.number("M_01")))]]
+
+    def locate_place(self) -> tuple[float, ...] | None:
+        return None if self.locate(grasps=6) is None else self.pose("P_101", 1)
 
     def golden(self) -> bool:
         self.controller.call(0, 5000, 1, 3)
@@ -690,6 +793,15 @@ class Yaskawa:
 
     def grasp(self) -> list[tuple[float, ...]] | None:
         return [self._pose(81), self._pose(82)] if self._run(3) else None
+
+    def next_grasp(self) -> list[tuple[float, ...]] | None:
+        return [self._pose(81), self._pose(82)] if self._run(10) else None
+
+    def tray(self, pocket: int) -> list[float] | None:
+        return [self.controller.number(f"D07{4 + i}") for i in range(5)] if self._run(11, pocket) else None
+
+    def askew(self) -> tuple[float, ...] | None:
+        return self._pose(81) if self._run(12, 1) else None
 
     def golden(self) -> bool:
         return self._run(7)

@@ -45,7 +45,7 @@ def _melfa(files: Files) -> Declared:
     declared = Declared("melfa")
     for source in files.values():
         slot = melfa.TaskSlot(melfa.Controller(dict(files), NOBODY), source)
-        for name in re.findall(r"\b[MCP][A-Z]\w*[%$]?(?=[=,])", source):
+        for name in re.findall(r"\b[MCP][A-Z]\w*[%$]?(?=[=,])", re.sub('"[^"]*"', "", source)):
             slot.named(name)
         declared.names |= slot.declared.names
     return declared

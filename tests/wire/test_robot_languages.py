@@ -39,7 +39,7 @@ from helpers.waiting import LIMIT_S, wait_until
 
 from edged.adapters.modbus import LineSettings, ModbusSettings
 from edged.domain.measurement import Target
-from edged.domain.picking import Bounds, Grasp, Gripper, Picking
+from edged.domain.picking import Bounds, Grasp, Gripper, Order, Picking, Tray
 from edged.plc.answers import NackReason
 from edged.plc.lines import LineStatus
 from edged.plc.registers import StatusBit
@@ -367,6 +367,95 @@ def test_another_way_to_take_the_part_is_asked_for(make: type[Any]) -> None:
         assert (None, LineStatus.NO_GRASP) == (side.next_grasp(), side.error())
         assert (20.0, 1) == ((side.next() or (0,))[0], cell.head.captures)
         side.acknowledge()
+
+
+@callers
+def test_one_call_fetches_every_way_to_take_a_part(make: type[Any]) -> None:
+    """A quarter turn and the next; of one part alone; without a grasp 119."""
+    with running(make) as (cell, side):
+        assert ([], LineStatus.NO_GRASP) == (side.locate_ways(), side.error())
+        turned = Picking(grasps=(dataclasses.replace(GRASPS.grasps[0], symmetry=3),))
+        cell.call(lambda: cell.cycle.exchange(cell.pick(turned).setup))
+        cell.targets = tuple(make_target(x_mm=x_mm) for x_mm in (10.0, 20.0))
+        ways = side.locate_ways()
+        assert (3, 0) == (len(ways), side.error())
+        part, seen = cell.targets[0].rig_from_part, []
+        for way in ways:
+            tool, before = (transform_of(side.brand, pose) for pose in way)
+            np.testing.assert_allclose(before[:3, 3], tool[:3, 3] - 50.0 * tool[:3, 2], atol=2.4e-3)
+            turn = np.linalg.inv(part) @ tool @ np.linalg.inv(PART_FROM_TCP)
+            seen.append(round(math.degrees(math.atan2(turn[1, 0], turn[0, 0]))))
+        assert [-120, 0, 120] == sorted(seen)
+        assert not bits(cell) & StatusBit.RESULT_VALID
+
+
+TRAY = Tray((0.0, 20.0, 200.0), ((300.0, 20.0, 200.0), *((0.0, 20.0, 200.0),) * 2), (4, 1, 1), 10.0)
+
+
+@talkers
+def test_what_was_found_in_the_tray_is_told(make: type[Any]) -> None:
+    """Pocket of the part, how many are taken, the first empty one; 122 without a tray; none is taken."""
+    with running(make) as (cell, side):
+        assert side.locate() is not None
+        assert (None, LineStatus.NO_TRAY) == (side.tray(0), side.error())
+        side.acknowledge()
+        cell.call(lambda: cell.cycle.exchange(cell.pick(Picking(Order.POCKET, tray=TRAY)).setup))
+        cell.targets = tuple(make_target(x_mm=x_mm) for x_mm in (200.0, 0.0))
+        assert 0.0 == pytest.approx((side.locate(1) or (1.0,))[0])
+        assert [1, 2, 2, 4, 1] == side.tray(3), side.error()
+        assert 200.0 == pytest.approx((side.next() or (0.0,))[0])
+        assert [3, 2, 2, 4, 0] == side.tray(2), side.error()
+        assert (None, LineStatus.NO_TRAY) == (side.tray(5), side.error())
+        side.acknowledge()
+        cell.targets = ()
+        assert (None, 102) == (side.locate(1), side.error())
+        assert [0, 0, 1, 4, 0] == side.tray(1), side.error()
+
+
+@callers
+def test_one_call_tells_what_was_found_in_the_tray(make: type[Any]) -> None:
+    """Pockets, how many are taken, the first empty one; and of each part its own; of an empty tray, too."""
+    with running(make) as (cell, side):
+        assert ([[0], []], LineStatus.NO_TRAY) == (side.locate_tray(), side.error())
+        cell.call(lambda: cell.cycle.exchange(cell.pick(Picking(Order.POCKET, tray=TRAY)).setup))
+        cell.targets = tuple(make_target(x_mm=x_mm) for x_mm in (200.0, 0.0))
+        assert ([[4, 2, 2], [1, 3]], 0) == (side.locate_tray(), side.error())
+        assert not bits(cell) & StatusBit.RESULT_VALID
+        cell.targets = ()
+        assert ([[4, 0, 1], []], 102) == (side.locate_tray(), side.error())
+        cell.head.broken = True
+        assert ([[0], []], 6) == (side.locate_tray(), side.error())
+
+
+@sides
+def test_a_part_that_is_held_askew_is_placed_as_the_golden_one(make: type[Any]) -> None:
+    """The place times what the program says, whatever the tool; 121 without a golden part."""
+    place = transform_of(Brand.KUKA, (700.0, 350.0, -40.0, 95.0, -10.0, 170.0))
+    tool_from_golden = make_transform((0.2, -0.1, 0.4), (4.0, -3.0, 60.0))
+    tool_from_now = tool_from_golden @ make_transform((0.02, 0.03, -0.05), (1.5, -0.8, 0.4))
+    with running(make) as (cell, side):
+        look = side.link.arm.tip
+
+        def asked(tool_from_part: np.ndarray) -> tuple[float, ...] | None:
+            held = dataclasses.replace(make_target(), rig_from_part=look @ tool_from_part)
+            cell.targets = (
+                held,
+                dataclasses.replace(held, rig_from_part=held.rig_from_part @ tool_from_now),
+            )
+            if hasattr(side, "locate_place"):
+                return side.locate_place()
+            assert side.locate() is not None
+            return side.askew()
+
+        assert (None, LineStatus.NO_OFFSET) == (asked(tool_from_now), side.error())
+        cell.targets = (dataclasses.replace(make_target(), rig_from_part=look @ tool_from_golden),)
+        assert side.golden(), side.error()
+        numbers = asked(tool_from_now)
+        assert numbers is not None, side.error()
+        lies, wanted = place @ transform_of(side.brand, numbers) @ tool_from_now, place @ tool_from_golden
+        np.testing.assert_allclose(lies[:3, 3], wanted[:3, 3], atol=1e-2)
+        np.testing.assert_allclose(lies[:3, :3], wanted[:3, :3], atol=1.8e-4)
+        assert np.linalg.norm((place @ tool_from_now)[:3, 3] - wanted[:3, 3]) > 1.0
 
 
 @pytest.mark.parametrize("make", [one for one in SIDES if one is not Yaskawa], ids=lambda one: one.__name__)

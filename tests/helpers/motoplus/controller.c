@@ -61,7 +61,7 @@ LONG mpGetCartPosEx(MP_CARTPOS_EX_SEND_DATA *asked, MP_CART_POS_RSP_DATA_EX *pos
 {
     int i;
 
-    assert(asked->sRobotNo == 0 && asked->sFrame == 0 && asked->sToolNo == 5);
+    assert(asked->sRobotNo == 0 && asked->sFrame == 0 && asked->sToolNo == (memory[80] == 12 ? 1 : 5));
     for (i = 0; i < 6; i++)
         position->lPos[i] = memory[PLACE + i];
     return 0;
