@@ -124,6 +124,21 @@ async def test_thumbnails_open_and_zoom_with_wheel_buttons_and_keys() -> None:
         await page.until(f"!{OPEN}")
 
 
+async def test_the_tray_says_which_pocket_is_next_and_which_are_empty() -> None:
+    """Where the job has one; without a good part none is next."""
+    text = '(document.querySelector("#reading .tray")?.textContent ?? "")'
+    async with on_the_page() as (page, web):
+        assert "" == await page.value(text)
+        found = tuple(replace(make_target(), pocket=pocket) for pocket in (2, 4))
+        web.announce(replace(make_snapshot(12, targets=found), pockets=5))
+        await page.until(f"{text}.length > 0")
+        told = await page.value(text)
+        assert "tray: 2 of 5 pockets have a part; next: 2; without a part: 1, 3, 5" == told
+        web.announce(replace(make_snapshot(13, Status.NO_TARGET), pockets=2))
+        await page.until(f'{text}.includes("0 of 2")')
+        assert "next: –; without a part: 1, 2" in await page.value(text)
+
+
 @pytest.mark.slow
 async def test_a_fault_opens_with_its_reason_and_its_count() -> None:
     """The first of two alike has its pictures; the live picture opens, too, and what comes later is newer."""

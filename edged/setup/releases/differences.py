@@ -13,6 +13,7 @@ import numpy as np
 from pydantic import JsonValue
 
 from edged.domain.arrays import FloatArray
+from edged.domain.picking import Tray
 from edged.errors import UserError
 from edged.setup.cellfiles import CellFiles, UnfinishedCell
 from edged.setup.documents import Frozen
@@ -147,6 +148,7 @@ def changes_of(before: Job, after: Job) -> Iterator[Difference]:
     ):
         yield Difference(code="gripping", before=[*names[0]], after=[*names[1]])
     yield from _other("picking", None, str(before.picking.order), str(after.picking.order))
+    yield from _other("tray", None, _tray(before.picking.tray), _tray(after.picking.tray))
     if before.picking.bounds != after.picking.bounds:
         yield Difference(code="bounds")
     if not _same_shape(before, after):
@@ -200,6 +202,15 @@ def _wanted(size: MeasurementSpec) -> list[JsonValue]:
     values = size.nominal, size.tolerance
     shown = [_degrees(value) if size.kind == "angle" else value for value in values]
     return [None if value is None else round(value, 5) for value in shown]
+
+
+def _tray(tray: Tray | None) -> JsonValue:
+    """Pockets along each direction, and where the first and the last ones lie."""
+    return (
+        None
+        if tray is None
+        else {name: json.loads(json.dumps(value)) for name, value in asdict(tray).items()}
+    )
 
 
 def _same_shape(before: Job, after: Job) -> bool:

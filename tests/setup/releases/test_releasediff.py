@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from edged.domain.picking import Tray
 from edged.files.jobs import load_job, save_job
 from edged.files.rig import load_rig, save_rig
 from edged.setup.cellfiles import read_any_cell, read_cell
@@ -58,6 +59,9 @@ def test_a_job_is_told_by_what_changed_in_it(template: Path, tmp_path: Path) -> 
             circles=(replace(circle, radius_mm=circle.radius_mm + 0.5), more),
             limits=replace(job.limits, max_sigma_mm=0.05),
             measurements=(*job.measurements, size),
+            picking=replace(
+                job.picking, tray=Tray((0.0,) * 3, ((90.0, 0.0, 0.0), *((0.0,) * 3,) * 2), (4, 1, 1), 8.0)
+            ),
         )
 
     found = told(template, tmp_path, with_job(change))
@@ -69,6 +73,13 @@ def test_a_job_is_told_by_what_changed_in_it(template: Path, tmp_path: Path) -> 
     before, after = codes.pop(("feature", "c0"))
     assert [1.0] == pytest.approx([after[0] - before[0]], abs=1e-3)
     assert (None, [5.0, 0.1]) == codes.pop(("size", "gap"))
+    was, tray = codes.pop(("tray", None))
+    assert (None, [4, 1, 1], [90.0, 0.0, 0.0], 8.0) == (
+        was,
+        tray["counts"],
+        tray["ends_mm"][0],
+        tray["tolerance_mm"],
+    )
     assert {} == codes
 
 

@@ -61,9 +61,22 @@ export function showResult({ result, why, angles, state }) {
     if (turned) parts.push(note(t("run-abc", { convention })));
   }
   if (!parts.length) parts.push(element("p", {}, statusOf(result.status)), ...causes(why));
+  if (result.tray) parts.unshift(element("p", { class: "tray" }, pockets(result)));
   const { total, ...times } = result.timing_ms;
   const stages = Object.entries(times).map(([name, ms]) => `${t(`run-stage-${name}`)} ${number(ms)}`);
   place.replaceChildren(...parts, note(t("run-timing", { total: number(total), stages: stages.join(", ") })));
+}
+
+// Which pocket is next, and which are without a part.
+function pockets({ tray, targets }) {
+  const all = Array.from({ length: tray.pockets }, (_, i) => i + 1);
+  const empty = all.filter((pocket) => !tray.taken.includes(pocket));
+  return t("run-tray", {
+    taken: String(tray.taken.length),
+    pockets: String(tray.pockets),
+    next: String(targets[0]?.pocket ?? "–"),
+    empty: empty.join(", ") || "–",
+  });
 }
 
 // --- error budget ---

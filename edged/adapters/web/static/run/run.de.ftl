@@ -86,6 +86,7 @@ run-radius = Radius { $name }
 run-angle = Winkel im Bild
 run-score = Ähnlich{"\u00AD"}keit
 run-rows = Zeilen{"\u00AD"}abstand
+run-tray = Ablage: { $taken } von { $pockets } Taschen haben ein Teil; als nächste: { $next }; ohne Teil: { $empty }
 run-abc = A, B, C: { $convention }
 run-convention-fixed-xyz = FANUC W P R, Yaskawa
 run-convention-kuka-abc = KUKA A B C

@@ -86,6 +86,7 @@ run-radius = radius { $name }
 run-angle = angle in image
 run-score = score
 run-rows = row difference
+run-tray = tray: { $taken } of { $pockets } pockets have a part; next: { $next }; without a part: { $empty }
 run-abc = A, B, C: { $convention }
 run-convention-fixed-xyz = FANUC W P R, Yaskawa
 run-convention-kuka-abc = KUKA A B C

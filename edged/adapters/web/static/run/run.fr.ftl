@@ -86,6 +86,7 @@ run-radius = rayon { $name }
 run-angle = angle dans l’image
 run-score = score
 run-rows = écart de ligne
+run-tray = plateau : { $taken } alvéoles sur { $pockets } ont une pièce ; suivante : { $next } ; sans pièce : { $empty }
 run-abc = A, B, C : { $convention }
 run-convention-fixed-xyz = FANUC W P R, Yaskawa
 run-convention-kuka-abc = KUKA A B C

@@ -86,6 +86,7 @@ run-radius = 半径 { $name }
 run-angle = 画像内の角度
 run-score = スコア
 run-rows = 行の差
+run-tray = トレイ：ポケット{ $pockets }個のうち{ $taken }個に部品あり；次：{ $next }；部品なし：{ $empty }
 run-abc = A、B、C：{ $convention }
 run-convention-fixed-xyz = FANUC W P R、安川
 run-convention-kuka-abc = KUKA A B C

@@ -86,6 +86,7 @@ run-radius = 半径 { $name }
 run-angle = 图像中的角度
 run-score = 得分
 run-rows = 行差
+run-tray = 托盘：{ $pockets } 个槽位中 { $taken } 个有工件；下一个：{ $next }；无工件：{ $empty }
 run-abc = A、B、C：{ $convention }
 run-convention-fixed-xyz = FANUC W P R、Yaskawa
 run-convention-kuka-abc = KUKA A B C

@@ -70,6 +70,7 @@ diff-feature-moved = Merkmal { $name } liegt { $after } µm anders auf dem Teil
 diff-size = Maß { $name } (Nennmaß × Toleranz): { $before } → { $after }
 diff-gripping = Greifpunkte: { $before } → { $after }
 diff-picking = Reihenfolge beim Greifen: { $before } → { $after }
+diff-tray = Ablage: { $before } → { $after }
 diff-bounds = wohin der Roboter darf
 diff-shape = die gesuchte Form wurde neu eingelernt
 diff-rig = Kalibrierung { $before } → { $after }

@@ -70,6 +70,7 @@ diff-feature-moved = feature { $name } lies { $after } µm elsewhere on the part
 diff-size = size { $name } (nominal × tolerance): { $before } → { $after }
 diff-gripping = gripping points: { $before } → { $after }
 diff-picking = order of picking: { $before } → { $after }
+diff-tray = tray: { $before } → { $after }
 diff-bounds = where the robot may go
 diff-shape = the shape to look for was learnt anew
 diff-rig = Calibration { $before } → { $after }

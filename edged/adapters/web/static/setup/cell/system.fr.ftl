@@ -70,6 +70,7 @@ diff-feature-moved = la caractéristique { $name } est déplacée de { $after } 
 diff-size = cote { $name } (nominal × tolérance) : { $before } → { $after }
 diff-gripping = points de prise : { $before } → { $after }
 diff-picking = ordre de prise : { $before } → { $after }
+diff-tray = plateau : { $before } → { $after }
 diff-bounds = où le robot peut aller
 diff-shape = la forme à chercher a été réapprise
 diff-rig = Calibrage { $before } → { $after }

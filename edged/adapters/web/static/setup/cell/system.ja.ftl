@@ -70,6 +70,7 @@ diff-feature-moved = 特徴 { $name } がワーク上で { $after } µm 移動
 diff-size = 寸法 { $name }（基準値 × 公差）：{ $before } → { $after }
 diff-gripping = 把持点：{ $before } → { $after }
 diff-picking = 取り出し順：{ $before } → { $after }
+diff-tray = トレイ：{ $before } → { $after }
 diff-bounds = ロボットの動作可能範囲
 diff-shape = 探索する形状を学習し直し
 diff-rig = キャリブレーション { $before } → { $after }

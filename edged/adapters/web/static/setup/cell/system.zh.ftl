@@ -70,6 +70,7 @@ diff-feature-moved = 特征 { $name } 在工件上移动了 { $after } µm
 diff-size = 尺寸 { $name }（标称值 × 公差）：{ $before } → { $after }
 diff-gripping = 抓取点：{ $before } → { $after }
 diff-picking = 抓取顺序：{ $before } → { $after }
+diff-tray = 托盘：{ $before } → { $after }
 diff-bounds = 机器人可到达的范围
 diff-shape = 已重新学习要搜索的形状
 diff-rig = 标定 { $before } → { $after }
