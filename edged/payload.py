@@ -79,6 +79,9 @@ def target_to_json(
     }
     if target.pocket:
         document["pocket"] = target.pocket
+    if target.belt is not None:
+        part = target.belt
+        document["belt"] = {"part": part.number, "pose": _pose(part.belt_from_part, part.belt_covariance)}
     if target.offset is not None:
         document["offset"] = _offset(target.offset)
     if target.robot_shift is not None:
@@ -147,6 +150,9 @@ def snapshot_to_json(snapshot: Snapshot) -> Json:
     if snapshot.pockets:
         taken = sorted({target.pocket for target in snapshot.targets if target.pocket})
         asked["tray"] = {"pockets": snapshot.pockets, "taken": taken}
+    if snapshot.belt is not None:
+        belt = snapshot.belt
+        asked["belt"] = {"count": round(belt.count), "speed_mm_s": belt.speed_mm_s, "sigma_mm": belt.sigma_mm}
     if snapshot.marks.state is not MarksState.NONE:
         asked["marks"] = marks_to_json(snapshot.marks)
     return {

@@ -10,6 +10,8 @@ import numpy as np
 
 from edged.cell.drift import DriftLimits
 from edged.cell.loaded import LoadedJob, Setup
+from edged.config.configuration import Config
+from edged.domain.belt import Belt
 from edged.domain.events import Snapshot
 from edged.domain.frames import FramePair
 from edged.domain.marks import MarksState
@@ -30,6 +32,7 @@ from edged.setup.cellfiles import (
     read_cell,
 )
 from edged.setup.marks import rig_marks
+from edged.vision.geometry.camera import StereoRig
 from edged.vision.kernels.jit import load_called
 from edged.vision.part.job import Job
 
@@ -97,6 +100,7 @@ def _loaded(cell: CellFiles) -> LoadedCell:
         listens=config.cycle.mode == "external",
         drift=DriftLimits(**config.drift.model_dump()),
         bounds=config.limits.bounds(),
+        belt=_belt(config, cell.rig),
         idle_s=config.cycle.idle_s,
         marks=None
         if cell.marks is None
@@ -105,6 +109,14 @@ def _loaded(cell: CellFiles) -> LoadedCell:
         acceptance=cell.acceptance,
     )
     return LoadedCell(cell, rig, setup)
+
+
+def _belt(config: Config, rig: StereoRig) -> Belt | None:
+    if config.belt is None:
+        return None
+    exposures_us = [side.exposure_us or 0.0 for side in (config.cameras.left, config.cameras.right)]
+    focal_px = max(max(model.fx, model.fy) for model in (rig.left, rig.right))
+    return config.belt.belt(1e-6 * max(exposures_us), focal_px)
 
 
 def with_registration(loaded: LoadedCell) -> LoadedCell:

@@ -16,6 +16,7 @@ from edged.cell.drift import DriftMonitor
 from edged.cell.lease.cameras import SetupCameras
 from edged.cell.lease.lease import SetupLease
 from edged.cell.loaded import NO_JOB, MarksFollower, Setup
+from edged.domain.belt import PartsSeen
 from edged.domain.cell import CellPhase, CellState, SetupSource
 from edged.domain.events import PLC_SOURCE, Basis, Command, CommandFailed, Idle
 from edged.domain.frames import FramePair
@@ -64,6 +65,7 @@ class CellContext:
     registrant : source of the client that registers the rig by commands; "" when none does.
     in_setup : the loop serves SETUP and measures nothing.
     number, missed : of the newest cycle; triggers missed since the start.
+    seen : parts on the conveyor belt.
     track, marks : where the reference marks say that the cameras are, and what they said last; None without.
     announced_marks : what they said when that changed last.
     """
@@ -85,6 +87,7 @@ class CellContext:
         self.in_setup = False
         self.number = 0
         self.missed = 0
+        self.seen = PartsSeen()
         self.vision = ThreadPoolExecutor(1, thread_name_prefix="vision")
         self.track: MarksTrack | None = None
         self.marks = self.announced_marks = MarksReport()
@@ -103,6 +106,8 @@ class CellContext:
         Returns whether calibration or files differ from those used before.
         """
         before, self.setup = self.setup, setup
+        if setup.belt != before.belt:
+            self.seen = PartsSeen()
         self._begin_marks(before.marks)
         if (setup.calibration_id, setup.drift) != (before.calibration_id, before.drift):
             self.drift = DriftMonitor(setup.drift)

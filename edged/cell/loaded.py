@@ -11,6 +11,7 @@ import numpy as np
 from edged.cell.drift import DriftLimits
 from edged.domain.acceptance import Acceptance
 from edged.domain.arrays import FloatArray
+from edged.domain.belt import Belt
 from edged.domain.cell import SetupSource
 from edged.domain.events import WITHOUT_PICTURE, Command, CommandKind
 from edged.domain.frames import FramePair
@@ -81,6 +82,7 @@ class Setup:
     registration_covariance : (6, 6) of robot_from_rig, or of flange_from_rig.
     bounds : where the robot may go, whatever the job. marks : None: nothing is corrected; others : why, where
     there are reference marks all the same. error_map : of the robot. acceptance : the last test of the cell.
+    belt : that carries the parts; None: they lie still.
     """
 
     jobs: Mapping[int, LoadedJob]
@@ -101,6 +103,7 @@ class Setup:
     error_map: ErrorMap | None = None
     others: MarksState = MarksState.NONE
     acceptance: Acceptance = field(default_factory=Acceptance)
+    belt: Belt | None = None
 
     @property
     def map_figures(self) -> MapFigures:
@@ -123,6 +126,9 @@ class Setup:
                 return "the rig is not registered to the robot: GOLDEN is kept in its frame"
             if command.tries_all:
                 return "GOLDEN is of one job, not of all"
+        is_on_belt = self.belt is not None and self.belt.source == "command"
+        if is_on_belt and command.kind is CommandKind.LOCATE and command.belt is None:
+            return "the parts are on a belt: LOCATE needs its count (OPTIONS with BELT, and BELT_COUNT)"
         needs_place = self.flange_from_rig is not None and command.kind in _IN_ROBOTS_FRAME
         if needs_place and command.robot_from_flange is None:
             return f"the robot carries the cameras: {command.kind.name} needs the pose of the flange"

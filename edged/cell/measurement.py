@@ -11,6 +11,7 @@ from edged.cell.announcements import log
 from edged.cell.context import CellContext
 from edged.cell.drift import refused
 from edged.cell.loaded import LoadedJob
+from edged.domain.belt import BeltMoment
 from edged.domain.cell import CalibrationHealth
 from edged.domain.events import Command, CommandKind, Snapshot
 from edged.domain.frames import FramePair
@@ -18,6 +19,7 @@ from edged.domain.marks import MarksTrack
 from edged.domain.measurement import Outcome, Status
 from edged.domain.stopwatch import Stopwatch
 from edged.errors import CaptureError
+from edged.robot.belt import moment_of, on_belt
 from edged.robot.picking import picked
 
 TRY_ALL_S = 3.0
@@ -56,7 +58,7 @@ class CycleRun:
             job, outcome = await self._best(pair)
         else:
             job, outcome = self._job, await self._located(self._job, pair)
-        outcome = self._picked(job, self._watched(job, outcome))
+        outcome = self._picked(job, self._on_belt(pair, self._watched(job, outcome)))
         if not self.cell.marks.valid:
             outcome = refused(outcome)
         golden = job.golden
@@ -114,6 +116,21 @@ class CycleRun:
         frame, _ = self.cell.setup.frame(self.command)
         return picked(outcome, self.cell.setup.picking(job, self.command), frame)
 
+    def _on_belt(self, pair: FramePair, outcome: Outcome) -> Outcome:
+        """The outcome of parts that move: each with its number, blurred ones refused."""
+        belt = self.cell.setup.belt
+        if belt is None:
+            return outcome
+        frame, _ = self.cell.setup.frame(self.command)
+        outcome, self.cell.seen = on_belt(
+            outcome, belt, self._moment(pair), frame.robot_from_rig, self.cell.seen
+        )
+        return outcome
+
+    def _moment(self, pair: FramePair) -> BeltMoment | None:
+        belt, command = self.cell.setup.belt, self.command
+        return None if belt is None else moment_of(belt, pair, None if command is None else command.belt)
+
     def _watched(self, job: LoadedJob, outcome: Outcome) -> Outcome:
         """The outcome with good results refused while the calibration is known to be wrong."""
         for target in outcome.targets:
@@ -133,6 +150,7 @@ class CycleRun:
             dismissed=outcome.dismissed,
             nearest=outcome.nearest,
             pockets=outcome.pockets,
+            belt=self._moment(pair),
             marks_before=before,
         )
 

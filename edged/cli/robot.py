@@ -42,6 +42,24 @@ def grasp_touch(
     raise typer.Exit(command(rig, job, left, right, asked, screen()))
 
 
+@app.command("belt")
+def belt_command(
+    rig: RigOption,
+    board: Annotated[str, typer.Option(help="that lies on the belt, as for calibrate")],
+    counts: Annotated[tuple[int, int], typer.Option(help="of the encoder at the first and the second pair")],
+    left: Annotated[Path, typer.Argument(help="left image at the first count")],
+    right: Annotated[Path, typer.Argument(help="right image")],
+    later_left: Annotated[Path, typer.Argument(help="left image at the second count")],
+    later_right: Annotated[Path, typer.Argument(help="right image")],
+) -> None:
+    """Direction and scale of a conveyor belt, from a board that it carried: prints [belt] for cell.toml."""
+    from edged.commands.belt import CountedPair
+    from edged.commands.belt import belt as command
+
+    first, second = CountedPair(counts[0], left, right), CountedPair(counts[1], later_left, later_right)
+    raise typer.Exit(command(rig, board, first, second, screen()))
+
+
 register = typer.Typer(help="Bring results into the robot's frame.", no_args_is_help=True)
 app.add_typer(register, name="register")
 PosesOption = Annotated[

@@ -8,6 +8,7 @@ from typing import Annotated, Literal
 from pydantic import Field, field_validator, model_validator
 
 from edged.config.fields import FilePath, Name, Section
+from edged.domain.belt import Belt
 from edged.domain.picking import Bounds, Box, Gripper
 from edged.errors import CalibrationError
 from edged.vision.boards.board import NominalBoard, parse_boards
@@ -147,6 +148,59 @@ class LimitsSection(Section):
             tuple(zone.box() for zone in self.box),
             tuple(zone.box() for zone in self.keep_out),
             None if self.gripper is None else self.gripper.gripper(),
+        )
+
+
+Step = Annotated[list[Annotated[float, Field(ge=-10, le=10)]], Field(min_length=3, max_length=3)]
+
+
+class BeltSection(Section):
+    """A conveyor belt that carries the parts, as `edged belt` teaches it. Left out: they lie still."""
+
+    mm_per_count: Step = Field(
+        description="by how much a part goes on with one count of the encoder: x, y, z of the robot's frame"
+    )
+    first_mm: Corner = Field(description="origin of the belt's frame, whose x is along the travel")
+    speed_mm_s: float = Field(
+        gt=0, le=5000, description="of the belt, the highest; counts where no client says its speed"
+    )
+    source: Literal["command", "camera"] = Field(
+        "command",
+        description='of the count: "command": a client writes it with LOCATE; "camera": `count` of a camera',
+    )
+    jitter_ms: float = Field(
+        1.0, ge=0, le=1000, description="one sigma of when the count was read; times the speed it is in sigma"
+    )
+    counts: int = Field(
+        2**32, ge=2**8, le=2**32, description="after so many the encoder's register begins again at 0"
+    )
+    same_mm: float = Field(
+        10.0,
+        gt=0,
+        le=1000,
+        description="two parts nearer than this, by the belt, are one that was seen twice",
+    )
+
+    @field_validator("mm_per_count")
+    @classmethod
+    def _goes_on(cls, step: list[float]) -> list[float]:
+        if not math.hypot(*step) > 1e-6:
+            raise ValueError("expected at least 0.000001 mm a count")
+        return step
+
+    def belt(self, exposure_s: float, focal_px: float) -> Belt:
+        """The value that is measured by."""
+        (a, b, c), (x, y, z) = self.mm_per_count, self.first_mm
+        return Belt(
+            (a, b, c),
+            (x, y, z),
+            self.counts,
+            self.source,
+            self.speed_mm_s,
+            self.jitter_ms / 1000,
+            exposure_s,
+            focal_px,
+            self.same_mm,
         )
 
 

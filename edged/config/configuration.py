@@ -8,6 +8,7 @@ from pydantic import model_validator
 
 from edged.config.cameras import CamerasSection
 from edged.config.cell import (
+    BeltSection,
     CellSection,
     CycleSection,
     DriftSection,
@@ -37,6 +38,7 @@ class Config(Section):
     drift: DriftSection = DriftSection()
     marks: MarksSection = MarksSection()
     limits: LimitsSection = LimitsSection()
+    belt: BeltSection | None = None
     registration: RegistrationSection | None = None
     recorder: RecorderSection | None = None
     history: HistorySection | None = None
@@ -57,6 +59,23 @@ class Config(Section):
             raise ValueError(
                 'cycle.mode "external" needs cameras that others trigger: cameras.trigger.mode "line", '
                 '"action", "free-run", or "chain" with first_line'
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _moving(self) -> Config:
+        if self.belt is None:
+            return self
+        sides = self.cameras.left, self.cameras.right
+        if any(side.exposure_us is None for side in sides):
+            raise ValueError("belt: needs cameras.left.exposure_us and right.exposure_us, to know the blur")
+        if self.cameras.exposure_ratio is not None:
+            raise ValueError("belt: not with cameras.exposure_ratio, for which the part lies still")
+        if self.belt.source == "camera" and not any(side.count for side in sides):
+            raise ValueError('belt.source "camera": needs cameras.left.count or cameras.right.count')
+        if self.belt.source == "command" and self.cycle.mode != "command":
+            raise ValueError(
+                'belt.source "command": needs cycle.mode "command", in which a client says the count'
             )
         return self
 

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field, fields, is_dataclass
 import numpy as np
 
 from edged.domain.arrays import FloatArray
+from edged.domain.belt import BeltMoment, BeltReading
 from edged.domain.cell import CellState, DriftState
 from edged.domain.frames import FramePair
 from edged.domain.golden import GoldenState
@@ -71,6 +72,7 @@ class Command:
     box : the only box of the cell that counts, from 1; 0: every box.
     shown : the numbers behind robot_from_flange, as the robot wrote them; () if unknown.
     skipped_mm (x, y, z) : where the part lay that could not be picked, as published; None: none is skipped.
+    belt : where the conveyor belt was; None: not given.
     """
 
     kind: CommandKind
@@ -82,6 +84,7 @@ class Command:
     box: int = 0
     shown: tuple[float, ...] = field(default=(), compare=False)
     skipped_mm: tuple[float, float, float] | None = None
+    belt: BeltReading | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,7 +136,7 @@ class Snapshot:
     published_ns : UTC ns when the result was complete.
     timing_ms : stage name to duration.
     error, error_code : the fault of a CAPTURE_FAULT; empty and 0 otherwise.
-    dismissed, nearest, pockets : see `Outcome`.
+    dismissed, nearest, pockets : see `Outcome`. belt : at the exposure; None: there is none, or nobody said.
     basis : number of the `Basis` it was measured on.
     robot_from_rig (4, 4), or None where the rig is not registered to a robot; registration_covariance (6, 6)
     of it, or None where it is not known.  drift : of the calibration, this cycle included.
@@ -169,6 +172,7 @@ class Snapshot:
     marks: MarksReport = field(default_factory=MarksReport)
     marks_before: MarksTrack | None = None
     pockets: int = 0
+    belt: BeltMoment | None = None
 
     def __post_init__(self) -> None:
         for part in (self.targets, self.robot_from_rig, self.registration_covariance, self.marks_before):

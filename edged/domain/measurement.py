@@ -10,6 +10,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from edged.domain.arrays import FloatArray
+from edged.domain.belt import OnBelt
 from edged.domain.golden import Offset
 from edged.domain.picking import GraspPose
 from edged.domain.robotmap import RobotShift
@@ -60,6 +61,10 @@ class Reject(enum.IntFlag):
     """No `[[grasp]]` of the job lies where the robot may go."""
     OUT_OF_MAP = 1 << 13
     """Beyond the touched points of the map of the robot's error: how wrong it is there is not known."""
+    BLUR = 1 << 14
+    """A belt moves it by more than a pixel during the exposure: expose shorter, or let the belt go slower."""
+    NO_COUNT = 1 << 15
+    """On a belt, and nobody said where that was at the exposure."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -195,7 +200,8 @@ class Target:
     reported : what is published in place of the reference point's pose; None: that one.
     offset : how it lies against the golden part; None where the job has none.
     robot_shift : by the map of the robot's error; None where there is none.
-    pocket : of the tray in which it lies, from 1; 0: in none.
+    pocket : of the tray in which it lies, from 1; 0: in none. belt : where it is on the conveyor belt; None:
+    there is none.
     doubt_mm : part of the distance's sigma, in every covariance, from evidence against the rig: rows that
     do not meet, sizes that are all wrong by one factor.
     by_edges, by_doubt, by_marks (6, 6) : parts of the covariance from the edges, from the doubt, and from the
@@ -226,6 +232,7 @@ class Target:
     reported: ReportedPose | None = None
     offset: Offset | None = None
     robot_shift: RobotShift | None = None
+    belt: OnBelt | None = None
 
     @property
     def as_reported(self) -> Target:

@@ -17,6 +17,7 @@ from edged.codec.codec import FORMAT, Codec
 from edged.config.chosencameras import ChosenCamera
 from edged.domain import (
     acceptance,
+    belt,
     cell,
     events,
     exposure,
@@ -37,6 +38,9 @@ MOST_BYTES = 256 << 20
 TYPES: tuple[type, ...] = (
     acceptance.Acceptance,
     acceptance.AcceptanceState,
+    belt.BeltMoment,
+    belt.BeltReading,
+    belt.OnBelt,
     cell.CalibrationHealth,
     cell.CellPhase,
     cell.CellState,

@@ -28,6 +28,8 @@ REASONS = {
     Reject.KEEP_OUT: "in a keep-out zone",
     Reject.NO_GRASP: "no grasp where the robot may go",
     Reject.OUT_OF_MAP: "beyond the map of the robot's error",
+    Reject.BLUR: "blurred by the belt",
+    Reject.NO_COUNT: "nobody said where the belt was",
 }
 
 REMEDIES = {

@@ -58,14 +58,14 @@ def image_from_cell(values: Mapping[str, Number], *, little: bool) -> bytes:
 def values_to_cell(image: bytes, *, little: bool) -> dict[str, Number]:
     """Values of the command block by name; image : 64 bytes.
 
-    Of OPTIONS, ALL_JOBS and SKIP alone: an image stays in the PLC's memory, so ONCE would run an old command
-    after each start, and RELEASE give up the right to write with every read.
+    Of OPTIONS, ALL_JOBS, SKIP and BELT alone: an image stays in the PLC's memory, so ONCE would run an old
+    command after each start, and RELEASE give up the right to write with every read.
     """
     form = _form(TO_CELL, little)
     values: dict[str, Number] = {
         register.name: value for register, value in zip(TO_CELL, form.unpack_from(image), strict=True)
     }
-    return values | {"OPTIONS": int(values["OPTIONS"]) & (Option.ALL_JOBS | Option.SKIP)}
+    return values | {"OPTIONS": int(values["OPTIONS"]) & (Option.ALL_JOBS | Option.SKIP | Option.BELT)}
 
 
 NO_IMAGE = bytes(FROM_CELL_BYTES)

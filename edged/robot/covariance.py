@@ -18,7 +18,7 @@ def robot_covariance(
     moves a point p by w x p, and turns every part by w. Places of a map were fitted beside that registration:
     its error is in the map's own.
     """
-    covariance = rotate_covariance(target.covariance, robot_from_rig)
+    covariance = rotate_covariance(rig_covariance(target), robot_from_rig)
     jacobian = np.eye(6)
     shift = target.robot_shift
     if shift is not None:
@@ -30,6 +30,11 @@ def robot_covariance(
         return covariance
     jacobian[:3, 3:] = -skew((robot_from_rig @ target.rig_from_part)[:3, 3])
     return np.asarray(covariance + jacobian @ registration @ jacobian.T)
+
+
+def rig_covariance(target: Target) -> FloatArray:
+    """(6, 6) of a target's pose in the rig's frame, with what is not known of the belt that carries it."""
+    return target.covariance if target.belt is None else target.covariance + target.belt.covariance
 
 
 def robot_pose(target: Target, robot_from_rig: FloatArray) -> FloatArray:

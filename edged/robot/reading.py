@@ -8,7 +8,7 @@ import numpy as np
 
 from edged.domain.arrays import FloatArray
 from edged.domain.measurement import Target
-from edged.robot.covariance import robot_covariance, robot_pose
+from edged.robot.covariance import rig_covariance, robot_covariance, robot_pose
 from edged.robot.orientations import ANGLES_DEG, Convention, sigma_angles_deg
 
 
@@ -34,7 +34,7 @@ def reading_of(
 
     registration (6, 6) : as for `robot_covariance`. The pose and its covariance must be finite.
     """
-    pose, covariance = target.rig_from_part, target.covariance
+    pose, covariance = target.rig_from_part, rig_covariance(target)
     if robot_from_rig is not None:
         pose = robot_pose(target, robot_from_rig)
         covariance = robot_covariance(target, robot_from_rig, registration)

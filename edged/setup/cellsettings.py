@@ -46,6 +46,7 @@ NOT_HERE: Mapping[str, str] = {
     "zenoh.commands": "strangers",
     "zenoh.shared_key": "strangers",
     "limits": "bounds",
+    "belt": "wiring",
     "registration": "bounds",
     "marks": "bounds",
 }

@@ -19,6 +19,7 @@ from edged.adapters.modbus.settings import MAP_END, ModbusSettings
 from edged.cell.ages import ExposureClock
 from edged.domain.acceptance import Acceptance
 from edged.domain.arrays import FloatArray
+from edged.domain.belt import BeltReading
 from edged.domain.cell import CellPhase, CellState, SetupSource
 from edged.domain.events import (
     PLC_SOURCE,
@@ -71,7 +72,17 @@ UR_STATUS = tuple(
     and register.name != "UR_JOB"  # of the result, not of the command
 )
 """Words of the block ur that repeat the status: name in the status, byte of the map."""
-RESULT_BLOCKS = (reg.RESULT, reg.UR, reg.UR_GRASP, reg.FLOAT, reg.GRASP, reg.OFFSET, reg.UR_OFFSET, reg.TRAY)
+RESULT_BLOCKS = (
+    reg.RESULT,
+    reg.UR,
+    reg.UR_GRASP,
+    reg.FLOAT,
+    reg.GRASP,
+    reg.OFFSET,
+    reg.UR_OFFSET,
+    reg.TRAY,
+    reg.BELT,
+)
 """Blocks that show the result on display."""
 EPOCHS = tuple(f"{block}START_EPOCH" for block in reg.PREFIXES)
 TABLE_START = 2 * reg.TABLE[0].address
@@ -351,8 +362,11 @@ class CellRegisters:
                 kind, tries_all = CommandKind(code), reg.Option.ALL_JOBS in options
                 box = self._command[_offset("BOX")]
                 pose = shown or written
+                belt = self._belt_reading() if reg.Option.BELT in options else None
                 self._submit(
-                    Command(kind, PLC_SOURCE, effect.ticket, job, flange, tries_all, box, pose, skipped_mm)
+                    Command(
+                        kind, PLC_SOURCE, effect.ticket, job, flange, tries_all, box, pose, skipped_mm, belt
+                    )
                 )
 
     def _lock(self, client: int | None) -> None:
@@ -360,6 +374,11 @@ class CellRegisters:
         was_locked, self._locked_by = self._locked_by is not None, client
         if self._commander is not None and was_locked != (client is not None):
             self._commander.lock_setup(client is not None)
+
+    def _belt_reading(self) -> BeltReading:
+        """What the client says of the belt, as of now."""
+        values = reg.decode(reg.COMMAND, self._command, self._settings.word_order)
+        return BeltReading(int(values["BELT_COUNT"]), float(values["BELT_SPEED"]) / 1000, time.time_ns())
 
     def _shown_last_mm(self) -> tuple[float, float, float] | None:
         """Where the part lay that was on display last, whatever became of it since; None: there was none."""

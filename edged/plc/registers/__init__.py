@@ -12,6 +12,7 @@ from edged.plc.registers.layout import (
     ACCEPTANCE,
     ADDRESS,
     AXES,
+    BELT,
     BITS,
     BLOCKS,
     COMMAND,

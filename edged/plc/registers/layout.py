@@ -72,7 +72,8 @@ COMMAND = make_block(
         others count in one request with CMD_SEQ. ONCE: it is not written again and again, so it runs as the
         first of a connection, too. ALL_JOBS: every job is tried, none is begun after 3 s; JOB of the result
         is the one whose part agrees best. SKIP: the part that was shown last could not be picked; the one
-        nearest to its place, within 30 mm, comes behind all other good parts of this picture
+        nearest to its place, within 30 mm, comes behind all other good parts of this picture. BELT:
+        BELT_COUNT and BELT_SPEED are those of now
     FLANGE_[XYZABC]  i32 µm/0.001° pose of the flange at the exposure, A, B, C as POSE_CONVENTION says, for a
         rig that the robot carries (LOCATE and GOLDEN are refused without it), and for REGISTER_ADD (after
         TOUCH_START of the tool's tip where it touched); with [limits.gripper] the tool turns least from
@@ -84,6 +85,9 @@ COMMAND = make_block(
         1; 0: each of them. Stays as it was written
     CONTROL          u16 bits {list_bits(ControlBit)}; bits 8 to 15 are the job, 0: the active one. For a
         program without CMD_SEQ, which it then must not write; BITS answers. Written last, or alone
+    BELT_COUNT       u32 - of the conveyor belt's encoder, as the client read it just before it wrote; for a
+        command with BELT in OPTIONS
+    BELT_SPEED       u32 µm/s of the belt, then; 0: it stands
     """,
     writable=True,
 )
@@ -403,6 +407,23 @@ TRAY = make_block(
     """,
 )
 
+BELT = make_block(
+    "belt",
+    1430,
+    """
+    B_SEQ_HEAD        u16 - as SEQ_HEAD
+    B_FLAGS           u16 bits as FLAGS; VALID when the part that is shown is on a belt
+    B_PART            u16 - number of the part, from 1; the same as often as it is seen
+    B_COUNT           u32 - of the encoder in the middle of the exposure, rounded; the pose here is that at it
+    B_SPEED           u32 µm/s of the belt
+    B_[XYZABC]        i32 µm/0.001° in the belt's frame, x along its travel; INT32_MIN when not VALID
+    B_SIGMA_[XYZABC]  u16 0.1_µm/0.001° one sigma; X has the speed times the jitter in it; 65535: not known
+    B_START_EPOCH     u32 - as START_EPOCH
+    B_CRC16           u16 - CRC-16/MODBUS of the words of this block before, each high byte first
+    B_SEQ_TAIL        u16 - as SEQ_TAIL
+    """,
+)
+
 JOBS = tuple(_job(index) for index in range(JOB_ROWS))
 TABLE = tuple(_row(index) for index in range(TABLE_ROWS))
 
@@ -410,7 +431,7 @@ BLOCKS = (
     *(CONSTANTS, COMMAND, STATUS),
     *(RESULT, UR, UR_GRASP, FLOAT, BITS, GRASP, REGISTRATION),
     *(*TABLE, TABLE_END, COUNTERS, *JOBS, OFFSET, UR_OFFSET, REFERENCE_MARKS, ACCEPTANCE, ROBOT_MAP),
-    TRAY,
+    *(TRAY, BELT),
 )
 ROWS = (TABLE, JOBS)
 """Blocks that repeat, row by row."""

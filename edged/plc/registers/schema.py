@@ -127,6 +127,8 @@ class Option(enum.IntFlag):
     """With CMD_SEQ in one request: LOCATE and VERIFY try every job, and the part that agrees best counts."""
     SKIP = 1 << 3
     """With CMD_SEQ in one request: the part that was shown last could not be picked, and comes last now."""
+    BELT = 1 << 4
+    """With CMD_SEQ in one request: BELT_COUNT and BELT_SPEED say where the belt is, and how fast."""
 
 
 class ControlBit(enum.IntFlag):

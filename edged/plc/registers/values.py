@@ -12,6 +12,7 @@ import numpy as np
 
 from edged.domain.acceptance import Acceptance
 from edged.domain.arrays import FloatArray
+from edged.domain.belt import BeltMoment, OnBelt
 from edged.domain.events import Basis, CommandKind, Snapshot
 from edged.domain.golden import Offset
 from edged.domain.marks import MarksReport
@@ -72,6 +73,15 @@ class Shift:
 
 
 @dataclass(frozen=True, slots=True)
+class BeltPose:
+    """A part on the belt. pose : X Y Z A B C, µm and 0.001°; sigma : mm and degrees."""
+
+    number: int
+    pose: tuple[int, ...]
+    sigma: tuple[float, ...]
+
+
+@dataclass(frozen=True, slots=True)
 class Pose:
     """One target in the units of the registers.
 
@@ -94,6 +104,7 @@ class Pose:
     other_tools: tuple[Tool, ...] = ()
     shift: Shift | None = None
     pocket: int = 0
+    belt: BeltPose | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,7 +114,7 @@ class RegisterResult:
     good : the first part was found and is within all limits.
     poses : of each target; None where a pose cannot be expressed (not finite, out of range).
     index : the target that is shown. golden, golden_s : O_STATE and O_GOLDEN. pockets : of the tray; taken :
-    those of them in which a part was found.
+    those of them in which a part was found. belt : count, and speed in µm/s.
     """
 
     code: ResultCode
@@ -120,6 +131,7 @@ class RegisterResult:
     golden_s: int = 0
     pockets: int = 0
     taken: frozenset[int] = frozenset()
+    belt: tuple[int, int] = (0, 0)
 
     def further(self) -> tuple[RegisterResult, ...]:
         """Copies that show each further good target, in order."""
@@ -172,6 +184,7 @@ def measured(snapshot: Snapshot, convention: Convention) -> RegisterResult:
         golden_s=_clamp(snapshot.golden_ns // 10**9, UINT32_MAX),
         pockets=snapshot.pockets,
         taken=frozenset(target.pocket for target in snapshot.targets if target.pocket),
+        belt=_belt_figures(snapshot.belt),
     )
 
 
@@ -235,7 +248,28 @@ def _pose(target: Target, snapshot: Snapshot, convention: Convention) -> Pose | 
         ),
         shift=_shift(target.offset, convention),
         pocket=target.pocket,
+        belt=_belt_pose(target.belt, convention),
     )
+
+
+def _belt_figures(moment: BeltMoment | None) -> tuple[int, int]:
+    if moment is None:
+        return 0, 0
+    return round(moment.count) & UINT32_MAX, _clamp(round(1000 * abs(moment.speed_mm_s)), UINT32_MAX)
+
+
+def _belt_pose(part: OnBelt | None, convention: Convention) -> BeltPose | None:
+    """None without one, or when a number does not fit its register."""
+    if part is None or not (_is_sane(part.belt_from_part) and _is_sane(part.belt_covariance)):
+        return None
+    R = part.belt_from_part[:3, :3]
+    exact = (*part.belt_from_part[:3, 3].tolist(), *ANGLES_DEG[convention](R))
+    numbers = tuple(round(value * 1000) for value in exact)
+    if any(not -INT32_MAX <= number <= INT32_MAX for number in numbers):
+        return None
+    sigma_mm = np.sqrt(np.maximum(np.diag(part.belt_covariance)[:3], 0.0))
+    sigma_deg = sigma_angles_deg(R, part.belt_covariance[3:, 3:], convention)
+    return BeltPose(part.number, numbers, (*sigma_mm.tolist(), *sigma_deg.tolist()))
 
 
 def _shift(offset: Offset | None, convention: Convention) -> Shift | None:
@@ -318,7 +352,7 @@ def _score(score: float) -> int:
     return round(min(max(score, 0.0), 1.0) * 1e4) if math.isfinite(score) else 0
 
 
-PREFIXES = ("", "UR_", "F_", "G_", "UG_", "TABLE_", "O_", "UO_", "P_")
+PREFIXES = ("", "UR_", "F_", "G_", "UG_", "TABLE_", "O_", "UO_", "P_", "B_")
 """Prefixes of the register names in each block that shows a result."""
 
 
@@ -357,7 +391,7 @@ def result_values(
         **{f"{block}SEQ_TAIL": tail for block in PREFIXES},
         **{f"{block}RESULT": shown.code for block in ("", "UR_", "F_")},
         **{f"{block}FLAGS": flags for block in ("", "UR_", "F_")},
-        **{f"{block}FLAGS": flags & ~Flag.VALID for block in ("G_", "UG_", "O_", "UO_")},
+        **{f"{block}FLAGS": flags & ~Flag.VALID for block in ("G_", "UG_", "O_", "UO_", "B_")},
         **{f"{block}STATE": shown.golden for block in ("O_", "UO_")},
         "O_GOLDEN": shown.golden_s,
     }
@@ -373,6 +407,8 @@ def result_values(
             values |= {"G_FLAGS": flags, "UG_FLAGS": flags, **_grasp_values(pose.tool)}
         if valid and pose.shift is not None:
             values |= {"O_FLAGS": flags, "UO_FLAGS": flags, **_offset_values(pose.shift)}
+        if valid and pose.belt is not None:
+            values |= {"B_FLAGS": flags, **_belt_values(pose.belt, shown.belt)}
     return values
 
 
@@ -382,6 +418,12 @@ def _tray_values(shown: RegisterResult) -> dict[str, Number]:
     values["P_FIRST_EMPTY"] = next(empty, 0)
     bits = sum(1 << (number - 1) for number in shown.taken)
     return values | {f"P_PARTS_{word + 1}": bits >> (16 * word) & UINT16_MAX for word in range(4)}
+
+
+def _belt_values(part: BeltPose, figures: tuple[int, int]) -> dict[str, Number]:
+    values: dict[str, Number] = dict(zip(("B_COUNT", "B_SPEED"), figures, strict=True))
+    values |= {f"B_{axis}": number for axis, number in zip(AXES, part.pose, strict=True)}
+    return values | {"B_PART": part.number, **_sigmas("B_", part.sigma)}
 
 
 def _offset_values(shift: Shift) -> dict[str, Number]:
@@ -411,7 +453,7 @@ def _grasp_values(tool: Tool) -> dict[str, Number]:
 
 NOTHING: dict[str, Number] = {
     **{f"SIGMA_{name}": UINT16_MAX for name in (*AXES, "RADIUS", "DEPTH")},
-    **{f"{block}SIGMA_{name}": UINT16_MAX for block in ("G_", "O_", "OP_") for name in AXES},
+    **{f"{block}SIGMA_{name}": UINT16_MAX for block in ("G_", "O_", "OP_", "B_") for name in AXES},
     "EPIPOLAR_ERROR": UINT16_MAX,
 }
 """Values of the block result without a result; INT32_MIN and NaN are the encoder's defaults."""

@@ -19,6 +19,8 @@ export const REASONS = [
   "KEEP_OUT",
   "NO_GRASP",
   "OUT_OF_MAP",
+  "BLUR",
+  "NO_COUNT",
   "NOT_FOUND",
   "CAPTURE",
 ];

@@ -1,0 +1,280 @@
+"""Parts on a virtual belt of 200 mm/s, located over real Modbus/TCP, against where they truly were."""
+
+from __future__ import annotations
+
+import time
+import tomllib
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from helpers.commandline import exit_code
+from helpers.livecell import Head, LiveCell
+from helpers.smallcell import HEIGHT, TOKEN, WIDTH, SmallCell, tiny_rig
+from helpers.waiting import LIMIT_S, wait_until
+from pymodbus.client import ModbusTcpClient
+
+from edged.adapters.modbus import ModbusSettings
+from edged.app.cell import load_cell, warm_up
+from edged.config.reading import load as load_config
+from edged.domain.arrays import SIDES
+from edged.domain.events import CommandKind
+from edged.domain.frames import Frame, FramePair
+from edged.domain.measurement import Reject
+from edged.errors import ConfigError
+from edged.files.rig import save_rig
+from edged.plc import registers as reg
+from edged.plc.answers import NackReason
+from edged.plc.registers import Flag, Option, StatusBit
+from edged.robot.belt import belt_frame
+from edged.sim.belt import VirtualBelt
+from edged.sim.cell import VirtualCell, demo_rig
+from edged.sim.exposure import ExposureRequest
+from edged.sim.showing import Thing
+from edged.sim.stage import BOARD, stage_board
+
+EXPOSURE_S = 200e-6
+DIRECTION = np.array([1.0, 0.15, 0.0]) / np.hypot(1.0, 0.15)
+"""Across the pictures, not quite along their rows."""
+MM_PER_COUNT = 0.02
+
+
+def passing(rig_mm: tuple[float, float, float] = (8.0, 0.0, 205.0), speed_mm_s: float = 200.0) -> VirtualBelt:
+    """A belt whose parts pass there, turned a little, 30 mm apart."""
+    where = np.eye(4)
+    where[:2, :2] = ((np.cos(0.05), -np.sin(0.05)), (np.sin(0.05), np.cos(0.05)))
+    where[:3, 3] = rig_mm
+    begun_ns = time.time_ns() - 3_600_000_000_000
+    return VirtualBelt(DIRECTION, speed_mm_s, MM_PER_COUNT, begun_ns, where, 30.0, EXPOSURE_S)
+
+
+class BeltHead(Head):
+    """Two cameras on one trigger before a belt, with a flash as bright as an exposure of 2 ms.
+
+    at_ns : of the next exposure; 0: it is when it is. has_count : the left camera sends the encoder's.
+    """
+
+    def __init__(self, virtual: VirtualCell, belt: VirtualBelt) -> None:
+        super().__init__()
+        self.virtual, self.belt = virtual, belt
+        self.at_ns, self.has_count = 0, False
+        virtual.show(Thing.PART, belt.pose)
+
+    async def capture(self) -> FramePair:
+        self.captures += 1
+        at_ns = self.at_ns or time.time_ns()
+        request = ExposureRequest(self.captures, at_ns, at_ns, 2000.0, 0.0, WIDTH, HEIGHT)
+        left, right = (
+            Frame(side, self.captures, self.virtual.exposure(side)(request), at_ns, at_ns) for side in SIDES
+        )
+        return FramePair(replace(left, count=self.belt.count(at_ns)) if self.has_count else left, right)
+
+
+class BeltCell(LiveCell):
+    """A whole cell before a virtual belt, and a client of its registers."""
+
+    def __init__(self, config: Path, virtual: VirtualCell, belt: VirtualBelt) -> None:
+        super().__init__(ModbusSettings(port=0, validity_s=30.0))
+        loaded = load_cell(config)
+        warm_up(loaded)
+        self.setup = loaded.setup
+        self.head = BeltHead(virtual, belt)
+        self.sequence = 0
+
+    def located(
+        self, client: ModbusTcpClient, options: Option = Option.BELT, **values: int
+    ) -> dict[str, int]:
+        """LOCATE, as a PLC asks; the values of status, result and belt."""
+        self.sequence += 1
+        asked = {"COMMAND": CommandKind.LOCATE, "CMD_SEQ": self.sequence, "OPTIONS": options | Option.ONCE}
+        if Option.BELT in options:
+            asked |= {"BELT_SPEED": 200_000, "BELT_COUNT": self.head.belt.count(time.time_ns())}
+        words = reg.encode(reg.COMMAND, asked | values, "high")
+        data = [int.from_bytes(words[i : i + 2], "big") for i in range(0, len(words), 2)]
+        assert not client.write_registers(reg.COMMAND.address, data).isError()
+
+        def read() -> dict[str, int]:
+            found: dict[str, int] = {}
+            for block in (reg.STATUS, reg.RESULT, reg.BELT):
+                answer = client.read_holding_registers(block.address, count=block.words)
+                found |= {k: int(v) for k, v in reg.decode(block, answer.registers, "high").items()}
+            return found
+
+        def is_done() -> bool:
+            answer = client.read_holding_registers(reg.STATUS.address, count=reg.STATUS.words)
+            return reg.decode(reg.STATUS, answer.registers, "high")["DONE_SEQ"] == self.sequence
+
+        wait_until(is_done)
+        return read()
+
+    def truth_mm(self, exposed_ns: int, count: int) -> np.ndarray:
+        """(3,) where the part truly was in the belt's frame when the encoder stood at a count."""
+        belt, setup = self.head.belt, self.setup
+        assert setup.belt is not None
+        assert setup.robot_from_rig is not None
+        truth = self.head.virtual.truth(exposed_ns)
+        assert truth is not None
+        robot_mm = (setup.robot_from_rig @ truth.rig_from_part)[:3, 3]
+        middle_mm = belt.travelled_mm(exposed_ns) + 500.0 * belt.exposure_s * belt.speed_mm_s / 1000.0
+        along_mm = (count - middle_mm / belt.mm_per_count % belt.counts) * belt.mm_per_count
+        place: np.ndarray = (belt_frame(setup.belt) @ [*robot_mm, 1.0])[:3]
+        place[0] += along_mm
+        return place
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> SmallCell:
+    """A cell with a taught part."""
+    return SmallCell(tmp_path_factory.mktemp("belt"), source="virtual-inprocess")
+
+
+def configured(folder: SmallCell, **changes: str) -> Path:
+    """Its configuration with a belt."""
+    robot = demo_rig().robot_from_rig
+    assert robot is not None
+    step = ", ".join(f"{x:.9f}" for x in robot[:3, :3] @ DIRECTION * MM_PER_COUNT)
+    values = {
+        "mm_per_count": f"[{step}]",
+        "first_mm": "[420.0, -60.0, 300.0]",
+        "speed_mm_s": "200.0",
+    } | changes
+    text = folder.config.read_text().replace('mode = "free"', 'mode = "command"')
+    text = text.replace('source = "virtual-inprocess"', 'source = "virtual"')
+    text += f'\n[cameras.left]\nexposure_us = {1e6 * EXPOSURE_S:.0f}\ncount = "EncoderValue"\n'
+    text += f"\n[cameras.right]\nexposure_us = {1e6 * EXPOSURE_S:.0f}\n\n[belt]\n"
+    text += "".join(f"{name} = {value}\n" for name, value in values.items())
+    path = folder.folder / "belt.toml"
+    path.write_text(text)
+    return path
+
+
+@pytest.fixture
+def running(folder: SmallCell, request: pytest.FixtureRequest) -> Iterator[tuple[BeltCell, ModbusTcpClient]]:
+    """A cell that is ready, and a client."""
+    config = configured(folder, **getattr(request, "param", {}))
+    with BeltCell(config, VirtualCell(tiny_rig(), TOKEN), passing()) as cell:
+        client = ModbusTcpClient("127.0.0.1", port=cell.port, timeout=LIMIT_S)
+        assert client.connect()
+        try:
+            yield cell, client
+        finally:
+            client.close()
+
+
+def test_a_part_lies_where_it_truly_was_at_the_count_that_is_told(
+    running: tuple[BeltCell, ModbusTcpClient],
+) -> None:
+    """Across the belt within 4 sigma; along it no further behind than the belt went while the count was on
+    its way to the cell. X, Y, Z are those of the exposure, and their sigma has the jitter in it."""
+    cell, client = running
+    for _ in range(4):
+        before_s = time.time()
+        found = cell.located(client)
+        took_mm = 200.0 * (time.time() - before_s)
+        assert found["STATUS_BITS"] & StatusBit.RESULT_VALID, found
+        assert found["B_FLAGS"] & Flag.VALID
+        assert (200_000, found["SEQ_HEAD"]) == (found["B_SPEED"], found["B_SEQ_HEAD"])
+        error_mm = np.array([found[f"B_{axis}"] for axis in "XYZ"]) / 1000 - cell.truth_mm(
+            found["EXPOSURE_NS"], found["B_COUNT"]
+        )
+        sigma_mm = np.array([found[f"B_SIGMA_{axis}"] for axis in "XYZ"]) / 1e4
+        assert (np.abs(error_mm[1:]) < 4 * sigma_mm[1:] + 1e-3).all(), (error_mm, sigma_mm)
+        assert -4 * sigma_mm[1] - 0.03 < error_mm[0] < took_mm + 4 * sigma_mm[1] + 0.03
+        assert 0.2 == pytest.approx(sigma_mm[0], abs=0.03), "200 mm/s times 1 ms"
+        assert found["SIGMA_X"] > found["B_SIGMA_Y"]
+
+
+@pytest.mark.parametrize("running", [{"source": '"camera"', "jitter_ms": "0.01"}], indirect=True)
+def test_with_a_cameras_count_a_part_lies_there_to_its_sigma_and_is_one_however_often_it_is_seen(
+    running: tuple[BeltCell, ModbusTcpClient],
+) -> None:
+    """Three pictures of a part while it passes, then the next ones: by exact times of a hardware trigger."""
+    cell, client = running
+    head = cell.head
+    head.has_count = True
+    now_ns = time.time_ns() - 2_000_000_000
+    passes_ns = now_ns - round(1e9 * (head.belt.travelled_mm(now_ns) % 30.0) / 200.0)
+    numbers, parts, pulls = [], [], []
+    for after_ms in (-60, -5, 58, 90, 150, 190, 240):
+        head.at_ns = passes_ns + after_ms * 1_000_000 + 50_000
+        found = cell.located(client, Option(0))
+        assert found["B_FLAGS"] & Flag.VALID, found
+        error_mm = np.array([found[f"B_{axis}"] for axis in "XYZ"]) / 1000 - cell.truth_mm(
+            head.at_ns, found["B_COUNT"]
+        )
+        error_mm[0] -= MM_PER_COUNT / 2  # at 50 µs the encoder has done half of its next step
+        pulls.append(error_mm / (np.array([found[f"B_SIGMA_{axis}"] for axis in "XYZ"]) / 1e4 + 5e-4))
+        numbers.append(found["B_PART"])
+        parts.append(head.belt.part(head.at_ns))
+    assert [part - parts[0] + 1 for part in parts] == numbers
+    assert 1 < len(set(numbers)) < len(numbers)
+    assert (np.abs(pulls) < 4).all(), pulls
+
+
+def test_where_nobody_says_the_count_the_command_is_refused(
+    running: tuple[BeltCell, ModbusTcpClient],
+) -> None:
+    """NACK 2, and no picture is taken."""
+    cell, client = running
+    found = cell.located(client, Option(0))
+    assert (NackReason.REFUSED, 0) == (found["NACK_REASON"], cell.head.captures)
+
+
+def test_what_the_belt_blurs_is_refused(running: tuple[BeltCell, ModbusTcpClient]) -> None:
+    """A belt of 1.5 m/s, says the client: more than a pixel: BLUR, no coordinates, and it is counted."""
+    cell, client = running
+    found = cell.located(client, BELT_SPEED=1_500_000)
+    assert (reg.ResultCode.LOW_QUALITY, Reject.BLUR) == (found["RESULT"], found["REJECT"])
+    assert (reg.INT32_MIN, reg.INT32_MIN) == (found["X"], found["B_X"])
+    values = cell.call(lambda: {register.name: value for register, value in cell.server.values()})
+    assert 1 == values["N_BLUR"]
+
+
+def test_a_belt_needs_what_tells_the_blur_and_the_count(folder: SmallCell) -> None:
+    """Exposure times; a camera's count where that is the source; a step that goes on."""
+    path = configured(folder)
+    text = path.read_text()
+    for old, new, why in (
+        ("exposure_us = 200\n\n", "\n", "to know the blur"),
+        ('count = "EncoderValue"', "", "count"),
+        ('mode = "command"', 'mode = "free"', "in which a client says the count"),
+        ("mm_per_count = [", "mm_per_count = [0.0, 0.0, 0.0] # ", "at least"),
+    ):
+        changed = text.replace(old, new)
+        if old.startswith("count"):
+            changed += 'source = "camera"\n'
+        path.write_text(changed)
+        with pytest.raises(ConfigError, match=why):
+            load_config(path)
+
+
+def test_a_board_at_two_counts_teaches_direction_and_scale(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """From rendered pictures: 0.02 mm a count to 0.1 %, as a section for cell.toml."""
+    rig = demo_rig()
+    virtual = VirtualCell(rig, TOKEN, board=stage_board())
+    board = stage_board()
+    assert rig.robot_from_rig is not None
+    save_rig(tmp_path / "rig.json", rig)
+    centre = 0.5 * (board.points_mm.min(axis=0) + board.points_mm.max(axis=0))
+    for name, along_mm in (("a", -4.0), ("b", 4.0)):
+        pose = np.eye(4)
+        pose[:3, 3] = np.array([8.0, 0.0, 205.0]) - centre + along_mm * DIRECTION
+        virtual.show(Thing.BOARD, pose)
+        number = {"a": 1, "b": 2}[name]
+        request = ExposureRequest(number, number * 10**9, number * 10**9, 2000.0, 0.0, 1280, 960)
+        for side in SIDES:
+            cv2.imwrite(str(tmp_path / f"{name}_{side}.png"), virtual.exposure(side)(request))
+    files = [str(tmp_path / f"{name}_{side}.png") for name in "ab" for side in SIDES]
+    spec = f"chessboard:{BOARD[0]}x{BOARD[1]}:{BOARD[2]}"
+    asked = ["belt", "--rig", str(tmp_path / "rig.json"), "--board", spec, "--counts", "1000", "1400", *files]
+    assert 0 == exit_code(*asked)
+    told = capsys.readouterr().out
+    section = tomllib.loads(told)["belt"]
+    expected = rig.robot_from_rig[:3, :3] @ DIRECTION * MM_PER_COUNT
+    np.testing.assert_allclose(section["mm_per_count"], expected, atol=2e-5)
+    assert 200.0 == section["speed_mm_s"]
