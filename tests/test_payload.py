@@ -13,6 +13,7 @@ from helpers.snapshots import make_snapshot, make_target, make_transform
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from edged.domain.belt import Belt, BeltMoment, PartsSeen
 from edged.domain.cell import CellPhase, CellState
 from edged.domain.events import Command, CommandKind
 from edged.domain.golden import GoldenState, Offset
@@ -27,6 +28,7 @@ from edged.payload import (
     state_to_json,
     target_to_json,
 )
+from edged.robot.belt import on_belt
 from edged.robot.covariance import rotate_covariance
 from edged.vision.geometry.rigid import rotation_matrix, rotation_vector
 
@@ -251,3 +253,23 @@ def test_an_offset_is_published_beside_the_pose_and_without_golden_nothing_chang
     else:
         assert ({"golden"}, set()) == added
         assert {"state": state.name, "exposed_ns": None} == document["golden"]
+
+
+@pytest.mark.parametrize("robot_from_rig", [None, ROBOT_FROM_RIG])
+def test_a_belt_is_published_with_the_count_and_without_one_nothing_changes(robot_from_rig) -> None:
+    """The parts' numbers and poses in its frame; what is not known of it is in the robot's pose alone."""
+    snapshot = make_snapshot(robot_from_rig=robot_from_rig)
+    plain = publish(snapshot_to_json(snapshot), "target")
+    belt = Belt((0.0, 0.05, 0.0), (0.0, 0.0, 0.0), 2**16, "command", 200.0, 0.001, 1e-4, 3000.0, 10.0)
+    moment = BeltMoment(41.6, 200.0, 0.2)
+    outcome, _ = on_belt(Outcome(Status.OK, snapshot.targets), belt, moment, robot_from_rig, PartsSeen())
+    document = publish(snapshot_to_json(replace(snapshot, targets=outcome.targets, belt=moment)), "target")
+    assert [] == violations(document, SCHEMA, SCHEMA)
+    assert {"count": 42, "speed_mm_s": 200.0, "sigma_mm": 0.2} == document.pop("belt")
+    (target,) = document["targets"]
+    told = target.pop("belt")
+    assert (1, 3) == (told["part"], len(told["pose"]["position_mm"]))
+    assert 0.2 == pytest.approx(told["pose"]["sigma_mm"][0], abs=0.01)
+    if robot_from_rig is not None:
+        assert target.pop("pose_robot") != plain["targets"][0].pop("pose_robot")
+    assert plain == document

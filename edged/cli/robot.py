@@ -47,16 +47,17 @@ def belt_command(
     rig: RigOption,
     board: Annotated[str, typer.Option(help="that lies on the belt, as for calibrate")],
     counts: Annotated[tuple[int, int], typer.Option(help="of the encoder at the first and the second pair")],
-    left: Annotated[Path, typer.Argument(help="left image at the first count")],
-    right: Annotated[Path, typer.Argument(help="right image")],
-    later_left: Annotated[Path, typer.Argument(help="left image at the second count")],
-    later_right: Annotated[Path, typer.Argument(help="right image")],
+    images: Annotated[
+        list[Path], typer.Argument(help="left and right image at the first count, then those at the second")
+    ],
 ) -> None:
     """Direction and scale of a conveyor belt, from a board that it carried: prints [belt] for cell.toml."""
     from edged.commands.belt import CountedPair
     from edged.commands.belt import belt as command
 
-    first, second = CountedPair(counts[0], left, right), CountedPair(counts[1], later_left, later_right)
+    if len(images) != 4:
+        raise typer.BadParameter(f"expected four images, not {len(images)}")
+    first, second = CountedPair(counts[0], *images[:2]), CountedPair(counts[1], *images[2:])
     raise typer.Exit(command(rig, board, first, second, screen()))
 
 

@@ -19,7 +19,7 @@ class Budget:
     Of X, Y, Z in mm², then of the rotation about these axes in rad².
 
     edges : noise, blur and shape of what was measured. calibration : of the rig's own parameters.
-    registration : of the rig in the robot's frame, and of the map of the robot's error.
+    registration : of the rig in the robot's frame, of the map of the robot's error, and of where a belt is.
     doubt : of what contradicts the rig (`Target.doubt_mm`).
     marks : of the correction by reference marks; None where there is none.
     Their exact sum, rounded once (`math.fsum`), is the published variance, bit by bit.
