@@ -77,6 +77,10 @@ def target_to_json(
         "reject": reject_names(target.reject),
         "reject_bits": int(target.reject),
     }
+    if target.other_grasps:
+        document["other_grasps"] = [
+            _grasp(target, grasp, robot_from_rig, registration) for grasp in target.other_grasps
+        ]
     if target.pocket:
         document["pocket"] = target.pocket
     if target.belt is not None:

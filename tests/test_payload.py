@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -74,9 +75,15 @@ def test_a_grasp_fits_the_published_schema(robot_from_rig):
     """Tool and approach in the rig's frame, and in the robot's where there is one."""
     target, pose = make_target(), make_transform((0.3, 0.2, 0.1), (1.0, 2.0, 3.0))
     grasp = GraspPose("rim", 2, 0.5, pose, target.covariance, 50.0, 80.0)
-    snapshot = make_snapshot(targets=(replace(target, grasp=grasp),), robot_from_rig=robot_from_rig)
+    others = (replace(grasp, turn_rad=1.5), replace(grasp, number=3))
+    taken = replace(target, grasp=grasp, other_grasps=others)
+    snapshot = make_snapshot(targets=(taken,), robot_from_rig=robot_from_rig)
     document = publish(snapshot_to_json(snapshot), "target")
     assert [] == violations(document, SCHEMA, SCHEMA)
+    further = document["targets"][0]["other_grasps"]
+    assert [(2, math.degrees(1.5)), (3, math.degrees(0.5))] == [
+        (other["number"], pytest.approx(other["turn_deg"])) for other in further
+    ]
     told = document["targets"][0]["grasp"]
     assert ("rim", 2, 80.0) == (told["name"], told["number"], told["retreat_mm"])
     assert (pose[:3, 3] - 50.0 * pose[:3, 2]).tolist() == pytest.approx(told["approach_position_mm"])

@@ -27,8 +27,8 @@ from edged.vision.part.job import Job
 
 COMPARED = ("status", "targets", "rejected")
 """The pure result; times and identities of a cycle are of their own moment."""
-NOT_MEASURED = {"offset"}
-"""What of a target follows from something besides pictures, rig and job: the golden part."""
+NOT_MEASURED = {"offset", "belt"}
+"""What of a target follows from something besides pictures, rig and job: the golden part, a belt."""
 SHOWN = (*COMPARED, "dismissed", "nearest")
 """Also what is for people only."""
 
