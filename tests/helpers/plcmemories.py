@@ -210,7 +210,7 @@ class S7Program(structured_text.Driven):
         self._controller.put(0, struct.pack(FORMAT_TO, *words))
 
 
-FORMAT_TO = ">6H6i4H10H"
+FORMAT_TO = ">6H6i4H2I6H"
 FORMAT_FROM = ">14HI8H6f6i3iiHHHHHHHH"
 """By their types in the source: 64 and 128 bytes, as TIA lays out a structure with standard access."""
 

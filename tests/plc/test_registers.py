@@ -25,7 +25,7 @@ from edged.robot.orientations import ANGLES_DEG, Convention, rotation_vector_rad
 from edged.robots.formats import render
 from edged.vision.geometry.rigid import quaternion
 
-STARTS = {"constants": (0, 15), "command": (100, 121), "status": (200, 219), "result": (300, 347)} | {
+STARTS = {"constants": (0, 15), "command": (100, 125), "status": (200, 219), "result": (300, 347)} | {
     "ur": (400, 426),
     "float": (500, 534),
     "target 0": (600, 619),
