@@ -362,7 +362,7 @@ EXCEPTIONS = {
     "runs into a gap": (struct.pack(">BHH", 3, 300, 49), 2),
     "beyond the end": (struct.pack(">BHH", 3, 65535, 2), 2),
     "write to a result": (struct.pack(">BHH", 6, 300, 1), 2),
-    "write across the end of the block": (struct.pack(">BHHB2H", 16, 121, 2, 4, 0, 0), 2),
+    "write across the end of the block": (struct.pack(">BHHB2H", 16, 125, 2, 4, 0, 0), 2),
     "coil that is no option": (struct.pack(">BHH", 5, 16 * 102, 0xFF00), 2),
     "coils across two words": (struct.pack(">BHHBH", 15, 16 * 105 + 10, 10, 2, 0), 2),
     "no words": (struct.pack(">BHH", 3, 0, 0), 3),
