@@ -149,7 +149,7 @@ def support(
 @app.command()
 def history(
     folders: Annotated[
-        list[Path], typer.Option("--in", help="folder of a cell's [history], or with those of many; repeat")
+        list[Path], typer.Option("--in", help="folder of a cell's history, or with those of many; repeat")
     ],
     sql: Annotated[str | None, typer.Argument(help="a SELECT over the table `cycles`")] = None,
     week: Annotated[

@@ -40,7 +40,7 @@ def _text(value: object) -> str:
 
 def week(folders: Sequence[Path], until: str | None, output: Path, console: Console) -> int:
     """Write the report of seven days. Raises `UserError`."""
-    check_outputs({"--output": output})
+    check_outputs({"--week": output})
     first, last = last_days(folders, until)
     days = day_figures(folders, first, last)
     page = week_page((first, last), days, reasons(folders, first, last), compare(folders, first, last))
@@ -53,12 +53,12 @@ def compared(folders: Sequence[Path], until: str | None, as_json: bool, console:
     """Compare the cells of seven days, job by job. 0: none differs; 1: one does. Raises `UserError`."""
     first, last = last_days(folders, until)
     found = compare(folders, first, last)
-    differing = [(what, one) for what in found for one in what.differing]
+    differing = [(what, cell) for what in found for cell in what.differing]
     if as_json:
         print(json.dumps({"first": first, "last": last, "compared": [what.to_json() for what in found]}))
         return 1 if differing else 0
-    for what, one in differing:
-        say(differing_line(what, one), console)
+    for what, cell in differing:
+        say(differing_line(what, cell), console)
     enough = sum(what.limit is not None for what in found)
     say(
         f"{first} to {last}: {enough} figures compared, {len(differing)} differences; "

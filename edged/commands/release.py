@@ -18,6 +18,7 @@ from edged.commands.saying import say
 from edged.config.reading import load, problem_of
 from edged.errors import UserError, translated
 from edged.files.atomic import MAX_FILE_BYTES, make_folders, read_bytes, write_file
+from edged.files.outputs import check_folder, check_outputs
 from edged.files.statefolder import page_folder
 from edged.owners import as_owner
 from edged.setup.fleet.offers import (
@@ -44,6 +45,7 @@ PASSPHRASE_VARIABLE = "EDGED_PASSPHRASE"
 
 def key(file: Path, console: Console) -> int:
     """Make a key, encrypted with a passphrase that is asked for."""
+    check_outputs({"FILE": file})
     passphrase = _passphrase(file, again=True)
     public = make_key(file, passphrase)
     say(f"{file}: the private half, keep it offline; {public}: the public one, to give away", console)
@@ -54,6 +56,7 @@ def root(
     folder: Path, keys: Sequence[Path], threshold: int, targets: Path, online: Path, console: Console
 ) -> int:
     """Say whose keys count. keys : of the root, public halves, or private ones, which sign at once."""
+    check_folder(folder)
     private = [file for file in keys if file.suffix != ".pub"]
     public = [public_key(file.with_suffix(".pub")) for file in keys]
     signers = [_signer(file) for file in private]
@@ -135,14 +138,15 @@ def pull(config: Path, console: Console, *, place: str | None, name: str | None,
 
     place : another one than configured, such as a stick. 0: fetched, or there already; 1: there is none.
     """
+    if (name is None) != (output is None):
+        raise UserError("expected --name NAME and --output FILE, or neither")
+    check_outputs({"--output": output})
     with _kept(config) as kept:
         client, cell = _client(config, place, kept)
         offers = client.offers()
-        if name is not None:
+        if name is not None and output is not None:
             path = next((path for path, offer in offers.items() if offer.name == name), name)
             data = client.fetch(path)
-            if output is None:
-                raise UserError("--name NAME: expected --output FILE, too")
             write_file(output, data)
             say(f"{output}: {path}, verified, {len(data)} bytes", console)
             return 0

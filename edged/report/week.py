@@ -29,7 +29,7 @@ def week_page(
         "week.html",
         title=title,
         heading=title,
-        differing=[differing_line(found, one) for found in comparisons for one in found.differing],
+        differing=[differing_line(found, cell) for found in comparisons for cell in found.differing],
         compared=sum(found.limit is not None for found in comparisons),
         summary=HtmlTable(
             [_summary(cell, rows) for cell, rows in by_cell.items()],
@@ -52,12 +52,12 @@ def week_page(
     )
 
 
-def differing_line(found: Comparison, one: Differing) -> str:
+def differing_line(found: Comparison, cell: Differing) -> str:
     """A cell that differs, in a sentence."""
     unit = f" {found.unit}" if found.unit else ""
     return (
-        f"{one.cell}: {found.figure} of {found.job} is {one.value:.4g}{unit}; the median of {found.cells} "
-        f"cells is {found.median:.4g}{unit} ({one.deviation:+.0f} robust sigma, limit {found.limit or 0:.0f})"
+        f"{cell.cell}: {found.figure} of {found.job} is {cell.value:.4g}{unit}; the median of {found.cells} "
+        f"cells is {found.median:.4g}{unit} ({cell.deviation:+.0f} robust sigma, limit {found.limit or 0:.0f})"
     )
 
 

@@ -45,6 +45,8 @@ NOT_HERE: Mapping[str, str] = {
     "zenoh.config_file": "strangers",
     "zenoh.commands": "strangers",
     "zenoh.shared_key": "strangers",
+    "history": "names",
+    "fleet": "strangers",
     "limits": "bounds",
     "belt": "wiring",
     "registration": "bounds",

@@ -32,7 +32,7 @@ class VirtualBelt:
         return self.speed_mm_s * 1e-9 * (at_ns - self.begun_ns)
 
     def count(self, at_ns: int) -> int:
-        """Of the encoder, as a PLC reads it."""
+        """The encoder's count, as a PLC reads it."""
         return int(self.travelled_mm(at_ns) / self.mm_per_count) % self.counts
 
     def part(self, exposed_ns: int) -> int:

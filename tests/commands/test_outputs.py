@@ -13,7 +13,9 @@ import typer
 from helpers import commandline
 from helpers.boardpairs import SPEC, pairs
 from helpers.cells import flange, small_rig
+from helpers.histories import make_fleet
 from helpers.recordedcell import record
+from helpers.releases import PASSPHRASE, Releases
 
 from edged.cli.main import app
 from edged.commands.demo import DemoOptions, prepare_cell
@@ -33,6 +35,7 @@ OUTPUTS = {
     ("cameras", "report"): "cameras --report {}/cameras.json --minutes 0.1",
     ("demo", "folder"): "demo --in-process --cycles 1 --folder {}/cell",
     ("grab", "output"): "grab cell.toml -o {}/pictures",
+    ("history", "week"): "history --in history --week {}/week.html",
     ("locate", "cloud"): f"{LOCATE} --cloud {{}}/cloud.png",
     ("locate", "overlay"): f"{LOCATE} --overlay {{}}/seen.png",
     ("locate", "ply"): f"{LOCATE} --ply {{}}/cloud.ply",
@@ -43,6 +46,10 @@ OUTPUTS = {
         "output",
     ): "register marks --rig rig.json --former rig.json --former-marks touched.csv -o {}/rig.json",
     ("register touch", "output"): "register touch --rig rig.json --points touched.csv -o {}/rig.json",
+    ("release key", "file"): "release key {}/root.key",
+    ("release pull", "output"): "release pull fleet.toml --name notes -o {}/notes",
+    ("release root", "repository"): "release root {}/repository --key fleet/keys/root1.key "
+    "--targets fleet/keys/targets.pub --online fleet/keys/online.pub --threshold 1",
     ("registers", "output"): "registers --format twincat -o {}/client",
     ("replay", "export"): "replay recordings --export {}/copies",
     ("replay", "overlays"): "replay recordings --overlays {}/pictures",
@@ -50,11 +57,22 @@ OUTPUTS = {
     ("rig convert", "target"): "rig convert rig.json {}/rig.yaml --to opencv",
     ("study", "report"): "study pictures --rig rig.json --job jobs/flange --size c0 --tolerance 1:2 "
     "--report {}/study.html",
+    ("support", "output"): "support cell.toml -o {}/help.zip",
     ("teach", "output"): f"{TEACH} -o {{}}/new",
     ("teach", "report"): f"{TEACH} -o new --report {{}}/new.html",
 }
 """A command for each option by which one writes, its place left open."""
+REPOSITORIES = {(f"release {name}", "repository") for name in ("countersign", "delegate", "publish", "sign")}
+"""Folders that another command made, which these write into."""
 INPUTS = {
+    *(("belt", name) for name in ("images", "rig")),
+    ("history", "folders"),
+    *((f"release {name}", "key") for name in ("countersign", "delegate", "publish", "root", "sign")),
+    *(("release root", name) for name in ("targets", "online")),
+    ("release delegate", "plant_key"),
+    *(("release sign", name) for name in ("cells", "file", "jobs")),
+    *((f"release {name}", "config") for name in ("pull", "status")),
+    ("support", "config"),
     *(("sim", name) for name in ("config", "images")),
     *(("watch", name) for name in ("authority", "certificate", "key", "shared_key")),
     *((name, "config") for name in ("audit", "backup", "check", "doctor", "grab", "registers", "run")),
@@ -107,7 +125,7 @@ def paths_of(group: typer.Typer, above: str = "") -> Iterator[tuple[str, str]]:
 def test_every_option_that_writes_is_tried() -> None:
     """What the command line takes as a path is either read, or in the table above."""
     assert set() == INPUTS & OUTPUTS.keys()
-    assert INPUTS | OUTPUTS.keys() == {*paths_of(app)}
+    assert INPUTS | OUTPUTS.keys() | REPOSITORIES == {*paths_of(app)}
 
 
 @pytest.fixture(scope="module")
@@ -127,8 +145,15 @@ def cell(tmp_path_factory: pytest.TempPathFactory) -> Path:
     places = ("1,0,200,1,0,0", "9,0,200,9,0,0", "1,9,200,1,9,0")
     (path / "touched.csv").write_text("\n".join(places))
     (path / "poses.csv").write_text("".join(f"{number},{number},0,0,0,0,{number}\n" for number in range(6)))
+    make_fleet(path / "history", 1, 0, cycles=2)
+    releases = Releases(path / "fleet")
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(path)
+        patch.setenv("EDGED_PASSPHRASE", PASSPHRASE)
+        releases.make()
+        assert 0 == releases.sign("notes", "--file", path / "poses.csv")
+        assert 0 == releases.publish()
+        (path / "fleet.toml").write_text((path / "cell.toml").read_text() + releases.section())
         assert 0 == exit_code("backup cell.toml -o cell.tar.gz", patch)
     return path
 
@@ -136,6 +161,7 @@ def cell(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def exit_code(command: str, monkeypatch: pytest.MonkeyPatch) -> int:
     """Of a command, whose lines are not broken."""
     monkeypatch.setenv("COLUMNS", "400")
+    monkeypatch.setenv("EDGED_PASSPHRASE", PASSPHRASE)
     return commandline.exit_code(*command.split())
 
 

@@ -107,7 +107,7 @@ def _crc_of_byte(byte: int) -> int:
 
 
 def _crcs_of_words() -> array[int]:
-    """Of each pair of bytes, the first one low, after both."""
+    """CRC of each pair of bytes, the first of them low, after both."""
     of_byte, crc = np.array([_crc_of_byte(byte) for byte in range(256)]), np.arange(65536)
     for _ in range(2):
         crc = (crc >> 8) ^ of_byte[crc & 0xFF]

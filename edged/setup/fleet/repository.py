@@ -32,7 +32,7 @@ from tuf.api.metadata import (
 )
 from tuf.api.serialization import DeserializationError
 
-from edged.errors import FileFormatError, UserError
+from edged.errors import FileFormatError, UserError, translated
 from edged.files.atomic import make_folders, read_bytes, write_file
 from edged.setup.fleet.offers import Offer
 
@@ -127,8 +127,7 @@ class Repository:
         self._sign(there, signer, plant, self._load(TARGETS).signed)
         if data is not None:
             place = self._folder / FILES / target.get_prefixed_paths()[0]
-            make_folders(place.parent)
-            write_file(place, data)
+            _write_in(place.parent, place.name, data)
         return offer
 
     def publish(self, signer: CryptoSigner, days: float) -> Snapshot:
@@ -200,9 +199,7 @@ class Repository:
 
     def _write(self, signed: Metadata[Any], role: str = ROOT) -> Path:
         name = "timestamp.json" if role == TIMESTAMP else f"{signed.signed.version}.{role}.json"
-        make_folders(self._metadata)
-        write_file(self._metadata / name, signed.to_bytes())
-        return self._metadata / name
+        return _write_in(self._metadata, name, signed.to_bytes())
 
 
 def metadata_at(file: Path) -> Metadata[Any]:
@@ -224,3 +221,10 @@ def offer_of(target: TargetFile) -> Offer:
 
 def _in_days(days: float) -> datetime:
     return (datetime.now(UTC) + timedelta(days=days)).replace(microsecond=0)
+
+
+def _write_in(folder: Path, name: str, data: bytes) -> Path:
+    with translated(FileFormatError, f"{folder}: cannot be made"):
+        make_folders(folder)
+    write_file(folder / name, data)
+    return folder / name
