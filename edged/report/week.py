@@ -56,8 +56,9 @@ def differing_line(found: Comparison, cell: Differing) -> str:
     """A cell that differs, in a sentence."""
     unit = f" {found.unit}" if found.unit else ""
     return (
-        f"{cell.cell}: {found.figure} of {found.job} is {cell.value:.4g}{unit}; the median of {found.cells} "
-        f"cells is {found.median:.4g}{unit} ({cell.deviation:+.0f} robust sigma, limit {found.limit or 0:.0f})"
+        f"{cell.cell}: {found.figure} of {found.job} is {cell.value:.4g}{unit}; the median of "
+        f"{found.cells} cells is {found.median:.4g}{unit} "
+        f"({cell.deviation:+.0f} robust sigma, limit {found.limit or 0:.0f})"
     )
 
 

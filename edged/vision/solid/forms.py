@@ -113,6 +113,12 @@ def refined(
     return RefinedForm(model, tuple(now), sigma, common, squares, contradicts, cost)
 
 
+def contradiction(model: EdgeModel, view: LaidPair) -> float:
+    """`RefinedForm.contradicts` of a model where it lies; 0 where no profile shows anything."""
+    _, square, good = _misfits(model, [view])
+    return float(square[good].mean()) if good.any() else 0.0
+
+
 def _misfits(model: EdgeModel, views: Sequence[LaidPair]) -> tuple[I64, FloatArray, B8]:
     """Edge, square misfit px², at most 1, of each profile (M,), and whether it shows anything."""
     found = [view.profiles(model) for view in views]

@@ -26,7 +26,7 @@ from edged.vision.part.solid import fitted
 from edged.vision.solid.curvemodel import curve_model
 from edged.vision.solid.edgemodel import EdgeModel, model_of
 from edged.vision.solid.evidence import PoseEvidence, apart, evidence_of, margin_over, sigmas_of
-from edged.vision.solid.forms import LaidPair, likeliest_form
+from edged.vision.solid.forms import LaidPair, contradiction, likeliest_form
 from edged.vision.solid.lock import LaidPose, Pyramids, lay, schedule
 from edged.vision.solid.modes import PartPlace, SearchedPart, find_places, pyramids_of
 from edged.vision.solid.params import BREAKS, DECISION
@@ -285,7 +285,10 @@ def measure_found(
         fit = replace(fit, edges=fit.edges + found.between)
     target = _target(job, model, fit, match)
     reject = Reject.NONE if found.margin > DECISION.certain else Reject.AMBIGUOUS_ROTATION
-    if found.contradicts > BREAKS.most_misfit:
+    contradicts = found.contradicts
+    if job.body is not None:  # edges that its teaching pair showed sharp, and this one shows broken
+        contradicts = contradiction(model, LaidPair(images, pyramids, fit.pose))
+    if contradicts > BREAKS.most_misfit:
         reject |= Reject.RESIDUAL
     # each curve by itself, free, as far as it is alone: that is where sizes come from
     whole = fitted(images, job, fit.pose)

@@ -18,9 +18,11 @@ from edged.vision.geometry.rectification import StereoImages
 from edged.vision.geometry.rigid import invert, transform
 from edged.vision.solid.breaks import LaidBody, lay_with_breaks
 from edged.vision.solid.edgemodel import EdgeModel, model_of
-from edged.vision.solid.forms import LaidPair, with_breaks
+from edged.vision.solid.forms import LaidPair, contradiction, with_breaks
 from edged.vision.solid.leavings import Leavings
 from edged.vision.solid.lock import Pyramids
+from edged.vision.solid.params import BREAKS
+from edged.vision.solid.profiles import best_fit
 from edged.vision.teaching.cadbody import body_of
 from edged.vision.teaching.cadrevision import Displaced, explains_more
 
@@ -85,6 +87,22 @@ def test_a_part_whose_file_has_all_breaks_is_laid_without(tmp_path: Path) -> Non
     assert laid is not None
     assert not laid.model.breaks_mm.any()
     assert (invert(place(0.0)) @ laid.fit.pose)[2, 3] == pytest.approx(0.0, abs=0.02)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [1, 3])
+def test_breaks_that_show_contradict_a_sharp_edge(tmp_path: Path, seed: int) -> None:
+    """Where teaching's light hid them, and this one shows either end: the pose is off by tenths, and says so."""
+    sharp, at = drawing_of(tmp_path, 202), place(10.0)
+    left, right = drawn(random_design(202), at, np.random.default_rng((seed, 202, 0)), teaching=False)[0]
+    images = StereoImages.of(rig().rectification, left, right)
+    pyramids = Pyramids(images.rig, images.raw, 1)
+    found = []
+    for model in (sharp, with_breaks(sharp, 0.175)):
+        fit = best_fit(model, pyramids, images, at)
+        assert fit is not None
+        found.append(contradiction(model, LaidPair(images, pyramids, fit.pose)))
+    assert found[0] > BREAKS.most_misfit > found[1]
 
 
 @pytest.mark.slow
