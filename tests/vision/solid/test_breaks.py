@@ -92,7 +92,7 @@ def test_a_part_whose_file_has_all_breaks_is_laid_without(tmp_path: Path) -> Non
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, 3])
 def test_breaks_that_show_contradict_a_sharp_edge(tmp_path: Path, seed: int) -> None:
-    """Where teaching's light hid them, and this one shows either end: the pose is off by tenths, and says so."""
+    """Where light hid them at teaching, and now shows either end: the pose is off by tenths, and says so."""
     sharp, at = drawing_of(tmp_path, 202), place(10.0)
     left, right = drawn(random_design(202), at, np.random.default_rng((seed, 202, 0)), teaching=False)[0]
     images = StereoImages.of(rig().rectification, left, right)
