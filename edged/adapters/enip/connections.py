@@ -1,8 +1,8 @@
 """The Connection Manager: which connections are open, and when one is lost. Pure: time is passed in.
 
-Sources: ODVA, "Common Industrial Protocol" (volume 1), 3-4.5 transports and triggers, 3-5.5.2 and 3-5.5.3
-Forward_Open and Forward_Close, table 3-5.29 extended status, 3-6.5 formats of inputs and outputs;
-"EtherNet/IP Adaptation of CIP" (volume 2), 3-3 connected data over UDP and its sequence numbers.
+Sources: ODVA, "Common Industrial Protocol" (volume 1): transports and triggers, Forward_Open and
+Forward_Close, extended status, real time formats; "EtherNet/IP Adaptation of CIP" (volume 2): connected data
+over UDP and its sequence numbers.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ POINT_TO_POINT, NULL = 2, 0
 CYCLIC_CLASS_1, CLASS_3, CLASS_MASK = 0x01, 0x03, 0x0F
 """Direction, trigger and class of a transport; of class 3 it is the same who triggers."""
 FIRST_DATA_S = 10.0
-"""Until the first data, at least (volume 1, 3-4.5.2)."""
+"""Until the first data, at least (volume 1, transports)."""
 SEQUENCE, RUN_IDLE = 2, 4
 """Bytes before the data: the count of class 1, and the header that says whether the controller runs."""
 MOST_EXPLICIT_BYTES = 504

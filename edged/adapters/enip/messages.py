@@ -1,7 +1,7 @@
 """Messages of EtherNet/IP and CIP as bytes: encapsulation, common packets, paths, requests, replies. Pure.
 
-Sources: ODVA, "EtherNet/IP Adaptation of CIP" (volume 2), 2-3 to 2-6; "Common Industrial Protocol" (volume
-1), 2-4.1 requests and replies, appendix B-1 general status, C-1.4 paths. All numbers are low byte first.
+Sources: ODVA, "EtherNet/IP Adaptation of CIP" (volume 2): encapsulation, common packet format; "Common
+Industrial Protocol" (volume 1): requests and replies, general status, paths. All numbers are low byte first.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """The objects of the device: what they are asked is answered here, but for the Connection Manager's services.
 
-Sources: ODVA, "Common Industrial Protocol" (volume 1), 5A-2 Identity, 5A-5 Assembly, appendix A services;
-"EtherNet/IP Adaptation of CIP" (volume 2), 5-4 TCP/IP Interface, 5-5 Ethernet Link.
+Sources: ODVA, "Common Industrial Protocol" (volume 1): Identity, Assembly, services; "EtherNet/IP Adaptation
+of CIP" (volume 2): TCP/IP Interface, Ethernet Link.
 """
 
 from __future__ import annotations
