@@ -1,6 +1,6 @@
 """The electronic data sheet of the EtherNet/IP adapter: what engineering tools learn the device from.
 
-Source: ODVA, "Common Industrial Protocol" (volume 1), electronic data sheets: sections, entries, fields in order.
+Source: ODVA, "Common Industrial Protocol" (volume 1), electronic data sheets: sections, entries, fields.
 """
 
 from __future__ import annotations

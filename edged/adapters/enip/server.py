@@ -230,7 +230,7 @@ class EnipServer:
         return msg.packed_items((msg.CONNECTED_ADDRESS, address), (msg.CONNECTED_DATA, answer))
 
     def ended(self, session: int) -> None:
-        """End a session, and its explicit connections with it; inputs and outputs go on (volume 2, sessions)."""
+        """End a session, and its explicit connections with it; inputs and outputs go on (volume 2)."""
         for connection in list(self.connections.by_id.values()):
             if connection.purpose is Purpose.EXPLICIT and connection.session == session:
                 self._forget(connection)

@@ -130,17 +130,16 @@ def responses(grey: F32) -> U8:
 
 
 def scan(
-    model: EdgeModel, rig: StereoRig, camera: int, own: CameraModel, maps: U8, level: int,
-    tilt_rad: float, distances_mm: tuple[float, float], place: FloatArray,
+    model: EdgeModel, rig: StereoRig, camera: int, both: _Seen, tilt_rad: float,
+    distances_mm: tuple[float, float], place: FloatArray,
 ) -> tuple[ViewSet, I64, FloatArray]:  # fmt: skip
     """The best views of a part in one camera's picture: their set, numbers (K,) and rig_from_part (K, 4, 4).
 
-    own, maps : the camera of its picture at a level without distortion, and the picture's `responses`.
     tilt_rad : of the part's -z from the bisector of both cameras.  distances_mm : nearest and farthest of
     the part's centre from the camera.  place (3,) : rig frame, where parts lie, more or less: the bisector
     is that of there.
     """
-    cameras = Cameras.of(rig, level)
+    cameras = Cameras.of(rig, both.level)
     rig_from_camera = invert(cameras.from_rig[camera])
     eyes = [invert(camera_from_rig)[:3, 3] for camera_from_rig in cameras.from_rig]
     away = [unit(place - eye) for eye in eyes]
@@ -150,7 +149,7 @@ def scan(
     middle_mm = math.sqrt(distances_mm[0] * distances_mm[1])
     full = (rig.left, rig.right)[camera]
     lean = min(tilt_rad + vergence, SCAN.max_lean_rad)
-    views = view_set(model, full, level, round(lean, 3), round(middle_mm, 1))
+    views = view_set(model, full, both.level, round(lean, 3), round(middle_mm, 1))
     # what a view's part leans against the bisector, for a part on the line of sight to the place
     to_place = _from_axis_onto(ray[None])[0]
     leaning = (to_place @ views.rotations)[:, :, 2] @ bisector
@@ -160,9 +159,9 @@ def scan(
     spread = math.log(distances_mm[1] / distances_mm[0])
     count = max(1, math.ceil(spread / SCAN.scale))
     scales = np.exp(np.linspace(0.5 * spread, -0.5 * spread, count)) if count > 1 else np.ones(1)
-    numbers, sizes, places = _best(views, allowed, scales, maps)
+    numbers, sizes, places = _best(views, allowed, scales, both.maps[camera])
     # the poses at which the part looks so from there
-    rays = np.column_stack([own.normalise(places), np.ones(len(places))])
+    rays = np.column_stack([both.cameras[camera].normalise(places), np.ones(len(places))])
     rays /= np.linalg.norm(rays, axis=1, keepdims=True)
     rotations = _from_axis_onto(rays) @ views.rotations[numbers]
     poses = np.tile(np.eye(4), (len(numbers), 1, 1))
@@ -337,9 +336,7 @@ def starts_of(
         eye = invert(Cameras.of(rig, 0).from_rig[camera])[:3, 3]
         share = float(np.linalg.norm(place - eye)) / float(np.linalg.norm(place))
         near, far = distances_mm[0] * share, distances_mm[1] * share
-        views, numbers, poses = scan(
-            model, rig, camera, coarse.cameras[camera], coarse.maps[camera], top, tilt_rad, (near, far), place
-        )
+        views, numbers, poses = scan(model, rig, camera, coarse, tilt_rad, (near, far), place)
         lean, scores = views.lean[numbers], np.empty(len(poses))
         seek(views.points, views.along, lean, poses, *coarse.eyes, *coarse.maps,
              np.tile(eye, (len(poses), 1)), model.centre, shares, scores)  # fmt: skip
@@ -368,6 +365,7 @@ class _Seen:
     steps (6,) : to climb by.
     """
 
+    level: int
     cameras: tuple[CameraModel, CameraModel]
     eyes: tuple[Eye, Eye]
     maps: tuple[U8, U8]
@@ -379,6 +377,7 @@ class _Seen:
         left, right = (straight(camera) for camera in cameras.models)
         shift = CLIMB.shift_px * float(place[2]) / left.camera.fx
         return _Seen(
+            level,
             (left.camera, right.camera),
             (eye_of(left.camera, cameras.from_rig[0]), eye_of(right.camera, cameras.from_rig[1])),
             (_responses_of(left, pictures[0]), _responses_of(right, pictures[1])),
