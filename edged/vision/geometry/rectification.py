@@ -96,13 +96,15 @@ class Rectification:
     def _left(self) -> tuple[Maps, Image]:
         if self.borrowed is not None:
             return self.borrowed.maps_left, self.borrowed.valid_left
-        return _maps(self.rig.left, self.rectified_from_left, self.focal_px, self.centre_left_px, self.size)
+        return lens_maps(
+            self.rig.left, self.rectified_from_left, self.focal_px, self.centre_left_px, self.size
+        )
 
     @cached_property
     def _right(self) -> tuple[Maps, Image]:
         if self.borrowed is not None:
             return self.borrowed.maps_right, self.borrowed.valid_right
-        return _maps(
+        return lens_maps(
             self.rig.right, self.rectified_from_right, self.focal_px, self.centre_right_px, self.size
         )
 
@@ -183,8 +185,8 @@ def make_rectification(rig: StereoRig) -> Rectification:
     looks along the baseline, or both share no row).
     """
     left_axes, right_axes, focal = _common_view(rig)
-    bounds_left = _bounds(rig.left, left_axes) * focal
-    bounds_right = _bounds(rig.right, right_axes) * focal
+    bounds_left = border_bounds(rig.left, left_axes) * focal
+    bounds_right = border_bounds(rig.right, right_axes) * focal
     top, bottom = max(bounds_left[0, 1], bounds_right[0, 1]), min(bounds_left[1, 1], bounds_right[1, 1])
     width, height = _size(bounds_left, bounds_right)
     middle = np.array([(width - 1) / 2, (height - 1) / 2])
@@ -228,7 +230,9 @@ def _common_view(rig: StereoRig) -> tuple[FloatArray, FloatArray, float]:
     left_axes = _rectified_axes(rig)
     right_axes = left_axes @ rig.right_from_left[:3, :3].T
     focal = 0.5 * (_focal_keeping_area(rig.left, left_axes) + _focal_keeping_area(rig.right, right_axes))
-    width, height = _size(_bounds(rig.left, left_axes) * focal, _bounds(rig.right, right_axes) * focal)
+    width, height = _size(
+        border_bounds(rig.left, left_axes) * focal, border_bounds(rig.right, right_axes) * focal
+    )
     raw = max(rig.left.width * rig.left.height, rig.right.width * rig.right.height)
     shrink = min(1.0, float(np.sqrt(RECTIFICATION.max_growth * raw / (width * height))))
     if shrink < RECTIFICATION.min_shrink:
@@ -278,7 +282,7 @@ def _focal_keeping_area(camera: CameraModel, axes: FloatArray) -> float:
     return float(1 / np.sqrt(area))
 
 
-def _bounds(camera: CameraModel, axes: FloatArray) -> FloatArray:
+def border_bounds(camera: CameraModel, axes: FloatArray) -> FloatArray:
     """((x_min, y_min), (x_max, y_max)) of the raw image's border at focal length 1."""
     u = np.linspace(0, camera.width - 1, RECTIFICATION.border_points)
     v = np.linspace(0, camera.height - 1, RECTIFICATION.border_points)
@@ -328,10 +332,18 @@ def _fold_radius2(camera: CameraModel) -> float:
     return float(turning.min()) if turning.size else np.inf
 
 
-def _maps(
-    camera: CameraModel, axes: FloatArray, focal: float, centre: tuple[float, float], size: tuple[int, int]
+def lens_maps(
+    camera: CameraModel,
+    axes: FloatArray,
+    focal: float | FloatArray,
+    centre: tuple[float, float],
+    size: tuple[int, int],
 ) -> tuple[Maps, Image]:
-    width, height = size
+    """Where a camera's picture has the pixels of one without distortion, and 255 where it has them at all.
+
+    axes (3, 3) : of the latter, by those of the camera.  focal : px, one or (2,).  centre, size : px.
+    """
+    (width, height), (fx, fy) = size, np.broadcast_to(focal, 2)
     # Far outside instead of NaN, whose conversion to an integer is undefined in cv2.remap; and never
     # beyond what its 16-bit coordinates hold.
     outside = np.float32(-1e4)
@@ -340,8 +352,8 @@ def _maps(
     for top in range(0, height, RECTIFICATION.band_rows):
         rows = slice(top, min(top + RECTIFICATION.band_rows, height))
         ideal = np.moveaxis(np.empty((2, rows.stop - top, width)), 0, -1)
-        ideal[..., 0] = (np.arange(width) - centre[0]) / focal
-        ideal[..., 1] = (np.arange(top, rows.stop)[:, None] - centre[1]) / focal
+        ideal[..., 0] = (np.arange(width) - centre[0]) / fx
+        ideal[..., 1] = (np.arange(top, rows.stop)[:, None] - centre[1]) / fy
         raw = camera.pixels(_within_lens(camera, _rays_to_pixels(axes.T, ideal)))
         x, y = raw[..., 0], raw[..., 1]
         with np.errstate(invalid="ignore"):

@@ -13,8 +13,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from edged.domain.arrays import B8, F32, F64, I64, U8, FloatArray
+from edged.domain.arrays import B8, F64, I64, U8, FloatArray
 from edged.vision.geometry.camera import CameraModel
+from edged.vision.geometry.rectification import Maps, border_bounds, lens_maps
 from edged.vision.kernels.jit import F2, for_kernel, kernel
 from edged.vision.solid.params import CLIMB
 
@@ -43,36 +44,26 @@ class Straight(NamedTuple):
     """The camera of a picture without distortion, where its pixels are in the distorted one, and which.
 
     camera : of the same focal lengths, large enough for all of the distorted picture.
-    column, row (H, W) : px.  inside (H, W).
+    maps : column and row (H, W) px.  inside (H, W).
     """
 
     camera: CameraModel
-    column: F32
-    row: F32
+    maps: Maps
     inside: B8
 
 
 @lru_cache(maxsize=8)  # two cameras at two levels, of a rig and of the one before
 def straight(camera: CameraModel) -> Straight:
     """How a camera's picture loses its distortion."""
-    across, down = (
-        np.linspace(-0.5, size - 0.5, CLIMB.border_points) for size in (camera.width, camera.height)
-    )
-    border = [np.column_stack([across, np.full(len(across), y)]) for y in down[[0, -1]]]
-    border += [np.column_stack([np.full(len(down), x), down]) for x in across[[0, -1]]]
-    size = np.array([camera.width, camera.height])
-    focal = np.array([camera.fx, camera.fy])
-    reach = camera.normalise(np.concatenate(border)) * focal + (camera.cx, camera.cy)
-    low = np.floor(np.maximum(reach.min(axis=0), -CLIMB.wider * size)).astype(np.int64)
-    high = np.ceil(np.minimum(reach.max(axis=0), (1 + CLIMB.wider) * size)).astype(np.int64)
-    width, height = (high - low).tolist()
+    size, focal = np.array([camera.width, camera.height]), np.array([camera.fx, camera.fy])
+    reach = border_bounds(camera, np.eye(3)) * focal + (camera.cx, camera.cy)
+    low = np.floor(np.maximum(reach[0], -CLIMB.wider * size)).astype(np.int64)
+    high = np.ceil(np.minimum(reach[1], (1 + CLIMB.wider) * size)).astype(np.int64)
+    width, height = (high - low + 1).tolist()
     cx, cy = camera.cx - float(low[0]), camera.cy - float(low[1])
     plain = replace(camera, model="division", distortion=(0.0,), width=width, height=height, cx=cx, cy=cy)
-    places = np.stack(np.meshgrid(np.arange(width), np.arange(height)), axis=-1)
-    source = camera.pixels((places - (cx, cy)) / focal)
-    inside = np.asarray(((source >= 0) & (source <= size - 1.0)).all(axis=-1), np.bool_)
-    column, row = (np.asarray(source[..., k], np.float32, "C") for k in (0, 1))
-    return Straight(plain, column, row, inside)
+    maps, valid = lens_maps(camera, np.eye(3), focal, (cx, cy), (width, height))
+    return Straight(plain, maps, np.asarray(valid > 0, np.bool_))
 
 
 @kernel("i8(f8, f8)", inline=True)

@@ -151,7 +151,6 @@ class ResponseClimbParams:
     sought_share: float = 0.6  # of what lies between two scales, either way: half, and a margin
     sought_px: float = 0.7  # between two distances, in the other picture
     wider: float = 0.25  # share of a picture's size by which the one without distortion is wider, at most
-    border_points: int = 33  # of each side of a picture, by which its reach is told
     climbed: int = 96  # of the best poses of either camera
     every: int = 2  # of a view's points, at first
     climbed_finely: int = 48  # of these

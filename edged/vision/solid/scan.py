@@ -387,7 +387,7 @@ class _Seen:
 
 def _responses_of(view: Straight, grey: F32) -> U8:
     """`responses` of a picture without its distortion, 0 beyond it."""
-    seen = cv2.remap(grey, view.column, view.row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    seen = cv2.remap(grey, *view.maps, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     maps = responses(np.asarray(seen, np.float32))
     maps[:, ~view.inside] = 0
     return maps

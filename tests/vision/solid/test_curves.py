@@ -70,7 +70,7 @@ def test_a_picture_without_distortion_holds_all_of_the_one_with_it(distortion: t
     """Each of its pixels shows what the lens puts there, and no pixel of the lens' picture is lost."""
     model = "division" if len(distortion) == 1 else "brown"
     camera = CameraModel(model, 320, 240, 400.0, 405.0, 150.0, 130.0, distortion)
-    plain, *source, inside = straight(camera)
+    plain, source, inside = straight(camera)
     rng = np.random.default_rng(3)
     pixels = rng.uniform((2, 2), (317, 237), (200, 2))
     u, v = (camera.normalise(pixels) * (plain.fx, plain.fy) + (plain.cx, plain.cy)).T
