@@ -18,7 +18,7 @@ from edged.vision.geometry.rectification import StereoImages
 from edged.vision.geometry.rigid import apply, rotation_vector
 from edged.vision.kernels.robust import mad_sigma, tukey_weights
 from edged.vision.solid.edgemodel import EdgeModel, are_unbroken, chains_of
-from edged.vision.solid.lock import Pyramids, lay, scale_at, schedule
+from edged.vision.solid.lock import FINE_STEPS, Pyramids, lay, scale_at
 from edged.vision.solid.params import BREAKS, DECISION, PROFILE
 from edged.vision.solid.profiles import Profiles, pose_by_profiles, profiles_of
 
@@ -259,7 +259,7 @@ def likeliest_form(
 
 
 def _laid(model: EdgeModel, view: LaidPair) -> LaidPair | None:
-    laid = lay(model, view.pyramids, view.pose, schedule(0)[1])
+    laid = lay(model, view.pyramids, view.pose, FINE_STEPS)
     return None if laid is None else replace(view, pose=laid.pose)
 
 

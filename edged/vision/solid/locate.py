@@ -27,7 +27,7 @@ from edged.vision.solid.curvemodel import curve_model
 from edged.vision.solid.edgemodel import EdgeModel, model_of
 from edged.vision.solid.evidence import PoseEvidence, apart, evidence_of, margin_over, sigmas_of
 from edged.vision.solid.forms import LaidPair, contradiction, likeliest_form
-from edged.vision.solid.lock import LaidPose, Pyramids, lay, schedule
+from edged.vision.solid.lock import FINE_STEPS, LaidPose, Pyramids, lay
 from edged.vision.solid.modes import PartPlace, SearchedPart, find_places, pyramids_of
 from edged.vision.solid.params import BREAKS, DECISION
 from edged.vision.solid.profiles import ProfileFit, best_fit
@@ -97,8 +97,7 @@ def all_edges_agree(images: StereoImages, job: Job, targets: Sequence[Target]) -
 def _agrees(job: Job, models: Sequence[EdgeModel], pyramids: Pyramids, target: Target) -> bool:
     """Whether the first of some models stays where a target is, and none of the others is likelier there."""
     pose = target.rig_from_part @ job.reference_from_part
-    steps = schedule(0)[1]
-    laid = lay(models[0], pyramids, pose, steps)
+    laid = lay(models[0], pyramids, pose, FINE_STEPS)
     if laid is None or turn_between(laid.pose, pose) > DECISION.same_turn_rad:
         return False
     if laid.agreeing.min() > DECISION.plain:
@@ -106,7 +105,9 @@ def _agrees(job: Job, models: Sequence[EdgeModel], pyramids: Pyramids, target: T
     certain = _certain(evidence_of(models[0], pyramids, laid.pose))
     if certain < DECISION.certain:
         return False
-    others = [other for model in models[1:] if (other := lay(model, pyramids, laid.pose, steps)) is not None]
+    others = [
+        other for model in models[1:] if (other := lay(model, pyramids, laid.pose, FINE_STEPS)) is not None
+    ]
     rival = max((_certain(evidence_of(other.model, pyramids, other.pose)) for other in others), default=0.0)
     return rival - certain < DECISION.certain
 
@@ -169,7 +170,7 @@ def weighed(
 
     turns_of : motions that leave a model like itself.
     """
-    fine = schedule(len(pyramids.cameras) - 1)[1][-DECISION.rival_steps :]
+    fine = FINE_STEPS[-DECISION.rival_steps :]
     poses = list(place.modes)
     seen = [evidence_of(mode.model, pyramids, mode.pose) for mode in poses]
     model = poses[max(range(len(poses)), key=lambda k: _certain(seen[k]))].model
@@ -202,7 +203,6 @@ def _of_likeliest_form(
     images: StereoImages, job: Job, found: FoundPart, place: PartPlace, pyramids: Pyramids
 ) -> FoundPart:
     """A part whose breaks are not known, weighed anew with the form of them that the pair shows."""
-    steps = schedule(0)[1]
     for _ in range(2):  # again where the right form shows that it lies otherwise
         view = LaidPair(images, pyramids, found.laid.pose)
         choice = likeliest_form(models_of(job), [view], _held(job, found.laid.model))
@@ -212,7 +212,7 @@ def _of_likeliest_form(
         poses = [choice.form.views[0].pose, *(mode.pose for mode in place.modes)]
         if is_doubtful:
             poses += _leant(model, poses[0])
-        laid = [lay(model, pyramids, pose, steps[-DECISION.rival_steps :]) for pose in poses]
+        laid = [lay(model, pyramids, pose, FINE_STEPS[-DECISION.rival_steps :]) for pose in poses]
         modes = tuple(mode for mode in laid if mode is not None)
         if not modes:
             return found

@@ -133,11 +133,14 @@ def lay(model: EdgeModel, pyramids: Pyramids, pose: FloatArray, steps: Sequence[
 
 
 def schedule(top: int) -> tuple[tuple[LockStep, ...], tuple[LockStep, ...]]:
-    """Coarse and fine steps for pyramids whose top level is this one, from the level below it on."""
-    coarse = tuple(_at(LOCK.middle, max(top - 1, 0)))
+    """Steps before those in the picture itself, where the top level is this: below it, and from there on."""
     between = [how for level in range(max(top - 2, 0), 0, -1) for how in _at(LOCK.between, level)]
-    return coarse, (*between, *_at(LOCK.fine, 0))
+    return _at(LOCK.middle, max(top - 1, 0)), tuple(between)
 
 
-def _at(steps: Sequence[tuple[float, float, float, float]], level: int) -> list[LockStep]:
-    return [LockStep(level, *numbers) for numbers in steps]
+def _at(steps: Sequence[tuple[float, float, float, float]], level: int) -> tuple[LockStep, ...]:
+    return tuple(LockStep(level, *numbers) for numbers in steps)
+
+
+FINE_STEPS = _at(LOCK.fine, 0)
+"""Steps in the picture itself."""

@@ -11,8 +11,8 @@ from edged.domain.arrays import FloatArray
 from edged.vision.geometry.rectification import StereoImages
 from edged.vision.geometry.rigid import apply, turn_between
 from edged.vision.solid.edgemodel import EdgeModel
-from edged.vision.solid.lock import LaidPose, Pyramids, lay, schedule
-from edged.vision.solid.params import MODES, LockStep
+from edged.vision.solid.lock import FINE_STEPS, LaidPose, Pyramids, lay, schedule
+from edged.vision.solid.params import DECISION, MODES, LockStep
 from edged.vision.solid.scan import starts_of, top_level
 
 
@@ -53,13 +53,16 @@ def find_places(wanted: SearchedPart, pyramids: Pyramids) -> list[PartPlace]:
     """Where the part may lie, by falling agreement."""
     model = wanted.models[0]
     starts = starts_of(model, pyramids.rig, pyramids.grey, wanted.tilt_rad, wanted.distances_mm, wanted.place)
-    coarse, fine = schedule(len(pyramids.cameras) - 1)
+    coarse, between = schedule(len(pyramids.cameras) - 1)
     laid = _laid(model, pyramids, starts, coarse, wanted)
     laid = _unlike(model, laid, MODES.kept_fine, MODES.fine_at_place)
-    poses = [candidate.pose for candidate in laid]
+    if between:
+        laid = _laid(model, pyramids, [candidate.pose for candidate in laid], between, wanted)
+        laid = _unlike(model, laid, MODES.kept_fine, MODES.fine_at_place)
+    poses = [candidate.pose for candidate in _worth(model, laid)]
     places: list[list[LaidPose]] = []
     for form in wanted.models:
-        laid = _laid(form, pyramids, poses, fine, wanted)
+        laid = _laid(form, pyramids, poses, FINE_STEPS, wanted)
         for candidate in _unlike(model, laid, MODES.kept_fine, MODES.fine_at_place):
             near = [
                 place
@@ -110,6 +113,19 @@ def _unlike(model: EdgeModel, laid: Sequence[LaidPose], most: int, at_place: int
         if len(kept) == most:
             break
     return kept
+
+
+def _worth(model: EdgeModel, laid: Sequence[LaidPose]) -> list[LaidPose]:
+    """Those that are not far behind the best of their place: what is laid finely may be what is there."""
+    return [
+        candidate
+        for candidate in laid
+        if all(
+            candidate.mean > DECISION.worth * other.mean
+            for other in laid
+            if _apart(model, candidate, other) < MODES.same_place * model.size_mm
+        )
+    ]
 
 
 def _apart(model: EdgeModel, candidate: LaidPose, other: LaidPose) -> float:

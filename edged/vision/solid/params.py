@@ -117,7 +117,8 @@ class ViewScanParams:
     points: int = 120  # of a view
     glance_points: int = 32  # of them that all places are compared with
     peaks: int = 2  # places of a view
-    looked_at: int = 400  # of all of them that are compared with all points
+    looked_at: int = 2000  # of all of them that are compared with all points, and
+    sought: int = 400  # of these, along their lines of sight: all points tell more than some
     spacing_px: float = 1.0  # between the points of a view before some are drawn
     fewest: int = 20  # points of a view
     smoothing_px: float = 0.7  # of the picture at that level
@@ -125,6 +126,9 @@ class ViewScanParams:
     min_contrast: float = 2.0  # grey values per px: less is noise
     contrast_share: float = 0.15  # of the picture's steep gradients, below which one counts less
     high_percent: float = 98.0  # percentile of the gradients that is called steep
+    chance_px: int = 15  # side of the surroundings in which an edge's chance is counted
+    chance: tuple[float, float] = (0.05, 0.7)
+    """Least and most of it: what 225 pixels tell, and what still leaves something to say."""
     least_cos: float = 0.7  # between gradient and edge: 45 degrees fit not at all
     same_place: float = 0.35  # of the part's size: starts nearer to each other are of one part
     places: int = 14  # of a scene that are kept

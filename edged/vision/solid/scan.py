@@ -21,7 +21,7 @@ from edged.vision.geometry.rigid import invert, rotation_matrix, transform, unit
 from edged.vision.kernels.jit import for_both, kernel
 from edged.vision.solid.climb import FULL, Eye, Straight, climb, eye_of, seek, straight
 from edged.vision.solid.edgemodel import EdgeModel
-from edged.vision.solid.params import CLIMB, SCAN, VISIBILITY
+from edged.vision.solid.params import CLIMB, EVIDENCE, SCAN, VISIBILITY
 from edged.vision.solid.visible import Cameras, at_level, samples_at, see, view_of
 
 # numba freezes globals when it compiles: kernels read these by name
@@ -113,20 +113,29 @@ def _leans(lean_rad: float) -> list[FloatArray]:
 
 
 def responses(grey: F32) -> U8:
-    """(8, H, W): how well a pixel's gradient fits each direction, 0 to FULL, spread by a pixel."""
+    """(8, H, W): what speaks for an edge of each direction there, against chance, 0 to FULL.
+
+    How well a pixel's gradient fits, spread by a pixel, says the less the more any direction fits nearby:
+    texture fits every part. It is the log likelihood ratio of `PoseEvidence`, and 0 where nothing fits.
+    """
     soft = cv2.GaussianBlur(grey, (0, 0), SCAN.smoothing_px)
     gx, gy = (cv2.Sobel(soft, cv2.CV_32F, 1 - k, k, scale=1 / 8) for k in (0, 1))
     strength, direction = np.hypot(gx, gy), np.arctan2(gy, gx)
     floor = max(SCAN.min_contrast, SCAN.contrast_share * float(np.percentile(strength, SCAN.high_percent)))
     around = cv2.dilate(strength, np.ones((SCAN.around_px,) * 2, np.uint8))
     weight = np.clip(strength / np.maximum(0.5 * around, floor), 0.0, 1.0)
-    maps = np.empty((BINS, *grey.shape), np.uint8)
+    fits = np.empty((BINS, *grey.shape), np.float32)
     for k in range(BINS):
         fit = np.clip(
             (np.abs(np.cos(direction - k * math.pi / BINS)) - SCAN.least_cos) / (1 - SCAN.least_cos), 0, 1
         )
-        maps[k] = cv2.dilate(np.rint(FULL * weight * fit).astype(np.uint8), np.ones((3, 3), np.uint8))
-    return maps
+        fits[k] = cv2.dilate(weight * fit, np.ones((3, 3), np.uint8))
+    least, most = SCAN.chance
+    chance = np.clip(cv2.blur(fits.mean(axis=0), (SCAN.chance_px,) * 2), least, most)
+    shows = EVIDENCE.shown * EVIDENCE.found
+    miss, full = math.log(1 - shows), math.log(shows / least + 1 - shows)
+    gain = (np.log(shows / chance + 1 - shows) - miss) / (full - miss)  # of an edge that is there to none
+    return np.asarray(np.rint(FULL * gain * fits), np.uint8)
 
 
 def scan(
@@ -249,7 +258,7 @@ def _best(views: ViewSet, allowed: I64, scales: FloatArray, maps: U8) -> tuple[I
     rows = order // SCAN.peaks
     result = np.empty((len(order), 3))
     look(padded, views.offsets, views.bins, chosen[rows], sizes[rows], reach, flat[order, 1:], result)
-    best = np.argsort(-result[:, 0], kind="stable")
+    best = np.argsort(-result[:, 0], kind="stable")[: SCAN.sought]
     return chosen[rows[best]], sizes[rows[best]], result[best, 1:]
 
 
