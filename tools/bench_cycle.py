@@ -67,9 +67,9 @@ COUNTED = {
     "fits on a coarse level": (refine, "settle"),
     "places looked around": (localsearch, "best_nearby"),
     "fits on the finest level": (search._Search, "_finest"),  # noqa: SLF001 - likewise
-    "coarse steps of the joint fit": (State, "approached"),
-    "steps of the joint fit": (State, "step"),
+    "joint fits": (State, "fitted"),
 }
+STEPS = ("coarse steps of the joint fit", "steps of the joint fit")
 
 
 @dataclass(frozen=True)
@@ -378,7 +378,9 @@ def counting() -> Iterator[Counter[str]]:
         @wraps(function)
         def wrapper(*arguments: Any, **named: Any) -> Any:
             result = function(*arguments, **named)
-            counts[what] += result[1].made if what.startswith("coarse") and result else 1
+            counts[what] += 1
+            if what == "joint fits" and result:
+                counts.update(dict(zip(STEPS, (result[1].coarse, result[1].fine), strict=True)))
             return result
 
         return wrapper
@@ -408,7 +410,7 @@ def work_of(cell: Bench) -> dict[str, float]:
             inspect(pair, cell.job, cell.rig)
     finally:
         sys.setprofile(None)
-    return {what: counts[what] / len(frames) for what in (*COUNTED, "Python calls")}
+    return {what: counts[what] / len(frames) for what in (*COUNTED, *STEPS, "Python calls")}
 
 
 @contextlib.contextmanager

@@ -167,18 +167,18 @@ def fit_plane(
     rigid_mm : the curves are those of one part, its places and sizes known to this sigma; it moves, turns and
     grows as a whole. None: each curve lies where it will.
     """
-    return _fitted(
-        state_of(
-            rig,
-            images,
-            face,
-            curves,
-            params,
-            fixed_normal=fixed_normal,
-            fixed_radius=fixed_radius,
-            rigid_mm=rigid_mm,
-        )
+    start = state_of(
+        rig,
+        images,
+        face,
+        curves,
+        params,
+        fixed_normal=fixed_normal,
+        fixed_radius=fixed_radius,
+        rigid_mm=rigid_mm,
     )
+    found = start.fitted()
+    return None if found is None else result_of(*found)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -211,37 +211,6 @@ def fit_circle(
     return fit_plane(
         rig, images, face, [circle], params, fixed_normal=fixed_normal, fixed_radius=fixed_radius
     )
-
-
-def _fitted(start: State) -> PlaneFit | None:
-    """Lay the curves where they are, then measure them."""
-    params, state = start.params, start
-    step: FitStep | None = None
-    reaches = params.reach_px[:-1] if params.repeats else params.reach_px
-    if reaches:
-        found = state.approached(reaches, max(params.spacing_px, FIT.coarse_spacing_px))
-        if found is None:
-            return None
-        state, step = found
-    if params.repeats:
-        state = state.with_polarity(params.reach_px[-1], params.spacing_px)
-    left = params.repeats
-    while left:
-        step = state.step(params.reach_px[-1], params.spacing_px)
-        kept = [] if step is None else step.supported(params.min_support)
-        if step is None or not kept:
-            return None
-        if params.min_support and len(kept) < len(state.curves):  # what is not there must not pull the others
-            state = state.only(kept)
-            continue
-        left -= 1
-        moved = state.moved(step)
-        if moved is None:
-            return None
-        state = moved
-        if step.solved.moved_px.max() < FIT.still_px:
-            break
-    return None if step is None else result_of(state, step)
 
 
 def result_of(state: State, step: FitStep, known: Known | None = None) -> PlaneFit | None:

@@ -1,6 +1,6 @@
 """Plane and curves at one moment of a fit: sampled, measured, and the step that fits best.
 
-Coarse steps, one after the other until the curves stand still, are one kernel.
+The steps of a fit, one after the other until the curves stand still, are one kernel.
 """
 
 from __future__ import annotations
@@ -31,20 +31,23 @@ from edged.vision.curves.params import FIT, FitParams
 from edged.vision.curves.samples import JointSolution, Samples
 from edged.vision.curves.sighting import CameraEdges, add_contrasts, look
 from edged.vision.geometry.camera import StereoRig
-from edged.vision.kernels.jit import F2, I1, INT, for_both, for_kernel, kernel
+from edged.vision.kernels.jit import F2, I1, INT, for_kernel, kernel
 from edged.vision.kernels.robust import MIN_SAMPLES
 
 STILL_PX = FIT.still_px  # numba freezes globals when it compiles: kernels read it by name
 
 
-class Approached(NamedTuple):
-    """Where the last of some coarse steps began, what it saw, and where it led.
+class Steps(NamedTuple):
+    """Where the last of some steps began, what it saw, and where it led.
 
-    steps : how many; 0 where the curves were lost.  before (4, 3), places (K, 5) : face and parameters where
-    the last one began, face and parameters after it; polarity (K,).
+    coarse, fine : how many were made, both 0 where the curves were lost.  numbers (K,) : the curves that are
+    left.  before (4, 3), places (K, 5) : face and parameters where the last one began, face and parameters
+    after it; polarity (K,).
     """
 
-    steps: INT
+    coarse: INT
+    fine: INT
+    numbers: I1
     before: F2
     places: F2
     face: F2
@@ -84,47 +87,85 @@ def signs_of(
     return polarity
 
 
+@kernel()
+def shown(sums: CurveSums, share: float) -> I64:
+    """The curves of which both images show at least this share."""
+    kept, many = np.empty(len(sums.total), np.int64), 0
+    for k in range(len(kept)):
+        if sums.total[k] >= MIN_SAMPLES and min(sums.support[0, k], sums.support[1, k]) >= share:
+            kept[many] = k
+            many += 1
+    return kept[:many].copy()
+
+
+@kernel()
+def some_of(curves: FlatCurves, numbers: I64) -> FlatCurves:
+    """The curves of these numbers (M,)."""
+    first = np.zeros(len(numbers) + 1, np.int64)
+    for m in range(len(numbers)):
+        first[m + 1] = first[m] + curves.first[numbers[m] + 1] - curves.first[numbers[m]]
+    signs = np.empty((2, first[-1]), np.int64)
+    for m in range(len(numbers)):
+        for n in range(first[m], first[m + 1]):
+            signs[0, n] = curves.signs[0, curves.first[numbers[m]] + n - first[m]]
+            signs[1, n] = curves.signs[1, curves.first[numbers[m]] + n - first[m]]
+    return FlatCurves(
+        curves.kinds[numbers], curves.parameters[numbers], curves.length_mm[numbers],
+        curves.height_mm[numbers], curves.polarity[numbers], signs, first,
+    )  # fmt: skip
+
+
 @kernel(
-    "Approached(CurvesAt, LaidCurves, u1[:, ::1], u1[:, ::1], f8[::1], f8, f8)",
+    "Steps(CurvesAt, u1[:, ::1], u1[:, ::1], f8[::1], i8, i8, f8[::1], f8, f8)",
     tuples=(
         *TUPLES, ProjectedOutline, CameraEdges, Pairs, Samples, JointSolution, Formed, CurveSums, Solved,
-        Approached,
+        Steps,
     ),
 )  # fmt: skip
-def approach(
-    at: CurvesAt, laid: LaidCurves, left: Image, right: Image, reaches: F64, spacing_px: float,
-    min_slope: float,
-) -> Approached:  # fmt: skip
-    """One step for each reach (at least one), fewer where the curves stand still.
+def take_steps(
+    at: CurvesAt, left: Image, right: Image, reaches: F64, coarse: int, fine: int, spacings_px: F64,
+    min_slope: float, min_support: float,
+) -> Steps:  # fmt: skip
+    """Coarse steps, one for each of the first reaches, then fine ones within the last; fewer once still.
 
-    laid : the curves where they are, some samples at least.
-    Far away there is one dominant edge; from the second step on each curve keeps its sign.
+    coarse, fine : at most so many, together at least one.  spacings_px (2,) : of coarse and of fine samples.
+    Far away there is one dominant edge; from the second step on each curve keeps its sign. In a fine step
+    each chooses its operator width, systematic shifts are reckoned with, and curves that the images do not
+    show are left out: what is not there must not pull the others.
     """
-    number = 0
+    numbers, made, refined, final = np.arange(len(at.curves.kinds)), 0, 0, coarse == 0
     while True:
-        seen = look(at, laid, left, 0, reaches[number], min_slope, False)
-        other = look(at, laid, right, 1, reaches[number], min_slope, False)
-        solved = solve_step(at, laid, seen, other, False)
+        reach = reaches[len(reaches) - 1 if final else made]
+        laid = lay(at, spacings_px[1 if final else 0])
+        if made > 0 or final:
+            signs = signs_of(at, laid, left, right, reach, min_slope)
+            at = laid_at(at, at.face, at.curves.parameters, signs)
+        seen = look(at, laid, left, 0, reach, min_slope, final)
+        other = look(at, laid, right, 1, reach, min_slope, final)
+        solved = solve_step(at, laid, seen, other, final)
+        good, kept = laid.starts[-1] > 0 and solved.rounds > 0, shown(solved.sums, min_support)
+        if good and final and min_support > 0.0 and 0 < len(kept) < len(numbers):
+            numbers = numbers[kept]
+            at = CurvesAt(at.left, at.right, at.face, some_of(at.curves, kept), at.freedom)
+            continue
         face, parameters = np.empty((4, 3)), np.empty(at.curves.parameters.shape)
-        good = solved.rounds > 0 and move(at, solved.delta, face, parameters)
-        still = number > 0
+        good = good and (len(kept) > 0 or not final) and move(at, solved.delta, face, parameters)
+        still = made > 0 or final
         for k in range(len(solved.moved_px)):
             still = still and solved.moved_px[k] < STILL_PX
-        number += 1
-        if not good or still or number == len(reaches):
+        if final:
+            refined += 1
+            ended = still or refined == fine
+        else:
+            made += 1
+            final = still or made == coarse
+            ended = final and fine == 0
+        if ended or not good:
             break
-        moved = laid_at(at, face, parameters, at.curves.polarity)
-        again = lay(moved, spacing_px)
-        if again.starts[len(at.curves.kinds)] == 0:
-            good = False
-            break
-        at, laid = moved, again
-        if number == 1:
-            signs = signs_of(at, laid, left, right, reaches[number], min_slope)
-            at = laid_at(at, at.face, at.curves.parameters, signs)
-    return Approached(
-        number if good else 0, at.face, at.curves.parameters, face, parameters, at.curves.polarity, laid,
-        seen.seen, other.seen, solved,
+        at = laid_at(at, face, parameters, at.curves.polarity)
+    return Steps(
+        made if good else 0, refined if good else 0, numbers, at.face, at.curves.parameters, face, parameters,
+        at.curves.polarity, laid, seen.seen, other.seen, solved,
     )  # fmt: skip
 
 
@@ -132,7 +173,7 @@ class FitStep(NamedTuple):
     """One step of the joint problem, of curves as they lay.
 
     sides : the samples in both images.  final : with systematic shifts, and with the shift of the rows as the
-    last unknown of the solver.  made : how many were made, with those before it.
+    last unknown of the solver.  coarse, fine : how many were made, with those before it.
     """
 
     at: CurvesAt
@@ -140,7 +181,8 @@ class FitStep(NamedTuple):
     sides: tuple[ProjectedOutline, ProjectedOutline]
     solved: Solved
     final: bool
-    made: int = 1
+    coarse: int = 0
+    fine: int = 1
 
     @property
     def row_shift_px(self) -> float:
@@ -197,62 +239,30 @@ class State:
             curve.break_mm,
         )
 
-    def only(self, numbers: Sequence[int]) -> State:
-        """The state with some of its curves."""
-        curves = [self.curve(k) for k in numbers]
-        return replace(self, curves=tuple(curves), at=self.at._replace(curves=flattened(curves)))
-
-    def with_polarity(self, reach: float, spacing_px: float) -> State:
-        """Give curves of unknown polarity the sign of most of their contrast."""
-        curves = self.at.curves
-        if curves.polarity.all():
-            return self
-        laid = lay(self.at, spacing_px)
-        polarity = signs_of(self.at, laid, *self.images, float(reach), self.params.min_slope)
-        return replace(self, at=self.at._replace(curves=curves._replace(polarity=polarity)))
-
-    def approached(self, reaches: Sequence[float], spacing_px: float) -> tuple[State, FitStep] | None:
-        """The state after coarse steps within these reaches, and the last of them."""
-        laid = lay(self.at, spacing_px)
-        if not laid.starts[-1]:
+    def fitted(self) -> tuple[State, FitStep] | None:
+        """The state after all steps of the fit, and the last of them; None where the curves were lost."""
+        params, at = self.params, self.at
+        coarse = len(params.reach_px) - (params.repeats > 0)
+        spacings_px = np.array([max(params.spacing_px, FIT.coarse_spacing_px), params.spacing_px])
+        found = take_steps(
+            at, *self.images, np.array(params.reach_px, np.float64), coarse, params.repeats, spacings_px,
+            params.min_slope, params.min_support,
+        )  # fmt: skip
+        if not found.coarse + found.fine:
             return None
-        found = approach(
-            self.at, laid, *self.images, np.array(reaches, np.float64), spacing_px, self.params.min_slope
+        state = self if len(found.numbers) == len(self.curves) else self._only(found.numbers)
+        curves = state.at.curves._replace(parameters=found.places, polarity=found.polarity)
+        at = at._replace(face=found.before, curves=curves)
+        step = FitStep(
+            at, found.laid, (found.left, found.right), found.solved, found.fine > 0, found.coarse, found.fine
         )
-        if not found.steps:
-            return None
-        curves = self.at.curves._replace(parameters=found.places, polarity=found.polarity)
-        at = self.at._replace(face=found.before, curves=curves)
-        step = FitStep(at, found.laid, (found.left, found.right), found.solved, final=False, made=found.steps)
-        return self._at(at, found.face, found.parameters), step
+        at = at._replace(face=found.face, curves=curves._replace(parameters=found.parameters))
+        return replace(state, at=at), step
 
-    def step(self, reach: float, spacing_px: float) -> FitStep | None:
-        """Measure the edges at the present curves, and solve for the step that fits them best.
-
-        Each curve chooses its operator width, and systematic shifts are reckoned with.
-        """
-        laid = lay(self.at, spacing_px)
-        if not laid.starts[-1]:
-            return None
-
-        def edges(side: int) -> CameraEdges:
-            return look(self.at, laid, self.images[side], side, reach, self.params.min_slope, True)
-
-        left, right = for_both(edges)
-        solved = solve_step(self.at, laid, left, right, True)
-        return FitStep(self.at, laid, (left.seen, right.seen), solved, final=True) if solved.rounds else None
-
-    def moved(self, step: FitStep) -> State | None:
-        """The state after a step; None when it has run away."""
-        face, parameters = np.empty((4, 3)), np.empty_like(self.at.curves.parameters)
-        if not move(self.at, step.solved.delta, face, parameters):
-            return None
-        return self._at(self.at, face, parameters)
-
-    def _at(self, at: CurvesAt, face: F64, parameters: F64) -> State:
-        """The state of curves that have moved."""
-        at = at._replace(face=face, curves=at.curves._replace(parameters=parameters))
-        return State(self.rig, self.images, self.curves, self.params, at)
+    def _only(self, numbers: I64) -> State:
+        """The state with some of its curves."""
+        curves = tuple(self.curves[k] for k in numbers)
+        return replace(self, curves=curves, at=self.at._replace(curves=flattened(curves)))
 
 
 def state_of(

@@ -25,7 +25,7 @@ from edged.vision.curves.outlines import (
     project_outline,
     projected,
 )
-from edged.vision.curves.planestate import approach, laid_at, signs_of
+from edged.vision.curves.planestate import laid_at, signs_of, some_of, take_steps
 from edged.vision.curves.samples import JointSolution
 from edged.vision.curves.sighting import CameraEdges, add_contrasts, look
 from edged.vision.edges.subpixel import WIDTHS_PX, edges_at_widths
@@ -349,41 +349,117 @@ def discs(rig: StereoRig, curves: tuple[Curve, ...]) -> tuple[Image, Image]:
     return pictures[0], pictures[1]
 
 
-@pytest.mark.parametrize("reaches", [(3.0,), (6.0, 4.0, 2.5, 2.0)])
-def test_coarse_steps_are_those_of_one_after_the_other(reaches: tuple[float, ...]) -> None:
-    """In every bit: laid, seen, solved and moved by the single kernels, with the sign of most contrast."""
+def in_turn(
+    at: CurvesAt,
+    images: tuple[Image, Image],
+    reaches: tuple[float, ...],
+    coarse: int,
+    fine: int,
+    support: float,
+) -> tuple[int, int, CurvesAt, CurvesAt, Solved]:
+    """Step after step by the single kernels: how many, where the last one began and led, and what it saw."""
+    made, refined, final = 0, 0, not coarse
+    while True:
+        reach, laid = reaches[-1 if final else made], lay(at, 1.5 if final else 3.0)
+        if final or made:
+            at = laid_at(at, at.face, at.curves.parameters, signs_of(at, laid, *images, reach, 1.5))
+        left, right = (look(at, laid, images[side], side, reach, 1.5, final) for side in (0, 1))
+        step = solve_step(at, laid, left, right, final)
+        good = (step.sums.total >= 8) & (step.sums.support.min(axis=0) >= support)
+        if final and support and not good.all():
+            numbers = np.flatnonzero(good)
+            flat = at.curves
+            at = at._replace(
+                curves=flat._replace(
+                    kinds=flat.kinds[numbers],
+                    parameters=flat.parameters[numbers],
+                    length_mm=flat.length_mm[numbers],
+                    height_mm=flat.height_mm[numbers],
+                    polarity=flat.polarity[numbers],
+                    first=np.zeros(len(numbers) + 1, np.int64),
+                )
+            )
+            continue
+        before, face, parameters = at, np.empty((4, 3)), np.empty(at.curves.parameters.shape)
+        assert move(at, step.delta, face, parameters)
+        at = laid_at(at, face, parameters, at.curves.polarity)
+        still = (final or made > 0) and step.moved_px.max() < 0.2
+        made, refined = made + (not final), refined + final
+        if refined and (still or refined == fine):
+            return made, refined, before, at, step
+        if not final:
+            final = still or made == coarse
+            if final and not fine:
+                return made, refined, before, at, step
+
+
+FAR = (6.0, 4.0, 2.5, 2.0)
+
+
+@pytest.mark.parametrize(
+    ("reaches", "coarse", "fine", "support"),
+    [((3.0,), 1, 0, 0.0), (FAR, 4, 0, 0.4), (FAR, 3, 4, 0.0), (FAR, 3, 4, 0.4), ((2.0,), 0, 1, 0.4)],
+)
+def test_steps_in_one_kernel_are_those_of_one_after_the_other(
+    reaches: tuple[float, ...], coarse: int, fine: int, support: float
+) -> None:
+    """In every bit: laid, seen, solved and moved by the single kernels, with the sign of most contrast.
+
+    In fine steps a curve that is not there is left out.
+    """
     rig, true = make_rig(), (CURVES[0], CURVES[3])
     start = tuple(replace(curve, parameters=curve.parameters + 0.05, polarity=0) for curve in true)
-    images, at = discs(rig, true), placed(rig, FREE, start)
-    found = approach(at, lay(at, 3.0), *images, np.array(reaches), 3.0, 1.5)
-    made, step = 0, None
-    for number, reach in enumerate(reaches):
-        laid = lay(at, 3.0)
-        if number == 1:
-            at = laid_at(at, at.face, at.curves.parameters, signs_of(at, laid, *images, reach, 1.5))
-            assert [1, 1] == at.curves.polarity.tolist()
-        left, right = (look(at, laid, images[side], side, reach, 1.5, False) for side in (0, 1))
-        step = solve_step(at, laid, left, right, False)
-        before, face, parameters = at, np.empty((4, 3)), np.empty((2, 5))
-        assert move(at, step.delta, face, parameters)
-        at, made = laid_at(at, face, parameters, at.curves.polarity), made + 1
-        if number > 0 and step.moved_px.max() < 0.2:
-            break
-    assert step is not None
-    assert (made, 1 if len(reaches) == 1 else 2) == (found.steps, min(made, 2))
-    np.testing.assert_array_equal(found.face, at.face)
-    np.testing.assert_array_equal(found.parameters, at.curves.parameters)
+    nothing = replace(CURVES[3], parameters=np.array([12.0, 9.0, 1.5]), polarity=1)
+    images, at = discs(rig, true), placed(rig, FREE, (start[0], nothing, start[1]))
+    found = take_steps(at, *images, np.array(reaches), coarse, fine, np.array([3.0, 1.5]), 1.5, support)
+    made, refined, before, after, step = in_turn(at, images, reaches, coarse, fine, support)
+    assert (made, refined) == (found.coarse, found.fine)
+    assert ([0, 2] if fine and support else [0, 1, 2]) == found.numbers.tolist()
+    assert (coarse > 1 or fine > 0) == (found.polarity == 1).all()
+    np.testing.assert_array_equal(found.face, after.face)
+    np.testing.assert_array_equal(found.parameters, after.curves.parameters)
     np.testing.assert_array_equal(found.places, before.curves.parameters)
     np.testing.assert_array_equal(found.before, before.face)
     np.testing.assert_array_equal(found.solved.weights, step.weights)
+    np.testing.assert_array_equal(found.solved.solution.covariance, step.solution.covariance)
     # a filled outline is half a pixel larger
-    np.testing.assert_allclose(found.parameters[:, :2], [curve.parameters[:2] for curve in true], atol=0.02)
+    np.testing.assert_allclose(
+        found.parameters[[0, -1], :2], [curve.parameters[:2] for curve in true], atol=0.02
+    )
+
+
+def test_curves_that_are_left_keep_their_stretches() -> None:
+    """Signs of a stretch stay with its curve."""
+    curves = (CURVES[0], CURVES[2], CURVES[3], replace(CURVES[2], signs=-STRETCHES[:, :2]))
+    for numbers in ([0, 1, 3], [1], [2], [3]):
+        found = some_of(flattened(curves), np.array(numbers))
+        for value, expected in zip(found, flattened([curves[k] for k in numbers]), strict=True):
+            np.testing.assert_array_equal(value, expected)
+
+
+def lost(at: CurvesAt, images: tuple[Image, Image], coarse: int, fine: int) -> bool:
+    """Whether steps lose the curves."""
+    reaches = np.array([6.0, 4.0])
+    found = take_steps(at, *images, reaches, coarse, fine, np.array([3.0, 1.5]), 1.5, 0.4)
+    return found.coarse == found.fine == 0
 
 
 def test_a_circle_that_runs_away_is_lost() -> None:
     """The edge lies outside by more than half of its radius: no step is made."""
     rig, start = make_rig(), replace(CURVES[3], parameters=np.array([-5.0, 4.0, 0.5]), polarity=1)
     wide = replace(start, parameters=np.array([-5.0, 4.0, 0.82]))
-    at = placed(rig, FREE, (start,))
     images = discs(rig, (wide,))
-    assert 0 == approach(at, lay(at, 3.0), *images, np.array([6.0, 4.0]), 3.0, 1.5).steps
+    assert lost(placed(rig, FREE, (start,)), images, 2, 0)
+    assert not lost(placed(rig, FREE, (wide,)), images, 2, 0)
+
+
+@pytest.mark.parametrize(("coarse", "fine"), [(2, 0), (1, 2), (0, 2)])
+def test_what_cannot_be_laid_or_seen_is_lost(coarse: int, fine: int) -> None:
+    """Behind the cameras, too large for any picture, or, in fine steps, nowhere in it."""
+    rig, images = make_rig(), discs(make_rig(), CURVES[:1])
+    behind = replace(CURVES[0], height_mm=-300.0)
+    large, aside = (
+        replace(behind, parameters=np.array(where)) for where in ((0.0, 0.0, 1e6), (900.0, 0.0, 9.0))
+    )
+    for wrong in (behind, replace(large, height_mm=0.0), *([replace(aside, height_mm=0.0)] if fine else ())):
+        assert lost(placed(rig, FREE, (wrong,)), images, coarse, fine)
