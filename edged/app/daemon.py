@@ -278,4 +278,6 @@ class Daemon:
         return head_of(cameras, self._world, external=self.loaded.setup.listens, calibrated=sizes)
 
     def _tell_cycle(self) -> None:
-        self._cycle.set_publishers((*self._servers.started.values(), *self._observers))
+        # the PLC's registers first: a thread that others wake for a result takes the interpreter from them
+        servers = sorted(self._servers.started.items(), key=lambda server: server[0] != "modbus")
+        self._cycle.set_publishers((*(publisher for _, publisher in servers), *self._observers))

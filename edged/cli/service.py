@@ -58,12 +58,18 @@ def run(
             metavar="USER", help="the page is a service of its own and runs as this user (edged-page.service)"
         ),
     ] = None,
+    trace: Annotated[
+        Path | None,
+        typer.Option(
+            help="file for what each thread does in each cycle, written at the end: Trace Event JSON"
+        ),
+    ] = None,
 ) -> None:
     """Run the daemon until SIGTERM; SIGHUP reloads the configuration."""
     gc.disable()  # imports leave no garbage, and looking for it is a tenth of the start; `serve` enables it
     from edged.commands.run import run as command
 
-    raise typer.Exit(command(config, page_user))
+    raise typer.Exit(command(config, page_user, trace))
 
 
 @app.command()

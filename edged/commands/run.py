@@ -13,17 +13,21 @@ from edged.app.daemon import Daemon
 from edged.app.pagesource import awaited_page
 from edged.app.process import log_as, serve, set_up_process
 from edged.app.servers import import_servers
+from edged.app.tracing import traced
 from edged.commands.newcell import config_in
+from edged.files.outputs import check_outputs
 from edged.setup.releases.installing import finish_installation
 
 log = logging.getLogger(__name__)
 
 
-def run(path: Path, page_user: str | None = None) -> int:
+def run(path: Path, page_user: str | None = None, trace: Path | None = None) -> int:
     """Run the daemon of a configuration file, or of a folder with one, until SIGTERM or SIGINT.
 
-    page_user : of the page, where it is a service of its own; None: the daemon starts it. Raises `UserError`.
+    page_user : of the page, where it is a service of its own; None: the daemon starts it.  trace : file for
+    what each thread does, see `tracing`. Raises `UserError`.
     """
+    check_outputs({"--trace": trace})
     set_up_process()
     awaited = None if page_user is None else awaited_page(page_user)
     faulthandler.enable()  # the watchdog's SIGABRT, as any crash, leaves every thread's stack in the log
@@ -45,8 +49,9 @@ def run(path: Path, page_user: str | None = None) -> int:
     if source.startswith("virtual"):
         from edged.sim.world import VirtualWorld  # a cell with real cameras starts without it
 
-        with VirtualWorld(gige=source == "virtual") as world:
+        with VirtualWorld(gige=source == "virtual") as world, traced(trace):
             asyncio.run(serve(lambda: Daemon(path, loaded, world=world, awaited=awaited)))
     else:
-        asyncio.run(serve(lambda: Daemon(path, loaded, awaited=awaited)))
+        with traced(trace):
+            asyncio.run(serve(lambda: Daemon(path, loaded, awaited=awaited)))
     return 0

@@ -55,6 +55,7 @@ OUTPUTS = {
     ("replay", "overlays"): "replay recordings --overlays {}/pictures",
     ("restore", "output"): "restore cell.tar.gz -o {}/cell",
     ("rig convert", "target"): "rig convert rig.json {}/rig.yaml --to opencv",
+    ("run", "trace"): "run cell.toml --trace {}/trace.json",
     ("study", "report"): "study pictures --rig rig.json --job jobs/flange --size c0 --tolerance 1:2 "
     "--report {}/study.html",
     ("support", "output"): "support cell.toml -o {}/help.zip",
