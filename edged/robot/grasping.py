@@ -17,7 +17,7 @@ from edged.domain.arrays import FloatArray
 from edged.domain.measurement import Target
 from edged.domain.picking import Grasp, GraspPose
 from edged.robot.orientations import about
-from edged.vision.geometry.rigid import rotation_vector, skew, transform
+from edged.vision.geometry.rigid import invert, rotation_vector, skew, transform
 
 MAX_WAYS = 8
 """Ways to take one part that are kept: who cannot reach so many gives up the part."""
@@ -92,6 +92,16 @@ def held(target: Target, grasp: GraspPose) -> Target:
         covariance=grasp.covariance,
         robot_shift=grasp.robot_shift,
     )
+
+
+def placing(robot_offset: FloatArray, robot_from_tool: FloatArray) -> FloatArray:
+    """By what (4, 4) to multiply a taught place from the right, for a part that the gripper holds askew.
+
+    robot_offset : robot_now robot_golden^-1 of the part, both seen with the tool at robot_from_tool. The part
+    lies at tool_from_now, and lay at tool_from_golden: the tool goes to
+    place tool_from_golden tool_from_now^-1.
+    """
+    return np.asarray(invert(robot_from_tool) @ invert(robot_offset) @ robot_from_tool)
 
 
 def _looks_the_same(target: Target) -> bool:

@@ -115,6 +115,8 @@ FORMATS = {
         {
             "ST_EDGED_RESULT.TcDUT": "iec",
             "ST_EDGED_GRASP.TcDUT": "iec",
+            "ST_EDGED_TRAY.TcDUT": "iec",
+            "ST_EDGED_PLACE.TcDUT": "iec",
             "F_EDGED_DWORD.TcPOU": "iec",
             "F_EDGED_NEXT.TcPOU": "iec",
             "F_EDGED_UDINT_OF_64.TcPOU": "iec",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import enum
+import re
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 
@@ -12,16 +13,19 @@ from edged.plc.answers import NackReason
 from edged.plc.processimage import FROM_CELL, TO_CELL, TO_CELL_BYTES
 from edged.plc.registers import (
     ADDRESS,
+    BELT,
     BLOCKS,
     COMMAND,
     GRASP,
     JOBS,
     MAGIC,
     MAP_VERSION,
+    PLACE,
     RESULT,
     ROWS,
     STATUS,
     TABLE,
+    TRAY,
     UR,
     UR_GRASP,
     UR_OFFSET,
@@ -116,6 +120,7 @@ def _plain(text: str) -> str:
 def register_values() -> dict[str, object]:
     """Values that every template has: numbers by name, blocks, and the poses of a registration."""
     used = {"STATUS": STATUS, "RESULT": RESULT, "GRASP": GRASP, "COMMAND": COMMAND, "UR": UR}
+    used |= {"TRAY": TRAY, "PLACE": PLACE, "BELT": BELT}
     numbers = {
         "command": _numbers(CommandKind),
         "reason": _numbers(reason for reason in NackReason if reason),
@@ -148,6 +153,10 @@ def register_values() -> dict[str, object]:
         "control_words": ADDRESS["BOX"] - COMMAND.address + 1,
         "result_variables": list(_variables(RESULT, "Result")),
         "grasp_variables": list(_variables(GRASP, "Grasp")),
+        # both blocks are read in one request, which begins with tray
+        "more_words": PLACE.address + PLACE.words - TRAY.address,
+        "tray_variables": list(_variables(TRAY, "Tray", "More")),
+        "place_variables": list(_variables(PLACE, "Place", "More", PLACE.address - TRAY.address)),
         # both blocks are read in one request, which begins with ur
         "ur": {
             register.name: register.address - UR.address
@@ -180,16 +189,16 @@ def _area(block: Block) -> Area:
     )
 
 
-def _variables(block: Block, place: str) -> Iterator[Variable]:
+def _variables(block: Block, place: str, read_as: str = "", first: int = 0) -> Iterator[Variable]:
     """Declared and converted registers of a block; 64 bits become two UDINT, lengths and angles a REAL, too.
 
-    place : "aw" and this are its words, "st" and this its structure.
+    place : "st" and this is its structure. read_as : "aw" and this, or that, are its words, from `first` on.
     """
-    low_first, words = "xLowWordFirst := xLowWordFirst", f"aw{place}"
+    low_first, words = "xLowWordFirst := xLowWordFirst", f"aw{read_as or place}"
     for register in block.registers:
         if "RESERVED" in register.name or register.name.endswith("CRC16"):
             continue
-        name, at = register.name.removeprefix("G_"), register.address - block.address
+        name, at = re.sub("^[GPL]_", "", register.name), first + register.address - block.address
         comment = f"{register.unit}: {register.help}" if register.unit else register.help
         comment = _plain(comment)
         joined = f"F_EDGED_DWORD(wFirst := {words}[{at}], wSecond := {words}[{at + 1}], {low_first})"

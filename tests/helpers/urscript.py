@@ -13,9 +13,10 @@ import re
 import time
 from typing import Any
 
+import numpy as np
 from pymodbus.client import ModbusTcpClient
 
-from edged.robot.orientations import Brand, pose_of
+from edged.robot.orientations import Brand, pose_of, transform_of
 from helpers.drl import declared
 from helpers.robotlink import standing
 
@@ -98,6 +99,10 @@ class Controller:
         """What URScript calls."""
         return {
             "get_actual_tool_flange_pose": lambda: pose_of(Brand.UR, self.arm.flange),
+            "pose_trans": lambda first, then: pose_of(
+                Brand.UR, transform_of(Brand.UR, first) @ transform_of(Brand.UR, then)
+            ),
+            "pose_inv": lambda pose: pose_of(Brand.UR, np.linalg.inv(transform_of(Brand.UR, pose))),
             "floor": math.floor,
             "sleep": self._sleep,
             "sync": lambda: None,

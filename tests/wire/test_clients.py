@@ -20,7 +20,7 @@ import numpy as np
 import pytest
 from helpers import structured_text, urscript
 from helpers.goldenkeeper import golden_cell
-from helpers.livecell import GRASPS, PART_FROM_TCP, LiveCell
+from helpers.livecell import GRASPS, PART_FROM_TCP, Head, LiveCell
 from helpers.snapshots import make_target, make_transform
 from helpers.waiting import wait_until
 from pymodbus.client import ModbusTcpClient
@@ -28,13 +28,14 @@ from pymodbus.exceptions import ConnectionException, ModbusIOException
 
 from edged.adapters.modbus import ModbusSettings
 from edged.config.servers import ModbusSection
+from edged.domain.belt import Belt
 from edged.domain.frames import FramePair
 from edged.domain.measurement import Outcome, Reject, Status
-from edged.domain.picking import Bounds, Box, Picking
+from edged.domain.picking import Bounds, Box, Order, Picking, Tray
 from edged.plc.registers import ADDRESS, GRASP, STATUS, UR, Option, crc16
-from edged.robot.orientations import Brand, Convention, transform_of
-from edged.robots.formats import render
-from edged.vision.geometry.rigid import rotation_vector
+from edged.robot.orientations import Brand, Convention, fixed_xyz, pose_of, rotation_of, transform_of
+from edged.robots.formats import ProgramCell, render, written
+from edged.vision.geometry.rigid import rotation_vector, transform
 
 
 @pytest.fixture(scope="module")
@@ -473,6 +474,7 @@ class Plc(structured_text.Driven):
         if self.linked:
             self.values["awStatus"] = self.client.read_holding_registers(200, count=STATUS.words).registers
             self.values["awResult"] = self.client.read_holding_registers(300, count=48).registers
+            self.values["awMore"] = self.client.read_holding_registers(1410, count=67).registers
             self.values["awGrasp"] = self.client.read_holding_registers(540, count=GRASP.words).registers
         self.values["xLinkOk"] = self.linked
         self.block.scan()
@@ -635,6 +637,50 @@ def test_structured_text_says_where_the_tool_takes_the_part(order: Any) -> None:
             plc.release()
             assert not plc.values["stGrasp"]["xValid"]
             plc.until("xReady")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("order", ["high", "low"])
+def test_structured_text_says_what_was_found_in_the_tray_and_how_to_place_a_part(order: Any) -> None:
+    """stTray also where nothing was found, stPlace of a part in the gripper; neither of another command."""
+    settings = ModbusSettings(port=0, validity_s=30.0, word_order=order)
+    golden_cell(cell := LiveCell(settings))
+    cell.pick(Picking(tray=TRAY_OF_20))
+    look = transform_of(Brand.KUKA, (600.0, 60.0, 500.0, 10.0, 20.0, 170.0))
+    with cell, Plc(cell.port, low_word_first=order == "low") as plc:
+        plc.values["adiFlange"] = [round(1000 * n) for n in (*look[:3, 3], *fixed_xyz(look[:3, :3]))]
+        for command, tool_from_part in ((10, FROM_GOLDEN), (1, FROM_NOW)):
+            cell.call(lambda: cell.cycle.exchange(cell.pick(Picking()).setup))
+            held_askew(cell, look, tool_from_part)
+            plc.until("xReady")
+            plc.run(uiCommand=command)
+            plc.scan()
+            is_valid, words = plc.values["stPlace"]["xValid"], plc.values["awMore"]
+            plc.values["awMore"] = [(word + 1) % 65536 for word in words]
+            plc.block.scan()
+            assert not plc.values["stPlace"]["xValid"]
+            plc.release()
+        place = plc.values["stPlace"]
+        askew = transform(
+            rotation_of(Convention.FIXED_XYZ, *(place[f"r{axis}"] for axis in "ABC")),
+            np.array([place[f"r{axis}"] for axis in "XYZ"]),
+        )
+        assert (True, False) == (is_valid, place["xValid"])
+        np.testing.assert_allclose(PLACE_TAUGHT @ askew @ FROM_NOW, PLACE_TAUGHT @ FROM_GOLDEN, atol=1e-2)
+        assert not plc.values["stTray"]["xValid"]
+        cell.call(lambda: cell.cycle.exchange(cell.pick(Picking(tray=TRAY_OF_20)).setup))
+        for targets, found in (((make_target(x_mm=30.0),), [2, 1, 1]), ((), [0, 0, 1])):
+            cell.targets = targets
+            plc.until("xReady")
+            plc.run(uiCommand=1)
+            plc.scan()
+            tray = plc.values["stTray"]
+            assert tray["xValid"]
+            assert [*found, 20] == [
+                tray[f"ui{name}"] for name in ("POCKET", "TAKEN", "FIRST_EMPTY", "POCKETS")
+            ]
+            plc.release()
+            assert not tray["xValid"]
 
 
 @pytest.mark.slow
@@ -962,6 +1008,101 @@ def test_urscript_shifts_a_taught_path_to_where_the_part_is() -> None:
         robot["edged_locate"](0, 5.0)
         assert (0.0,) * 6 == tuple(robot["edged_offset"]())
         assert not robot["edged_ok"]
+
+
+def held_askew(cell: LiveCell, look: np.ndarray, tool_from_part: np.ndarray) -> None:
+    """What the cell sees of a part in the gripper, where the tool stands at look."""
+    cell.targets = (dataclasses.replace(make_target(), rig_from_part=look @ tool_from_part),)
+
+
+PLACE_TAUGHT = transform_of(Brand.KUKA, (700.0, 350.0, -40.0, 95.0, -10.0, 170.0))
+FROM_GOLDEN = make_transform((0.2, -0.1, 0.4), (4.0, -3.0, 60.0))
+FROM_NOW = FROM_GOLDEN @ make_transform((0.02, 0.03, -0.05), (1.5, -0.8, 0.4))
+"""How the gripper holds the golden part, and one that it took askew."""
+TRAY_OF_20 = Tray((0.0, 20.0, 200.0), ((570.0, 20.0, 200.0), *((0.0, 20.0, 200.0),) * 2), (20, 1, 1), 10.0)
+
+
+def test_urscript_places_a_part_that_is_held_askew() -> None:
+    """pose_trans(place, edged_askew(look)) puts it where the golden one was put; 110 without one."""
+    golden_cell(cell := LiveCell())
+    with robot_beside(cell) as (controller, robot):
+        look = pose_of(Brand.UR, controller.arm.tip)
+        robot["edged_locate"](0, 5.0)
+        robot["edged_askew"](look)
+        assert (False, 110) == (robot["edged_ok"], robot["edged_error"])
+        held_askew(cell, controller.arm.tip, FROM_GOLDEN)
+        assert robot["edged_golden"](0, 5.0)
+        held_askew(cell, controller.arm.tip, FROM_NOW)
+        robot["edged_locate"](0, 5.0)
+        down = transform_of(
+            Brand.UR, robot["pose_trans"](pose_of(Brand.UR, PLACE_TAUGHT), robot["edged_askew"](look))
+        )
+        assert (True, 0) == (robot["edged_ok"], robot["edged_error"])
+        np.testing.assert_allclose(down @ FROM_NOW, PLACE_TAUGHT @ FROM_GOLDEN, atol=5e-3)
+
+
+class CountingHead(Head):
+    """Its left camera sends the count of a belt's encoder."""
+
+    count = 0
+
+    async def capture(self) -> FramePair:
+        pair = await super().capture()
+        return dataclasses.replace(pair, left=dataclasses.replace(pair.left, count=self.count))
+
+
+@pytest.mark.parametrize("order", ["high", "low"])
+def test_urscript_says_where_a_part_on_the_belt_is_now(order: Any) -> None:
+    """What the encoder went since the exposure, over its end and back; 113 without a belt."""
+    direction, settings = (
+        (0.0, -2.0, 0.0, 0.0, 0.0, 0.0),
+        ModbusSettings(port=0, word_order=order, validity_s=30.0),
+    )
+    cell = ProgramCell(is_low_first=order == "low")
+    (source,) = written("urscript", cell).values()
+    live = LiveCell(settings)
+    live.head = head = CountingHead()
+    with live, urscript.Controller(live.port) as controller:
+        ticks = [0.0]
+        builtins = controller.builtins() | {"encoder_get_tick_count": lambda _: ticks[0], "sqrt": math.sqrt}
+        robot = urscript.load(source, builtins)
+        robot["edged_setup"]("192.168.10.20")
+        assert (False, 113) == (robot["edged_belt_zero"](0, 5.0), robot["edged_error"])
+        live.reload(belt=Belt((0.0, -0.02, 0.0), (0.0,) * 3, 2**32, "camera", 0.0, 0.0, 0.0, 1000.0, 10.0))
+        head.count = 70_000
+        ticks[0] = 100.4
+        assert robot["edged_belt_zero"](0, 5.0), robot["edged_error"]
+        for went in (0, 1, 5_000, -5_000, 32_000):
+            head.count += 65_000
+            ticks[0] = (100.4 + head.count - 70_000 + went) % 65536
+            target = robot["edged_locate"](0, 5.0)
+            now = robot["edged_on_belt"](target, direction, 50_000.0)
+            assert robot["edged_ok"], robot["edged_error"]
+            expected = np.array(target) - (0.0, went / 50_000.0, 0.0, 0.0, 0.0, 0.0)
+            np.testing.assert_allclose(now, expected, atol=1e-9)
+
+
+def test_urscript_says_what_was_found_in_the_tray() -> None:
+    """Of the part, how many, the first empty one, and of each pocket; 112 without a tray."""
+    with robot_beside(cell := LiveCell()) as (_, robot):
+        robot["edged_locate"](0, 5.0)
+        assert (False, 112) == (robot["edged_tray"](0), robot["edged_error"])
+        cell.call(lambda: cell.cycle.exchange(cell.pick(Picking(Order.POCKET, tray=TRAY_OF_20)).setup))
+        cell.targets = tuple(make_target(x_mm=30.0 * pocket) for pocket in (17, 0, 2))
+        robot["edged_locate"](1, 5.0)
+        taken = []
+        for pocket in range(1, 21):
+            assert robot["edged_tray"](pocket), robot["edged_error"]
+            taken += [pocket] if robot["edged_is_taken"] else []
+        assert [1, 3, 18] == taken
+        names = ("edged_pocket", "edged_taken", "edged_empty", "edged_pockets")
+        assert [1, 3, 2, 20] == [robot[name] for name in names]
+        assert (False, 112) == (robot["edged_tray"](21), robot["edged_error"])
+        robot["edged_acknowledge"]()
+        assert (False, 112) == (robot["edged_tray"](0), robot["edged_error"])
+        cell.targets = ()
+        robot["edged_locate"](1, 5.0)
+        assert (True, [0, 0, 1, 20]) == (robot["edged_tray"](0), [robot[name] for name in names])
 
 
 def test_urscript_tries_all_jobs_when_asked_to() -> None:

@@ -46,8 +46,8 @@ def test_a_function_block_locates_a_part(make: type[S7 | TwinCat]) -> None:
         assert (True, 2) == (plc.values["xError"], plc.values["uiError"])
         assert 2 == cell.head.captures
         if isinstance(plc, S7):
-            expected = [(103, 200, 20), (103, 300, 48), (103, 540, 35), (116, 100, 21)]
-            assert expected == plc.client.requests[:4]
+            expected = [(103, 200, 20), (103, 300, 48), (103, 540, 35), (103, 1410, 67), (116, 100, 21)]
+            assert expected == plc.client.requests[:5]
 
 
 @makers

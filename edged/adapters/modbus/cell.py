@@ -82,6 +82,7 @@ RESULT_BLOCKS = (
     reg.UR_OFFSET,
     reg.TRAY,
     reg.BELT,
+    reg.PLACE,
 )
 """Blocks that show the result on display."""
 EPOCHS = tuple(f"{block}START_EPOCH" for block in reg.PREFIXES)

@@ -38,8 +38,9 @@ from edged.plc import registers as reg
 from edged.plc.answers import NackReason
 from edged.plc.frames import COMMANDS, MAGIC, read_request
 from edged.plc.lines import POSE_NAMES, UNKNOWN, BadRequest, LineAnswer, LineStatus
+from edged.robot.grasping import placing
 from edged.robot.orientations import ANGLES_DEG, Brand, pose_of, rotation_of, transform_of
-from edged.vision.geometry.rigid import invert, transform
+from edged.vision.geometry.rigid import transform
 
 TIMEOUT_S = 10.0
 """Time-out of a command; then the cell answers NACK, TIMEOUT."""
@@ -352,17 +353,15 @@ class Robot:
     def _place(self, request: LineRequest) -> LineAnswer:
         """Answer with what to multiply a taught place by, from the right, for a part that the gripper holds.
 
-        The request says how the tool stood at this LOCATE, and at GOLDEN. The part lies at tool_from_now,
-        and lay at tool_from_golden: the tool goes to place tool_from_golden tool_from_now^-1.
+        The request says how the tool stood at this LOCATE, and at GOLDEN.
         """
         if request.flange is None:
             raise _Refused(LineStatus.NOT_UNDERSTOOD)
         values, numbers = self._offset_numbers(OFFSETS["OFFSET"])
         x, y, z, a, b, c = (number / 1000 for number in numbers)
         offset = transform(rotation_of(self._settings.convention, a, b, c), np.array([x, y, z]))
-        tool = request.flange
         answer = self._answer(request, values, numbers, "O_SIGMA")
-        turned = pose_of(request.brand, np.asarray(invert(tool) @ invert(offset) @ tool))
+        turned = pose_of(request.brand, placing(offset, request.flange))
         return replace(answer, pose=turned, sigma=(UNKNOWN,) * 3)
 
     def _offset_numbers(self, place: str) -> tuple[dict[str, reg.Number], list[float]]:

@@ -22,6 +22,7 @@ from edged.plc.registers.layout import (
     GRASP,
     JOBS,
     OFFSET,
+    PLACE,
     REFERENCE_MARKS,
     REGISTRATION,
     RESULT,

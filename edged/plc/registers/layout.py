@@ -407,6 +407,16 @@ TRAY = make_block(
     """,
 )
 
+RESERVED = make_block(
+    "reserved",
+    1423,
+    """
+    RESERVED_1423     u64 - 0; so that tray, belt and place can be read in one request
+    RESERVED_1427     u32 - 0
+    RESERVED_1429     u16 - 0
+    """,
+)
+
 BELT = make_block(
     "belt",
     1430,
@@ -424,6 +434,20 @@ BELT = make_block(
     """,
 )
 
+PLACE = make_block(
+    "place",
+    1459,
+    """
+    L_SEQ_HEAD        u16 - as SEQ_HEAD
+    L_FLAGS           u16 bits as FLAGS; VALID when the part that is shown has an offset, and FLANGE was given
+    L_[XYZABC]        i32 µm/0.001° of a part that the gripper holds as FLANGE says, now and at GOLDEN:
+        multiply a taught place by it from the right; INT32_MIN when not VALID
+    L_START_EPOCH     u32 - as START_EPOCH
+    L_CRC16           u16 - CRC-16/MODBUS of the words of this block before, each high byte first
+    L_SEQ_TAIL        u16 - as SEQ_TAIL
+    """,
+)
+
 JOBS = tuple(_job(index) for index in range(JOB_ROWS))
 TABLE = tuple(_row(index) for index in range(TABLE_ROWS))
 
@@ -431,7 +455,7 @@ BLOCKS = (
     *(CONSTANTS, COMMAND, STATUS),
     *(RESULT, UR, UR_GRASP, FLOAT, BITS, GRASP, REGISTRATION),
     *(*TABLE, TABLE_END, COUNTERS, *JOBS, OFFSET, UR_OFFSET, REFERENCE_MARKS, ACCEPTANCE, ROBOT_MAP),
-    *(TRAY, BELT),
+    *(TRAY, RESERVED, BELT, PLACE),
 )
 ROWS = (TABLE, JOBS)
 """Blocks that repeat, row by row."""

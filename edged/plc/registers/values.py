@@ -13,7 +13,7 @@ import numpy as np
 from edged.domain.acceptance import Acceptance
 from edged.domain.arrays import FloatArray
 from edged.domain.belt import BeltMoment, OnBelt
-from edged.domain.events import Basis, CommandKind, Snapshot
+from edged.domain.events import Basis, Command, CommandKind, Snapshot
 from edged.domain.golden import Offset
 from edged.domain.marks import MarksReport
 from edged.domain.measurement import Status, Target
@@ -35,7 +35,7 @@ from edged.plc.registers.schema import (
     Number,
     ResultCode,
 )
-from edged.robot.grasping import held
+from edged.robot.grasping import held, placing
 from edged.robot.orientations import ANGLES_DEG, Convention, rotation_vector_rad, sigma_angles_deg
 from edged.robot.reading import reading_of
 
@@ -87,6 +87,7 @@ class Pose:
 
     exact : mm and degrees, X Y Z A B C. sigma : the same. integers : µm and 0.001°.
     rotation_vector : µrad. radius, depth and their sigmas in mm; NaN when there is no circle.
+    place : µm and 0.001°; () if unknown.
     """
 
     exact: tuple[float, ...]
@@ -105,6 +106,7 @@ class Pose:
     shift: Shift | None = None
     pocket: int = 0
     belt: BeltPose | None = None
+    place: tuple[int, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -249,7 +251,20 @@ def _pose(target: Target, snapshot: Snapshot, convention: Convention) -> Pose | 
         shift=_shift(target.offset, convention),
         pocket=target.pocket,
         belt=_belt_pose(target.belt, convention),
+        place=_place(target.offset, snapshot.command, convention),
     )
+
+
+def _place(offset: Offset | None, command: Command | None, convention: Convention) -> tuple[int, ...]:
+    """How to place a part that the gripper holds, in registers' units; () if unknown, or out of range."""
+    if offset is None or command is None or command.robot_from_flange is None:
+        return ()
+    place = placing(offset.robot, command.robot_from_flange)
+    if not _is_sane(place):
+        return ()
+    exact = (*place[:3, 3].tolist(), *ANGLES_DEG[convention](place[:3, :3]))
+    numbers = tuple(round(value * 1000) for value in exact)
+    return numbers if all(abs(number) <= INT32_MAX for number in numbers) else ()
 
 
 def _belt_figures(moment: BeltMoment | None) -> tuple[int, int]:
@@ -352,7 +367,7 @@ def _score(score: float) -> int:
     return round(min(max(score, 0.0), 1.0) * 1e4) if math.isfinite(score) else 0
 
 
-PREFIXES = ("", "UR_", "F_", "G_", "UG_", "TABLE_", "O_", "UO_", "P_", "B_")
+PREFIXES = ("", "UR_", "F_", "G_", "UG_", "TABLE_", "O_", "UO_", "P_", "B_", "L_")
 """Prefixes of the register names in each block that shows a result."""
 
 
@@ -391,7 +406,7 @@ def result_values(
         **{f"{block}SEQ_TAIL": tail for block in PREFIXES},
         **{f"{block}RESULT": shown.code for block in ("", "UR_", "F_")},
         **{f"{block}FLAGS": flags for block in ("", "UR_", "F_")},
-        **{f"{block}FLAGS": flags & ~Flag.VALID for block in ("G_", "UG_", "O_", "UO_", "B_")},
+        **{f"{block}FLAGS": flags & ~Flag.VALID for block in ("G_", "UG_", "O_", "UO_", "B_", "L_")},
         **{f"{block}STATE": shown.golden for block in ("O_", "UO_")},
         "O_GOLDEN": shown.golden_s,
     }
@@ -409,6 +424,8 @@ def result_values(
             values |= {"O_FLAGS": flags, "UO_FLAGS": flags, **_offset_values(pose.shift)}
         if valid and pose.belt is not None:
             values |= {"B_FLAGS": flags, **_belt_values(pose.belt, shown.belt)}
+        if valid and pose.place:
+            values |= {"L_FLAGS": flags, **{f"L_{axis}": n for axis, n in zip(AXES, pose.place, strict=True)}}
     return values
 
 
