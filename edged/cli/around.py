@@ -34,6 +34,9 @@ def demo(
         str | None,
         typer.Option(help="open the robots' socket, with poses as this maker writes them: kuka, abb, ..."),
     ] = None,
+    belt: Annotated[
+        bool, typer.Option("--belt", help="parts on a belt of 200 mm/s, on cameras inside the process")
+    ] = False,
     stage: Annotated[
         bool, typer.Option("--stage", help="without rig and job: set the cell up on its page, step by step")
     ] = False,
@@ -55,6 +58,7 @@ def demo(
                 as_json,
                 stage,
                 brand.lower() if brand is not None else None,
+                belt=belt,
             )
         )
     )

@@ -6,6 +6,7 @@ import asyncio
 import json
 import logging
 import tempfile
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -16,7 +17,7 @@ from rich.console import Console
 
 from edged.app.cell import load_cell, warm_up
 from edged.app.daemon import Daemon
-from edged.app.demoview import demo_view
+from edged.app.demoview import BeltView, demo_view
 from edged.app.discovery import aravis_missing
 from edged.app.process import serve, set_up_process
 from edged.errors import UserError
@@ -26,7 +27,9 @@ from edged.files.outputs import make_folder
 from edged.files.rig import save_rig
 from edged.pipeline import prepare
 from edged.plc.lines import answer_fields
+from edged.ports import Publisher
 from edged.robot.orientations import Brand
+from edged.sim.belt import VirtualBelt
 from edged.sim.cell import Truth, VirtualCell
 from edged.sim.world import VirtualWorld
 from edged.vision.geometry.camera import StereoRig
@@ -35,6 +38,7 @@ from edged.vision.teaching.pair import teach
 from edged.vision.teaching.region import Region
 
 CELL = "demo"
+BELT_SPACING_MM, BELT_EXPOSURE_S = 40.0, 200e-6
 REGISTERED = transform(np.diag((1.0, -1.0, -1.0)), np.array((600.0, 0.0, 500.0)))
 """Where the robot of `--brand` has the left camera: 500 mm above its base, looking down."""
 
@@ -54,6 +58,7 @@ class DemoOptions:
     stage: bool = False
     brand: str | None = None
     line_port: int = 1503
+    belt: bool = False
 
 
 def demo(options: DemoOptions) -> int:
@@ -62,11 +67,15 @@ def demo(options: DemoOptions) -> int:
         raise UserError(f"--brand {options.brand}: expected {', '.join(Brand)}")
     set_up_process(logging.WARNING)
     console = Console(stderr=options.as_json)
-    gige = not options.in_process and _aravis_is_here(console)
+    # a virtual GigE camera has no encoder
+    gige = not (options.in_process or options.belt) and _aravis_is_here(console)
     if options.stage:
         return _stage(options, console, gige=gige)
     with _folder(options.folder) as folder, VirtualWorld(gige=gige) as world:
         path = prepare_cell(folder, world.cell, options, gige=gige)
+        belt = _belt(world.cell)
+        if options.belt:
+            world.carry(belt)
         loaded = load_cell(path)
         warm_up(loaded)
         source = (
@@ -84,8 +93,12 @@ def demo(options: DemoOptions) -> int:
             world.cell, loaded.cell.config, console, cycles=options.cycles, finished=lambda: daemons[0].stop()
         )
 
+        observers: list[Publisher] = [view]
+        if (known := loaded.setup.belt) is not None and (robot := loaded.setup.robot_from_rig) is not None:
+            observers.append(BeltView(world.cell, known, belt, robot, console))
+
         def build() -> Daemon:
-            daemons.append(Daemon(path, loaded, observers=[view], world=world))
+            daemons.append(Daemon(path, loaded, observers=observers, world=world))
             return daemons[0]
 
         asyncio.run(serve(build))
@@ -114,6 +127,40 @@ def _how_to_talk(brand: str, port: int, config: Path) -> str:
     return f"""robot: printf '{brand},1,LOCATE,0\\n' | nc -q 2 127.0.0.1 {port}
        answers {fields}
        its program: edged registers --config {config}"""
+
+
+def _belt(cell: VirtualCell) -> VirtualBelt:
+    """Parts pass through the middle of where they may lie, from left to right, not quite along the rows."""
+    rig_from_part = np.eye(4)
+    rig_from_part[:3, 3] = cell.middle_mm
+    direction = np.array([1.0, 0.15, 0.0])
+    return VirtualBelt(
+        direction, 200.0, 0.02, time.time_ns(), rig_from_part, BELT_SPACING_MM, BELT_EXPOSURE_S
+    )
+
+
+def _belt_text(rig: StereoRig, belt: VirtualBelt) -> str:
+    """The sections that say what `edged belt` would find."""
+    assert rig.robot_from_rig is not None
+    step = belt.mm_per_count * belt.direction / np.linalg.norm(belt.direction)
+    mm_per_count = ", ".join(f"{x:.9f}" for x in rig.robot_from_rig[:3, :3] @ step)
+    first_mm = ", ".join(f"{x:.3f}" for x in (rig.robot_from_rig @ belt.rig_from_part)[:3, 3])
+    exposure_us = 1e6 * belt.exposure_s
+    return f"""
+[cameras.left]
+exposure_us = {exposure_us:g}
+count = "EncoderValue"   # of the virtual belt
+
+[cameras.right]
+exposure_us = {exposure_us:g}
+
+[belt]
+mm_per_count = [{mm_per_count}]
+first_mm = [{first_mm}]
+speed_mm_s = {belt.speed_mm_s!r}
+source = "camera"
+jitter_ms = 0.01
+"""
 
 
 def region_of_part(rig: StereoRig, truth: Truth) -> Region:
@@ -161,6 +208,8 @@ listen = ["tcp/127.0.0.1:{options.zenoh_port}"]
     if options.brand is not None:
         line = f'port = {options.line_port}\nbrand = "{options.brand}"\nallow_simulated = true'
         text += f"\n[modbus.socket]\n{line}\n"
+    if options.belt:
+        text += _belt_text(rig, _belt(cell))
     path = folder / "cell.toml"
     write_file(path, text.encode())
     return path

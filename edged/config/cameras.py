@@ -170,7 +170,7 @@ class CamerasSection(Section):
         return self
 
     def _check_count(self) -> None:
-        if self.source not in ("aravis", "virtual"):
+        if self.source == "replay":
             raise ValueError(f"count: needs cameras, not source {self.source!r}")
         if self.left.count and self.right.count:
             raise ValueError("count: of one camera only: a result has one")

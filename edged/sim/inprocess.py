@@ -53,7 +53,8 @@ class InProcessFaults:
 class InProcessCamera:
     """A camera whose images are computed when it is triggered.
 
-    exposure : called in a worker thread; (height, width) uint8 as the sensor saw it.
+    exposure : called in a worker thread; (height, width) uint8 as the sensor saw it. count : of a belt's
+    encoder, which comes with the image.
     Opening, triggering and closing are counted for tests.
     """
 
@@ -67,9 +68,10 @@ class InProcessCamera:
         exposure_us: float = 2000.0,
         gain_db: float = 0.0,
         frame_timeout_s: float = 5.0,
+        count: Callable[[ExposureRequest], int] | None = None,
     ) -> None:
         self._name = name
-        self._exposure = exposure
+        self._exposure, self._count = exposure, count
         self._width, self._height = width, height
         self._configured = self._values = CameraValues(exposure_us, gain_db)
         self._frame_timeout_s = frame_timeout_s
@@ -179,7 +181,10 @@ class InProcessCamera:
         if faults.incomplete_next > 0:
             faults.incomplete_next -= 1
             return None
-        return Frame(self._name, request.frame_id, image.copy(), request.device_ns, request.exposed_ns)
+        count = None if self._count is None else self._count(request)
+        return Frame(
+            self._name, request.frame_id, image.copy(), request.device_ns, request.exposed_ns, count=count
+        )
 
     async def _drop_pending(self) -> None:
         pending, self._pending = self._pending, None

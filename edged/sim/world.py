@@ -2,16 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import replace
 from types import TracebackType
 
-from edged.domain.arrays import SIDES, Side
+from edged.domain.arrays import SIDES, Image, Side
+from edged.sim.belt import VirtualBelt
 from edged.sim.cell import VirtualCell, demo_part, demo_rig
+from edged.sim.exposure import ExposureRequest
 from edged.sim.gige.camera import GigeCamera
 from edged.sim.inprocess import InProcessCamera
+from edged.sim.showing import Thing
 from edged.sim.stage import Stage, stage_board
 from edged.vision.geometry.camera import StereoRig
 
 ADDRESSES = ("127.0.0.1", "127.0.0.2")
+FLASH_US = 2000.0
+"""An exposure as bright as the flash over a belt."""
 SERIALS = ("EDGED-VIRTUAL-L", "EDGED-VIRTUAL-R")
 
 
@@ -27,6 +34,7 @@ class VirtualWorld:
     rig : as it truly is, and how large its pictures are; None: the demo's.
     addresses : (left, right) of the GigE Vision cameras, None for cameras inside this process.
     stage : where somebody shows board and part; None: the part lies elsewhere at every exposure.
+    belt : carries the parts; None: they lie still.
     """
 
     def __init__(
@@ -37,6 +45,12 @@ class VirtualWorld:
         self.stage = Stage(self.cell, seed=seed) if staged else None
         self.addresses = ADDRESSES if gige else None
         self._devices: list[GigeCamera] = []
+        self.belt: VirtualBelt | None = None
+
+    def carry(self, belt: VirtualBelt) -> None:
+        """Parts come on a belt, under a flash; the left camera tells its count."""
+        self.belt = belt
+        self.cell.show(Thing.PART, belt.pose)
 
     def __enter__(self) -> VirtualWorld:
         """Start the GigE Vision cameras. Raises `ListenError` when their port is taken."""
@@ -71,11 +85,26 @@ class VirtualWorld:
     def in_process_cameras(self) -> tuple[InProcessCamera, InProcessCamera]:
         """Cameras that need neither Aravis nor a network."""
         left, right = (
-            InProcessCamera(side, self.cell.exposure(side), width=width, height=height)
+            InProcessCamera(
+                side,
+                self.cell.exposure(side) if self.belt is None else self._flashed(side),
+                width=width,
+                height=height,
+                count=self._count if side == "left" and self.belt is not None else None,
+            )
             for side in SIDES
             for width, height in [self._size(side)]
         )
         return left, right
+
+    def _flashed(self, side: Side) -> Callable[[ExposureRequest], Image]:
+        expose = self.cell.exposure(side)
+        return lambda request: expose(replace(request, exposure_us=FLASH_US))
+
+    def _count(self, request: ExposureRequest) -> int:
+        """Of the moment that both pictures of the pair show."""
+        assert self.belt is not None
+        return self.belt.count(self.cell.moment("left", request).exposed_ns)
 
     def _size(self, side: Side) -> tuple[int, int]:
         camera = self.cell.view(side).camera

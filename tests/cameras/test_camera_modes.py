@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import time
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -359,7 +360,7 @@ async def test_an_encoders_count_comes_with_the_image_of_its_exposure(cell: Cell
     ("cameras", "trouble"),
     [
         ({"right": {"device": RIGHT, "count": "EncoderValue"}}, "count: of one camera only"),
-        ({"source": "virtual-inprocess"}, "count: needs cameras, not source 'virtual-inprocess'"),
+        ({"source": "replay", "folder": Path("pairs")}, "count: needs cameras, not source 'replay'"),
         (
             {
                 "exposure_ratio": 8,

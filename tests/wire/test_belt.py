@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import time
 import tomllib
 from collections.abc import Iterator
@@ -13,6 +14,7 @@ import numpy as np
 import pytest
 from helpers.commandline import exit_code
 from helpers.livecell import Head, LiveCell
+from helpers.ports import free_port
 from helpers.smallcell import HEIGHT, TOKEN, WIDTH, SmallCell, tiny_rig
 from helpers.waiting import LIMIT_S, wait_until
 from pymodbus.client import ModbusTcpClient
@@ -278,3 +280,21 @@ def test_a_board_at_two_counts_teaches_direction_and_scale(
     expected = rig.robot_from_rig[:3, :3] @ DIRECTION * MM_PER_COUNT
     np.testing.assert_allclose(section["mm_per_count"], expected, atol=2e-5)
     assert 200.0 == section["speed_mm_s"]
+
+
+def test_the_demo_shows_where_parts_lay_on_its_belt(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Along the belt within two steps of its encoder, across it and in height to some micrometres."""
+    ports = {"--modbus-port": free_port(), "--zenoh-port": free_port(), "--web-port": 0}
+    options = [str(word) for option in ports.items() for word in option]
+    assert 0 == exit_code(
+        "demo", "--belt", "--cycles", "3", "--period", "0", "--folder", str(tmp_path), *options
+    )
+    told = re.search(
+        r"(\d) parts, 3\s+pictures; rms\s+along\s+([\d.]+), across\s+([\d.]+), in\s+height\s+([\d.]+)",
+        capsys.readouterr().out,
+    )
+    assert told is not None
+    along_um, across_um, height_um = (float(number) for number in told.groups()[1:])
+    assert along_um < 40.0 and across_um < 5.0 and height_um < 10.0
