@@ -19,11 +19,11 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 from helpers.soak import Soak
 
 
-def main(hours: float, seed: int, block_hours: float) -> int:
+def main(hours: float, seed: int, block_hours: float, image_hours: float) -> int:
     """Print what happened and what should not have."""
     logging.disable(logging.CRITICAL)  # refused and failed commands by the thousand are what is simulated
     start_s = time.monotonic()
-    book = Soak(seed, block_hours * 3600).run(hours * 3600)
+    book = Soak(seed, block_hours * 3600, image_s=image_hours * 3600).run(hours * 3600)
     print(f"{hours:g} h of handshakes in {time.monotonic() - start_s:.0f} s, seed {seed}")
     for what, count in sorted(book.counts.items()):
         print(f"  {count:9d}  {what}")
@@ -47,5 +47,8 @@ if __name__ == "__main__":
         default=0.5,
         help="of them, with the generated function block, scan by scan",
     )
+    parser.add_argument(
+        "--image-hours", type=float, default=2.0, help="of them, with a scanner of EtherNet/IP every 50 ms"
+    )
     arguments = parser.parse_args()
-    sys.exit(main(arguments.hours, arguments.seed, arguments.block_hours))
+    sys.exit(main(arguments.hours, arguments.seed, arguments.block_hours, arguments.image_hours))

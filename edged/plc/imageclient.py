@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import asyncio
 import itertools
-import time
 from collections.abc import Callable
 
 from edged.errors import CommandRefused
@@ -103,7 +102,7 @@ class ImageClient:
             values = {register.name: value for register, value in source.values(SHOWN_BLOCKS)}
             self._post(image_from_cell(values, little=self._is_little))
             if (until_s := source.valid_until_s) > 0:
-                next_s = min(next_s, max(0.001, until_s - time.monotonic()))
+                next_s = min(next_s, max(0.001, until_s - self._watch.loop.time()))
         if self._next_show is not None:
             self._next_show.cancel()
         self._next_show = self._watch.loop.call_later(next_s, self._show)

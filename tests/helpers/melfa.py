@@ -201,7 +201,6 @@ class Controller:
         self.shared: dict[str, Any] = {f"M_{i:02}": TYPES.variable("number") for i in range(20)}
         for name in ("P_100", "P_101", "P_102"):
             self.shared[name] = TYPES.array("position", 10)
-        self.shared["M_100"] = TYPES.array("number", 10)
         for name in ("P_CURR", "P_TOOL"):
             self.shared[name] = TYPES.variable("position")
         self.shared["P_CURR"].get().fields["fl1"].set(7)

@@ -709,8 +709,7 @@ class Mitsubishi:
         tray = [
             self.number(name) for name in (("M_07", "M_08", "M_09") if self.number("M_07") else ("M_07",))
         ]
-        pockets = self.controller.shared["M_100"]
-        return [tray, [pockets.element(i + 1).get() for i in range(int(self.number("M_01")))]]
+        return [tray, [self.pose("P_101", i + 1)[0] for i in range(int(self.number("M_01")))]]
 
     def locate_place(self) -> tuple[float, ...] | None:
         return None if self.locate(grasps=6) is None else self.pose("P_101", 1)

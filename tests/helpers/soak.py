@@ -3,9 +3,10 @@
 Time does not pass, it jumps: the event loop moves its clock to the next timer as soon as nothing is left to
 do. So a day takes a minute or two, every instant in it can be looked at, and a seed repeats it exactly.
 
-Two PLCs, one of which writes the same registers every 20 ms for ever, a robot that talks in lines of text and
-registers the rig now and then, a client of OPC UA, a careless third client and triggers as they come over
-Zenoh use the cell at once, while it is stopped, killed, and reloaded section by section.
+Two PLCs, one of which writes the same registers every 20 ms for ever, a scanner with a process image as over
+EtherNet/IP, a robot that talks in lines of text and registers the rig now and then, a client of OPC UA, a
+careless third client and triggers as they come over Zenoh use the cell at once, while it is stopped, killed,
+and reloaded section by section.
 
 Checked at every look of an independent observer, on words as they travel:
 - VALID is up only with the sequence of the newest command, head and tail and CRC agree, the coordinates are
@@ -64,7 +65,9 @@ from edged.plc import answers
 from edged.plc import handshake as hs
 from edged.plc import handshakeevents as ev
 from edged.plc import registers as reg
+from edged.plc.imageclient import ImageClient
 from edged.plc.lines import LineAnswer
+from edged.plc.processimage import FROM_CELL, NO_IMAGE, TO_CELL
 from edged.robot.orientations import Brand
 from edged.robots.formats import render
 from helpers import structured_text
@@ -89,6 +92,9 @@ WORKED_ON = (("cell",), ("cameras", "cell"), ("modbus",), ("zenoh",))
 STOOD_ON = ("cell", "limits", "cameras", "rig")
 """What results stand on."""
 OPCUA = 1_000_000
+SCANNER = 3_000_000
+"""As the servers number their clients, from there on."""
+RPI_S = 0.05
 OPCUA_COMMAND, OPCUA_PICTURE, OPCUA_FORGET = (
     vars(OpcUaPublisher)[name] for name in ("_command", "_picture", "_forget")
 )
@@ -176,7 +182,7 @@ class WatchedRegisters(CellRegisters):
                 sequence = effect.ticket & hs.SEQUENCE_MASK
                 self._exposed_for_s = self._exposed_for_s if is_next else now_s
                 self.written[sequence] = self._exposed_for_s
-                is_opcua = 1_000_000 <= self._writer < 10_000_000  # as it numbers its clients
+                is_opcua = OPCUA <= self._writer < SCANNER  # as it numbers its clients
                 line = self._world.lines.get(OPCUA if is_opcua else self._writer)
                 self._world.book.expect(
                     line is not None and line.means(sequence), f"{sequence} of {self._writer} ran unasked"
@@ -582,15 +588,16 @@ class Soak:
     """One run: careful, cyclic and careless clients, a trigger, an observer, and bad luck.
 
     block_s : for how long the generated function block takes part (a scan takes a millisecond of real time).
+    image_s : the same of the scanner.
     until : pattern of the violation that ends the run.
     """
 
-    def __init__(self, seed: int, block_s: float = 0.0, until: str = "") -> None:
+    def __init__(self, seed: int, block_s: float = 0.0, until: str = "", image_s: float = 0.0) -> None:
         self.dice = random.Random(seed)
         self.book = Book(until)
         self.loop = VirtualLoop(self._vision_s)
         self.clients = 1
-        self._block_s = block_s
+        self._block_s, self._image_s = block_s, image_s
         self._picked: set[tuple[int, int]] = set()  # exposure and number of each part that a robot moved to
         self._shown: dict[tuple[int, int], tuple[Any, ...]] = {}  # by which command a part was seen as VALID
 
@@ -612,6 +619,8 @@ class Soak:
         people += [self._observe, self._bad_luck]
         if self._block_s:
             people.append(self._block)
+        if self._image_s:
+            people.append(self._scanner)
         await asyncio.gather(*(one() for one in people))
         self.world.cycle.stop()
         await self.world.task
@@ -763,6 +772,63 @@ class Soak:
             if self.loop.time() - asked_s > 20.0:
                 line.intent.clear()
                 asked_s = -math.inf
+
+    async def _scanner(self) -> None:
+        """A PLC that exchanges images; its connection ends now and then, its image stays."""
+        shown = [NO_IMAGE]
+        client = ImageClient(
+            lambda: None if self.world.is_down else self.world.served,
+            lambda image: shown.__setitem__(0, image),
+            "sequence",
+            SCANNER,
+            is_little=True,
+        )
+        client.start()
+        line, form = (
+            Line(self.world, SCANNER, 0),
+            struct.Struct("<" + "".join(r.kind.value for r in FROM_CELL)),
+        )
+        asked = {register.name: 0 for register in TO_CELL}
+        asked_s, located_s, epoch = -math.inf, -math.inf, 0
+        stop_s = self.loop.time() + self._image_s
+        while self._going and self.loop.time() < stop_s:
+            await asyncio.sleep(RPI_S)
+            if self.dice.random() < 3e-3:
+                client.leave()
+                line.intent, asked_s = set(), -math.inf
+                await asyncio.sleep(self.dice.uniform(0.0, 30.0))
+            self.world.lines[vars(client)["_client"]] = line
+            client.take(
+                struct.pack("<" + "".join(r.kind.value for r in TO_CELL), *asked.values()).ljust(64, b"\0")
+            )
+            found = dict(zip((r.name for r in FROM_CELL), form.unpack(shown[0]), strict=True))
+            sequence = asked["CMD_SEQ"]
+            if sequence in line.intent and found["NACK_REASON"] == answers.NackReason.BASELINE:
+                sequence = asked["CMD_SEQ"] = sequence % 65535 + 1
+                line.intent = {sequence}
+            mine = (found["SEQ_HEAD"], found["SEQ_TAIL"], found["START_EPOCH"]) == (sequence, sequence, epoch)
+            if asked_s > 0 and found["START_EPOCH"] == epoch and found["DONE_SEQ"] == sequence:
+                if mine and found["FLAGS"] & reg.Flag.VALID:
+                    place = {axis: round(found[f"F_{axis}"] * 1000) for axis in "XYZ"}
+                    self._pick(asked["COMMAND"], asked["JOB"], {**place, "JOB": found["JOB"]}, located_s)
+                    self.book.counts["parts picked over images"] += 1
+                    age_s = self.loop.time() - self.world.exposures[place["X"]][0]
+                    self.book.expect(age_s <= VALIDITY_S + 0.06, f"an image VALID after {age_s:.3f} s")
+                    asked["ACK_SEQ"] = sequence
+                asked_s = -math.inf
+                if mine and found["REMAINING"] and self.dice.random() < 0.8:
+                    sequence = sequence % 65535 + 1
+                    asked |= {"COMMAND": CommandKind.NEXT_PART, "CMD_SEQ": sequence}
+                    line.intent, asked_s = {sequence}, self.loop.time()
+            elif asked_s < 0 and self.dice.random() < 0.1 and found["CMD_SEQ_ECHO"] == sequence:
+                sequence = sequence % 65535 + 1
+                asked |= {"COMMAND": CommandKind.LOCATE, "JOB": self.dice.choice((0, 1, 2))}
+                asked |= {"CMD_SEQ": sequence, "ACK_SEQ": 0}
+                asked_s = located_s = self.loop.time()
+                line.intent, epoch = {sequence}, int(found["START_EPOCH"])
+            if self.loop.time() - asked_s > 20.0:
+                line.intent, asked_s = set(), -math.inf
+        client.close()
 
     async def _robot(self) -> None:
         """Lines of text, a link for each picture; some answers are lost on the way, and asked for again."""

@@ -50,6 +50,14 @@ def test_ten_minutes_of_handshakes_without_a_violation() -> None:
 
 
 @pytest.mark.slow
+def test_a_scanner_of_images_beside_them_is_given_nothing_old_either() -> None:
+    """Two minutes over restarts and reloads: each part of an image was asked for, once, and is young."""
+    book = Soak(5, image_s=120.0).run(120.0)
+    assert [] == book.violations
+    assert book.counts["parts picked over images"] > 10
+
+
+@pytest.mark.slow
 def test_a_cell_that_forgets_the_age_is_caught(monkeypatch: pytest.MonkeyPatch) -> None:
     """The observer is not blind: a handshake whose results never grow old is found out."""
     real = hs.HandshakeLimits
