@@ -102,12 +102,15 @@ import gi
 gi.require_version("Aravis", "0.8")
 PY
 
-# of Prometheus its checker alone: the package would run a server here
-if [ "$EDGED_FOR" = test ] && [ ! -x .venv/bin/promtool ] && command -v apt-get >/dev/null; then
-    say "taking promtool from Debian's package prometheus"
+# of Prometheus and Alertmanager the programs alone: the packages would run servers here
+if [ "$EDGED_FOR" = test ] && [ ! -x .venv/bin/prometheus-alertmanager ] && command -v apt-get >/dev/null; then
+    say "taking Prometheus, promtool and Alertmanager from Debian's packages"
     unpacked=$(mktemp -d)
-    (cd "$unpacked" && apt-get -qq download prometheus 2>/dev/null && dpkg -x prometheus_*.deb . &&
-        install usr/bin/promtool "$EDGED_ROOT/.venv/bin/") || say "no promtool: what is shipped for Prometheus is not judged"
+    (cd "$unpacked" && apt-get -qq download prometheus prometheus-alertmanager 2>/dev/null &&
+        for package in *.deb; do dpkg -x "$package" .; done &&
+        install usr/bin/{promtool,prometheus,prometheus-alertmanager} "$EDGED_ROOT/.venv/bin/" &&
+        $([ "$(id -u)" = 0 ] || echo sudo -n) install -Dm 644 -t /usr/share/prometheus/alertmanager usr/share/prometheus/alertmanager/*.tmpl) ||
+        say "no Prometheus: what is shipped for it is not judged"
     rm -rf "$unpacked"
 fi
 

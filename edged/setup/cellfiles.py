@@ -141,11 +141,14 @@ def acceptance_of(path: Path, rig: StereoRig) -> Acceptance:
 
 
 def files_in_use(cell: CellFiles | UnfinishedCell) -> FilesInUse:
-    """A cell as another process gets it; of secrets only the page's own password hash goes with it."""
+    """A cell as another process gets it; of secrets only the page's own password hashes go with it."""
     # what is left out stays so: some keys must not be stated with others
     settings = cell.config.model_dump(mode="json", by_alias=True, exclude_unset=True)
     if cell.config.web is not None:
-        settings["web"]["password_hash"] = cell.config.web.password_hash.get_secret_value()
+        for place, hashed in cell.config.password_hashes().items():
+            section, option = place.split(".")
+            if section == "web":
+                settings["web"][option] = hashed
     if cell.config.opcua is not None and cell.config.opcua.password_hash.get_secret_value():
         settings["opcua"]["password_hash"] = HIDDEN_HASH
     return FilesInUse(

@@ -77,12 +77,13 @@ class _Quiet(http.server.SimpleHTTPRequestHandler):
 
 
 @contextmanager
-def served(folder: Path, certificates: Path) -> Iterator[str]:
+def served(folder: Path, certificates: Path, port: int = 0) -> Iterator[str]:
     """A folder at https://127.0.0.1:PORT; its authority is `ca.pem` among the certificates."""
-    certificates.mkdir()
-    make_certificates(certificates)
+    if not certificates.exists():
+        certificates.mkdir()
+        make_certificates(certificates)
     server = http.server.ThreadingHTTPServer(
-        ("127.0.0.1", 0), functools.partial(_Quiet, directory=str(folder))
+        ("127.0.0.1", port), functools.partial(_Quiet, directory=str(folder))
     )
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
     context.load_cert_chain(certificates / "server.pem", certificates / "server.key")

@@ -9,6 +9,7 @@ from fnmatch import fnmatchcase
 import pytest
 
 ALLOWED = {
+    "tests/adapters/test_monitoring.py::*": "no prometheus",
     "tests/adapters/test_prometheus.py::*": "no promtool",
     "tests/commands/test_as_root.py::*": "only root",
     "tests/commands/test_doctor.py::test_without_the_right_*": "not root",

@@ -95,17 +95,19 @@ def test_the_files_of_a_cell_are_the_same(tmp_path: Path, lacks: str) -> None:
 def test_no_secret_but_the_pages_own_crosses(tmp_path: Path) -> None:
     """A page that strangers talk to cannot give away what others log in with."""
     cell = SmallCell(tmp_path)
-    other = hash_password("another horse")
-    text = cell.config.read_text().replace("[web]", f'[web]\npassword_hash = "{HASH}"', 1)
+    other, token = hash_password("another horse"), hash_password("a token of Prometheus")
+    hashes = f'password_hash = "{HASH}"\nmetrics_password_hash = "{token}"'
+    text = cell.config.read_text().replace("[web]", f"[web]\n{hashes}", 1)
     keys = 'certificate = "c"\nkey = "k"\ntrusted = "t"\n'
     cell.config.write_text(f'{text}\n[opcua]\nport = {free_port()}\npassword_hash = "{other}"\n{keys}')
     files = carried(files_in_use(read_cell(cell.config, elsewhere=True)))
     told = cell_of(files).config
     assert told.web is not None
     assert HASH == told.web.password_hash.get_secret_value()
+    assert token == told.web.metrics_password_hash.get_secret_value()
     assert told.opcua is not None
     assert HIDDEN_HASH == told.opcua.password_hash.get_secret_value()
-    for secret in (HASH, other):
+    for secret in (HASH, token, other):
         assert not any(secret.encode() in content for content in files.contents.values())
     assert other not in files.config
 

@@ -32,6 +32,8 @@ from edged.setup.fleet.offers import FOLDER, STAGED, Offer, Staged, file_of, job
 from edged.setup.fleet.repository import FILES, METADATA, metadata_at, offer_of
 
 CHUNK_BYTES = 1 << 20
+CONFIG = UpdaterConfig(targets_max_length=5_000_000, max_delegations=1000)
+"""A plant's metadata grow by its list of cells with each release (`tools/bench fleet --plan`)."""
 WHY = (
     (ExpiredMetadataError, "is old: what it says is no more in force, or somebody holds news back"),
     (BadVersionNumberError, "is older than what this cell has seen"),
@@ -56,7 +58,6 @@ class Client:
         make_folders(self._kept / METADATA)
         url = self._place if "://" in place else f"file://{quote(self._place)}"
         fetcher = FolderFetcher() if url.startswith("file:") else None
-        config = UpdaterConfig(targets_max_length=5_000_000, max_delegations=1000)
         bootstrap = read_bytes(root, "a root of releases")
         with self._explained(METADATA):
             self._updater = Updater(
@@ -64,7 +65,7 @@ class Client:
                 f"{url}/{METADATA}/",
                 target_base_url=f"{url}/{FILES}/",
                 fetcher=fetcher,
-                config=config,
+                config=CONFIG,
                 bootstrap=bootstrap,
             )
             self._updater.refresh()

@@ -5,18 +5,22 @@ from __future__ import annotations
 import json
 import shutil
 from collections.abc import Callable
-from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
 
 import pytest
+from helpers.attacks import (
+    by_another_plant,
+    by_one_root,
+    expired,
+    of_another_plant,
+    tampered_ring,
+    tampered_target,
+)
 from helpers.commandline import exit_code, printed
 from helpers.releases import PASSPHRASE, Releases, served
-from securesystemslib.signer import CryptoSigner
-from tuf.api.metadata import Metadata, TargetFile, Targets
 
 from edged.files.statefolder import page_folder
-from edged.setup.fleet.keys import signer_of
 from edged.setup.fleet.offers import STAGED, ring_of
 from edged.setup.releases.jobsfolder import jobs_in
 
@@ -92,59 +96,6 @@ def test_a_release_arrives_from_a_static_https_server_that_the_cell_trusts(
 
 
 # --- what is refused ------------------------------------------------------------------------------
-
-
-def tampered_target(releases: Releases) -> None:
-    """One byte of the jobs."""
-    file = next((releases.repository / "targets" / "north").iterdir())
-    data = bytearray(file.read_bytes())
-    data[len(data) // 2] ^= 1
-    file.write_bytes(data)
-
-
-def tampered_ring(releases: Releases) -> None:
-    """The ring of a release, which no key has signed."""
-    file = releases.repository / "metadata" / "1.north.json"
-    file.write_text(file.read_text().replace('"ring":4', '"ring":3'))
-
-
-def of_another_plant(releases: Releases) -> None:
-    """The plant signs what belongs to another one, with its own, valid key."""
-    file = releases.repository / "metadata" / "1.north.json"
-    signed: Metadata[Targets] = Metadata.from_file(str(file))
-    target = TargetFile.from_data("south/evil.jobs.tar.gz", b"evil")
-    target.unrecognized_fields["custom"] = signed.signed.targets["north/first.jobs.tar.gz"].custom
-    signed.signed.targets[target.path] = target
-    resigned(file, signed, releases, "north")
-
-
-def by_another_plant(releases: Releases) -> None:
-    """The key of another plant signs this one's releases."""
-    file = releases.repository / "metadata" / "1.north.json"
-    resigned(file, Metadata.from_file(str(file)), releases, "south")
-
-
-def expired(releases: Releases) -> None:
-    """A timestamp that its publisher has let expire: news are held back."""
-    file = releases.repository / "metadata" / "timestamp.json"
-    stamp = Metadata[Any].from_file(str(file))
-    stamp.signed.expires = datetime.now(UTC).replace(microsecond=0) - timedelta(seconds=1)
-    resigned(file, stamp, releases, "online")
-
-
-def by_one_root(releases: Releases) -> None:
-    """A new root that names another key for publishing, signed by one of the two that it takes."""
-    file = releases.repository / "metadata" / "1.root.json"
-    root = Metadata[Any].from_file(str(file))
-    root.signed.version = 2
-    resigned(file.with_name("2.root.json"), root, releases, "root1")
-
-
-def resigned(file: Path, signed: Metadata[Any], releases: Releases, key: str) -> None:
-    """Sign with a key, anew."""
-    signer: CryptoSigner = signer_of(releases.private(key), PASSPHRASE)
-    signed.sign(signer)
-    signed.to_file(str(file))
 
 
 @pytest.mark.parametrize(
