@@ -98,7 +98,8 @@ def serve_metrics(cells: int, port: int) -> None:
             self.send_header("Content-Type", "text/plain; version=0.0.4")
             self.send_header("Content-Length", str(len(page)))
             self.end_headers()
-            self.wfile.write(page)
+            with contextlib.suppress(BrokenPipeError):  # Prometheus was killed, or has waited for long
+                self.wfile.write(page)
 
         def log_message(self, format: str, *arguments: object) -> None:
             """Say nothing."""
