@@ -485,11 +485,12 @@ class Bench:
         jobs = self.jobs("worse", lambda text: text.replace("max_sigma_mm = 0.2", "max_sigma_mm = 0.22"))
         before = jobs_in(place.parent / "jobs")
         self.release(name, "--jobs", jobs, "--ring", "1")
-        fetched = self.pull()[name]
+        pulled(place)
         self.until(lambda: self.real_step() == ("probation", name), 900.0)
         lid.touch()
         back_s = self.until(lambda: self.real_step() == ("rolled back", name), 900.0)
         lid.unlink()
+        fetched = self.pull()[name]
         same = before == jobs_in(place.parent / "jobs")
         print(f"good on recordings, then blind, ring 1: fetched by {fetched}, back after {back_s:.0f} s "
               f"(<= {MOST_S:g}: {back_s <= MOST_S}), files as before: {same}", flush=True)  # fmt: skip
