@@ -10,7 +10,7 @@ import typer
 from edged.cli.options import JsonOption, screen
 
 release = typer.Typer(
-    help="Signed releases of jobs for many cells. Needs the extra `fleet`.", no_args_is_help=True
+    help="Signed releases of jobs and software for many cells. Needs the extra `fleet`.", no_args_is_help=True
 )
 
 RepositoryArgument = Annotated[Path, typer.Argument(metavar="REPOSITORY", help="folder of the repository")]
@@ -75,9 +75,13 @@ def sign(
     name: Annotated[str, typer.Argument(help="name of the release")],
     key: SignerOption,
     jobs: Annotated[Path | None, typer.Option(help="folder with the jobs of the release")] = None,
+    wheels: Annotated[
+        Path | None,
+        typer.Option(help="folder with wheels, edged's own among them: a release of software"),
+    ] = None,
     file: Annotated[
         Path | None,
-        typer.Option(help="any file instead, which no cell takes by itself: a cell's template, wheels"),
+        typer.Option(help="any file instead, which no cell takes by itself: a template of a cell"),
     ] = None,
     ring: Annotated[str | None, typer.Option(help="which cells take it: none, 1, 5%, 25%, all")] = None,
     cells: Annotated[Path | None, typer.Option(help="names of all cells of the plant, one a line")] = None,
@@ -91,7 +95,7 @@ def sign(
 
     code = command(
         repository, plant, name, key, screen(soft_wrap=True),
-        jobs=jobs, other=file, ring=ring, cells=cells, may_move_mm=may_move, note=note,
+        jobs=jobs, wheels=wheels, other=file, ring=ring, cells=cells, may_move_mm=may_move, note=note,
     )  # fmt: skip
     raise typer.Exit(code)
 
@@ -121,6 +125,17 @@ def pull(
     from edged.commands.release import pull as command
 
     raise typer.Exit(command(config, screen(soft_wrap=True), place=place, name=name, output=output))
+
+
+@release.command()
+def switch(
+    config: ConfigArgument,
+    unit: Annotated[str, typer.Option(help="service of the cell, which is restarted")] = "edged.service",
+) -> None:
+    """Switch to the version that the cell's gate wants, and back if it does not come up."""
+    from edged.commands.release import switch as command
+
+    raise typer.Exit(command(config, unit, screen(soft_wrap=True)))
 
 
 @release.command()

@@ -6,7 +6,7 @@ import getpass
 import json
 import os
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -22,11 +22,13 @@ from edged.files.outputs import check_folder, check_outputs
 from edged.files.statefolder import page_folder
 from edged.owners import as_owner
 from edged.setup.fleet.offers import (
+    DONE,
     FOLDER,
     RINGS,
     Offer,
     fetched_in,
     gate_in,
+    is_fetched,
     jobs_in_release,
     packed_jobs,
     ring_of,
@@ -37,6 +39,7 @@ try:
     from edged.setup.fleet.client import Client
     from edged.setup.fleet.keys import make_key, public_key, signer_of
     from edged.setup.fleet.repository import Repository
+    from edged.setup.fleet.versions import SystemdUnit, Versions, follow
 except ModuleNotFoundError as missing:
     raise UserError(f"releases need another package: pip install 'edged[fleet]' ({missing})") from missing
 
@@ -85,25 +88,36 @@ def delegate(folder: Path, plant: str, plant_key: Path, file: Path, console: Con
 
 def sign(
     folder: Path, plant: str, name: str, file: Path, console: Console, *,
-    jobs: Path | None, other: Path | None, ring: str | None, cells: Path | None, may_move_mm: float | None,
-    note: str | None,
+    jobs: Path | None, wheels: Path | None, other: Path | None, ring: str | None, cells: Path | None,
+    may_move_mm: float | None, note: str | None,
 ) -> int:  # fmt: skip
-    """Sign a release, or another ring of one that is signed. jobs : a folder of them; other : any file."""
-    if jobs is not None and other is not None:
-        raise UserError("expected --jobs or --file, not both")
+    """Sign a release, or another ring of one that is signed. jobs, wheels : folders; other : any file."""
+    if sum(source is not None for source in (jobs, wheels, other)) > 1:
+        raise UserError("expected one of --jobs, --wheels and --file")
     if ring is not None and ring not in RINGS:
         raise UserError(f"--ring {ring}: expected one of {', '.join(RINGS)}")
-    path, data = f"{plant}/{name}" if other is not None else f"{plant}/{name}.jobs.tar.gz", None
+    repository, data = Repository(folder), None
+    parts: Mapping[str, bytes] = {}
+    software = f"{plant}/{name}.cdx.json"
+    is_software = wheels is not None or (jobs is None and repository.has(plant, software))
+    path = f"{plant}/{name}" if other is not None else f"{plant}/{name}.jobs.tar.gz"
+    if is_software:
+        path = software
     custom: dict[str, Any] = {} if ring is None else {"ring": RINGS.index(ring)}
     if jobs is not None:
         data = packed_jobs(jobs_in(jobs))
         jobs_in_release(data, str(jobs))
+    elif wheels is not None:
+        from edged.setup.fleet.bom import bill_of  # CycloneDX, where wheels are signed alone
+
+        data, parts = bill_of(wheels)
     elif other is not None:
         data = read_bytes(other, "a file of a release", MAX_FILE_BYTES)
     elif not (folder / "targets").is_dir() or ring is None:
-        raise UserError("expected --jobs FOLDER or --file FILE, or --ring of what is signed already")
+        raise UserError("expected --jobs, --wheels or --file, or --ring of what is signed already")
     if data is not None:
-        custom |= {"kind": "jobs" if other is None else "file", "name": name, "ring": custom.get("ring", 0)}
+        kind = "software" if wheels is not None else "file" if other is not None else "jobs"
+        custom |= {"kind": kind, "name": name, "ring": custom.get("ring", 0)}
     if cells is not None:
         custom["cells"] = tuple(sorted(read_bytes(cells, "a list of cells").decode().split()))
     may_move_um = None if may_move_mm is None else round(1000 * may_move_mm)
@@ -111,7 +125,7 @@ def sign(
         key: value for key, value in (("may_move_um", may_move_um), ("note", note)) if value is not None
     }
     try:
-        offer = Repository(folder).sign(plant, _signer(file), path, data, custom)
+        offer = repository.sign(plant, _signer(file), path, data, custom, parts)
     except ValidationError as error:
         raise UserError(f"{name}: {problem_of(error.errors()[0], Offer)}") from error
     say(
@@ -152,21 +166,56 @@ def pull(config: Path, console: Console, *, place: str | None, name: str | None,
             return 0
         section = load(config).fleet
         given = None if section is None else section.ring
-        due = [
-            (path, offer) for path, offer in offers.items()
-            if offer.kind == "jobs" and ring_of(cell, offer.name, offer.cells, given) <= offer.ring
-        ]  # fmt: skip
-        there = fetched_in(kept / FOLDER)
+        kinds = ("jobs",) if section is None or section.software is None else ("jobs", "software")
+        due = {
+            offer.kind: (path, offer) for path, offer in offers.items()
+            if offer.kind in kinds and ring_of(cell, offer.name, offer.cells, given) <= offer.ring
+        }  # fmt: skip
         if not due:
             say(f"{cell}: no release for it yet, of {len(offers)}", console)
             return 1
-        path, offer = due[-1]
-        if there is not None and (there.path, there.offer.may_move_um) == (path, offer.may_move_um):
-            say(f"{cell}: {path} is fetched already", console)
+        new = [one for one in due.values() if not is_fetched(kept / FOLDER, *one)]
+        if not new:
+            fetched = ", ".join(sorted(path for path, _ in due.values()))
+            say(f"{cell}: {fetched} is fetched already", console)
             return 0
-        client.stage(path, offer)
+        path, offer = min(new, key=lambda one: one[1].number)
+        gate = gate_in(kept / FOLDER)
+        if gate is not None and gate.step not in DONE and gate.staged.offer.kind != offer.kind:
+            say(f"{cell}: {path} comes after {gate.staged.path}, which is {gate.step}", console)
+            return 0
+        if offer.kind == "jobs":
+            client.stage(path, offer)
+    if offer.kind == "software" and section is not None and section.software is not None:
+        # not as the page's user: what is installed is verified again where only root writes
+        _install(config, place, section.software, path, offer)
+        with _kept(config) as kept:
+            _client(config, place, kept)[0].stage(path, offer)
     say(f"{cell}: {path} is verified and fetched: the gate tries it on recorded cycles next", console)
     return 0
+
+
+def _install(config: Path, place: str | None, folder: Path, path: str, offer: Offer) -> None:
+    """Fetch the wheels of a release of software, and make its environment. Raises `UserError`."""
+    with translated(UserError, f"{folder}: software cannot be installed"):
+        client, _ = _client(config, place, folder)
+        files = folder / FOLDER / "wheels"
+        wheels = client.fetch_wheels(path, files)
+        Versions(folder).install(offer.name, client.digest(path), wheels, files)
+
+
+def switch(config: Path, unit: str, console: Console) -> int:
+    """Switch to the version that the gate of the cell's page wants, or back. 0: it runs; 1: it does not."""
+    section = load(config).fleet
+    if section is None or section.software is None:
+        raise UserError(f"{config}: [fleet] software is missing: /opt/edged")
+    with translated(UserError, f"{section.software}: the version cannot be switched"):
+        done = follow(Versions(section.software), page_folder(config), SystemdUnit(unit))
+    if done is None:
+        say(f"{config}: its gate wants no other version", console)
+        return 0
+    say(f"{done.order.to}: {done.state}{f': {done.why}' if done.why else ''}", console)
+    return int(done.state == "failed")
 
 
 def status(config: Path, console: Console, *, place: str | None, as_json: bool) -> int:

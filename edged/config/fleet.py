@@ -22,6 +22,9 @@ class FleetSection(Section):
     ring: int | None = Field(
         None, ge=1, le=4, description="1 first to 4 last; left out: as the release's list of cells says"
     )
+    software: FilePath | None = Field(
+        None, description="where tools/install puts versions, /opt/edged; left out: software is not taken"
+    )
     window: str | None = Field(
         None, description='"22:00-05:00", local time: releases become active then; left out: at any time'
     )

@@ -12,7 +12,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -73,10 +73,15 @@ class GatedCell:
 
     def stage(self, jobs: Mapping[str, bytes], name: str = "r1", **stated: Any) -> None:
         """As `edged release pull` leaves it."""
-        data = packed_jobs(jobs)
-        offer = Offer(kind="jobs", name=name, number=1, ring=4, created="2026-02-01", **stated)
+        self.stage_data("jobs", packed_jobs(jobs), name, f"north/{name}.jobs.tar.gz", **stated)
+
+    def stage_data(
+        self, kind: Literal["jobs", "software"], data: bytes, name: str, path: str, **stated: Any
+    ) -> None:
+        """A release of any kind."""
+        offer = Offer(kind=kind, name=name, number=1, ring=4, created="2026-02-01", **stated)
         digest = hashlib.sha256(data).hexdigest()
-        staged = Staged(offer=offer, path=f"north/{name}.jobs.tar.gz", sha256=digest, repository="/stick")
+        staged = Staged(offer=offer, path=path, sha256=digest, repository="/stick")
         place = self.cell.folder / FOLDER
         make_folders(place)
         write_atomically(place / file_of(staged), data)

@@ -15,6 +15,7 @@ from packaging.utils import canonicalize_name
 
 ROOT = Path(__file__).parents[2]
 UNITS = ("edged.service", "edged@.service", "edged-page.service", "edged-page@.service")
+SWITCH = ("edged-switch.service", "edged-switch.path")
 LOCKS = sorted((ROOT / "requirements").glob("*.txt"))
 PIN = re.compile(r"^([A-Za-z0-9._-]+)==(\S+)(?: ; ([^\\\n]+?))? \\$", re.MULTILINE)
 
@@ -57,6 +58,8 @@ def test_every_package_has_one_version_and_its_hashes(lock: Path) -> None:
         ("s7", lambda p: p["project"]["optional-dependencies"]["s7"]),
         ("melsec", lambda p: p["project"]["optional-dependencies"]["melsec"]),
         ("witness", lambda p: p["project"]["optional-dependencies"]["witness"]),
+        ("history", lambda p: p["project"]["optional-dependencies"]["history"]),
+        ("fleet", lambda p: p["project"]["optional-dependencies"]["fleet"]),
         ("manual", lambda _: ["mkdocs-material"]),
         ("aravis", lambda p: p["project"]["optional-dependencies"]["aravis"]),
     ],
@@ -120,12 +123,13 @@ def image(tmp_path: Path) -> Path:
     state = (tmp_path / "var/lib" / name for name in ("edged-left", "edged_page", "edged_page-left"))
     for folder in (wants, tmp_path / "etc/edged", tmp_path / "opt/edged", *state):
         folder.mkdir(parents=True)
-    for name in (*UNITS, "other.service"):
+    for name in (*UNITS, *SWITCH, "other.service"):
         (units / name).write_text("[Unit]\n")
     for link, unit in (
         ("edged.service", "edged.service"),
         ("edged@left.service", "edged@.service"),
         ("edged@right.service", "edged@.service"),
+        ("edged-switch.path", "edged-switch.path"),
         ("other.service", "other.service"),
     ):
         (wants / link).symlink_to(f"/etc/systemd/system/{unit}")
@@ -168,7 +172,11 @@ def test_systemd_is_told_of_every_cell(image: Path, tmp_path: Path) -> None:
     subprocess.run(["bash", "-c", script + stub], env=environment, check=True, timeout=WHOLE_S)
 
     (disabled,) = (line for line in told.read_text().splitlines() if line.startswith("disable"))
-    cells = ["edged.service", *(f"edged@{name}.service" for name in ("hand", "left", "right"))]
+    cells = [
+        "edged-switch.path",
+        "edged.service",
+        *(f"edged@{name}.service" for name in ("hand", "left", "right")),
+    ]
     assert ["disable", "--now", *cells] == disabled.split()
 
 

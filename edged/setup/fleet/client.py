@@ -28,8 +28,9 @@ from urllib3.exceptions import HTTPError
 
 from edged.errors import UserError
 from edged.files.atomic import make_folders, read_bytes, write_atomically
-from edged.setup.fleet.offers import FOLDER, STAGED, Offer, Staged, file_of, jobs_in_release
-from edged.setup.fleet.repository import FILES, METADATA, metadata_at, offer_of
+from edged.setup.fleet.offers import FOLDER, STAGED, STAGED_OF, Offer, Staged, file_of, jobs_in_release
+from edged.setup.fleet.repository import FILES, METADATA, is_part, metadata_at, offer_of
+from edged.setup.fleet.wheelset import Wheel, wheels_in
 
 CHUNK_BYTES = 1 << 20
 CONFIG = UpdaterConfig(targets_max_length=5_000_000, max_delegations=1000)
@@ -72,7 +73,7 @@ class Client:
 
     def offers(self) -> dict[str, Offer]:
         """All releases of the plant, by path, in their order."""
-        found = {path: offer_of(target) for path, target in self._targets().items()}
+        found = {path: offer_of(target) for path, target in self._targets().items() if not is_part(target)}
         return dict(sorted(found.items(), key=lambda item: item[1].number))
 
     def fetch(self, path: str) -> bytes:
@@ -87,18 +88,41 @@ class Client:
         finally:
             draft.unlink(missing_ok=True)
 
+    def digest(self, path: str) -> str:
+        """SHA-256 of a target."""
+        return str(self._targets()[path].hashes["sha256"])
+
+    def fetch_wheels(self, path: str, folder: Path) -> tuple[Wheel, ...]:
+        """Let a folder hold the wheels of a release of software, and nothing else; what is there stays."""
+        wheels = wheels_in(self.fetch(path), f"{self._place}: {path}")
+        make_folders(folder)
+        targets = self._targets()
+        for wheel in wheels:
+            target = targets.get(wheel.target(self._plant))
+            if target is None or target.hashes["sha256"] != wheel.sha256:
+                raise UserError(f"{self._place}: {path}: {wheel.file} is not signed")
+            file = str(folder / wheel.file)
+            with self._explained(f"{FILES}/{target.path}"):
+                if self._updater.find_cached_target(target, file) is None:
+                    self._updater.download_target(target, file)
+        for other in folder.iterdir():
+            if other.name not in {wheel.file for wheel in wheels}:
+                other.unlink()
+        return wheels
+
     def stage(self, path: str, offer: Offer) -> Staged:
-        """Fetch a release of jobs, read it, and lay it ready for the gate."""
+        """Fetch a release of jobs or software, read it, and lay it ready for the gate."""
         data = self.fetch(path)
-        jobs_in_release(data, f"{self._place}: {path}")
+        (jobs_in_release if offer.kind == "jobs" else wheels_in)(data, f"{self._place}: {path}")
         staged = Staged(
             offer=offer, path=path, sha256=self._targets()[path].hashes["sha256"], repository=self._place
         )
         # the note comes last: it names a content that is there
         write_atomically(self._kept / file_of(staged), data, is_state=True)
-        write_atomically(self._kept / STAGED, staged.model_dump_json(indent=1).encode(), is_state=True)
-        for other in self._kept.glob("*.tar.gz"):
-            if other.name != file_of(staged):
+        for note in (STAGED, STAGED_OF.format(kind=offer.kind)):
+            write_atomically(self._kept / note, staged.model_dump_json(indent=1).encode(), is_state=True)
+        for other in self._kept.iterdir():
+            if other.name.endswith((".tar.gz", ".cdx.json")) and other.name != file_of(staged):
                 other.unlink(missing_ok=True)
         return staged
 

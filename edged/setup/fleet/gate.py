@@ -12,7 +12,6 @@ from __future__ import annotations
 import asyncio
 import hashlib
 import logging
-import math
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from datetime import datetime
@@ -22,6 +21,7 @@ from edged.errors import EdgedError, FileFormatError, LinkError, RegressionNeede
 from edged.files.atomic import make_folders, read_bytes, write_atomically
 from edged.identity.audit import AuditEntry, AuditFile
 from edged.setup.documents import now_text
+from edged.setup.fleet.objections import RecordedJudgement, objection
 from edged.setup.fleet.offers import (
     DONE,
     FOLDER,
@@ -33,12 +33,12 @@ from edged.setup.fleet.offers import (
     gate_in,
     jobs_in_release,
 )
-from edged.setup.fleet.probation import LAST, JudgedCycle, baseline_of, counted, judge
+from edged.setup.fleet.probation import baseline_of, counted, judge
+from edged.setup.fleet.software import SoftwareGate
 from edged.setup.inuse import CellInUse
-from edged.setup.recordings.recorded import CAPTURE, CycleLine, Records
-from edged.setup.recordings.regressiondocuments import ChangedCycle, RegressionDocument, TriedCandidate
+from edged.setup.recordings.regressiondocuments import TriedCandidate
 from edged.setup.recordings.regressions import Regressions
-from edged.setup.recordings.setups import Contents, concerned, facts_of_jobs, successors
+from edged.setup.recordings.setups import Contents, concerned, successors
 from edged.setup.releases.archive import MAX_BYTES, Parts, parts_at, with_parts
 from edged.setup.releases.jobsfolder import Jobs, contents_with, of_job, with_job
 from edged.setup.releases.service import Activation, Mandate
@@ -47,10 +47,6 @@ log = logging.getLogger(__name__)
 
 AUTHOR = "fleet"
 POLL_S = 2.0
-LEAST_GOOD = 5
-"""Good recordings that each changed job must have, else nobody knows whether it still measures as it did."""
-TURNED_DEG = 1.0
-"""A release that may move results may not turn them by more: a grip is lost before."""
 
 
 class FleetGate:
@@ -67,7 +63,8 @@ class FleetGate:
         self._activation = activation
         self._regressions = regressions
         self._now = now
-        self._records: Records | None = None
+        self._recorded = RecordedJudgement(cell)
+        self.software = SoftwareGate(cell, regressions, self._recorded, self)
         self._running: asyncio.Task[None] | None = None
 
     @property
@@ -105,7 +102,7 @@ class FleetGate:
         if staged is not None and (
             note is None or (note.step in DONE and note.staged.identity != staged.identity)
         ):
-            note = await self._note(GateNote(staged=staged), "staged", "fetched and verified")
+            note = await self.note(GateNote(staged=staged), "staged", "fetched and verified")
         if note is None or note.step in DONE:
             return note
         try:
@@ -115,25 +112,27 @@ class FleetGate:
             return note
 
     async def _next(self, note: GateNote) -> GateNote:
+        if note.staged.offer.kind == "software":
+            return await self.software.next(note)
         running = self._cell.files.fingerprint
         match note.step:
             case "staged":
                 return await self._try(note)
             case "waiting":
-                return await self._activate(note) if self._has_leave(in_window=True) else note
+                return await self._activate(note) if self.has_leave(in_window=True) else note
             case "activating":
                 if running == note.wanted:
                     return await self._begin_probation(note)
-                return await self._note(note, "waiting", "the cell was stopped before it became active")
+                return await self.note(note, "waiting", "the cell was stopped before it became active")
             case "probation" if running == note.wanted:
-                return await self._judge(note)
+                return await self.judge(note)
             case "rolling back" if running == note.wanted:
-                return await self._roll_back(note) if self._has_leave(in_window=False) else note
+                return await self._roll_back(note) if self.has_leave(in_window=False) else note
             case "rolling back" if running == note.before:
-                return await self._note(note, "rolled back", note.why)
-        return await self._note(note, "left", "somebody has changed the cell meanwhile: it is theirs")
+                return await self.note(note, "rolled back", note.why)
+        return await self.note(note, "left", "somebody has changed the cell meanwhile: it is theirs")
 
-    def _has_leave(self, *, in_window: bool) -> bool:
+    def has_leave(self, *, in_window: bool) -> bool:
         """Whether the plant lets jobs change now: as it would let a person."""
         session, section = self._cell.session, self._cell.files.config.fleet
         is_open = section is None or section.is_open(self._now().time())
@@ -152,8 +151,8 @@ class FleetGate:
             if changed:
                 why = await self._regression(note.staged, active, candidate, changed)
         except UserError as error:
-            return await self._note(note, "refused", str(error))
-        return await self._note(
+            return await self.note(note, "refused", str(error))
+        return await self.note(
             note.model_copy(update={"jobs": tuple(sorted(changed.values()))}), "waiting", why
         )
 
@@ -161,7 +160,7 @@ class FleetGate:
         self, staged: Staged, active: Contents, candidate: Contents, changed: Mapping[int, int]
     ) -> str:
         """What recorded cycles say for it. Raises `UserError` where they speak against it."""
-        await asyncio.to_thread(self._check_recorded, active, changed)
+        await asyncio.to_thread(self._recorded.check, active, changed)
         what = TriedCandidate(kind="release", id=staged.offer.name)
         task, identity = await self._regressions.begin(candidate, what, AUTHOR)
         while self._cell.tasks.is_running(task):  # noqa: ASYNC110  (a worker's process measures)
@@ -183,11 +182,11 @@ class FleetGate:
         with_it = await asyncio.to_thread(with_parts, self._cell.path, replace(there, jobs=wanted))
         fingerprint = with_it.fingerprint
         if fingerprint == before.fingerprint:
-            return await self._note(note, "committed", "the cell runs by these jobs already")
+            return await self.note(note, "committed", "the cell runs by these jobs already")
         changed = await asyncio.to_thread(
             self._changed, before.contents, contents_with(before.contents, wanted)
         )
-        last, cycles = await asyncio.to_thread(self._cycles_before, changed)
+        last, cycles = await asyncio.to_thread(self._recorded.before, changed)
         known = {
             "before": before.fingerprint,
             "wanted": fingerprint,
@@ -195,16 +194,16 @@ class FleetGate:
             "baseline": baseline_of(cycles),
             "jobs": tuple(sorted(changed.values())),
         }
-        note = await self._note(note.model_copy(update=known), "activating", note.why)
+        note = await self.note(note.model_copy(update=known), "activating", note.why)
         by = Mandate(AUTHOR, f"release {note.staged.offer.name}")
         try:
             await self._activation.activate_jobs(lambda there: merged(there, jobs), by)
         except SetupRefused as error:
-            return await self._note(note, "waiting", str(error))
+            return await self.note(note, "waiting", str(error))
         except (UserError, FileFormatError) as error:
-            return await self._note(note, "refused", str(error))
+            return await self.note(note, "refused", str(error))
         except RegressionNeeded as error:  # the cell was changed since it was tried
-            return await self._note(note, "staged", str(error))
+            return await self.note(note, "staged", str(error))
         except LinkError as error:  # whether the cell has it, its fingerprint tells
             log.warning("release %s: %s", note.staged.offer.name, error)
         return note
@@ -214,42 +213,42 @@ class FleetGate:
         former = next((release.parent for release in releases if release.number == active), None)
         if former is None or not any(release.number == former for release in releases):
             former = next((r.number for r in releases if r.fingerprint == note.before), None)
-        return await self._note(
-            note.model_copy(update={"former": former}), "probation", "the cell runs by it"
-        )
+        return await self.note(note.model_copy(update={"former": former}), "probation", "the cell runs by it")
 
-    async def _judge(self, note: GateNote) -> GateNote:
-        since, cycles = await asyncio.to_thread(self._cycles_since, note)
+    async def judge(self, note: GateNote) -> GateNote:
+        """Count the cycles since, and decide."""
+        since, cycles = await asyncio.to_thread(self._recorded.since, note)
         tally = counted(note.baseline, note.tally, cycles)
         found = judge(note.baseline, tally)
         note = note.model_copy(update={"since": since, "tally": tally})
         if found.decision == "commit":
-            return await self._note(note, "committed", found.why)
+            return await self.note(note, "committed", found.why)
         if found.decision == "roll back":
-            return await self._note(note, "rolling back", found.why)
-        return await self._note(note, "probation", found.why, is_news=False) if cycles else note
+            return await self.note(note, "rolling back", found.why)
+        return await self.note(note, "probation", found.why, is_news=False) if cycles else note
 
     async def _roll_back(self, note: GateNote) -> GateNote:
         if note.former is None:
-            return await self._note(
+            return await self.note(
                 note, "left", f"{note.why}; and no release of before is there to go back to"
             )
         by = Mandate(AUTHOR, f"back from release {note.staged.offer.name}: {note.why}")
         await self._activation.activate_again(note.former, by)
-        return await self._note(note, "rolled back", note.why)
+        return await self.note(note, "rolled back", note.why)
 
     # --- files --------------------------------------------------------------------------------------
 
     def _read(self) -> tuple[Staged | None, GateNote | None]:
         return fetched_in(self._folder), gate_in(self._folder)
 
-    async def _note(self, note: GateNote, step: str, why: str, *, is_news: bool = True) -> GateNote:
+    async def note(self, note: GateNote, step: str, why: str, *, is_news: bool = True) -> GateNote:
+        """Note a step before it is taken."""
         noted = GateNote.model_validate(
             {**note.model_dump(), "step": step, "why": why[:2000], "at": now_text()}
         )
         await asyncio.to_thread(self._write, noted, is_news)
         if noted.step in DONE:
-            self._records = None
+            self._recorded.forget()
         return noted
 
     def _write(self, note: GateNote, is_news: bool) -> None:
@@ -290,86 +289,12 @@ class FleetGate:
         there, numbers = successors(active, candidate), concerned(active, candidate)
         return {old: new for old, new in there.items() if numbers is None or old in numbers}
 
-    # --- recordings ---------------------------------------------------------------------------------
-
-    def _lines(self) -> list[CycleLine]:
-        """Recorded cycles that say how the jobs do, newest first."""
-        folder = self._cell.recordings
-        if folder is None:
-            return []
-        if self._records is None or self._records.folder != folder:
-            self._records = Records(folder)
-        lines = map(self._records.line, self._records.entries())
-        return [
-            line
-            for line in lines
-            if isinstance(line, CycleLine) and line.kind != "GRAB" and line.reasons != (CAPTURE,)
-        ]
-
-    def _check_recorded(self, active: Contents, changed: Mapping[int, int]) -> None:
-        """Raises `UserError` for a changed job that too little is known of."""
-        good = [line.job_number for line in self._lines() if line.status == "OK" and line.has_pictures]
-        for job in facts_of_jobs(active):
-            if job.number in changed and good.count(job.number) < LEAST_GOOD:
-                raise UserError(
-                    f"job {job.name}: good recorded cycles: {good.count(job.number)}, expected {LEAST_GOOD}: "
-                    "measure with it first, with [recorder] in the configuration"
-                )
-
-    def _cycles_before(self, changed: Mapping[int, int]) -> tuple[int, list[JudgedCycle]]:
-        """Index of the newest recording, and the last cycles of the jobs that change."""
-        lines = self._lines()
-        found = [line for line in lines if line.job_number in changed][:LAST]
-        return max((line.number for line in lines), default=-1), [
-            _judged(line, changed[line.job_number]) for line in reversed(found)
-        ]
-
-    def _cycles_since(self, note: GateNote) -> tuple[int, list[JudgedCycle]]:
-        """Index of the newest recording, and what no tally has yet."""
-        lines = self._lines()
-        return max((line.number for line in lines), default=note.since), [
-            _judged(line, line.job_number)
-            for line in reversed(lines)
-            if line.number > note.since and line.fingerprint == note.wanted and line.job_number in note.jobs
-        ]
-
 
 def merged(there: Jobs, jobs: Jobs) -> Jobs:
     """The cell's jobs with those of a release; others stay."""
     for folder in {place.split("/")[0] for place in jobs}:
         there = with_job(there, folder, of_job(jobs, folder), None)
     return there
-
-
-def objection(found: RegressionDocument, may_move_mm: float) -> str:
-    """What recorded cycles say against a release; "" for nothing."""
-    counts = found.counts
-    if counts.good_to_bad:
-        worst = found.good_to_bad[0]
-        return f"{counts.good_to_bad} good recorded cycles become bad, as cycle {worst.number}: {worst.after}"
-    if counts.lost:
-        return f"{counts.lost} good parts of recorded cycles are not found any more"
-    moved = [cycle for cycle in found.apart if _moves(cycle, may_move_mm)]
-    if moved:
-        worst = max(moved, key=lambda cycle: (cycle.turned_deg or 0.0, _moved_mm(cycle)))
-        turned = "" if worst.turned_deg is None else f", turned by {worst.turned_deg:.1f}°"
-        return (
-            f"{len(moved)} good recorded cycles come out elsewhere, as cycle {worst.number}: by "
-            f"{_moved_mm(worst):.3f} mm{turned}; the release may move results by {may_move_mm:g} mm"
-        )
-    return "" if counts.good_stay else "no good recorded cycle could be measured with it"
-
-
-def _moves(cycle: ChangedCycle, may_move_mm: float) -> bool:
-    return may_move_mm == 0 or _moved_mm(cycle) > may_move_mm or (cycle.turned_deg or 0.0) > TURNED_DEG
-
-
-def _moved_mm(cycle: ChangedCycle) -> float:
-    return math.hypot(*(cycle.apart_um or [0.0])) / 1000
-
-
-def _judged(line: CycleLine, job: int) -> JudgedCycle:
-    return JudgedCycle(job, line.status == "OK", line.sigma_um)
 
 
 def _tell_of_a_bug(ended: asyncio.Task[None]) -> None:

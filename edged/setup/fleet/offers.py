@@ -18,6 +18,8 @@ from edged.setup.releases.jobsfolder import Jobs, of_job
 
 FOLDER, STAGED, GATE = "fleet", "staged.json", "gate.json"
 """In the folder of the page: what was fetched, and how far the gate has come with it."""
+STAGED_OF = "staged.{kind}.json"
+"""What was fetched last of a kind."""
 RINGS = ("none", "1", "5%", "25%", "all")
 """By its number: the cells that take a release. Ring 1 is one cell."""
 PERCENT = (1, 0), (2, 5), (3, 25)
@@ -33,7 +35,7 @@ class Offer(Kept):
     much results on recorded cycles may move. "file": anything else, that no cell takes by itself.
     """
 
-    kind: Literal["jobs", "file"]
+    kind: Literal["jobs", "software", "file"]
     name: Text
     number: Annotated[int, Field(ge=1)]
     ring: Ring
@@ -105,7 +107,8 @@ class GateNote(Kept):
 
     before, wanted : fingerprints of the cell without and with it. former : this cell's own release to go back
     to. since : index of the last recording that is judged, or was there before. jobs : the changed
-    jobs' new numbers.
+    jobs' new numbers. Of software before and wanted are names of versions, and order is the number of the
+    last `versions.VersionOrder`.
     """
 
     staged: Staged
@@ -119,6 +122,7 @@ class GateNote(Kept):
     baseline: Baseline = Baseline()
     tally: ProbationTally = ProbationTally()
     jobs: Annotated[tuple[int, ...], Field(strict=False)] = ()
+    order: int = 0
 
 
 def ring_of(cell: str, release: str, cells: Sequence[str], given: int | None = None) -> int:
@@ -161,6 +165,13 @@ def jobs_in_release(data: bytes, place: str) -> Mapping[str, bytes]:
 def file_of(staged: Staged) -> str:
     """Name of its content, beside `STAGED`."""
     return f"{staged.sha256}{''.join(PurePosixPath(staged.path).suffixes[-2:])}"
+
+
+def is_fetched(folder: Path, path: str, offer: Offer) -> bool:
+    """Whether a release is the last of its kind that was fetched. Raises `FileFormatError`."""
+    file = folder / STAGED_OF.format(kind=offer.kind)
+    there = read_model(file, Staged, "a fetched release") if file.exists() else fetched_in(folder)
+    return there is not None and (there.path, there.offer.may_move_um) == (path, offer.may_move_um)
 
 
 def fetched_in(folder: Path) -> Staged | None:

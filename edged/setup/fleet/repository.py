@@ -10,9 +10,10 @@ seen by cells once it is published. Source: The Update Framework Specification 1
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, TypeVar
 
 from securesystemslib.signer import CryptoSigner, SSlibKey
@@ -100,17 +101,20 @@ class Repository:
         self._sign(targets, signer, TARGETS, self._load(ROOT).signed)
 
     def sign(
-        self, plant: str, signer: CryptoSigner, path: str, data: bytes | None, custom: dict[str, Any]
-    ) -> Offer:
+        self, plant: str, signer: CryptoSigner, path: str, data: bytes | None, custom: dict[str, Any],
+        parts: Mapping[str, bytes] = MappingProxyType({}),
+    ) -> Offer:  # fmt: skip
         """Sign a target of a plant; data : None: as it is, with other metadata. Returns what is signed.
 
-        custom : of `Offer`, without number and time.
+        custom : of `Offer`, without number and time. parts : further targets that belong to it, by name.
         """
         if not PLANT.fullmatch(path.removeprefix(f"{plant}/")):
             raise UserError(f"{path}: expected a name of letters, digits and _ . -")
         there = self._plant(plant)
         known = there.signed.targets.get(path)
-        offers = {name: offer_of(target) for name, target in there.signed.targets.items()}
+        offers = {
+            name: offer_of(target) for name, target in there.signed.targets.items() if not is_part(target)
+        }
         if data is None and known is None:
             raise UserError(
                 f"{self._folder}: {plant} has signed no {path}: there is {', '.join(offers) or 'none'}"
@@ -124,11 +128,21 @@ class Repository:
         offer = Offer.model_validate({**stated, **custom})
         target.unrecognized_fields["custom"] = {CUSTOM: offer.model_dump(mode="json")}
         there.signed.targets[path] = target
+        files = [] if data is None else [(target, data)]
+        for name, content in parts.items():
+            part = TargetFile.from_data(f"{plant}/{name}", content)
+            there.signed.targets[part.path] = part
+            files.append((part, content))
         self._sign(there, signer, plant, self._load(TARGETS).signed)
-        if data is not None:
+        for target, content in files:
             place = self._folder / FILES / target.get_prefixed_paths()[0]
-            _write_in(place.parent, place.name, data)
+            if not (place.is_file() and place.stat().st_size == len(content)):  # its name is its hash
+                _write_in(place.parent, place.name, content)
         return offer
+
+    def has(self, plant: str, path: str) -> bool:
+        """Whether a plant has signed a target of this path."""
+        return path in self._plant(plant).signed.targets
 
     def publish(self, signer: CryptoSigner, days: float) -> Snapshot:
         """Let cells see what is signed, for so many days; the timestamp comes last. Returns what they see."""
@@ -208,6 +222,11 @@ def metadata_at(file: Path) -> Metadata[Any]:
         return Metadata[Any].from_bytes(read_bytes(file, "metadata of releases"))
     except (DeserializationError, RepositoryError) as error:
         raise FileFormatError(f"{file}: not metadata of releases: {error}") from error
+
+
+def is_part(target: TargetFile) -> bool:
+    """Whether a target is no release, but belongs to one: a wheel."""
+    return target.unrecognized_fields.get("custom") is None and target.path.endswith(".whl")
 
 
 def offer_of(target: TargetFile) -> Offer:

@@ -74,7 +74,7 @@ class Regressions:
                 digests=(digest_of(active), digest_of(candidate)),
                 seconds=time.monotonic() - begun_s,
             )
-            await asyncio.to_thread(self._keep, document)
+            await asyncio.to_thread(self.keep, document)
 
         return self._cell.tasks.start("regression", work), identity
 
@@ -155,7 +155,8 @@ class Regressions:
 
     # --- results --------------------------------------------------------------------------------
 
-    def _keep(self, document: RegressionDocument) -> None:
+    def keep(self, document: RegressionDocument) -> None:
+        """Keep a result, and the last ones before it. Raises `OSError`."""
         make_folders(self._kept)
         write_atomically(self._kept / f"{document.id}.json", document.model_dump_json().encode())
         for old in sorted(self._kept.glob("*.json"))[:-KEPT]:

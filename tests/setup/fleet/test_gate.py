@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import os
 import shutil
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
 from helpers.gatedcell import NIGHT, NOON, RECORDED, GatedCell, better, edited, gated_cell, turned
+from helpers.powerfailure import PowerCut, failing_writes
 
 from edged.files import recording
 from edged.files.jobs import TEXT
@@ -164,10 +164,6 @@ async def test_a_cell_that_refuses_it_goes_on_as_before(cell: GatedCell) -> None
 # --- power ------------------------------------------------------------------------------------------
 
 
-class PowerCut(BaseException):
-    """The power is off."""
-
-
 @pytest.mark.slow
 @pytest.mark.takes(300)
 async def test_the_power_fails_at_any_write_and_the_cell_is_the_old_or_the_new_one(
@@ -176,24 +172,7 @@ async def test_the_power_fails_at_any_write_and_the_cell_is_the_old_or_the_new_o
     """From the first note of the gate to the roll-back: what starts afterwards goes on to the end."""
     cell.measure(60)
     cell.stage(edited(cell.folder, better))
-    kept, names = cell.folder, ("open", "mkdir", "rename", "replace", "link", "unlink", "rmdir", "fsync")
-    real = {name: getattr(os, name) for name in names}
-    count, at = 0, -1  # writes so far; those before the cut, -1: there is none
-
-    def failing(name: str) -> Callable[..., Any]:
-        def call(*args: Any, **kwargs: Any) -> Any:
-            nonlocal count
-            writes = name != "open" or args[1] & os.O_CREAT
-            if writes and at >= 0:
-                count += 1
-                if count > at:
-                    raise PowerCut
-            return real[name](*args, **kwargs)
-
-        return call
-
-    for name in names:
-        monkeypatch.setattr(os, name, failing(name))
+    kept, cut = cell.folder, failing_writes(monkeypatch)
 
     async def whole_way(folder: Path) -> GateNote:
         there = GatedCell(folder, cell.pairs)
@@ -205,20 +184,20 @@ async def test_the_power_fails_at_any_write_and_the_cell_is_the_old_or_the_new_o
         return note
 
     # without a cut: how many writes there are
-    at, count = 10**9, 0
+    cut.at, cut.count = 10**9, 0
     first = shutil.copytree(kept, tmp_path / "first")
     expected = await whole_way(first)
-    writes, old, new = count, expected.before, expected.wanted
+    writes, old, new = cut.count, expected.before, expected.wanted
     assert "rolled back" == expected.step
     seen = set()
     for cut_at in range(0, writes, max(writes // CUTS, 1)):
-        at = -1
+        cut.at = -1
         folder = shutil.copytree(kept, tmp_path / f"cut-{cut_at}")
-        at, count = cut_at, 0
+        cut.at, cut.count = cut_at, 0
         try:
             await whole_way(folder)
         except PowerCut:
-            at = -1
+            cut.at = -1
         else:  # what the first one compiled or made in passing is there by now
             assert cut_at > 0.8 * writes
             break

@@ -1,0 +1,105 @@
+"""What recorded cycles say for a release and against it: before it becomes active, and in its probation."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+from edged.errors import UserError
+from edged.setup.fleet.offers import GateNote
+from edged.setup.fleet.probation import LAST, JudgedCycle
+from edged.setup.inuse import CellInUse
+from edged.setup.recordings.recorded import CAPTURE, CycleLine, Records
+from edged.setup.recordings.regressiondocuments import ChangedCycle, RegressionDocument
+from edged.setup.recordings.setups import Contents, facts_of_jobs
+
+LEAST_GOOD = 5
+"""Good recordings that each changed job must have, else nobody knows whether it still measures as it did."""
+TURNED_DEG = 1.0
+"""A release that may move results may not turn them by more: a grip is lost before."""
+
+
+class RecordedJudgement:
+    """The recordings of a cell, as its gate counts them."""
+
+    def __init__(self, cell: CellInUse) -> None:
+        self._cell = cell
+        self._records: Records | None = None
+
+    def forget(self) -> None:
+        """Read all anew, the next time."""
+        self._records = None
+
+    def lines(self) -> list[CycleLine]:
+        """Recorded cycles that say how the jobs do, newest first."""
+        folder = self._cell.recordings
+        if folder is None:
+            return []
+        if self._records is None or self._records.folder != folder:
+            self._records = Records(folder)
+        lines = map(self._records.line, self._records.entries())
+        return [
+            line
+            for line in lines
+            if isinstance(line, CycleLine) and line.kind != "GRAB" and line.reasons != (CAPTURE,)
+        ]
+
+    def check(self, active: Contents, changed: Mapping[int, int]) -> None:
+        """Raises `UserError` for a changed job that too little is known of."""
+        good = [line.job_number for line in self.lines() if line.status == "OK" and line.has_pictures]
+        for job in facts_of_jobs(active):
+            if job.number in changed and good.count(job.number) < LEAST_GOOD:
+                raise UserError(
+                    f"job {job.name}: good recorded cycles: {good.count(job.number)}, expected {LEAST_GOOD}: "
+                    "measure with it first, with [recorder] in the configuration"
+                )
+
+    def before(self, changed: Mapping[int, int]) -> tuple[int, list[JudgedCycle]]:
+        """Index of the newest recording, and the last cycles of the jobs that change."""
+        lines = self.lines()
+        found = [line for line in lines if line.job_number in changed][:LAST]
+        return max((line.number for line in lines), default=-1), [
+            _judged(line, changed[line.job_number]) for line in reversed(found)
+        ]
+
+    def since(self, note: GateNote) -> tuple[int, list[JudgedCycle]]:
+        """Index of the newest recording, and what no tally has yet. Software measures every configuration."""
+        lines, is_software = self.lines(), note.staged.offer.kind == "software"
+        return max((line.number for line in lines), default=note.since), [
+            _judged(line, line.job_number)
+            for line in reversed(lines)
+            if line.number > note.since
+            and (is_software or line.fingerprint == note.wanted)
+            and line.job_number in note.jobs
+        ]
+
+
+def objection(found: RegressionDocument, may_move_mm: float) -> str:
+    """What recorded cycles say against a release; "" for nothing."""
+    counts = found.counts
+    if counts.good_to_bad:
+        worst = found.good_to_bad[0]
+        return f"{counts.good_to_bad} good recorded cycles become bad, as cycle {worst.number}: {worst.after}"
+    if counts.lost:
+        return f"{counts.lost} good parts of recorded cycles are not found any more"
+    moved = [cycle for cycle in found.apart if _moves(cycle, may_move_mm)]
+    if moved:
+        worst = max(moved, key=lambda cycle: (cycle.turned_deg or 0.0, _moved_mm(cycle)))
+        turned = "" if worst.turned_deg is None else f", turned by {worst.turned_deg:.1f}°"
+        return (
+            f"{len(moved)} good recorded cycles come out elsewhere, as cycle {worst.number}: by "
+            f"{_moved_mm(worst):.3f} mm{turned}; the release may move results by {may_move_mm:g} mm"
+        )
+    return "" if counts.good_stay else "no good recorded cycle could be measured with it"
+
+
+def _moves(cycle: ChangedCycle, may_move_mm: float) -> bool:
+    return may_move_mm == 0 or _moved_mm(cycle) > may_move_mm or (cycle.turned_deg or 0.0) > TURNED_DEG
+
+
+def _moved_mm(cycle: ChangedCycle) -> float:
+    return math.hypot(*(cycle.apart_um or [0.0])) / 1000
+
+
+def _judged(line: CycleLine, job: int) -> JudgedCycle:
+    return JudgedCycle(job, line.status == "OK", line.sigma_um)

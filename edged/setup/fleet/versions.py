@@ -1,0 +1,249 @@
+"""The versions of edged on a machine, as `tools/install` lays them out; and which of them is current.
+
+    versions/NAME/            an environment each; `.complete` is its last file, with its release's SHA-256
+    current, previous, agent  links: what runs, what ran before, and what switches between both
+    order.json                of the page's folder: the version that its gate wants; `VersionOrder`
+    switched.json             beside the links: the order that was followed last, and how it ended; `Switched`
+
+The page decides, and may write none of this. Root follows: it switches to nothing but what it has installed,
+and back by itself where the new version does not come up. A link is exchanged in one step, so that whenever
+the power fails one version or the other is current, and whole.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Annotated, Literal, Protocol
+
+from pydantic import Field
+
+from edged.errors import UserError
+from edged.files.atomic import make_folders, sync, write_atomically
+from edged.setup.documents import read_model
+from edged.setup.fleet.offers import FOLDER, gate_in
+from edged.setup.fleet.wheelset import Wheel, requirements
+from edged.setup.history import Kept, Text
+
+COMPLETE, ORDER, SWITCHED = ".complete", "order.json", "switched.json"
+CURRENT, PREVIOUS, AGENT = "current", "previous", "agent"
+START_S = 900.0
+"""A new version that is not judged after so long did not come up: on another processor it compiles first."""
+RESTARTS = 3
+"""In its probation; a daemon that ends so often does not run."""
+POLL_S = 1.0
+
+WARM = "warm"
+"""The command that compiles the kernels."""
+
+VersionName = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.+-]{0,63}$")]
+
+
+class VersionOrder(Kept):
+    """What the gate wants to run. number : counts its orders. back : to the version before."""
+
+    number: Annotated[int, Field(ge=1)]
+    to: VersionName
+    back: bool
+
+
+class Switched(Kept):
+    """An order, and whether what it wanted runs. why : it does not."""
+
+    order: VersionOrder
+    former: VersionName
+    state: Literal["begun", "runs", "failed"]
+    why: Text = ""
+
+
+class Unit(Protocol):
+    """The service of a cell, as systemd runs it."""
+
+    def restart(self) -> str:
+        """Restart it, and wait until it is ready; returns "" or why it is not."""
+
+    def restarts(self) -> int:
+        """How often it has ended by itself since then."""
+
+
+class Versions:
+    """Below a folder: /opt/edged. Whatever writes needs its owner, root. Raises `OSError`, `UserError`."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+
+    def python(self, name: str) -> Path:
+        """The interpreter of a version."""
+        return self.folder / "versions" / name / "bin" / "python"
+
+    def linked(self, link: str) -> str:
+        """The version that a link means; "" where there is none."""
+        place = self.folder / link
+        return place.readlink().name if place.is_symlink() else ""
+
+    def digest(self, name: str) -> str | None:
+        """SHA-256 of the release that a version was installed from; None: it is not complete.
+
+        "" of what `tools/install` made.
+        """
+        file = self.folder / "versions" / name / COMPLETE
+        return file.read_text().strip() if file.is_file() else None
+
+    def install(self, name: str, digest: str, wheels: tuple[Wheel, ...], files: Path) -> None:
+        """Make the environment of a release from a folder with its wheels, beside what runs."""
+        place = self.folder / "versions" / name
+        there = self.digest(name)
+        if there is not None and there != digest:
+            raise UserError(f"{place}: another software is installed by this name: sign it by another one")
+        if there is not None:
+            return
+        shutil.rmtree(place, ignore_errors=True)  # of a run that was cut off
+        make_folders(place.parent)
+        _run([sys.executable, "-m", "venv", "--system-site-packages", place], f"{place}: cannot be made")
+        wanted = place / "requirements.txt"
+        wanted.write_text(requirements(wheels))
+        pip = "-m pip install -q --disable-pip-version-check --no-index --only-binary :all: --require-hashes"
+        exact = ("--ignore-installed", "--find-links", files, "-r", wanted)
+        _run([self.python(name), *pip.split(), *exact], f"{place}: pip")
+        _run([place / "bin" / "edged", "--version"], f"{place}: edged")
+        kernels = {**os.environ, "NUMBA_CACHE_DIR": str(place / "kernels")}
+        _run([place / "bin" / "edged", WARM], f"{place}: compiling", kernels)
+        os.sync()  # all of it, before the mark
+        write_atomically(place / COMPLETE, digest.encode())
+        self._remove_others(name)
+
+    def switch(self, name: str) -> None:
+        """Let another version be current, and the current one the previous."""
+        former = self.linked(CURRENT)
+        if self.digest(name) is None:
+            raise UserError(f"{self.folder}: version {name} is not installed, or not complete")
+        if former != name:
+            self._link(PREVIOUS, former)
+            self._link(CURRENT, name)
+
+    def keep_agent(self, name: str) -> None:
+        """Let a version that is known to run be the one that switches."""
+        self._link(AGENT, name)
+
+    def switched(self) -> Switched | None:
+        """The order that was followed last. Raises `FileFormatError`."""
+        file = self.folder / SWITCHED
+        return read_model(file, Switched, "a switch of version") if file.exists() else None
+
+    def note(self, switched: Switched) -> Switched:
+        """Keep how far it is."""
+        write_atomically(self.folder / SWITCHED, switched.model_dump_json(indent=1).encode())
+        return switched
+
+    def _link(self, link: str, name: str) -> None:
+        draft = self.folder / f".{link}"
+        draft.unlink(missing_ok=True)
+        draft.symlink_to(Path("versions", name))
+        os.replace(draft, self.folder / link)  # noqa: PTH105  (the kill points of the tests)
+        sync(self.folder)
+
+    def _remove_others(self, name: str) -> None:
+        """Versions of releases that no link means any more: an environment has some 600 MB."""
+        kept = {name, *map(self.linked, (CURRENT, PREVIOUS, AGENT))}
+        for place in (self.folder / "versions").iterdir():
+            if place.name not in kept and self.digest(place.name):
+                (place / COMPLETE).unlink()
+                shutil.rmtree(place)
+
+
+def order_in(folder: Path) -> VersionOrder | None:
+    """The order of a page's gate; folder : of releases. Raises `FileFormatError`."""
+    file = folder / ORDER
+    return read_model(file, VersionOrder, "an order of the gate") if file.exists() else None
+
+
+def follow(
+    versions: Versions,
+    page: Path,
+    unit: Unit,
+    start_s: float = START_S,
+    poll_s: float = POLL_S,
+    is_over: Callable[[], bool] = lambda: False,
+) -> Switched | None:
+    """Follow the order of the gate, and see the new version through its probation; None: there is no order.
+
+    page : its folder. Started again at any moment, it goes on. is_over : ends the watch, for tests.
+    """
+    order, done = order_in(page / FOLDER), versions.switched()
+    if order is None or (done is not None and done.order == order and done.state == "failed"):
+        return done
+    if done is None or done.order != order:
+        former = versions.linked(CURRENT)
+        if not order.back and former != order.to:
+            versions.keep_agent(former)
+        done = versions.note(Switched(order=order, former=former, state="begun"))
+    if done.state == "begun":
+        versions.switch(order.to)
+        why = unit.restart()
+        if not why and not order.back:
+            why = _confirmed(page, start_s, poll_s)
+        if why and not order.back:
+            return _undone(versions, done, unit, why)
+        done = versions.note(done.model_copy(update={"state": "failed" if why else "runs", "why": why}))
+    while not order.back and not is_over() and _step(page) == "probation":
+        if unit.restarts() >= RESTARTS:
+            return _undone(versions, done, unit, f"it ended {unit.restarts()} times by itself")
+        time.sleep(10 * poll_s)
+    return done
+
+
+def _undone(versions: Versions, done: Switched, unit: Unit, why: str) -> Switched:
+    """Go back by itself."""
+    versions.switch(done.former)
+    done = versions.note(done.model_copy(update={"state": "failed", "why": why}))
+    unit.restart()
+    return done
+
+
+def _confirmed(page: Path, start_s: float, poll_s: float) -> str:
+    """Wait until the gate of the new version has begun to judge it; "" or why not."""
+    end_s = time.monotonic() + start_s
+    while _step(page) == "activating":
+        if time.monotonic() >= end_s:
+            return f"it did not come up within {start_s:g} s"
+        time.sleep(poll_s)
+    return ""
+
+
+def _step(page: Path) -> str:
+    note = gate_in(page / FOLDER)
+    return "" if note is None else note.step
+
+
+class SystemdUnit:
+    """A unit, by systemctl."""
+
+    def __init__(self, name: str) -> None:
+        self._name = name
+
+    def restart(self) -> str:
+        """See `Unit`."""
+        done = subprocess.run(
+            ["systemctl", "restart", self._name], capture_output=True, text=True, check=False
+        )
+        return "" if done.returncode == 0 else f"{self._name} does not start: {done.stderr.strip()[-500:]}"
+
+    def restarts(self) -> int:
+        """See `Unit`."""
+        command = ["systemctl", "show", "-P", "NRestarts", self._name]
+        done = subprocess.run(command, capture_output=True, text=True, check=False)
+        return int(done.stdout.strip() or 0) if done.returncode == 0 else 0
+
+
+def _run(command: Sequence[str | Path], what: str, environment: dict[str, str] | None = None) -> None:
+    done = subprocess.run(
+        [*map(str, command)], capture_output=True, text=True, stdin=subprocess.DEVNULL, env=environment,
+        check=False,
+    )  # fmt: skip
+    if done.returncode:
+        raise UserError(f"{what}: {(done.stderr or done.stdout).strip()[-1000:]}")
