@@ -112,7 +112,7 @@ class CycleHistory:
         self.figures.problem = problem
 
     def _adopt(self) -> None:
-        if self._spool.adopt():
+        if self._spool.adopt() or self._settings.bucket:
             self._start_packer()
 
     def _write(self) -> None:
@@ -133,7 +133,8 @@ class CycleHistory:
         self.figures.written += len(rows)
 
     def _pack(self) -> None:
-        if self._spool.turn_over():
+        # a bucket may lack what was packed before
+        if self._spool.turn_over() or self._settings.bucket:
             self._start_packer()
         self._drop_oldest()
 

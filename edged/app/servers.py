@@ -285,7 +285,7 @@ def _history_builder(section: HistorySection, cell: str) -> Build:
     """Raises `ListenError` where nothing could pack what is written."""
     if importlib.util.find_spec("pyarrow") is None:
         raise ListenError("history: needs another package: pip install 'edged[history]'")
-    limits = str(section.max_days), str(section.max_mib)
+    limits = str(section.max_days), str(section.max_mib), *([section.bucket] if section.bucket else [])
     program = [*LESSER, sys.executable, "-m", "edged.files.history.packing", str(section.folder)]
     return partial(CycleHistory, section, cell, ([*program, section.plant, cell, *limits], environment()))
 

@@ -154,8 +154,9 @@ def support(
 
 @app.command()
 def history(
-    folders: Annotated[
-        list[Path], typer.Option("--in", help="folder of a cell's history, or with those of many; repeat")
+    places: Annotated[
+        list[str],
+        typer.Option("--in", help="folder of a cell's history, or with those of many, or s3://...; repeat"),
     ],
     sql: Annotated[str | None, typer.Argument(help="a SELECT over the table `cycles`")] = None,
     week: Annotated[
@@ -178,6 +179,7 @@ def history(
         raise UserError(f"history: needs another package: pip install 'edged[history]' ({error})") from error
 
     console = screen(soft_wrap=True)
+    folders = [place if place.startswith("s3://") else Path(place) for place in places]
     if week is not None:
         raise typer.Exit(command.week(folders, until, week, console))
     if compare:

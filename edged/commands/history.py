@@ -20,7 +20,7 @@ from edged.files.outputs import check_outputs
 from edged.report.week import differing_line, week_page
 
 
-def question(sql: str, folders: Sequence[Path], as_json: bool, console: Console) -> int:
+def question(sql: str, folders: Sequence[Path | str], as_json: bool, console: Console) -> int:
     """Print the answer. Raises `UserError`."""
     columns, rows = ask(folders, sql)
     if as_json:
@@ -38,7 +38,7 @@ def _text(value: object) -> str:
     return f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
-def week(folders: Sequence[Path], until: str | None, output: Path, console: Console) -> int:
+def week(folders: Sequence[Path | str], until: str | None, output: Path, console: Console) -> int:
     """Write the report of seven days. Raises `UserError`."""
     check_outputs({"--week": output})
     first, last = last_days(folders, until)
@@ -49,7 +49,7 @@ def week(folders: Sequence[Path], until: str | None, output: Path, console: Cons
     return 0
 
 
-def compared(folders: Sequence[Path], until: str | None, as_json: bool, console: Console) -> int:
+def compared(folders: Sequence[Path | str], until: str | None, as_json: bool, console: Console) -> int:
     """Compare the cells of seven days, job by job. 0: none differs; 1: one does. Raises `UserError`."""
     first, last = last_days(folders, until)
     found = compare(folders, first, last)

@@ -253,6 +253,11 @@ class HistorySection(Section):
 
     folder: FilePath = Field(description="where rows go, as Parquet by plant, day and cell")
     plant: Name = Field("plant", description="name of the plant, by which cells of several are told apart")
+    bucket: str = Field(
+        "",
+        pattern=r"^(s3://[a-z0-9][^\s@]*)?$",
+        description="s3://BUCKET/PREFIX that is sent what is packed, too; left out: none",
+    )
     max_days: int = Field(400, ge=1, le=36_500, description="days with cycles; older ones are removed")
     max_mib: int = Field(2000, ge=1, le=100_000_000, description="of this cell's rows")
     min_free_mib: int = Field(

@@ -67,7 +67,6 @@ REPOSITORIES = {(f"release {name}", "repository") for name in ("countersign", "d
 """Folders that another command made, which these write into."""
 INPUTS = {
     *(("belt", name) for name in ("images", "rig")),
-    ("history", "folders"),
     *((f"release {name}", "key") for name in ("countersign", "delegate", "publish", "root", "sign")),
     *(("release root", name) for name in ("targets", "online")),
     ("release delegate", "plant_key"),

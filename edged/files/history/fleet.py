@@ -91,7 +91,7 @@ class Comparison:
 
 
 def compare(
-    folders: Sequence[Path], first: str, last: str, params: CompareParams = COMPARE
+    folders: Sequence[Path | str], first: str, last: str, params: CompareParams = COMPARE
 ) -> list[Comparison]:
     """Every figure of every job, from day to day. Raises `UserError`."""
     wanted = FIGURES.format(first=first, last=last, min_cycles=params.min_cycles)

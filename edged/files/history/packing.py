@@ -1,9 +1,10 @@
 """Rows of a spool into Parquet: one file for each plant, day and cell; none is lost, none is there twice.
 
-`python -m edged.files.history.packing FOLDER PLANT CELL MAX_DAYS MAX_MIB`, in a process of its own.
+`python -m edged.files.history.packing FOLDER PLANT CELL MAX_DAYS MAX_MIB [s3://...]`, a process of its own.
 
 A day's file is written anew with the rows that it lacks, by their key, and replaced in one step; only then
 its spool goes. Killed at any moment, the next run finds the spool again, and the rows that are in already.
+A file that a bucket lacks is sent after that, before the oldest days are removed.
 """
 
 from __future__ import annotations
@@ -20,7 +21,9 @@ from typing import Any
 import pyarrow as pa
 from pyarrow import parquet
 
+from edged.errors import UserError
 from edged.files.atomic import make_folders, sync, write_atomically
+from edged.files.history.bucket import is_sent, send
 from edged.files.history.rows import FULL, spool_folder
 
 SIZE = pa.struct(
@@ -62,8 +65,11 @@ def day_file(folder: Path, plant: str, day: str, cell: str) -> Path:
     return folder / f"plant={plant}" / f"day={day}" / f"cell={cell}" / FILE
 
 
-def pack(folder: Path, plant: str, cell: str, max_days: int, max_mib: int) -> int:
-    """Pack all that waits, and remove the oldest days beyond the limits; returns rows. Raises `OSError`."""
+def pack(folder: Path, plant: str, cell: str, max_days: int, max_mib: int, bucket: str = "") -> int:
+    """Pack all that waits, send it, and remove the oldest days beyond the limits; returns rows.
+
+    bucket : s3://..., or "". Raises `OSError`, and `UserError` where the bucket does not take it.
+    """
     packed = 0
     for path in sorted(spool_folder(folder, cell).glob(f"*{FULL}")):
         days: dict[str, list[dict[str, Any]]] = {}
@@ -74,7 +80,11 @@ def pack(folder: Path, plant: str, cell: str, max_days: int, max_mib: int) -> in
             packed += _add(day_file(folder, plant, day, cell), rows)
         path.unlink()
         sync(path.parent)
-    _bound(folder, plant, cell, max_days, max_mib)
+    try:
+        if bucket:
+            send(sorted(folder.glob(f"plant={plant}/day=*/cell={cell}/{FILE}")), folder, bucket, _merge)
+    finally:
+        _bound(folder, plant, cell, max_days, max_mib, bucket)
     return packed
 
 
@@ -113,6 +123,11 @@ def _add(path: Path, rows: list[dict[str, Any]]) -> int:
     return len(lacking)
 
 
+def _merge(path: Path, other: bytes) -> None:
+    """Add to a day's file what another one has of it."""
+    _add(path, _as_now(parquet.read_table(io.BytesIO(other))).to_pylist())
+
+
 def _lacking(rows: list[dict[str, Any]], there: parquet.ParquetFile | None) -> list[dict[str, Any]]:
     """The rows whose key is not in a file, each once."""
     wanted = {(row["started_ns"], row["cycle"]): row for row in rows}
@@ -131,11 +146,19 @@ def _as_now(rows: pa.Table) -> pa.Table:
     return pa.concat_tables([SCHEMA.empty_table(), rows], promote_options="default").select(SCHEMA.names)
 
 
-def _bound(folder: Path, plant: str, cell: str, max_days: int, max_mib: int) -> None:
-    """Remove the oldest days. Days with cycles are counted: a clock that is set deletes nothing."""
+def _bound(folder: Path, plant: str, cell: str, max_days: int, max_mib: int, bucket: str) -> None:
+    """Remove the oldest days. Days with cycles are counted: a clock that is set deletes nothing.
+
+    What the bucket still lacks stays until there is no room for it.
+    """
     days = sorted(folder.glob(f"plant={plant}/day=*/cell={cell}"))
     sizes = [sum(file.stat().st_size for file in day.iterdir()) for day in days]
     while len(days) > 1 and (len(days) > max_days or sum(sizes) > max_mib * MIB):
+        is_kept = not bucket or is_sent(days[0] / FILE, bucket)
+        if not is_kept and sum(sizes) <= max_mib * MIB:
+            return
+        if not is_kept:
+            sys.stderr.write(f"history: {days[0]} is removed unsent: there is no room for it\n")
         oldest = days.pop(0)
         sizes.pop(0)
         shutil.rmtree(oldest)
@@ -144,5 +167,8 @@ def _bound(folder: Path, plant: str, cell: str, max_days: int, max_mib: int) -> 
 
 
 if __name__ == "__main__":
-    _folder, _plant, _cell, _days, _mib = sys.argv[1:]
-    pack(Path(_folder), _plant, _cell, int(_days), int(_mib))
+    _folder, _plant, _cell, _days, _mib, *_bucket = sys.argv[1:]
+    try:
+        pack(Path(_folder), _plant, _cell, int(_days), int(_mib), *_bucket)
+    except UserError as _error:
+        sys.exit(f"history: {_error}")

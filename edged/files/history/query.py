@@ -17,6 +17,7 @@ import pyarrow as pa
 from pyarrow import dataset
 
 from edged.errors import FileFormatError, UserError
+from edged.files.history.bucket import bucket_of, files_in
 from edged.files.history.packing import FILE, SCHEMA
 
 MEMORY = "1GB"
@@ -34,11 +35,19 @@ LOCKED: dict[str, str | bool | int | float | list[str]] = {
 }
 
 
-def cycles_in(folders: Sequence[Path]) -> dataset.Dataset:
-    """All rows of folders, with `plant`, `day` and `cell`. Raises `FileFormatError` where there are none."""
+def cycles_in(folders: Sequence[Path | str]) -> dataset.Dataset:
+    """All rows of folders and buckets, with `plant`, `day` and `cell`.
+
+    Raises `UserError` where there are none.
+    """
     found = []
     for folder in folders:
-        files = sorted(map(str, folder.glob(f"plant=*/day=*/cell=*/{FILE}")))
+        if isinstance(folder, str):
+            client, base = bucket_of(folder)
+            files = files_in(client, base, FILE)
+        else:
+            client, base = None, str(folder)
+            files = sorted(map(str, folder.glob(f"plant=*/day=*/cell=*/{FILE}")))
         if not files:
             raise FileFormatError(
                 f"{folder}: no history: expected plant=.../day=.../cell=.../{FILE}; cells pack it every hour"
@@ -46,16 +55,16 @@ def cycles_in(folders: Sequence[Path]) -> dataset.Dataset:
         places = dataset.partitioning(PLACE, flavor="hive")
         schema = pa.unify_schemas([SCHEMA, PLACE])
         found.append(
-            dataset.dataset(files, schema, "parquet", partitioning=places, partition_base_dir=str(folder))
+            dataset.dataset(files, schema, "parquet", client, partitioning=places, partition_base_dir=base)
         )
     return found[0] if len(found) == 1 else dataset.dataset(found)
 
 
 @contextmanager
-def asked(folders: Sequence[Path]) -> Iterator[duckdb.DuckDBPyConnection]:
+def asked(folders: Sequence[Path | str]) -> Iterator[duckdb.DuckDBPyConnection]:
     """A locked connection with the table `cycles`. Raises `UserError`, also for what SQL raises."""
-    cycles = cycles_in(folders)
     try:
+        cycles = cycles_in(folders)
         with duckdb.connect(":memory:", config=LOCKED) as connection:
             connection.register("cycles", cycles)
             yield connection
@@ -63,7 +72,7 @@ def asked(folders: Sequence[Path]) -> Iterator[duckdb.DuckDBPyConnection]:
         raise UserError(f"history: {error}") from error
 
 
-def ask(folders: Sequence[Path], sql: str) -> tuple[list[str], list[tuple[Any, ...]]]:
+def ask(folders: Sequence[Path | str], sql: str) -> tuple[list[str], list[tuple[Any, ...]]]:
     """Names of columns and rows of the answer. Raises `UserError`."""
     with asked(folders) as connection:
         statements = connection.extract_statements(sql)

@@ -38,7 +38,7 @@ class DayFigures:
     total_ms: float | None
 
 
-def last_days(folders: Sequence[Path], last: str | None, days: int = 7) -> tuple[str, str]:
+def last_days(folders: Sequence[Path | str], last: str | None, days: int = 7) -> tuple[str, str]:
     """First and last of so many days. last : None: the newest with cycles. Raises `UserError`."""
     if last is None:
         last = str(ask(folders, "SELECT max(day) FROM cycles")[1][0][0])
@@ -49,12 +49,12 @@ def last_days(folders: Sequence[Path], last: str | None, days: int = 7) -> tuple
     return (end - timedelta(days=days - 1)).isoformat(), end.isoformat()
 
 
-def day_figures(folders: Sequence[Path], first: str, last: str) -> list[DayFigures]:
+def day_figures(folders: Sequence[Path | str], first: str, last: str) -> list[DayFigures]:
     """By cell and day. Raises `UserError`."""
     return [DayFigures(*row) for row in ask(folders, DAYS.format(first=first, last=last))[1]]
 
 
-def reasons(folders: Sequence[Path], first: str, last: str) -> dict[str, list[tuple[str, int]]]:
+def reasons(folders: Sequence[Path | str], first: str, last: str) -> dict[str, list[tuple[str, int]]]:
     """Why results were not good, by cell, the most frequent first. Raises `UserError`."""
     found: dict[str, list[tuple[str, int]]] = {}
     for who, reason, count in ask(folders, REASONS.format(first=first, last=last))[1]:
