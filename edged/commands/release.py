@@ -37,6 +37,7 @@ from edged.setup.releases.jobsfolder import jobs_in
 
 try:
     from edged.setup.fleet.client import Client
+    from edged.setup.fleet.hawkbit import Hawkbit
     from edged.setup.fleet.keys import make_key, public_key, signer_of
     from edged.setup.fleet.repository import Repository
     from edged.setup.fleet.versions import SystemdUnit, Versions, follow
@@ -155,6 +156,7 @@ def pull(config: Path, console: Console, *, place: str | None, name: str | None,
     if (name is None) != (output is None):
         raise UserError("expected --name NAME and --output FILE, or neither")
     check_outputs({"--output": output})
+    token = _token(config)  # as root: the page's user may not read it
     with _kept(config) as kept:
         client, cell = _client(config, place, kept)
         offers = client.offers()
@@ -167,10 +169,13 @@ def pull(config: Path, console: Console, *, place: str | None, name: str | None,
         section = load(config).fleet
         given = None if section is None else section.ring
         kinds = ("jobs",) if section is None or section.software is None else ("jobs", "software")
-        due = {
+        due: dict[str, tuple[str, Offer]] = {
             offer.kind: (path, offer) for path, offer in offers.items()
             if offer.kind in kinds and ring_of(cell, offer.name, offer.cells, given) <= offer.ring
         }  # fmt: skip
+        if section is not None and section.hawkbit is not None:
+            server = Hawkbit(section.hawkbit, token, cell, kept)
+            due = server.due({path: o for path, o in offers.items() if o.kind in kinds}, client.digest)
         if not due:
             say(f"{cell}: no release for it yet, of {len(offers)}", console)
             return 1
@@ -193,6 +198,14 @@ def pull(config: Path, console: Console, *, place: str | None, name: str | None,
             _client(config, place, kept)[0].stage(path, offer)
     say(f"{cell}: {path} is verified and fetched: the gate tries it on recorded cycles next", console)
     return 0
+
+
+def _token(config: Path) -> str:
+    """What says to hawkBit who asks; "" without one. Raises `UserError`."""
+    section = load(config).fleet
+    if section is None or section.hawkbit_token is None:
+        return ""
+    return read_bytes(section.hawkbit_token, "a token of hawkBit", 4096).decode(errors="replace").strip()
 
 
 def _install(config: Path, place: str | None, folder: Path, path: str, offer: Offer) -> None:

@@ -5,8 +5,9 @@ from __future__ import annotations
 import re
 from datetime import time
 from pathlib import Path
+from typing import Self
 
-from pydantic import Field, field_validator
+from pydantic import Field, field_validator, model_validator
 
 from edged.config.fields import FilePath, Name, Section
 
@@ -22,6 +23,14 @@ class FleetSection(Section):
     ring: int | None = Field(
         None, ge=1, le=4, description="1 first to 4 last; left out: as the release's list of cells says"
     )
+    hawkbit: str | None = Field(
+        None,
+        pattern=r"^https://[^/\s?#@]+/[^/\s?#]+/?$",
+        description="https://HOST/TENANT of a hawkBit that assigns releases instead of their rings",
+    )
+    hawkbit_token: FilePath | None = Field(
+        None, description='file with "TargetToken ..." or "GatewayToken ..."; expected with hawkbit'
+    )
     software: FilePath | None = Field(
         None, description="where tools/install puts versions, /opt/edged; left out: software is not taken"
     )
@@ -35,6 +44,12 @@ class FleetSection(Section):
         if not (re.match(r"https://[^/\s]", text) or Path(text).is_absolute()):
             raise ValueError("expected https://HOST/FOLDER, or the absolute path of a folder")
         return text
+
+    @model_validator(mode="after")
+    def _has_token(self) -> Self:
+        if (self.hawkbit is None) != (self.hawkbit_token is None):
+            raise ValueError("expected hawkbit and hawkbit_token, or neither")
+        return self
 
     @field_validator("window")
     @classmethod

@@ -6,9 +6,10 @@ import functools
 import http.server
 import ssl
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from socketserver import BaseRequestHandler
 
 from helpers.certificates import make_certificates
 from helpers.commandline import exit_code
@@ -79,12 +80,17 @@ class _Quiet(http.server.SimpleHTTPRequestHandler):
 @contextmanager
 def served(folder: Path, certificates: Path, port: int = 0) -> Iterator[str]:
     """A folder at https://127.0.0.1:PORT; its authority is `ca.pem` among the certificates."""
+    with over_tls(functools.partial(_Quiet, directory=str(folder)), certificates, port) as url:
+        yield url
+
+
+@contextmanager
+def over_tls(handler: Callable[..., BaseRequestHandler], certificates: Path, port: int = 0) -> Iterator[str]:
+    """A server at https://127.0.0.1:PORT; its authority is `ca.pem` among the certificates."""
     if not certificates.exists():
         certificates.mkdir()
         make_certificates(certificates)
-    server = http.server.ThreadingHTTPServer(
-        ("127.0.0.1", port), functools.partial(_Quiet, directory=str(folder))
-    )
+    server = http.server.ThreadingHTTPServer(("127.0.0.1", port), handler)
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
     context.load_cert_chain(certificates / "server.pem", certificates / "server.key")
     server.socket = context.wrap_socket(server.socket, server_side=True)
