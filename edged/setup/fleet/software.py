@@ -12,6 +12,7 @@ import json
 import os
 import shutil
 import sys
+import time
 from collections.abc import Mapping
 from datetime import UTC, datetime
 from pathlib import Path
@@ -34,6 +35,7 @@ from edged.setup.recordings.setups import digest_of, facts_of_jobs
 MODULE = "edged.setup.recordings.again"
 MOST_S = 3600.0
 """For measuring 200 recordings, with kernels to compile before."""
+AGAIN_S = 60.0
 AUTHOR = "fleet"
 RUNNING = Path(sys.prefix).resolve().name
 """The version that runs, looked up before a link is switched."""
@@ -144,18 +146,16 @@ class SoftwareGate:
 
     async def _go_back(self, note: GateNote) -> GateNote:
         order = await asyncio.to_thread(order_in, self._folder)
-        if order is not None and order.number == note.order and order.back:
-            return note  # root has it
-        if not self._steps.has_leave(in_window=False):
-            return note
-        if order is not None and order.number == note.order:
+        if order is not None and order.number == note.order and not order.back:
+            if not self._steps.has_leave(in_window=False):
+                return note
             note = note.model_copy(update={"order": note.order + 1})
             note = await self._steps.note(note, "rolling back", note.why, is_news=False)
         return await self._order(note, note.order, back=True)
 
     async def _order(self, note: GateNote, number: int, *, back: bool) -> GateNote:
         """Have root switch, once; while it may: a cell that was stopped in between asks anew."""
-        if await asyncio.to_thread(self._number) >= number:
+        if await asyncio.to_thread(self._is_fresh, number):
             return note
         if not self._steps.has_leave(in_window=not back):
             return note
@@ -176,6 +176,12 @@ class SoftwareGate:
         if section is None or section.software is None:
             raise UserError("[fleet] software is missing: this cell takes no software")
         return Versions(section.software)
+
+    def _is_fresh(self, number: int) -> bool:
+        """Whether an order was written lately; one that root has missed is written again."""
+        if self._number() < number:
+            return False
+        return time.time() - (self._folder / ORDER).stat().st_mtime < AGAIN_S
 
     def _number(self) -> int:
         order = order_in(self._folder)

@@ -12,6 +12,7 @@ the power fails one version or the other is current, and whole.
 
 from __future__ import annotations
 
+import json
 import os
 import shutil
 import subprocess
@@ -23,10 +24,10 @@ from typing import Annotated, Literal, Protocol
 
 from pydantic import Field
 
-from edged.errors import UserError
-from edged.files.atomic import make_folders, sync, write_atomically
+from edged.errors import FileFormatError, UserError
+from edged.files.atomic import make_folders, read_bytes, sync, write_atomically
 from edged.setup.documents import read_model
-from edged.setup.fleet.offers import FOLDER, gate_in
+from edged.setup.fleet.offers import FOLDER, GATE
 from edged.setup.fleet.wheelset import Wheel, requirements
 from edged.setup.history import Kept, Text
 
@@ -170,30 +171,33 @@ def follow(
     poll_s: float = POLL_S,
     is_over: Callable[[], bool] = lambda: False,
 ) -> Switched | None:
-    """Follow the order of the gate, and see the new version through its probation; None: there is no order.
+    """Follow the orders of the gate, and see a new version through its probation; None: there is no order.
 
     page : its folder. Started again at any moment, it goes on. is_over : ends the watch, for tests.
     """
     order, done = order_in(page / FOLDER), versions.switched()
-    if order is None or (done is not None and done.order == order and done.state == "failed"):
-        return done
-    if done is None or done.order != order:
-        former = versions.linked(CURRENT)
-        if not order.back and former != order.to:
-            versions.keep_agent(former)
-        done = versions.note(Switched(order=order, former=former, state="begun"))
-    if done.state == "begun":
-        versions.switch(order.to)
-        why = unit.restart()
-        if not why and not order.back:
-            why = _confirmed(page, start_s, poll_s)
-        if why and not order.back:
-            return _undone(versions, done, unit, why)
-        done = versions.note(done.model_copy(update={"state": "failed" if why else "runs", "why": why}))
-    while not order.back and not is_over() and _step(page) == "probation":
-        if unit.restarts() >= RESTARTS:
-            return _undone(versions, done, unit, f"it ended {unit.restarts()} times by itself")
-        time.sleep(10 * poll_s)
+    while order is not None and not (done is not None and done.order == order and done.state == "failed"):
+        if done is None or done.order != order:
+            former = versions.linked(CURRENT)
+            if not order.back and former != order.to:
+                versions.keep_agent(former)
+            done = versions.note(Switched(order=order, former=former, state="begun"))
+        if done.state == "begun":
+            versions.switch(order.to)
+            why = unit.restart()
+            if not why and not order.back:
+                why = _confirmed(page, start_s, poll_s)
+            if why and not order.back:
+                return _undone(versions, done, unit, why)
+            done = versions.note(done.model_copy(update={"state": "failed" if why else "runs", "why": why}))
+        while not order.back and not is_over() and _step(page) == "probation":
+            if unit.restarts() >= RESTARTS:
+                return _undone(versions, done, unit, f"it ended {unit.restarts()} times by itself")
+            time.sleep(10 * poll_s)
+        further = order_in(page / FOLDER)  # systemd starts nothing that runs already
+        if further == order:
+            return done
+        order = further
     return done
 
 
@@ -216,8 +220,12 @@ def _confirmed(page: Path, start_s: float, poll_s: float) -> str:
 
 
 def _step(page: Path) -> str:
-    note = gate_in(page / FOLDER)
-    return "" if note is None else note.step
+    """Of the gate's note, which another version may have written: nothing else of it is read."""
+    try:
+        found = json.loads(read_bytes(page / FOLDER / GATE, "the gate's note"))
+        return str(found["step"])
+    except (FileFormatError, ValueError, KeyError, TypeError):
+        return "activating"  # nothing says that it goes on
 
 
 class SystemdUnit:
