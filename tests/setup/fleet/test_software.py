@@ -282,6 +282,7 @@ def test_the_power_fails_at_any_write_and_one_whole_version_runs(
     cut.at = 10**9
     assert "rolled back" == copied(kept, tmp_path / "first").whole_way().step
     writes, seen = cut.count, set()
+    print(f"{writes} writes")
     for at in range(0, writes, max(writes // CUTS, 1)):
         cut.at = -1
         cell = copied(kept, tmp_path / f"cut-{at}")
