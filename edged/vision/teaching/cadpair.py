@@ -60,11 +60,14 @@ def _looked_for(images: StereoImages, curves: ModelCurves, mask: Image) -> Float
     if body is None:
         return None
     sharp = model_of(body)
-    model = with_breaks(sharp, BREAKS.usual_mm)
+    # looked for as if it had usual breaks, and laid with any: of wide ones either end shows
+    widths = BREAKS.usual_mm, *(width for width in BREAKS.unknown_mm if width != BREAKS.usual_mm)
+    models = tuple(with_breaks(sharp, width) for width in widths)
+    model = models[0]
     place = _where_axes_meet(images)
     distance = float(np.linalg.norm(place))
     distances = distance / CAD.taught_range, distance * CAD.taught_range
-    wanted = SearchedPart((model,), CAD.taught_tilt_rad, distances, place)
+    wanted = SearchedPart(models, CAD.taught_tilt_rad, distances, place)
     pyramids = pyramids_of(images, wanted)
     turns = like_turns(model, (float(model.centre[0]), float(model.centre[1])))
     for found in find_places(wanted, pyramids):
