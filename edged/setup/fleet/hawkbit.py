@@ -28,7 +28,7 @@ NOTE = "hawkbit.json"
 TIMEOUT_S = 20.0
 MAX_BYTES = 4 * 1024 * 1024
 MAX_DETAIL = 500
-"""Of a message: hawkBit keeps 512 characters."""
+"""hawkBit keeps 512 characters of a message."""
 AUTHORIZATION = re.compile(r"(Target|Gateway)Token \S{1,512}")
 SUCCESS, FAILURE, OPEN = ("closed", "success"), ("closed", "failure"), ("proceeding", "none")
 """Execution and result, as DDI calls them."""

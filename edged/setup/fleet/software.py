@@ -42,7 +42,7 @@ RUNNING = Path(sys.prefix).resolve().name
 PYTHON = Path(sys.executable)
 
 
-class Steps(Protocol):
+class GateSteps(Protocol):
     """What the gate does with any release."""
 
     def has_leave(self, *, in_window: bool) -> bool:
@@ -59,7 +59,7 @@ class SoftwareGate:
     """Used on the event loop. running : the version of this process."""
 
     def __init__(
-        self, cell: CellInUse, regressions: Regressions, recorded: RecordedJudgement, steps: Steps
+        self, cell: CellInUse, regressions: Regressions, recorded: RecordedJudgement, steps: GateSteps
     ) -> None:
         self._cell = cell
         self._regressions = regressions

@@ -220,7 +220,7 @@ def _confirmed(page: Path, start_s: float, poll_s: float) -> str:
 
 
 def _step(page: Path) -> str:
-    """Of the gate's note, which another version may have written: nothing else of it is read."""
+    """The step in the gate's note, which another version may have written: nothing else of it is read."""
     try:
         found = json.loads(read_bytes(page / FOLDER / GATE, "the gate's note"))
         return str(found["step"])
