@@ -29,6 +29,8 @@ from pymodbus.client import ModbusTcpClient
 from edged.adapters.modbus import ModbusSettings
 from edged.adapters.opcua import OpcUaPublisher, OpcUaSettings, identity_of
 from edged.adapters.opcua.model import read_model
+from edged.adapters.opcua.picture import RegisterPicture
+from edged.adapters.opcua.server import ServerThread
 from edged.domain.measurement import Reject
 from edged.errors import ListenError
 from edged.plc import registers as reg
@@ -432,10 +434,21 @@ async def test_verify_gives_no_coordinates_also_not_in_the_content(
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("is_seldom_shown", [False, True])
 async def test_a_recipe_is_prepared_by_the_handshakes_job_change(
-    cell: OpcUaCell, secure: OpcUaSettings
+    cell: OpcUaCell, secure: OpcUaSettings, monkeypatch: pytest.MonkeyPatch, is_seldom_shown: bool
 ) -> None:
     """IsCompleted is false until RecipePrepared says so, not Ready until then; a loaded one needs none."""
+    if is_seldom_shown:  # the job changes between two pictures
+        post, last_s = ServerThread.post, time.monotonic()
+
+        def seldom(server: ServerThread, picture: RegisterPicture) -> None:
+            nonlocal last_s
+            if time.monotonic() - last_s > 1.0:
+                last_s = time.monotonic()
+                post(server, picture)
+
+        monkeypatch.setattr(ServerThread, "post", seldom)
     async with connected(cell, secure) as client:
         notes = await events_of(client)
         empty = ua.RecipeIdExternalDataType()

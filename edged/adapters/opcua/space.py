@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 import uuid
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import fields
+from dataclasses import fields, replace
 from datetime import UTC, datetime, timedelta
 from typing import Any
 
@@ -402,8 +402,15 @@ class Space:
         if old is not None:
             is_job = now["COMMAND"] != CommandKind.CHANGE_JOB
             done = now["DONE_SEQ"] == now["LAST_SEQ"] and int(now["STATUS_BITS"]) & reg.StatusBit.ACK
-            if is_job and now["LAST_SEQ"] != old["LAST_SEQ"] and (now["OPEN_COMMANDS"] or done):
+            is_new = now["LAST_SEQ"] != old["LAST_SEQ"] and bool(now["OPEN_COMMANDS"] or done)
+            if is_job and is_new:
                 yield JOB_STARTED, "The job has started", USUAL, {"JobId": (job, kind)}
+            if is_new and done and state == self._state and state.automatic is Automatic.READY:
+                # begun and done between two pictures: who waits for its states is told them all the same
+                passed = Automatic.SINGLE_EXECUTION if is_job else Automatic.INITIALIZED
+                between = replace(state, automatic=passed)
+                yield from self._transition(state, between, job, picture)
+                state = between
             if int(now["STATUS_BITS"]) & ~int(old["STATUS_BITS"]) & reg.StatusBit.EXPOSURE_DONE:
                 yield ACQUISITION_DONE, "Both images are in memory", USUAL, {"JobId": (job, kind)}
             if now["ACTIVE_JOB"] != old["ACTIVE_JOB"]:
@@ -414,7 +421,7 @@ class Space:
         if picture.result is not None and picture.result.name != shown:
             yield RESULT_READY, "The result is ready", USUAL, self._result_fields(picture.result)
         if state != self._state:
-            yield from self._transition(state, job, picture)
+            yield from self._transition(state, self._state, job, picture)
 
     def _result_fields(self, record: ResultRecord) -> dict[str, tuple[object, ua.VariantType]]:
         data = self.result_data(record)
@@ -428,9 +435,9 @@ class Space:
         }
 
     def _transition(
-        self, state: VisionState, job: JobIdDataType, picture: RegisterPicture
+        self, state: VisionState, new: VisionState, job: JobIdDataType, picture: RegisterPicture
     ) -> Iterator[tuple[int, str, int, Mapping[str, tuple[object, ua.VariantType]]]]:
-        new, cause = self._state, transition_cause(picture, self._state.automatic)
+        cause = transition_cause(picture, new.automatic)
         if new.top is not state.top:
             kind = STATE_CHANGED
             if Top.ERROR in (new.top, state.top):
