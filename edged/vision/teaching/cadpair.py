@@ -16,7 +16,7 @@ from edged.errors import TeachError
 from edged.vision.geometry.rectification import StereoImages
 from edged.vision.geometry.rigid import apply, invert, transform, unit
 from edged.vision.part.job import usual_limits
-from edged.vision.solid.edgemodel import model_of
+from edged.vision.solid.edgemodel import EdgeModel, model_of
 from edged.vision.solid.forms import with_breaks
 from edged.vision.solid.locate import weighed
 from edged.vision.solid.modes import SearchedPart, find_places, pyramids_of
@@ -60,11 +60,18 @@ def _looked_for(images: StereoImages, curves: ModelCurves, mask: Image) -> Float
     if body is None:
         return None
     sharp = model_of(body)
-    # looked for as if it had usual breaks, and laid with any: of wide ones either end shows
-    widths = BREAKS.usual_mm, *(width for width in BREAKS.unknown_mm if width != BREAKS.usual_mm)
-    models = tuple(with_breaks(sharp, width) for width in widths)
-    model = models[0]
-    place = _where_axes_meet(images)
+    # with usual breaks, and where that does not tell, with any: of wide ones either end shows
+    for widths in ((BREAKS.usual_mm,), BREAKS.unknown_mm):
+        models = tuple(with_breaks(sharp, width) for width in widths)
+        pose = _laid_by(images, models, mask)
+        if pose is not None:
+            return np.asarray(pose @ level)
+    return None
+
+
+def _laid_by(images: StereoImages, models: tuple[EdgeModel, ...], mask: Image) -> FloatArray | None:
+    """rig_from_part (4, 4) of what a mask shows, by the best of some models; None: nothing is certain."""
+    model, place = models[0], _where_axes_meet(images)
     distance = float(np.linalg.norm(place))
     distances = distance / CAD.taught_range, distance * CAD.taught_range
     wanted = SearchedPart(models, CAD.taught_tilt_rad, distances, place)
@@ -79,7 +86,7 @@ def _looked_for(images: StereoImages, curves: ModelCurves, mask: Image) -> Float
         # how certain it is without its breaks, is asked when it has them
         if best.certain < DECISION.worth_forms or best.margin < DECISION.certain:
             return None
-        return np.asarray(best.laid.pose @ level)
+        return best.laid.pose
     return None
 
 
