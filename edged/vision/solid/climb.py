@@ -26,7 +26,7 @@ SOUGHT_EVERY = CLIMB.every
 HALF_BIN, HALF_BIN_MORE = math.tan(math.pi / 16), math.tan(3 * math.pi / 16)
 """Tangents of 11.25 and 33.75 degrees: the borders between directions."""
 FULL = 15
-"""Response of a gradient that fits: sums of 16 fit a byte."""
+"""Response of a gradient that fits where chance is least: sums of 16 fit a byte."""
 
 
 class Eye(NamedTuple):

@@ -1,7 +1,8 @@
 """Where a part may lie, by views of its edges compared with the gradients of either picture at a small size.
 
 No threshold decides: the best views of either camera are starts, and what becomes of them is the lock's to
-tell. A view counts by how well the gradients' directions fit, |cos|, and by their contrast to what is near.
+tell. A view counts by how well the gradients' directions fit, |cos|, by their contrast to what is near, and
+by how seldom an edge is there by chance.
 """
 
 from __future__ import annotations
@@ -116,7 +117,7 @@ def responses(grey: F32) -> U8:
     """(8, H, W): what speaks for an edge of each direction there, against chance, 0 to FULL.
 
     How well a pixel's gradient fits, spread by a pixel, says the less the more any direction fits nearby:
-    texture fits every part. It is the log likelihood ratio of `PoseEvidence`, and 0 where nothing fits.
+    texture fits every part. A log likelihood ratio as in `PoseEvidence`, but a miss is 0 everywhere.
     """
     soft = cv2.GaussianBlur(grey, (0, 0), SCAN.smoothing_px)
     gx, gy = (cv2.Sobel(soft, cv2.CV_32F, 1 - k, k, scale=1 / 8) for k in (0, 1))
