@@ -16,9 +16,10 @@ from edged.errors import TeachError
 from edged.vision.geometry.rectification import StereoImages
 from edged.vision.geometry.rigid import apply, invert, transform, unit
 from edged.vision.part.job import usual_limits
-from edged.vision.solid.edgemodel import EdgeModel, model_of
+from edged.vision.solid.edgemodel import model_of
 from edged.vision.solid.forms import with_breaks
 from edged.vision.solid.locate import weighed
+from edged.vision.solid.lock import Pyramids
 from edged.vision.solid.modes import SearchedPart, find_places, pyramids_of
 from edged.vision.solid.params import BREAKS, DECISION
 from edged.vision.solid.symmetry import like_turns
@@ -60,22 +61,25 @@ def _looked_for(images: StereoImages, curves: ModelCurves, mask: Image) -> Float
     if body is None:
         return None
     sharp = model_of(body)
+    place = _where_axes_meet(images)
+    distance = float(np.linalg.norm(place))
+    distances = distance / CAD.taught_range, distance * CAD.taught_range
+    wanted = SearchedPart((sharp,), CAD.taught_tilt_rad, distances, place)
+    pyramids = pyramids_of(images, wanted)
     # with usual breaks, and where that does not tell, with any: of wide ones either end shows
     for widths in ((BREAKS.usual_mm,), BREAKS.unknown_mm):
         models = tuple(with_breaks(sharp, width) for width in widths)
-        pose = _laid_by(images, models, mask)
+        pose = _laid_by(images, replace(wanted, models=models), pyramids, mask)
         if pose is not None:
             return np.asarray(pose @ level)
     return None
 
 
-def _laid_by(images: StereoImages, models: tuple[EdgeModel, ...], mask: Image) -> FloatArray | None:
+def _laid_by(
+    images: StereoImages, wanted: SearchedPart, pyramids: Pyramids, mask: Image
+) -> FloatArray | None:
     """rig_from_part (4, 4) of what a mask shows, by the best of some models; None: nothing is certain."""
-    model, place = models[0], _where_axes_meet(images)
-    distance = float(np.linalg.norm(place))
-    distances = distance / CAD.taught_range, distance * CAD.taught_range
-    wanted = SearchedPart(models, CAD.taught_tilt_rad, distances, place)
-    pyramids = pyramids_of(images, wanted)
+    model = wanted.models[0]
     turns = like_turns(model, (float(model.centre[0]), float(model.centre[1])))
     for found in find_places(wanted, pyramids):
         centre = images.rig.left.project(apply(found.best.pose, model.centre)[None])
