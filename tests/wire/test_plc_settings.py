@@ -18,6 +18,7 @@ from edged.config.chosenconnections import ChosenConnections, connections_of
 from edged.config.reading import load
 from edged.errors import ConfigError
 
+IN_FORCE = "!document.querySelector('#settings-draft, dialog[open]')"
 CHANGE = 'document.querySelector("#plc-settings ~ details")'
 
 
@@ -40,7 +41,7 @@ async def put(page: Browser) -> None:
     """Use the draft, until it is in force."""
     await press(page, "Use these settings")
     await press(page, "Put them in force")
-    await page.until("!document.querySelector('#settings-draft')")
+    await page.until(IN_FORCE)
 
 
 @pytest.mark.slow
@@ -87,7 +88,7 @@ def test_a_plc_and_a_robot_are_connected_on_the_page(tmp_path: Path) -> None:
                 assert answers(first)
             page.complaints.clear()  # of the refusal
             await press(page, "Put them in force")
-            await page.until("!document.querySelector('#settings-draft')")
+            await page.until(IN_FORCE)
             assert answers(second) and not answers(first)
             await press(page, "As in the configuration file")
             await page.until(said("As in the configuration file."))

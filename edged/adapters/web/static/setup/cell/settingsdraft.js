@@ -19,38 +19,41 @@ export function SettingsDraft({ draft, onDone }) {
   const [isAsked, setAsked] = useState(false);
   const isGood = Boolean(draft) && draft.problems.length === 0 && mayTake.value;
   useMainAction(isGood && t("draft-use"), () => setAsked(true));
-  if (!draft) return null;
-  const { changes, problems, author, created } = draft;
+  const { changes, problems, author, created } = draft ?? {};
   const discard = () =>
     attempt(async () => {
       await ask("DELETE", "settings", {});
       say(t("draft-discarded"));
       await onDone();
     });
-  return html`<section class="tile" aria-labelledby="settings-draft">
-    <h2 id="settings-draft">${t("draft-settings")}</h2>
-    <p class="muted" translate=${false}>${moment(created)} · ${author}</p>
-    <${Changes} list=${changes} />
-    <${Wrong} problems=${problems} />
-    <div class="actions">
-      <button class="primary" disabled=${!isGood} onClick=${() => setAsked(true)}>${t("draft-use")}</button>
-      <button disabled=${!mayTake.value} onClick=${discard}>${t("draft-discard")}</button>
-    </div>
-    ${
-      isAsked &&
-      html`<${Releasing}
-        title=${t("draft-use")} label=${t("draft-put")}
-        suggested=${changes
-          .map(({ name }) => name)
-          .join(", ")
-          .slice(0, 200)}
-        send=${(body) => ask("POST", "settings/activate", body)}
-        onDone=${() => {
-          say(t("draft-used"));
-          return onDone();
-        }}
-        onClose=${() => setAsked(false)}
-      />`
-    }
-  </section>`;
+  // the dialog outlives its draft: this page hears that there is none before the answer to its own request
+  return html`${
+    draft &&
+    html`<section class="tile" aria-labelledby="settings-draft">
+      <h2 id="settings-draft">${t("draft-settings")}</h2>
+      <p class="muted" translate=${false}>${moment(created)} · ${author}</p>
+      <${Changes} list=${changes} />
+      <${Wrong} problems=${problems} />
+      <div class="actions">
+        <button class="primary" disabled=${!isGood} onClick=${() => setAsked(true)}>${t("draft-use")}</button>
+        <button disabled=${!mayTake.value} onClick=${discard}>${t("draft-discard")}</button>
+      </div>
+    </section>`
+  }
+  ${
+    isAsked &&
+    html`<${Releasing}
+      title=${t("draft-use")} label=${t("draft-put")}
+      suggested=${changes
+        ?.map(({ name }) => name)
+        .join(", ")
+        .slice(0, 200)}
+      send=${(body) => ask("POST", "settings/activate", body)}
+      onDone=${() => {
+        say(t("draft-used"));
+        return onDone();
+      }}
+      onClose=${() => setAsked(false)}
+    />`
+  }`;
 }
