@@ -55,7 +55,7 @@ REQUEST = struct.Struct(">" + "".join(kind for _, kind in REQUEST_ROWS))
 ANSWER = struct.Struct(">" + "".join(kind for _, kind in ANSWER_ROWS))
 _ONLY_HERE = (
     *("GRASP", "APPROACH", "ACK", "EXPOSE", "RESULT", "AUTO_LOCK", "OFFSET", "OFFSET_PART", "SKIP"),
-    *("TRAY", "PLACE"),
+    *("TRAY", "PLACE", "BELT", "COUNT"),
 )
 QUERIES = {name: number for number, name in enumerate(_ONLY_HERE, 100)}
 COMMANDS = {**{kind.name: int(kind) for kind in CommandKind}, **QUERIES}

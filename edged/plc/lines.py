@@ -78,6 +78,8 @@ class LineStatus(enum.IntEnum):
     """OFFSET, OFFSET_PART or PLACE, and the part given last has none: no GOLDEN, or it no longer holds."""
     NO_TRAY = 122
     """TRAY, and the job has no tray, this pocket it has not, or what was found is withdrawn."""
+    NO_BELT = 123
+    """BELT or COUNT, and the part that was given last is on no belt."""
 
 
 class BadRequest(ValueError):

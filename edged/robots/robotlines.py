@@ -40,6 +40,7 @@ MEANINGS = {
     LineStatus.NO_GRASP: "the part has no grasp",
     LineStatus.NO_OFFSET: "no golden part, or it no longer holds",
     LineStatus.NO_TRAY: "the job has no tray, or not this pocket",
+    LineStatus.NO_BELT: "the part is on no belt",
     LineStatus.NO_SUCH_BRAND: "a brand that the cell does not know",
     Failure.LATE: "no answer in time",
     Failure.NO_LINK: "no link",
@@ -49,6 +50,10 @@ MEANINGS = {
 """Texts of the error numbers; the NACK reasons, 1 to 99, have their own."""
 TRAY_FIELDS = ("POCKET", "TAKEN", "EMPTY", "POCKETS", "IS_TAKEN")
 """What the answer to TRAY has in place of a pose, in its order."""
+
+
+BELT_FIELDS = ("COUNT_HIGH", "COUNT_LOW", "SPEED", "PART")
+"""What the answer to COUNT has in place of a pose, in its order."""
 
 
 def line_values(brand: Brand, first: int, jobs: Iterable[str] = ()) -> dict[str, object]:
@@ -64,6 +69,7 @@ def line_values(brand: Brand, first: int, jobs: Iterable[str] = ()) -> dict[str,
         "n_fields": len(fields),
         "field": {name: index for index, name in enumerate(fields, first)},
         "tray": {name: index for index, name in enumerate(TRAY_FIELDS, first + fields.index("X"))},
+        "belt": {name: index for index, name in enumerate(BELT_FIELDS, first + fields.index("X"))},
         "failure": {failure.name: int(failure) for failure in Failure},
         "status": {status.name: int(status) for status in LineStatus},
         "statuses": textwrap.wrap(meanings, 72) + [f"job {job}" for job in jobs],

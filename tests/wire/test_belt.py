@@ -13,13 +13,14 @@ import cv2
 import numpy as np
 import pytest
 from helpers.commandline import exit_code
+from helpers.linerobot import connected
 from helpers.livecell import Head, LiveCell
 from helpers.ports import free_port
 from helpers.smallcell import HEIGHT, TOKEN, WIDTH, SmallCell, tiny_rig
 from helpers.waiting import LIMIT_S, wait_until
 from pymodbus.client import ModbusTcpClient
 
-from edged.adapters.modbus import ModbusSettings
+from edged.adapters.modbus import LineSettings, ModbusSettings
 from edged.app.cell import load_cell, warm_up
 from edged.config.reading import load as load_config
 from edged.domain.arrays import SIDES
@@ -30,8 +31,10 @@ from edged.errors import ConfigError
 from edged.files.rig import save_rig
 from edged.plc import registers as reg
 from edged.plc.answers import NackReason
+from edged.plc.lines import LineStatus
 from edged.plc.registers import Flag, Option, StatusBit
 from edged.robot.belt import belt_frame
+from edged.robot.orientations import Brand, transform_of
 from edged.sim.belt import VirtualBelt
 from edged.sim.cell import VirtualCell, demo_rig
 from edged.sim.exposure import ExposureRequest
@@ -79,7 +82,8 @@ class BeltCell(LiveCell):
     """A whole cell before a virtual belt, and a client of its registers."""
 
     def __init__(self, config: Path, virtual: VirtualCell, belt: VirtualBelt) -> None:
-        super().__init__(ModbusSettings(port=0, validity_s=30.0))
+        line = LineSettings(0, Brand.KUKA, allow_simulated=True)
+        super().__init__(ModbusSettings(port=0, validity_s=30.0, line=line))
         loaded = load_cell(config)
         warm_up(loaded)
         self.setup = loaded.setup
@@ -214,6 +218,45 @@ def test_with_a_cameras_count_a_part_lies_there_to_its_sigma_and_is_one_however_
     assert [part - parts[0] + 1 for part in parts] == numbers
     assert 1 < len(set(numbers)) < len(numbers)
     assert (np.abs(pulls) < 4).all(), pulls
+
+
+@pytest.mark.parametrize("brand", Brand)
+def test_a_robot_that_talks_in_lines_says_the_count_and_hears_where_the_part_lies_on_the_belt(
+    running: tuple[BeltCell, ModbusTcpClient], brand: Brand
+) -> None:
+    """As over Modbus, in every maker's convention; what a PLC wrote into BELT_COUNT stays."""
+    cell, client = running
+    unit = 1e-3 if brand is Brand.UR else 1.0
+    assert not client.write_registers(reg.ADDRESS["BELT_COUNT"], [0, 77, 0, 88]).isError()
+    assert not client.write_register(reg.ADDRESS["OPTIONS"], int(Option.RELEASE)).isError()
+    with connected(cell) as robot:
+        before_s = time.time()
+        said = cell.head.belt.count(time.time_ns())
+        assert (7, 0) == robot.ask(f"{brand},7,LOCATE,0,BELT,{said},{200.0 * unit}")[:2]
+        took_mm = 200.0 * (time.time() - before_s)
+        assert 0 == robot.ask(f"{brand},7,LOCATE,0,BELT,{said},{200.0 * unit}")[1]
+        assert 1 == cell.head.captures, "a line that came twice runs once"
+        sequence, status, remaining, numbers = robot.ask(f"{brand},8,BELT")
+        assert (8, 0, 0) == (sequence, status, remaining)
+        size = 7 if brand is Brand.ABB else 6
+        pose = transform_of(brand, tuple(numbers[:size]))
+        status, remaining, (high, low, speed, part, *_) = robot.ask(f"{brand},9,COUNT")[1:]
+        assert (0, 0, 200.0 * unit, 1.0) == (status, remaining, pytest.approx(speed), part)
+        values = cell.call(lambda: {register.name: value for register, value in cell.server.values()})
+        count = int(65536 * high + low)
+        assert (values["B_COUNT"], 77, 88) == (count, values["BELT_COUNT"], values["BELT_SPEED"])
+        error_mm = pose[:3, 3] - cell.truth_mm(values["EXPOSURE_NS"], count)
+        sigma_mm = np.array(numbers[size : size + 3]) / unit
+        assert (np.abs(error_mm[1:]) < 4 * sigma_mm[1:] + 2e-3).all(), (error_mm, sigma_mm)
+        assert -4 * sigma_mm[1] - 0.03 < error_mm[0] < took_mm + 4 * sigma_mm[1] + 0.03
+        assert 0.2 == pytest.approx(sigma_mm[0], abs=0.03)
+        assert (10, NackReason.REFUSED) == robot.ask("10,LOCATE,0")[:2], "nobody said the count"
+        assert (11, 0) == robot.ask(f"{brand},11,EXPOSE,0,BELT,{said},0")[:2]
+        assert 0 == robot.ask("12,RESULT")[1]
+        assert 0.0 == robot.ask("13,COUNT")[3][2], "it stood"
+        assert (11, 0) == robot.ask("11,ACK")[:2]
+        for query in ("BELT", "COUNT"):
+            assert (14, LineStatus.NOT_VALID) == robot.ask(f"14,{query}")[:2]
 
 
 def test_where_nobody_says_the_count_the_command_is_refused(

@@ -395,6 +395,15 @@ def test_a_part_without_a_grasp_says_so() -> None:
         assert [0, LineStatus.NO_GRASP, LineStatus.NO_GRASP, 0] == seen
 
 
+def test_a_part_that_lies_on_no_belt_says_so() -> None:
+    """Status 123; a count that nobody needs is no error, and before a LOCATE there is nothing to ask for."""
+    with LiveCell(KUKA) as cell, connected(cell) as robot:
+        ready(cell)
+        assert LineStatus.NOT_VALID == robot.ask("1,BELT")[1]
+        seen = [robot.ask(line)[1] for line in ("1,LOCATE,0,BELT,1,2", "2,BELT", "3,COUNT", "1,ACK")]
+        assert [0, LineStatus.NO_BELT, LineStatus.NO_BELT, 0] == seen
+
+
 def test_commands_end_with_their_reasons() -> None:
     """Jobs, verification, pictures; nothing found 102, unknown job 2, dead camera 6."""
     with LiveCell(KUKA) as cell, connected(cell) as robot:
@@ -502,6 +511,20 @@ def test_who_is_not_listed_may_not_command() -> None:
         "7,LOCATE,0,nan,0,0,0,0,0",
         "7,LOCATE,0,1e400,0,0,0,0,0",
         "acme,1_0,LOCATE,0",
+        "7,LOCATE,0,BELT",
+        "7,LOCATE,0,BELT,1",
+        "7,LOCATE,0,BELT,-1,2",
+        "7,LOCATE,0,BELT,1.5,2",
+        "7,LOCATE,0,BELT,4294967296,2",
+        "7,LOCATE,0,BELT,1_0,2",
+        "7,LOCATE,0,BELT,1,-2",
+        "7,LOCATE,0,BELT,1,nan",
+        "7,LOCATE,0,BELT,1,4294968",
+        "7,LOCATE,0,BELT,1,2,3",
+        "7,LOCATE,0,BELT,1,2,BELT,1,2",
+        "7,LOCATE,0,1,2,3,4,5,6,BELT,1,2",
+        "7,NEXT,0,BELT,1,2",
+        "7,ACK,0,BELT,1,2",
     ],
 )
 def test_what_is_no_request_is_answered_so(line: str) -> None:
@@ -584,6 +607,8 @@ WORDS = st.sampled_from(
         "GRASP",
         "APPROACH",
         "ACK",
+        "BELT",
+        "4294967295",
         "*",
         "0",
         "-1",
@@ -612,6 +637,7 @@ def test_whatever_a_robot_sends_is_a_request_or_none(line: bytes) -> None:
             continue
         assert 1 <= request.sequence <= 0xFFFF and 0 <= request.job <= 0xFFFF
         assert request.flange is None or np.isfinite(request.flange).all()
+        assert request.belt is None or all(0 <= number <= 0xFFFFFFFF for number in request.belt)
 
 
 def test_a_flange_that_fits_no_register_is_no_request() -> None:

@@ -12,6 +12,8 @@ write and reads of `CellRegisters`, as of any other client.
     8,NEXT_GRASP                                         another way to take the part that was given last
     9,PLACE,0,512.034,-88.120,611.020,12.4,3.0,178.3     how to place a part that was looked at in the gripper
     9,TRAY,7                                             which pockets have parts, and whether the seventh has
+    7,LOCATE,0,BELT,51200,200.0,512.034,...              where a belt is, and how fast; then the flange
+    8,BELT and 9,COUNT                                   where that part lies on the belt; at which count
     kuka,7,LOCATE,0                                      with the robot's brand
     7,0,2,412.300000,...,0.153000                        the answer, see `edged.plc.lines.LineAnswer`
 
@@ -56,6 +58,10 @@ QUALITY = ("RMS", "HELD_OUT", "LIMIT")
 """Lengths in the answer to a registration command, in place of X, Y, Z."""
 WANTED = {"VERIFY": reg.ResultCode.VERIFIED, "GOLDEN": reg.ResultCode.KEPT}
 """RESULT of a command that is not answered with a pose."""
+BELT = "BELT"
+"""Before count and speed in a request; a query about the part that was given last."""
+ON_BELT = ("LOCATE", "EXPOSE", "SKIP", "VERIFY", "GOLDEN")
+"""Commands that may say where a conveyor belt is."""
 FORBIDDEN = Reject.OUT_OF_LIMITS | Reject.KEEP_OUT | Reject.NO_GRASP | Reject.OUT_OF_MAP
 
 
@@ -72,7 +78,8 @@ class LineRequest:
     """A decoded line or frame.
 
     brand : of the robot. flange : robot_from_flange (4, 4) in mm, None if not given; shown : its numbers.
-    tries_all : the job was "*". box : that alone counts; 0: what the register BOX says.
+    tries_all : the job was "*". box : that alone counts; 0: what the register BOX says. belt : BELT_COUNT and
+    BELT_SPEED; None: not given.
     """
 
     brand: Brand
@@ -83,6 +90,7 @@ class LineRequest:
     tries_all: bool = False
     shown: tuple[float, ...] = ()
     box: int = 0
+    belt: tuple[int, int] | None = None
 
 
 BLANKS = " \t\r\n"
@@ -117,9 +125,22 @@ def _request(fields: list[str], brand: Brand) -> LineRequest:
     command = "NEXT_PART" if command == "NEXT" else command
     if command not in COMMANDS:
         raise ValueError(f"no such command: {command}")
-    shown = tuple(decimal(field) for field in fields[3:])
+    numbers, belt = fields[3:], None
+    if numbers and numbers[0].upper() == BELT and command in ON_BELT:
+        belt, numbers = _belt(numbers[1:3], brand), numbers[3:]
+    shown = tuple(decimal(field) for field in numbers)
     flange = transform_of(brand, shown) if shown else None
-    return LineRequest(brand, sequence, command, job, flange, tries_all, shown, box)
+    return LineRequest(brand, sequence, command, job, flange, tries_all, shown, box, belt)
+
+
+def _belt(fields: list[str], brand: Brand) -> tuple[int, int]:
+    """BELT_COUNT and BELT_SPEED; the speed is in the brand's unit of length a second. Raises ValueError."""
+    if len(fields) < 2:
+        raise ValueError("expected the belt's count and its speed")
+    count, speed_um_s = whole(fields[0]), decimal(fields[1]) * (1e6 if brand is Brand.UR else 1e3)
+    if count > reg.UINT32_MAX or not 0.0 <= speed_um_s <= reg.UINT32_MAX:
+        raise ValueError("a count or speed that fits no register")
+    return count, round(speed_um_s)
 
 
 def parse_frame(frame: bytes, configured: Brand) -> LineRequest:
@@ -202,6 +223,11 @@ class Robot:
             return self._place(request)
         if request.command == "TRAY":
             return self._tray(request)
+        if request.command == BELT:
+            result = self._on_belt()
+            return self._answer(request, result, [result[f"B_{axis}"] for axis in "XYZABC"], "B_SIGMA")
+        if request.command == "COUNT":
+            return self._count(request)
         if request.command in NEXT:
             return await self._next(request)
         if CommandKind.__members__.get(request.command) in REGISTERING:
@@ -278,14 +304,15 @@ class Robot:
 
     def _begin(self, request: LineRequest, sequence: int) -> None:
         start = self._settings.base_address + reg.ADDRESS["COMMAND"]
-        box = int(self._read(reg.COMMAND)["BOX"])
-        if request.box:
-            self._write("BOX", [request.box])
+        beside = {"BOX": request.box} if request.box else {}
+        if request.belt is not None:
+            beside |= dict(zip(("BELT_COUNT", "BELT_SPEED"), request.belt, strict=True))
+        before = self._read(reg.COMMAND)
+        self._put(beside)
         try:
             self._view.write(start, self._command(request, sequence), shown=request.shown)
-        finally:
-            if request.box:  # it counts for this command alone
-                self._write("BOX", [box])
+        finally:  # they count for this command alone
+            self._put({name: before[name] for name in beside})
         self._sequence = sequence
         self._asked = (request.sequence, request.command if request.command in NEXT else "")
 
@@ -313,11 +340,13 @@ class Robot:
         """Words of COMMAND to TIMEOUT: what a PLC wrote behind them stays. ONCE: a line is written once."""
         kind = CommandKind.LOCATE if request.command in ("EXPOSE", "SKIP") else CommandKind[request.command]
         options = reg.Option.ONCE | (reg.Option.ALL_JOBS if request.tries_all else reg.Option(0))
+        options |= reg.Option.SKIP if request.command == "SKIP" else reg.Option(0)
+        options |= reg.Option.BELT if request.belt is not None else reg.Option(0)
         values: dict[str, reg.Number] = {
             "COMMAND": kind,
             "JOB": request.job,
             "CMD_SEQ": sequence,
-            "OPTIONS": options | (reg.Option.SKIP if request.command == "SKIP" else reg.Option(0)),
+            "OPTIONS": options,
             "TIMEOUT": round(TIMEOUT_S * 1000),
             **{f"FLANGE_{axis}": 0 for axis in "XYZABC"},
         }
@@ -326,9 +355,7 @@ class Robot:
             numbers = (*request.flange[:3, 3].tolist(), *angles)
             pairs = zip("XYZABC", numbers, strict=True)
             values |= {f"FLANGE_{axis}": round(number * 1000) for axis, number in pairs}
-        data = reg.encode(reg.COMMAND, values, self._settings.word_order)
-        n_bytes = 2 * (reg.ADDRESS["TIMEOUT"] - reg.COMMAND.address + 1)
-        return [int.from_bytes(data[i : i + 2], "big") for i in range(0, n_bytes, 2)]
+        return self._words(values)[: reg.ADDRESS["TIMEOUT"] - reg.COMMAND.address + 1]
 
     def _part(self, request: LineRequest, otherwise: LineStatus) -> LineAnswer:
         """Answer with the part on display. otherwise : status if it is no longer valid."""
@@ -388,6 +415,25 @@ class Robot:
         pose = [*map(float, numbers), *(0.0,) * (len(POSE_NAMES[request.brand]) - len(numbers))]
         return LineAnswer(request.sequence, LineStatus.OK, int(result["REMAINING"]), tuple(pose))
 
+    def _on_belt(self) -> dict[str, reg.Number]:
+        """The result on display and the block belt, if a robot may move by them."""
+        result, belt = self._usable(LineStatus.NOT_VALID), self._read(reg.BELT)
+        if not int(belt["B_FLAGS"]) & reg.Flag.VALID:
+            raise _Refused(LineStatus.NO_BELT)
+        return {**result, **belt}
+
+    def _count(self, request: LineRequest) -> LineAnswer:
+        """Answer with the count of the pose in the belt's frame, in place of a pose.
+
+        In halves of 16 bits: a robot's REAL has no room for 32.
+        """
+        result = self._on_belt()
+        high, low = divmod(int(result["B_COUNT"]), 1 << 16)
+        speed = float(result["B_SPEED"]) * (1e-6 if request.brand is Brand.UR else 1e-3)
+        numbers = (float(high), float(low), speed, float(result["B_PART"]))
+        pose = (*numbers, *(0.0,) * (len(POSE_NAMES[request.brand]) - len(numbers)))
+        return LineAnswer(request.sequence, LineStatus.OK, int(result["REMAINING"]), pose)
+
     def _usable(self, otherwise: LineStatus) -> dict[str, reg.Number]:
         """The result on display, if a robot may move by it."""
         result = self._read(reg.RESULT)
@@ -424,6 +470,19 @@ class Robot:
     def _read(self, block: reg.Block) -> dict[str, reg.Number]:
         words = self._view.read(self._settings.base_address + block.address, block.words)
         return reg.decode(block, words, self._settings.word_order)
+
+    def _put(self, values: Mapping[str, reg.Number]) -> None:
+        """Write BOX, or the two words each of BELT_COUNT and BELT_SPEED, or neither."""
+        words = self._words(values)
+        for name, count in (("BOX", 1), ("BELT_COUNT", 4)):
+            at = reg.ADDRESS[name] - reg.COMMAND.address
+            if name in values:
+                self._write(name, words[at : at + count])
+
+    def _words(self, values: Mapping[str, reg.Number]) -> list[int]:
+        """Words of the block command, as the client writes them."""
+        data = reg.encode(reg.COMMAND, values, self._settings.word_order)
+        return [int.from_bytes(data[i : i + 2], "big") for i in range(0, len(data), 2)]
 
     def _write(self, name: str, words: list[int]) -> None:
         self._view.write(self._settings.base_address + reg.ADDRESS[name], words)
