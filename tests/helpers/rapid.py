@@ -57,9 +57,17 @@ def _bool(value: Any) -> bool:
     return value
 
 
+def _dnum(value: Any) -> float:
+    """64 bits, of which 52 are the number's; what is whole stays so."""
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
+        raise TypeError(f"{value!r} is no dnum")
+    return value
+
+
 TYPES = Types(
     {
         "num": (0, _num),
+        "dnum": (0, _dnum),
         "byte": (0, _byte),
         "bool": (False, _bool),
         "string": ("", _text),
@@ -100,9 +108,9 @@ class _Syntax(Syntax):
             return Return(text[7:])
         if found := re.match(rf"((?:{NAME})(?:\.\w+|\{{[^}}]*\}})*):=(.+)$", text):
             return Assign(found[1], found[2])
-        found = re.match(rf"({NAME})(?: (.+))?$", text)
+        found = re.match(rf"({NAME})(?: (.+)|(\\.+))?$", text)
         assert found is not None, f"no statement: {line}"
-        return Call(found[1], found[2] or "")
+        return Call(found[1], found[2] or found[3] or "")
 
 
 def lines_of(source: str) -> list[str]:
@@ -187,6 +195,8 @@ BUILTINS = {
     "ClkStart": "clk_start",
     "ClkRead": "clk_read",
     "NumToStr": "num_to_str",
+    "NumToDnum": "num_to_dnum",
+    "DnumToStr": "dnum_to_str",
     "StrToVal": "str_to_val",
     "StrLen": "str_len",
     "ByteToStr": "byte_to_str",
@@ -298,6 +308,15 @@ class Sockets:
     def num_to_str(self, value: Any, decimals: Any) -> str:
         """With so many decimals."""
         return _text(f"{_num(value.get()):.{int(decimals.get())}f}")
+
+    def num_to_dnum(self, value: Any) -> float:
+        """The same number; a whole one is calculated with as such."""
+        number = _num(value.get())
+        return int(number) if number.is_integer() else number
+
+    def dnum_to_str(self, value: Any, decimals: Any) -> str:
+        """With so many decimals."""
+        return _text(f"{_dnum(value.get()):.{int(decimals.get())}f}")
 
     def str_to_val(self, text: Any, place: Any) -> bool:
         """FALSE, and the place is as it was, for a text that is no num."""

@@ -8,14 +8,18 @@ import tomllib
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
 import pytest
+from helpers import rapid
 from helpers.commandline import exit_code
 from helpers.linerobot import connected
 from helpers.livecell import Head, LiveCell
 from helpers.ports import free_port
+from helpers.robotexamples import DOCS
+from helpers.robotlink import Link
 from helpers.smallcell import HEIGHT, TOKEN, WIDTH, SmallCell, tiny_rig
 from helpers.waiting import LIMIT_S, wait_until
 from pymodbus.client import ModbusTcpClient
@@ -35,6 +39,7 @@ from edged.plc.lines import LineStatus
 from edged.plc.registers import Flag, Option, StatusBit
 from edged.robot.belt import belt_frame
 from edged.robot.orientations import Brand, transform_of
+from edged.robots.formats import render
 from edged.sim.belt import VirtualBelt
 from edged.sim.cell import VirtualCell, demo_rig
 from edged.sim.exposure import ExposureRequest
@@ -45,6 +50,7 @@ EXPOSURE_S = 200e-6
 DIRECTION = np.array([1.0, 0.15, 0.0]) / np.hypot(1.0, 0.15)
 """Across the pictures, not quite along their rows."""
 MM_PER_COUNT = 0.02
+PICKING = DOCS / "picking.md"
 
 
 def passing(rig_mm: tuple[float, float, float] = (8.0, 0.0, 205.0), speed_mm_s: float = 200.0) -> VirtualBelt:
@@ -257,6 +263,72 @@ def test_a_robot_that_talks_in_lines_says_the_count_and_hears_where_the_part_lie
         assert (11, 0) == robot.ask("11,ACK")[:2]
         for query in ("BELT", "COUNT"):
             assert (14, LineStatus.NOT_VALID) == robot.ask(f"14,{query}")[:2]
+
+
+def test_abbs_example_goes_with_the_part(running: tuple[BeltCell, ModbusTcpClient]) -> None:
+    """As it stands in the manual: each move in the belt's frame is over the part, where it is by then."""
+    cell, _ = running
+    belt = cell.head.belt
+    link = Link(cell.server.line_port)
+    sockets = rapid.Sockets(link)
+    example = re.search(r"^TASK (PERS .*?^ENDPROC)$", PICKING.read_text(), re.MULTILINE | re.DOTALL)
+    assert example is not None
+    (_, *constants), routine = (part.splitlines() for part in example[1].split("\n\n", 1))
+    source = render("rapid").replace("  LOCAL VAR", "\n".join((*constants, "  LOCAL VAR")), 1)
+    program = rapid.load(source.replace("ENDMODULE", "\n".join((*routine, "ENDMODULE"))), sockets)
+    for name in ("tool1", "wobj0", "wobjcnv1", "v500", "v200", "z10", "fine", "CNV1"):
+        program.globals[name.upper()] = rapid.TYPES.variable("wobjdata", name)
+    for name in ("c1RemAllPObj", "c1SoftSyncSig", "c1CntFromEnc", "c1Counts"):
+        program.globals[name.upper()] = rapid.TYPES.variable("wobjdata", name)
+    queue: list[int] = []
+    tracked: list[int] = []
+    moves: list[tuple[str, np.ndarray, int]] = []
+
+    def pulse(_length: object, signal: Any) -> None:
+        if signal.get() == "c1SoftSyncSig":
+            queue.append(belt.count(time.time_ns()))
+        else:
+            queue.clear()
+
+    def count(signal: Any) -> int:
+        if signal.get() == "c1Counts":
+            return belt.count(time.time_ns())
+        time.sleep(0.3)  # 60 mm, until the cell is asked
+        return tracked[-1]
+
+    def moved(target: Any, *options: Any) -> None:
+        now = belt.count(time.time_ns())
+        wobj = dict(one for one in options if isinstance(one, tuple))["wobj"].get()
+        place = rapid.pose(target)
+        if wobj == "wobjcnv1":
+            place[0, 3] += (now - tracked[-1]) * MM_PER_COUNT
+        moves.append((wobj, place, now))
+        time.sleep(0.02)
+
+    program.builtins |= {
+        "CROBT": lambda *_: rapid.robtarget(link.arm.flange),
+        "ACTUNIT": lambda _: None,
+        "CONFL": lambda _: None,
+        "DROPWOBJ": lambda _: tracked.clear(),
+        "PULSEDO": pulse,
+        "WAITWOBJ": lambda _: tracked.append(queue.pop(0)),
+        "GINPUTDNUM": count,
+        "DNUMTONUM": lambda value: value.get(),
+        "TPWRITE": lambda *_: None,
+        "MOVEL": moved,
+    }
+    program.call("PickMoving")
+    sockets.close()
+    assert ["wobjcnv1"] * 3 + ["wobj0"] == [wobj for wobj, *_ in moves], program.named("edged_error").get()
+    assert [] == tracked
+    values = cell.call(lambda: {register.name: value for register, value in cell.server.values()})
+    for (_, place, now), away_mm in zip(moves, (100.0, 0.0, 100.0), strict=False):
+        tip_mm = place[:3, 3] + away_mm * place[:3, 2]
+        error_mm = tip_mm - cell.truth_mm(values["EXPOSURE_NS"], now)
+        assert (np.abs(error_mm[1:]) < 0.05).all(), error_mm
+        assert -0.1 < error_mm[0] < 40.0, "it lies behind by what the request took on its way"
+    apart_mm = moves[2][1][0, 3] - moves[0][1][0, 3]
+    assert (moves[2][2] - moves[0][2]) * MM_PER_COUNT == pytest.approx(apart_mm, abs=0.01), "it goes with it"
 
 
 def test_where_nobody_says_the_count_the_command_is_refused(
