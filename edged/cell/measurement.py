@@ -151,6 +151,7 @@ class CycleRun:
             nearest=outcome.nearest,
             pockets=outcome.pockets,
             belt=self._moment(pair),
+            carried_by=self.cell.setup.belt,
             marks_before=before,
         )
 

@@ -7,6 +7,9 @@ from typing import Literal
 
 from edged.domain.arrays import FloatArray
 
+Source = Literal["command", "camera"]
+"""Who says the count: the client with its command, or a camera with its image."""
+
 
 @dataclass(frozen=True, slots=True)
 class Belt:
@@ -22,7 +25,7 @@ class Belt:
     step_mm: tuple[float, float, float]
     first_mm: tuple[float, float, float]
     counts: int
-    source: Literal["command", "camera"]
+    source: Source
     speed_mm_s: float
     jitter_s: float
     exposure_s: float

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, fields, is_dataclass
 import numpy as np
 
 from edged.domain.arrays import FloatArray
-from edged.domain.belt import BeltMoment, BeltReading
+from edged.domain.belt import Belt, BeltMoment, BeltReading
 from edged.domain.cell import CellState, DriftState
 from edged.domain.frames import FramePair
 from edged.domain.golden import GoldenState
@@ -137,6 +137,7 @@ class Snapshot:
     timing_ms : stage name to duration.
     error, error_code : the fault of a CAPTURE_FAULT; empty and 0 otherwise.
     dismissed, nearest, pockets : see `Outcome`. belt : at the exposure; None: there is none, or nobody said.
+    carried_by : the belt itself, for who measures the exposure again; None: the parts lie still.
     basis : number of the `Basis` it was measured on.
     robot_from_rig (4, 4), or None where the rig is not registered to a robot; registration_covariance (6, 6)
     of it, or None where it is not known.  drift : of the calibration, this cycle included.
@@ -173,6 +174,7 @@ class Snapshot:
     marks_before: MarksTrack | None = None
     pockets: int = 0
     belt: BeltMoment | None = None
+    carried_by: Belt | None = None
 
     def __post_init__(self) -> None:
         for part in (self.targets, self.robot_from_rig, self.registration_covariance, self.marks_before):

@@ -18,17 +18,18 @@ import tempfile
 import zipfile
 import zlib
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, fields
+from dataclasses import asdict, dataclass, fields
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import cv2
 import numpy as np
 
 from edged import __version__
 from edged.domain.arrays import SIDES, Image, Side
+from edged.domain.belt import Belt, BeltMoment, Source
 from edged.domain.events import Snapshot
 from edged.domain.frames import Frame, FramePair
 from edged.domain.marks import MarksTrack
@@ -84,13 +85,16 @@ class Recording:
 
     snapshot : as published (`payload.snapshot_to_json`).  versions : of what computed it.
     pair : None where there was no exposure (a fault of the cameras). marks_before : where the reference marks
-    said that the cameras were before it; None without marks.
+    said that the cameras were before it; None without marks. belt, moment : that carried the parts, and
+    where it was; None as in `Snapshot`.
     """
 
     snapshot: Json
     versions: Mapping[str, str]
     pair: FramePair | None
     marks_before: MarksTrack | None = None
+    belt: Belt | None = None
+    moment: BeltMoment | None = None
 
 
 def versions() -> dict[str, str]:
@@ -126,6 +130,10 @@ def encode(snapshot: Snapshot, pair: FramePair | None) -> bytes:
     }
     if snapshot.marks_before is not None:
         document["marks_before"] = _track_to_json(snapshot.marks_before)
+    if snapshot.carried_by is not None:
+        document["belt"] = asdict(snapshot.carried_by)
+    if snapshot.belt is not None:
+        document["belt_moment"] = asdict(snapshot.belt)
     buffer = io.BytesIO()
     with zipfile.ZipFile(buffer, "w", zipfile.ZIP_STORED) as archive:  # PNG is compressed already
         for side, frame in frames.items():
@@ -151,7 +159,35 @@ def decode(data: bytes, place: str) -> Recording:
     before = None
     if "marks_before" in document:
         before = _track(_table(document, "marks_before", place), place)
-    return Recording(snapshot, {str(k): str(v) for k, v in made_by.items()}, pair, before)
+    belt, moment = _belt(document, place)
+    return Recording(snapshot, {str(k): str(v) for k, v in made_by.items()}, pair, before, belt, moment)
+
+
+def _belt(document: Json, place: str) -> tuple[Belt | None, BeltMoment | None]:
+    """The belt and where it was. Raises `FileFormatError`."""
+    belt = moment = None
+    try:
+        if "belt" in document:
+            values: dict[str, Any] = {**document["belt"]}
+            x, y, z = map(_number, values.pop("step_mm"))
+            a, b, c = map(_number, values.pop("first_mm"))
+            if values.pop("source") not in get_args(Source) or values["counts"] < 1 or not any((x, y, z)):
+                raise ValueError("expected what `[belt]` of a configuration has")
+            for name in values:
+                _number(values[name])
+            belt = Belt((x, y, z), (a, b, c), source=document["belt"]["source"], **values)
+        if "belt_moment" in document:
+            moment = BeltMoment(**{name: _number(of) for name, of in document["belt_moment"].items()})
+    except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
+        raise FileFormatError(f"{place}: belt: {error}") from error
+    return belt, moment
+
+
+def _number(value: Any) -> float:
+    """Raises `TypeError`, `OverflowError`."""
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise TypeError(f"expected a number, got {value!r}")
+    return float(value)
 
 
 def _track_to_json(track: MarksTrack) -> Json:

@@ -38,6 +38,7 @@ MOST_BYTES = 256 << 20
 TYPES: tuple[type, ...] = (
     acceptance.Acceptance,
     acceptance.AcceptanceState,
+    belt.Belt,
     belt.BeltMoment,
     belt.BeltReading,
     belt.OnBelt,

@@ -12,6 +12,7 @@ import numpy as np
 
 from edged.cell.drift import refused
 from edged.domain.arrays import FloatArray, Image
+from edged.domain.belt import PartsSeen
 from edged.domain.cell import CalibrationHealth
 from edged.domain.events import Snapshot
 from edged.domain.measurement import Outcome, Status
@@ -21,14 +22,15 @@ from edged.payload import Json, snapshot_to_json
 from edged.pictures.lettering import Canvas
 from edged.pictures.overlay import draw_pair
 from edged.pipeline import PairInspection, PreparedRig, decide, inspect
+from edged.robot.belt import on_belt
 from edged.robot.covariance import moved_frame
 from edged.robot.picking import RobotFrame, allowed, frame_of, picked
 from edged.vision.part.job import Job
 
 COMPARED = ("status", "targets", "rejected")
 """The pure result; times and identities of a cycle are of their own moment."""
-NOT_MEASURED = {"offset", "belt"}
-"""What of a target follows from something besides pictures, rig and job: the golden part, a belt."""
+NOT_MEASURED = {"offset", "part"}
+"""What of a target follows from other pictures, too: the golden part's; on a belt which part it is."""
 SHOWN = (*COMPARED, "dismissed", "nearest")
 """Also what is for people only."""
 
@@ -60,7 +62,11 @@ def shown(
     drift = taken.snapshot.get("drift")
     if drifts and isinstance(drift, dict) and drift.get("verdict") == CalibrationHealth.INVALID.name:
         outcome = refused(outcome)  # that comes from the cycles before, not from this pair
-    return _json_of(outcome, rig, job.picking, _robot_from_flange(taken))
+    flange = _robot_from_flange(taken)
+    if taken.belt is not None:
+        robot = _frame(rig, flange)[0].robot_from_rig
+        outcome, _ = on_belt(outcome, taken.belt, taken.moment, robot, PartsSeen())
+    return _json_of(outcome, rig, job.picking, flange)
 
 
 def drawn(taken: Recording, inspection: PairInspection, rig: PreparedRig, job: Job) -> Canvas:
