@@ -17,6 +17,7 @@ from edged.domain.arrays import B8, I64, FloatArray
 from edged.vision.geometry.rectification import StereoImages
 from edged.vision.geometry.rigid import apply, rotation_vector
 from edged.vision.kernels.robust import mad_sigma, tukey_weights
+from edged.vision.solid.arcs import arc_shifts
 from edged.vision.solid.edgemodel import EdgeModel, are_unbroken, chains_of
 from edged.vision.solid.lock import FINE_STEPS, Pyramids, lay, scale_at
 from edged.vision.solid.params import BREAKS, DECISION, PROFILE
@@ -114,9 +115,14 @@ def refined(
 
 
 def contradiction(model: EdgeModel, view: LaidPair) -> float:
-    """`RefinedForm.contradicts` of a model where it lies; 0 where no profile shows anything."""
-    _, square, good = _misfits(model, [view])
-    return float(square[good].mean()) if good.any() else 0.0
+    """`RefinedForm.contradicts` of a model where it lies, wherever on arcs its breaks are shown.
+
+    0 where no profile shows anything.
+    """
+    profiles = view.profiles(model)
+    arcs = arc_shifts(profiles.seen, profiles.camera, profiles.across_px)
+    left, good = arcs.free(weights_of(profiles), profiles.shift_px), profiles.weight > BREAKS.min_weight
+    return float(np.minimum(left[good] ** 2, 1.0).mean()) if good.any() else 0.0
 
 
 def _misfits(model: EdgeModel, views: Sequence[LaidPair]) -> tuple[I64, FloatArray, B8]:

@@ -185,12 +185,13 @@ class ProfileParams:
     blurs_px: tuple[float, ...] = (0.45, 0.6, 0.8, 1.1, 1.5)  # of lens and pixel, the best of them
     min_weight: float = 4.0  # 1 / px²: half a pixel
     model_px: float = 0.1  # of an edge against its model: grain, burrs
-    rounding: float = 0.2
-    """Share of its width w by which both edges of a rounding's glint lie deeper than those of a chamfer.
-
-    Of an arc of radius r that glints by a either way from 45 degrees, w = sqrt(2) r sin a, and that is
-    r (1 - cos(45 - a)): 0 to 0.7 w for a = 45 to 10 degrees, 0.3 rms. A chamfer is as likely (ISO 13715
-    leaves the form open)."""
+    rounding: float = (1 - math.cos(math.pi / 4)) / math.sqrt(3)
+    """Sigma of how far from the faces the middle of a rounding lies, in shares of the widest break of open
+    form: r (1 - cos 45) of an arc, and its radius r may be anything up to that width."""
+    on_arc: float = 1 / math.sqrt(12)
+    """Sigma of a place that may be anywhere on an arc, in shares of it: of a number between 0 and 1."""
+    least_on_arc: float = 1e-3  # of it: a micrometre of a break of a millimetre is none
+    ways: int = 8  # that breaks may lead in a picture: what leads one way within 22 degrees is drawn alike
     unseen_mm: float = 0.1
     """Width of breaks at edges that a drawing has sharp and that no picture has shown broken: those of any
     deburred part (ISO 13715), half a pixel of the part."""

@@ -21,6 +21,7 @@ from edged.vision.geometry.rigid import apply
 from edged.vision.kernels.jit import for_both, kernel
 from edged.vision.kernels.median import median
 from edged.vision.kernels.robust import SIGMA_PER_MEDIAN, tukey_weights
+from edged.vision.solid.arcs import ArcShifts, across_breaks, arc_shifts, deeper, if_rounded
 from edged.vision.solid.edgemodel import EdgeModel, EdgePoints, are_unbroken, chains_of
 from edged.vision.solid.lock import Pyramids, scale_at
 from edged.vision.solid.params import PROFILE, VISIBILITY
@@ -40,6 +41,8 @@ class Profiles:
     seen : the samples.  camera (M,) : 0 left, 1 right.  points (M, 3) : of the part frame.
     shift_px (M,) : of all edges of a profile along the normal.  weight (M,) : 1 / px², 0 where the profile
     says nothing.  height (M,) : of the sample's own step, grey values.
+    across_px (M,) : along the normal, from one end of the break that an edge belongs to, to the other.
+    rounded_px (M,) : by which an edge shifts if its break is a rounding, a sigma; as of `if_rounded`.
     """
 
     seen: VisibleSamples
@@ -48,6 +51,8 @@ class Profiles:
     shift_px: FloatArray
     weight: FloatArray
     height: FloatArray
+    across_px: FloatArray
+    rounded_px: FloatArray
 
     @property
     def by_width(self) -> FloatArray:
@@ -55,9 +60,11 @@ class Profiles:
         return np.where(are_unbroken(self.seen.curve), 0.0, self.seen.by_break)
 
     @property
-    def unseen(self) -> FloatArray:
-        """(M, 1) px by which edges shift if light shows the upper ends of breaks that nobody has seen."""
-        return np.where(are_unbroken(self.seen.curve), PROFILE.unseen_mm * self.seen.by_break, 0.0)[:, None]
+    def unknown(self) -> FloatArray:
+        """(M, 2) px by which edges shift if light shows the upper ends of breaks that nobody has seen, and if
+        the others are roundings: a sigma each."""
+        upper = np.where(are_unbroken(self.seen.curve), PROFILE.unseen_mm * self.seen.by_break, 0.0)
+        return np.stack([upper, self.rounded_px], axis=1)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -89,7 +96,7 @@ def profiles_of(
     samples = samples_at(model, scale_at(images.rig, pose, model), PROFILE.drawn_px)
 
     def measured(k: int) -> tuple[VisibleSamples, list[FloatArray]]:
-        """What one camera sees, and shift, weight and height of it."""
+        """What one camera sees, and shift, weight and height of it, and how wide its breaks are."""
         dense, near = seen_with_neighbours(model, samples, pyramids, pose, k, PROFILE.reach_px)
         some = slice(None, None, PROFILE.every)
         seen = VisibleSamples._make(np.ascontiguousarray(field[some]) for field in dense)
@@ -97,14 +104,14 @@ def profiles_of(
         near = np.ascontiguousarray(near[some])
         found = [np.zeros(len(seen.row)) for _ in range(3)]
         find_shifts(grey, seen.curve, near, blur_px, PROFILE.together, *found)
-        return seen, found
+        return seen, [*found, across_breaks(model, samples, seen), if_rounded(model, samples, seen)]
 
     left, right = for_both(measured)
     by_camera = (left[0], right[0])
     both = VisibleSamples._make(np.concatenate(field) for field in zip(*by_camera, strict=True))
     camera = np.repeat([0, 1], [len(seen.row) for seen in by_camera])
-    shift, weight, height = (np.concatenate(values) for values in zip(left[1], right[1], strict=True))
-    return Profiles(both, camera, samples.points[both.row], shift, weight, height)
+    values = (np.concatenate(each) for each in zip(left[1], right[1], strict=True))
+    return Profiles(both, camera, samples.points[both.row], *values)
 
 
 def seen_with_neighbours(
@@ -121,25 +128,14 @@ def seen_with_neighbours(
     return dense, near
 
 
-def if_rounded(model: EdgeModel, seen: VisibleSamples) -> FloatArray:
-    """(M,) px by which edges shift if breaks of open form are roundings: a sigma, all are alike.
-
-    A chamfer's edges lie in its faces. An arc that glints shows two sharp sides as well, a width apart and a
-    width deep, but both of them deeper. That they are nearer the middle besides, the part's size would tell.
-    """
-    widths = np.zeros(int(model.chain.max()) + 1)
-    widths[model.chain] = np.where(model.breaks_mm < model.merged_mm, model.breaks_mm, 0.0)
-    deeper = np.where(are_unbroken(seen.curve), 0.0, PROFILE.rounding * widths[chains_of(seen.curve)])
-    return np.asarray(deeper * seen.design[:, 5])  # a part's z leads away from the cameras
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class _Adjusted:
     """A pose by profiles, and what its covariance is made of.
 
     before : the pose that the profiles were taken at.  scale (6,) : of its unknowns.
-    design (M, 6 + K) : of them, and of what else is not known, in sigmas.  left, weights (M,) : of the
-    profiles.  inverse (6 + K, 6 + K) : of the normal equations.
+    design (M, 6 + K) : of them, and of what else is not known, in sigmas.  arcs : of what is not known of
+    single curves.  left, weights (M,) : of the profiles.  inverse (6 + K, 6 + K) : of the normal equations
+    without the arcs' unknowns.
     """
 
     pose: FloatArray
@@ -147,6 +143,7 @@ class _Adjusted:
     profiles: Profiles
     scale: FloatArray
     design: FloatArray
+    arcs: ArcShifts
     left: FloatArray
     weights: FloatArray
     inverse: FloatArray
@@ -207,39 +204,42 @@ def adjusted_to(
 ) -> _Adjusted | None:  # fmt: skip
     """The motion of a pose that explains most profiles best."""
     scale = np.r_[np.full(3, 0.5 * model.size_mm), np.ones(3)]
-    design = np.hstack([profiles.seen.design / scale, profiles.unseen])
+    design = np.hstack([profiles.seen.design / scale, profiles.unknown])
     shift, base = profiles.shift_px, profiles.weight
     good = base > PROFILE.min_weight
     if good.sum() < PROFILE.fewest:
         return None
     variance = 1 / np.maximum(base, 1e-9) + PROFILE.model_px**2
-    stretch = np.zeros(len(shift), np.int64)
+    stretch, arcs = np.zeros(len(shift), np.int64), ArcShifts.none(len(shift))
     if not alike:
         _, stretch = np.unique(2 * chains_of(profiles.seen.curve) + profiles.seen.walled, return_inverse=True)
-    delta = np.zeros(design.shape[1])
+        arcs = arc_shifts(profiles.seen, profiles.camera, profiles.across_px)
+    delta, left = np.zeros(design.shape[1]), shift
     weights = np.where(good, 1 / variance, 0.0)
     for number in range(PROFILE.rounds):
-        left = shift - design @ delta
         sigma = scatter_of(left, stretch, good) if number else np.full(len(left), first_sigma_px)
         own = sigma**2 if number else 0.0
         weights = np.where(good, tukey_weights(left / sigma, 1.0), 0.0) / (variance + own)
-        normal = _normal(design, weights)
+        normal = _normal(design, weights, arcs)
         if held is not None:
             normal[:3, :3] += np.trace(normal) * np.outer(held, held)
         if not np.linalg.cond(normal) < PROFILE.max_condition:
             return None
-        new = np.asarray(np.linalg.solve(normal, design.T @ (weights * shift)), np.float64)
+        inverse = np.asarray(np.linalg.inv(normal), np.float64)
+        new = inverse @ (design.T @ (weights * arcs.free(weights, shift)))
         still, delta = float(np.abs(new - delta).max()) < PROFILE.still_mm, new
+        left = arcs.free(weights, shift - design @ delta)
         if still:
             break
+        if number:
+            arcs = arcs.learnt(weights, shift - design @ delta, design, inverse)
     there = moved(model, pose, delta[:6] / scale)
-    inverse = np.asarray(np.linalg.inv(normal), np.float64)
-    return _Adjusted(there, pose, profiles, scale, design, shift - design @ delta, weights, inverse)
+    return _Adjusted(there, pose, profiles, scale, design, arcs, left, weights, inverse)
 
 
-def _normal(design: FloatArray, weights: FloatArray) -> FloatArray:
+def _normal(design: FloatArray, weights: FloatArray, arcs: ArcShifts) -> FloatArray:
     """Normal equations of a pose and of what else is not known, whose sigma is 1 before anything is seen."""
-    normal = design.T @ (weights[:, None] * design)
+    normal = design.T @ (weights[:, None] * arcs.free(weights, design))
     beside = np.arange(6, len(normal))
     normal[beside, beside] += PROFILE.correlated
     return np.asarray(normal)
@@ -249,11 +249,13 @@ def _with_covariance(model: EdgeModel, images: StereoImages, fit: _Adjusted) -> 
     """A fit with what its blocks of curves, light, the part's breaks and the rig say of its error."""
     profiles = fit.profiles
     design, left, weights = fit.design, fit.left, fit.weights
-    inverse = fit.inverse[:6]
-    response = inverse @ (weights[:, None] * design).T  # (6, M): of the twist to each shift
+    inverse, freed = fit.inverse[:6], fit.arcs.free(weights, design)
+    response = inverse @ (weights[:, None] * freed).T  # (6, M): of the twist to each shift
     by_light = PROFILE.light_px * (response @ np.sign(profiles.height))
-    block = _blocks(2 * profiles.seen.curve + profiles.camera)
-    edges = _jackknife(design, weights, left, fit.inverse, block)[:6, :6] + np.outer(by_light, by_light)
+    block = _blocks(2 * profiles.seen.curve + profiles.camera, fit.arcs)
+    edges = _jackknife(design, freed, weights, left, fit.inverse, block)[:6, :6] + np.outer(
+        by_light, by_light
+    )
     if model.taught_px:  # what single curves are off by, light may draw all of them by, as at teaching
         drawn_px = math.hypot(model.taught_px, disagreement_px(profiles, left))
         for camera, axis in itertools.product((0, 1), (0, 1)):
@@ -267,7 +269,7 @@ def _with_covariance(model: EdgeModel, images: StereoImages, fit: _Adjusted) -> 
         by_own = np.zeros((int(curve.max()) + 1, len(left)))
         by_own[curve, np.arange(len(left))] = profiles.by_width
         by_breaks = np.vstack([by_breaks, model.sigma_own_mm * by_own])
-    by_breaks = np.vstack([by_breaks, if_rounded(model, profiles.seen)])
+    by_breaks = np.vstack([by_breaks, fit.arcs.sigma * deeper(model, profiles.seen)])
     # widths that were settled, and what the edges leave open of the rest
     moves = np.hstack([response @ by_breaks.T, PROFILE.correlated * inverse[:, 6:]])
     edges += moves @ moves.T
@@ -275,7 +277,7 @@ def _with_covariance(model: EdgeModel, images: StereoImages, fit: _Adjusted) -> 
     calibration = _by_calibration(images, fit.before, profiles, response)
     # a width that a pair has shown explains no growth
     unknown = by_breaks if model.sigma_own_mm or model.merged_mm else by_breaks[:0]
-    extra = _extra(_added(model, images, profiles), design, left, weights, excess, fit.inverse, unknown)
+    extra = _extra(_added(model, images, profiles), fit, freed, excess, unknown)
     return ProfileFit(fit.pose, edges / units, calibration / units, fit.rms_px, *extra)
 
 
@@ -344,30 +346,39 @@ def disagreement_px(profiles: Profiles, left: FloatArray) -> float:
     return math.sqrt(float((squares / np.maximum(expected, 1.0)).max()))
 
 
-def _blocks(curve: I64) -> I64:
-    """(M,) numbers of the blocks of a jackknife: each curve in each camera, long ones cut."""
+def _blocks(curve: I64, arcs: ArcShifts) -> I64:
+    """(M,) numbers of the blocks of a jackknife: each curve in each camera, long ones cut.
+
+    What shares an unknown of an arc is one block.
+    """
     longest = max(PROFILE.block, len(curve) // PROFILE.most_blocks)
     _, number, count = np.unique(curve, return_inverse=True, return_counts=True)
     place = np.empty(len(curve), np.int64)
     place[np.argsort(number, kind="stable")] = np.concatenate([np.arange(n) for n in count])
-    _, result = np.unique(number * 10_000 + place // longest, return_inverse=True)
+    own = np.where(arcs.across_px != 0, -1 - arcs.group, number * 10_000 + place // longest)
+    _, result = np.unique(own, return_inverse=True)
     return np.asarray(result, np.int64)
 
 
 def _jackknife(
-    design: FloatArray, weights: FloatArray, left: FloatArray, inverse: FloatArray, block: I64
+    design: FloatArray,
+    freed: FloatArray,
+    weights: FloatArray,
+    left: FloatArray,
+    inverse: FloatArray,
+    block: I64,
 ) -> FloatArray:
     """Covariance of the unknowns, each block left out once.
 
     Source: C. F. J. Wu, "Jackknife, bootstrap and other resampling methods", Annals of Statistics, 1986.
 
-    left (M,) : residuals of the fit.
+    freed (M, 6 + K) : what the arcs leave of the design.  left (M,) : residuals of the fit.
     """
     count, size = int(block.max()) + 1, design.shape[1]
     normals, rights = np.zeros((count, size, size)), np.zeros((count, size))
     weighted = weights[:, None] * design
     np.add.at(rights, block, weighted * left[:, None])
-    np.add.at(normals, block, weighted[:, :, None] * design[:, None, :])
+    np.add.at(normals, block, weighted[:, :, None] * freed[:, None, :])
     whole = np.linalg.inv(inverse)
     moves = []
     for normal, right in zip(normals, rights, strict=True):
@@ -399,24 +410,24 @@ def _added(model: EdgeModel, images: StereoImages, profiles: Profiles) -> tuple[
 
 
 def _extra(
-    added: tuple[FloatArray, FloatArray], design: FloatArray, left: FloatArray, weights: FloatArray,
-    excess: float, inverse: FloatArray, drawn: FloatArray,
-) -> tuple[float, float, float, float]:  # fmt: skip
+    added: tuple[FloatArray, FloatArray], fit: _Adjusted, freed: FloatArray, excess: float, drawn: FloatArray
+) -> tuple[float, float, float, float]:
     """Row shift and growth with their sigmas: each as one more unknown beside the pose.
 
-    excess : how much more the edges scatter than their weights say.  drawn (K, M) : px, by which what is not
-    known of the part moves its edges, one sigma each.
+    freed (M, 6 + K) : what the arcs leave of the design.  excess : how much more the edges scatter than their
+    weights say.  drawn (K, M) : px, by which what is not known of the part moves its edges, one sigma each.
     """
-    found = []
+    found, weights = [], fit.weights
     for column in added:
-        rest = column - design @ (inverse @ (design.T @ (weights * column)))
-        power = float(rest @ (weights * column))
+        rest = column - fit.design @ (fit.inverse @ (freed.T @ (weights * column)))
+        open_rest = fit.arcs.free(weights, rest)
+        power = float(open_rest @ (weights * column))
         if not power > 0:
             found += [math.nan, math.inf]
             continue
-        by_part = drawn @ (weights * rest) / power
+        by_part = drawn @ (weights * open_rest) / power
         found += [
-            float(rest @ (weights * left)) / power,
+            float(rest @ (weights * fit.left)) / power,
             math.sqrt(excess / power + float(by_part @ by_part)),
         ]
     return found[0], found[1], found[2], found[3]

@@ -2,43 +2,26 @@
 
 from __future__ import annotations
 
-import functools
 import math
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 from helpers.cells import small_rig
+from helpers.edgemodels import CAD, model, seen
 from helpers.tilted import lying
 
 from edged.domain.arrays import FloatArray
 from edged.files.step import read_step
 from edged.vision.geometry.rigid import apply, turn_between
 from edged.vision.kernels.jit import for_kernel
-from edged.vision.solid.edgemodel import EdgeModel, are_unbroken, chains_of, model_of, sampled, widths_of
+from edged.vision.solid.edgemodel import chains_of, model_of, sampled, widths_of
 from edged.vision.solid.forms import with_breaks
-from edged.vision.solid.profiles import Profiles, adjusted_to, disagreement_px, if_rounded, scatter_of
+from edged.vision.solid.profiles import Profiles, adjusted_to, disagreement_px, scatter_of
 from edged.vision.solid.shifts import find_shifts
 from edged.vision.solid.symmetry import like_turns
-from edged.vision.solid.visible import Cameras, VisibleSamples, find_neighbours, moved, see
+from edged.vision.solid.visible import Cameras, VisibleSamples, find_neighbours, moved
 from edged.vision.teaching.cadbody import body_of
-
-CAD = Path(__file__).parents[2] / "data" / "cad"
-
-
-@functools.cache
-def model(name: str = "D3", break_mm: float = 0.0) -> EdgeModel:
-    """Of a file, its outer edges broken by so much."""
-    body = body_of(read_step(CAD / f"{name}.step"), np.eye(4))
-    assert body is not None
-    plain = model_of(body)
-    return with_breaks(plain, np.full(len(plain.start), break_mm))
-
-
-def seen(part: EdgeModel, where: FloatArray, camera: int) -> VisibleSamples:
-    """Samples half a millimetre apart, in a picture of 640 x 480."""
-    return see(part, sampled(part, 0.5), Cameras.of(small_rig(), 0).view(camera, part, where), 384)
 
 
 def test_samples_move_in_the_picture_as_the_design_says() -> None:
@@ -85,22 +68,6 @@ def test_a_body_keeps_the_breaks_that_a_pair_has_shown(name: str) -> None:
     assert np.array_equal(widths, widths_of(body.lines[:, 1::-1], shown.sides, shown.breaks_mm))
 
 
-def test_a_rounding_may_glint_below_the_edges_of_a_chamfer() -> None:
-    """Edges of narrow breaks shift as points do that lie a fifth of their width deeper."""
-    part, where = replace(model("D3", 0.2), merged_mm=0.3), lying(small_rig(), 25.0, 20.0, 40.0)
-    visible = seen(part, where, 0)
-    found = if_rounded(part, visible)
-    broken = ~are_unbroken(visible.curve)
-    assert 0 < broken.sum() < len(found)
-    assert not found[~broken].any()
-    points = sampled(part, 0.5).points[visible.row]
-    deeper = small_rig().left.project(apply(where, points + np.array([0.0, 0.0, 0.2 * 0.2])))
-    across = np.einsum("mj,mj->m", deeper - visible.pixels, visible.normals)
-    assert found[broken] == pytest.approx(across[broken], abs=0.01)
-    assert np.abs(found).max() > 0.05
-    assert not if_rounded(replace(part, merged_mm=0.1), visible).any()
-
-
 def test_neighbours_are_the_edges_that_a_sample_would_meet() -> None:
     """Two parallel edges, 3 px apart: each has the other one as its neighbour, on the right side."""
     x = np.arange(20.0, 80.0, 0.7)
@@ -145,7 +112,14 @@ def test_light_that_shows_the_upper_ends_of_unseen_breaks_moves_no_part() -> Non
     samples = VisibleSamples._make(np.concatenate(field) for field in zip(*both, strict=True))
     ones = np.ones(len(camera))
     shown = Profiles(
-        samples, camera, sampled(model(), 0.5).points[samples.row], 0.07 * samples.by_break, 100 * ones, ones
+        samples,
+        camera,
+        sampled(model(), 0.5).points[samples.row],
+        0.07 * samples.by_break,
+        100 * ones,
+        ones,
+        0 * ones,
+        0 * ones,
     )
     turned_deg = []
     for unseen in (samples.by_break, 0 * samples.by_break):  # known to be possible, and not
@@ -176,7 +150,7 @@ def test_curves_that_the_cameras_see_elsewhere_say_how_far_light_draws() -> None
     camera = np.repeat([0, 1], [len(each.row) for each in both])
     samples = VisibleSamples._make(np.concatenate(field) for field in zip(*both, strict=True))
     points, ones = sampled(model(), 0.5).points[samples.row], np.ones(len(camera))
-    profiles = Profiles(samples, camera, points, 0.0 * ones, 100 * ones, ones)
+    profiles = Profiles(samples, camera, points, 0.0 * ones, 100 * ones, ones, 0 * ones, 0 * ones)
     side = np.where(chains_of(samples.curve) % 2 == 0, 1.0, -1.0)
     off = np.where(camera == 0, 0.6 * side, 0.0) * samples.normals[:, 0]
     assert disagreement_px(profiles, off) == pytest.approx(0.6 / math.sqrt(2), rel=0.2)

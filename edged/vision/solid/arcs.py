@@ -1,0 +1,131 @@
+"""Where on the arc of a rounding, or of a worn chamfer, light shows an edge: other in each picture.
+
+A chamfer's edges lie where its faces end. An arc has none: grey values change all along it, and most where
+light and view have it. What faces one way is drawn alike: so all profiles of a curve whose break leads one
+way in a picture share one unknown, how far along their breaks they are shown. How far such unknowns go is no
+constant: the pair itself tells it, as it does the variance of any random effect.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from edged.domain.arrays import B8, I64, FloatArray
+from edged.vision.solid.edgemodel import EdgeModel, EdgePoints, are_unbroken, chains_of
+from edged.vision.solid.params import PROFILE
+from edged.vision.solid.visible import VisibleSamples
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ArcShifts:
+    """Unknown shifts of the profiles of one fit along their breaks, in shares of these.
+
+    across_px (M,) : across the whole break, along the profile's normal; 0 of an edge without one.
+    group (M,) : number of the unknown, from 0 on; any where there is no break.
+    sigma : of the unknowns, before anything is seen.
+    """
+
+    across_px: FloatArray
+    group: I64
+    sigma: float = PROFILE.on_arc
+
+    @classmethod
+    def none(cls, count: int) -> ArcShifts:
+        """Those of profiles whose edges lie where the model has them."""
+        return cls(np.zeros(count), np.zeros(count, np.int64))
+
+    def free(self, weights: FloatArray, values: FloatArray) -> FloatArray:
+        """What the unknowns leave of values (M,) or (M, K) of the profiles, weighted (M,)."""
+        if not self.across_px.any():
+            return values
+        pulled = self._sums(weights, values) / self._whole(weights).reshape(-1, *[1] * (values.ndim - 1))
+        across = self.across_px.reshape(-1, *[1] * (values.ndim - 1))
+        return np.asarray(values - across * pulled[self.group])
+
+    def learnt(
+        self, weights: FloatArray, left: FloatArray, design: FloatArray, inverse: FloatArray
+    ) -> ArcShifts:
+        """With the unknowns' sigma anew, by what profiles are off; at most that of anywhere on an arc.
+
+        Source: A. Dempster, N. Laird, D. Rubin, "Maximum likelihood from incomplete data via the EM
+        algorithm", Journal of the Royal Statistical Society B, 1977: variance components.
+
+        left (M,) px : shifts without what the other unknowns explain, whose design is (M, K) and whose
+        inverse normal equations are (K, K).
+        """
+        if not self.across_px.any():
+            return self
+        whole, some = self._whole(weights), np.bincount(self.group, self.across_px != 0) > 0
+        found = self._sums(weights, left) / whole
+        by_others = self._sums(weights, design) / whole[:, None]
+        variance = PROFILE.correlated * (1 / whole + np.einsum("gk,kl,gl->g", by_others, inverse, by_others))
+        sigma = math.sqrt(float(np.mean((found**2 + variance)[some])))
+        return replace(self, sigma=min(sigma, PROFILE.on_arc))
+
+    def _sums(self, weights: FloatArray, values: FloatArray) -> FloatArray:
+        weighted = (weights * self.across_px * values.T).reshape(-1, len(weights))
+        sums = np.stack([np.bincount(self.group, row) for row in weighted])
+        return np.asarray(sums[0] if values.ndim == 1 else sums.T, np.float64)
+
+    def _whole(self, weights: FloatArray) -> FloatArray:
+        before = PROFILE.correlated / max(self.sigma, PROFILE.least_on_arc) ** 2
+        return np.asarray(np.bincount(self.group, weights * self.across_px**2) + before)
+
+
+def across_breaks(model: EdgeModel, samples: EdgePoints, seen: VisibleSamples) -> FloatArray:
+    """(M,) px along the normals from either end of the break to the other, for what a camera sees of samples.
+
+    A chamfer leads along the difference of its faces' normals.
+    """
+    first, second = _normals(samples, seen)
+    return _widths(model.breaks_mm, model, seen) * _shift(seen, second - first)
+
+
+def if_rounded(model: EdgeModel, samples: EdgePoints, seen: VisibleSamples) -> FloatArray:
+    """(M,) px by which edges shift if breaks of open form are roundings: a sigma, all are alike.
+
+    A rounding glints in a part of its arc, which then looks like a narrow chamfer, but lies farther inside:
+    its middle r (1 - cos 45) from either face, that of a chamfer half its width. Holes seem larger by it, and
+    what stands out smaller: so the pair itself tells.
+    """
+    first, second = _normals(samples, seen)
+    narrow = _widths(model.breaks_mm < model.merged_mm, model, seen)
+    return PROFILE.rounding * model.merged_mm * narrow * _shift(seen, -first - second)
+
+
+def deeper(model: EdgeModel, seen: VisibleSamples) -> FloatArray:
+    """(M,) px by which edges of breaks of open form shift where all lie deeper by the width that stays open.
+
+    Light from above shows all arcs nearer their upper ends: by as much as one differs from the other.
+    """
+    narrow = _widths(model.breaks_mm < model.merged_mm, model, seen)
+    return model.merged_mm * narrow * seen.design[:, 5]  # a part's z leads away from the cameras
+
+
+def _normals(samples: EdgePoints, seen: VisibleSamples) -> tuple[FloatArray, FloatArray]:
+    return samples.normals[seen.row, :3], samples.normals[seen.row, 3:]
+
+
+def _shift(seen: VisibleSamples, motion_mm: FloatArray) -> FloatArray:
+    return np.asarray(np.einsum("mj,mj->m", seen.design[:, 3:], motion_mm))
+
+
+def _widths(of_segments: FloatArray | B8, model: EdgeModel, seen: VisibleSamples) -> FloatArray:
+    """(M,) what the segment's curve has, where that is broken; 0 elsewhere."""
+    by_curve = np.zeros(int(model.chain.max()) + 1)
+    by_curve[model.chain] = of_segments
+    return np.where(are_unbroken(seen.curve), 0.0, by_curve[chains_of(seen.curve)])
+
+
+def arc_shifts(seen: VisibleSamples, camera: I64, across_px: FloatArray) -> ArcShifts:
+    """Those of all profiles of a pair: one for each curve, camera and way that the break leads there."""
+    way = seen.normals * np.sign(across_px)[:, None]
+    turn = np.arctan2(way[:, 1], way[:, 0]) / (2 * np.pi) * PROFILE.ways
+    number = (chains_of(seen.curve) * 2 + camera) * PROFILE.ways + np.round(turn).astype(
+        np.int64
+    ) % PROFILE.ways
+    _, group = np.unique(np.where(across_px != 0, number, -1), return_inverse=True)
+    return ArcShifts(across_px, np.asarray(group, np.int64))

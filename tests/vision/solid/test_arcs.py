@@ -1,0 +1,111 @@
+"""Where on an arc an edge is shown: what a pair tells of it, and what it costs the pose."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from helpers.cells import small_rig
+from helpers.edgemodels import model, seen
+from helpers.tilted import lying
+
+from edged.domain.arrays import I64, FloatArray
+from edged.vision.geometry.rigid import apply, turn_between
+from edged.vision.solid.arcs import across_breaks, arc_shifts, deeper, if_rounded
+from edged.vision.solid.edgemodel import are_unbroken, sampled
+from edged.vision.solid.profiles import Profiles, adjusted_to
+from edged.vision.solid.visible import VisibleSamples
+
+BROKEN = replace(model("D3", 0.2), merged_mm=0.3)
+WHERE = lying(small_rig(), 25.0, 20.0, 40.0)
+
+
+def shown() -> Profiles:
+    """Profiles of a pair whose edges lie where the model has them."""
+    samples, both = sampled(BROKEN, 0.5), [seen(BROKEN, WHERE, camera) for camera in (0, 1)]
+    camera: I64 = np.repeat([0, 1], [len(each.row) for each in both])
+    across, rounded = (
+        np.concatenate([of(BROKEN, samples, each) for each in both]) for of in (across_breaks, if_rounded)
+    )
+    joined = VisibleSamples._make(np.concatenate(field) for field in zip(*both, strict=True))
+    ones = np.ones(len(camera))
+    return Profiles(joined, camera, samples.points[joined.row], 0 * ones, 100 * ones, ones, across, rounded)
+
+
+def moved_px(motion_mm: FloatArray) -> FloatArray:
+    """(M,) px along the normals, as the left camera sees samples that move (M, 3)."""
+    visible = seen(BROKEN, WHERE, 0)
+    points = sampled(BROKEN, 0.5).points[visible.row]
+    moved = small_rig().left.project(apply(WHERE, points + motion_mm))
+    return np.asarray(np.einsum("mj,mj->m", moved - visible.pixels, visible.normals))
+
+
+def test_what_is_open_of_a_break_moves_its_edges_alone() -> None:
+    """Across it by its chord, inwards by both faces, and deeper by the width that shows no form."""
+    samples, visible = sampled(BROKEN, 0.5), seen(BROKEN, WHERE, 0)
+    first, second = samples.normals[visible.row, :3], samples.normals[visible.row, 3:]
+    broken = ~are_unbroken(visible.curve)
+    assert 0 < broken.sum() < len(broken)
+    inward_mm = (1 - math.cos(math.pi / 4)) / math.sqrt(3) * 0.3
+    for found, motion in (
+        (across_breaks(BROKEN, samples, visible), 0.2 * (second - first)),
+        (if_rounded(BROKEN, samples, visible), -inward_mm * (first + second)),
+        (deeper(BROKEN, visible), np.array([0.0, 0.0, 0.3])),
+    ):
+        assert found[broken] == pytest.approx(moved_px(motion)[broken], abs=0.05)
+        assert not found[~broken].any()
+        assert np.abs(found).max() > 0.3
+    known = replace(BROKEN, merged_mm=0.1)  # its breaks are wide enough to show their form
+    assert not if_rounded(known, samples, visible).any()
+    assert not deeper(known, visible).any()
+
+
+@pytest.mark.parametrize("spread", [0.0, 0.25])
+def test_a_pair_tells_how_far_its_edges_wander_on_their_arcs(spread: float) -> None:
+    """Nowhere, as those of chamfers, or each group elsewhere: the pose stays, which it did not before."""
+    profiles = shown()
+    arcs = arc_shifts(profiles.seen, profiles.camera, profiles.across_px)
+    rng = np.random.default_rng(3)
+    off = spread * rng.standard_normal(int(arcs.group.max()) + 1)[arcs.group] * profiles.across_px
+    off += 0.05 * rng.standard_normal(len(off))
+    fit = adjusted_to(BROKEN, WHERE, replace(profiles, shift_px=off), 1.0, None, alike=False)
+    assert fit is not None
+    if spread:
+        assert fit.arcs.sigma == pytest.approx(spread, rel=0.35)
+    else:
+        assert fit.arcs.sigma < 0.05
+    held = replace(profiles, shift_px=off, across_px=0 * off)  # as if all were chamfers
+    as_before = adjusted_to(BROKEN, WHERE, held, 1.0, None, alike=False)
+    assert as_before is not None
+    errors_mm = [
+        float(np.linalg.norm(apply(one.pose, BROKEN.centre) - apply(WHERE, BROKEN.centre)))
+        + 0.5 * BROKEN.size_mm * turn_between(one.pose, WHERE)
+        for one in (fit, as_before)
+    ]
+    assert errors_mm[0] < (0.7 * errors_mm[1] if spread else 0.005)
+
+
+def test_roundings_are_told_from_chamfers_by_where_their_middle_lies() -> None:
+    """All edges farther inside by half a sigma: the part is not taken to lie deeper for that."""
+    profiles = shown()
+    inside = replace(profiles, shift_px=0.5 * profiles.rounded_px)
+    fit = adjusted_to(BROKEN, WHERE, inside, 1.0, None, alike=False)
+    assert fit is not None
+    depth_mm = (apply(fit.pose, BROKEN.centre) - apply(WHERE, BROKEN.centre))[2]
+    plain = adjusted_to(BROKEN, WHERE, replace(inside, rounded_px=0 * inside.camera), 1.0, None, alike=False)
+    assert plain is not None
+    off_mm = (apply(plain.pose, BROKEN.centre) - apply(WHERE, BROKEN.centre))[2]
+    assert abs(depth_mm) < 0.2 * abs(off_mm)
+
+
+def test_nothing_is_left_of_what_the_unknowns_explain() -> None:
+    """Freed values are blind to any shift along the arcs, as far as these are not held by what is known."""
+    profiles = shown()
+    arcs = replace(arc_shifts(profiles.seen, profiles.camera, profiles.across_px), sigma=1e3)
+    weights = np.linspace(1.0, 2.0, len(profiles.camera))
+    along = np.cos(arcs.group) * profiles.across_px
+    both = np.column_stack([along, along + 1.0])
+    assert arcs.free(weights, along) == pytest.approx(0.0, abs=1e-5)
+    assert arcs.free(weights, both)[:, 1] == pytest.approx(arcs.free(weights, np.ones(len(along))), abs=1e-5)
