@@ -7,7 +7,6 @@ import json
 import math
 import re
 from dataclasses import replace
-from functools import cache
 from pathlib import Path
 
 import cv2
@@ -68,7 +67,13 @@ def taught() -> Job:
     return teach_pair(*taught_pair(), prepare(small_rig()).rectification, None, "D3")
 
 
-@cache
+@functools.cache
+def taught_job() -> Job:
+    """What the pair and the file teach: most tests begin with it, and it takes a quarter of a minute."""
+    return settled(taught(), taught_pair()).job
+
+
+@functools.cache
 def taught_pair() -> tuple[Image, Image]:
     """Of the part as it lies at teaching."""
     return see(square())
@@ -107,7 +112,7 @@ def test_a_result_has_the_frame_of_the_file(tmp_path: Path, capsys: pytest.Captu
 @pytest.mark.slow
 def test_settled_sizes_are_those_of_the_file() -> None:
     """A sharp part: every circle has the file's radius, and the distances between them to the last digit."""
-    job = settled(taught(), taught_pair()).job
+    job = taught_job()
     assert {2.1, 1.4, 1.0, 1.9} == {round(one.radius_mm, 9) for one in job.circles}
     assert job.part_from_model is not None
     model_from_part = invert(job.part_from_model)
@@ -192,7 +197,7 @@ def test_a_smaller_hole_is_no_edge_break() -> None:
 @pytest.mark.slow
 def test_a_job_keeps_the_frame_on_disc(tmp_path: Path) -> None:
     """Written and read again to the last digit; a motion that is none is an error with the key's name."""
-    job = settled(taught(), taught_pair()).job
+    job = taught_job()
     save_job(tmp_path / "job", job)
     again = load_job(tmp_path / "job")
     assert job.part_from_model is not None and again.part_from_model is not None
@@ -211,7 +216,7 @@ def test_the_frame_of_the_file_is_published_where_the_job_says_so(tmp_path: Path
         ModelPoint("tip", np.array([-14.5, 12.5, 6.0])),
         ModelPoint("far", np.array([4000.0, 0.0, 0.0])),
     )
-    job = replace(settled(taught(), taught_pair()).job, points=points, report="tip")
+    job = replace(taught_job(), points=points, report="tip")
     save_job(tmp_path / "job", job)
     where = lying(small_rig(), 20.0, 60.0, 130.0)
     pair = frame_pair(*see(where, seed=4))
@@ -313,7 +318,7 @@ def test_an_stl_file_settles_a_pair_as_well(tmp_path: Path) -> None:
     found = settle(
         taught(), curves, StereoImages.of(prepare(small_rig()).rectification, *taught_pair()), "D3.STL"
     )
-    exact = settled(taught(), taught_pair()).job
+    exact = taught_job()
     assert "D3.STL: 11 of 11 curves lie where it has them" in found.remarks
     for one, other in zip(exact.circles, found.job.circles, strict=True):
         assert np.abs(one.centre_mm - other.centre_mm).max() < 1e-4
@@ -423,7 +428,7 @@ def test_an_axis_that_hides_every_feature_is_named() -> None:
 @pytest.mark.slow
 def test_a_pair_ends_the_vagueness_of_a_file_alone() -> None:
     """Taught again with both, the limit that such a job needs is not taken for a person's wish."""
-    again, said = carry_over(drawn(), settled(taught(), taught_pair()).job)
+    again, said = carry_over(drawn(), taught_job())
     assert 0.2 == again.limits.max_sigma_mm
     assert not [line for line in said if "max_sigma_mm" in line]
 
