@@ -46,6 +46,24 @@ def template(tmp_path_factory):
     return SmallCell(tmp_path_factory.mktemp("template"), source="virtual-inprocess").config.parent
 
 
+@pytest.fixture(scope="session", autouse=True)
+def taught_once():
+    """Cells of the demo with the same pictures have the same job: to learn it takes up to three seconds."""
+    from edged.commands import demo
+
+    learn, jobs = demo.teach, {}
+
+    def teach(left, right, rectification, region, name):
+        key = repr(rectification.rig), region, name, left.tobytes(), right.tobytes()
+        if key not in jobs:
+            jobs[key] = learn(left, right, rectification, region, name)
+        return jobs[key]
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(demo, "teach", teach)
+        yield
+
+
 @pytest.fixture
 def own_cell(template, tmp_path):
     """Files of a complete cell for one test."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -60,16 +61,18 @@ def prepared(folder: Path, more: str = "") -> MarkedFiles:
     return MarkedFiles(config, folder / "rig.json")
 
 
+@functools.cache
+def still_pairs(exposures: int) -> tuple[tuple[Image, Image], ...]:
+    """What a still cell shows, for all tests of a process: to draw it takes half a second a pair."""
+    cell = marked_cell()
+    return tuple(pair_at(cell, second).images for second in range(exposures))
+
+
 def teach(files: MarkedFiles, exposures: int = 8) -> TaughtMarks:
     """Teach the marks of a still cell beside the rig."""
     from edged.files.rig import load_rig
 
-    cell = marked_cell()
-    pairs: list[tuple[Image, Image]] = []
-    for second in range(exposures):
-        pair = pair_at(cell, second)
-        pairs.append(pair.images)
-    taught = teach_marks(pairs, load_rig(files.rig), 5, least=exposures)
+    taught = teach_marks(still_pairs(exposures), load_rig(files.rig), 5, least=exposures)
     save_marks(marks_file(files.rig), taught)
     return taught
 

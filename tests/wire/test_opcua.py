@@ -873,7 +873,7 @@ def _expired(secure: OpcUaSettings) -> None:
 @pytest.mark.slow
 async def test_a_daemon_serves_it_and_goes_on_when_a_reload_exchanges_the_registers(tmp_path: Path) -> None:
     """Modbus on another port: other registers, another epoch, and the same OPC UA session shows them."""
-    small, port, modbus = SmallCell(tmp_path), free_port(), free_port()
+    small, port, modbus = SmallCell(tmp_path, period_s=0.5), free_port(), free_port()
     small.config.write_text(small.config.read_text() + f"\n[opcua]\nport = {port}\nanonymous = true\n")
     daemon = DaemonProcess(small.config)
 

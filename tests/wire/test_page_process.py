@@ -26,7 +26,7 @@ pytestmark = pytest.mark.slow
 @pytest.fixture
 def cell(tmp_path: Path) -> Iterator[tuple[SmallCell, DaemonProcess]]:
     """A daemon that measures by itself, and has a page."""
-    small = SmallCell(tmp_path)
+    small = SmallCell(tmp_path, period_s=0.2)
     daemon = DaemonProcess(small.config)
     try:
         daemon.wait_ready()

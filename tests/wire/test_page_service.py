@@ -96,7 +96,7 @@ def service() -> Iterator[Service]:
         shutil.copytree(os.environ["NUMBA_CACHE_DIR"], own / "numba")
         for place in (own, *own.rglob("*")):
             shutil.chown(place, PAGE)
-        cell = SmallCell(folder / "cell")
+        cell = SmallCell(folder / "cell", period_s=0.5)
         daemon = DaemonProcess(cell.config, {"RUNTIME_DIRECTORY": str(runtime)}, ["--page-user", PAGE])
         found = Service(cell, daemon, runtime / "page", own)
         try:
