@@ -15,7 +15,8 @@ checkout, as it is committed, in ~/edged. When a command fails, the page stays a
 
 With --check the checkout and the Python that this program runs with stand in ~/edged, as they are; nothing is
 installed, and no port of this machine is used. What differs from one run or PC to the next is no difference:
-measured numbers, times, identifiers, the width of tables, and what `edged doctor` says of the PC.
+measured numbers, times, identifiers, the width of tables, what `edged doctor` says of the PC, and that a
+camera was late and was asked again.
 
 What the page's own sentences say of measured numbers is held against them by remarks that no reader sees:
 
@@ -62,6 +63,8 @@ ALONE = ("unshare", "--map-root-user", "--net", "sh", "-c", 'ip link set lo up &
 """A program with a network of its own: the ports of the page are free in it."""
 SETTING_UP = ("==> ", "edged: compiling ", "compiling ")
 """What is said only where something had to be installed."""
+LATE = "; trying again"
+"""Ends what `edged grab` says of cameras that were late, on a busy PC: what comes then, counts."""
 FINDING = re.compile(r"(?:ok|warn|bad|skip) +(?P<check>[^:]+):.*|\d+ checks, .*| +(?:then|help):.*")
 """Lines of `edged doctor`, whose answers are the PC's: what was looked at is the same on each."""
 MASKS = (
@@ -253,7 +256,7 @@ def _words(answer: Sequence[str]) -> list[str]:
     """What is compared: tables by their words, as numbers decide how wide they are."""
     words: list[str] = []
     for line in answer:
-        if not line.startswith(SETTING_UP):
+        if not line.startswith(SETTING_UP) and not line.endswith(LATE):
             finding = FINDING.fullmatch(line)
             text = (finding["check"] or "") if finding else line
             for what, mask in MASKS:

@@ -89,6 +89,7 @@ def test_the_home_folder_is_a_tilde(tool: ModuleType, machine: object) -> None:
         ("==> making .venv from /usr/bin/python3", ""),
         ("ok   firewall: drops nothing", "warn firewall: drops UDP\n     help: nft ..."),
         ("skew up to 19.35 ms", "skew up to 1.2 ms"),
+        ("1 pair(s)", "left camera: no image within 1 s of the trigger; trying again\n1 pair(s)"),
     ],
 )
 def test_what_differs_from_run_to_run_is_no_difference(tool: ModuleType, then: str, now: str) -> None:
