@@ -9,6 +9,7 @@ import pickle
 from functools import cache
 from pathlib import Path
 from types import TracebackType
+from typing import Any
 
 from argon2 import PasswordHasher
 from asyncua.server.address_space import NodeManagementService
@@ -20,7 +21,9 @@ from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption,
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
 from edged.adapters.modbus import ModbusSettings
-from edged.adapters.opcua import OpcUaPublisher, OpcUaSettings
+from edged.adapters.opcua import OpcUaPublisher, OpcUaSettings, space
+from edged.adapters.opcua.model import Model
+from edged.adapters.opcua.nodes import Nodes
 from helpers.livecell import LiveCell
 from helpers.waiting import LIMIT_S
 
@@ -97,21 +100,47 @@ def secure_settings(folder: Path, *, anonymous: bool = False) -> OpcUaSettings:
 
 @cache
 def remember_standard_nodes() -> None:
-    """From now on asyncua makes the 6,000 nodes of the standard once, in three quarters of a second."""
-    make = standard_address_space.fill_address_space
-    made: list[bytes] = []
+    """From now on asyncua makes the 6,000 nodes of the standard once, in three quarters of a second.
+
+    And those of the companion specification that each cell adds to them.
+    """
+    make, add_types = standard_address_space.fill_address_space, space.add_types
+    made, types = list[bytes](), list[bytes]()
 
     def fill(service: NodeManagementService) -> None:
-        space = vars(service)["_aspace"]
+        nodes = vars(vars(service)["_aspace"])
         if made:
-            gc.disable()  # a reader that looks for garbage takes longer than making them
-            vars(space)["_nodes"] = pickle.loads(made[0])
-            gc.enable()
+            nodes["_nodes"] = loaded(made[0])
         else:
             make(service)
-            made.append(pickle.dumps(vars(space)["_nodes"], pickle.HIGHEST_PROTOCOL))
+            made.append(pickle.dumps(nodes["_nodes"], pickle.HIGHEST_PROTOCOL))
+
+    def add(nodes: Nodes, model: Model) -> None:
+        here = vars(vars(nodes)["_server"].aspace)["_nodes"]
+        if types:
+            new, more = loaded(types[0])
+            here.update(new)
+            for node, references in more.items():
+                here[node].references += references
+            return
+        before = {node: len(data.references) for node, data in here.items()}
+        add_types(nodes, model)
+        new = {node: data for node, data in here.items() if node not in before}
+        more = {node: here[node].references[many:] for node, many in before.items()}
+        both = new, {node: references for node, references in more.items() if references}
+        types.append(pickle.dumps(both, pickle.HIGHEST_PROTOCOL))
 
     standard_address_space.fill_address_space = fill
+    space.add_types = add
+
+
+def loaded(pickled: bytes) -> Any:
+    """What was pickled."""
+    gc.disable()  # a reader that looks for garbage takes longer than making them
+    try:
+        return pickle.loads(pickled)
+    finally:
+        gc.enable()
 
 
 class OpcUaCell(LiveCell):
@@ -135,7 +164,10 @@ class OpcUaCell(LiveCell):
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
+        server = vars(self.publisher)["_server"]
         asyncio.run_coroutine_threadsafe(self.publisher.close(), self.loop).result(LIMIT_S)
+        # else they are garbage of a cycle, and to find and free that takes ten times as long
+        vars(vars(vars(server)["_space"])["_nodes"])["_server"].aspace.clear()
         super().__exit__(kind, error, trace)
 
     @property
