@@ -97,12 +97,14 @@ def if_rounded(model: EdgeModel, samples: EdgePoints, seen: VisibleSamples) -> F
 
 
 def deeper(model: EdgeModel, seen: VisibleSamples) -> FloatArray:
-    """(M,) px by which edges of breaks of open form shift where all lie deeper by the width that stays open.
+    """(M,) px by which edges of breaks of open form shift where all lie deeper by the rms radius of one.
 
-    Light from above shows all arcs nearer their upper ends: by as much as one differs from the other.
+    Light from above shows all arcs nearer their upper ends: a pair that shows how far the edges of each curve
+    wander does not tell how far all do. A radius is anything up to the width that stays open.
     """
     narrow = _widths(model.breaks_mm < model.merged_mm, model, seen)
-    return model.merged_mm * narrow * seen.design[:, 5]  # a part's z leads away from the cameras
+    depth_mm = model.merged_mm / math.sqrt(3)
+    return depth_mm * narrow * seen.design[:, 5]  # a part's z leads away from the cameras
 
 
 def _normals(samples: EdgePoints, seen: VisibleSamples) -> tuple[FloatArray, FloatArray]:

@@ -265,20 +265,27 @@ def _with_covariance(model: EdgeModel, images: StereoImages, fit: _Adjusted) -> 
     excess = max(float(np.trace(edges @ np.linalg.inv(inverse[:, :6]))) / 6, 1.0)
     by_breaks = model.sigma_break_mm * profiles.by_width[None]
     if model.sigma_own_mm:
-        curve = chains_of(profiles.seen.curve)
-        by_own = np.zeros((int(curve.max()) + 1, len(left)))
-        by_own[curve, np.arange(len(left))] = profiles.by_width
-        by_breaks = np.vstack([by_breaks, model.sigma_own_mm * by_own])
+        by_breaks = np.vstack([by_breaks, model.sigma_own_mm * _by_curve(profiles, profiles.by_width)])
     by_breaks = np.vstack([by_breaks, fit.arcs.sigma * deeper(model, profiles.seen)])
     # widths that were settled, and what the edges leave open of the rest
     moves = np.hstack([response @ by_breaks.T, PROFILE.correlated * inverse[:, 6:]])
     edges += moves @ moves.T
     units = np.outer(fit.scale, fit.scale)
     calibration = _by_calibration(images, fit.before, profiles, response)
-    # a width that a pair has shown explains no growth
+    # a width that a pair has shown explains no growth; roundings of other radii do, where edges wander
     unknown = by_breaks if model.sigma_own_mm or model.merged_mm else by_breaks[:0]
+    rounded = fit.arcs.sigma / PROFILE.on_arc * _by_curve(profiles, profiles.rounded_px)
+    unknown = np.vstack([unknown, rounded])
     extra = _extra(_added(model, images, profiles), fit, freed, excess, unknown)
     return ProfileFit(fit.pose, edges / units, calibration / units, fit.rms_px, *extra)
+
+
+def _by_curve(profiles: Profiles, values: FloatArray) -> FloatArray:
+    """(C, M) of values (M,) those of each curve, 0 of the others."""
+    curve = chains_of(profiles.seen.curve)
+    found = np.zeros((int(curve.max()) + 1, len(curve)))
+    found[curve, np.arange(len(curve))] = values
+    return found
 
 
 @kernel("f8[::1](f8[::1], i8[::1], b1[::1])")

@@ -52,7 +52,7 @@ def test_what_is_open_of_a_break_moves_its_edges_alone() -> None:
     for found, motion in (
         (across_breaks(BROKEN, samples, visible), 0.2 * (second - first)),
         (if_rounded(BROKEN, samples, visible), -inward_mm * (first + second)),
-        (deeper(BROKEN, visible), np.array([0.0, 0.0, 0.3])),
+        (deeper(BROKEN, visible), np.array([0.0, 0.0, 0.3 / math.sqrt(3)])),
     ):
         assert found[broken] == pytest.approx(moved_px(motion)[broken], abs=0.05)
         assert not found[~broken].any()
