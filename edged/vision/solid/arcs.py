@@ -125,9 +125,8 @@ def _widths(of_segments: FloatArray | B8, model: EdgeModel, seen: VisibleSamples
 def arc_shifts(seen: VisibleSamples, camera: I64, across_px: FloatArray) -> ArcShifts:
     """Those of all profiles of a pair: one for each curve, camera and way that the break leads there."""
     way = seen.normals * np.sign(across_px)[:, None]
-    turn = np.arctan2(way[:, 1], way[:, 0]) / (2 * np.pi) * PROFILE.ways
-    number = (chains_of(seen.curve) * 2 + camera) * PROFILE.ways + np.round(turn).astype(
-        np.int64
-    ) % PROFILE.ways
+    turns = np.arctan2(way[:, 1], way[:, 0]) / (2 * np.pi)
+    sector = np.round(turns * PROFILE.ways).astype(np.int64) % PROFILE.ways
+    number = (chains_of(seen.curve) * 2 + camera) * PROFILE.ways + sector
     _, group = np.unique(np.where(across_px != 0, number, -1), return_inverse=True)
     return ArcShifts(across_px, np.asarray(group, np.int64))
