@@ -23,7 +23,7 @@ async def use(page: Browser) -> None:
     await page.until(DRAFT)
     await press(page, "Use these settings")
     await press(page, "Put them in force")
-    await page.until(f"!{DRAFT}")
+    await page.until("!document.querySelector('#settings-draft, dialog[open]')")
 
 
 @pytest.mark.parametrize("opened", BROWSERS)
