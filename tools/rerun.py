@@ -51,8 +51,8 @@ PICTURE = re.compile(r"!\[[^]]*\]\((?P<name>\w+\.png)\)")
 FENCE = "```"
 CONSOLE = f"{FENCE}console"
 DONE = "command-ended-with"
-QUIET_S = 3.0
-"""A program that has said nothing for so long has begun its work."""
+QUIET_S = 10.0
+"""A program that has said nothing for so long has begun its work: the page takes seconds on a busy PC."""
 PATIENCE_S = 60.0
 """For the first word of a program in another terminal."""
 COLUMNS = "100"
