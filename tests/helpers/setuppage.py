@@ -12,6 +12,7 @@ STEPS = re.findall(r"\{ id: \"(\w+)\", topic:", read_assets()["setup/steps.js"])
 STATE = 'document.querySelector("#state").textContent.trim()'
 LEASE = 'document.querySelector(".lease").textContent'
 DIALOG = 'document.querySelector("dialog[open]")'
+IN_FORCE = "!document.querySelector('#settings-draft, dialog[open]')"
 TOO_WIDE = "Math.max(document.documentElement.scrollWidth - innerWidth, 0)"
 SMALL_TARGETS = """[...document.querySelectorAll("button, a, select, input, summary")]
   .filter((e) => e.checkVisibility() && !e.matches(".skip"))
@@ -92,6 +93,13 @@ async def press(page: Browser, text: str) -> None:
 def said(text: str) -> str:
     """Whether the page says something."""
     return f"document.body?.innerText.includes({text!r})"
+
+
+async def put_in_force(page: Browser) -> None:
+    """A draft of settings, until the cell runs by it and the page has its answer."""
+    await press(page, "Use these settings")
+    await press(page, "Put them in force")
+    await page.until(IN_FORCE)
 
 
 async def discard(page: Browser) -> None:

@@ -10,7 +10,18 @@ import pytest
 from helpers.browser import Browser, browser
 from helpers.needs import needs
 from helpers.ports import free_port
-from helpers.setuppage import SMALL_TARGETS, TOO_WIDE, UNTRANSLATED, go, log_in, press, said, take_over
+from helpers.setuppage import (
+    IN_FORCE,
+    SMALL_TARGETS,
+    TOO_WIDE,
+    UNTRANSLATED,
+    go,
+    log_in,
+    press,
+    put_in_force,
+    said,
+    take_over,
+)
 from helpers.stagecell import PASSWORD, Newcomer, run
 
 from edged.commands.stage import USER
@@ -18,7 +29,6 @@ from edged.config.chosenconnections import ChosenConnections, connections_of
 from edged.config.reading import load
 from edged.errors import ConfigError
 
-IN_FORCE = "!document.querySelector('#settings-draft, dialog[open]')"
 CHANGE = 'document.querySelector("#plc-settings ~ details")'
 
 
@@ -34,14 +44,7 @@ def answers(port: int) -> bool:
 async def save(page: Browser) -> None:
     """Check what was chosen, and use it."""
     await press(page, "Check these connections")
-    await put(page)
-
-
-async def put(page: Browser) -> None:
-    """Use the draft, until it is in force."""
-    await press(page, "Use these settings")
-    await press(page, "Put them in force")
-    await page.until(IN_FORCE)
+    await put_in_force(page)
 
 
 @pytest.mark.slow
@@ -92,7 +95,7 @@ def test_a_plc_and_a_robot_are_connected_on_the_page(tmp_path: Path) -> None:
             assert answers(second) and not answers(first)
             await press(page, "As in the configuration file")
             await page.until(said("As in the configuration file."))
-            await put(page)
+            await put_in_force(page)
             assert config.modbus == newcomer.daemon.loaded.cell.config.modbus
             await page.value(f"{CHANGE}.open = true")
             await page.type("[name=port]", str(first))

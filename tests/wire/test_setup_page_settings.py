@@ -7,7 +7,17 @@ from pathlib import Path
 import pytest
 from helpers.browser import Browser
 from helpers.firefox import BROWSERS, Opener
-from helpers.setuppage import SMALL_TARGETS, TOO_WIDE, UNTRANSLATED, go, log_in, press, said, take_over
+from helpers.setuppage import (
+    SMALL_TARGETS,
+    TOO_WIDE,
+    UNTRANSLATED,
+    go,
+    log_in,
+    press,
+    put_in_force,
+    said,
+    take_over,
+)
 from helpers.stagecell import PASSWORD, Newcomer, run
 
 from edged.commands.stage import USER
@@ -21,9 +31,7 @@ CHOSEN = 'document.querySelectorAll(".setting button").length'
 async def use(page: Browser) -> None:
     """What was entered, until the cell runs by it."""
     await page.until(DRAFT)
-    await press(page, "Use these settings")
-    await press(page, "Put them in force")
-    await page.until("!document.querySelector('#settings-draft, dialog[open]')")
+    await put_in_force(page)
 
 
 @pytest.mark.parametrize("opened", BROWSERS)

@@ -41,9 +41,8 @@ class ArcShifts:
         """What the unknowns leave of values (M,) or (M, K) of the profiles, weighted (M,)."""
         if not self.across_px.any():
             return values
-        pulled = self._sums(weights, values) / self._whole(weights).reshape(-1, *[1] * (values.ndim - 1))
-        across = self.across_px.reshape(-1, *[1] * (values.ndim - 1))
-        return np.asarray(values - across * pulled[self.group])
+        pulled = self._sums(weights, values) / self._whole(weights)
+        return np.asarray((values.T - self.across_px * pulled[..., self.group]).T)
 
     def learnt(
         self, weights: FloatArray, left: FloatArray, design: FloatArray, inverse: FloatArray
@@ -60,15 +59,15 @@ class ArcShifts:
             return self
         whole, some = self._whole(weights), np.bincount(self.group, self.across_px != 0) > 0
         found = self._sums(weights, left) / whole
-        by_others = self._sums(weights, design) / whole[:, None]
-        variance = PROFILE.correlated * (1 / whole + np.einsum("gk,kl,gl->g", by_others, inverse, by_others))
+        by_others = self._sums(weights, design) / whole
+        variance = PROFILE.correlated * (1 / whole + np.einsum("kg,kl,lg->g", by_others, inverse, by_others))
         sigma = math.sqrt(float(np.mean((found**2 + variance)[some])))
         return replace(self, sigma=min(sigma, PROFILE.on_arc))
 
     def _sums(self, weights: FloatArray, values: FloatArray) -> FloatArray:
-        weighted = (weights * self.across_px * values.T).reshape(-1, len(weights))
-        sums = np.stack([np.bincount(self.group, row) for row in weighted])
-        return np.asarray(sums[0] if values.ndim == 1 else sums.T, np.float64)
+        """(G,) or (K, G) of each group, of values (M,) or (M, K)."""
+        weighted = weights * self.across_px * values.T
+        return np.apply_along_axis(lambda row: np.bincount(self.group, row), -1, weighted)
 
     def _whole(self, weights: FloatArray) -> FloatArray:
         before = PROFILE.correlated / max(self.sigma, PROFILE.least_on_arc) ** 2

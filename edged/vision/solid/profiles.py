@@ -214,32 +214,36 @@ def adjusted_to(
     if not alike:
         _, stretch = np.unique(2 * chains_of(profiles.seen.curve) + profiles.seen.walled, return_inverse=True)
         arcs = arc_shifts(profiles.seen, profiles.camera, profiles.across_px)
-    delta, left = np.zeros(design.shape[1]), shift
+    delta, left, inverse = np.zeros(design.shape[1]), shift, np.eye(design.shape[1])
     weights = np.where(good, 1 / variance, 0.0)
     for number in range(PROFILE.rounds):
+        if number > 1:
+            arcs = arcs.learnt(weights, shift - design @ delta, design, inverse)
         sigma = scatter_of(left, stretch, good) if number else np.full(len(left), first_sigma_px)
         own = sigma**2 if number else 0.0
         weights = np.where(good, tukey_weights(left / sigma, 1.0), 0.0) / (variance + own)
-        normal = _normal(design, weights, arcs)
+        freed, freed_shift = arcs.free(weights, design), arcs.free(weights, shift)
+        normal = _normal(design, freed, weights)
         if held is not None:
             normal[:3, :3] += np.trace(normal) * np.outer(held, held)
         if not np.linalg.cond(normal) < PROFILE.max_condition:
             return None
         inverse = np.asarray(np.linalg.inv(normal), np.float64)
-        new = inverse @ (design.T @ (weights * arcs.free(weights, shift)))
+        new = inverse @ (freed.T @ (weights * shift))
         still, delta = float(np.abs(new - delta).max()) < PROFILE.still_mm, new
-        left = arcs.free(weights, shift - design @ delta)
+        left = freed_shift - freed @ delta
         if still:
             break
-        if number:
-            arcs = arcs.learnt(weights, shift - design @ delta, design, inverse)
     there = moved(model, pose, delta[:6] / scale)
     return _Adjusted(there, pose, profiles, scale, design, arcs, left, weights, inverse)
 
 
-def _normal(design: FloatArray, weights: FloatArray, arcs: ArcShifts) -> FloatArray:
-    """Normal equations of a pose and of what else is not known, whose sigma is 1 before anything is seen."""
-    normal = design.T @ (weights[:, None] * arcs.free(weights, design))
+def _normal(design: FloatArray, freed: FloatArray, weights: FloatArray) -> FloatArray:
+    """Normal equations of a pose and of what else is not known, whose sigma is 1 before anything is seen.
+
+    freed (M, 6 + K) : what the arcs leave of the design.
+    """
+    normal = design.T @ (weights[:, None] * freed)
     beside = np.arange(6, len(normal))
     normal[beside, beside] += PROFILE.correlated
     return np.asarray(normal)
