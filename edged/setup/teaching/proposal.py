@@ -19,6 +19,7 @@ from edged.vision.geometry.rigid import invert, unit
 from edged.vision.part.job import MAX_TILT_DEG, Job
 from edged.vision.part.params import MEASURING
 from edged.vision.shape.inspection import ModelInspection, inspect_model
+from edged.vision.solid.curvemodel import unevenness_mm
 from edged.vision.teaching.cadjob import teach_model
 from edged.vision.teaching.cadmodel import CadModel, ModelCurves
 from edged.vision.teaching.cadpair import teach_with_model
@@ -83,6 +84,9 @@ def propose_from_pair(
         settled = (*settled, *shown)
         if job.solid and not shown:
             settled = (_of_one_pair(job, rectification.rig),)
+        uneven = unevenness_mm(job)
+        if job.solid and uneven:
+            settled = (*settled, _of_uneven(uneven))
     picture, mask = rectification.left_image(left), taught_mask(region, (), rectification)
     cuts = cut_edges(job, picture, mask, rectification)
     return _proposal(job, Taught(picture, None if region is None else mask, cuts, settled), wanted)
@@ -97,6 +101,14 @@ def _of_one_pair(job: Job, rig: StereoRig) -> str:
         "edge breaks: this pair does not show them. If there are any, each camera may see another end of "
         f"them, other light another one, and by up to {widths:.1f} times their width across the face. Add a "
         "pair of the part tilted, or its STEP file"
+    )
+
+
+def _of_uneven(uneven_mm: float) -> str:
+    return (
+        f"edges of one face were seen {uneven_mm:.2f} mm (rms) higher or lower than most of it: walls may be "
+        "as bright as the face, and each camera then has an edge at another place. Sigmas of results contain "
+        "that. Light the part from more sides, or add its STEP file"
     )
 
 

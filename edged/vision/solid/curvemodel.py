@@ -50,6 +50,15 @@ def curve_points(job: Job) -> list[FloatArray]:
     return [rim.points for rim in _rims(job)]
 
 
+def unevenness_mm(job: Job) -> float:
+    """By how much curves of one face were taught higher and lower than most of it, rms; 0: it is flat.
+
+    Where walls are as bright as the face, each camera has the edges of holes and of what stands out where
+    its wall darkens: deeper by half a millimetre, and each by another part of it.
+    """
+    return _unevenness_mm(list(_rims(job)))
+
+
 def curve_model(job: Job, break_mm: float = 0.0, is_lower: bool = False) -> EdgeModel:
     """The edges of a job's taught curves, each the rim of a face that looks at the cameras.
 
@@ -78,9 +87,17 @@ def curve_model(job: Job, break_mm: float = 0.0, is_lower: bool = False) -> Edge
         np.zeros((count, 2), np.int64), start, end, np.stack([up, outwards], axis=1),
         np.repeat(kept, pieces), np.ones(count, bool), np.ones(count, bool), by_break,
         np.full(count, break_mm), np.zeros((0, 3)), np.zeros((0, 3), np.int64), 0.5 * (low + high),
-        float(np.linalg.norm(high - low)), CURVES.taught_px,
+        float(np.linalg.norm(high - low)), CURVES.taught_px, _unevenness_mm(rims),
         *((BREAKS.unknown_sigma_mm,) * 2 if job.break_mm is None else (BREAKS.taught_sigma_mm, 0.0)),
     )  # fmt: skip
+
+
+def _unevenness_mm(rims: list[_Rim]) -> float:
+    heights = np.sort([rim.level for rim in rims])
+    face = np.cumsum(np.diff(heights, prepend=heights[0]) > CURVES.same_face_mm)
+    usual = np.array([np.median(heights[face == number]) for number in range(face[-1] + 1)])
+    uneven_mm = float(np.sqrt(np.mean((heights - usual[face]) ** 2)))
+    return uneven_mm if uneven_mm > CURVES.level_mm else 0.0
 
 
 def _is_lower(rim: _Rim, rims: list[_Rim], break_mm: float) -> bool:

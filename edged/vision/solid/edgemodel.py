@@ -33,6 +33,7 @@ class EdgeModel:
     vertices (V, 3), triangles (T, 3) : the surface; empty where it is not known, and nothing hides.
     centre (3,), size_mm : of the part; poses are turned about the centre.
     taught_px : sigma of the place at which either camera had all of its edges at teaching.
+    height_mm : by which a pair had curves of one face higher and lower than that, rms; 0: they were even.
     sigma_break_mm : of the widths of all breaks together.  sigma_own_mm : of each curve's besides.
     merged_mm : breaks narrower than that, of which a picture shows no form, may be chamfers or roundings.
     upwards (E, 3) : from the lower to the upper edge of a break too narrow to be seen, by its width, where
@@ -53,6 +54,7 @@ class EdgeModel:
     centre: FloatArray
     size_mm: float
     taught_px: float = 0.0
+    height_mm: float = 0.0
     sigma_break_mm: float = 0.0
     sigma_own_mm: float = 0.0
     merged_mm: float = 0.0

@@ -134,8 +134,8 @@ class _Adjusted:
 
     before : the pose that the profiles were taken at.  scale (6,) : of its unknowns.
     design (M, 6 + K) : of them, and of what else is not known, in sigmas.  arcs : of what is not known of
-    single curves.  left, weights (M,) : of the profiles.  inverse (6 + K, 6 + K) : of the normal equations
-    without the arcs' unknowns.
+    single curves.  left, weights (M,) : of the profiles.  aside (M,) px : by the heights of single curves.
+    inverse (6 + K, 6 + K) : of the normal equations without the arcs' unknowns.
     """
 
     pose: FloatArray
@@ -145,6 +145,7 @@ class _Adjusted:
     design: FloatArray
     arcs: ArcShifts
     left: FloatArray
+    aside: FloatArray
     weights: FloatArray
     inverse: FloatArray
 
@@ -204,7 +205,9 @@ def adjusted_to(
 ) -> _Adjusted | None:  # fmt: skip
     """The motion of a pose that explains most profiles best."""
     scale = np.r_[np.full(3, 0.5 * model.size_mm), np.ones(3)]
-    design = np.hstack([profiles.seen.design / scale, profiles.unknown])
+    known = np.hstack([profiles.seen.design / scale, profiles.unknown])
+    heights, height_mm = _heights(model, profiles), model.height_mm
+    design = np.hstack([known, height_mm * heights])
     shift, base = profiles.shift_px, profiles.weight
     good = base > PROFILE.min_weight
     if good.sum() < PROFILE.fewest:
@@ -219,6 +222,10 @@ def adjusted_to(
     for number in range(PROFILE.rounds):
         if number > 1:
             arcs = arcs.learnt(weights, shift - design @ delta, design, inverse)
+            grown = _grown(delta, inverse, heights)
+            height_mm *= grown
+            delta[known.shape[1] :] /= grown
+            design = np.hstack([known, height_mm * heights])
         sigma = scatter_of(left, stretch, good) if number else np.full(len(left), first_sigma_px)
         own = sigma**2 if number else 0.0
         weights = np.where(good, tukey_weights(left / sigma, 1.0), 0.0) / (variance + own)
@@ -235,7 +242,33 @@ def adjusted_to(
         if still:
             break
     there = moved(model, pose, delta[:6] / scale)
-    return _Adjusted(there, pose, profiles, scale, design, arcs, left, weights, inverse)
+    aside = design[:, known.shape[1] :] @ delta[known.shape[1] :]
+    return _Adjusted(there, pose, profiles, scale, design, arcs, left, aside, weights, inverse)
+
+
+def _heights(model: EdgeModel, profiles: Profiles) -> FloatArray:
+    """(M, C) px / mm by the height of each curve, where a pair has taught uneven ones; else (M, 0).
+
+    Light shows either camera another end of a wall's shade: a hole seems deeper or higher by half a
+    millimetre then, another one by less, at teaching as well as now.
+    """
+    if not model.height_mm:
+        return np.zeros((len(profiles.camera), 0))
+    good = np.where(profiles.weight > PROFILE.min_weight, profiles.seen.design[:, 5], 0.0)
+    by_curve = _by_curve(profiles, good)
+    return by_curve[by_curve.any(axis=1)].T
+
+
+def _grown(delta: FloatArray, inverse: FloatArray, heights: FloatArray) -> float:
+    """By which factor the sigma of the curves' heights is larger than it was taken to be, by EM as the arcs'.
+
+    delta, inverse : of all unknowns, those of the heights (M, C) last, in sigmas.
+    """
+    count = heights.shape[1]
+    if not count:
+        return 1.0
+    variance = PROFILE.correlated * np.diag(inverse)[-count:]
+    return math.sqrt(float(np.mean(delta[-count:] ** 2 + variance)))
 
 
 def _normal(design: FloatArray, freed: FloatArray, weights: FloatArray) -> FloatArray:
@@ -261,10 +294,12 @@ def _with_covariance(model: EdgeModel, images: StereoImages, fit: _Adjusted) -> 
         by_light, by_light
     )
     if model.taught_px:  # what single curves are off by, light may draw all of them by, as at teaching
-        drawn_px = math.hypot(model.taught_px, disagreement_px(profiles, left))
+        drawn_px = math.hypot(model.taught_px, disagreement_px(profiles, left + fit.aside))
         for camera, axis in itertools.product((0, 1), (0, 1)):
             by_camera = response @ np.where(profiles.camera == camera, profiles.seen.normals[:, axis], 0.0)
             edges += drawn_px**2 * np.outer(by_camera, by_camera)
+        # what moved curves of one face apart at teaching moved all of them as far
+        edges[5, 5] += model.height_mm**2
     # how much more the edges scatter than their weights say, as the jackknife has seen it
     excess = max(float(np.trace(edges @ np.linalg.inv(inverse[:, :6]))) / 6, 1.0)
     by_breaks = model.sigma_break_mm * profiles.by_width[None]

@@ -12,9 +12,10 @@ from helpers.edgemodels import model, seen
 from helpers.tilted import lying
 
 from edged.domain.arrays import I64, FloatArray
-from edged.vision.geometry.rigid import apply, turn_between
+from edged.vision.geometry.rigid import apply, invert, turn_between
 from edged.vision.solid.arcs import across_breaks, arc_shifts, deeper, if_rounded
-from edged.vision.solid.edgemodel import are_unbroken, sampled
+from edged.vision.solid.edgemodel import are_unbroken, chains_of, sampled
+from edged.vision.solid.params import PROFILE
 from edged.vision.solid.profiles import Profiles, adjusted_to
 from edged.vision.solid.visible import VisibleSamples
 
@@ -109,3 +110,21 @@ def test_nothing_is_left_of_what_the_unknowns_explain() -> None:
     both = np.column_stack([along, along + 1.0])
     assert arcs.free(weights, along) == pytest.approx(0.0, abs=1e-5)
     assert arcs.free(weights, both)[:, 1] == pytest.approx(arcs.free(weights, np.ones(len(along))), abs=1e-5)
+
+
+def test_heights_that_a_pair_had_wrong_cost_the_pose_no_more_than_its_sigma_says() -> None:
+    """Each curve deeper or higher than the model has it, by 0.2 mm (rms), as a pair has taught it."""
+    profiles, rng = shown(), np.random.default_rng(5)
+    curve = chains_of(profiles.seen.curve)
+    chi2: dict[float, list[float]] = {0.0: [], 0.2: []}
+    for _ in range(10):
+        deeper_mm = rng.normal(0.0, 0.2, int(curve.max()) + 1)
+        uneven = replace(profiles, shift_px=profiles.seen.design[:, 5] * deeper_mm[curve])
+        for height_mm, found in chi2.items():
+            model = replace(BROKEN, height_mm=height_mm)
+            fit = adjusted_to(model, WHERE, uneven, 1.0, None, alike=True)
+            assert fit is not None
+            off_mm = (invert(WHERE) @ fit.pose @ np.r_[BROKEN.centre, 1.0])[:3] - BROKEN.centre
+            known = PROFILE.correlated * fit.inverse[3:6, 3:6]
+            found.append(float(off_mm @ np.linalg.solve(known, off_mm)) / 3)
+    assert np.mean(chi2[0.0]) > 4 > 2 > np.mean(chi2[0.2]), chi2
