@@ -5,7 +5,9 @@ from __future__ import annotations
 import functools
 import json
 import math
+import pickle
 import re
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -37,7 +39,9 @@ from edged.vision.geometry.rectification import StereoImages
 from edged.vision.geometry.rigid import apply, invert
 from edged.vision.geometry.uncertainty import levered_covariance
 from edged.vision.part.job import Job, ModelPoint
-from edged.vision.teaching import cadpair
+from edged.vision.solid.breaks import LaidBody
+from edged.vision.solid.edgemodel import EdgeModel
+from edged.vision.teaching import cadpair, cadsettling
 from edged.vision.teaching.cadjob import teach_model
 from edged.vision.teaching.cadmodel import CadModel, welded
 from edged.vision.teaching.cadsettling import Settled, settle
@@ -48,6 +52,22 @@ from edged.vision.teaching.reteaching import carry_over
 
 QUIET = Console(quiet=True)
 NO_DRAWING = DrawingSource(None, None, None, (), None)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def laid_once() -> Iterator[None]:
+    """One body laid on one pair from one pose is laid once, whatever asks for it: it takes twelve seconds."""
+    lay, laid = cadsettling.lay_with_breaks, dict[bytes, LaidBody | None]()
+
+    def once(images: StereoImages, model: EdgeModel, where: FloatArray) -> LaidBody | None:
+        key = pickle.dumps((repr(images.rig), images.raw, model, where))
+        if key not in laid:
+            laid[key] = lay(images, model, where)
+        return laid[key]
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(cadsettling, "lay_with_breaks", once)
+        yield
 
 
 def see(where: FloatArray, holes: tuple[Hole, ...] = HOLES, seed: int = 1) -> tuple[Image, Image]:
