@@ -38,7 +38,7 @@ needs_camera = needs_aravis()
 class Cell:
     """A folder with rig, job and configuration, and the daemon on it."""
 
-    def __init__(self, folder: Path, source: str, *, mode: str = "free", period_s: float = 0.2) -> None:
+    def __init__(self, folder: Path, source: str, *, mode: str = "free", period_s: float = 1.0) -> None:
         self.folder = folder
         self.modbus_port, self.zenoh_port = free_port(), free_port()
         options = DemoOptions(period_s=period_s, modbus_port=self.modbus_port, zenoh_port=self.zenoh_port)
@@ -193,7 +193,7 @@ def test_sighup_with_a_bad_configuration_changes_nothing_and_says_why(in_process
     )
 
     fingerprint = in_process_cell.read("constants")["CONFIG_CRC"]
-    in_process_cell.config.write_text(good.replace("period_s = 0.2", "period_s = 0.3"))
+    in_process_cell.config.write_text(good.replace("period_s = 1.0", "period_s = 0.9"))
     in_process_cell.process.send_signal(signal.SIGHUP)
     wait_until(lambda: in_process_cell.read("constants")["CONFIG_CRC"] not in (0, fingerprint))
 
