@@ -111,6 +111,13 @@ class Solved(NamedTuple):
     bias: F2
 
 
+@kernel("f8(f8[:, ::1], i8, f8, f8)")
+def _by_rows(normals: F64, n: int, along_x: float, along_y: float) -> float:
+    """Motion along a sample's normal by a shift across the row, which runs along (x, y)."""
+    across = normals[n, 1] * along_x - normals[n, 0] * along_y
+    return float(0.5 * ROW_SIGMA_PX * across / np.sqrt(along_x**2 + along_y**2))
+
+
 @kernel(
     "Shapes(CurvesAt, LaidCurves, ProjectedOutline, ProjectedOutline)",
     tuples=(*TUPLES, ProjectedOutline, Shapes),
@@ -123,6 +130,7 @@ def shapes_of(at: CurvesAt, laid: LaidCurves, left: ProjectedOutline, right: Pro
     camera's: which one has moved is unknown.
     """
     outline, pose, face = laid.outline, at.right.pose, at.face
+    camera, other = at.left, at.right  # not in the loop: every hold of an array is counted
     count = len(outline.points)
     shifts, rows = np.empty((2, count, SHIFTS)), np.empty((2, count))
     gain, slant = np.empty((2, count)), np.empty((2, count))
@@ -130,7 +138,7 @@ def shapes_of(at: CurvesAt, laid: LaidCurves, left: ProjectedOutline, right: Pro
     fill_slants(outline.points, outline.normals, face, at.left.pose, slant[0])
     fill_slants(outline.points, outline.normals, face, pose, slant[1])
     fill_shifts(left.normals, gain, slant, shifts)
-    space, away, beyond, eye = np.empty(3), np.empty(3), np.empty((2, 2)), np.zeros(3)
+    space, away, eye = np.empty(3), np.empty(3), np.zeros(3)
     for i in range(3):
         for j in range(3):
             eye[i] -= pose[j, i] * pose[j, 3]
@@ -148,14 +156,11 @@ def shapes_of(at: CurvesAt, laid: LaidCurves, left: ProjectedOutline, right: Pro
             space[1] + RAY_STEP * (space[1] - eye[1]),
             space[2] + RAY_STEP * (space[2] - eye[2]),
         )
-        beyond[0, 0], beyond[0, 1] = pixel_of(at.left, x, y, z)
-        beyond[1, 0], beyond[1, 1] = pixel_of(at.right, away[0], away[1], away[2])
         # both rays run away from each other: what is down in one image is up in the other
-        for side in range(2):
-            seen = left if side == 0 else right
-            along_x, along_y = beyond[side, 0] - seen.pixels[n, 0], beyond[side, 1] - seen.pixels[n, 1]
-            across = seen.normals[n, 1] * along_x - seen.normals[n, 0] * along_y
-            rows[side, n] = 0.5 * ROW_SIGMA_PX * across / np.sqrt(along_x**2 + along_y**2)
+        beyond_x, beyond_y = pixel_of(camera, x, y, z)
+        rows[0, n] = _by_rows(left.normals, n, beyond_x - left.pixels[n, 0], beyond_y - left.pixels[n, 1])
+        beyond_x, beyond_y = pixel_of(other, away[0], away[1], away[2])
+        rows[1, n] = _by_rows(right.normals, n, beyond_x - right.pixels[n, 0], beyond_y - right.pixels[n, 1])
     return Shapes(shifts, slant, rows)
 
 
@@ -343,9 +348,10 @@ def _motion(at: CurvesAt, left: ProjectedOutline, right: ProjectedOutline, start
     count = len(starts) - 1
     columns, moved = columns_of(at, np.ones(count, np.bool_)), np.zeros(count)
     for k in range(count):
-        for n in range(starts[k], starts[k + 1]):
-            for side in range(2):
-                design, way = left.design if side == 0 else right.design, 0.0
+        for side in range(2):
+            design = left.design if side == 0 else right.design
+            for n in range(starts[k], starts[k + 1]):
+                way = 0.0
                 for i in range(columns.shape[1]):
                     way += design[n, i] * (delta[columns[k, i]] if columns[k, i] >= 0 else 0.0)
                 if not abs(way) <= moved[k]:  # True for NaN, which stays
@@ -368,13 +374,14 @@ def solve_step(at: CurvesAt, laid: LaidCurves, left: CameraEdges, right: CameraE
     points, bias = np.empty((2, total, 2)), np.empty((2, count))
     for side in range(2):
         edges = left if side == 0 else right
+        pixels, normals = edges.seen.pixels, edges.seen.normals
         offset[side], base[side], gain[side] = edges.offset, edges.base, edges.seen.gain
         clipped[side], bias[side] = edges.clipped, edges.bias
         for k in range(count):
             soft[side, starts[k] : starts[k + 1]] = edges.blur2[k] >= SOFT_PX2
         for n in range(total):
             for i in range(2):
-                points[side, n, i] = edges.seen.pixels[n, i] + edges.seen.normals[n, i] * offset[side, n]
+                points[side, n, i] = pixels[n, i] + normals[n, i] * offset[side, n]
     for k in range(count):
         a, b, found = starts[k], starts[k + 1], np.zeros(2, np.int64)
         for side in range(2):

@@ -77,7 +77,9 @@ def fill_shifts(normals: F64, gain: F64, slant: F64, shifts: F64) -> None:
             for wall in range(2):
                 tangent = slant[side, n] if wall == 0 else -slant[side, n]
                 seen = max(tangent / WALL_SLANT, 0.0)
-                found[2 * many + wall] = WALL_SIGMA * seen * np.exp(1.0 - seen) * scale
+                found[2 * many + wall] = 0.0
+                if seen != 0.0:  # also NaN; the exponential is what costs
+                    found[2 * many + wall] = WALL_SIGMA * seen * np.exp(1.0 - seen) * scale
 
 
 @kernel("f8[::1](f8[::1], i8[::1])")
