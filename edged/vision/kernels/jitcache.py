@@ -8,9 +8,11 @@ compile. Here both wait until something is compiled. What is stored, and what ru
 
 from __future__ import annotations
 
+import functools
+import hashlib
 import itertools
 import logging
-from types import FunctionType
+from types import CodeType, FunctionType
 from typing import Any
 
 import llvmlite.binding as llvm
@@ -49,8 +51,8 @@ class QuickCache(FunctionCache):  # type: ignore[misc]  # numba ships no types
         return stored
 
     def _index_key(self, sig: Any, codegen: Any) -> tuple[Any, ...]:
-        """numba's key, and the numbers frozen into the code, which may come from another file."""
-        return (*super()._index_key(sig, codegen), frozen_numbers(self._py_func))
+        """numba's key, and what is frozen into the code, which may come from another file."""
+        return (*super()._index_key(sig, codegen), frozen_into(self._py_func))
 
 
 class StoredIndex(IndexDataCacheFile):  # type: ignore[misc]  # as above
@@ -63,12 +65,16 @@ class StoredIndex(IndexDataCacheFile):  # type: ignore[misc]  # as above
             return {}
 
 
-def frozen_numbers(function: FunctionType) -> str:
-    """Global numbers that a kernel reads, and those of the kernels that it calls."""
+def frozen_into(function: FunctionType) -> str:
+    """Global numbers that a kernel reads, the kernels that it calls, and what is frozen into those.
+
+    numba asks for a kernel's own file only: called ones from another file would stay as they were.
+    """
     found: dict[tuple[str, str], str] = {}
     functions, seen = [function], {function}
     while functions:
         reader = functions.pop()
+        found[reader.__module__, f"{reader.__qualname__}()"] = _digest(reader.__code__)
         for name in sorted({*reader.__code__.co_names} & {*reader.__globals__}):
             value = reader.__globals__[name]
             if isinstance(value, int | float | tuple):
@@ -79,6 +85,14 @@ def frozen_numbers(function: FunctionType) -> str:
                 seen.add(value.py_func)
                 functions.append(value.py_func)
     return repr(sorted(found.items()))
+
+
+@functools.cache
+def _digest(code: CodeType) -> str:
+    """Tells one function's code from another's, wherever its lines stand."""
+    constants = [_digest(one) if isinstance(one, CodeType) else repr(one) for one in code.co_consts]
+    told = repr((code.co_code, code.co_names, code.co_varnames, code.co_freevars, constants))
+    return hashlib.sha256(told.encode()).hexdigest()
 
 
 class StoredLibrary(JITCodeLibrary):  # type: ignore[misc]  # as above

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import json
+import os
 import pickle
 import subprocess
 import sys
@@ -19,7 +20,7 @@ import pytest
 
 from edged.vision.kernels import jit, jitcache
 from edged.vision.kernels.jit import kernel, load_all, load_called
-from edged.vision.kernels.jitcache import StoredIndex, frozen_numbers
+from edged.vision.kernels.jitcache import StoredIndex, frozen_into
 
 STORED = """
 import numpy as np
@@ -35,6 +36,7 @@ def scaled(values, factor):
 """
 RUN = """
 import json
+import os
 import llvmlite.binding as llvm
 import numba
 import numpy as np
@@ -167,11 +169,29 @@ def _and_one(value: float) -> float:
 
 def test_a_stored_kernel_is_known_by_the_numbers_frozen_into_it(monkeypatch: pytest.MonkeyPatch) -> None:
     """Also by those of kernels that it calls: one changed in another file compiles it anew."""
-    before = frozen_numbers(cast(Any, _and_one).py_func)
+    before = frozen_into(cast(Any, _and_one).py_func)
     monkeypatch.setitem(globals(), "FACTOR", 3.0)
 
     assert "'FACTOR'), '2.0'" in before
-    assert before != frozen_numbers(cast(Any, _and_one).py_func)
+    assert before != frozen_into(cast(Any, _and_one).py_func)
+
+
+def test_a_stored_kernel_is_known_by_the_code_of_those_it_calls(tmp_path: Path) -> None:
+    """An update that changes a file in place compiles what calls its kernels from others anew, too."""
+    kernel_of = (
+        "from edged.vision.kernels.jit import kernel\n{}\n@kernel('f8(f8)')\ndef {}(x):\n    return {}\n"
+    )
+    (tmp_path / "caller.py").write_text(
+        kernel_of.format("from called import called", "caller", "called(x) + 1.0")
+    )
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "cache"), "PYTHONPATH": str(tmp_path)}
+    said = []
+    for what in ("2.0 * x", "x * 2.0 * x"):
+        (tmp_path / "called.py").write_text(kernel_of.format("", "called", what))
+        call = [sys.executable, "-c", "from caller import caller; print(caller(5.0))"]
+        ran = subprocess.run(call, env=environment, capture_output=True, text=True, check=True)
+        said.append(ran.stdout.strip())
+    assert said == ["11.0", "51.0"]
 
 
 def test_what_was_stored_for_a_renamed_class_is_compiled_anew(tmp_path: Path) -> None:
