@@ -90,9 +90,9 @@ def frozen_into(function: FunctionType) -> str:
 @functools.cache
 def _digest(code: CodeType) -> str:
     """Tells one function's code from another's, wherever its lines stand."""
-    constants = [_digest(one) if isinstance(one, CodeType) else repr(one) for one in code.co_consts]
-    told = repr((code.co_code, code.co_names, code.co_varnames, code.co_freevars, constants))
-    return hashlib.sha256(told.encode()).hexdigest()
+    constants = [_digest(value) if isinstance(value, CodeType) else repr(value) for value in code.co_consts]
+    identity = repr((code.co_code, code.co_names, code.co_varnames, code.co_freevars, constants))
+    return hashlib.sha256(identity.encode()).hexdigest()
 
 
 class StoredLibrary(JITCodeLibrary):  # type: ignore[misc]  # as above
