@@ -17,6 +17,7 @@ import numpy as np
 from edged.domain.arrays import FloatArray
 from edged.vision.geometry.rectification import StereoImages
 from edged.vision.geometry.rigid import apply, transform, turn_between
+from edged.vision.solid.bestfit import ProfileFit, best_fit
 from edged.vision.solid.edgemodel import EdgeModel
 from edged.vision.solid.evidence import PoseEvidence, evidence_of, margin_over
 from edged.vision.solid.forms import (
@@ -29,7 +30,6 @@ from edged.vision.solid.forms import (
 from edged.vision.solid.leavings import Leavings
 from edged.vision.solid.lock import Pyramids, lay, scale_at
 from edged.vision.solid.params import BREAKS, DECISION, LEAVINGS, PROFILE
-from edged.vision.solid.profiles import ProfileFit, best_fit
 
 
 @dataclass(frozen=True, slots=True, eq=False)

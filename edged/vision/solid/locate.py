@@ -23,6 +23,7 @@ from edged.vision.part.frames import circles_in_rig, measure_sizes, with_feature
 from edged.vision.part.job import Job
 from edged.vision.part.measure import published, with_free_axis, with_sizes_apart
 from edged.vision.part.solid import fitted
+from edged.vision.solid.bestfit import ProfileFit, best_fit
 from edged.vision.solid.curvemodel import curve_model
 from edged.vision.solid.edgemodel import EdgeModel, model_of
 from edged.vision.solid.evidence import PoseEvidence, apart, evidence_of, margin_over, sigmas_of
@@ -30,7 +31,6 @@ from edged.vision.solid.forms import LaidPair, contradiction, likeliest_form
 from edged.vision.solid.lock import FINE_STEPS, LaidPose, Pyramids, lay
 from edged.vision.solid.modes import PartPlace, SearchedPart, find_places, pyramids_of
 from edged.vision.solid.params import BREAKS, DECISION
-from edged.vision.solid.profiles import ProfileFit, best_fit
 from edged.vision.solid.symmetry import is_round, like_turns
 from edged.vision.solid.visible import moved
 

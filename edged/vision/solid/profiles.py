@@ -1,4 +1,4 @@
-"""The pose by whole grey-value profiles across all edges, and what its blocks of curves say of its error.
+"""The pose by whole grey-value profiles across all edges.
 
 A profile is a constant and blurred steps of free height, at the sample's own edge and at its neighbours where
 the model has them: one shift for all. Two edges that the lens merges are then two steps, not one edge
@@ -7,7 +7,6 @@ somewhere between.
 
 from __future__ import annotations
 
-import itertools
 import math
 from dataclasses import dataclass
 
@@ -15,13 +14,11 @@ import numpy as np
 
 from edged.domain.arrays import B8, I64, FloatArray
 from edged.vision.edges.subpixel import edge_profiles
-from edged.vision.geometry.projection import shifts_by_calibration
 from edged.vision.geometry.rectification import StereoImages
-from edged.vision.geometry.rigid import apply
 from edged.vision.kernels.jit import for_both, kernel
 from edged.vision.kernels.median import median
 from edged.vision.kernels.robust import SIGMA_PER_MEDIAN, tukey_weights
-from edged.vision.solid.arcs import ArcShifts, across_breaks, arc_shifts, deeper, if_rounded
+from edged.vision.solid.arcs import ArcShifts, across_breaks, arc_shifts, if_rounded
 from edged.vision.solid.edgemodel import EdgeModel, EdgePoints, are_unbroken, chains_of
 from edged.vision.solid.lock import Pyramids, scale_at
 from edged.vision.solid.params import PROFILE, VISIBILITY
@@ -67,28 +64,6 @@ class Profiles:
         return np.stack([upper, self.rounded_px], axis=1)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class ProfileFit:
-    """A pose rig_from_part (4, 4) by profiles.
-
-    edges (6, 6) : covariance of the twist (turn about the part's axes and centre, shift along them) by the
-    edges, jackknifed, by light that draws all of them alike, and by the widths of the edge breaks.
-    calibration (6, 6).
-    rms_px : of the residuals, weighted.
-    row_shift_px, row_sigma_px : by which the right picture shows the part across its rows.
-    growth, growth_sigma : by which share the part seems larger.
-    """
-
-    pose: FloatArray
-    edges: FloatArray
-    calibration: FloatArray
-    rms_px: float
-    row_shift_px: float
-    row_sigma_px: float
-    growth: float
-    growth_sigma: float
-
-
 def profiles_of(
     model: EdgeModel, pyramids: Pyramids, images: StereoImages, pose: FloatArray, blur_px: float
 ) -> Profiles:
@@ -129,7 +104,7 @@ def seen_with_neighbours(
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Adjusted:
+class AdjustedPose:
     """A pose by profiles, and what its covariance is made of.
 
     before : the pose that the profiles were taken at.  scale (6,) : of its unknowns.
@@ -164,32 +139,19 @@ def pose_by_profiles(
     held (3,) : axis of the part about which nothing tells its turn.  alike : all curves are worth the same,
     as long as their breaks are not known.
     """
-    fit = _adjusted(model, pyramids, images, pose, blur_px, held, alike)
+    fit = adjusted(model, pyramids, images, pose, blur_px, held, alike)
     return None if fit is None else fit.pose
 
 
-def best_fit(
-    model: EdgeModel,
-    pyramids: Pyramids,
-    images: StereoImages,
-    pose: FloatArray,
-    held: FloatArray | None = None,
-) -> ProfileFit | None:
-    """The fit of profiles with the blur that leaves least; None where they say too little."""
-    best: _Adjusted | None = None
-    for blur in PROFILE.blurs_px:
-        fit = _adjusted(model, pyramids, images, pose, blur, held, alike=False)
-        if fit is None or (best is not None and fit.rms_px > best.rms_px):
-            break
-        best = fit
-    return None if best is None else _with_covariance(model, images, best)
-
-
-def _adjusted(
+def adjusted(
     model: EdgeModel, pyramids: Pyramids, images: StereoImages, pose: FloatArray, blur_px: float,
     held: FloatArray | None, alike: bool,
-) -> _Adjusted | None:  # fmt: skip
-    fit: _Adjusted | None = None
+) -> AdjustedPose | None:  # fmt: skip
+    """The motion from a pose that is good to a pixel, with profiles taken anew where it leads; None as above.
+
+    blur_px, held, alike : as for `pose_by_profiles`.
+    """
+    fit: AdjustedPose | None = None
     for first_sigma_px in PROFILE.first_sigmas_px:
         profiles = profiles_of(model, pyramids, images, pose, blur_px)
         fit = adjusted_to(model, pose, profiles, first_sigma_px, held, alike)
@@ -202,7 +164,7 @@ def _adjusted(
 def adjusted_to(
     model: EdgeModel, pose: FloatArray, profiles: Profiles, first_sigma_px: float,
     held: FloatArray | None, alike: bool,
-) -> _Adjusted | None:  # fmt: skip
+) -> AdjustedPose | None:  # fmt: skip
     """The motion of a pose that explains most profiles best."""
     scale = np.r_[np.full(3, 0.5 * model.size_mm), np.ones(3)]
     known = np.hstack([profiles.seen.design / scale, profiles.unknown])
@@ -243,7 +205,7 @@ def adjusted_to(
             break
     there = moved(model, pose, delta[:6] / scale)
     aside = design[:, known.shape[1] :] @ delta[known.shape[1] :]
-    return _Adjusted(there, pose, profiles, scale, design, arcs, left, aside, weights, inverse)
+    return AdjustedPose(there, pose, profiles, scale, design, arcs, left, aside, weights, inverse)
 
 
 def _heights(model: EdgeModel, profiles: Profiles) -> FloatArray:
@@ -255,8 +217,8 @@ def _heights(model: EdgeModel, profiles: Profiles) -> FloatArray:
     if not model.height_mm:
         return np.zeros((len(profiles.camera), 0))
     good = np.where(profiles.weight > PROFILE.min_weight, profiles.seen.design[:, 5], 0.0)
-    by_curve = _by_curve(profiles, good)
-    return by_curve[by_curve.any(axis=1)].T
+    each = by_curve(profiles, good)
+    return each[each.any(axis=1)].T
 
 
 def _grown(delta: FloatArray, inverse: FloatArray, heights: FloatArray) -> float:
@@ -282,44 +244,7 @@ def _normal(design: FloatArray, freed: FloatArray, weights: FloatArray) -> Float
     return np.asarray(normal)
 
 
-def _with_covariance(model: EdgeModel, images: StereoImages, fit: _Adjusted) -> ProfileFit:
-    """A fit with what its blocks of curves, light, the part's breaks and the rig say of its error."""
-    profiles = fit.profiles
-    design, left, weights = fit.design, fit.left, fit.weights
-    inverse, freed = fit.inverse[:6], fit.arcs.free(weights, design)
-    response = inverse @ (weights[:, None] * freed).T  # (6, M): of the twist to each shift
-    by_light = PROFILE.light_px * (response @ np.sign(profiles.height))
-    block = _blocks(2 * profiles.seen.curve + profiles.camera, fit.arcs)
-    edges = _jackknife(design, freed, weights, left, fit.inverse, block)[:6, :6] + np.outer(
-        by_light, by_light
-    )
-    if model.taught_px:  # what single curves are off by, light may draw all of them by, as at teaching
-        drawn_px = math.hypot(model.taught_px, disagreement_px(profiles, left + fit.aside))
-        for camera, axis in itertools.product((0, 1), (0, 1)):
-            by_camera = response @ np.where(profiles.camera == camera, profiles.seen.normals[:, axis], 0.0)
-            edges += drawn_px**2 * np.outer(by_camera, by_camera)
-        # what moved curves of one face apart at teaching moved all of them as far
-        edges[5, 5] += model.height_mm**2
-    # how much more the edges scatter than their weights say, as the jackknife has seen it
-    excess = max(float(np.trace(edges @ np.linalg.inv(inverse[:, :6]))) / 6, 1.0)
-    by_breaks = model.sigma_break_mm * profiles.by_width[None]
-    if model.sigma_own_mm:
-        by_breaks = np.vstack([by_breaks, model.sigma_own_mm * _by_curve(profiles, profiles.by_width)])
-    by_breaks = np.vstack([by_breaks, fit.arcs.sigma * deeper(model, profiles.seen)])
-    # widths that were settled, and what the edges leave open of the rest
-    moves = np.hstack([response @ by_breaks.T, PROFILE.correlated * inverse[:, 6:]])
-    edges += moves @ moves.T
-    units = np.outer(fit.scale, fit.scale)
-    calibration = _by_calibration(images, fit.before, profiles, response)
-    # a width that a pair has shown explains no growth; roundings of other radii do, where edges wander
-    unknown = by_breaks if model.sigma_own_mm or model.merged_mm else by_breaks[:0]
-    rounded = fit.arcs.sigma / PROFILE.on_arc * _by_curve(profiles, profiles.rounded_px)
-    unknown = np.vstack([unknown, rounded])
-    extra = _extra(_added(model, images, profiles), fit, freed, excess, unknown)
-    return ProfileFit(fit.pose, edges / units, calibration / units, fit.rms_px, *extra)
-
-
-def _by_curve(profiles: Profiles, values: FloatArray) -> FloatArray:
+def by_curve(profiles: Profiles, values: FloatArray) -> FloatArray:
     """(C, M) of values (M,) those of each curve, 0 of the others."""
     curve = chains_of(profiles.seen.curve)
     found = np.zeros((int(curve.max()) + 1, len(curve)))
@@ -363,126 +288,3 @@ def scatter_of(left: FloatArray, stretch: I64, good: B8) -> FloatArray:
             np.sqrt((PRIOR_BLOCKS * common + blocks * square) / (PRIOR_BLOCKS + blocks)), MIN_SIGMA_PX
         )
     return sigma[stretch]
-
-
-def disagreement_px(profiles: Profiles, left: FloatArray) -> float:
-    """By how much the cameras see single curves elsewhere than the pose has it, along either axis, rms.
-
-    Where their views differ, light shows the upper end of a break to one of them and the lower one to the
-    other: a curve is then off in parallax as a whole. 0 where no curve is seen by both.
-
-    left (M,) : residuals of the fit.
-    """
-    chain, good = chains_of(profiles.seen.curve), profiles.weight > PROFILE.min_weight
-    squares, expected = (
-        np.zeros(2),
-        np.zeros(2),
-    )  # of differences, and what they are where a shift has sigma 1
-    for number in np.unique(chain[good]):
-        apart, shares = np.zeros(2), np.zeros(2)
-        for camera, sign in ((0, 1.0), (1, -1.0)):
-            own = good & (chain == number) & (profiles.camera == camera)
-            normals = profiles.seen.normals[own]
-            information = normals.T @ normals / PROFILE.correlated
-            known = np.linalg.inv(np.eye(2) + information)  # a straight edge tells of its shift across only
-            apart += sign * (known @ (normals.T @ left[own])) / PROFILE.correlated
-            shares += np.square(known @ information).sum(axis=1)
-        squares += apart**2
-        expected += shares
-    return math.sqrt(float((squares / np.maximum(expected, 1.0)).max()))
-
-
-def _blocks(curve: I64, arcs: ArcShifts) -> I64:
-    """(M,) numbers of the blocks of a jackknife: each curve in each camera, long ones cut.
-
-    What shares an unknown of an arc is one block.
-    """
-    longest = max(PROFILE.block, len(curve) // PROFILE.most_blocks)
-    _, number, count = np.unique(curve, return_inverse=True, return_counts=True)
-    place = np.empty(len(curve), np.int64)
-    place[np.argsort(number, kind="stable")] = np.concatenate([np.arange(n) for n in count])
-    own = np.where(arcs.across_px != 0, -1 - arcs.group, number * 10_000 + place // longest)
-    _, result = np.unique(own, return_inverse=True)
-    return np.asarray(result, np.int64)
-
-
-def _jackknife(
-    design: FloatArray,
-    freed: FloatArray,
-    weights: FloatArray,
-    left: FloatArray,
-    inverse: FloatArray,
-    block: I64,
-) -> FloatArray:
-    """Covariance of the unknowns, each block left out once.
-
-    Source: C. F. J. Wu, "Jackknife, bootstrap and other resampling methods", Annals of Statistics, 1986.
-
-    freed (M, 6 + K) : what the arcs leave of the design.  left (M,) : residuals of the fit.
-    """
-    count, size = int(block.max()) + 1, design.shape[1]
-    normals, rights = np.zeros((count, size, size)), np.zeros((count, size))
-    weighted = weights[:, None] * design
-    np.add.at(rights, block, weighted * left[:, None])
-    np.add.at(normals, block, weighted[:, :, None] * freed[:, None, :])
-    whole = np.linalg.inv(inverse)
-    moves = []
-    for normal, right in zip(normals, rights, strict=True):
-        rest = whole - normal
-        if np.linalg.cond(rest) < PROFILE.max_condition:
-            moves.append(-np.linalg.solve(rest, right))
-    spread = np.array(moves)
-    return np.asarray((len(spread) - 1) / len(spread) * (spread.T @ spread))
-
-
-def _by_calibration(
-    images: StereoImages, pose: FloatArray, profiles: Profiles, response: FloatArray
-) -> FloatArray:
-    """(6, 6) of the twist by the rig's covariance."""
-    covariance = images.rig.covariance
-    if covariance is None:
-        return np.zeros((6, 6))
-    points, normals = apply(pose, profiles.points), profiles.seen.normals
-    shifts = shifts_by_calibration(images.rig, points, normals, normals)
-    by_parameter = response @ shifts[profiles.camera, np.arange(len(points))]
-    return np.asarray(by_parameter @ covariance @ by_parameter.T)
-
-
-def _added(model: EdgeModel, images: StereoImages, profiles: Profiles) -> tuple[FloatArray, FloatArray]:
-    """(M,) motion along the normals by a shift of the right picture across its rows, and by growth."""
-    rows, right = np.zeros(len(profiles.camera)), profiles.camera == 1
-    rows[right] = profiles.seen.normals[right] @ _across_rows(images)
-    return rows, np.einsum("mj,mj->m", profiles.seen.design[:, 3:], profiles.points - model.centre)
-
-
-def _extra(
-    added: tuple[FloatArray, FloatArray], fit: _Adjusted, freed: FloatArray, excess: float, drawn: FloatArray
-) -> tuple[float, float, float, float]:
-    """Row shift and growth with their sigmas: each as one more unknown beside the pose.
-
-    freed (M, 6 + K) : what the arcs leave of the design.  excess : how much more the edges scatter than their
-    weights say.  drawn (K, M) : px, by which what is not known of the part moves its edges, one sigma each.
-    """
-    found, weights = [], fit.weights
-    for column in added:
-        rest = column - fit.design @ (fit.inverse @ (freed.T @ (weights * column)))
-        open_rest = fit.arcs.free(weights, rest)
-        power = float(open_rest @ (weights * column))
-        if not power > 0:
-            found += [math.nan, math.inf]
-            continue
-        by_part = drawn @ (weights * open_rest) / power
-        found += [
-            float(rest @ (weights * fit.left)) / power,
-            math.sqrt(excess / power + float(by_part @ by_part)),
-        ]
-    return found[0], found[1], found[2], found[3]
-
-
-def _across_rows(images: StereoImages) -> FloatArray:
-    """(2,) unit: in the right raw picture, across the rows, at its middle."""
-    camera, rectification = images.rig.right, images.rectification
-    middle = rectification.rectify_points("right", np.array([[0.5 * camera.width, 0.5 * camera.height]]))
-    ends = rectification.raw_points("right", np.vstack([middle, np.add(middle, (0.0, 1.0))]))
-    along = ends[1] - ends[0]
-    return np.asarray(along / np.linalg.norm(along))

@@ -16,13 +16,13 @@ from edged.domain.arrays import FloatArray
 from edged.files.step import read_step
 from edged.vision.geometry.rectification import StereoImages
 from edged.vision.geometry.rigid import invert, transform
+from edged.vision.solid.bestfit import best_fit
 from edged.vision.solid.breaks import LaidBody, lay_with_breaks
 from edged.vision.solid.edgemodel import EdgeModel, model_of
 from edged.vision.solid.forms import LaidPair, contradiction, with_breaks
 from edged.vision.solid.leavings import Leavings
 from edged.vision.solid.lock import Pyramids
 from edged.vision.solid.params import BREAKS
-from edged.vision.solid.profiles import best_fit
 from edged.vision.teaching.cadbody import body_of
 from edged.vision.teaching.cadrevision import Displaced, explains_more
 

@@ -15,9 +15,10 @@ from edged.domain.arrays import FloatArray
 from edged.files.step import read_step
 from edged.vision.geometry.rigid import apply, turn_between
 from edged.vision.kernels.jit import for_kernel
+from edged.vision.solid.bestfit import disagreement_px
 from edged.vision.solid.edgemodel import chains_of, model_of, sampled, widths_of
 from edged.vision.solid.forms import with_breaks
-from edged.vision.solid.profiles import Profiles, adjusted_to, disagreement_px, scatter_of
+from edged.vision.solid.profiles import Profiles, adjusted_to, scatter_of
 from edged.vision.solid.shifts import find_shifts
 from edged.vision.solid.symmetry import like_turns
 from edged.vision.solid.visible import Cameras, VisibleSamples, find_neighbours, moved
