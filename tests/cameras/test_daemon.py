@@ -45,7 +45,8 @@ class Cell:
         cell = VirtualCell(demo_rig(), demo_part())
         self.config = prepare_cell(folder, cell, options, gige=False)
         text = self.config.read_text().replace('source = "virtual-inprocess"', source)
-        # a loaded test machine may need seconds for what takes a tenth: do not let results age meanwhile
+        # a loaded test machine may need seconds for what takes a tenth: a picture, or reading a result
+        text = text.replace("timeout_s = 2.0", "timeout_s = 10.0") if "inprocess" in source else text
         text = text.replace("[modbus]", "[modbus]\nvalidity_s = 30.0")
         self.config.write_text(text.replace('mode = "free"', f'mode = "{mode}"'))
         load(self.config)

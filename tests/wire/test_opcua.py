@@ -20,7 +20,7 @@ import pytest
 from asyncua import Client, ua
 from asyncua.crypto.security_policies import SecurityPolicyBasic256Sha256
 from helpers.opcuacell import JOBS, PASSWORD, OpcUaCell, make_certificate, secure_settings
-from helpers.ports import free_port
+from helpers.ports import answers, free_port
 from helpers.smallcell import DaemonProcess, SmallCell
 from helpers.snapshots import make_target
 from helpers.waiting import LIMIT_S, WHOLE_S
@@ -892,13 +892,14 @@ async def test_a_daemon_serves_it_and_goes_on_when_a_reload_exchanges_the_regist
 
     try:
         daemon.wait_ready()
+        await until(lambda: asyncio.to_thread(answers, port), LIMIT_S)
         async with Client(f"opc.tcp://127.0.0.1:{port}") as client:
-            await until(lambda: measures(client), 30)
+            await until(lambda: measures(client), LIMIT_S)
             before = await epoch(client)
             text = small.config.read_text().replace(f"port = {small.modbus_port}", f"port = {modbus}")
             small.config.write_text(text)
             daemon.process.send_signal(signal.SIGHUP)
-            await until(lambda: has_another(client, before), 30)
-            await until(lambda: measures(client), 30)
+            await until(lambda: has_another(client, before), LIMIT_S)
+            await until(lambda: measures(client), LIMIT_S)
     finally:
         daemon.stop()

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from helpers.browser import Browser, browser
 from helpers.needs import needs
-from helpers.ports import free_port
+from helpers.ports import answers, free_port
 from helpers.setuppage import (
     IN_FORCE,
     SMALL_TARGETS,
@@ -30,15 +30,6 @@ from edged.config.reading import load
 from edged.errors import ConfigError
 
 CHANGE = 'document.querySelector("#plc-settings ~ details")'
-
-
-def answers(port: int) -> bool:
-    """Whether something listens on a port of this machine."""
-    try:
-        socket.create_connection(("127.0.0.1", port), timeout=1).close()
-    except OSError:
-        return False
-    return True
 
 
 async def save(page: Browser) -> None:
