@@ -74,8 +74,6 @@ def _with_covariance(model: EdgeModel, images: StereoImages, fit: AdjustedPose) 
         for camera, axis in itertools.product((0, 1), (0, 1)):
             by_camera = response @ np.where(profiles.camera == camera, profiles.seen.normals[:, axis], 0.0)
             edges += drawn_px**2 * np.outer(by_camera, by_camera)
-        # what moved curves of one face apart at teaching moved all of them as far
-        edges[5, 5] += model.height_mm**2
     # how much more the edges scatter than their weights say, as the jackknife has seen it
     excess = max(float(np.trace(edges @ np.linalg.inv(inverse[:, :6]))) / 6, 1.0)
     by_breaks = model.sigma_break_mm * profiles.by_width[None]
@@ -85,6 +83,8 @@ def _with_covariance(model: EdgeModel, images: StereoImages, fit: AdjustedPose) 
     # widths that were settled, and what the edges leave open of the rest
     moves = np.hstack([response @ by_breaks.T, PROFILE.correlated * inverse[:, 6:]])
     edges += moves @ moves.T
+    # what moved curves of one face apart at teaching moved all of them as far
+    edges[5, 5] += model.height_mm**2
     units = np.outer(fit.scale, fit.scale)
     calibration = _by_calibration(images, fit.before, profiles, response)
     # a width that a pair has shown explains no growth; roundings of other radii do, where edges wander
