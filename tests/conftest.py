@@ -50,9 +50,7 @@ def template(tmp_path_factory):
 @pytest.fixture(scope="session", autouse=True)
 def taught_once():
     """Cells of the demo with the same pictures have the same job: to learn it takes up to three seconds."""
-    demo = sys.modules.get(
-        "edged.commands.demo"
-    )  # to import it takes two, where no test that was collected does
+    demo = sys.modules.get("edged.commands.demo")  # to import it here takes two seconds
     if demo is None:
         yield
         return

@@ -84,9 +84,8 @@ def propose_from_pair(
         settled = (*settled, *shown)
         if job.solid and not shown:
             settled = (_of_one_pair(job, rectification.rig),)
-        uneven = unevenness_mm(job)
-        if job.solid and uneven:
-            settled = (*settled, _of_uneven(uneven))
+        if job.solid and (uneven_mm := unevenness_mm(job)):
+            settled = (*settled, _of_uneven(uneven_mm))
     picture, mask = rectification.left_image(left), taught_mask(region, (), rectification)
     cuts = cut_edges(job, picture, mask, rectification)
     return _proposal(job, Taught(picture, None if region is None else mask, cuts, settled), wanted)

@@ -168,8 +168,8 @@ def adjusted_to(
     """The motion of a pose that explains most profiles best."""
     scale = np.r_[np.full(3, 0.5 * model.size_mm), np.ones(3)]
     known = np.hstack([profiles.seen.design / scale, profiles.unknown])
-    heights, height_mm = _heights(model, profiles), model.height_mm
-    design = np.hstack([known, height_mm * heights])
+    heights = model.height_mm * _heights(model, profiles)
+    design, by_height = np.hstack([known, heights]), slice(known.shape[1], None)
     shift, base = profiles.shift_px, profiles.weight
     good = base > PROFILE.min_weight
     if good.sum() < PROFILE.fewest:
@@ -184,10 +184,10 @@ def adjusted_to(
     for number in range(PROFILE.rounds):
         if number > 1:
             arcs = arcs.learnt(weights, shift - design @ delta, design, inverse)
-            grown = _grown(delta, inverse, heights)
-            height_mm *= grown
-            delta[known.shape[1] :] /= grown
-            design = np.hstack([known, height_mm * heights])
+            if heights.size:
+                grown = _grown(delta[by_height], inverse[by_height, by_height])
+                design[:, by_height] *= grown
+                delta[by_height] /= grown
         sigma = scatter_of(left, stretch, good) if number else np.full(len(left), first_sigma_px)
         own = sigma**2 if number else 0.0
         weights = np.where(good, tukey_weights(left / sigma, 1.0), 0.0) / (variance + own)
@@ -204,7 +204,7 @@ def adjusted_to(
         if still:
             break
     there = moved(model, pose, delta[:6] / scale)
-    aside = design[:, known.shape[1] :] @ delta[known.shape[1] :]
+    aside = design[:, by_height] @ delta[by_height]
     return AdjustedPose(there, pose, profiles, scale, design, arcs, left, aside, weights, inverse)
 
 
@@ -221,16 +221,12 @@ def _heights(model: EdgeModel, profiles: Profiles) -> FloatArray:
     return each[each.any(axis=1)].T
 
 
-def _grown(delta: FloatArray, inverse: FloatArray, heights: FloatArray) -> float:
+def _grown(found: FloatArray, inverse: FloatArray) -> float:
     """By which factor the sigma of the curves' heights is larger than it was taken to be, by EM as the arcs'.
 
-    delta, inverse : of all unknowns, those of the heights (M, C) last, in sigmas.
+    found (C,) : heights, in sigmas.  inverse (C, C) : of the normal equations.
     """
-    count = heights.shape[1]
-    if not count:
-        return 1.0
-    variance = PROFILE.correlated * np.diag(inverse)[-count:]
-    return math.sqrt(float(np.mean(delta[-count:] ** 2 + variance)))
+    return math.sqrt(float(np.mean(found**2 + PROFILE.correlated * np.diag(inverse))))
 
 
 def _normal(design: FloatArray, freed: FloatArray, weights: FloatArray) -> FloatArray:

@@ -36,7 +36,6 @@ def scaled(values, factor):
 """
 RUN = """
 import json
-import os
 import llvmlite.binding as llvm
 import numba
 import numpy as np
