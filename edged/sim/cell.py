@@ -39,6 +39,7 @@ from edged.sim.render.scene import (
 from edged.sim.showing import Pose, ShownNow, Thing, fingers, waving_hand
 from edged.sim.weather import TrueCameras, Weather
 from edged.vision.geometry.camera import CameraModel, StereoRig
+from edged.vision.kernels.jit import load_called
 from edged.vision.marks.frame import MarkFrame
 
 PAIR_WINDOW_NS = 50_000_000
@@ -148,6 +149,7 @@ class VirtualCell:
 
         other : a camera that may stand in for the one of that side; None: that one.
         """
+        load_called("edged.sim")  # else the first picture takes four times as long, or comes late
 
         def expose(request: ExposureRequest) -> Image:
             view = other or self._views[camera]

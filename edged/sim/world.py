@@ -15,7 +15,6 @@ from edged.sim.inprocess import InProcessCamera
 from edged.sim.showing import Thing
 from edged.sim.stage import Stage, stage_board
 from edged.vision.geometry.camera import StereoRig
-from edged.vision.kernels.jit import load_called
 
 ADDRESSES = ("127.0.0.1", "127.0.0.2")
 FLASH_US = 2000.0
@@ -55,7 +54,6 @@ class VirtualWorld:
 
     def __enter__(self) -> VirtualWorld:
         """Start the GigE Vision cameras. Raises `ListenError` when their port is taken."""
-        load_called("edged.sim")  # else the first picture takes four times as long as any other
         try:
             for address, serial, side in zip(self.addresses or (), SERIALS, SIDES, strict=False):
                 width, height = self._size(side)
