@@ -101,8 +101,8 @@ class GatedCell:
                 return note
         raise AssertionError(f"{note.step}: {note.why}")
 
-    def measure(self, number: int, *, bad: int = 0, larger: float = 1.0) -> None:
-        """Record so many cycles by what the cell runs by now, the last ones bad."""
+    def measure(self, number: int, *, bad: int = 0, **changed: float) -> None:
+        """Record so many cycles by what the cell runs by now, the last ones bad. changed : see `again`."""
         assert isinstance(self.running.files, CellFiles)
         folder = self.cell.recordings
         assert folder is not None
@@ -110,7 +110,7 @@ class GatedCell:
         good = recording.load(written[0].path)
         assert "OK" == good.snapshot["status"]
         for index in range(1, number):
-            again(written[0], index, is_bad=index >= number - bad, larger=larger)
+            again(written[0], index, is_bad=index >= number - bad, **changed)
 
 
 def gated_cell(folder: Path) -> GatedCell:
@@ -134,8 +134,20 @@ def gated_cell(folder: Path) -> GatedCell:
     return GatedCell(config.parent, pairs)
 
 
-def again(entry: recording.Entry, later: int, *, is_bad: bool, larger: float) -> None:
-    """One cycle once more, without its pictures; bad: nothing was found."""
+def again(
+    entry: recording.Entry,
+    later: int,
+    *,
+    is_bad: bool,
+    larger: float = 1.0,
+    rows: float = 1.0,
+    slower: float = 1.0,
+    left_mm: float = 0.0,
+) -> None:
+    """One cycle once more, without its pictures; bad: nothing was found.
+
+    larger, rows, slower : factors of sigma, row difference and duration. left_mm : of a camera, by the marks.
+    """
     with zipfile.ZipFile(entry.path) as archive:
         document = json.loads(archive.read(recording.DOCUMENT))
     snapshot = document["snapshot"]
@@ -143,6 +155,9 @@ def again(entry: recording.Entry, later: int, *, is_bad: bool, larger: float) ->
         snapshot.update(status="NO_TARGET", targets=[])
     for target in snapshot["targets"]:
         target["sigma_mm"] = [larger * sigma for sigma in target["sigma_mm"]]
+        target["epipolar_rms_px"] *= rows
+    snapshot["timing_ms"] = {"total": 60.0 * slower}
+    snapshot["marks"] = {"state": "CORRECTED", "left_mm": left_mm, "right_mm": 0.0}
     document["frames"] = {}
     buffer = io.BytesIO()
     with zipfile.ZipFile(buffer, "w") as archive:

@@ -85,11 +85,11 @@ class VersionedCell:
             self.follow()
         raise AssertionError(f"{note.step}: {note.why}")
 
-    def measure(self, number: int, *, is_bad: bool) -> None:
-        """So many cycles more, as the first recorded one, or without a part."""
+    def measure(self, number: int, *, is_bad: bool, **changed: float) -> None:
+        """So many cycles more, as the first recorded one, or without a part. changed : see `again`."""
         entry = recording.entries(self.folder / "recordings")
         for later in range(1, number + 1):
-            again(entry[0], entry[-1].index - entry[0].index + later, is_bad=is_bad, larger=1.0)
+            again(entry[0], entry[-1].index - entry[0].index + later, is_bad=is_bad, **changed)
 
     def whole_way(self) -> GateNote:
         """To the end of a release that finds nothing."""

@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 
 from edged.errors import UserError
-from edged.setup.fleet.offers import GateNote
+from edged.setup.fleet.offers import Figure, GateNote
 from edged.setup.fleet.probation import LAST, JudgedCycle
 from edged.setup.inuse import CellInUse
 from edged.setup.recordings.recorded import CAPTURE, CycleLine, Records
@@ -102,4 +102,13 @@ def _moved_mm(cycle: ChangedCycle) -> float:
 
 
 def _judged(line: CycleLine, job: int) -> JudgedCycle:
-    return JudgedCycle(job, line.status == "OK", line.sigma_um)
+    if line.status != "OK":
+        return JudgedCycle(job, False)
+    known: dict[Figure, float | None] = {
+        "sigma": line.sigma_um,
+        "rows": line.rows_px,
+        "time": line.total_ms,
+        "left": line.left_mm,
+        "right": line.right_mm,
+    }
+    return JudgedCycle(job, True, {name: value for name, value in known.items() if value is not None})

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import operator
 from collections.abc import Mapping, Sequence
 from pathlib import Path, PurePosixPath
 from typing import Annotated, Literal
@@ -59,25 +60,53 @@ class Staged(Kept):
         return self.path, self.sha256, self.offer.may_move_um
 
 
-class JobSigma(Kept):
-    """Sigma of one job before a release: its logarithm's median, and scatter about it."""
+Figure = Literal["sigma", "rows", "time", "left", "right"]
+"""A good cycle's sigma, row difference, duration, and how far each camera is from where it was taught."""
+
+
+class UsualFigure(Kept):
+    """A figure of one job before a release: its logarithm's median (of cameras: in mm), and the scatter.
+
+    doubt : sigma of the median.
+    """
 
     log: float
     scatter: float
+    doubt: float = Field(0.0, exclude_if=operator.not_)
 
 
 class Baseline(Kept):
-    """The last cycles before a release, of the jobs that it changes. sigmas : by the jobs' new numbers."""
+    """The last cycles before a release, of the jobs that it changes.
+
+    sigmas, more : by the jobs' new numbers. more : figures beside sigma; left out where there are none, as
+    the version that is gone back to may not know them.
+    """
 
     good: int = 0
     bad: int = 0
-    sigmas: dict[int, JobSigma] = Field(default_factory=dict)
+    sigmas: dict[int, UsualFigure] = Field(default_factory=dict)
+    more: dict[Figure, dict[int, UsualFigure]] = Field(default_factory=dict, exclude_if=operator.not_)
+
+    @property
+    def figures(self) -> dict[Figure, dict[int, UsualFigure]]:
+        """All that are known."""
+        return {"sigma": self.sigmas, **self.more} if self.sigmas else self.more
+
+
+class FigureTally(Kept):
+    """A figure's test so far. ratio : log likelihood, stays once it decides. excess : over what is usual,
+    summed over so many cycles as `known`.
+    """
+
+    ratio: float = 0.0
+    known: int = 0
+    excess: float = 0.0
 
 
 class ProbationTally(Kept):
-    """Probation so far. rate, sigma : log likelihood ratios of its two tests, which stay once they decide.
+    """Probation so far. rate, sigma : log likelihood ratios of two tests, which stay once they decide.
 
-    excess : sum of log sigma over what is usual, of so many cycles as `known`.
+    known, excess : sigma's, see `FigureTally`. more : figures beside sigma, as in `Baseline`.
     """
 
     cycles: int = 0
@@ -86,6 +115,13 @@ class ProbationTally(Kept):
     sigma: float = 0.0
     known: int = 0
     excess: float = 0.0
+    more: dict[Figure, FigureTally] = Field(default_factory=dict, exclude_if=operator.not_)
+
+    def of(self, figure: Figure) -> FigureTally:
+        """The test of one figure."""
+        if figure == "sigma":
+            return FigureTally(ratio=self.sigma, known=self.known, excess=self.excess)
+        return self.more.get(figure, FigureTally())
 
 
 Step = Literal[

@@ -1,6 +1,9 @@
-"""Whether a new release does as well as what it replaced: two sequential tests, of the OK rate and of sigma.
+"""Whether a new release does as well as what it replaced: sequential tests of the OK rate and of figures.
 
-Wald's test of a rate, and of a mean of log sigma whose steps are bounded: a single cycle decides nothing.
+Wald's test of a rate, and of means whose steps are bounded: a single cycle decides nothing. Bounds that are
+alike on both sides keep his bound of false alarms: of a normal figure, l being a step before them,
+E0 exp(min(max(l, -c), c)) = 1 - (exp(c) - 1) E0 max(exp(-c) - exp(l), 0) <= 1, so that a sum of steps reaches
+log A by a chance of 1/A at most, ever (J. Ville, 1939). `tools/bench probation` counts them.
 Source: A. Wald, "Sequential Tests of Statistical Hypotheses", Ann. Math. Stat. 16, 1945; P. J. Huber, "A
 Robust Version of the Probability Ratio Test", Ann. Math. Stat. 36, 1965.
 """
@@ -8,26 +11,40 @@ Robust Version of the Probability Ratio Test", Ann. Math. Stat. 36, 1965.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
-from typing import Literal
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Literal, get_args
 
 import numpy as np
 
-from edged.setup.fleet.offers import Baseline, JobSigma, ProbationTally
+from edged.domain.arrays import FloatArray
+from edged.setup.fleet.offers import Baseline, Figure, FigureTally, ProbationTally, UsualFigure
 
 LAST = 200
 """Cycles before the release that it is compared with."""
+LEAST = 20
+"""Cycles of a job that say a figure, else it is not compared: its scatter would be a guess."""
+FIGURES: tuple[Figure, ...] = get_args(Figure)
+OF_MARKS: tuple[Figure, ...] = ("left", "right")
+WORDS: Mapping[Figure, str] = {
+    "sigma": "sigma is {:.2f} times what it was",
+    "rows": "the row difference is {:.2f} times what it was",
+    "time": "a cycle takes {:.2f} times as long as it did",
+    "left": "the marks see the left camera {:.3f} mm from where it was",
+    "right": "the marks see the right camera {:.3f} mm from where it was",
+}
 
 
 @dataclass(frozen=True, slots=True)
 class ProbationParams:
     """What is told apart, and how surely.
 
-    good_is_withdrawn, bad_is_kept : error rates of the first and second kind. odds, share : bad cycles count
-    as more at so many times the odds, by this share at least. larger : sigma counts as larger at this factor.
-    baseline_sigmas : by so many of its own the usual share of bad cycles is taken larger: 95 % of its side.
-    most_step : of the log likelihood ratio, in one cycle. most : cycles, then the nearer decision is taken.
+    good_is_withdrawn, bad_is_kept : error rates of the first and second kind, of all tests together and of
+    each. odds, share : bad cycles count as more at so many times the odds, by this share at least. larger,
+    rows, slower : sigma, row difference and duration count as larger at this factor. moved_mm : a camera
+    counts as moved. baseline_sigmas : by so many of its own what is usual is taken larger: 95 % of its
+    side. most_step : of the log likelihood ratio, in one cycle. most : cycles, then the nearer
+    decision is taken.
     """
 
     good_is_withdrawn: float = 0.001
@@ -35,6 +52,9 @@ class ProbationParams:
     odds: float = 5.0
     share: float = 0.02
     larger: float = 1.3
+    rows: float = 1.41  # an error of rows as large as all that was there, in the sum of squares
+    slower: float = 1.5  # its root, 1.22, is beyond what people on the pages cost: 1.19 (docs, speed.md)
+    moved_mm: float = 0.2  # half of it, 0.1, is what 20 K do to a camera: `MarksParams.shift_mm_per_k`
     baseline_sigmas: float = 1.645
     most_step: float = 1.0
     most: int = 1000
@@ -42,11 +62,11 @@ class ProbationParams:
 
 @dataclass(frozen=True, slots=True)
 class JudgedCycle:
-    """A cycle of one of the changed jobs. sigma_um : of the first good part; None: there is none."""
+    """A cycle of one of the changed jobs. figures : of a good one, those that are known."""
 
     job: int
     is_good: bool
-    sigma_um: float | None
+    figures: Mapping[Figure, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,18 +77,18 @@ class Probation:
     why: str
 
 
-def baseline_of(cycles: Sequence[JudgedCycle]) -> Baseline:
-    """What a release is compared with."""
+def baseline_of(cycles: Sequence[JudgedCycle], *, moves_marks: bool = False) -> Baseline:
+    """What a release is compared with. moves_marks : it may; jobs cannot, but weather and people can."""
     good = sum(cycle.is_good for cycle in cycles)
-    sigmas = {}
-    for job in {cycle.job for cycle in cycles}:
-        logs = _logs(cycle for cycle in cycles if cycle.job == job)
-        if len(logs) >= 2:
-            middle = float(np.median(logs))
-            # 1.4826: of a normal distribution the scatter is so many times the median deviation
-            scatter = max(1.4826 * float(np.median(np.abs(logs - middle))), 0.01)
-            sigmas[job] = JobSigma(log=middle, scatter=scatter)
-    return Baseline(good=good, bad=len(cycles) - good, sigmas=sigmas)
+    figures: dict[Figure, dict[int, UsualFigure]] = {}
+    for figure in FIGURES if moves_marks else [name for name in FIGURES if name not in OF_MARKS]:
+        for job in {cycle.job for cycle in cycles}:
+            values = [_value(cycle, figure) for cycle in cycles if cycle.job == job]
+            known = np.array([value for value in values if value is not None], np.float64)
+            if len(known) >= LEAST:
+                figures.setdefault(figure, {})[job] = _usual(known)
+    sigmas = figures.pop("sigma", {})
+    return Baseline(good=good, bad=len(cycles) - good, sigmas=sigmas, more=figures)
 
 
 def counted(
@@ -77,24 +97,38 @@ def counted(
     cycles: Iterable[JudgedCycle],
     params: ProbationParams = ProbationParams(),
 ) -> ProbationTally:
-    """A tally with further cycles, in their order. Each test stops where it first decides."""
+    """A tally with further cycles, in their order. A test stops where it first decides; "as before" of marks
+    holds only until they move.
+    """
     if not before.good + before.bad:
         return tally
     low, high = _limits(params)
-    number, bad, rate, sigma = tally.cycles, tally.bad, tally.rate, tally.sigma
-    known, excess = tally.known, tally.excess
+    number, bad, rate = tally.cycles, tally.bad, tally.rate
+    tests = {figure: tally.of(figure) for figure in before.figures}
     usual, worse = _shares(before, params)
     for cycle in cycles:
         number, bad = number + 1, bad + (not cycle.is_good)
         if low < rate < high:
             rate += math.log((1 - worse) / (1 - usual)) if cycle.is_good else math.log(worse / usual)
-        own = before.sigmas.get(cycle.job)
-        if own is not None and cycle.sigma_um:
-            over = math.log(cycle.sigma_um) - own.log
-            known, excess = known + 1, excess + over
-            if low < sigma < high:
-                sigma += _step(over, own, params)
-    return ProbationTally(cycles=number, bad=bad, rate=rate, sigma=sigma, known=known, excess=excess)
+        for figure, jobs in before.figures.items():
+            own, value, test = jobs.get(cycle.job), _value(cycle, figure), tests[figure]
+            if own is None or value is None:
+                continue
+            over = abs(value - own.log) if figure in OF_MARKS else value - own.log
+            ratio = test.ratio
+            if low < ratio < high or (ratio <= low and figure in OF_MARKS):  # these may go away later
+                ratio = max(ratio + _step(over, _shift(figure, params), own, params), low)
+            tests[figure] = FigureTally(ratio=ratio, known=test.known + 1, excess=test.excess + over)
+    sigma = tests.pop("sigma", tally.of("sigma"))
+    return ProbationTally(
+        cycles=number,
+        bad=bad,
+        rate=rate,
+        sigma=sigma.ratio,
+        known=sigma.known,
+        excess=sigma.excess,
+        more=tests,
+    )
 
 
 def judge(before: Baseline, tally: ProbationTally, params: ProbationParams = ProbationParams()) -> Probation:
@@ -104,20 +138,19 @@ def judge(before: Baseline, tally: ProbationTally, params: ProbationParams = Pro
         return Probation("commit", "its jobs are new: there is nothing to compare them with")
     low, high = _limits(params)
     said = f"{tally.bad} of {tally.cycles} cycles are bad, before it were {before.bad} of {number}"
-    if tally.rate >= high:
-        return Probation("roll back", said)
-    if tally.sigma >= high:
-        return Probation(
-            "roll back", f"sigma is {math.exp(tally.excess / tally.known):.2f} times what it was"
-        )
-    is_as_before = tally.rate <= low and (tally.sigma <= low or not before.sigmas)
+    tests = {figure: tally.of(figure) for figure in before.figures}
+    against = [said] if tally.rate >= high else []
+    against += [_said(figure, test) for figure, test in tests.items() if test.ratio >= high]
+    if against:
+        return Probation("roll back", "; ".join(against))
+    is_as_before = tally.rate <= low and all(test.ratio <= low for test in tests.values())
     return Probation("commit" if is_as_before or tally.cycles >= params.most else "go on", said)
 
 
 def _limits(params: ProbationParams) -> tuple[float, float]:
     """Log likelihood ratios at which a test decides for "as before", and for "worse"."""
-    low = math.log(params.bad_is_kept / (1 - params.good_is_withdrawn))
-    return low, math.log((1 - params.bad_is_kept) / params.good_is_withdrawn)
+    share = params.good_is_withdrawn / (1 + len(FIGURES))  # Bonferroni: together not more
+    return math.log(params.bad_is_kept / (1 - share)), math.log((1 - params.bad_is_kept) / share)
 
 
 def _shares(before: Baseline, params: ProbationParams) -> tuple[float, float]:
@@ -130,11 +163,43 @@ def _shares(before: Baseline, params: ProbationParams) -> tuple[float, float]:
     return usual, max(odds, min(usual + params.share, 0.97))
 
 
-def _step(over: float, usual: JobSigma, params: ProbationParams) -> float:
-    shift = math.log(params.larger)
-    step = shift / usual.scatter**2 * (over - shift / 2)
+def _step(over: float, shift: float, usual: UsualFigure, params: ProbationParams) -> float:
+    step = shift / usual.scatter**2 * (over - params.baseline_sigmas * usual.doubt - shift / 2)
     return min(max(step, -params.most_step), params.most_step)
 
 
-def _logs(cycles: Iterable[JudgedCycle]) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
-    return np.log(np.array([cycle.sigma_um for cycle in cycles if cycle.sigma_um], np.float64))
+def _usual(known: FloatArray) -> UsualFigure:
+    """What is usual of a figure (N,), in the order of its cycles.
+
+    The variance of a sum of correlated cycles is (1 + r) / (1 - r) times larger, r from one to the next:
+    G. V. Bayley and J. M. Hammersley, "The 'effective' number of independent observations in an
+    autocorrelated time series", Suppl. J. R. Stat. Soc. 8, 1946.
+    """
+    middle = float(np.median(known))
+    # 1.4826: of a normal distribution the scatter is so many times the median deviation
+    scatter = max(1.4826 * float(np.median(np.abs(known - middle))), 0.01)
+    apart = np.clip((known - middle) / scatter, -3.0, 3.0)
+    r = min(max(float(apart[1:] @ apart[:-1]) / max(float(apart @ apart), 1.0), 0.0), 0.95)
+    scatter *= math.sqrt((1 + r) / (1 - r))
+    # a normal distribution's median is sqrt(pi / 2) times less sure than its mean
+    return UsualFigure(log=middle, scatter=scatter, doubt=scatter * math.sqrt(math.pi / 2 / len(known)))
+
+
+def _shift(figure: Figure, params: ProbationParams) -> float:
+    """What counts as worse: of a logarithm, or in mm."""
+    factors = {"sigma": params.larger, "rows": params.rows, "time": params.slower}
+    return math.log(factors[figure]) if figure in factors else params.moved_mm
+
+
+def _value(cycle: JudgedCycle, figure: Figure) -> float | None:
+    """A figure as it is compared: its logarithm, or mm; None: it is not known."""
+    value = cycle.figures.get(figure)
+    if value is None or figure in OF_MARKS:
+        return value
+    return math.log(value) if value > 0 else None
+
+
+def _said(figure: Figure, test: FigureTally) -> str:
+    mean = test.excess / test.known
+    words = WORDS[figure].format(mean if figure in OF_MARKS else math.exp(mean))
+    return f"{words}, in {test.known} cycles"

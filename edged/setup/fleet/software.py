@@ -138,7 +138,7 @@ class SoftwareGate:
             "before": self.running,
             "wanted": note.staged.offer.name,
             "since": since,
-            "baseline": baseline_of(cycles),
+            "baseline": baseline_of(cycles, moves_marks=True),
             "order": order + 1,
         }
         note = await self._steps.note(note.model_copy(update=known), "activating", note.why)

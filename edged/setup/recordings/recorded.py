@@ -28,7 +28,9 @@ class CycleLine(Frozen):
     """A recorded cycle. reasons : of `REASONS`; none of a good one.
 
     number : of the recording; `cycle` counts from each start of the cell. kind : of its command, or "".
-    parts : good ones. sigma_um : of the first good part, the largest of X, Y, Z; None: there is none.
+    parts : good ones. sigma_um : of the first good part, the largest of X, Y, Z; rows_px : its row
+    difference. left_mm, right_mm : how far the reference marks saw each camera from where it was taught.
+    None: there is none.
     """
 
     number: int
@@ -43,6 +45,10 @@ class CycleLine(Frozen):
     reasons: tuple[str, ...]
     parts: int
     sigma_um: float | None
+    rows_px: float | None
+    total_ms: float | None
+    left_mm: float | None
+    right_mm: float | None
     error: str
     has_pictures: bool
 
@@ -188,6 +194,10 @@ def _line(entry: recording.Entry, snapshot: Json, has_pictures: bool) -> CycleLi
         reasons=reasons_of(snapshot),
         parts=len(targets),
         sigma_um=_worst_um(targets[0]) if targets else None,
+        rows_px=_number(targets[0], "epipolar_rms_px") if targets else None,
+        total_ms=_number(snapshot.get("timing_ms"), "total"),
+        left_mm=_number(snapshot.get("marks"), "left_mm"),
+        right_mm=_number(snapshot.get("marks"), "right_mm"),
         error=str(snapshot.get("error", ""))[:500],
         has_pictures=has_pictures,
     )
@@ -199,6 +209,12 @@ def _worst_um(target: Json) -> float | None:
         [sigma for sigma in sigmas if isinstance(sigma, int | float)] if isinstance(sigmas, list) else []
     )
     return round(1e3 * max(numbers), 2) if numbers else None
+
+
+def _number(table: object, key: str) -> float | None:
+    """A number of a table, whatever is there."""
+    value = table.get(key) if isinstance(table, dict) else None
+    return float(value) if isinstance(value, int | float) and not isinstance(value, bool) else None
 
 
 def _objects(snapshot: Json, key: str) -> list[dict[str, Any]]:

@@ -118,8 +118,13 @@ async def test_a_new_job_comes_beside_the_others(cell: GatedCell) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("measured", "why"),
-    [({"bad": 20}, "cycles are bad, before it"), ({"larger": 2.0}, "sigma is 1.97")],
-    ids=["misses", "sigma"],
+    [
+        ({"bad": 20}, "cycles are bad, before it"),
+        ({"larger": 2.0}, "sigma is 1.97"),
+        ({"rows": 2.0}, "the row difference is 1.97 times what it was, in 40 cycles"),
+        ({"slower": 2.0}, "a cycle takes 2.00 times as long as it did, in 39 cycles"),
+    ],
+    ids=["misses", "sigma", "rows", "time"],
 )
 async def test_a_release_that_does_worse_goes_back_by_itself_once_the_plant_lets_it(
     cell: GatedCell, measured: dict[str, Any], why: str

@@ -240,11 +240,18 @@ def test_a_version_that_measures_as_before_runs_and_stays(made: Made) -> None:
 
 
 @pytest.mark.slow
-def test_a_version_that_does_worse_goes_back_once_the_plant_lets_it(made: Made) -> None:
+@pytest.mark.parametrize(
+    ("changed", "why"),
+    [({"is_bad": True}, "cycles are bad"), ({"is_bad": False, "left_mm": 0.3}, "left camera 0.300 mm")],
+    ids=["blind", "marks"],
+)
+def test_a_version_that_does_worse_goes_back_once_the_plant_lets_it(
+    changed: dict[str, Any], why: str, made: Made
+) -> None:
     """The link means the old version again, which says why."""
     cell = made(the_same)
     cell.reach("probation")
-    cell.measure(20, is_bad=True)
+    cell.measure(20, **changed)
     cell.cell.running.session.is_locked = True
     cell.reach("rolling back")
     assert "rolling back" == cell.step().step
@@ -253,7 +260,7 @@ def test_a_version_that_does_worse_goes_back_once_the_plant_lets_it(made: Made) 
     cell.cell.running.session.is_locked = False
     note = cell.reach("rolled back")
     assert ("rolled back", OLD) == (note.step, cell.current)
-    assert "cycles are bad" in note.why
+    assert why in note.why
 
 
 @pytest.mark.slow
