@@ -25,6 +25,7 @@ def _beside_the_file(value: object, info: ValidationInfo) -> object:
 FilePath = Annotated[Path, BeforeValidator(_beside_the_file)]
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,63}$")]
 Port = Annotated[int, Field(ge=1, le=65535)]
+WebAddress = Annotated[str, Field(pattern=r"^https?://[^\s/]\S*$", max_length=500)]
 
 
 def _network(value: str) -> str:

@@ -16,6 +16,7 @@ from edged.config.fields import (
     PasswordHash,
     Port,
     Section,
+    WebAddress,
     is_loopback,
 )
 
@@ -162,6 +163,11 @@ class WebSection(Section):
         default_factory=list,
         max_length=16,
         description="DNS names that people open the page by, beyond the machine's own and the certificate's",
+    )
+    links: dict[Annotated[str, Field(min_length=1, max_length=64)], WebAddress] = Field(
+        default_factory=dict,
+        max_length=16,
+        description="text and address of each link below the page: Grafana, Prometheus, Alertmanager",
     )
     commissioning: bool = Field(
         False, description="users may set the cell up, each by their role (`edged web invite`)"

@@ -586,6 +586,17 @@ async def test_without_a_session_only_the_form_is_shown() -> None:
             assert (await answer.text()).startswith("# HELP")
 
 
+async def test_links_of_the_plant_stand_below_the_page() -> None:
+    """As the configuration says them, and harmless whatever they say."""
+    links = {"Grafana": "https://grafana.example/d/edged-fleet?var-plant=north", "<b>": 'http://a/"onclick'}
+    async with served(WebSettings(port=0, links=links)) as (_, session), session.get("/") as answer:
+        text = await answer.text()
+    footer = text[text.index("<footer>") :]
+    assert f'<a href="{links["Grafana"]}" rel="noreferrer" translate="no">Grafana</a>' in footer
+    assert ">&lt;b&gt;</a>" in footer
+    assert '"onclick' not in footer
+
+
 @pytest.mark.slow
 async def test_the_password_opens_a_session_and_log_out_ends_it() -> None:
     """The cookie is out of reach of scripts and other sites."""

@@ -28,7 +28,7 @@ class PageHandlers:
     """Handlers of everything outside /api/v1 but log-in and viewers.
 
     drawer : where pictures are drawn. protected : there is a password. is_set_up : there is a page to set the
-    cell up. metrics : Prometheus' text.
+    cell up. metrics : Prometheus' text. links : text and address, below the page.
     """
 
     def __init__(
@@ -42,6 +42,7 @@ class PageHandlers:
         *,
         protected: bool,
         is_set_up: bool,
+        links: Mapping[str, str],
     ) -> None:
         self._page = page
         self._drawer = drawer
@@ -52,7 +53,7 @@ class PageHandlers:
         self._protected = protected
         self._pictures: OrderedDict[tuple[int, str, str], bytes] = OrderedDict()
         self._no_manual = render("nomanual.html", __package__, cell=cell)
-        named = {"cell": cell, "setup": is_set_up, "modules": run_modules(assets)}
+        named = {"cell": cell, "setup": is_set_up, "modules": run_modules(assets), "links": links}
         self._run = {
             built: render("index.html", __package__, manual=built, **named) for built in (False, True)
         }

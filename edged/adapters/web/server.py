@@ -179,6 +179,7 @@ class WebPublisher:
             metrics or _no_metrics,
             protected=not self._access.is_open,
             is_set_up=is_set_up,
+            links=settings.links,
         )
         self._viewers = Viewers(self._handlers.status, self._page.history)
         self._runner: web.AppRunner | None = None

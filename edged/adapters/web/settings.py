@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import ssl
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from edged.connections import tls_with
@@ -15,6 +16,7 @@ class WebSettings:
 
     password_hash : Argon2; "" is for loopback only. metrics_password_hash : of the token for /metrics alone.
     certificate, key : PEM, both or none. names : further names of this machine.
+    links : text and address, to what shows many cells.
     commissioning : users may set the cell up, by their roles. state : the folder that they are kept in; None:
     there are none.
     """
@@ -26,6 +28,7 @@ class WebSettings:
     certificate: Path | None = None
     key: Path | None = None
     names: tuple[str, ...] = ()
+    links: Mapping[str, str] = field(default_factory=dict)
     commissioning: bool = False
     state: Path | None = None
 
