@@ -20,7 +20,7 @@ from edged.vision.edges.sharpness import Sharpness, cost_of_spread, sharpness
 log = logging.getLogger(__name__)
 
 PERIOD_S = 1.0
-"""A pair takes a quarter of a second of one core."""
+"""A pair takes an eighth of a second of one core."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -9,12 +9,13 @@ edges with others beside them do not, and are left out.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
 
-from edged.domain.arrays import B8, F32, FloatArray, Image
+from edged.domain.arrays import B8, F32, I64, FloatArray, Image
 from edged.vision.edges.params import SHARPNESS
 from edged.vision.edges.subpixel import WIDTHS_PX
 
@@ -41,7 +42,7 @@ def sharpness(image: Image, noise_grey: float, fields: tuple[int, int] = (6, 8))
     than its pixels (0.5 px).
     """
     grey, usable = image.astype(np.float32), _usable(image)
-    found = np.concatenate([_edges(grey, usable, axis, noise_grey) for axis in (0, 1)], axis=1)
+    found = np.concatenate([*_edges(grey, usable, noise_grey)], axis=1)
     if found.shape[1]:
         found = found[
             :, found[3] >= SHARPNESS.share_of_highest * np.percentile(found[3], SHARPNESS.high_percent)
@@ -85,44 +86,61 @@ def _usable(image: Image) -> BoolArray:
     return usable
 
 
-def _edges(grey: F32, usable: BoolArray, axis: int, noise_grey: float) -> FloatArray:
-    """Rows x, y, variance of the edge itself in px², height of the step; a column for each place."""
-    hills = [_hills(grey, axis, width_px, noise_grey) for width_px in SHARPNESS.operators_px]
-    y, x = np.nonzero(usable & hills[0].peaks & hills[1].peaks)
-    widths2 = np.stack([hill.variance[y, x] for hill in hills]).astype(np.float64)
-    steps = np.stack([hill.slope[y, x] for hill in hills]) * np.sqrt(2.0 * np.pi * widths2)
-    own = widths2 - np.square(SHARPNESS.operators_px)[:, None]
-    same = np.abs(own[0] - own[1]) <= SHARPNESS.same_spread * widths2[1]
-    same &= np.abs(steps[0] - steps[1]) <= SHARPNESS.same_step * steps[1]
-    return np.stack([x, y, own[0], steps[0]])[:, same]
+def _edges(grey: F32, usable: BoolArray, noise_grey: float) -> Iterator[FloatArray]:
+    """Rows x, y, variance of the edge itself in px², height of the step; a column for each place. By axis."""
+    slopes = [_slopes(grey, width_px, noise_grey) for width_px in SHARPNESS.operators_px]
+    high = usable & (slopes[0].size > slopes[0].least) & (slopes[1].size > slopes[1].least)
+    for axis in (0, 1):
+        y, x = np.nonzero(high & _peaks(slopes[0].size, axis) & _peaks(slopes[1].size, axis))
+        hills = np.stack([_variance(slope, y, x, axis) for slope in slopes])
+        known = np.isfinite(hills).all(axis=0)
+        y, x, widths2 = y[known], x[known], hills[:, known].astype(np.float64)
+        steps = np.stack([slope.size[y, x] for slope in slopes]) * np.sqrt(2.0 * np.pi * widths2)
+        own = widths2 - np.square(SHARPNESS.operators_px)[:, None]
+        same = np.abs(own[0] - own[1]) <= SHARPNESS.same_spread * widths2[1]
+        same &= np.abs(steps[0] - steps[1]) <= SHARPNESS.same_step * steps[1]
+        yield np.stack([x, y, own[0], steps[0]])[:, same]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Hills:
-    """Slope of a picture (H, W), where it is highest, and the variance of the hill there in px²."""
+class _Slopes:
+    """Slope of a picture (H, W) along x and y, by a Gaussian, and its size. least : more is no noise."""
 
-    slope: F32
-    peaks: BoolArray
-    variance: F32
+    dx: F32
+    dy: F32
+    size: F32
+    least: float
 
 
-def _hills(grey: F32, axis: int, width_px: float, noise_grey: float) -> _Hills:
-    """Hills that lie across an axis (0: y, 1: x), by a Gaussian of this width."""
+def _slopes(grey: F32, width_px: float, noise_grey: float) -> _Slopes:
     reach = math.ceil(4.0 * width_px)
     t = np.arange(-reach, reach + 1)
     smooth = np.exp(-0.5 * (t / width_px) ** 2)
     smooth /= smooth.sum()
     slope_of = t / width_px**2 * smooth
-    dx = cv2.sepFilter2D(grey, cv2.CV_32F, slope_of, smooth)
-    dy = cv2.sepFilter2D(grey, cv2.CV_32F, smooth, slope_of)
-    across, along = (dx, dy) if axis == 1 else (dy, dx)
-    slope = np.hypot(dx, dy)
-    before, after = np.roll(slope, 1, axis), np.roll(slope, -1, axis)
+    dx = np.asarray(cv2.sepFilter2D(grey, cv2.CV_32F, slope_of, smooth), np.float32)
+    dy = np.asarray(cv2.sepFilter2D(grey, cv2.CV_32F, smooth, slope_of), np.float32)
     noise = noise_grey * math.sqrt((smooth @ smooth) * (slope_of @ slope_of))
-    peaks = (slope > SHARPNESS.noises * noise) & (slope >= before) & (slope > after)
-    peaks &= np.abs(across) > SHARPNESS.steep * np.abs(along)
+    return _Slopes(dx, dy, np.hypot(dx, dy), SHARPNESS.noises * noise)
+
+
+def _peaks(size: F32, axis: int) -> BoolArray:
+    """Where (H, W) it is highest along an axis (0: y, 1: x); never at the picture's border."""
+    peaks = np.zeros(size.shape, bool)
+    along, peaks_along = (size, peaks) if axis == 0 else (size.T, peaks.T)
+    rising = along[1:] >= along[:-1]
+    peaks_along[1:-1] = rising[:-1] & ~rising[1:]
+    return peaks
+
+
+def _variance(slopes: _Slopes, y: I64, x: I64, axis: int) -> F32:
+    """Variance in px² of hills across an axis, at these places (N,); NaN where there is no such hill."""
+    size, down, right = slopes.size[y, x], int(axis == 0), int(axis == 1)
+    before, after = slopes.size[y - down, x - right], slopes.size[y + down, x + right]
+    across, along = (slopes.dx, slopes.dy) if axis == 1 else (slopes.dy, slopes.dx)
     with np.errstate(divide="ignore", invalid="ignore"):
-        bend = 2.0 * np.log(slope) - np.log(before) - np.log(after)
+        bend = 2.0 * np.log(size) - np.log(before) - np.log(after)
         # a hill that is crossed at an angle looks wider by 1 / cos
-        variance = (across / slope) ** 2 / bend
-    return _Hills(slope, peaks & (bend > 0) & np.isfinite(variance), variance.astype(np.float32))
+        variance = (across[y, x] / size) ** 2 / bend
+    steep = np.abs(across[y, x]) > SHARPNESS.steep * np.abs(along[y, x])
+    return np.where(steep & (bend > 0), variance, np.float32(np.nan))
