@@ -13,3 +13,4 @@ def keep_what_is_loaded() -> None:
     """
     gc.collect()
     gc.freeze()
+    gc.enable()  # a process that imports much has not searched so far

@@ -100,6 +100,24 @@ def test_a_check_and_a_status_need_no_compiler() -> None:
     assert [] == [name for name in loaded if name.startswith(others)]
 
 
+PAGE_WITHOUT_A_CELL = """
+import gc, os, runpy, ssl, sys
+trusted = ssl.create_default_context
+os._exit = lambda code: print(code, gc.get_stats()[2]["collections"], len(trusted().get_ca_certs()))
+sys.argv = ["page", "50", "9999"]
+runpy.run_module("edged.app.page", run_name="__main__")
+"""
+
+
+@pytest.mark.slow
+def test_a_page_loads_neither_looking_for_garbage_nor_at_certificates() -> None:
+    """A sixth of its start, for nothing: what it imports stays, and it asks no server of others."""
+    program = [sys.executable, "-c", PAGE_WITHOUT_A_CELL]
+    said = subprocess.run(program, capture_output=True, text=True, check=True).stdout
+
+    assert ["1", "0", "0"] == said.split()
+
+
 FIRST_CYCLE = """
 import sys
 from pathlib import Path
