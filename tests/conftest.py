@@ -3,7 +3,9 @@
 pytest makes `helpers` and `naive` importable from every test.
 """
 
+import copy
 import gc
+import hashlib
 import os
 import shutil
 import sys
@@ -65,6 +67,33 @@ def taught_once():
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(demo, "teach", teach)
         yield
+
+
+@pytest.fixture(scope="session", autouse=True)
+def boards_seen_once():
+    """A board in a picture is sought once: many tests begin with the same pictures, 0.2 s for each."""
+    detection = sys.modules.get("edged.vision.boards.detection")
+    if detection is None:
+        yield
+        return
+    kinds = "chessboard", "charuco", "dots"
+    with pytest.MonkeyPatch.context() as patch:
+        for name in (*map("detect_{}".format, kinds), *map("recognise_{}".format, kinds)):
+            patch.setattr(detection, name, _once(getattr(detection, name)))
+        yield
+
+
+def _once(find):
+    """What is found in a picture is kept, and everybody gets a copy."""
+    found = {}
+
+    def once(image, *board):
+        key = hashlib.sha256(image.tobytes()).digest(), image.shape, repr(board)
+        if key not in found:
+            found[key] = find(image, *board)
+        return copy.deepcopy(found[key])
+
+    return once
 
 
 @pytest.fixture
