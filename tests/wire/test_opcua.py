@@ -114,7 +114,7 @@ class Notes:
         return [event.EventType.Identifier for event in self.events]
 
 
-async def until(holds: Callable[[], Any], seconds: float = 10.0) -> None:
+async def until(holds: Callable[[], Any], seconds: float = LIMIT_S) -> None:
     """Wait until it holds; fail after the time."""
     async with asyncio.timeout(seconds):
         while True:
