@@ -32,7 +32,7 @@ class Kind:
     """A kind of release. factors, scatters : of figures; moved_mm : the left camera; creeps_mm : in a cycle.
 
     memory : correlation of a cycle with the next one. creeps : of logarithms, over the whole probation.
-    before : cycles that there are.
+    before : cycles that there are.  busy : so many of the first ones take twice as long.
     """
 
     name: str
@@ -44,6 +44,7 @@ class Kind:
     moved_mm: float = 0.0
     creeps_mm: float = 0.0
     before: int = LAST
+    busy: int = 0
 
 
 KINDS = (
@@ -53,6 +54,7 @@ KINDS = (
     Kind("like before, all scatter three times as much", scatter=3.0),
     Kind("like before, of 50 cycles", before=50),
     Kind("like before, of 20 cycles", before=20),
+    Kind("like before, the PC is busy in the first 60 cycles", busy=60),
     Kind("finds nothing", bad=1.0),
     Kind("30 % bad", bad=0.3),
     Kind("sigma 1.6 times", factors=(("sigma", 1.6),)),
@@ -78,7 +80,7 @@ def cycles(rng: np.random.Generator, kind: Kind) -> tuple[list[JudgedCycle], lis
         logs = scatter * kind.scatter * noise + kind.creeps * after / MOST
         logs[is_after] += np.log(dict(kind.factors).get(name, 1.0))
         if name == "time":
-            logs += np.log(3.0) * (rng.random(total) < 0.02)
+            logs += np.log(3.0) * (rng.random(total) < 0.02) + np.log(2.0) * (is_after & (after <= kind.busy))
         figures[name] = USUAL[name] * np.exp(logs)
     step_mm = MARKS.shift_mm_per_k * SWING_K * MARKS.daily * np.sqrt(PERIOD_H)
     sides: tuple[Figure, Figure] = ("left", "right")

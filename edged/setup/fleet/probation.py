@@ -43,8 +43,8 @@ class ProbationParams:
     each. odds, share : bad cycles count as more at so many times the odds, by this share at least. larger,
     rows, slower : sigma, row difference and duration count as larger at this factor. moved_mm : a camera
     counts as moved. baseline_sigmas : by so many of its own what is usual is taken larger: 95 % of its
-    side. most_step : of the log likelihood ratio, in one cycle. most : cycles, then the nearer
-    decision is taken.
+    side. most_step : of the log likelihood ratio, in one cycle; slow_step : of durations. most : cycles, then
+    the nearer decision is taken.
     """
 
     good_is_withdrawn: float = 0.001
@@ -57,6 +57,7 @@ class ProbationParams:
     moved_mm: float = 0.2  # half of it, 0.1, is what 20 K do to a camera: `MarksParams.shift_mm_per_k`
     baseline_sigmas: float = 1.645
     most_step: float = 1.0
+    slow_step: float = 0.1  # what loads the PC for a moment, of 80 cycles at most, is not the release's
     most: int = 1000
 
 
@@ -117,7 +118,7 @@ def counted(
             over = abs(value - own.log) if figure in OF_MARKS else value - own.log
             ratio = test.ratio
             if low < ratio < high or (ratio <= low and figure in OF_MARKS):  # these may go away later
-                ratio = max(ratio + _step(over, _shift(figure, params), own, params), low)
+                ratio = max(ratio + _step(figure, over, own, params), low)
             tests[figure] = FigureTally(ratio=ratio, known=test.known + 1, excess=test.excess + over)
     sigma = tests.pop("sigma", tally.of("sigma"))
     return ProbationTally(
@@ -163,9 +164,10 @@ def _shares(before: Baseline, params: ProbationParams) -> tuple[float, float]:
     return usual, max(odds, min(usual + params.share, 0.97))
 
 
-def _step(over: float, shift: float, usual: UsualFigure, params: ProbationParams) -> float:
+def _step(figure: Figure, over: float, usual: UsualFigure, params: ProbationParams) -> float:
+    shift, most = _shift(figure, params), params.slow_step if figure == "time" else params.most_step
     step = shift / usual.scatter**2 * (over - params.baseline_sigmas * usual.doubt - shift / 2)
-    return min(max(step, -params.most_step), params.most_step)
+    return min(max(step, -most), most)
 
 
 def _usual(known: FloatArray) -> UsualFigure:

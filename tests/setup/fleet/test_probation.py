@@ -71,7 +71,6 @@ def measured(rng: np.random.Generator, number: int, **changed: float) -> list[Ju
     ("changed", "why"),
     [
         ({"rows": 1.8}, "the row difference is 1.8"),
-        ({"time": 2.0}, "a cycle takes 2.0"),
         ({"left": 0.3}, "the marks see the left camera 0.3"),
         ({"right": -0.3}, "the marks see the right camera 0.3"),
         ({"sigma": 1.8, "rows": 0.5}, "sigma is 1.8"),
@@ -88,6 +87,17 @@ def test_the_figure_that_is_worse_is_named_with_how_much(changed: dict[str, floa
     assert ("roll back", f"{words} ") == (found.decision, said[1])
     assert pytest.approx(float(number), rel=0.1) == float(said[2])
     assert ";" not in said[3]
+
+
+def test_a_slower_release_goes_back_and_a_busy_pc_does_not_send_one_back() -> None:
+    """A hundred cycles tell; some dozens that take longer may be of a backup, or of people on the page."""
+    rng = np.random.default_rng(1)
+    before = baseline_of(measured(rng, LAST))
+    slower = judge(before, counted(before, ProbationTally(), measured(rng, 100, time=2.0)))
+    assert slower.decision == "roll back" and slower.why.startswith("a cycle takes 2.0"), slower
+    busy = counted(before, ProbationTally(), measured(rng, 60, time=2.0))
+    assert "go on" == judge(before, busy).decision
+    assert "commit" == judge(before, counted(before, busy, measured(rng, 300))).decision
 
 
 def test_figures_as_before_commit_and_better_ones_too() -> None:
