@@ -443,10 +443,19 @@ class MelsecController:
     def stop(self) -> None:
         if self._loop.is_closed():
             return
-        self._call(self.simulator.aclose())
+        self._call(self._end())
         self._loop.call_soon_threadsafe(self._loop.stop)
         self._thread.join(LIMIT_S)
         self._loop.close()
+
+    async def _end(self) -> None:
+        """Also connections that came while the simulator ended, which it never closes."""
+        await self.simulator.aclose()
+        rest = asyncio.all_tasks() - {asyncio.current_task()}
+        for task in rest:
+            task.cancel()
+        await asyncio.gather(*rest, return_exceptions=True)
+        await asyncio.sleep(0)  # a closed transport ends in the turn after that
 
     async def _read(self, word: int, count: int) -> tuple[int, ...]:
         return self.simulator.memory.read_words("D", 1000 + word, count)
