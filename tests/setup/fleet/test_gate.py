@@ -122,7 +122,7 @@ async def test_a_new_job_comes_beside_the_others(cell: GatedCell) -> None:
         ({"bad": 20}, "cycles are bad, before it"),
         ({"larger": 2.0}, "sigma is 1.97"),
         ({"rows": 2.0}, "the row difference is 1.97 times what it was, in 40 cycles"),
-        ({"slower": 2.0}, "a cycle takes 2.00 times as long as it did, in 39 cycles"),
+        ({"slower": 2.0}, "a cycle takes 2.00 times as long as it did, in 99 cycles"),
     ],
     ids=["misses", "sigma", "rows", "time"],
 )
@@ -134,7 +134,7 @@ async def test_a_release_that_does_worse_goes_back_by_itself_once_the_plant_lets
     cell.measure(60)
     cell.stage(edited(cell.folder, better))
     await cell.reach("probation")
-    cell.measure(40, **measured)
+    cell.measure(100 if "slower" in measured else 40, **measured)
     cell.now, cell.running.session.is_locked = NOON, True
     note = await cell.reach("rolling back")
     assert why in note.why
