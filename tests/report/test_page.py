@@ -35,6 +35,7 @@ MODEL = {
     "about": HtmlTable([("made", "edged")]),
 }
 
+LINKS = {"Grafana": "https://grafana.example/d/edged"}
 FORM = {"t": lambda name, **_values: name, "problem": ""}
 
 
@@ -80,8 +81,8 @@ def test_a_value_that_is_missing_is_an_error() -> None:
 @pytest.mark.parametrize(
     ("name", "values"),
     [
-        ("index.html", {"setup": False, "modules": [], "manual": False}),
-        ("index.html", {"setup": True, "modules": ["run/run.js"], "manual": True}),
+        ("index.html", {"setup": False, "modules": [], "manual": False, "links": {}}),
+        ("index.html", {"setup": True, "modules": ["run/run.js"], "manual": True, "links": LINKS}),
         ("invite.html", {**FORM, "least": 8, "command": "edged"}),
         ("login.html", {**FORM, "users": False, "one": True}),
         ("login.html", {**FORM, "users": True, "one": False, "problem": "wrong"}),
