@@ -10,6 +10,7 @@ from fnmatch import fnmatchcase
 import pytest
 
 REASONS = {
+    "tests/cameras/test_camera_faults.py::test_packets_that_are_lost_and_*": "0.2 s: Aravis waits no longer",
     "tests/cameras/test_camera_modes.py::test_a_scheduled_action_*": "0.4 s until both expose",
     "tests/wire/test_opcua_hostile.py::test_ten_thousand_*": "a good client waits for 5 s at most",
     "tests/wire/test_floods.py::*": "a PLC is answered within 5 s beside what floods the cell",
