@@ -29,10 +29,11 @@ SWING_K, PERIOD_H = 10.0, 20 / 3600
 
 @dataclass(frozen=True)
 class Kind:
-    """A kind of release. factors, scatters : of figures; moved_mm : the left camera; creeps_mm : in a cycle.
+    """A kind of release.
 
-    memory : correlation of a cycle with the next one. creeps : of logarithms, over the whole probation.
-    before : cycles that there are.  busy : so many of the first ones take twice as long.
+    factors : of figures.  scatter : of all, times the usual one.  moved_mm : the left camera, creeps_mm : in
+    a cycle.  memory : correlation of a cycle with the next one.  creeps : of logarithms, over the whole
+    probation.  before : cycles that there are.  busy : so many of the first ones take twice as long.
     """
 
     name: str

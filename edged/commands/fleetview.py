@@ -12,6 +12,7 @@ from rich.table import Table
 from rich.text import Text
 
 from edged.app.fleet import Document, News
+from edged.domain.numerals import number_in
 from edged.errors import printable
 
 TABLE_LINES = 6
@@ -56,13 +57,13 @@ class CellView:
             self.state, self.error = _text(document, "state"), _text(document, "error")
             self.setup = _setup(document.get("setup"))
         elif news.kind == "health":
-            self.rate_hz = _number(document.get("rate_hz"))
+            self.rate_hz = number_in(document.get("rate_hz"))
         elif news.kind == "target":
             self.lost += _gap(self.target, document)
             alike = _text(self.target, "status") == _text(document, "status") != "OK"
             self.misses = self.misses + 1 if alike else 1
             # after the first one, which may be old, only this machine's clock counts: clocks differ
-            exposed_ns = utc_ns if self.target else _number(document.get("exposed_ns")) or utc_ns
+            exposed_ns = utc_ns if self.target else number_in(document.get("exposed_ns")) or utc_ns
             self.age_at_arrival_s = max(0.0, (utc_ns - exposed_ns) / 1e9)
             self.target, self.arrived_s = document, now_s
 
@@ -248,18 +249,14 @@ def _triple(values: object, form: str) -> str:
 
 def _largest(values: object) -> str:
     """The largest of three sigmas: the one that decides whether a robot may grip."""
-    numbers = [_number(value) for value in values] if isinstance(values, list) else []
+    numbers = [number_in(value) for value in values] if isinstance(values, list) else []
     known = [number for number in numbers if number is not None]
     return _shown(max(known), "{:.4f}") if numbers and len(known) == len(numbers) else ""
 
 
 def _shown(value: object, form: str) -> str:
-    number = _number(value)
+    number = number_in(value)
     return "-" if number is None else form.format(number)
-
-
-def _number(value: object) -> float | None:
-    return float(value) if isinstance(value, int | float) and not isinstance(value, bool) else None
 
 
 def _gap(old: Document, new: Document) -> int:

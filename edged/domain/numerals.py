@@ -53,6 +53,15 @@ def json_of(text: str | bytes) -> Any:
     return json.loads(text, parse_constant=decimal, parse_float=decimal)
 
 
+def number_in(value: object) -> float | None:
+    """What stands in a document, if it is a number; None for anything else.
+
+    >>> number_in(2), number_in(True), number_in("2")
+    (2.0, None, None)
+    """
+    return float(value) if isinstance(value, int | float) and not isinstance(value, bool) else None
+
+
 def known(value: float | None, digits: int | None = None) -> float | None:
     """A number as JSON has it, rounded to so many digits; None for NaN and infinity.
 

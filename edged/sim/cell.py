@@ -14,6 +14,7 @@ import threading
 from collections import deque
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
+from functools import cache
 
 import numpy as np
 
@@ -149,7 +150,7 @@ class VirtualCell:
 
         other : a camera that may stand in for the one of that side; None: that one.
         """
-        load_called("edged.sim")  # else the first picture takes four times as long, or comes late
+        _load_kernels()
 
         def expose(request: ExposureRequest) -> Image:
             view = other or self._views[camera]
@@ -352,6 +353,12 @@ class VirtualCell:
 
 
 # --- views and poses -----------------------------------------------------------------------------
+
+
+@cache
+def _load_kernels() -> None:
+    """Once: else the first picture takes four times as long as any other, or comes late."""
+    load_called("edged.sim")
 
 
 def stereo_views(rig: StereoRig, sensor: Sensor | None = None) -> dict[str, RenderedView]:

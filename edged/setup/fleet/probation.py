@@ -18,6 +18,7 @@ from typing import Literal, get_args
 import numpy as np
 
 from edged.domain.arrays import FloatArray
+from edged.domain.outliers import NORMAL_MAD
 from edged.setup.fleet.offers import Baseline, Figure, FigureTally, ProbationTally, UsualFigure
 
 LAST = 200
@@ -178,8 +179,7 @@ def _usual(known: FloatArray) -> UsualFigure:
     autocorrelated time series", Suppl. J. R. Stat. Soc. 8, 1946.
     """
     middle = float(np.median(known))
-    # 1.4826: of a normal distribution the scatter is so many times the median deviation
-    scatter = max(1.4826 * float(np.median(np.abs(known - middle))), 0.01)
+    scatter = max(NORMAL_MAD * float(np.median(np.abs(known - middle))), 0.01)
     apart = np.clip((known - middle) / scatter, -3.0, 3.0)
     r = min(max(float(apart[1:] @ apart[:-1]) / max(float(apart @ apart), 1.0), 0.0), 0.95)
     scatter *= math.sqrt((1 + r) / (1 - r))

@@ -19,6 +19,7 @@ from edged.domain.arrays import FloatArray
 from edged.domain.cell import CalibrationHealth
 from edged.domain.events import CommandKind
 from edged.domain.measurement import Status
+from edged.domain.outliers import NORMAL_MAD
 from edged.errors import FileFormatError, UserError
 from edged.files import recording
 from edged.payload import Json
@@ -298,7 +299,7 @@ def motion_of(before_mm: FloatArray, after_mm: FloatArray) -> FrameShift | None:
     solved[:3] = np.median(moved, axis=0)
     for _ in range(10):
         rest = np.linalg.norm(moved - columns @ solved, axis=1)
-        scale = 1.4826 * float(np.median(rest))
+        scale = NORMAL_MAD * float(np.median(rest))
         if scale <= 0:
             break
         weights = np.sqrt(np.minimum(1.0, 1.345 * scale / np.maximum(rest, 1e-15)))

@@ -12,6 +12,7 @@ from typing import Any
 
 from edged.domain.events import CommandKind
 from edged.domain.measurement import Reject, Status
+from edged.domain.numerals import number_in
 from edged.errors import FileFormatError
 from edged.files import recording
 from edged.payload import Json
@@ -213,8 +214,7 @@ def _worst_um(target: Json) -> float | None:
 
 def _number(table: object, key: str) -> float | None:
     """A number of a table, whatever is there."""
-    value = table.get(key) if isinstance(table, dict) else None
-    return float(value) if isinstance(value, int | float) and not isinstance(value, bool) else None
+    return number_in(table.get(key)) if isinstance(table, dict) else None
 
 
 def _objects(snapshot: Json, key: str) -> list[dict[str, Any]]:
