@@ -78,6 +78,7 @@ RENAMED = ("rapid", "krl", "krl6", "drl", "val3", "as", "spel", "pacscript", "sc
 """Formats of which two may be in one controller under different names."""
 
 
+FANUC_LISTINGS = ("edgepick.ls", "edgedreg.ls", "edgebelt.ls", "edgetrk.ls")
 KUKA_FILES = {"edged.src": "krl", "edged.dat": "krl", "edged.xml": ""}
 VAL3_PROGRAMS = (
     *("runLocate", "runPerform", "openAndAsk", "runFetch", "runGrasp", "acknowledge"),
@@ -129,7 +130,7 @@ FORMATS = {
     "krl": Format(KUKA_FILES, Brand.KUKA, archive="edged-kuka.zip"),
     "krl6": Format(KUKA_FILES, Brand.KUKA, archive="edged-kuka-iiqka.zip"),
     "karel": Format(
-        {"edged.kl": "karel", "edgepick.ls": "tp", "edgedreg.ls": "tp"},
+        {"edged.kl": "karel"} | dict.fromkeys(FANUC_LISTINGS, "tp"),
         Brand.FANUC,
         archive="edged-fanuc.zip",
     ),

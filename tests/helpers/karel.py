@@ -185,7 +185,7 @@ def _routine(program: Program, lines: list[str], at: int) -> int:
 BUILTINS = (
     *("CNV_INT_STR", "CHR", "ORD", "STR_LEN", "ROUND", "UNINIT", "IO_STATUS", "BYTES_AHEAD", "READ_FILE"),
     *("WRITE_FILE", "OPEN_FILE", "CLOSE_FILE", "DELAY", "SET_FILE_ATR", "MSG_CONNECT", "MSG_DISCO", "CURPOS"),
-    *("SET_POS_REG", "SET_INT_REG", "SET_REAL_REG", "GET_TPE_PRM"),
+    *("SET_POS_REG", "SET_INT_REG", "SET_REAL_REG", "GET_TPE_PRM", "GET_REG"),
 )
 
 
@@ -326,6 +326,13 @@ class Controller:
     def set_real_reg(self, number: Any, value: Any, status: Any) -> None:
         """A number."""
         self.registers[number.get()] = value.get()
+        status.set(0)
+
+    def get_reg(self, number: Any, is_real: Any, whole: Any, real: Any, status: Any) -> None:
+        """What a register holds, in the one that fits it; the other one stays as it was."""
+        value = self.registers.get(number.get(), 0)
+        is_real.set(isinstance(value, float))
+        (real if isinstance(value, float) else whole).set(value)
         status.set(0)
 
     def get_tpe_prm(self, number: Any, kind: Any, whole: Any, _real: Any, _text: Any, status: Any) -> None:

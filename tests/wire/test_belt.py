@@ -8,7 +8,7 @@ import re
 import time
 import tomllib
 import zipfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -17,12 +17,12 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from helpers import rapid
+from helpers import karel, krl, rapid
 from helpers.commandline import exit_code
 from helpers.linerobot import connected
 from helpers.livecell import Head, LiveCell
 from helpers.ports import free_port
-from helpers.robotexamples import DOCS
+from helpers.robotexamples import DOCS, run_pendant
 from helpers.robotlink import Link
 from helpers.smallcell import HEIGHT, TOKEN, WIDTH, SmallCell, tiny_rig
 from helpers.waiting import LIMIT_S, wait_until
@@ -44,7 +44,7 @@ from edged.plc.lines import LineStatus
 from edged.plc.registers import Flag, Option, StatusBit
 from edged.robot.belt import belt_frame
 from edged.robot.orientations import Brand, transform_of
-from edged.robots.formats import render
+from edged.robots.formats import render, written
 from edged.setup.recordings.regression import decided, inspected
 from edged.setup.recordings.setups import rig_and_job
 from edged.sim.belt import VirtualBelt
@@ -345,6 +345,152 @@ def test_abbs_example_goes_with_the_part(running: tuple[BeltCell, ModbusTcpClien
         assert -0.1 < error_mm[0] < 40.0, "it lies behind by what the request took on its way"
     apart_mm = moves[2][1][0, 3] - moves[0][1][0, 3]
     assert (moves[2][2] - moves[0][2]) * MM_PER_COUNT == pytest.approx(apart_mm, abs=0.01), "it goes with it"
+
+
+def written_values(cell: BeltCell) -> dict[str, int]:
+    """All registers of the cell by their names."""
+    return cell.call(lambda: {register.name: value for register, value in cell.server.values()})
+
+
+def lines_of(listing: str) -> list[str]:
+    """The instructions of a teach pendant's program, without their numbers."""
+    code = listing.partition("/MN\n")[2].partition("/POS")[0]
+    return [line[5:].rstrip(" ;").strip() for line in code.splitlines()]
+
+
+def test_fanucs_program_goes_with_the_part(running: tuple[BeltCell, ModbusTcpClient]) -> None:
+    """The count before the picture, the trigger after it, and moves in the frame of the schedule that the
+    header names: each is over the part, where it is by then."""
+    cell, _ = running
+    belt = cell.head.belt
+    files = written("karel")
+    controller = karel.Controller(Link(cell.server.line_port))
+    program = karel.load(files["edged.kl"], controller)
+    controller.registers[89] = 200
+    away = transform_of(Brand.FANUC, (0.0, 0.0, -100.0, 0.0, 0.0, 0.0))
+    enabled: list[str] = []
+    trigger: dict[str, float] = {}
+    moves: list[tuple[np.ndarray, int]] = []
+
+    def count(encoder: str, register: str) -> None:
+        assert [encoder] == enabled
+        cell.until_a_part_comes()
+        controller.registers[int(register)] = belt.count(time.time_ns())
+
+    def moved(speed: str, offset: str | None) -> None:
+        now = belt.count(time.time_ns())
+        place = transform_of(Brand.FANUC, tuple(controller.positions[81].plain().values())[:6])
+        place = place @ away if offset else place
+        place[0, 3] += (now - trigger["1"]) * MM_PER_COUNT
+        moves.append((place, now))
+        time.sleep(0.02)
+
+    def track() -> None:
+        listing = files["edgetrk.ls"]
+        header = listing.partition("/APPL\n")[2].partition("/MN")[0]
+        assert ["LINE_TRACK", "1", "1", "FALSE"] == re.findall(r"(?:: |^)(\w+);", header, re.MULTILINE)
+        move = r"L PR\[81\] (\d+)mm/sec FINE( Tool_Offset,PR\[80\])?$"
+        run_pendant(lines_of(listing), program, controller, {move: moved, "!": lambda: None})
+
+    run_pendant(
+        lines_of(files["edgebelt.ls"]),
+        program,
+        controller,
+        {
+            r"LINE\[(\d)\] ON$": enabled.append,
+            r"LINECOUNT\[(\d)\] R\[(\d+)\]$": count,
+            r"SETTRIG LNSCH\[(\d)\] R\[(\d+)\]$": lambda schedule, register: trigger.update(
+                {schedule: controller.registers[int(register)]}
+            ),
+            r"SELBOUND LNSCH\[1\] BOUND\[1\]$|UFRAME_NUM=0$|!": lambda: None,
+            "CALL EDGETRK$": track,
+        },
+    )
+    assert (0, 1) == (controller.registers[81], controller.registers[90]), controller.registers
+    assert 3 == len(moves)
+    values = written_values(cell)
+    for (place, now), away_mm in zip(moves, (100.0, 0.0, 100.0), strict=True):
+        error_mm = place[:3, 3] + away_mm * place[:3, 2] - cell.truth_mm(values["EXPOSURE_NS"], now)
+        assert (np.abs(error_mm[1:]) < 0.05).all(), error_mm
+        assert -0.1 < error_mm[0] < 40.0, "it lies behind by what the request took on its way"
+    controller.registers[88] = -1
+    program.call("RUN")
+    assert LineStatus.NOT_UNDERSTOOD == controller.registers[81], "no count is below 0"
+
+
+@pytest.mark.parametrize(
+    "fmt, controlled", [("krl", krl.Controller), ("krl6", krl.Controller6)], ids=["KSS", "iiQKA"]
+)
+def test_kukas_example_goes_with_the_part(
+    running: tuple[BeltCell, ModbusTcpClient], fmt: str, controlled: Callable[..., krl.Controller]
+) -> None:
+    """As it stands in the manual, with KUKA.ConveyorTech, whose base goes with the belt from the exposure on:
+    over the part to a tenth of a millimetre, however late the robot comes."""
+    cell, _ = running
+    belt = cell.head.belt
+    example = re.search(r"^DECL FRAME PICK\n.*?(?=^```)", PICKING.read_text(), re.MULTILINE | re.DOTALL)
+    assert example is not None
+    files = written(fmt)
+    code = example[0].replace("#BASE", '"#BASE"').replace("5.0,0,200.0", "5.0,70000,200.0")
+    files["edged.src"] += f"DEF EXAMPLE()\n{code}END\n"
+    program = krl.load(files, controlled(files["edged.xml"], Link(cell.server.line_port)))
+    for name in ("$NULLFRAME", "$BASE"):
+        program.globals[name] = krl.TYPES.variable("FRAME")
+    program.globals["$ADVANCE"] = krl.TYPES.variable("INT", 3)
+    program.globals |= {name: krl.TYPES.array("INT", 2) for name in ("CONV_PART_NBR", "CONV_BASE_INDEX")}
+    program.globals["CONV_BASE_INDEX"].element(1).set(32)
+    program.globals["CONV_PART_NBR"].element(2).set(7)
+    done: list[str] = []
+    bases: list[int] = []
+    moves: list[tuple[np.ndarray, int]] = []
+
+    def went_mm(now_ns: int) -> float:
+        """Since the pulse of the exposure."""
+        return belt.travelled_mm(now_ns) - belt.travelled_mm(written_values(cell)["EXPOSURE_NS"])
+
+    def deleted(_conveyor: Any, how_many: Any) -> int:
+        how_many.set(0)
+        cell.until_a_part_comes()
+        return 0
+
+    def found(_root: Any, name: Any, _offset: Any, number: Any, is_there: Any) -> Any:
+        assert "belt" == "".join(one.get() for one in name.elements).rstrip("\0")
+        assert 0 == number.get()
+        is_there.set(True)
+        frame = krl.TYPES.initial("FRAME")
+        frame.fields["x"].set(went_mm(time.time_ns()))
+        return frame
+
+    def moved(frame: Any) -> None:
+        now_ns = time.time_ns()
+        place = transform_of(Brand.KUKA, tuple(frame.get().plain().values()))
+        place[0, 3] += went_mm(now_ns)
+        moves.append((place, belt.count(now_ns)))
+        time.sleep(0.02)
+
+    program.builtins |= {
+        "CONV_GET_NAME": lambda _: "belt",
+        "CONV_INI_OFF": lambda _: done.append("off"),
+        "CONV_ON": lambda _: done.append("on"),
+        "CONV_DELETE_ALL_WPS": deleted,
+        "CONV_GET_MACHINE_INDEX": lambda _: 2,
+        "CONV_GET_PART_SEN_PREA": lambda frame, _: frame.get().fields["x"].get(),
+        "EB_TEST": found,
+        "BAS": lambda _, number: bases.append(number.get()),
+        "LIN": moved,
+    }
+    program.call("EXAMPLE")
+    assert (["off", "on"], [32], 3) == (done, bases, len(moves)), program.named("EDGED_ERROR").get()
+    values = written_values(cell)
+    assert 70_000 < program.named("EDGED_BELT_COUNT").get() < 75_000
+    assert 1 == program.named("EDGED_NUMBER").element(1).get()
+    assert 400.0 < moves[0][0][0, 3] < moves[2][0][0, 3] < 700.0
+    for (place, now), away_mm in zip(moves, (100.0, 0.0, 100.0), strict=True):
+        truth_mm = cell.truth_mm(values["EXPOSURE_NS"], now)
+        error_mm = place[:3, 3] + away_mm * place[:3, 2] - truth_mm
+        assert (np.abs(error_mm[1:]) < 0.05).all(), error_mm
+        assert abs(error_mm[0]) < 0.09, "half of the exposure, one and a half counts, the picture"
+    assert 1 == program.named("$ADVANCE").get()
 
 
 @dataclass
