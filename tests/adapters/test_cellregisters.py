@@ -87,6 +87,24 @@ def test_what_is_in_flight_over_a_reload_does_not_answer_the_next_command_of_tha
     assert (1, 10_000) == shown(cell)
 
 
+def test_blocks_read_in_a_row_come_from_one_image_until_something_happens_or_expires() -> None:
+    """HEARTBEAT goes on after half a millisecond, or with the next write; a pose falls at its instant."""
+    now_s = [1000.0998]
+    cell = CellRegisters(ModbusSettings(), Queue(), lambda: now_s[0])
+    cell.write(1, reg.ADDRESS["CMD_SEQ"], [0])
+    cell.take(make_snapshot(2))
+    assert 10_000 == status(cell)["HEARTBEAT"]
+    now_s[0] = 1000.1001
+    assert 10_000 == status(cell)["HEARTBEAT"]
+    cell.write(1, reg.ADDRESS["BOX"], [0])
+    assert 10_001 == status(cell)["HEARTBEAT"]
+    ends_s = cell.valid_until_s
+    now_s[0] = ends_s - 0.0001
+    assert 10_000 == shown(cell)[1]
+    now_s[0] = ends_s + 1e-5
+    assert reg.INT32_MIN == shown(cell)[1]
+
+
 def test_a_box_is_said_with_each_command_and_stays() -> None:
     """Written once, of every command until it is written again."""
     queue = Queue()

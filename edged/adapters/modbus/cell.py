@@ -7,6 +7,7 @@ the cycle and its events back. Not responsible for bytes on a line (`tcp`, `rtu`
 from __future__ import annotations
 
 import asyncio
+import math
 import secrets
 import struct
 import time
@@ -100,6 +101,10 @@ DEFINED = bytes(
 """1 for each address of the map that exists."""
 
 
+FRESH_S = 0.0005
+"""Blocks that are read in a row come from one image: half of the finest time in it, 1 ms."""
+
+
 class CellRegisters:
     """All registers of the cell, shared by all connections."""
 
@@ -140,6 +145,7 @@ class CellRegisters:
         self._accepted_until_s = 0.0  # when the block of the acceptance test is made anew
         self.watchers: list[Callable[[], None]] = []  # called after each write and event
         self._change: asyncio.Future[None] | None = None
+        self._fresh_until_s = -math.inf  # so long the image is what a read would make of it
 
     def change(self) -> asyncio.Future[None]:
         """A future that is done with the next write or event; shared, so not to be cancelled."""
@@ -148,6 +154,7 @@ class CellRegisters:
         return self._change
 
     def _tell(self) -> None:
+        self._fresh_until_s = -math.inf
         for changed in self.watchers:
             changed()
         if self._change is not None and not self._change.done():
@@ -176,6 +183,8 @@ class CellRegisters:
     def _refresh(self) -> None:
         """Bring the image up to date. Nothing else runs between this and the encoding of the answer."""
         now_s = self._clock_s()
+        if now_s < self._fresh_until_s:
+            return
         self._step(ev.Tick(), now_s)
         valid = hs.is_valid(self._state, now_s)
         status: dict[str, reg.Number] = {
@@ -202,6 +211,7 @@ class CellRegisters:
             self._are_jobs_placed, jobs = True, self._jobs()
             for index, block in enumerate(reg.JOBS):
                 self._place(block, reg.job_values(index, jobs))
+        self._fresh_until_s = min(now_s + FRESH_S, hs.valid_until_s(self._state, now_s) or math.inf)
 
     def _place(self, block: reg.Block, values: dict[str, reg.Number]) -> None:
         start = 2 * block.address
@@ -506,7 +516,8 @@ class CellRegisters:
     def _step(self, event: ev.Event[reg.RegisterResult], now_s: float) -> tuple[ev.Effect, ...]:
         before = self._state
         self._state, effects = hs.step(before, event, now_s)
-        if effects or not isinstance(event, ev.Tick):  # which comes with each read of a register
+        if effects or not isinstance(event, ev.Tick):  # which comes with reads of registers
+            self._fresh_until_s = -math.inf
             self.ladder.took(event, before, self._state, effects, now_s)
         for effect in effects:
             if isinstance(effect, ev.Answered):
