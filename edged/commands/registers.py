@@ -14,7 +14,6 @@ from edged.errors import UserError
 from edged.files.atomic import write_file
 from edged.files.jobs import job_folders, load_job
 from edged.files.outputs import make_folder
-from edged.plc.eds import eds
 from edged.robot.orientations import Convention
 from edged.robots.formats import FORMATS, ProgramCell, written
 
@@ -30,9 +29,6 @@ def registers(fmt: str | None, folder: Path | None, config: Path | None = None, 
     Raises `UserError` for another format, for files without a folder, for a folder without files, and for a
     configuration without what the program talks to.
     """
-    if fmt == "eds" and folder is None:
-        sys.stdout.write(eds())
-        return 0
     cell = ProgramCell(name=name)
     if config is not None:
         loaded = load(config)

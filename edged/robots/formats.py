@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from importlib.resources import files
 
 from edged.errors import UserError
+from edged.plc.eds import eds
 from edged.plc.registers import BLOCKS, MAP_VERSION
 from edged.robot.orientations import Brand, Convention
 from edged.robots.grammar import grammar
@@ -151,6 +152,7 @@ FORMATS = {
     ),
     "spel": Format({"Edged.prg": "spel"}, Brand.EPSON),
     "pacscript": Format({"edged.pcs": "pacscript"}, Brand.DENSO),
+    "eds": Format({"edged.eds": ""}),
     "python": Format({"edged_cell.py": ""}),
     "csv": Format({"edged.csv": ""}),
 }
@@ -172,8 +174,8 @@ def written(fmt: str, cell: ProgramCell | None = None) -> dict[str, str]:
     cell = cell or ProgramCell()
     if fmt not in FORMATS:
         raise UserError(f"--format {fmt}: expected {', '.join(FORMATS)}")
-    if fmt in ("csv", "json"):
-        return {f"edged.{fmt}": _csv() if fmt == "csv" else _json()}
+    if fmt in ("csv", "json", "eds"):
+        return {f"edged.{fmt}": {"csv": _csv, "json": _json, "eds": eds}[fmt]()}
     if cell.name and (fmt not in RENAMED or not NAME.fullmatch(cell.name)):
         raise UserError(
             f"--name {cell.name}: expected 2 to 5 small letters, and one of {', '.join(RENAMED)}. "

@@ -23,7 +23,7 @@ from edged.robot.orientations import Brand, Convention
 from edged.robots.formats import FORMATS, NAME, RENAMED, ProgramCell, written
 from edged.sim.cell import VirtualCell, demo_part
 
-PAGES = ("md", "csv", "json", "python")
+PAGES = ("md", "csv", "json", "eds", "python")
 CELL = """
 [cell]
 name = "left"

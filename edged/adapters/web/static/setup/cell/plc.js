@@ -166,6 +166,7 @@ const WHOSE = {
   melfa: "Mitsubishi",
   spel: "Epson",
   pacscript: "Denso",
+  eds: "EtherNet/IP (EDS)",
   python: "Python",
   csv: "CSV",
 };
