@@ -248,6 +248,16 @@ async def test_reference_grip_and_sizes_are_picked_on_the_part(stand: Stand) -> 
     await page.type("[name=nominal]", "14")
     await page.until(said("within"))
 
+    await press(page, "Describe a tray")
+    await page.until('document.querySelector("[name=tray-rows]")')
+    await page.type("[name=tray-rows]", "3")
+    await page.until('document.querySelector("[name=tray-column-end-y]")?.value === "80.000"')
+    await page.type("[name=tray-first-z]", "5")
+    tray = (await stand.until(lambda now: now["tray"] and now["tray"]["first_mm"][2] == 5.0))["tray"]
+    assert (2, 3, [40.0, 0.0, 0.0]) == (tray["columns"], tray["rows"], tray["row_end_mm"])
+    await press(page, "No tray")
+    await stand.until(lambda now: now["tray"] is None)
+
     await press(page, "No other place")
     await page.until('!document.querySelector("[name=grip-z]")')
     await page.choose(".columns select", "c0")

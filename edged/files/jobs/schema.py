@@ -270,7 +270,7 @@ Millimetres = Annotated[float, Field(ge=-10_000, le=10_000)]
 Place = Annotated[list[Millimetres], Field(min_length=3, max_length=3)]
 
 
-class _Tray(_Section):
+class TraySection(_Section):
     """Pockets of a tray or pallet, in equal steps, numbered along the row, then the rows, then the layers.
 
     Places are those of the reported point of a part that lies there, in the frame of the coordinates.
@@ -286,7 +286,7 @@ class _Tray(_Section):
     tolerance_mm: float = Field(10.0, gt=0, le=1000, description="how far a part may lie from the middle")
 
     @model_validator(mode="after")
-    def _ordered(self) -> _Tray:
+    def _ordered(self) -> TraySection:
         for count, end in (("columns", "row_end_mm"), ("rows", "column_end_mm"), ("layers", "layer_end_mm")):
             if (getattr(self, count) > 1) != (getattr(self, end) is not None):
                 raise ValueError(f"{end} is where {count} end: give it with more than one, and only then")
@@ -300,7 +300,23 @@ class _Tray(_Section):
             )
         return self
 
+    @classmethod
+    def of(cls, tray: Tray) -> TraySection:
+        """As a job's file has it."""
+        (row, column, layer), (columns, rows, layers) = tray.ends_mm, tray.counts
+        return cls(
+            first_mm=[*tray.first_mm],
+            columns=columns,
+            row_end_mm=[*row] if columns > 1 else None,
+            rows=rows,
+            column_end_mm=[*column] if rows > 1 else None,
+            layers=layers,
+            layer_end_mm=[*layer] if layers > 1 else None,
+            tolerance_mm=tray.tolerance_mm,
+        )
+
     def tray(self) -> Tray:
+        """The domain's."""
         first, *ends = (
             (place[0], place[1], place[2])
             for end in (self.first_mm, self.row_end_mm, self.column_end_mm, self.layer_end_mm)
@@ -318,7 +334,7 @@ class _Picking(_Section):
         'highest in the robot\'s frame; "leftmost": in the left picture; "least_sigma": position known best; '
         '"pocket": in the lowest pocket of the tray',
     )
-    tray: _Tray | None = Field(None, description="pockets in which the parts lie; left out: anywhere")
+    tray: TraySection | None = Field(None, description="pockets in which the parts lie; left out: anywhere")
 
     @model_validator(mode="after")
     def _known(self) -> _Picking:

@@ -17,6 +17,7 @@ _KINDS = {
     "edged.domain.measurement": "Status",
     "edged.domain.picking": "Bounds Box Grasp Gripper Order Picking Tray",
     "edged.domain.robotmap": "RobotMap",
+    "edged.files.jobs.schema": "TraySection",
     "edged.files.recording": "Entry",
     "edged.robot.orientations": "Brand Convention",
     "edged.robot.readings": "PoseReading",

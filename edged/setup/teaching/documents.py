@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from edged.files.jobs.schema import TraySection
 from edged.setup.documents import (
     DraftHead,
     DraftSummary,
@@ -135,6 +136,7 @@ class TeachingDocument(DraftHead):
     reference: ReferenceDocument | None
     gripping: GrippingDocument | None
     sizes: list[SizeDocument]
+    tray: TraySection | None
     tilt_deg: float | None
     further: list[str]
     break_mm: float | None

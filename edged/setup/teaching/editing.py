@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from edged.domain.arrays import FloatArray
-from edged.domain.picking import Grasp, Picking
+from edged.domain.picking import Grasp, Order, Picking, Tray
 from edged.errors import FileFormatError, TeachError
 from edged.files.jobs import SHAPE, TEXT, check_text, job_of
 from edged.setup.teaching.model import Content, Gripping, GripWanted, Mark, Size, nearest
@@ -44,12 +44,24 @@ def edited(
     if content.gripping is not None:
         grasps = (grasp_of(content.gripping, job, moved), *job.picking.grasps[1:])
         job = replace(job, picking=replace(job.picking, grasps=grasps))
+    if content.tray is not None:
+        job = _with_tray(job, None if content.tray == "none" else content.tray.tray())
     if job is not taught:
         try:
             check_text(job)
         except FileFormatError as error:
             raise TeachError(str(error)) from error
     return job
+
+
+def _with_tray(job: Job, tray: Tray | None) -> Job:
+    """With another tray, or none; a picture is searched for as many parts as a layer has."""
+    if tray is None:
+        order = Order.SCORE if job.picking.order is Order.POCKET else job.picking.order
+        return replace(job, picking=replace(job.picking, order=order, tray=None))
+    most = max(job.search.max_matches, tray.counts[0] * tray.counts[1])
+    search, picking = replace(job.search, max_matches=most), replace(job.picking, tray=tray)
+    return replace(job, search=search, picking=picking)
 
 
 def _without(job: Job, left_out: set[str]) -> Job:

@@ -16,6 +16,7 @@ from pydantic import ConfigDict, Field, JsonValue, model_validator
 
 from edged.domain.arrays import Image
 from edged.errors import TeachError
+from edged.files.jobs.schema import TraySection
 from edged.setup.history import Digest, History, Kept, Text
 from edged.vision.part.job import MAX_TILT_DEG, MeasurementKind
 from edged.vision.teaching.region import (
@@ -166,7 +167,7 @@ class Content(Kept):
 
     drawing : what it is learnt from instead; the pair then shows where its part lies.
     further : pairs that show the part otherwise; a drawing has none.
-    sizes, gripping : None: as taught, and as in the job that it replaces.
+    sizes, gripping, tray : None: as taught, and as in the job that it replaces.
     """
 
     name: JobName
@@ -176,6 +177,7 @@ class Content(Kept):
     reference: Mark | None = None
     gripping: Gripping | None = None
     sizes: Annotated[tuple[Size, ...], Field(max_length=200)] | None = None
+    tray: TraySection | Literal["none"] | None = None
     tilt_deg: Annotated[float, Field(gt=0, le=MAX_TILT_DEG)] | None = None
     drawing: Drawing | None = None
     further: Annotated[tuple[PairName, ...], Field(max_length=MOST_FURTHER)] = ()

@@ -9,6 +9,7 @@ from pydantic import Field, JsonValue, model_validator
 
 from edged.adapters.web.routes import Body, Call, Name, Problem, RouteTable, Token
 from edged.errors import EdgedError
+from edged.files.jobs.schema import TraySection
 from edged.setup.documents import DraftHead
 from edged.setup.draftroutes import DraftRoutes, Revised
 from edged.setup.releases.routes import Activating, ReleaseDocument, add_activation, noted, signed_mandate
@@ -115,13 +116,14 @@ class KeptPairs(Revised):
 
 
 class Wishing(Revised):
-    """What the job is to be; what is left out stays. null of gripping, sizes and tilt_deg: as taught."""
+    """What the job is to be; what is left out stays. null of gripping, sizes, tray, tilt_deg: as taught."""
 
     name: JobName | None = None
     number: Number | None = None
     reference: FeatureName | TapPlace | None = None
     gripping: GripWanted | None = None
     sizes: Annotated[tuple[SizeWanted, ...], Field(max_length=200)] | None = None
+    tray: TraySection | Literal["none"] | None = None
     tilt_deg: Annotated[float, Field(gt=0, le=MAX_TILT_DEG)] | None = None
 
 
@@ -193,8 +195,7 @@ class TeachingRoutes:
                 sets[name] = value
         # null is a wish, too
         sets |= {name: None for name in ("gripping", "sizes", "reference") if name in stated}
-        if "tilt_deg" in stated:
-            sets["tilt_deg"] = body.tilt_deg
+        sets |= body.model_dump(mode="json", include={"tilt_deg", "tray"} & stated)
         more: dict[str, Any] = {name: getattr(body, name) for name in ("reference", "gripping", "sizes")}
         return await self._teachings.wish(draft, body.revision, sets, **more)
 

@@ -17,6 +17,7 @@ from pydantic import JsonValue
 
 from edged.errors import EdgedError, FileFormatError, TaskFailed, TaskTooLarge, TeachError
 from edged.files.jobs import SHAPE, TEXT, job_files, read_job
+from edged.files.jobs.schema import TraySection
 from edged.setup.documents import DraftHead, PicturePaths
 from edged.setup.drafts import OpenDrafts, trouble_in
 from edged.setup.inuse import CellInUse
@@ -47,7 +48,7 @@ FUNCTIONS = {
 PLACE = "/api/v1/teachings"
 NOTHING_SEEN: Mapping[str, Any] = {
     **dict.fromkeys(("features", "sizes", "rivals", "warnings"), ()),
-    **dict.fromkeys(("reference", "gripping", "predicted", "break_mm", "break_end")),
+    **dict.fromkeys(("reference", "gripping", "tray", "predicted", "break_mm", "break_end")),
     "outlines": ContoursDocument(left=[], right=[]),
 }
 """Fields of a `TeachingDocument` while the pair has not been looked at."""
@@ -397,6 +398,8 @@ class Teachings:
             is_there = seen.job.kind_of(feature.key) is not None or not left_out
             taken = feature.key not in left_out and is_there
             features.append(feature.model_copy(update={"taken": taken}))
-        same = {name: getattr(seen, name) for name in NOTHING_SEEN.keys() - {"features", "gripping"}}
+        same = {name: getattr(seen, name) for name in NOTHING_SEEN.keys() - {"features", "gripping", "tray"}}
         gripping = gripping_in(content.gripping, seen, rig.stereo())
-        return {**same, "features": features, "gripping": gripping}
+        tray = seen.job.picking.tray
+        shown = None if tray is None else TraySection.of(tray)
+        return {**same, "features": features, "gripping": gripping, "tray": shown}

@@ -111,6 +111,13 @@ async def test_what_people_say_is_what_is_learnt(tmp_path: Path) -> None:
         for _ in range(4):
             draft = await cell.change("POST", draft, "/redo", {})
         assert ("c2", 7, False) == (draft["reference"]["key"], draft["number"], draft["can_redo"])
+        tray = {"first_mm": [400.0, 0.0, 5.0], "columns": 4, "row_end_mm": [460.0, 0.0, 5.0], "rows": 3}
+        tray |= {"column_end_mm": [400.0, 50.0, 5.0], "tolerance_mm": 8.0}
+        draft = await cell.change("PUT", draft, "", {"tray": tray})
+        assert {**tray, "layers": 1, "layer_end_mm": None} == draft["tray"]
+        assert None is (await cell.change("PUT", draft, "", {"tray": "none"}))["tray"]
+        draft = await cell.change("POST", draft, "/undo", {})
+        assert 8.0 == draft["tray"]["tolerance_mm"]
         _, listed = await cell.ask("GET", "/teachings")
         assert [(draft["id"], "flange", 7)] == [
             (one["id"], one["name"], one["number"]) for one in listed["teachings"]

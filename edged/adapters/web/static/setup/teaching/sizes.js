@@ -211,6 +211,57 @@ function Size({ of, kind, unit, nominal, tolerance, measured, sigma, witness, ok
   </li>`;
 }
 
+const END = { columns: "row_end_mm", rows: "column_end_mm" };
+const TITLE = { first_mm: "first", row_end_mm: "row-end", column_end_mm: "column-end" };
+
+// Pockets of a tray, as the job's file has them. Layers stay as they are.
+export function Tray() {
+  const { tray } = teaching.value;
+  const wish = (values) => change("PUT", "", { tray: values });
+  const count = (what, value, along) => {
+    const end = tray[END[what]] ?? tray.first_mm.map((x, i) => x + (i === along ? 40 * (value - 1) : 0));
+    wish({ ...tray, [what]: value, [END[what]]: value > 1 ? end : null });
+  };
+  const whole = (what, along) => html`<${NumberField}
+    name="tray-${what}" label=${t(`teach-tray-${what}`)} digits=${0} low=${1} high=${64} value=${tray[what]}
+    disabled=${!mayTake.value} onValue=${(value) => count(what, Math.round(value), along)}
+  />`;
+  const place = (name) =>
+    tray[name] &&
+    html`<fieldset class="row">
+      <legend>${t(`teach-tray-${TITLE[name]}`)}</legend>
+      ${tray[name].map(
+        (mm, i) => html`<${NumberField}
+          key=${i} name="tray-${TITLE[name]}-${"xyz"[i]}" label=${"XYZ"[i]} unit="mm" digits=${3}
+          low=${-100000} high=${100000} value=${mm} disabled=${!mayTake.value}
+          onValue=${(value) => wish({ ...tray, [name]: tray[name].map((x, n) => (n === i ? value : x)) })}
+        />`,
+      )}
+    </fieldset>`;
+  const first = { first_mm: [0, 0, 0], columns: 2, row_end_mm: [40, 0, 0], tolerance_mm: 10 };
+  return html`<section aria-labelledby="teach-tray">
+    <h2 id="teach-tray">${t("teach-tray")}</h2>
+    <p class="hint">${t("teach-tray-what")}</p>
+    ${
+      tray &&
+      html`<div class="row">
+          ${whole("columns", 0)} ${whole("rows", 1)}
+          <${NumberField}
+            name="tray-tolerance" label=${t("teach-tray-tolerance")} unit="mm" digits=${1} low=${0.1}
+            high=${1000} value=${tray.tolerance_mm} disabled=${!mayTake.value}
+            onValue=${(value) => wish({ ...tray, tolerance_mm: value })}
+          />
+        </div>
+        ${place("first_mm")} ${place("row_end_mm")} ${place("column_end_mm")}`
+    }
+    <div class="actions">
+      <button disabled=${!mayTake.value} onClick=${() => wish(tray ? "none" : first)}>
+        ${t(tray ? "teach-tray-none" : "teach-tray-type")}
+      </button>
+    </div>
+  </section>`;
+}
+
 export function Naming() {
   const { name, number: count } = teaching.value;
   const [typed, setTyped] = useState(name);

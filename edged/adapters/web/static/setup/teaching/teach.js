@@ -25,7 +25,7 @@ import {
 } from "./features.js";
 import { FurtherPairs } from "./further.js";
 import { draws, Region, RegionTools, stroked, TOOLS, tapped, tool } from "./region.js";
-import { Naming, Reference, Sizes } from "./sizes.js";
+import { Naming, Reference, Sizes, Tray } from "./sizes.js";
 import { change, drafts, find, jobs, lit, lookAgain, open, pushed, see, teaching } from "./teaching.js";
 import { box, lookAt, ZoomButtons, Zoomed } from "./zoom.js";
 
@@ -285,6 +285,7 @@ export default function Teach() {
       <${Warnings} size=${size} />
       <${Reference} />
       <${Sizes} />
+      <${Tray} />
       <${FurtherPairs} />
       <${Drawing} />
       <${Activate} />
