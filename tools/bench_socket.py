@@ -3,13 +3,15 @@
 
 Run it with the project's Python: `.venv/bin/python tools/bench_socket.py`. The daemon measures in this
 process; a robot in another one sends LOCATE on a connection that stays, and waits for the whole line. Eight
-Modbus clients read 48 words every 20 ms meanwhile. What is not the cycle is what the line costs. Exit code 1
+Modbus clients read 48 words every 20 ms meanwhile. What is not the cycle is what the line costs. --stages:
+of what it is made, on the thread of the loop, by the clock and by the processor that it took. Exit code 1
 beyond 2 ms (p99).
 """
 
 from __future__ import annotations
 
 import asyncio
+import itertools
 import socket
 import sys
 import tempfile
@@ -23,6 +25,14 @@ from benchcell import BenchCell
 from benching import bench_parser, finish
 from helpers.ports import free_port
 
+from edged.adapters.modbus.lines import Robot
+from edged.cell.announcements import Announcements
+from edged.cell.measurement import CycleRun
+from edged.domain.events import Event, Snapshot
+
+STAGES = ("asked", "begun", "announcing", "announced", "answered")
+"""Moments of a command: its line was read, the cycle begins, its result goes to the publishers, all have it,
+the answer is ready to be sent."""
 LIMIT_MS = 2.0
 """Limit of the 99th percentile, beside the cycle."""
 
@@ -60,12 +70,63 @@ async def bench(folder: Path, count: int, readers: int) -> float:
     return float(np.percentile(times_ms - total_ms, 99))
 
 
+def note_stages() -> list[dict[str, tuple[float, float]]]:
+    """Wrap the functions of the stages; returns where each command's clock and processor times will be."""
+    commands: list[dict[str, tuple[float, float]]] = []
+    answer, announce, cycle = Robot.answer, Announcements.announce, CycleRun.__init__
+
+    def note(stage: str) -> None:
+        if commands:
+            commands[-1][stage] = time.perf_counter(), time.thread_time()
+
+    async def answering(self: Robot, message: bytes) -> object:
+        commands.append({})
+        note("asked")
+        found = await answer(self, message)
+        note("answered")
+        return found
+
+    def announcing(self: Announcements, event: Event) -> None:
+        if isinstance(event, Snapshot):
+            note("announcing")
+        announce(self, event)
+        if isinstance(event, Snapshot):
+            note("announced")
+
+    def beginning(self: CycleRun, *given: object) -> None:
+        note("begun")
+        cycle(self, *given)  # type: ignore[arg-type]
+
+    for kind, name, wrapped in (
+        (Robot, "answer", answering),
+        (Announcements, "announce", announcing),
+        (CycleRun, "__init__", beginning),
+    ):
+        setattr(kind, name, wrapped)
+    return commands
+
+
+def show_stages(commands: list[dict[str, tuple[float, float]]]) -> None:
+    """Of all stages but the cycle itself, ms."""
+    for first, second in itertools.pairwise(STAGES):
+        rows = [command for command in commands if first in command and second in command]
+        took_ms = 1e3 * np.array([np.subtract(command[second], command[first]) for command in rows])
+        (clock, cpu), (clock_99, cpu_99) = np.percentile(took_ms, (50, 99), axis=0)
+        name = f"{first} to {second}"
+        print(f"{name:26} clock p50 {clock:7.2f} p99 {clock_99:7.2f}   processor {cpu:6.2f} {cpu_99:6.2f}")
+
+
 if __name__ == "__main__":
     parser = bench_parser(__doc__)
     parser.add_argument("--commands", type=int, default=300)
+    parser.add_argument("--stages", action="store_true", help="say of what it is made")
     given = parser.parse_args()
+    noted = note_stages() if given.stages else []
     with tempfile.TemporaryDirectory() as place:
         asyncio.run(bench(Path(place) / "alone", given.commands, 0))
+        noted.clear()
         beyond_ms = asyncio.run(bench(Path(place) / "among", given.commands, READERS))
+    if noted:
+        show_stages(noted)
     finish(given)
     sys.exit(int(beyond_ms > LIMIT_MS))
