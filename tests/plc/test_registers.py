@@ -82,7 +82,7 @@ def test_every_listing_names_every_register() -> None:
     with pytest.raises(
         UserError,
         match="expected md, json, st, scl, s7db, l5x, plcopen, twincat, urscript, krl, krl6, karel, rapid, "
-        "motoplus, val3, as, drl, melfa, spel, pacscript, python, csv",
+        "motoplus, val3, as, drl, melfa, spel, pacscript, eds, python, csv",
     ):
         render("xml")
 
