@@ -57,9 +57,20 @@ def locate_solid(
 ) -> tuple[list[parts.MeasuredPart], list[NotMeasured], list[Match]]:
     """All parts of a job in a pair, those that could not be measured, and the nearest misses.
 
-    The job has a body, or is looked for by its taught curves alone.
+    The job has a body, or is looked for by its taught curves alone: where its breaks are not known, by narrow
+    ones, and where these lead nowhere by wide ones.
     """
-    wanted = wanted_of(job)
+    measured, dismissed, missed = _located(images, job, wanted_of(job))
+    if job.body is None and job.break_mm is None and not (measured or dismissed):
+        measured, dismissed, missed_again = _located(images, job, wanted_of(job, BREAKS.looked_wide_mm))
+        missed += missed_again
+    return measured, dismissed, missed
+
+
+def _located(
+    images: StereoImages, job: Job, wanted: SearchedPart
+) -> tuple[list[parts.MeasuredPart], list[NotMeasured], list[Match]]:
+    """As `locate_solid`, by some forms of its breaks."""
     pyramids = pyramids_of(images, wanted)
     measured: list[parts.MeasuredPart] = []
     dismissed: list[NotMeasured] = []
@@ -112,11 +123,11 @@ def _agrees(job: Job, models: Sequence[EdgeModel], pyramids: Pyramids, target: T
     return rival - certain < DECISION.certain
 
 
-def wanted_of(job: Job) -> SearchedPart:
-    """What is looked for, of a job."""
+def wanted_of(job: Job, looked_mm: float = BREAKS.looked_mm) -> SearchedPart:
+    """What is looked for, of a job; where its breaks are not known, as sharp and by those of one width."""
     models = models_of(job)
     if job.body is None and job.break_mm is None:  # to be near; which form it is, is asked there
-        widths = {0.0, BREAKS.looked_mm}
+        widths = {0.0, looked_mm}
         models = tuple(model for model, form in zip(models, forms_of(job), strict=True) if form[0] in widths)
     model = models[0]
     place = apply(job.rig_from_part, model.centre)

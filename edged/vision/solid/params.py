@@ -344,6 +344,9 @@ class BreaksParams:
     looked_mm: float = 0.3
     """The one to look for a part by: of broken edges either end shows, and coarsely both are one of a sharp
     one."""
+    looked_wide_mm: float = 0.45
+    """Where that leads nowhere: of chamfers of half a millimetre, which it is 3 px from, another light shows
+    the other end."""
     unknown_sigma_mm: float = 0.08  # of these: half of what lies between them
     taught_sigma_mm: float = 0.03  # of a width that pairs of a part settle, or its drawing states
 
