@@ -58,7 +58,7 @@ find_python() {
 }
 
 packages=(python3-venv gir1.2-aravis-0.8 python3-gi)
-[ "$EDGED_FOR" != test ] || packages+=(mbpoll systemd-container aravis-tools-cli aravis-tools nftables iproute2 openssl libfaketime)
+[ "$EDGED_FOR" != test ] || packages+=(mbpoll systemd-container aravis-tools-cli aravis-tools nftables iproute2 openssl libfaketime softhsm2)
 if command -v apt-get >/dev/null; then
     apt_install "${packages[@]}" || true
     # on its own: where a distribution has it as a snap only, the tests in a browser are skipped, and nothing else is

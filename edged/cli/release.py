@@ -15,7 +15,7 @@ release = typer.Typer(
 
 RepositoryArgument = Annotated[Path, typer.Argument(metavar="REPOSITORY", help="folder of the repository")]
 ConfigArgument = Annotated[Path, typer.Argument(metavar="CONFIG", help="configuration file of the cell")]
-SignerOption = Annotated[Path, typer.Option("--key", help="private key that signs")]
+SignerOption = Annotated[Path, typer.Option("--key", help="private key that signs, or hsm:ID?label=TOKEN")]
 PlaceOption = Annotated[
     str | None, typer.Option("--from", metavar="PLACE", help="another repository: https://..., or a folder")
 ]
@@ -24,11 +24,17 @@ PlaceOption = Annotated[
 @release.command("key")
 def make_key(
     file: Annotated[Path, typer.Argument(help="private key to write; its public half is FILE.pub")],
+    token: Annotated[
+        str | None,
+        typer.Option(
+            metavar="hsm:ID?label=TOKEN", help="write the public half of this key in a PKCS #11 token instead"
+        ),
+    ] = None,
 ) -> None:
     """Make a key pair; the private half is encrypted with a passphrase."""
     from edged.commands.release import key
 
-    raise typer.Exit(key(file, screen(soft_wrap=True)))
+    raise typer.Exit(key(file, token, screen(soft_wrap=True)))
 
 
 @release.command("root")

@@ -38,7 +38,7 @@ from edged.setup.releases.jobsfolder import jobs_in
 try:
     from edged.setup.fleet.client import Client
     from edged.setup.fleet.hawkbit import Hawkbit
-    from edged.setup.fleet.keys import make_key, public_key, signer_of
+    from edged.setup.fleet.keys import is_in_token, make_key, public_key, public_of_token, signer_of
     from edged.setup.fleet.repository import Repository
     from edged.setup.fleet.versions import SystemdUnit, Versions, follow
 except ModuleNotFoundError as missing:
@@ -47,9 +47,16 @@ except ModuleNotFoundError as missing:
 PASSPHRASE_VARIABLE = "EDGED_PASSPHRASE"
 
 
-def key(file: Path, console: Console) -> int:
-    """Make a key, encrypted with a passphrase that is asked for."""
+def key(file: Path, token: str | None, console: Console) -> int:
+    """Make a key, encrypted with a passphrase that is asked for; or write the public half of a token's."""
     check_outputs({"FILE": file})
+    if token is not None:
+        place = Path(token)
+        if not is_in_token(place):
+            raise UserError(f"--token {token}: expected hsm:ID?label=TOKEN")
+        public_of_token(place, file, _passphrase(place))
+        say(f"{file}: the public half of {token}, to give away", console)
+        return 0
     passphrase = _passphrase(file, again=True)
     public = make_key(file, passphrase)
     say(f"{file}: the private half, keep it offline; {public}: the public one, to give away", console)
@@ -61,9 +68,9 @@ def root(
 ) -> int:
     """Say whose keys count. keys : of the root, public halves, or private ones, which sign at once."""
     check_folder(folder)
-    private = [file for file in keys if file.suffix != ".pub"]
-    public = [public_key(file.with_suffix(".pub")) for file in keys]
-    signers = [_signer(file) for file in private]
+    signers = [_signer(file) for file in keys if file.suffix != ".pub"]
+    public = [public_key(file.with_suffix(".pub")) for file in keys if not is_in_token(file)]
+    public += [signer.public_key for signer in signers if signer.public_key not in public]
     file = Repository(folder).make_root(public, threshold, public_key(targets), public_key(online), signers)
     lacking = max(threshold - len(signers), 0)
     say(
@@ -319,9 +326,9 @@ def _passphrase(file: Path, *, again: bool = False) -> str:
         return given
     if not sys.stdin.isatty():
         raise UserError(
-            f"{file}: needs its passphrase, expected in {PASSPHRASE_VARIABLE}, or a terminal to ask"
+            f"{file}: needs its passphrase or PIN, expected in {PASSPHRASE_VARIABLE}, or a terminal to ask"
         )
-    first = getpass.getpass(f"passphrase of {file}: ", stream=sys.stderr)
+    first = getpass.getpass(f"passphrase or PIN of {file}: ", stream=sys.stderr)
     if again and first != getpass.getpass("once more: ", stream=sys.stderr):
         raise UserError(f"{file}: these are two passphrases: nothing was made")
     return first

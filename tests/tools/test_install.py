@@ -60,6 +60,7 @@ def test_every_package_has_one_version_and_its_hashes(lock: Path) -> None:
         ("witness", lambda p: p["project"]["optional-dependencies"]["witness"]),
         ("history", lambda p: p["project"]["optional-dependencies"]["history"]),
         ("fleet", lambda p: p["project"]["optional-dependencies"]["fleet"]),
+        ("tokens", lambda p: p["project"]["optional-dependencies"]["tokens"]),
         ("manual", lambda _: ["mkdocs-material"]),
         ("aravis", lambda p: p["project"]["optional-dependencies"]["aravis"]),
     ],

@@ -1,10 +1,15 @@
-"""Keys in files: Ed25519, the private half encrypted with a passphrase (PKCS #8), the public one as PEM."""
+"""Keys in files: Ed25519, the private half encrypted with a passphrase (PKCS #8), the public one as PEM.
+
+Or in a token of PKCS #11, which signs by ECDSA on P-256 or P-384, and whose private half nobody sees.
+"""
 
 from __future__ import annotations
 
 from pathlib import Path
+from urllib.parse import parse_qs, urlsplit
 
 from cryptography.exceptions import UnsupportedAlgorithm
+from cryptography.hazmat.primitives.asymmetric.ec import EllipticCurvePublicKey
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey, Ed25519PublicKey
 from cryptography.hazmat.primitives.serialization import (
     BestAvailableEncryption,
@@ -14,11 +19,14 @@ from cryptography.hazmat.primitives.serialization import (
     load_pem_private_key,
     load_pem_public_key,
 )
-from securesystemslib.signer import CryptoSigner, SSlibKey
+from securesystemslib.exceptions import UnsupportedLibraryError
+from securesystemslib.signer import CryptoSigner, HSMSigner, Signer, SSlibKey
 
 from edged.errors import UserError
 from edged.files.atomic import read_bytes, write_file
 
+TOKEN, MODULE = f"{HSMSigner.SCHEME}:", "PYKCS11LIB"
+"""What begins the name of a key in a token, and the variable that names the library of the token's maker."""
 MAX_KEY_BYTES = 16 * 1024
 LEAST_PASSPHRASE = 8
 
@@ -40,8 +48,38 @@ def make_key(file: Path, passphrase: str) -> Path:
     return public
 
 
-def signer_of(file: Path, passphrase: str) -> CryptoSigner:
-    """What signs with a private key. Raises `UserError`."""
+def is_in_token(key: Path) -> bool:
+    """Whether a key is named by its place in a token, hsm:ID?label=TOKEN, and not by a file."""
+    return str(key).startswith(TOKEN)
+
+
+def public_of_token(key: Path, file: Path, pin: str) -> None:
+    """Write the public half of a key in a token as PEM. Raises `UserError`."""
+    public = _token_signer(key, pin).public_key.keyval["public"]
+    write_file(file, public.encode())
+
+
+def _token_signer(key: Path, pin: str) -> HSMSigner:
+    stated = urlsplit(str(key))
+    try:
+        number, label = int(stated.path), parse_qs(stated.query).get("label", [None])[0]
+        signer = HSMSigner(number, HSMSigner.import_(number, label, lambda _: pin)[1], lambda _: pin, label)
+        signer.sign(b"")  # a wrong PIN is told here
+    except UnsupportedLibraryError as error:
+        raise UserError(f"{key}: needs another package: pip install 'edged[tokens]' ({error})") from error
+    except Exception as error:
+        # pkcs11's own errors have no base that is there without it
+        if not isinstance(error, ValueError) and not type(error).__module__.startswith("pkcs11"):
+            raise
+        why = f"{type(error).__name__} {error}".strip()
+        raise UserError(f"{key}: no key of P-256 or P-384 in this token with this PIN: {why}") from error
+    return signer
+
+
+def signer_of(file: Path, passphrase: str) -> Signer:
+    """What signs with a private key; of a token the passphrase is its PIN. Raises `UserError`."""
+    if is_in_token(file):
+        return _token_signer(file, passphrase)
     pem = read_bytes(file, "a private key", MAX_KEY_BYTES)
     try:
         key = load_pem_private_key(pem, passphrase.encode())
@@ -58,6 +96,6 @@ def public_key(file: Path) -> SSlibKey:
         key = load_pem_public_key(read_bytes(file, "a public key", MAX_KEY_BYTES))
     except (ValueError, TypeError, UnsupportedAlgorithm) as error:
         raise UserError(f"{file}: no public key as PEM: {error}") from error
-    if not isinstance(key, Ed25519PublicKey):
-        raise UserError(f"{file}: another kind of key: expected Ed25519")
+    if not isinstance(key, Ed25519PublicKey | EllipticCurvePublicKey):
+        raise UserError(f"{file}: another kind of key: expected Ed25519, or ECDSA of a token")
     return SSlibKey.from_crypto(key)

@@ -16,7 +16,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, TypeVar
 
-from securesystemslib.signer import CryptoSigner, SSlibKey
+from securesystemslib.signer import Signer, SSlibKey
 from tuf.api.exceptions import RepositoryError
 from tuf.api.metadata import (
     DelegatedRole,
@@ -54,7 +54,7 @@ class Repository:
 
     def make_root(
         self, keys: Sequence[SSlibKey], threshold: int, targets: SSlibKey, online: SSlibKey,
-        signers: Sequence[CryptoSigner],
+        signers: Sequence[Signer],
     ) -> Path:  # fmt: skip
         """Say whose keys count, anew or for the first time. Returns the file.
 
@@ -77,7 +77,7 @@ class Repository:
             signed.sign(signer, append=True)
         return self._write(signed)
 
-    def countersign(self, signer: CryptoSigner) -> int:
+    def countersign(self, signer: Signer) -> int:
         """Sign the newest root with one more key; returns how many signatures it still lacks."""
         root = self._load(ROOT)
         if signer.public_key.keyid not in root.signed.roles[ROOT].keyids:
@@ -86,7 +86,7 @@ class Repository:
         self._write(root)
         return int(root.signed.get_verification_result(ROOT, root.signed_bytes, root.signatures).missing)
 
-    def delegate(self, plant: str, key: SSlibKey, signer: CryptoSigner) -> None:
+    def delegate(self, plant: str, key: SSlibKey, signer: Signer) -> None:
         """Let a key, and no other, sign the releases of a plant."""
         if not PLANT.fullmatch(plant) or plant in (ROOT, TARGETS, SNAPSHOT, TIMESTAMP):
             raise UserError(f"{plant!r}: expected a name of letters, digits and _ . -, and none of TUF's own")
@@ -101,7 +101,7 @@ class Repository:
         self._sign(targets, signer, TARGETS, self._load(ROOT).signed)
 
     def sign(
-        self, plant: str, signer: CryptoSigner, path: str, data: bytes | None, custom: dict[str, Any],
+        self, plant: str, signer: Signer, path: str, data: bytes | None, custom: dict[str, Any],
         parts: Mapping[str, bytes] = MappingProxyType({}),
     ) -> Offer:  # fmt: skip
         """Sign a target of a plant; data : None: as it is, with other metadata. Returns what is signed.
@@ -144,7 +144,7 @@ class Repository:
         """Whether a plant has signed a target of this path."""
         return path in self._plant(plant).signed.targets
 
-    def publish(self, signer: CryptoSigner, days: float) -> Snapshot:
+    def publish(self, signer: Signer, days: float) -> Snapshot:
         """Let cells see what is signed, for so many days; the timestamp comes last. Returns what they see."""
         root, targets = self._load(ROOT), self._load(TARGETS)
         self._check(root, ROOT, root.signed)
@@ -192,7 +192,7 @@ class Repository:
     def _sign(
         self,
         signed: Metadata[Any],
-        signer: CryptoSigner,
+        signer: Signer,
         role: str,
         by: Root | Targets,
         days: float = SIGNED_DAYS,
