@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import functools
 import getpass
 import json
 import os
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -15,6 +16,7 @@ from pydantic import ValidationError
 from rich.console import Console
 
 from edged.commands.saying import say
+from edged.config.configuration import Config
 from edged.config.reading import load, problem_of
 from edged.errors import UserError, translated
 from edged.files.atomic import MAX_FILE_BYTES, make_folders, read_bytes, write_file
@@ -163,9 +165,11 @@ def pull(config: Path, console: Console, *, place: str | None, name: str | None,
     if (name is None) != (output is None):
         raise UserError("expected --name NAME and --output FILE, or neither")
     check_outputs({"--output": output})
-    token = _token(config)  # as root: the page's user may not read it
+    stated = load(config)
+    source, token = _source(config, stated, place), _token(stated)
+    section, cell = stated.fleet, stated.cell.name
     with _kept(config) as kept:
-        client, cell = _client(config, place, kept)
+        client = source(kept)
         offers = client.offers()
         if name is not None and output is not None:
             path = next((path for path, offer in offers.items() if offer.name == name), name)
@@ -173,7 +177,6 @@ def pull(config: Path, console: Console, *, place: str | None, name: str | None,
             write_file(output, data)
             say(f"{output}: {path}, verified, {len(data)} bytes", console)
             return 0
-        section = load(config).fleet
         given = None if section is None else section.ring
         kinds = ("jobs",) if section is None or section.software is None else ("jobs", "software")
         due: dict[str, tuple[str, Offer]] = {
@@ -200,25 +203,25 @@ def pull(config: Path, console: Console, *, place: str | None, name: str | None,
             client.stage(path, offer)
     if offer.kind == "software" and section is not None and section.software is not None:
         # not as the page's user: what is installed is verified again where only root writes
-        _install(config, place, section.software, path, offer)
+        _install(source, section.software, path, offer)
         with _kept(config) as kept:
-            _client(config, place, kept)[0].stage(path, offer)
+            source(kept).stage(path, offer)
     say(f"{cell}: {path} is verified and fetched: the gate tries it on recorded cycles next", console)
     return 0
 
 
-def _token(config: Path) -> str:
+def _token(stated: Config) -> str:
     """What says to hawkBit who asks; "" without one. Raises `UserError`."""
-    section = load(config).fleet
+    section = stated.fleet
     if section is None or section.hawkbit_token is None:
         return ""
     return read_bytes(section.hawkbit_token, "a token of hawkBit", 4096).decode(errors="replace").strip()
 
 
-def _install(config: Path, place: str | None, folder: Path, path: str, offer: Offer) -> None:
+def _install(source: Callable[[Path], Client], folder: Path, path: str, offer: Offer) -> None:
     """Fetch the wheels of a release of software, and make its environment. Raises `UserError`."""
     with translated(UserError, f"{folder}: software cannot be installed"):
-        client, _ = _client(config, place, folder)
+        client = source(folder)
         files = folder / FOLDER / "wheels"
         wheels = client.fetch_wheels(path, files)
         Versions(folder).install(offer.name, client.digest(path), wheels, files)
@@ -240,13 +243,15 @@ def switch(config: Path, unit: str, console: Console) -> int:
 
 def status(config: Path, console: Console, *, place: str | None, as_json: bool) -> int:
     """Show what is published, and what this cell has of it. 0: the repository is good; 1: it is not."""
-    problem, offers, section = "", dict[str, Offer](), load(config).fleet
+    stated, problem, offers = load(config), "", dict[str, Offer]()
+    section, cell = stated.fleet, stated.cell.name
+    try:
+        source = _source(config, stated, place)
+        with _kept(config) as kept:
+            offers = source(kept).offers()
+    except UserError as error:
+        problem = str(error)
     with _kept(config) as kept:
-        try:
-            client, cell = _client(config, place, kept)
-            offers = client.offers()
-        except UserError as error:
-            problem, cell = str(error), load(config).cell.name
         there, gate = fetched_in(kept / FOLDER), gate_in(kept / FOLDER)
     given = None if section is None else section.ring
     published = [
@@ -303,17 +308,21 @@ def _kept(config: Path) -> Iterator[Path]:
             yield place
 
 
-def _client(config: Path, place: str | None, kept: Path) -> tuple[Client, str]:
-    """The releases of a cell's plant, and the cell's name."""
-    stated = load(config)
-    if stated.fleet is None:
+def _source(config: Path, stated: Config, place: str | None) -> Callable[[Path], Client]:
+    """What opens the releases of a cell's plant for a folder to keep them in.
+
+    Before another user is taken on, who may read neither the configuration nor what lies beside it.
+    """
+    section = stated.fleet
+    if section is None:
         raise UserError(f"{config}: [fleet] is missing: repository, plant and root")
-    chosen = stated.fleet.repository if place is None else place
+    chosen = section.repository if place is None else place
     if not chosen.startswith("https://"):
         if "://" in chosen:
             raise UserError(f"{chosen}: expected https://HOST/FOLDER, or a folder")
         chosen = str(Path(chosen).absolute())
-    return Client(chosen, stated.fleet.plant, stated.fleet.root, kept), stated.cell.name
+    root = read_bytes(section.root, "a root of releases")
+    return functools.partial(Client, chosen, section.plant, root)
 
 
 def _signer(file: Path) -> Any:

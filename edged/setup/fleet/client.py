@@ -49,17 +49,16 @@ WHY = (
 class Client:
     """The releases of one plant, verified. folder : of the page, where the newest metadata is kept.
 
-    place : https://..., or the path of a folder. root : the first root that is trusted. Raises `UserError`
+    place : https://..., or the path of a folder. root : the first one that is trusted. Raises `UserError`
     where the repository cannot be trusted; it names the place, and the file.
     """
 
-    def __init__(self, place: str, plant: str, root: Path, folder: Path) -> None:
+    def __init__(self, place: str, plant: str, root: bytes, folder: Path) -> None:
         self._place, self._plant = place.rstrip("/"), plant
         self._kept = folder / FOLDER
         make_folders(self._kept / METADATA)
         url = self._place if "://" in place else f"file://{quote(self._place)}"
         fetcher = FolderFetcher() if url.startswith("file:") else None
-        bootstrap = read_bytes(root, "a root of releases")
         with self._explained(METADATA):
             self._updater = Updater(
                 str(self._kept / METADATA),
@@ -67,7 +66,7 @@ class Client:
                 target_base_url=f"{url}/{FILES}/",
                 fetcher=fetcher,
                 config=CONFIG,
-                bootstrap=bootstrap,
+                bootstrap=root,
             )
             self._updater.refresh()
 
