@@ -98,6 +98,8 @@ class Versions:
     def install(self, name: str, digest: str, wheels: tuple[Wheel, ...], files: Path) -> None:
         """Make the environment of a release from a folder with its wheels, beside what runs."""
         place = self.folder / "versions" / name
+        from edged.vision.kernels.jitcache import take_over  # loads the compiler, half a second
+
         there = self.digest(name)
         if there is not None and there != digest:
             raise UserError(f"{place}: another software is installed by this name: sign it by another one")
@@ -112,6 +114,8 @@ class Versions:
         exact = ("--ignore-installed", "--find-links", files, "-r", wanted)
         _run([self.python(name), *pip.split(), *exact], f"{place}: pip")
         _run([place / "bin" / "edged", "--version"], f"{place}: edged")
+        running = self.folder / CURRENT
+        take_over(running / "kernels", _packages(running), place / "kernels", _packages(place))
         kernels = {**os.environ, "NUMBA_CACHE_DIR": str(place / "kernels")}
         _run([place / "bin" / "edged", WARM], f"{place}: compiling", kernels)
         os.sync()  # all of it, before the mark
@@ -155,6 +159,11 @@ class Versions:
             if place.name not in kept and self.digest(place.name):
                 (place / COMPLETE).unlink()
                 shutil.rmtree(place)
+
+
+def _packages(place: Path) -> Path:
+    """Where the packages of an environment lie."""
+    return next(place.resolve().glob("lib/python3*/site-packages"), place)
 
 
 def order_in(folder: Path) -> VersionOrder | None:

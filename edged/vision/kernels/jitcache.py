@@ -12,12 +12,20 @@ import functools
 import hashlib
 import itertools
 import logging
+import os
+import shutil
+from pathlib import Path
 from types import CodeType, FunctionType
 from typing import Any
 
 import llvmlite.binding as llvm
 import numpy as np
-from numba.core.caching import FunctionCache, IndexDataCacheFile
+from numba.core.caching import (
+    CompileResultCacheImpl,
+    FunctionCache,
+    IndexDataCacheFile,
+    UserProvidedCacheLocator,
+)
 from numba.core.codegen import CodeLibrary, JITCodeLibrary
 from numba.core.dispatcher import Dispatcher
 from numba.core.registry import cpu_target
@@ -34,8 +42,25 @@ def say_compiling() -> None:
         log.warning(COMPILING)
 
 
-class QuickCache(FunctionCache):  # type: ignore[misc]  # numba ships no types
+class RealPlace(UserProvidedCacheLocator):  # type: ignore[misc]  # numba ships no types
+    """Where kernels of a source are stored, by whatever link it was reached, as `current` to a version."""
+
+    @classmethod
+    def get_suitable_cache_subpath(cls, py_file: str) -> str:
+        """A folder's name for that of the source."""
+        return str(super().get_suitable_cache_subpath(os.path.realpath(py_file)))
+
+
+class StoredResult(CompileResultCacheImpl):  # type: ignore[misc]  # as above
+    """What is stored of a kernel, and where."""
+
+    _locator_classes = (RealPlace, *CompileResultCacheImpl._locator_classes)
+
+
+class QuickCache(FunctionCache):  # type: ignore[misc]  # as above
     """numba's cache of one function, of which kernels are loaded without getting ready to compile."""
+
+    _impl_class = StoredResult
 
     def __init__(self, function: Any) -> None:
         super().__init__(function)
@@ -63,6 +88,21 @@ class StoredIndex(IndexDataCacheFile):  # type: ignore[misc]  # as above
             return dict(super()._load_index())
         except (AttributeError, ImportError):
             return {}
+
+
+def take_over(compiled: Path, packages: Path, kernels: Path, own: Path) -> None:
+    """Give sources in another folder what is compiled of the same sources; numba tells by their hash.
+
+    compiled, kernels : numba's caches. packages, own : where the packages lie of which they are. A cache has
+    a folder for each folder of sources, named by its path.
+    """
+    for folder in {file.parent for file in packages.glob("edged/**/*.py")}:
+        before, after = (
+            RealPlace.get_suitable_cache_subpath(str(place / "any.py"))
+            for place in (folder, own / folder.relative_to(packages))
+        )
+        if (compiled / before).is_dir():
+            shutil.copytree(compiled / before, kernels / after, dirs_exist_ok=True)
 
 
 def frozen_into(function: FunctionType) -> str:

@@ -20,7 +20,7 @@ import pytest
 
 from edged.vision.kernels import jit, jitcache
 from edged.vision.kernels.jit import kernel, load_all, load_called
-from edged.vision.kernels.jitcache import StoredIndex, frozen_into
+from edged.vision.kernels.jitcache import StoredIndex, frozen_into, take_over
 
 STORED = """
 import numpy as np
@@ -258,3 +258,29 @@ class Caller:
         assert [1, 1, 1] == [len(one.signatures) for one in kernels]
     finally:
         del sys.modules[module.__name__]
+
+
+SOURCE = """
+from edged.vision.kernels.jit import kernel
+@kernel("f8(f8)")
+def twice(x):
+    return 2.0 * x
+"""
+
+
+def test_kernels_of_sources_in_another_folder_are_taken_over_and_found_by_a_link(tmp_path: Path) -> None:
+    """Nothing is compiled that is compiled already: an update lies beside what runs, and a link means it."""
+    before, after, current, kernels = (tmp_path / name for name in ("before", "after", "current", "kernels"))
+    for place in (before, after):
+        (place / "edged").mkdir(parents=True)
+        (place / "edged" / "some.py").write_text(SOURCE)
+    current.symlink_to(after)
+    said = []
+    for place in (before, current):
+        run = f"import sys; sys.path.insert(0, '{place}/edged'); import some; some.twice(1.0)"
+        environment = {**os.environ, "NUMBA_CACHE_DIR": str(kernels / place.name)}
+        call = [sys.executable, "-c", run]
+        done = subprocess.run(call, env=environment, capture_output=True, text=True, check=True)
+        said.append("compiling" in done.stderr)
+        take_over(kernels / "before", before, kernels / "current", after)
+    assert [True, False] == said
