@@ -9,7 +9,7 @@ import json
 import re
 import zipfile
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Literal
@@ -55,13 +55,14 @@ class GatedCell:
     folder: Path
     pairs: list[FramePair]
     now: datetime = NIGHT
+    worker: SameProcess = field(default_factory=SameProcess)
 
     def __post_init__(self) -> None:
         """As after each start of the daemon."""
         self.config = self.folder / "cell.toml"
         finish_installation(self.config)
         self.running = StillCell(self.config)
-        self.cell = self.running.in_use(SameProcess())
+        self.cell = self.running.in_use(self.worker)
         regressions = Regressions(self.cell)
         activation = Activation(ReleaseFolder(self.cell.folder / "releases"), self.cell, regressions.check)
         self.gate = FleetGate(self.cell, activation, regressions, lambda: self.now)
