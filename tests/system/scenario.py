@@ -1,6 +1,6 @@
 """What a service must do under a real systemd, step by step; runs as root inside a throwaway machine.
 
-python tests/system/scenario.py /out/verdicts.json
+PYTHONPATH=tests python -m system.scenario /out/verdicts.json
 
 One verdict per step. The units are those of `systemd/`, with a drop-in that shortens the watchdog's time
 and shows this checkout to the sandbox. Standard library only; nothing is imported from edged.
@@ -19,7 +19,7 @@ import sys
 import time
 import urllib.parse
 import urllib.request
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -106,15 +106,20 @@ def runs_again(old_pid: int) -> bool:
 # --- the steps -------------------------------------------------------------------------------------
 
 
+def make_groups() -> None:
+    """As tools/install does; others may not read the configuration."""
+    command("systemd-sysusers", "edged.conf")
+    for file in CELL.parent.glob("*.toml"):
+        shutil.chown(file, "root", "edged-config")
+        file.chmod(0o640)
+
+
 def becomes_ready() -> str:
     """`systemctl start` returns when the daemon measures: the page says ready, the PLC gets a result.
 
     Of the configuration, which others may not read.
     """
-    command("systemd-sysusers", "edged.conf")
-    for file in CELL.parent.glob("*.toml"):  # as tools/install writes it
-        shutil.chown(file, "root", "edged-config")
-        file.chmod(0o640)
+    make_groups()
     start_s = time.monotonic()
     command("systemctl", "start", "edged")
     took_s = time.monotonic() - start_s
@@ -378,10 +383,10 @@ STEPS: tuple[Callable[[], str], ...] = (
 )
 
 
-def play(path: Path) -> int:
+def play(path: Path, steps: Sequence[Callable[[], str]] = STEPS) -> int:
     """Every step in order; 0 when all are good. The first bad one ends the play: the others stand on it."""
     verdicts: dict[str, dict[str, Any]] = {}
-    for step in STEPS:
+    for step in steps:
         start_s = time.monotonic()
         try:
             detail, good = step(), True

@@ -10,6 +10,7 @@ import os
 import shutil
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -29,10 +30,10 @@ TimeoutAbortSec=2
 """
 DROP_IN = f"""# The sandbox hides /tmp and /home, where a checkout may be.
 [Service]
-{WATCHDOG}ProtectHome=tmpfs
+ProtectHome=tmpfs
 BindReadOnlyPaths={ROOT} {sys.prefix}
-Environment=PYTHONPATH={ROOT}
 """
+UNITS = "edged.service", "edged@.service", "edged-page.service", "edged-page@.service"
 
 PROGRAM = f"""#!/bin/sh
 exec {sys.prefix}/bin/python {ROOT}/tests/system/hangable.py "$@"
@@ -46,11 +47,12 @@ def tree(folder: Path) -> None:
     """What an installed machine has and this one has not: units, program, configuration, compiled kernels."""
     units = folder / "etc/systemd/system"
     units.mkdir(parents=True)
-    for name in ("edged.service", "edged@.service", "edged-page.service", "edged-page@.service"):
+    for name in UNITS:
         shutil.copy(ROOT / "systemd" / name, units)
         drop_in = units / f"{name}.d" / "test.conf"
         drop_in.parent.mkdir()
-        drop_in.write_text(DROP_IN if "page" not in name else DROP_IN.replace(WATCHDOG, ""))
+        own = f"Environment=PYTHONPATH={ROOT}\n" + ("" if "page" in name else WATCHDOG)
+        drop_in.write_text(DROP_IN + own)
     groups = folder / "etc/sysusers.d"
     groups.mkdir()
     shutil.copy(ROOT / "systemd/edged-sysusers.conf", groups / "edged.conf")
@@ -80,20 +82,26 @@ def tree(folder: Path) -> None:
         shutil.copytree(kernels, program.parent.parent / "kernels")
 
 
-@pytest.fixture(scope="session")
-def verdicts(tmp_path_factory: pytest.TempPathFactory) -> dict[str, dict[str, Any]]:
-    """Name of the step to its verdict."""
-    put, out = tmp_path_factory.mktemp("tree"), tmp_path_factory.mktemp("out")
+def played(scenario: str, put: Path, out: Path, make: Callable[[], None]) -> dict[str, dict[str, Any]]:
+    """Name of each step to its verdict. make : fills the folder `put`, which is laid over the machine's."""
     throwaway = [str(ROOT / "tools/throwaway"), "--put", str(put), "--out", str(out), "--timeout", "540"]
     throwaway += ["--see", str(ROOT), "--see", sys.prefix]
     probe = subprocess.run([*throwaway, "--", "true"], capture_output=True, text=True, check=False)
     if probe.returncode == CANNOT:
         pytest.skip(probe.stderr.strip())
-    tree(put)
-    command = [*throwaway, "--", f"{sys.prefix}/bin/python", str(ROOT / "tests/system/scenario.py")]
+    make()
+    python = "/usr/bin/env", f"PYTHONPATH={ROOT}/tests", f"{sys.prefix}/bin/python"
+    command = [*throwaway, "--", *python, "-m", f"system.{scenario}"]
     subprocess.run([*command, "/out/verdicts.json"], capture_output=True, timeout=600, check=False)
     print((out / "output.txt").read_text())
     return dict(json.loads((out / "verdicts.json").read_text()))
+
+
+@pytest.fixture(scope="session")
+def verdicts(tmp_path_factory: pytest.TempPathFactory) -> dict[str, dict[str, Any]]:
+    """Name of the step to its verdict."""
+    put = tmp_path_factory.mktemp("tree")
+    return played("scenario", put, tmp_path_factory.mktemp("out"), lambda: tree(put))
 
 
 @pytest.mark.slow

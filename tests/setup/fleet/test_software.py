@@ -7,7 +7,6 @@ import json
 import os
 import shutil
 import sys
-import zipfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -18,6 +17,7 @@ from helpers.gatedcell import RECORDED, GatedCell, gated_cell
 from helpers.powerfailure import PowerCut, failing_writes
 from helpers.releases import PASSPHRASE, Releases
 from helpers.versionedcell import NEW, OLD, VersionedCell, canned, copied, make_versions
+from helpers.wheels import make_wheel
 
 from edged.errors import FileFormatError
 from edged.files.statefolder import page_folder
@@ -27,7 +27,6 @@ from edged.setup.fleet.wheelset import wheels_in
 from edged.setup.recordings.again import measured_again
 
 CUTS = int(os.environ.get("EDGED_POWER_CUTS", "6"))
-ROOT = Path(__file__).parents[3]
 BOM = json.dumps(
     {
         "components": [
@@ -40,26 +39,6 @@ BOM = json.dumps(
         ]
     }
 ).encode()
-
-
-def make_wheel(folder: Path, name: str = "edged", version: str = "0.2.0", needs: str = "") -> Path:
-    """A wheel that brings this checkout, by a path file."""
-    info, is_own = f"{name}-{version}.dist-info", name == "edged"
-    places = [place for place in sys.path if place.endswith("-packages")]
-    about = f"Metadata-Version: 2.1\nName: {name}\nVersion: {version}\nLicense: MIT\n"
-    files = {
-        f"{name}_next.pth": "\n".join([str(ROOT), *places]) if is_own else "",
-        f"{info}/METADATA": about + (f"Requires-Dist: {needs}\n" if needs else ""),
-        f"{info}/WHEEL": "Wheel-Version: 1.0\nGenerator: tests\nRoot-Is-Purelib: true\nTag: py3-none-any\n",
-        f"{info}/entry_points.txt": "[console_scripts]\nedged = edged.__main__:main\n" if is_own else "",
-    }
-    listed = "".join(f"{file},,\n" for file in (*files, f"{info}/RECORD"))
-    folder.mkdir(exist_ok=True)
-    file = folder / f"{name}-{version}-py3-none-any.whl"
-    with zipfile.ZipFile(file, "w") as archive:
-        for place, text in {**files, f"{info}/RECORD": listed}.items():
-            archive.writestr(place, text)
-    return file
 
 
 # --- wheels ---------------------------------------------------------------------------------------
