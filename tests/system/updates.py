@@ -71,6 +71,11 @@ def running() -> str:
     return str(versions.pop())
 
 
+def has_ended(before: str) -> bool:
+    """Whether another process of the agent than this one has failed."""
+    return shown("ActiveState", SWITCH) == "failed" and shown("ExecMainPID", SWITCH) != before
+
+
 def measures() -> str:
     """The old version runs the cell, and records."""
     make_groups()
@@ -93,9 +98,10 @@ def kills_leave_one_version() -> str:
     start_s = time.monotonic()
     command(f"{OPT}/current/bin/edged", "release", "pull", str(CELL))
     pulled_s = time.monotonic() - start_s
-    seen = []
+    seen, ended = list[str](), "0"
     for number in range(len(CUTS)):
-        until(lambda: shown("ActiveState", SWITCH) == "failed" or gate()["step"] in DONE, "the agent's end")
+        until(lambda before=ended: has_ended(before) or gate()["step"] in DONE, "the agent's end")  # type: ignore[misc]
+        ended = shown("ExecMainPID", SWITCH)
         assert gate()["step"] in ("activating", "probation"), gate()["why"]
         assert ("signal", "9") == (shown("Result", SWITCH), shown("ExecMainStatus", SWITCH))
         seen.append(current())
