@@ -35,6 +35,8 @@ CUTS = ("1", "2", "3", "2", "2+", "1")
 """Exchanges of a file at which the agent dies; "+": after it. They are the link agent, its note, the links
 previous and current, and after the restart its note; what is done already it does not do again."""
 SWITCH = "edged-switch.service"
+PROBATION_S = 300.0
+"""A thousand cycles at most, five a second."""
 DONE = ("committed", "refused", "rolled back", "left")
 
 
@@ -50,7 +52,10 @@ def reached(name: str, *steps: str) -> dict[str, Any]:
         note = gate()
         return note if note["step"] in steps and note["staged"]["offer"]["name"] == name else None
 
-    return dict(until(seen, f"{name}: {steps}; it is {gate()['step']}: {gate()['why']}"))
+    try:
+        return dict(until(seen, f"{name}: {steps}", PROBATION_S))
+    except AssertionError as error:
+        raise AssertionError(f"{error}; it is {gate()['step']}: {gate()['why']}") from error
 
 
 def current() -> str:
