@@ -95,6 +95,7 @@ def note_stages() -> list[dict[str, tuple[float, float]]]:
 
     def beginning(self: CycleRun, *given: object) -> None:
         note("begun")
+        # whatever it takes
         cycle(self, *given)  # type: ignore[arg-type]
 
     for kind, name, wrapped in (

@@ -105,6 +105,7 @@ def kills_leave_one_version() -> str:
     pulled_s = time.monotonic() - start_s
     seen, ended = list[str](), "0"
     for number in range(len(CUTS)):
+        # a default of a lambda has no type
         until(lambda before=ended: has_ended(before) or gate()["step"] in DONE, "the agent's end")  # type: ignore[misc]
         ended = shown("ExecMainPID", SWITCH)
         assert gate()["step"] in ("activating", "probation"), gate()["why"]

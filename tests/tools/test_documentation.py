@@ -190,7 +190,15 @@ def _options_of(group: typer.core.TyperGroup) -> Iterator[str]:
             yield from (*one.opts, *one.secondary_opts)
 
 
-ELSEWHERE = {"ModbusServer", "FB_EDGED_S7_DB", "KAREL_ENB", "HOSTC_CFG", "SERVER_PORT", "NO_REF_TIME"}
+ELSEWHERE = {
+    "ModbusServer",
+    "FB_EDGED_S7_DB",
+    "KAREL_ENB",
+    "MACHINE_DEF",
+    "HOSTC_CFG",
+    "SERVER_PORT",
+    "NO_REF_TIME",
+}
 """Of a maker's tool, a controller, a standard."""
 FIELDS = {"EDGED_RESULT", "EDGED_AUDIT"}
 """Of the journal, made of the names of fields."""
