@@ -484,7 +484,7 @@ CASES: dict[str, Bad] = {
     "register format": Bad(
         "registers --format xml",
         "edged: --format xml: expected md, json, st, scl, s7db, l5x, plcopen, twincat, urscript, krl, "
-        "krl6, karel, rapid, motoplus, val3, as, drl, melfa, spel, pacscript, python, csv",
+        "krl6, karel, rapid, motoplus, val3, as, drl, melfa, spel, pacscript, eds, python, csv",
     ),
     "locate: convention": Bad(
         f"{LOCATE} --convention kuka",
