@@ -55,8 +55,9 @@ def old_version(place: Path) -> None:
     (place / "bin" / "edged").write_text(CUT.format(old=OLD))
     (place / "bin" / "edged").chmod(0o755)
     (place / ".complete").write_text("")
-    there = Path("/opt/edged/versions", OLD, PACKAGES)
-    take_over(Path(os.environ["NUMBA_CACHE_DIR"]), ROOT, place / "kernels", there)
+    kernels = os.environ.get("NUMBA_CACHE_DIR")
+    if kernels:
+        take_over(Path(kernels), ROOT, place / "kernels", Path("/opt/edged/versions", OLD, PACKAGES))
 
 
 def wheels_of(tree: Path, folder: Path, version: str) -> None:
@@ -115,9 +116,9 @@ def tree(put: Path, folder: Path) -> None:
     """A machine with units, an old version, a cell, and repositories."""
     units = put / "etc/systemd/system"
     units.mkdir(parents=True)
-    for name in (*UNITS, "edged-switch.path", "edged-switch.service"):
+    shutil.copy(ROOT / "systemd/edged-switch.path", units)
+    for name in (*UNITS, "edged-switch.service"):
         shutil.copy(ROOT / "systemd" / name, units)
-    for name in UNITS:
         (units / f"{name}.d").mkdir()
         (units / f"{name}.d" / "test.conf").write_text(DROP_IN)
     (put / "etc/sysusers.d").mkdir()
