@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from edged.domain.arrays import B8, I64, FloatArray, Image
 from edged.vision.edges.fitting import fit_circle, fit_line
-from edged.vision.edges.hysteresis import strong_edges
+from edged.vision.edges.hysteresis import EdgeThresholds, strong_edges
 from edged.vision.edges.params import OUTLINES
 from edged.vision.edges.subpixel import edges_along_normals
 from edged.vision.kernels.jit import kernel
@@ -58,12 +58,13 @@ class Piece:
         return float(np.linalg.norm(self.end - self.start))
 
 
-def find_contours(image: Image, mask: Image) -> list[Contour]:
+def find_contours(image: Image, mask: Image, thresholds: EdgeThresholds | None = None) -> list[Contour]:
     """Contours of the strong edges inside a mask, longest first.
 
-    image, mask : (H, W) uint8.  Chains end at junctions, and where an edge fades.
+    image, mask : (H, W) uint8.  thresholds : as in `strong_edges`.  Chains end at junctions, and where an
+    edge fades.
     """
-    edges = strong_edges(image, mask)
+    edges = strong_edges(image, mask, thresholds)
     if edges is None:
         return []
     pixels, starts, closed = link(edges.thin)

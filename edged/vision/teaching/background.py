@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -15,7 +16,7 @@ from edged.domain.arrays import B8, FloatArray, Image
 from edged.vision.edges.contours import Contour, find_contours
 from edged.vision.edges.subpixel import edges_along_normals
 from edged.vision.geometry.rigid import Plane, apply
-from edged.vision.teaching.features import TeachingView
+from edged.vision.teaching.features import TeachingView, common_depths, plane_of, strong_contours
 from edged.vision.teaching.params import TEACHING
 
 
@@ -47,10 +48,43 @@ def without_background(view: TeachingView, rig_from_part: FloatArray, mask: Imag
 def agreeing_with(view: TeachingView, face: Plane, contour: Contour) -> B8:
     """(N,) whether the right image shows the same edge where a contour's point would be in the face."""
     offsets, slopes, _ = edges_in_right(view, face, contour.points, contour.normals, 2.0)
-    ratio = slopes / np.maximum(contour.slopes, 1e-9)
+    ratio = slopes / np.maximum(view.ratio * contour.slopes, 1e-9)
     with np.errstate(invalid="ignore"):
         alike = (ratio < TEACHING.max_slope_ratio) & (ratio > 1 / TEACHING.max_slope_ratio)
         return np.asarray((np.abs(offsets) <= TEACHING.max_mismatch_px) & alike)
+
+
+def with_ratio(view: TeachingView) -> TeachingView:
+    """A view that knows by how much brighter the part's edges are in one of its pictures.
+
+    A face of metal is bright for the camera that it throws the light to.
+    """
+    ratio = _usual_ratio(view)
+    return view if ratio == 1.0 else replace(view, ratio=ratio)  # contours are remembered by identity
+
+
+def _usual_ratio(view: TeachingView) -> float:
+    """The slopes of most edges in the right image over those in the left one, where cameras plainly differ.
+
+    1 where most are within `max_slope_ratio`, and where no plane shows how they differ.
+    """
+    contours = strong_contours(view)
+    face = plane_of(view, contours, common_depths(view.images.rectification))
+    if face is None:
+        return 1.0
+    ratios = np.concatenate(
+        [
+            edges_in_right(view, face, some.points, some.normals, TEACHING.max_mismatch_px)[1] / some.slopes
+            for some in contours
+        ]
+    )
+    ratios = ratios[np.isfinite(ratios)]
+    if not len(ratios):
+        return 1.0
+    low, usual, high = np.quantile(ratios, (0.25, 0.5, 0.75))
+    limit = TEACHING.max_slope_ratio
+    is_plain = 0 < high < limit * low and not 1 / limit < usual < limit
+    return float(usual) if is_plain else 1.0
 
 
 def tells_apart(view: TeachingView, face: Plane, other: Plane, contours: Sequence[Contour]) -> bool:

@@ -17,7 +17,7 @@ from edged.vision.curves.outlines import Curve, Face
 from edged.vision.curves.planefit import CurveFit, PlaneFit, fit_plane
 from edged.vision.edges.contours import Contour, find_contours, pieces
 from edged.vision.edges.subpixel import edges_along_normals
-from edged.vision.geometry.rectification import StereoImages
+from edged.vision.geometry.rectification import Rectification, StereoImages
 from edged.vision.geometry.rigid import Plane, transform, wrapped
 from edged.vision.part.initialplane import find_plane
 from edged.vision.part.job import CornerFeature, EdgeFeature, SlotFeature
@@ -47,10 +47,14 @@ class FoundFeatures:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TeachingView:
-    """A teaching pair, and the region (h, w) in its rectified left image."""
+    """A teaching pair, and the region (h, w) in its rectified left image.
+
+    ratio : of the slopes of edges in the right image to those in the left one.
+    """
 
     images: StereoImages
     mask: Image
+    ratio: float = 1.0
 
 
 def find_features(
@@ -98,6 +102,16 @@ def plane_of(view: TeachingView, contours: Sequence[Contour], depth_mm: tuple[fl
     normals = np.concatenate([contour.normals for contour in contours])
     chosen = slice(None, None, max(1, len(points) // TEACHING.plane_points))
     return find_plane(view.images, points[chosen], normals[chosen], 1, depth_mm)
+
+
+def common_depths(rectification: Rectification) -> tuple[float, float]:
+    """Rectified depths that both images can show at all."""
+    strength = rectification.focal_px * rectification.baseline_mm
+    shift = rectification.centre_right_px[0] - rectification.centre_left_px[0]
+    width = rectification.size[0]
+    nearest = strength / (width + shift) if width + shift > 0 else strength / width
+    farthest = strength / max(shift - width, 0.02 * strength / nearest)
+    return max(nearest, 1.0), min(farthest, 20 * nearest)
 
 
 def outline_mask(view: TeachingView) -> Image:

@@ -34,10 +34,11 @@ from edged.vision.part.pose import circle_curve
 from edged.vision.shape.learning import create_model
 from edged.vision.shape.params import ModelParams
 from edged.vision.solid.curvemodel import curve_points
-from edged.vision.teaching.background import tells_apart, without_background
+from edged.vision.teaching.background import tells_apart, with_ratio, without_background
 from edged.vision.teaching.features import (
     FoundFeatures,
     TeachingView,
+    common_depths,
     find_edge_face,
     find_features,
     outline_mask,
@@ -112,6 +113,7 @@ def view_of(
 
 def taught(view: TeachingView, wanted: WantedJob) -> Job:
     """Learn what a view shows. Raises `TeachError` as `teach`."""
+    view = with_ratio(view)
     job = _untraced(view, wanted)
     return replace(job, traced=trace(view, job.rig_from_part, curve_points(job)))
 
@@ -268,7 +270,7 @@ def for_solid(job: Job) -> Job:
 def _near_depths(rectification: Rectification, reference: FoundCircle) -> tuple[float, float]:
     """Rectified depths at which other faces of the reference circle's part may lie."""
     depth = float((rectification.rectified_from_left @ reference.circle.centre_mm)[2])
-    nearest, farthest = _common_depths(rectification)
+    nearest, farthest = common_depths(rectification)
     return max(nearest, depth * (1 - TEACHING.height_share)), min(
         farthest, depth * (1 + TEACHING.height_share)
     )
@@ -276,7 +278,7 @@ def _near_depths(rectification: Rectification, reference: FoundCircle) -> tuple[
 
 def _from_edges(view: TeachingView) -> tuple[FloatArray, str, FoundFeatures] | None:
     """Pose, reference and features of a part without circles: its longest slot, or else a corner."""
-    amid = find_edge_face(view, _common_depths(view.images.rectification))
+    amid = find_edge_face(view, common_depths(view.images.rectification))
     if amid is None:
         return None
     found, amid = find_features(view, amid)
@@ -352,7 +354,7 @@ def _reference(images: StereoImages, ellipses: list[ImageEllipse]) -> tuple[Plan
         )
     for ellipse in ellipses:
         points, normals = ellipse.outline(240)
-        depths_mm = _common_depths(images.rectification)
+        depths_mm = common_depths(images.rectification)
         plane = find_plane(images, points, normals, ellipse.polarity, depths_mm)
         if plane is None:
             continue
@@ -460,13 +462,3 @@ def _in_order(found: list[FoundCircle]) -> list[FoundCircle]:
             *np.round(measured.circle.centre_mm[1::-1], 1),
         ),
     )
-
-
-def _common_depths(rectification: Rectification) -> tuple[float, float]:
-    """Rectified depths that both images can show at all."""
-    strength = rectification.focal_px * rectification.baseline_mm
-    shift = rectification.centre_right_px[0] - rectification.centre_left_px[0]
-    width = rectification.size[0]
-    nearest = strength / (width + shift) if width + shift > 0 else strength / width
-    farthest = strength / max(shift - width, 0.02 * strength / nearest)
-    return max(nearest, 1.0), min(farthest, 20 * nearest)

@@ -189,6 +189,9 @@ class TracingParams:
     rounds: int = 3  # of a height by the edges' own places
     agree_px: float = 1.0  # between an edge of the right image and the left one's, at a height
     slope_ratio: float = 3.0  # of an edge in both images: a wall or the table may be beside it in one
+    wide_slopes: tuple[float, float] = (0.3, 0.5)
+    """Hysteresis in the right image, in shares of the weakest outline's slope: the wider operator of contours
+    shows edges about half as steep (2 px against 1.2), and `weak_share` of that all along them."""
     join_px: float = 8.0  # between the ends of stretches that meet
     pieces: int = 8  # of a line
     chord_rad: float = 0.05  # of an arc's chords: 5 µm off an arc of 16 mm

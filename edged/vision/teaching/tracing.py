@@ -18,6 +18,7 @@ import numpy as np
 from edged.domain.arrays import B8, F32, I64, FloatArray
 from edged.vision.edges.contours import find_contours, split
 from edged.vision.edges.fitting import fit_circle, fit_line
+from edged.vision.edges.hysteresis import EdgeThresholds
 from edged.vision.geometry.rigid import Plane, apply, invert
 from edged.vision.geometry.triangulation import triangulate
 from edged.vision.part.traced import TracedCurve
@@ -86,7 +87,13 @@ class _Tracer:
     def of(view: TeachingView, rig_from_part: FloatArray) -> _Tracer:
         """Find the edges of the right image."""
         images = view.images
-        contours = find_contours(images.rectified_right, images.rectification.valid_right)
+        thresholds = None
+        if view.ratio != 1.0:  # the strongest edges of the right image may be glints
+            weakest = min(
+                (float(np.median(contour.slopes)) for contour in strong_contours(view)), default=0.0
+            )
+            thresholds = EdgeThresholds(*(view.ratio * weakest * np.array(TRACING.wide_slopes)))
+        contours = find_contours(images.rectified_right, images.rectification.valid_right, thresholds)
         points = np.concatenate([np.zeros((0, 2)), *(contour.points for contour in contours)])
         normals = np.concatenate([np.zeros((0, 2)), *(contour.normals for contour in contours)])
         rows = np.rint(points[:, 1]).astype(np.int64)
@@ -192,7 +199,7 @@ class _Tracer:
         offsets, slopes, normals = edges_in_right(
             self.view, here, stretch.points, stretch.normals, 2 * TRACING.agree_px
         )
-        ratio = slopes / np.maximum(stretch.slopes, 1e-9)
+        ratio = slopes / np.maximum(self.view.ratio * stretch.slopes, 1e-9)
         with np.errstate(invalid="ignore"):
             alike = (ratio < TRACING.slope_ratio) & (ratio > 1 / TRACING.slope_ratio)
         moved = in_right(self.view, lower, stretch.points) - in_right(self.view, here, stretch.points)

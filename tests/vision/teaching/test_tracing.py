@@ -8,6 +8,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from helpers import drawnparts
 from helpers.cells import frame_pair
 from helpers.tilted import lying
 from solids import Design, Wall, box, circle, flattened
@@ -129,3 +130,12 @@ def test_a_stadium_around_a_hole_is_no_slot() -> None:
         of_slot = points.curve // 3 == 1
         first, second = (np.abs(points.points[of_slot & (points.curve % 3 == k), :2]).max() for k in (1, 2))
         assert (second > first) == grows
+
+
+@pytest.mark.slow
+def test_outlines_are_traced_also_where_one_camera_sees_the_part_much_darker() -> None:
+    """As a face of metal beside a lamp: by 3.6 times, and every outline is taught as in pictures alike."""
+    left, right = drawnparts.pair(4)
+    dark = np.rint(0.28 * right).astype(np.uint8)
+    alike, other = (teach(left, each, drawnparts.rig().rectification, None, "part") for each in (right, dark))
+    assert len(other.traced) == len(alike.traced) > 0
