@@ -17,7 +17,7 @@ from edged.vision.edges.contours import Contour, find_contours
 from edged.vision.edges.subpixel import edges_along_normals
 from edged.vision.geometry.rigid import Plane, apply
 from edged.vision.teaching.features import TeachingView, common_depths, plane_of, strong_contours
-from edged.vision.teaching.params import TEACHING
+from edged.vision.teaching.params import TEACHING, TRACING
 
 
 def without_background(view: TeachingView, rig_from_part: FloatArray, mask: Image) -> Image:
@@ -66,7 +66,7 @@ def with_ratio(view: TeachingView) -> TeachingView:
 def _usual_ratio(view: TeachingView) -> float:
     """The slopes of most edges in the right image over those in the left one, where cameras plainly differ.
 
-    1 where most are within `max_slope_ratio`, and where no plane shows how they differ.
+    1 where most are alike enough to be traced, and where no plane shows how they differ.
     """
     contours = strong_contours(view)
     face = plane_of(view, contours, common_depths(view.images.rectification))
@@ -82,9 +82,9 @@ def _usual_ratio(view: TeachingView) -> float:
     if not len(ratios):
         return 1.0
     low, usual, high = np.quantile(ratios, (0.25, 0.5, 0.75))
-    limit = TEACHING.max_slope_ratio
-    is_plain = 0 < high < limit * low and not 1 / limit < usual < limit
-    return float(usual) if is_plain else 1.0
+    is_plain = 0 < high < TEACHING.max_slope_ratio * low
+    are_alike = 1 / TRACING.slope_ratio < usual < TRACING.slope_ratio
+    return float(usual) if is_plain and not are_alike else 1.0
 
 
 def tells_apart(view: TeachingView, face: Plane, other: Plane, contours: Sequence[Contour]) -> bool:
