@@ -12,6 +12,7 @@ from types import TracebackType
 from typing import Any
 
 from argon2 import PasswordHasher
+from asyncua import Client
 from asyncua.server.address_space import NodeManagementService
 from asyncua.server.standard_address_space import standard_address_space
 from cryptography import x509
@@ -31,6 +32,11 @@ PASSWORD = "a password for tests"
 PASSWORD_HASH = PasswordHasher(time_cost=1, memory_cost=512, parallelism=1).hash(PASSWORD)
 """Cheap to check."""
 JOBS = [(1, "job1"), (2, "job2")]
+
+
+def client_of(url: str) -> Client:
+    """As patient as these tests: a client of asyncua hangs up where a busy machine is silent for a second."""
+    return Client(url, timeout=LIMIT_S, watchdog_intervall=LIMIT_S)
 
 
 def make_certificate(folder: Path, name: str, uri: str, *, days: int = 2) -> None:

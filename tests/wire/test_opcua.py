@@ -19,7 +19,7 @@ from typing import Any
 import pytest
 from asyncua import Client, ua
 from asyncua.crypto.security_policies import SecurityPolicyBasic256Sha256
-from helpers.opcuacell import JOBS, PASSWORD, OpcUaCell, make_certificate, secure_settings
+from helpers.opcuacell import JOBS, PASSWORD, OpcUaCell, client_of, make_certificate, secure_settings
 from helpers.ports import answers, free_port
 from helpers.smallcell import DaemonProcess, SmallCell
 from helpers.snapshots import make_target
@@ -78,7 +78,7 @@ async def connected(
 ) -> AsyncIterator[Client]:
     """A client with its certificate and password."""
     folder = secure.certificate.parent if secure.certificate is not None else Path()
-    client = Client(cell.url, timeout=LIMIT_S)
+    client = client_of(cell.url)
     client.application_uri = f"urn:test:{name}"
     await client.set_security(
         SecurityPolicyBasic256Sha256,
@@ -210,7 +210,7 @@ async def test_every_mandatory_part_of_the_vision_system_is_there(open_cell: Opc
         f"{RECIPES}.Recipes.job1": 1002,
         RESULTS: 1007,
     }
-    async with Client(open_cell.url) as client:
+    async with client_of(open_cell.url) as client:
         for path, number in expected.items():
             node = client.get_node(path)
             names = {(await child.read_browse_name()).Name for child in await node.get_children()}
@@ -222,7 +222,7 @@ async def test_every_mandatory_part_of_the_vision_system_is_there(open_cell: Opc
 @pytest.mark.slow
 async def test_every_register_is_a_variable_with_its_number_and_unit(open_cell: OpcUaCell) -> None:
     """The same numbers as over Modbus, from the one schema; what stands for none is BadNoData."""
-    async with Client(open_cell.url) as client:
+    async with client_of(open_cell.url) as client:
         names = [(block.name, register) for block in reg.BLOCKS for register in block.registers]
         nodes = [client.get_node(f"ns=3;s=Registers.{block}.{register.name}") for block, register in names]
         ids = [ua.ReadValueId(NodeId=node.nodeid, AttributeId=ua.AttributeIds.Value) for node in nodes]
@@ -253,7 +253,7 @@ async def test_a_job_is_a_recipe_and_comes_and_goes_with_the_configuration(open_
         except ua.uaerrors.BadNodeIdUnknown:  # it went between the list and its name
             return False
 
-    async with Client(open_cell.url) as client:
+    async with client_of(open_cell.url) as client:
         assert {"job1", "job2"} == await names(client)
         internal = await client.get_node(f"{RECIPES}.Recipes.job2.InternalId").read_value()
         open_cell.call(lambda: open_cell.jobs.__setitem__(1, (3, "job3")))
@@ -572,11 +572,11 @@ async def test_without_certificate_nothing_can_be_read_unless_it_is_allowed(
     cell: OpcUaCell, secure: OpcUaSettings
 ) -> None:
     """The endpoints can be asked for, all of them encrypted; a session cannot be had."""
-    client = Client(cell.url)
+    client = client_of(cell.url)
     endpoints = await client.connect_and_get_server_endpoints()
     assert {ua.MessageSecurityMode.SignAndEncrypt} == {one.SecurityMode for one in endpoints}
     with pytest.raises(ua.UaError):
-        async with Client(cell.url):
+        async with client_of(cell.url):
             pass
 
 
@@ -621,7 +621,7 @@ async def test_a_strange_certificate_is_kept_so_that_it_can_be_trusted(
 async def test_who_is_anonymous_may_look_and_not_command(secure: OpcUaSettings) -> None:
     """Also over an encrypted channel; and no password is taken over one that is not."""
     with OpcUaCell(replace(secure, anonymous=True)) as cell:
-        async with Client(cell.url, timeout=LIMIT_S) as client:
+        async with client_of(cell.url) as client:
             assert 1 == await register(client, "status", "ACTIVE_JOB")
             for call in (start(client), command(client, 1)):
                 with pytest.raises(ua.uaerrors.BadUserAccessDenied):
@@ -631,7 +631,7 @@ async def test_who_is_anonymous_may_look_and_not_command(secure: OpcUaSettings) 
         async with connected(cell, secure, user="") as client:
             with pytest.raises(ua.uaerrors.BadUserAccessDenied):
                 await start(client)
-        plain = Client(cell.url)
+        plain = client_of(cell.url)
         plain.set_user("operator")
         plain.set_password(PASSWORD)
         with pytest.raises(ua.uaerrors.BadUserAccessDenied):
@@ -644,7 +644,7 @@ async def test_who_is_anonymous_may_look_and_not_command(secure: OpcUaSettings) 
 async def test_a_client_reaches_its_own_subscriptions_only(open_cell: OpcUaCell) -> None:
     """asyncua numbers those of all clients in one row: a stranger could end them."""
     notes = Notes()
-    async with Client(open_cell.url) as one, Client(open_cell.url) as other:
+    async with client_of(open_cell.url) as one, client_of(open_cell.url) as other:
         subscription = await one.create_subscription(20, notes)
         await subscription.subscribe_data_change(one.get_node("ns=3;s=Registers.status.HEARTBEAT"))
         number = subscription.subscription_id
@@ -893,7 +893,7 @@ async def test_a_daemon_serves_it_and_goes_on_when_a_reload_exchanges_the_regist
     try:
         daemon.wait_ready()
         await until(lambda: asyncio.to_thread(answers, port), LIMIT_S)
-        async with Client(f"opc.tcp://127.0.0.1:{port}") as client:
+        async with client_of(f"opc.tcp://127.0.0.1:{port}") as client:
             await until(lambda: measures(client), LIMIT_S)
             before = await epoch(client)
             text = small.config.read_text().replace(f"port = {small.modbus_port}", f"port = {modbus}")

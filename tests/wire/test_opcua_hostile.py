@@ -11,9 +11,9 @@ from contextlib import ExitStack, closing
 from pathlib import Path
 
 import pytest
-from asyncua import Client, ua
+from asyncua import ua
 from asyncua.crypto.permission_rules import UserRole
-from helpers.opcuacell import PASSWORD, PASSWORD_HASH, OpcUaCell
+from helpers.opcuacell import PASSWORD, PASSWORD_HASH, OpcUaCell, client_of
 from helpers.waiting import LIMIT_S
 
 from edged.adapters.opcua import OpcUaSettings, connection
@@ -117,11 +117,11 @@ def test_who_says_nothing_has_to_go(cell: OpcUaCell, monkeypatch: pytest.MonkeyP
 @pytest.mark.slow
 async def test_a_full_house_of_strangers_leaves_room_for_others(cell: OpcUaCell) -> None:
     """One address gets half of the connections, however many it opens; who is logged in stays."""
-    async with Client(cell.url, timeout=LIMIT_S) as first:
+    async with client_of(cell.url) as first:
         with ExitStack() as lines:
             for _ in range(30):
                 lines.enter_context(closing(connect(cell)))
-            async with Client(cell.url, timeout=LIMIT_S) as second:
+            async with client_of(cell.url) as second:
                 for client in (first, second):
                     assert 1 == await client.get_node("ns=3;s=Registers.status.ACTIVE_JOB").read_value()
 
@@ -129,7 +129,7 @@ async def test_a_full_house_of_strangers_leaves_room_for_others(cell: OpcUaCell)
 @pytest.mark.slow
 async def test_a_request_is_bounded(cell: OpcUaCell) -> None:
     """As many nodes as the server says that it takes, and no more; one method a request."""
-    async with Client(cell.url, timeout=LIMIT_S) as client:
+    async with client_of(cell.url) as client:
         said = client.get_node(ua.ObjectIds.Server_ServerCapabilities_OperationLimits_MaxNodesPerRead)
         assert MAX_NODES == await said.read_value()
         one = ua.ReadValueId(NodeId=ua.NodeId(2258), AttributeId=ua.AttributeIds.Value)
@@ -150,7 +150,7 @@ async def test_a_session_holds_a_share_and_no_more(cell: OpcUaCell) -> None:
             """Nothing of interest."""
 
     for _ in range(3):
-        async with Client(cell.url, timeout=LIMIT_S) as client:
+        async with client_of(cell.url) as client:
             for _ in range(MAX_SUBSCRIPTIONS):
                 subscription = await client.create_subscription(0, Notes())
             with pytest.raises(ua.uaerrors.BadTooManySubscriptions):

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from asyncua import Client
 from helpers.linerobot import connected, ready
-from helpers.opcuacell import OpcUaCell
+from helpers.opcuacell import OpcUaCell, client_of
 from helpers.schema_check import load_schema, violations
 from helpers.snapshots import make_target
 
@@ -53,7 +53,7 @@ async def test_the_map_is_in_all_that_a_running_cell_says() -> None:
     assert shift is not None
     with OpcUaCell(OpcUaSettings("cell1", port=0, anonymous=True), LINES) as cell, connected(cell) as robot:
         await asyncio.to_thread(ready, cell)
-        async with Client(cell.url) as client:
+        async with client_of(cell.url) as client:
 
             async def located(sequence: int) -> tuple[int, list[float], Any, int]:
                 """Status and pose of the line; X and REJECT over OPC UA, which Modbus says, too."""
