@@ -16,6 +16,7 @@ FINE = 16.0
 """Gradient steps per grey value: a faint edge, smoothed to whole grey values, would be a staircase."""
 UNIT = 8 * FINE  # weights of a Sobel operator add to 8 on a slope of 1 grey value per px
 AXES = ((1, 0), (0, 1))  # x, y
+MIN_CONTRAST, MAX_CONTRAST = 0.1, 255.0  # of a threshold, grey values per px
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,7 +36,7 @@ class EdgeThresholds:
     def __post_init__(self) -> None:
         for name in ("contrast_low", "contrast_high"):
             value = getattr(self, name)
-            if value is not None and not (np.isfinite(value) and 0.1 <= value <= 255):
+            if value is not None and not (np.isfinite(value) and MIN_CONTRAST <= value <= MAX_CONTRAST):
                 raise TeachError(f"{name} {value}: expected 0.1 to 255 grey values per px")
         low, high = self.contrast_low, self.contrast_high
         if low is not None and high is not None and low > high:

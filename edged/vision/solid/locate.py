@@ -61,7 +61,7 @@ def locate_solid(
     ones, and where these lead nowhere by wide ones.
     """
     measured, dismissed, missed = _located(images, job, wanted_of(job))
-    if job.body is None and job.break_mm is None and not (measured or dismissed):
+    if _has_open_breaks(job) and not (measured or dismissed):
         measured, dismissed, missed_again = _located(images, job, wanted_of(job, BREAKS.looked_wide_mm))
         missed += missed_again
     return measured, dismissed, missed
@@ -126,7 +126,7 @@ def _agrees(job: Job, models: Sequence[EdgeModel], pyramids: Pyramids, target: T
 def wanted_of(job: Job, looked_mm: float = BREAKS.looked_mm) -> SearchedPart:
     """What is looked for, of a job; where its breaks are not known, as sharp and by those of one width."""
     models = models_of(job)
-    if job.body is None and job.break_mm is None:  # to be near; which form it is, is asked there
+    if _has_open_breaks(job):  # to be near; which form it is, is asked there
         widths = {0.0, looked_mm}
         models = tuple(model for model, form in zip(models, forms_of(job), strict=True) if form[0] in widths)
     model = models[0]
@@ -138,6 +138,11 @@ def wanted_of(job: Job, looked_mm: float = BREAKS.looked_mm) -> SearchedPart:
     near, far = (float(np.linalg.norm(place)) * depth / taught for depth in (near, far))
     tilt = DECISION.lying_rad if job.tilt_rad is None else job.tilt_rad
     return SearchedPart(models, tilt + DECISION.tilt_margin_rad, (near, far), place)
+
+
+def _has_open_breaks(job: Job) -> bool:
+    """Whether each picture has to tell what form the breaks of a job's part have."""
+    return job.body is None and job.break_mm is None
 
 
 @lru_cache(maxsize=16)

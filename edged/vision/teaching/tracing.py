@@ -18,7 +18,7 @@ import numpy as np
 from edged.domain.arrays import B8, F32, I64, FloatArray
 from edged.vision.edges.contours import find_contours, split
 from edged.vision.edges.fitting import fit_circle, fit_line
-from edged.vision.edges.hysteresis import EdgeThresholds
+from edged.vision.edges.hysteresis import MAX_CONTRAST, MIN_CONTRAST, EdgeThresholds
 from edged.vision.geometry.rigid import Plane, apply, invert
 from edged.vision.geometry.triangulation import triangulate
 from edged.vision.part.traced import TracedCurve
@@ -89,10 +89,9 @@ class _Tracer:
         images = view.images
         thresholds = None
         if view.ratio != 1.0:  # the strongest edges of the right image may be glints
-            weakest = min(
-                (float(np.median(contour.slopes)) for contour in strong_contours(view)), default=0.0
-            )
-            thresholds = EdgeThresholds(*(view.ratio * weakest * np.array(TRACING.wide_slopes)))
+            weakest = min(float(np.median(contour.slopes)) for contour in strong_contours(view))
+            slopes = view.ratio * weakest * np.array(TRACING.wide_slopes)
+            thresholds = EdgeThresholds(*np.clip(slopes, MIN_CONTRAST, MAX_CONTRAST))
         contours = find_contours(images.rectified_right, images.rectification.valid_right, thresholds)
         points = np.concatenate([np.zeros((0, 2)), *(contour.points for contour in contours)])
         normals = np.concatenate([np.zeros((0, 2)), *(contour.normals for contour in contours)])

@@ -19,10 +19,10 @@ from edged.pipeline import PreparedRig, inspect, judge, prepare
 from edged.vision.geometry.rigid import turn_between
 from edged.vision.part.job import Job, SlotFeature
 from edged.vision.part.traced import TracedCurve
-from edged.vision.solid.curvemodel import curve_model, has_enough_curves
+from edged.vision.solid.curvemodel import curve_model, curve_points, has_enough_curves
 from edged.vision.solid.edgemodel import sampled
-from edged.vision.teaching.pair import teach
-from edged.vision.teaching.tracing import above_table
+from edged.vision.teaching.pair import teach, view_of
+from edged.vision.teaching.tracing import above_table, trace
 
 BOSS_MM = 3.6
 PLATE = Design(
@@ -139,3 +139,14 @@ def test_outlines_are_traced_also_where_one_camera_sees_the_part_much_darker() -
     dark = np.rint(0.28 * right).astype(np.uint8)
     alike, other = (teach(left, each, drawnparts.rig().rectification, None, "part") for each in (right, dark))
     assert len(other.traced) == len(alike.traced) > 0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("ratio", [1e-3, 1e3])
+def test_a_picture_that_is_black_or_white_beside_the_other_one_shows_no_outlines(ratio: float) -> None:
+    """Its contours' thresholds stay what they may be."""
+    left, right = drawnparts.pair(4)
+    rectification = drawnparts.rig().rectification
+    job = teach(left, right, rectification, None, "part")
+    view = view_of(left, right, rectification, None)
+    assert trace(replace(view, ratio=ratio), job.rig_from_part, curve_points(job)) == ()
