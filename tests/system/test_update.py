@@ -46,11 +46,16 @@ sys.exit(main())
 """The program of the old version; its agent dies by SIGKILL at the exchange of files that /run/cut says."""
 
 
+def copy_sources(folder: Path) -> None:
+    """The package without what is made of it."""
+    made = shutil.ignore_patterns("__pycache__", "manual")
+    shutil.copytree(ROOT / "edged", folder / "edged", ignore=made)
+
+
 def old_version(place: Path) -> None:
     """As `tools/install` leaves it, with compiled kernels; but for the packages that it needs: this one's."""
     venv.create(place, system_site_packages=True)
-    only_sources = shutil.ignore_patterns("__pycache__", "manual")
-    shutil.copytree(ROOT / "edged", place / PACKAGES / "edged", ignore=only_sources)
+    copy_sources(place / PACKAGES)
     (place / PACKAGES / "rest.pth").write_text("\n".join(packages_of_tests()))
     (place / "bin" / "edged").write_text(CUT.format(old=OLD))
     (place / "bin" / "edged").chmod(0o755)
@@ -72,8 +77,7 @@ def wheels_of(tree: Path, folder: Path, version: str) -> None:
 
 def tree_of_this(folder: Path) -> Path:
     """This tree, which needs the wheel `rest` alone."""
-    without = shutil.ignore_patterns("__pycache__", "manual")
-    shutil.copytree(ROOT / "edged", folder / "edged", ignore=without)
+    copy_sources(folder)
     shutil.copy(ROOT / "README.md", folder)
     head, needs = (ROOT / "pyproject.toml").read_text().split("\ndependencies = [\n", 1)
     others = needs.split("\n]\n", 1)[1]

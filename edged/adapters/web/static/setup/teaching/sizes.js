@@ -233,7 +233,7 @@ export function Tray() {
       ${tray[name].map(
         (mm, i) => html`<${NumberField}
           key=${i} name="tray-${TITLE[name]}-${"xyz"[i]}" label=${"XYZ"[i]} unit="mm" digits=${3}
-          low=${-100000} high=${100000} value=${mm} disabled=${!mayTake.value}
+          low=${-10000} high=${10000} value=${mm} disabled=${!mayTake.value}
           onValue=${(value) => wish({ ...tray, [name]: tray[name].map((x, n) => (n === i ? value : x)) })}
         />`,
       )}
