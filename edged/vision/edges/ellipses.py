@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 
 from edged.domain.arrays import B8, FloatArray, Image
-from edged.vision.edges.hysteresis import strong_edges
+from edged.vision.edges.hysteresis import EdgeThresholds, strong_edges
 from edged.vision.edges.params import OUTLINES
 from edged.vision.geometry.rigid import rotation_2d
 
@@ -41,9 +41,9 @@ class ImageEllipse:
         return (value - 1) / np.maximum(gradient, 1e-9), np.arctan2(scaled[:, 1], scaled[:, 0])
 
 
-def find_ellipses(image: Image, mask: Image) -> list[ImageEllipse]:
+def find_ellipses(image: Image, mask: Image, thresholds: EdgeThresholds | None = None) -> list[ImageEllipse]:
     """Ellipses among the strong edges inside a mask, largest first; both edges of a chamfer are given."""
-    edges = strong_edges(image, mask)
+    edges = strong_edges(image, mask, thresholds)
     if edges is None:
         return []
     count, labels = cv2.connectedComponents(edges.thin, connectivity=8)

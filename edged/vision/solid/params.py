@@ -382,7 +382,8 @@ class CurvesParams:
 
     sagitta_mm: float = 5e-4  # of the chords of an arc
     pieces: int = 8  # of a straight edge
-    same_face_mm: float = 1.0  # between heights of curves around one face, broken edges among them
+    same_face_mm: float = 0.7
+    """Between heights of curves around one face: light shows its edges up to 0.6 mm apart (accuracy.md)."""
     level_mm: float = 0.06  # of a taught height
     fewest: int = 3  # curves: with fewer, chance and a taught tilt are not told from the part
     taught_px: float = 1 / 6  # between teaching's light and another one (`LIGHT_PX`), in either camera

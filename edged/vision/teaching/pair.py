@@ -16,6 +16,8 @@ from edged.vision.curves.outlines import Curve, Face
 from edged.vision.curves.params import FitParams
 from edged.vision.curves.planefit import CurveFit
 from edged.vision.edges.ellipses import ImageEllipse, find_ellipses
+from edged.vision.edges.hysteresis import EdgeThresholds
+from edged.vision.edges.params import OUTLINES
 from edged.vision.geometry.rectification import Rectification, StereoImages
 from edged.vision.geometry.rigid import Plane, apply, invert, transform
 from edged.vision.part.edgeidentity import is_double
@@ -60,6 +62,8 @@ from edged.vision.teaching.params import TEACHING
 from edged.vision.teaching.region import Area, Region, painted_region
 from edged.vision.teaching.tracing import trace
 
+FAINT = EdgeThresholds(OUTLINES.faint, 2 * OUTLINES.faint)
+"""Of circles that only both pictures together confirm: four sigma of a noisy picture."""
 IN_FACE_MM = TEACHING.face_tolerance_mm
 """Machined faces are flat to better than this. Measured singly, a hole whose break each camera sees at
 another end stands off by 1 / (2 tan 12°) of what these lie apart (24° between the cameras). Heights of 0.05
@@ -119,8 +123,36 @@ def taught(view: TeachingView, wanted: WantedJob) -> Job:
 
 
 def _untraced(view: TeachingView, wanted: WantedJob) -> Job:
-    shown = find_ellipses(view.images.rectified_left, view.mask)
-    ellipses = without_pattern(view, shown)
+    """The job of the strong circles; of faint ones as well where those show no part, or not how it is turned.
+
+    A bright table or insert sets the contrast that counts as strong, and holes in a dark part have less.
+    """
+    try:
+        job = _with_circles(view, wanted)
+    except TeachError:
+        faint = _with_faint_circles(view, wanted)
+        if faint is None:
+            raise
+        return faint
+    if job.edges or job.slots or _off_axis(job.circles):
+        return job
+    faint = _with_faint_circles(view, wanted)
+    # one circle off the axis may be a stain
+    return job if faint is None or len(_off_axis(faint.circles)) < 2 else faint
+
+
+def _with_faint_circles(view: TeachingView, wanted: WantedJob) -> Job | None:
+    """The job of faint circles as well; None where they show no part either."""
+    try:
+        return _with_circles(view, wanted, FAINT)
+    except TeachError:
+        return None
+
+
+def _with_circles(view: TeachingView, wanted: WantedJob, thresholds: EdgeThresholds | None = None) -> Job:
+    """The job of a view in which circles are sought among the edges above thresholds."""
+    shown = find_ellipses(view.images.rectified_left, view.mask, thresholds)
+    ellipses = without_pattern(view, shown, thresholds)
     try:
         face, largest = _reference(view.images, ellipses)
         depths_mm = _near_depths(view.images.rectification, largest)
@@ -149,7 +181,7 @@ def _untraced(view: TeachingView, wanted: WantedJob) -> Job:
     else:
         rig_from_part, found = together.rig_from_part, together.found
         features = _circle_features(view, together.circles, rig_from_part)
-    if len(ellipses) < len(shown) and not (found.edges or found.slots) and _is_concentric(features):
+    if len(ellipses) < len(shown) and not (found.edges or found.slots or _off_axis(features)):
         raise TeachError(
             "around the part are the holes of a perforated table, and but for them it shows circles about "
             "one axis, which tell no turn: expected the part on a plain table, or its STEP file besides",
@@ -159,13 +191,19 @@ def _untraced(view: TeachingView, wanted: WantedJob) -> Job:
     return _job(view, wanted, rig_from_part, features[0].name, found, features, sigma_mm)
 
 
-def _is_concentric(circles: Sequence[CircleFeature]) -> bool:
-    """Whether all circles of a part lie about one axis along its z."""
-    away = [np.hypot(*(circle.centre_mm - circles[0].centre_mm)[:2]) for circle in circles]
-    return bool(max(away) < TEACHING.face_tolerance_mm)
+def _off_axis(circles: Sequence[CircleFeature]) -> list[CircleFeature]:
+    """The circles that do not lie about the axis of the first."""
+    centre = circles[0].centre_mm[:2] if circles else 0.0
+    return [
+        circle
+        for circle in circles
+        if np.hypot(*(circle.centre_mm[:2] - centre)) >= TEACHING.face_tolerance_mm
+    ]
 
 
-def without_pattern(view: TeachingView, ellipses: list[ImageEllipse]) -> list[ImageEllipse]:
+def without_pattern(
+    view: TeachingView, ellipses: list[ImageEllipse], thresholds: EdgeThresholds | None = None
+) -> list[ImageEllipse]:
     """The ellipses of a region without the holes of a perforated table.
 
     Its holes are many, of one size, fill the picture, and lie below what else has circles: a table's plane
@@ -176,7 +214,7 @@ def without_pattern(view: TeachingView, ellipses: list[ImageEllipse]) -> list[Im
     if not len(ellipses) or alike.sum(axis=1).max() < TEACHING.pattern_inside:
         return ellipses
     images = view.images
-    everywhere = find_ellipses(images.rectified_left, images.rectification.valid_left)
+    everywhere = find_ellipses(images.rectified_left, images.rectification.valid_left, thresholds)
     drawn = _size_rows(everywhere)
     law = np.array([0.0, 0.0, rows[alike.sum(axis=1).argmax(), 3]])  # log of the size over x, y, 1
     of_pattern = np.zeros(0, bool)

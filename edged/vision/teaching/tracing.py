@@ -281,7 +281,9 @@ def above_table(curves: Sequence[TracedCurve], features: Sequence[FloatArray]) -
             other for other in low if abs(other.points_mm[0, 2] - curve.points_mm[0, 2]) < TRACING.level_mm
         ]
         hull = _hull([other.points_mm for other in beside])
-        on_hull = [_within(hull, other.points_mm).max() < TRACING.on_hull_mm for other in beside]
+        starts = np.cumsum([0, *(len(other.points_mm) for other in beside[:-1])])
+        inside = _within(hull, np.concatenate([other.points_mm for other in beside]))
+        on_hull = np.maximum.reduceat(inside, starts) < TRACING.on_hull_mm
         length = np.array([other.length_mm for other in beside])
         around = _share_around(part, [other.points_mm for other in beside])
         if length[on_hull].sum() < 0.5 * length.sum() or around < TRACING.around_share:
@@ -304,8 +306,12 @@ def _hull(lines: Sequence[FloatArray]) -> F32:
 
 
 def _within(hull: F32, points: FloatArray) -> FloatArray:
-    """(N,) by how many mm points (N, 3) lie within a hull; negative outside."""
-    return np.array([cv2.pointPolygonTest(hull, (float(x), float(y)), True) for x, y, _ in points])
+    """(N,) distance in mm of points (N, 3) inside a convex hull to its border; negative outside."""
+    corners = hull[:, 0].astype(np.float64)
+    along = np.roll(corners, -1, axis=0) - corners
+    inwards = np.column_stack([-along[:, 1], along[:, 0]]) * np.sign(cv2.contourArea(hull, oriented=True))
+    inwards /= np.maximum(np.linalg.norm(inwards, axis=1, keepdims=True), 1e-12)
+    return np.asarray((inwards @ points[:, :2].T - np.sum(corners * inwards, axis=1)[:, None]).min(axis=0))
 
 
 def _finely(points: FloatArray, step_mm: float) -> FloatArray:

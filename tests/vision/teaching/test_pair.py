@@ -249,3 +249,22 @@ def test_holes_of_a_perforated_table_are_none_of_the_part() -> None:
         job = teach(left, right, rig.rectification, region, "disc")
         radii = {round(circle.radius_mm, 1) for circle in job.circles}
         assert {2.2, 3.0} <= radii <= {2.2, 3.0, 13.0}, radii
+
+
+@pytest.mark.slow
+def test_faint_holes_tell_how_a_dark_part_with_a_bright_insert_lies() -> None:
+    """By strong edges the cover shows circles about one axis only; its holes' are a tenth as strong."""
+    rig = prepare(small_rig())
+    face = lying(rig.rig, 0.0, 0.0, 0.0)
+    table = face.copy()
+    table[:3, 3] += 6.0 * face[:3, 2]
+    holes = {(8.0, 2.0): 1.6, (-3.0, 8.0): 1.6, (-6.0, -6.0): 2.2}
+    cover = Part(
+        "cover", Disc(0, 0, 13.0), Surface(albedo=0.12),
+        (*(Hole(f"hole{k}", Disc(*place, radius), 0.03) for k, (place, radius) in enumerate(holes.items())),
+         Hole("bore", Disc(0, 0, 5.0), 0.9)),
+    )  # fmt: skip
+    sheet = Part("sheet", RoundedBox(0, 0, 200, 200), Surface(albedo=0.9))
+    job = teach(*pictures(rig.rig, scene((sheet, table), (cover, face))), rig.rectification, None, "cover")
+    found = {round(circle.radius_mm, 1) for circle in job.circles}
+    assert {1.6, 2.2, 5.0} <= found, found
