@@ -43,7 +43,7 @@ _PARAMETER = re.compile(r"\{(\w+)(?::([^{}]*(?:\{[0-9,]+\}[^{}]*)*))?\}")
 class Problem(Exception):
     """Error response to a request (RFC 9457).
 
-    code : for programs, and for the page, which has its own text for it. field : of the body, the one at fault.
+    code : for programs, and for the page, which has its own text for it. field : of the body.
     params : values that such a text needs.
     """
 
@@ -81,7 +81,7 @@ Token = Annotated[str, StringConstraints(min_length=1, max_length=64), AfterVali
 
 
 class Body(BaseModel):
-    """Body of a request, for a GET its query: no further fields, strict types, every text of limited length."""
+    """Body of a request, of a GET the query: no further fields, strict types, texts of limited length."""
 
     model_config = ConfigDict(
         strict=True, extra="forbid", frozen=True, str_strip_whitespace=True, allow_inf_nan=False
@@ -160,7 +160,7 @@ class Route:
     path : below /api/v1, with parameters in aiohttp's syntax, `{number:[0-9]{1,9}}`.
     what : one line for the OpenAPI document. role : the lowest that is allowed.
     body : model of the JSON object, for a GET of the query; None: the handler reads the body itself, up to
-    limit_bytes, by `gate.chunks`. answer : a model, a media type, `WEBSOCKET`, or None.
+    limit_bytes, with `gate.chunks`. answer : a model, a media type, `WEBSOCKET`, or None.
     status : of a success; default: 200, or 204 without an answer.
     audit : recorded with its outcome, also when refused. needs_lease : the body's `token` must be that of the
     lease, which the request extends. needs_password : the visitor must have entered theirs in the last
