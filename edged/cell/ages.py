@@ -10,8 +10,9 @@ from edged.domain.events import ExposureDone, Snapshot
 class ExposureClock:
     """Time of exposures on a monotonic clock.
 
-    Both time stamps of a snapshot are UTC of the same machine. If the clock was set between them, the latency is
-    too long, which makes the result look old, or too short: then it counts from when the images were in memory.
+    Both time stamps of a snapshot are UTC of the same machine. If the clock was set between them, the latency
+    is too long, which makes the result look old, or too short: then it counts from when the images were in
+    memory.
     """
 
     def __init__(self, clock_s: Callable[[], float]) -> None:

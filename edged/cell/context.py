@@ -58,7 +58,7 @@ class CommandQueue:
 
 
 class CellContext:
-    """State of one cell, used on the event loop only; written by the loop, SETUP and the robot's registration.
+    """State of one cell, used on the event loop only; written by the loop, SETUP and robot registration.
 
     head, setup, active : the cameras, setup and job in use.
     pending : setup, and cameras if they change too, to switch to between two cycles.
@@ -125,7 +125,7 @@ class CellContext:
         self.announced_marks = self.marks
 
     async def follow(self, pair: FramePair) -> MarksTrack | None:
-        """Update the track with an exposure's marks; return the track before it, None if nothing is corrected."""
+        """Update the track with an exposure's marks; return the track before it (None without correction)."""
         marks, before = self.setup.marks, self.track
         if marks is None or before is None:
             return None

@@ -1,9 +1,10 @@
 """The loop: wait for a tick or a command, capture, locate, announce.
 
-Responsible for the order and exclusivity of cycles. The state it shares with SETUP (`lease`) and with a robot's
-registration (`registering`) is in `context`; a single measurement is in `measurement`. Not responsible for how
-images arrive (`stereohead`), what is measured (`pipeline`) or where results go (`Publisher`s). An expected
-miss and a camera fault are statuses; a bug in the pipeline propagates, and systemd restarts the daemon.
+Responsible for the order and exclusivity of cycles. The state it shares with SETUP (`lease`) and with a
+robot's registration (`registering`) is in `context`; a single measurement is in `measurement`. Not
+responsible for how images arrive (`stereohead`), what is measured (`pipeline`) or where results go
+(`Publisher`s). An expected miss and a camera fault are statuses; a bug in the pipeline propagates, and
+systemd restarts the daemon.
 """
 
 from __future__ import annotations
@@ -54,7 +55,7 @@ from edged.logs import cycle_number, fields
 from edged.ports import Head, Publisher
 
 FAULT_REST_S = 0.1
-"""Pause after a fault in a cycle without a command, because each fault is announced, published and recorded."""
+"""Pause after a fault in a cycle without a command, as each fault is announced, published and recorded."""
 
 
 class GoldenKeeper(Protocol):
@@ -133,7 +134,8 @@ class Cycle:
     def exchange(self, setup: Setup, head: Head | None = None) -> None:
         """Switch to a new setup, and to new cameras if given, before the next cycle (SIGHUP).
 
-        A second exchange before then replaces the setup of the first, but keeps its cameras if it brings none.
+        A second exchange before then replaces the setup of the first, but keeps its cameras if it brings
+        none.
         """
         if head is None and self._cell.pending is not None:
             _, head = self._cell.pending

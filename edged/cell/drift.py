@@ -1,16 +1,16 @@
 """Drift monitor: checks that the calibration still holds, by two witnesses smoothed over many cycles.
 
-Rows: corresponding points of both images must lie on one rectified row. This detects a camera that was turned or
-shifted across the rows. It does *not* detect a wrong baseline or focal length: those scale the world and leave
-every point on its row (0.1 % of the baseline is 0.2 mm at 200 mm).
+Rows: corresponding points of both images must lie on one rectified row. This detects a camera that was turned
+or shifted across the rows. It does *not* detect a wrong baseline or focal length: those scale the world and
+leave every point on its row (0.1 % of the baseline is 0.2 mm at 200 mm).
 Length: a known size of the part (the job's witness) must come out right. This detects a wrong scale. Neither
 detects a motion of both cameras together: only touching a point with the robot does.
 
 Single parts differ within their tolerance, and every measurement has noise; neither may raise an alarm. So
 the mean is judged, and only as far as it is certain: an exponentially weighted mean and its standard error
 (S. W. Roberts, "Control chart tests based on geometric moving averages", 1959). A whole batch may lie at one
-end of its tolerance, though, and no mean can distinguish that from a wrong scale. So the tolerance that the job
-states for the witness is added to the limits; a witness without one may warn, but never refuses results.
+end of its tolerance, though, and no mean can distinguish that from a wrong scale. So the tolerance that the
+job states for the witness is added to the limits; a witness without one may warn, but never refuses results.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ WEIGHT = 0.05
 CERTAIN = 3.0
 """Standard errors between the mean and a limit before the limit counts as passed."""
 TELLING = Reject.TOLERANCE | Reject.LEFT_RIGHT_MISMATCH
-"""Rejects that a wrong rig calibration causes; targets rejected for other reasons are no evidence of drift."""
+"""Rejects caused by a wrong rig calibration; targets rejected for other reasons are no evidence of drift."""
 TORN = Reject.FEW_EDGES | Reject.RESIDUAL | Reject.SIGMA_LIMIT
 """Rejects that a row mismatch also causes in a fit over both images; the sizes are meaningless then."""
 

@@ -33,7 +33,8 @@ Locate = Callable[[FramePair, Callable[[str], None]], Outcome]
 class LoadedJob:
     """A job that is in memory and warm.
 
-    witness : its measurement of known size, used to detect drift. picking : which parts a robot may pick, and how.
+    witness : its measurement of known size, used to detect drift. picking : which parts a robot may pick, and
+    how.
     golden : the reference part for offsets; None if none was kept.
     """
 
@@ -80,9 +81,9 @@ class Setup:
     listens : the cameras are triggered externally, and every exposure is measured.
     flange_from_rig : for a rig carried by the robot; each command then gives the flange pose.
     registration_covariance : (6, 6) of robot_from_rig, or of flange_from_rig.
-    bounds : where the robot may go, for all jobs. marks : None: nothing is corrected; others : state to report
-    then, which says why marks that exist are not used. error_map : of the robot. acceptance : last acceptance
-    test of the cell. belt : the belt carrying the parts; None: they lie still.
+    bounds : where the robot may go, for all jobs. marks : None: nothing is corrected; others : state to
+    report then, which says why marks that exist are not used. error_map : of the robot. acceptance : last
+    acceptance test of the cell. belt : the belt carrying the parts; None: they lie still.
     """
 
     jobs: Mapping[int, LoadedJob]

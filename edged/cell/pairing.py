@@ -5,7 +5,8 @@
     command time known, no stamps        when the commands were sent
     only arrival known                   arrival, with a limit of its own, and both frame counters
 
-A camera that claims to be locked to PTP is not trusted blindly: its stamps must agree with the map of its clock.
+A camera that claims to be locked to PTP is not trusted blindly: its stamps must agree with the map of its
+clock.
 """
 
 from __future__ import annotations
@@ -91,7 +92,8 @@ class Pairing:
     def _clocks(self, left: Frame, right: Frame) -> str:
         """Problem if the cameras' own clocks counted different times since the last pair; "" otherwise.
 
-        This needs no common epoch, and it detects what host time cannot: a camera that reacted late to its trigger.
+        This needs no common epoch, and it detects what host time cannot: a camera that reacted late to its
+        trigger.
         """
         if self._last is None:
             return ""

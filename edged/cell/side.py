@@ -1,4 +1,4 @@
-"""One camera of the stereo head: its last frames, the frame it is waiting for, and closing in the background."""
+"""One camera of the stereo head: its last frames, the awaited frame, and closing in the background."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from edged.ports import Camera
 class CameraSide:
     """One camera of the head, and its state.
 
-    frame_id, paired_id : of the last frame and the last pair since it was opened. image : the last image, kept
-    across a reopen so that a camera that still sends the same picture is caught. coming : task waiting for the
-    next frame, started at since_s; heard_s : when the last frame arrived (event loop time). suspect : it gave no
-    image and must be checked. faults : consecutive failed exposures.
+    frame_id, paired_id : of the last frame and the last pair since it was opened. image : the last image,
+    kept across a reopen so that a camera that still sends the same picture is caught. coming : task waiting
+    for the next frame, started at since_s; heard_s : when the last frame arrived (event loop time). suspect :
+    it gave no image and must be checked. faults : consecutive failed exposures.
     """
 
     def __init__(self, camera: Camera) -> None:
@@ -40,7 +40,7 @@ class CameraSide:
         return self.camera.name
 
     def close_soon(self) -> None:
-        """Start closing the camera in the background, so that one that does not answer cannot delay the cycle."""
+        """Start closing the camera in the background; if it does not answer, it must not delay the cycle."""
         self.open = False
         self.faults = 0
         self.frame_id = self.paired_id = None

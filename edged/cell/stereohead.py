@@ -53,7 +53,8 @@ class HeadSettings:
 
     timeout_s : from trigger to both images.
     max_skew_s, max_arrival_skew_s : see `Pairing`.
-    follower : the camera that exposes when the other one does, and so must be armed before the other is triggered.
+    follower : the camera that exposes when the other one does, and so must be armed before the other is
+    triggered.
     free_running : both expose continuously, so after a frame without a partner the next one is tried.
     by_others : triggered externally: it is no fault if neither camera delivers a frame.
     open_timeout_s : for one attempt to open both cameras.
@@ -222,7 +223,7 @@ class StereoHead:
             raise self._error.with_traceback(None)
 
     async def _open_both(self) -> None:
-        """Make one attempt to open both cameras, with its outcome in `_error`; a working camera stays open."""
+        """Try once to open both cameras, with the outcome in `_error`; a working camera stays open."""
         left, right = self._sides
         limit_s = self._settings.open_timeout_s + 5.0  # never reached, as each side has its own limit
         errors = [e for e in await both(self._open(left), self._open(right), limit_s) if e is not None]

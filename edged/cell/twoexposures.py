@@ -1,8 +1,8 @@
 """A stereo head that takes a long and a short exposure in each cycle and merges them into one pair.
 
-Responsible for: switching both cameras between the exposures, and for detecting what a merged picture must not
-hide: something that moved, light that changed. Not responsible for: how a pair is captured (`stereohead`), how
-it is merged (`pictures.twoexposures`).
+Responsible for: switching both cameras between the exposures, and for detecting what a merged picture must
+not hide: something that moved, light that changed. Not responsible for: how a pair is captured
+(`stereohead`), how it is merged (`pictures.twoexposures`).
 
 A cycle begins with the exposure that the last one ended with, so that each needs only one change.
 """
@@ -24,10 +24,10 @@ from edged.pictures.twoexposures import MergedExposures, merge_exposures
 from edged.ports import Camera
 
 CHANGE_S = 8.0
-"""Limit for changing the exposure: some registers and a discarded exposure; reopening a camera takes longest."""
+"""Limit for changing the exposure: some registers, a discarded exposure, and at worst reopening a camera."""
 MOST_MOVED_PX = 1.0
-"""Largest motion between the exposures, chosen from 0.5 to 1 px. Less blurs a picture no more than a lens does;
-a part that is being conveyed moves by many pixels."""
+"""Largest motion between the exposures, chosen from 0.5 to 1 px. Less blurs a picture no more than a lens
+does; a part that is being conveyed moves by many pixels."""
 MOST_FLICKER = 0.25
 """Largest relative error of the measured exposure ratio.
 
@@ -39,7 +39,7 @@ Which = Literal["long", "short"]
 
 @dataclass(frozen=True, slots=True)
 class TakenTwice:
-    """Exposures of the last pair. long_us, short_us : of the left camera. apart_ns : time from first to second."""
+    """Exposures of the last pair. long_us, short_us : left camera. apart_ns : time from first to second."""
 
     long_us: float
     short_us: float
@@ -50,7 +50,8 @@ class TwoExposureHead:
     """A `StereoHead` that exposes twice.
 
     long_us : configured long exposure of both cameras. ratio : long to short exposure.
-    settles : a picture must be discarded after `adjust`, as the cameras do not ensure that it has the new exposure.
+    settles : a picture must be discarded after `adjust`, as the cameras do not ensure that it has the new
+    exposure.
     """
 
     def __init__(

@@ -99,7 +99,7 @@ class SetupCameras:
     async def exchange(
         self, configured: Head, draft: Head, changes: Mapping[Side, ChosenCamera] | None = None
     ) -> None:
-        """Use another head from now on. changes : those that define it, if it is to become the configured one.
+        """Use another head from now on. changes : define it, if it is to become the configured one.
 
         Raises `CaptureError` when it cannot be opened; the previous head stays in use then.
         """

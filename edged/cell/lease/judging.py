@@ -25,7 +25,7 @@ PERIOD_S = 1.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PictureQuality:
-    """Light and sharpness of one picture. exposure_factor : factor on the exposure time that `advice` asks for."""
+    """Light and sharpness of one picture. exposure_factor : factor on the exposure time, for `advice`."""
 
     light: LightFigures
     sharpness: Sharpness

@@ -108,7 +108,7 @@ class SetupLease:
             self.end("the plant runs: its PLC has ended SETUP (AUTO_LOCK)")
 
     async def ask(self, token: str, work: Callable[[], Awaitable[T]]) -> T:
-        """Have the loop do this work after earlier requests. Raises `SetupRefused` and what the work raises."""
+        """Have the loop do this work after earlier requests. Raises `SetupRefused`, and what work raises."""
         self.renew(token)
         answer: asyncio.Future[T] = asyncio.get_running_loop().create_future()
         self._requests.append(SetupRequest(work, answer))

@@ -50,7 +50,7 @@ class SetupSession:
     # --- asked by people ---------------------------------------------------------------------
 
     async def enter_setup(self, name: str, *, take_over: bool = False) -> str:
-        """Take the cell after the running cycle; return a token once SETUP has been announced to every client.
+        """Take the cell after the running cycle; return a token once SETUP has been announced.
 
         The lease lapses unless `renew_setup` is called every minute, but the cell then stays in SETUP.
         take_over : take it even from another holder. Raises `SetupRefused`.
