@@ -35,7 +35,7 @@ class NackReason(enum.IntEnum):
     BASELINE = 8
     """The first CMD_SEQ of a connection, after a start, or after another client's turn: nothing ran."""
     NO_LIST = 9
-    """NEXT_PART or NEXT_GRASP, but none is left: all were given, the picture is too old, or there was none."""
+    """NEXT_PART or NEXT_GRASP, but none is left: all given, picture too old, or there was none."""
     NO_REGISTRATION = 10
     """REGISTER_ADD or REGISTER_SOLVE without a registration, or it has ended meanwhile: begin again."""
     NOT_SEEN = 11
@@ -51,7 +51,7 @@ class NackReason(enum.IntEnum):
     OTHER_READING = 16
     """REGISTER_SOLVE: the poses agree when read in another convention or unit: the log says which."""
     RELOADED = 17
-    """Rig, registration, jobs, limits or cameras were replaced before it ended: there is no result, repeat it."""
+    """Rig, registration, jobs, limits or cameras were replaced before it ended: no result, ask again."""
 
 
 class ResultVerdict(enum.Enum):
