@@ -112,7 +112,7 @@ class ConfirmedDocument(Frozen):
 
 
 class RegistrationDocument(DraftHead):
-    """A draft. by_program : the robot's own program fills it. stale : the cell has another calibration by now.
+    """A draft. by_program : the robot's own program fills it. stale : the cell has another calibration now.
 
     advice : code of what to do next. conventions : ranked, best first. missing : rotations that the poses
     lack: "all", "tilt", "wrist". good : it may be solved. figures : of all samples that count.
@@ -222,7 +222,7 @@ def is_active(state: RegistrationState, rig: RigInUse | None) -> bool:
 def document_of(
     state: RegistrationState, judged: Judged, rig: RigInUse | None, solved: StereoRig | None, *, judging: bool
 ) -> RegistrationDocument:
-    """Document of a draft. solved : the registered rig. judging : `judged` is out of date, being recomputed."""
+    """Document of a draft. solved : the registered rig. judging : `judged` is outdated, being recomputed."""
     in_use = None if rig is None else rig.stereo()
     pendant = None if state.brand is None else PENDANTS[state.brand]
     labels, units = (MM, ("mm",) * 3) if pendant is None else (pendant.labels, pendant.units)

@@ -26,7 +26,7 @@ Pose = tuple[Row4, Row4, Row4, Row4]
 
 
 class Place(Kept):
-    """A place that a tip can touch. key : "mark-1-2" of a board, "circle-c0" of a part. rig_mm : its position;
+    """A place that a tip can touch. key : "mark-1-2" of a board, "circle-c0" of a part. rig_mm : position;
     left, right : raw px."""
 
     key: Annotated[str, Field(max_length=100)]

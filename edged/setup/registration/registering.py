@@ -51,9 +51,9 @@ class FromPoints:
     """Registration from touched points.
 
     worst_mm : largest distance of a point from where the others predict it; where they cannot predict it, how
-    far the distances between points disagree.  checked : there are such predictions.  good : within the limit.
-    doubt : the robot's lengths differ from the rig's. trials : of a map of the robot's error, if one was asked
-    for.
+    far the distances between points disagree.  checked : there are such predictions.  good : within the
+    limit. doubt : the robot's lengths differ from the rig's. trials : of a map of the robot's error, if one
+    was asked for.
     """
 
     found: PointRegistration
@@ -76,7 +76,7 @@ class FromPoses:
 
     @property
     def worst(self) -> int | None:
-        """Index of the worst rejected pose, or, if they do not agree, of the one that agrees least; or None."""
+        """Index of the worst rejected pose, or, if they disagree, of the one that agrees least; or None."""
         held, used = self.found.held_out_mm, self.found.used
         if self.good and used.all():
             return None
@@ -121,8 +121,8 @@ def from_points(
     """Register from touched points, (N, 3) mm in both frames. Raises `CalibrationError`.
 
     Three points cannot predict each other: the distances between them must agree within the limit. with_map :
-    also make a map of the robot's error, if it improves the fit; the limit then applies to points corrected by
-    it.
+    also make a map of the robot's error, if it improves the fit; the limit then applies to points corrected
+    by it.
     """
     found = register_points(rig_mm, robot_mm)
     checked = bool(np.isfinite(found.held_out_mm).any())

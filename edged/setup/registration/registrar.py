@@ -58,7 +58,7 @@ class RegistrableCell(Protocol):
         """What it measures with at present."""
 
     async def register(self, base: object, save: Callable[[], None]) -> Setup:
-        """Save the rig and measure with it. Raises `EdgedError`, `OSError`; also if base is no longer loaded."""
+        """Save the rig and measure with it. Raises `EdgedError`, `OSError`; also if base is not loaded."""
 
 
 class CellRegistrar:
@@ -168,7 +168,7 @@ def _unwritable(rig: Path) -> str:
 
 
 def _save(rig: Path, loaded: bytes, solved: Solved) -> None:
-    """Save the rig. Raises `UserError` if the file holds another rig than the loaded one, which would be lost."""
+    """Save the rig. Raises `UserError` if its file no longer holds the loaded rig, which would be lost."""
     from edged.setup.registration.registering import save
 
     if rig.read_bytes() != loaded:

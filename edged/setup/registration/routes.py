@@ -74,7 +74,7 @@ class Shown(Revised):
 
 
 class Sampling(Revised):
-    """A touched place with its numbers; or, with the lease's token, a pose, whose numbers may follow later."""
+    """A touched place with its numbers; or, with the lease's token, a pose, whose numbers may follow."""
 
     token: Token | None = None
     place: PlaceKey | None = None

@@ -58,7 +58,7 @@ class Step:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SeenBoard:
-    """A board found in both pictures, numbered alike, sharp and consistent with the rig. rig_from_board (4, 4)."""
+    """A board in both pictures, numbered alike, sharp and consistent with the rig. rig_from_board (4, 4)."""
 
     view: StereoView
     rig_from_board: FloatArray
@@ -71,7 +71,7 @@ class SeenBoard:
 
 
 def see_board(rig: StereoRig, pair: Pair, board: NominalBoard) -> SeenBoard | NotDetected:
-    """Find a board, as strictly as a registration needs it. Raises `UserError` for pictures of another size."""
+    """Find a board, as strictly as a registration needs it. Raises `UserError`: pictures of another size."""
     placed = pose_of_board(rig, view_of_board(rig, pair, board))
     if isinstance(placed, NotDetected):
         return placed
@@ -92,8 +92,9 @@ def see_board(rig: StereoRig, pair: Pair, board: NominalBoard) -> SeenBoard | No
 class RegistrationSampling:
     """One registration under way.
 
-    board : for HAND_EYE only. poses : of the flange, or of the tip that touched. views : rig_from_board of each,
-    or the part's position in the rig's frame. shown : the poses as the robot sent them, () where not known.
+    board : for HAND_EYE only. poses : of the flange, or of the tip that touched. views : rig_from_board of
+    each, or the part's position in the rig's frame. shown : the poses as the robot sent them, () where not
+    known.
     """
 
     rig: StereoRig
@@ -208,7 +209,7 @@ class RegistrationSampling:
         return self._judged(state, solved, f"held out {solved.held_out_rms_mm:.3f} mm")
 
     def _other_reading(self, solved: FromPoses) -> str:
-        """Sentence on another reading of the numbers that fits so much better that it must be right, or ""."""
+        """Sentence on another reading of the numbers that fits so much better that it must be right; ""."""
         assert self.board is not None
         if not all(self.shown):
             return ""

@@ -163,7 +163,7 @@ class Registrations:
         return await self._keep_pose(opened, await self._cell.session.capture(token), numbers)
 
     async def write(self, identity: str, name: str, given: Given, revision: int | None = None) -> DraftHead:
-        """Record the numbers that the robot showed at a sample. Raises `KeyError`, `UserError`, `StaleDraft`."""
+        """Record the numbers that the robot showed. Raises `KeyError`, `UserError`, `StaleDraft`."""
         opened = await self.drafts.get(identity)
         self.drafts.check(opened, revision)
         numbers = _read(opened.draft.state, given)
