@@ -95,7 +95,10 @@ def _entry(name: str, fields: Iterable[str]) -> str:
 
 
 def _param(number: int, name: str, kind: int, size: int, units: str, limits: str) -> str:
-    """Param entry: reserved, path, descriptor, type, size, name, units, help, limits, scaling, links, places."""
+    """Param entry.
+
+    Reserved, link path, descriptor, type, size, name, units, help, limits, scaling, links, places.
+    """
     fields = ["0", ",", "0x0000", f"0x{kind:02X}", str(size), f'"{name}"', f'"{units}"', '""', limits]
     return _entry(f"Param{number}", [*fields, ",,,", ",,,", ""])
 

@@ -146,7 +146,7 @@ def held(golden: Golden, rig: StereoRig) -> GoldenPart:
 
 
 def registration_digest(rig: StereoRig) -> str:
-    """Digest (16 hex digits) of a rig's registration to the robot, without its covariance: it moves nothing."""
+    """Digest (16 hex digits) of a rig's registration to the robot, without its covariance."""
     made = rig.robot_map
     mapped = () if made is None else (made.expected_mm, made.shown_mm, np.array(float(made.degree)))
     return _digest((rig.robot_from_rig, rig.flange_from_rig, *mapped))
@@ -318,7 +318,7 @@ def _about_origin(covariance: FloatArray, pose: FloatArray) -> FloatArray:
 
 
 def _at(point_mm: FloatArray, covariance: FloatArray) -> FloatArray:
-    """Covariance (6, 6) of (motion of a point, rotation), from that of a twist about the origin: v + w x p."""
+    """Covariance (6, 6) of (motion of a point, rotation), from a twist's about the origin: v + w x point."""
     jacobian = np.eye(6)
     jacobian[:3, 3:] = -skew(point_mm)
     return np.asarray(jacobian @ covariance @ jacobian.T)

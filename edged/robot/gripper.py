@@ -23,7 +23,7 @@ PARALLEL = 1e-9
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Solid:
-    """Oriented box. centre_mm (3,); axes (3, 3) : unit, in columns; half_mm (3,) : half its size along each."""
+    """Oriented box. centre_mm (3,); axes (3, 3) : unit, in columns; half_mm (3,) : half-size along each."""
 
     centre_mm: FloatArray
     axes: FloatArray

@@ -160,7 +160,7 @@ def _start(A: FloatArray, B: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def _hull(points: FloatArray) -> FloatArray:
-    """Indices of the marks farthest out in eight directions: they hold all the information of a flat board."""
+    """Indices of the marks farthest out in eight directions: they hold all information of a flat board."""
     directions = np.array([[np.cos(t), np.sin(t), 0.0] for t in np.arange(8) * np.pi / 4])
     return np.unique(np.argmax(points @ directions.T, axis=0))
 

@@ -43,7 +43,7 @@ class RobotFrame:
     error_map: ErrorMap | None = None
 
     def shift(self, rig_mm: FloatArray) -> RobotShift | None:
-        """Shift of a point (3,) in the rig's frame by the robot's error map; None without one or outside it."""
+        """Shift of a point (3,) in the rig's frame by the error map; None without a map or outside of it."""
         if self.error_map is None or self.robot_from_rig is None or not np.isfinite(rig_mm).all():
             return None
         return self.error_map.at(self.robot_from_rig[:3, :3] @ rig_mm + self.robot_from_rig[:3, 3])
@@ -165,7 +165,7 @@ def allowed(target: Target, picking: Picking, frame: RobotFrame, found: Iterable
 
 
 def _is_free(grasp: GraspPose, bounds: Sequence[Bounds], frame: RobotFrame) -> bool:
-    """Whether the tool's tip may go to the grasp: no keep-out zone on its straight approach and retreat."""
+    """Whether the tool's tip may go to the grasp, and meets no keep-out zone on approach and retreat."""
     if _refusal(grasp.rig_from_tcp[:3, 3], bounds, frame) or not frame.is_mapped(grasp.rig_from_tcp[:3, 3]):
         return False
     tip_mm = _in_frame(grasp.rig_from_tcp[:3, 3], frame)
@@ -177,7 +177,7 @@ def _is_free(grasp: GraspPose, bounds: Sequence[Bounds], frame: RobotFrame) -> b
 def _is_clear(
     grasp: GraspPose, gripper: Gripper, bounds: Sequence[Bounds], frame: RobotFrame, others: Sequence[Solid]
 ) -> bool:
-    """Whether the gripper's body hits no part or zone, at the grasp and on its straight approach and retreat."""
+    """Whether the gripper's body hits no part or zone, at the grasp and on its approach and retreat."""
     along_mm = max(grasp.approach_mm, grasp.retreat_mm)
     body = [solid.moved(grasp.rig_from_tcp) for solid in swept(gripper, along_mm)]
     zones = [solid_of(box) for each in bounds for box in each.keep_out]

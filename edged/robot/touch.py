@@ -173,7 +173,7 @@ def _check_units(scale: float) -> None:
 
 
 def _check_hand(rig: FloatArray, robot: FloatArray) -> None:
-    """Raise `CalibrationError` if the mirrored points fit far better; flat sets cannot tell, and are skipped."""
+    """Raise `CalibrationError` if the mirrored points fit far better; flat sets look the same mirrored."""
     if np.linalg.svd(rig - rig.mean(axis=0), compute_uv=False)[2] < 1e-3 * np.ptp(rig):
         return
     straight = fit_rigid(rig, robot).residuals_mm
