@@ -1,4 +1,4 @@
-"""Light and focus of the live pictures, once a second at most, beside the loop."""
+"""Judges light and focus of the live pictures, at most once a second, in the background."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ class PictureJudge:
         self._task = asyncio.create_task(self._judge(number, pair), name="judge pictures")
 
     async def judged(self, number: int, pair: FramePair) -> dict[str, Any]:
-        """The figures of both pictures of a pair, as JSON."""
+        """Return the figures of both pictures of a pair, as JSON."""
         gains = self._gains()
         images = {"left": pair.left.image, "right": pair.right.image}
         document: dict[str, Any] = {"number": number}

@@ -61,7 +61,7 @@ class SetupLease:
         return self._locked
 
     def check(self) -> None:
-        """Raises `SetupRefused` when the cell cannot be taken now."""
+        """Raise `SetupRefused` if the cell cannot be taken now."""
         if self._locked:
             raise SetupRefused("the plant runs: its PLC forbids SETUP (AUTO_LOCK is 1)")
         if self.name:

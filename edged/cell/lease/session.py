@@ -73,7 +73,7 @@ class SetupSession:
         self.lease.leave(token)
 
     async def end_setup(self, name: str) -> None:
-        """End SETUP, whoever holds it, and any robot registration. name : of the person who ends it."""
+        """End SETUP for any holder, and any robot registration. name : of the person who ends it."""
         self._registration.end(f"{name} has ended SETUP")
         self.lease.end(f"{name} has ended SETUP")
 
