@@ -122,7 +122,7 @@ class Daemon:
                     try:
                         await start_within(START_S, observer, type(observer).__name__)
                     except TookTooLong as error:
-                        log.error("%s; the cell runs without it", error)  # noqa: TRY400  (it names all)
+                        log.error("%s; the cell runs without it", error)  # noqa: TRY400  (the message says all)
                 self._tell_cycle()
             self.on_started()
             await self._run_cycle()

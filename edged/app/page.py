@@ -82,7 +82,7 @@ class Page:
             self.setup = SetupServices(self.cell, notices, live, self._task.addresses)
             routes += self.setup.routes()
             if self._task.is_staged:
-                from edged.setup.stage.forwarding import ForwardedStage  # with the simulation
+                from edged.setup.stage.forwarding import ForwardedStage  # imported only with the simulation
 
                 routes.append(ForwardedStage(self.cell.on_stage))
         self._web = WebPublisher(

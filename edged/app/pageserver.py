@@ -60,7 +60,7 @@ class PageWitness:
         self._say(ProgramStep("activated"))
 
     def _say(self, step: ProgramStep) -> None:
-        with contextlib.suppress(RuntimeError):  # the loop has ended
+        with contextlib.suppress(RuntimeError):  # the loop may have ended
             self._loop.call_soon_threadsafe(self._tell, step)
 
 
