@@ -41,7 +41,7 @@ def demo(
         bool, typer.Option("--stage", help="without rig and job: set the cell up on its page, step by step")
     ] = False,
 ) -> None:
-    """Run a virtual cell and the daemon on this machine; compares measured and true positions."""
+    """Run a virtual cell and the daemon on this machine; compare measured and true positions."""
     from edged.commands.demo import DemoOptions
     from edged.commands.demo import demo as command
 
