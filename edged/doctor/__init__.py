@@ -9,7 +9,7 @@
     firewall     whether images are let in
     pictures     a few test pictures
     host         access to this machine's state
-    findings     `Check`
+    findings     `Check`, the result of one check
 
 Checks only look and change nothing. A check that cannot be made (no permission, no such tool) is skipped and
 says so; it is never reported as good.
