@@ -113,7 +113,7 @@ def _add_part(
 
 @kernel("b1(f8[:, ::1], i8, f8[::1], f8[:, ::1])")
 def _inverse_of_own(moments: F64, wide: int, sigma: F64, inverse: F64) -> bool:
-    """Fill inverse: covariance of a curve's own displacement if its unknowns were known; False if singular."""
+    """Fill inverse: covariance of a curve's own displacement for known unknowns; False if singular."""
     many = len(sigma)
     inner = np.empty((many, many))
     for m in range(many):
