@@ -62,8 +62,8 @@ def config_in(place: Path) -> Path:
 def new_cell(cameras: list[CameraInfo], recordings: str = "recordings") -> str:
     """Return the file's text.
 
-    Exactly two cameras are taken as left and right until a hand waved before one settles it; otherwise a
-    person chooses. recordings : their folder; `tools/install` asks for another one.
+    Exactly two cameras are entered as left and right, until waving a hand before one shows which is which;
+    otherwise a person chooses. recordings : their folder; `tools/install` asks for another one.
 
     >>> 'device = "to-be-chosen-left"' in new_cell([])
     True

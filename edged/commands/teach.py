@@ -330,7 +330,7 @@ def _swap_named(taken: Callable[[Image, Image], Proposal], left: Image, right: I
 
 @contextlib.contextmanager
 def _unit_named(model: CadModel, step: Path, unit: str | None) -> Iterator[None]:
-    """Add an STL model's size to an error, as its unit, which the file does not contain, may be wrong."""
+    """Add an STL model's size to an error, as its assumed unit may be wrong: the file does not state one."""
     try:
         yield
     except TeachError as error:
