@@ -53,7 +53,7 @@ class Golden:
 
     @property
     def robot_from_part(self) -> FloatArray:
-        """(4, 4)."""
+        """Pose (4, 4) of the golden part in the robot's frame."""
         return self.robot_from_rig @ self.rig_from_part
 
 

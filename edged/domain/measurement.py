@@ -101,7 +101,7 @@ class Circle3D:
 
     @property
     def sigma_centre_mm(self) -> FloatArray:
-        """(3,) one sigma of the centre."""
+        """One sigma (3,) of the centre."""
         return np.sqrt(np.diag(self.covariance)[:3])
 
     @property
@@ -249,12 +249,12 @@ class Target:
 
     @property
     def position_mm(self) -> FloatArray:
-        """(3,) reference point in the rig frame."""
+        """Reference point (3,) in the rig frame."""
         return self.rig_from_part[:3, 3]
 
     @property
     def sigma_mm(self) -> FloatArray:
-        """(3,) one sigma of the position."""
+        """One sigma (3,) of the position."""
         return np.sqrt(np.diag(self.covariance)[:3])
 
 
