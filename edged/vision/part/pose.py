@@ -33,8 +33,9 @@ class Observation(NamedTuple):
 class _Solved(NamedTuple):
     """The unknowns by robust least squares, and their covariance if all curves erred independently.
 
-    by_fit (U, P) : derivative by the parameters of the fit.  taught (U, U) : covariance from the taught
-    places. excess : variance of the curves over what is expected of them, a factor of at least 1.
+    by_fit (U, P) : derivative by the parameters of the fit.
+    taught (U, U) : covariance from the taught places.
+    excess : variance of the curves over what is expected of them, a factor of at least 1.
     """
 
     values: FloatArray
@@ -126,7 +127,7 @@ def form_mm(job: Job, fit: PlaneFit, motion: InPlaneMotion) -> float:
 
 
 def _solved(observations: list[Observation], unknowns: int) -> _Solved | None:
-    """The first of the unknowns, None if undetermined: 3 are shift and turn, 4 also the growth."""
+    """Solve for 3 unknowns (shift and turn) or 4 (also growth); None if they are undetermined."""
     motion, weights, far = np.zeros(unknowns), np.ones(len(observations)), np.zeros(len(observations))
     normal = np.zeros((unknowns, unknowns))
     for _ in range(MEASURING.pose_rounds):

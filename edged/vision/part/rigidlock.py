@@ -53,7 +53,7 @@ class Lock:
 
     @property
     def share(self) -> float:
-        """Agreement of the camera with the lower one."""
+        """Agreement in the camera where it is lower."""
         return float(self.agreeing.min())
 
     @property

@@ -133,7 +133,7 @@ def _widened(target: Target, rig: StereoRig, correction: RigCorrection) -> Targe
 
 
 _TRIPOD_MM = np.array([[0.0, 0.0, 0.0], [10.0, 0.0, 0.0], [0.0, 10.0, 0.0]])
-"""Stand in for the points of a part that has fewer than three: any part of some size turns as they do."""
+"""Points used for a part that has fewer than three of its own: any part of some size turns as they do."""
 
 
 def _circle(circle: Circle3D, shifts: FloatArray, P: FloatArray) -> Circle3D:
