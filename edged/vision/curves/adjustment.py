@@ -224,7 +224,7 @@ def _weigh(residuals: F64, base: F64, round_: int, weights: F64) -> float:
 
 @kernel("void(f8[::1], f8[::1], f8[::1])")
 def _share_weights(base: F64, first: F64, second: F64) -> None:
-    """Give both rows of a pair the product of their weights."""
+    """Give both rows of a pair the product of their robust weights."""
     for n in range(len(base)):
         if base[n] > 0.0:
             first[n] = second[n] = first[n] * second[n] / base[n]

@@ -137,7 +137,8 @@ class FitParams:
 
     reach_px : search range along the normals, one iteration each; the last one is repeated until the curves
     stand still, `repeats` times at most; with 0 repeats there are only coarse steps, without systematic
-    shifts. spacing_px : of the samples. min_slope : grey values per px below which there is no edge.
+    shifts.
+    spacing_px : of the samples.  min_slope : grey values per px below which there is no edge.
     min_support : share of its samples that a curve must show in each image.
     """
 

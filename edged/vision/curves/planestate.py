@@ -128,11 +128,11 @@ def take_steps(
 ) -> Steps:  # fmt: skip
     """Coarse steps, one for each of the first reaches, then fine ones within the last; fewer once still.
 
-    coarse, fine : largest number of each, together at least one.  spacings_px (2,) : of coarse and fine
-    samples. The first step takes an edge of either sign, as one edge dominates from far away; from the
-    second step on each curve has its sign. In a fine step each curve gets its operator width, systematic
-    shifts are modelled, and curves that the images do not show are left out, so that they do not pull the
-    others.
+    coarse, fine : largest number of each, together at least one.  spacings_px (2,) : sample spacing of
+    coarse and fine steps. The first step takes an edge of either sign, as one edge dominates from far away;
+    from the second step on each curve has its sign. In a fine step each curve gets its operator width,
+    systematic shifts are modelled, and curves that the images do not show are left out, so that they do not
+    pull the others.
     """
     numbers, made, refined, final = np.arange(len(at.curves.kinds)), 0, 0, coarse == 0
     while True:

@@ -25,8 +25,8 @@ class CameraEdges(NamedTuple):
     """Samples of curves in one image, and the edges across them.
 
     offset (N,) px along the normals, NaN where there is no edge; base (N,) : prior weights.
-    bias (K,) px : expected sigma of systematic shifts; blur2 (K,) px² : variance of the blur across the
-    edges. clipped (N,) : whether a sample lies beside a saturated surface.
+    bias (K,) px : expected sigma of systematic shifts; blur2 (K,) px² : variance of the blur across edges.
+    clipped (N,) : whether a sample lies beside a saturated surface.
     """
 
     seen: ProjectedOutline
