@@ -60,8 +60,9 @@ def kernel(
     signatures : numba signatures, e.g. "f8(f4[:, ::1], f8, f8)"; no other is ever compiled. The code is
     loaded, or compiled if it is not stored, at the first call; `load_called` does so in advance, so that no
     image waits. Without a signature it is compiled for the types of each call (helpers called by other
-    kernels). tuples : `NamedTuple` classes used in the signatures, their fields annotated as `F1`, `I2`,
-    ..., or as a class earlier in this tuple.
+    kernels).
+    tuples : `NamedTuple` classes used in the signatures, their fields annotated as `F1`, `I2`, ..., or as a
+    class earlier in this tuple.
     any_order : sums may be vectorised, in an order that is fixed at compilation; four times as fast. No other
     fastmath is used: NaN marks missing values in edged.
     Results are bit-equal on replay.
