@@ -172,15 +172,16 @@ class Job:
     number : by which the PLC selects it.  circles : largest first.  reference : name of the circle, slot or
     corner whose place is the reported position.  rig_from_part (4, 4) : pose at teaching.
     witness : name of the measurement whose size is known and constant, by which drift of the rig is detected.
-    calibration_id : of the rig that measured the taught sizes, which share its errors; None if they come
-    from a drawing, or the rig is unknown.
+    calibration_id : calibration of the rig that measured the taught sizes, which share its errors; None if
+    they come from a drawing, or the rig is unknown.
     tilt_rad : largest tilt of the part from the bisector of both cameras; None: only the taught view is
     searched for.
     picking : which of several parts a robot gets first.
     part_from_model (4, 4) : from the frame of the CAD model that it was taught with; None: no model.
-    points : in that frame.  report : whose pose is published: "reference", "model" or a point's name.
-    body : its surface, if its CAD model is known; None: self-occlusion is unknown.
-    sigma_mm : common to all features of a job taught from a model alone: the part's edge breaks are unknown.
+    points : named points in that frame.  report : the frame whose pose is published: "reference", "model" or
+    the name of a point.
+    body : the part's surface, if its CAD model is known; None: self-occlusion is unknown.
+    sigma_mm : common sigma of all features of a job taught from a model alone, whose edge breaks are unknown.
     break_mm : width of the edge breaks of a job taught from pictures alone; None: not known.
     break_end : which edge of each break was taught, the one in the face or in the wall; None: not known.
     traced : outlines of a job taught from pictures that are no features, but serve to find the part.
