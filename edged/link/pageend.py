@@ -54,7 +54,7 @@ class PageEnd:
         greeting_of(await self._message()).check("the cell")
 
     async def ask(self, request: Asked, memory: int | None = None) -> Any:
-        """Ask the cell; return its answer. memory : sent with the request. Raises its errors and `LinkError`."""
+        """Ask the cell; return its answer. memory : sent with it. Raises its errors, and `LinkError`."""
         if self._is_over:
             raise LinkError("the cell is not reached")
         number = next(self._numbers)
