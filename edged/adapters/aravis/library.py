@@ -99,7 +99,7 @@ def aravis_missing() -> str:
 
 
 def library(camera: str) -> Library:
-    """The library, or `CameraSetupError` for the camera that needs it."""
+    """Return the library. Raises `CameraSetupError`, for the camera that needs it, if it is missing."""
     loaded = _load()
     if isinstance(loaded, str):
         raise CameraSetupError(camera, loaded)

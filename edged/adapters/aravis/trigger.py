@@ -249,7 +249,7 @@ def _set_or_neutral(features: Features, names: tuple[str, ...], value: Value, ne
 def send_action(camera: str, trigger: Action, at_ticks: int | None, request: int) -> None:
     """Send an action command. at_ticks : scheduled for this time of the cameras' PTP clock.
 
-    A broadcast is not acknowledged; a single camera's acknowledgement is waited for. Raises `FrameTimeout`.
+    Waits for the acknowledgements of single cameras; broadcasts have none. Raises `FrameTimeout`.
     """
     flags = 0 if at_ticks is None else SCHEDULED
     body = struct.pack(">III", trigger.device_key, trigger.group_key, trigger.group_mask)

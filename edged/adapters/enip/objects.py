@@ -142,7 +142,7 @@ def _ethernet_link(address: str) -> Attributes:
     hardware, mbit = bytes(6), 0
     with contextlib.suppress(OSError, ValueError):
         hardware = bytes.fromhex((folder / "address").read_text().strip().replace(":", ""))
-        mbit = max(0, int((folder / "speed").read_text()))  # -1 without a link; not readable of "lo"
+        mbit = max(0, int((folder / "speed").read_text()))  # -1 without a link; unreadable for "lo"
     return {
         1: mbit.to_bytes(4, "little"),
         2: struct.pack("<I", IS_UP | FULL_DUPLEX if mbit else 0),

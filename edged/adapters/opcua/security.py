@@ -96,7 +96,7 @@ class TrustList:
         return len(self._trusted)
 
     def why_not(self, chain: bytes) -> str:
-        """Why a client with this certificate (DER, others may follow) is not trusted; "" if it is."""
+        """Why a client is not trusted; "" if it is. chain : its certificate (DER), others may follow."""
         der = first_certificate(chain)
         certificate = self._trusted.get(hashlib.sha256(der).digest())
         if certificate is None:

@@ -189,7 +189,7 @@ class Auditor:
 
     def _keep_run(self, file: AuditFile, fingerprint: str) -> None:
         before: str | None = None
-        with suppress(FileFormatError):  # reading the audit reports it
+        with suppress(FileFormatError):  # a damaged file is reported when the audit is read
             runs = file.verify(lambda record: bool(record["verb"] == RUN), last=1).records
             before = next((run["after"] for run in runs), None)
         if before != fingerprint:
