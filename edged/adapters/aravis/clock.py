@@ -34,7 +34,7 @@ UTC_SLEW = 500e-6
 """Largest rate at which the kernel slews UTC against the host's crystal (adjtimex, MAXFREQ)."""
 
 SLOT_NS = 2_000_000_000
-"""Of all readings within this time, only the narrowest is kept."""
+"""Time slot of readings, of which only the narrowest is kept."""
 
 SLOTS = 16
 """Number of readings kept: half a minute, while the camera is probed each second."""

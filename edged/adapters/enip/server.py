@@ -132,7 +132,7 @@ class EnipServer:
         return transport
 
     def _admit(self, client: TcpClient) -> bool:
-        """Whether it may connect; of one address with many the longest silent session is closed for it."""
+        """Whether a client may connect; for one with many, its longest idle session is closed."""
         clients = () if self._listener is None else self._listener.clients
         if not contains(self.settings.scanners, client.peer):
             self.log.warning("ethernetip: %s is not in ethernetip.scanners, closed", client.peer)
