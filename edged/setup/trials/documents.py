@@ -1,4 +1,4 @@
-"""What the page gets of a job that is tried: the newest pair, the still test, the working volume."""
+"""Documents of trying a job, for the page: the newest pair, the still test, the working volume."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from edged.setup.trials.tried import TriedPart, sigma_of
 
 
 class TrialDocument(Frozen):
-    """The trial as it stands. number : of the live pair. status : OK, LOW_QUALITY, NO_TARGET; null: none yet.
+    """State of the trial. number : of the live pair. status : OK, LOW_QUALITY, NO_TARGET; null if none yet.
 
-    words_code : the first of the reasons, or OK. trouble : why the pair could not be measured at all.
-    covered : places in the rig's frame, mm, where a part was good, as x, y, z; covered_share : of the working
+    words_code : the first reason, or OK. trouble : why the pair could not be measured at all.
+    covered : places in the rig's frame, mm, where a part was good, as x, y, z. covered_share : of the working
     volume, null while its map is not known.
     """
 
@@ -64,9 +64,9 @@ class Stills(Frozen):
 
 
 class MapPoint(Frozen):
-    """A place of the reference point, mm, rig frame. sigma_um : null where it is not in both pictures.
+    """A position of the reference point, mm, rig frame. sigma_um : null if the part is not in both pictures.
 
-    left : raw px of the left picture; null for what its lens does not show.
+    left : raw px of the left picture; null outside its lens's field of view.
     """
 
     x: float
@@ -92,7 +92,7 @@ class MapDocument(Frozen):
 
 
 def map_document(name: str, found: SigmaMap, *, measured: bool) -> MapDocument:
-    """A map as the page gets it."""
+    """Document of a map."""
     columns, rows, layers = (len(axis) for axis in found.axes)
     points = []
     for place, sigma, left in zip(found.places_mm.tolist(), found.sigma_mm, found.left_px, strict=True):
@@ -112,7 +112,7 @@ def map_document(name: str, found: SigmaMap, *, measured: bool) -> MapDocument:
 
 
 def still_document(found: StillResult, name: str, calibration: str, at: str, by: str) -> StillDocument:
-    """A still test as the page gets it."""
+    """Document of a still test."""
     low, high = found.expected
     return StillDocument(
         at=at,

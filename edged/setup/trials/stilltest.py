@@ -23,24 +23,24 @@ StillVerdict = Literal["honest", "larger", "smaller", "moving", "vanished"]
 """larger, smaller : the scatter than the stated sigma. moving, vanished : the part did: nothing is judged."""
 
 FAR = 12.0
-"""In stated sigmas: a part this far from its median place was moved."""
+"""Distance in stated sigmas from its median place at which a part counts as moved."""
 DRIFT = 3.0
-"""By what factor the variance exceeds that from one picture to the next, of a part that moves on."""
+"""Factor by which the variance exceeds that between successive pictures if a part drifts."""
 COVERAGE_SIGMA = 1.96
 REWEIGHED = 1.3
 """What noise leaves in the pose is more, by so much in the mean of several parts, than passes through weights
 that stay: it decides a little, too, which edges count."""
 LEAST_MM2 = 1e-14
-"""Least variance that counts as noise: pictures without any predict nothing."""
+"""Least variance that counts as noise: pictures without noise predict nothing."""
 LEAST, MOST = 5, 200
-"""Pictures: with fewer the verdict is open to a factor, and more take minutes."""
+"""Number of pictures: with fewer, the verdict is uncertain by a factor, and more take minutes."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Stand:
-    """A picture of the part. place_mm (3,); by_edges (3, 3) : of its covariance.
+    """One measurement of the part. place_mm (3,); by_edges (3, 3) : the edges' share of its covariance.
 
-    sightings, scatters : of its features, by name.  pose (4, 4) : rig_from_part; None: not told.
+    sightings, scatters : of its features, by name.  pose (4, 4) : rig_from_part; None if not known.
     """
 
     place_mm: FloatArray
@@ -70,16 +70,16 @@ class StillResult:
 
 
 def noises_of(stands: Sequence[Stand]) -> dict[str, tuple[float, float]]:
-    """The noise of the edges of each feature; of those that enough of the pictures show."""
+    """Noise of the edges of each feature that all pictures show, where it can be estimated."""
     names = set.intersection(*(set(stand.sightings) for stand in stands)) if stands else set()
     found = {name: edge_noise([stand.sightings[name] for stand in stands]) for name in sorted(names)}
     return {name: noise for name, noise in found.items() if noise is not None}
 
 
 def judged(stands: Sequence[Stand | None], by_noise: FloatArray | None = None) -> StillResult:
-    """The verdict over pictures, in the order they were taken; None: the part was not measured in it.
+    """Judge pictures, in the order they were taken; None for one in which the part was not measured.
 
-    by_noise (3, 3) : what the noise of the edges leaves of the place's covariance; None: not known.
+    by_noise (3, 3) : covariance of the place explained by the noise of the edges; None if not known.
     """
     count = len(stands)
     honest = low, high = interval(3 * (count - 1))
@@ -110,7 +110,7 @@ def judged(stands: Sequence[Stand | None], by_noise: FloatArray | None = None) -
 
 
 def interval(freedom: int) -> tuple[float, float]:
-    """Where chi² / freedom lies in 95 of 100 cases.
+    """95 % interval of chi² / freedom.
 
     To half a percent from 12 degrees on. Source: E. B. Wilson, M. M. Hilferty, PNAS 17, 1931.
 
@@ -124,9 +124,9 @@ def interval(freedom: int) -> tuple[float, float]:
 
 
 def _has_moved(places: FloatArray, stated: FloatArray, explained: FloatArray) -> bool:
-    """Whether the part lay elsewhere in some picture, or went on little by little.
+    """Whether the part lay elsewhere in some picture, or drifted.
 
-    From picture to picture a part that drifts, or was pushed once, differs by less than over all of them
+    A part that drifts, or was pushed once, differs less between successive pictures than over all of them
     (J. von Neumann, "Distribution of the Ratio of the Mean Square Successive Difference", 1941).
     """
     away = np.abs(places - np.median(places, axis=0))
@@ -138,5 +138,5 @@ def _has_moved(places: FloatArray, stated: FloatArray, explained: FloatArray) ->
 
 
 def _mean_square(gaps: FloatArray, covariance: FloatArray) -> float:
-    """Mean square of vectors (N, 3), in units of a covariance (3, 3), by degree of freedom."""
+    """Mean square of vectors (N, 3), in units of a covariance (3, 3), per coordinate."""
     return float(np.sum(gaps * np.linalg.solve(covariance, gaps.T).T) / gaps.size)
