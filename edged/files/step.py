@@ -153,7 +153,7 @@ def _array(document: dict[str, Any], binary: bytes, number: int) -> FloatArray:
 
 
 def _placed(document: dict[str, Any], node: int) -> FloatArray:
-    """Pose (4, 4) of a node in its file, in metres: the product of the transforms from the root down to it."""
+    """Pose (4, 4) of a node in its file, in metres: the product of the transforms from the root to it."""
     placed = np.eye(4)
     seen: set[int] = set()
     at: int | None = node

@@ -11,7 +11,8 @@ MAX_DIRECTORY_BYTES = 64 * 1024
 takes ten times as much."""
 _END, _END_BYTES = b"PK\5\6", 22
 _END64, _END64_BYTES = b"PK\6\7", 20
-"""End record of a ZIP without comment, and the ZIP64 locator before it in large ones (APPNOTE.TXT, 4.3.15)."""
+"""End record of a ZIP without comment, and the ZIP64 locator before it in large ones (APPNOTE.TXT,
+4.3.15)."""
 
 
 def open_zip(file: BinaryIO) -> zipfile.ZipFile:
