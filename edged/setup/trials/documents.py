@@ -36,11 +36,12 @@ class TrialDocument(Frozen):
 
 
 class StillDocument(Frozen):
-    """A still test. edges_um : what the edges' share of the sigma states; noise_um : what of it is noise.
+    """A still test. edges_um : the edges' share of the stated sigma. noise_um : its part due to noise.
 
-    chi2 : scatter over the variance that the noise explains, or over the stated one where the noise is not
-    known; expected : where it should lie. larger, smaller : the scatter than that, or than what is stated.
-    covers : what is stated the scatter; null where nothing is judged. moving, vanished : the part did.
+    chi2 : variance of the scatter relative to that explained by noise, or to the stated one if the noise is
+    not known. expected : interval where it should lie. verdict : larger, smaller : the scatter is larger or
+    smaller than explained or stated; moving, vanished : the part moved, or was not found. covers : the stated
+    sigma covers the scatter; null if not judged.
     """
 
     at: str
@@ -77,9 +78,10 @@ class MapPoint(Frozen):
 
 
 class MapDocument(Frozen):
-    """The sigma to be expected, of edges and calibration, X, Y, Z of the rig's frame; the part as taught.
+    """Expected sigma from edges and calibration, X, Y, Z in the rig's frame, of the part as at teaching.
 
-    points : x runs fastest, then y, then z. measured : by edges as clear as in the last pair, else as usual.
+    points : x runs fastest, then y, then z. measured : with the edge quality of the last pair, else a usual
+    one.
     """
 
     name: str

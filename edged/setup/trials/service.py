@@ -1,7 +1,7 @@
-"""A job is tried on live pairs: measured in the worker process, shown at once, never waited for.
+"""Tries a job on live pairs: they are measured in the worker process and shown at once, without blocking.
 
-While a job is tried, no board is looked for in the same pairs. A pair that comes while the worker is busy is
-left out, so that the newest is always the one that is shown.
+While a job is tried, the same pairs are not searched for a board. Pairs that arrive while the worker is busy
+are skipped, so that the newest one is always shown.
 """
 
 from __future__ import annotations
@@ -220,7 +220,7 @@ class Trials:
             self._tell()
 
     async def _trial_of(self, what: What) -> _Trial:
-        """The trial of what is asked for, else of what is tried; begun anew where job or rig have changed."""
+        """The trial of a subject, or of the present one for `What()`; a new one if job or rig changed."""
         what = self._tried if what == What() else what
         job, rig = await self._job(what), self._cell.needed_rig()
         trial = self._known.pop(what, None)

@@ -1,7 +1,7 @@
-"""The working volume of a job: what its sigma will be in it, and how much of it has been proved by a part.
+"""Map of the sigma to expect in a job's working volume.
 
-Places of the reference point, rig frame, on a grid across the left picture at the nearest, the middle and the
-farthest depth that the job allows; the part lies there as it did at teaching.
+Places of the reference point, rig frame, are on a grid across the left picture at the nearest, the middle and
+the farthest depth that the job allows; the part has the same orientation as at teaching.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
-"""Is the sigma honest? A part that lies still, measured again and again: its scatter against what is stated.
+"""Tests if the stated sigma is honest: it is compared with a still part's scatter over many pictures.
 
-Calibration and registration do not scatter from picture to picture, so it is the edges' share alone that
-must cover the scatter. Of that share, what displaces an edge alike in every picture, texture beside it, a
-wall, the light, lies as still as the part. So the scatter should be what the noise of the single edges leaves
-in the pose. A part or a camera that shakes, or light that flickers, moves all edges at once: it is more then.
+Calibration and registration do not vary from picture to picture, so only the edges' share must cover the
+scatter. Part of that share comes from effects that displace an edge equally in every picture, such as texture
+beside it, a wall or the light. The scatter should therefore be what the noise of single edges causes in the
+pose. A shaking part or camera, or flickering light, moves all edges at once and causes more.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from edged.vision.curves.edgenoise import Sighting, edge_noise
 from edged.vision.part.expected import Scatters
 
 StillVerdict = Literal["honest", "larger", "smaller", "moving", "vanished"]
-"""larger, smaller : the scatter than the stated sigma. moving, vanished : the part did: nothing is judged."""
+"""larger, smaller : scatter, than it should be. moving, vanished : the part, so that nothing is judged."""
 
 FAR = 12.0
 """Distance in stated sigmas from its median place at which a part counts as moved."""
@@ -28,8 +28,8 @@ DRIFT = 3.0
 """Factor by which the variance exceeds that between successive pictures if a part drifts."""
 COVERAGE_SIGMA = 1.96
 REWEIGHED = 1.3
-"""What noise leaves in the pose is more, by so much in the mean of several parts, than passes through weights
-that stay: it decides a little, too, which edges count."""
+"""Factor, a mean over several parts, by which noise in the pose exceeds the prediction with fixed weights:
+noise also has some influence on which edges count."""
 LEAST_MM2 = 1e-14
 """Least variance that counts as noise: pictures without noise predict nothing."""
 LEAST, MOST = 5, 200
@@ -52,11 +52,12 @@ class Stand:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StillResult:
-    """What came of it. scatter_mm, edges_mm, noise_mm (3,) : X, Y, Z; None where the part vanished.
+    """Result of a still test. scatter_mm, edges_mm, noise_mm (3,) : X, Y, Z; None if the part vanished.
 
-    edges_mm : what is stated; noise_mm : what the noise of the single edges leaves of it, None: not known.
-    chi2 : scatter over the variance that the noise explains, else over the stated one, mean of all axes;
-    expected : where 19 of 20 honest ones lie. covers : the stated sigma the scatter; None: nothing is judged.
+    edges_mm : stated sigma of the edges. noise_mm : sigma explained by the noise of single edges, None if not
+    known. chi2 : variance of the scatter relative to that explained by noise, or else to the stated one, mean
+    of all axes. expected : 95 % interval of honest ones. covers : the stated sigma covers the scatter; None
+    if not judged.
     """
 
     verdict: StillVerdict
@@ -112,7 +113,7 @@ def judged(stands: Sequence[Stand | None], by_noise: FloatArray | None = None) -
 def interval(freedom: int) -> tuple[float, float]:
     """95 % interval of chi² / freedom.
 
-    To half a percent from 12 degrees on. Source: E. B. Wilson, M. M. Hilferty, PNAS 17, 1931.
+    To half a percent from 12 degrees of freedom on. Source: E. B. Wilson, M. M. Hilferty, PNAS 17, 1931.
 
     >>> low, high = interval(87)
     >>> round(low, 2), round(high, 2)
