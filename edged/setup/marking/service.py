@@ -44,7 +44,7 @@ class MarksLookDocument(Frozen):
 
 
 class TaughtDocument(Frozen):
-    """The last teaching by the page. sigma_um : that one exposure leaves in a part among the marks."""
+    """The last teaching on the page. sigma_um : due to the marks of one exposure, of a part among them."""
 
     at: str
     by: str
@@ -56,7 +56,7 @@ class TaughtDocument(Frozen):
 
 
 class MarksDocument(Frozen):
-    """in_use : the cell has marks of the calibration in use. exposures : that a teaching takes."""
+    """State of the marks. in_use : there are some for the calibration in use. exposures : of a teaching."""
 
     in_use: bool
     exposures: int
