@@ -36,8 +36,8 @@ class TaskProblem(Frozen):
 
 
 class TaskDocument(Frozen):
-    """A task. done : 0 to 1, of the stage that `text` names; None where that is not known. state : running,
-    done, failed, cancelled."""
+    """A task. done : 0 to 1, of the stage that `text` names; None if not known. state : running, done,
+    failed, cancelled."""
 
     id: str
     what: str
@@ -76,7 +76,7 @@ class Tasks:
         self._tasks: OrderedDict[str, _Task] = OrderedDict()
 
     def start(self, what: str, work: Callable[[Progress], Awaitable[None]]) -> str:
-        """Start a task; returns its id. work : an `EdgedError` that it raises is how the task failed."""
+        """Start a task and return its id. work : an `EdgedError` that it raises becomes its problem."""
         task = _Task(secrets.token_hex(6), what, time.monotonic())
         self._tasks[task.id] = task
         ended = [old for old in self._tasks.values() if old.state != "running"]

@@ -45,15 +45,15 @@ class _OutOfTime:
 
 
 class Worker:
-    """A process for long work, so that the loop's and the PLC's turns never wait for it.
+    """A process for long work, so that the event loop and PLC commands never wait for it.
 
-    functions : what it can do, by name: "module:function", called with the arguments, and a
-    `Progress` where it takes one as `progress`.
-    cpus : how many processors a task may use, asked when it begins. limits : what else it may take.
+    functions : its functions by name, as "module:function"; they are called with the arguments, and with a
+    `Progress` if they have a parameter `progress`.
+    cpus : returns how many processors a task may use, called when it begins. limits : its other limits.
 
     A plain process with a pipe: `pebble` cancels by kill, too, but has no channel for progress, and starts
-    processes by `multiprocessing`: a fork of a daemon that has threads, or a spawn that imports the daemon's
-    main module again and keeps a third process to look after both.
+    processes by `multiprocessing`: by a fork of a daemon that has threads, or by a spawn that imports the
+    daemon's main module again and keeps a third process to manage both.
     """
 
     def __init__(
@@ -82,11 +82,11 @@ class Worker:
         return self._turn.locked()
 
     async def run(self, name: str, *arguments: Any, progress: Progress = silent) -> Any:
-        """The result of a function, after the tasks that were asked for before.
+        """Run a function after all earlier tasks, and return its result.
 
-        progress : told on the event loop. When this is cancelled, the process is killed. Raises the
-        `UserError` that the function raised, `TaskTooLarge` when it took more than it may, and `TaskFailed`
-        when it ended without a result otherwise.
+        progress : called on the event loop. If this is cancelled, the process is killed. Raises the
+        `UserError` that the function raised, `TaskTooLarge` if it exceeded its limits, and `TaskFailed` if it
+        ended without a result for another reason.
         """
         loop = asyncio.get_running_loop()
 

@@ -45,8 +45,8 @@ CAPSET, CAPABILITY_VERSION_3 = {"x86_64": 126, "aarch64": 91}, 0x20080522
 """Number of capset(2), by machine; glibc has no function for it."""
 MIB = 1 << 20
 MOST_MEMORY_BYTES = 8192 * MIB
-"""Address space: all libraries take 1.1 GiB at the start, finding boards in 65 megapixels 0.3 more, and
-rectifying them 64 bytes a pixel, 4 GiB, where their views turn most."""
+"""Limit on the address space: all libraries take 1.1 GiB at the start, finding boards in 65 megapixels 0.3
+more, and rectifying them 64 bytes a pixel, 4 GiB, if the cameras are rotated most."""
 LEAST_MEMORY_BYTES = 2048 * MIB
 """Limit on the smallest PC: enough for cameras of 12 megapixels."""
 MOST_CPU_S = 1800
@@ -69,8 +69,8 @@ def limits_here() -> TaskLimits:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TaskOrder:
-    """A task. function : "module:name", called with the arguments, and a `Progress` if
-    it takes one as `progress`; cpus : to use at most."""
+    """A task. function : "module:name", called with the arguments, and with a `Progress` if it has a
+    parameter `progress`. cpus : most processors to use."""
 
     function: str
     arguments: tuple[Any, ...]
@@ -219,10 +219,10 @@ def python_environment() -> dict[str, str]:
 
 
 def _withdraw() -> None:
-    """Give up what a task never needs: more rights by running programs, capabilities, and the network.
+    """Drop rights that a task never needs: gaining privileges by programs, capabilities, and the network.
 
-    The network where the kernel lets it: to leave it takes a user namespace, or root. A service may not make
-    any (`RestrictNamespaces=`).
+    The network only if the kernel allows it: leaving it needs a user namespace, or root. A service may not
+    create any (`RestrictNamespaces=`).
     """
     gain_no_more_rights()
     libc = ctypes.CDLL(None, use_errno=True)
