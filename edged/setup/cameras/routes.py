@@ -129,7 +129,7 @@ class Adjusting(Leased):
 
 
 class Addressing(Leased):
-    """Serial number of a camera that is to get an address in this machine's network; left out: a free one."""
+    """Camera to give an address in this machine's network, by serial number. address : "" for a free one."""
 
     serial: str = Field(min_length=1, max_length=64)
     address: str = Field("", max_length=15)
@@ -149,7 +149,7 @@ class Waving(Leased):
 
 
 class Waved(Answer):
-    """moved : the camera with the hand, by the sides as they were. exchanged : they are not so any more."""
+    """Result of waving. moved : former side of the camera with the hand. exchanged : both were swapped."""
 
     moved: Literal["left", "right"] | None
     exchanged: bool
@@ -163,7 +163,7 @@ class EdgeSpread(Answer):
 
 
 class AdviceNow(Answer):
-    """code : good, less_light, more_light, light_for_gain. exposure_factor : for the exposure time."""
+    """Advice. code : good, less_light, more_light, light_for_gain. exposure_factor : of exposure time."""
 
     code: str
     exposure_factor: float

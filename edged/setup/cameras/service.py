@@ -186,10 +186,10 @@ class CameraService:
         await self._try(token, changes)
 
     async def keep(self, token: str) -> None:
-        """Make what is tried the cell's: written beside its rig, and loaded.
+        """Make the values being tried permanent: written beside the cell's rig, and loaded.
 
-        Raises `UserError` where a rig was calibrated with other cameras, where the file cannot be written,
-        and where the cell cannot be loaded with it; then nothing has changed. Raises `SetupRefused`.
+        Raises `UserError` if a rig was calibrated with other cameras, if the file cannot be written, or if
+        the cell cannot be loaded with it; then nothing has changed. Raises `SetupRefused`.
         """
         await self._cell.session.renew_setup(token)
         changes = self._cell.session.camera_changes
@@ -263,7 +263,7 @@ class CameraService:
         return next((info for info in cameras if _is_at(info, device)), None)
 
     async def _try(self, token: str, cameras: Mapping[Side, ChosenCamera]) -> None:
-        """Use other cameras, with the exposure that is tried: by `adjust`, which is undone in the end."""
+        """Use other cameras with the exposure being tried, set by `adjust`, to be undone when SETUP ends."""
         tried = self._cell.session.camera_changes
         await self._cell.session.try_cameras(token, cameras)
         for side, change in tried.items():
