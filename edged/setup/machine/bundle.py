@@ -4,7 +4,7 @@
     cycles/NAME.zip     the recording, as the recorder wrote it
     setups/1a2b3c4d/    rig, jobs and configuration of that cycle, without secrets
 
-`edged replay` measures it again elsewhere. A bundle may come from anywhere: nothing of it is written before
+`edged replay` measures the cycle again elsewhere. A bundle may come from anywhere: nothing is written before
 all of it has been checked, and then only into a temporary folder.
 """
 
@@ -48,10 +48,10 @@ _DAMAGE = (
 
 
 def failed_cycle(folder: Path | None, number: int | None = None) -> dict[str, bytes]:
-    """The newest recording that was not good and has pictures, with its setup, by members of a bundle.
+    """The newest recording that was not good and has pictures, with its setup, as members of a bundle.
 
-    folder : of the recorder; None where nothing is recorded. number : of another one. {} where there is none.
-    Raises `UserError` where the number is not there, `FileFormatError` where it cannot be read.
+    folder : of the recorder; None if nothing is recorded. number : of a recording to take instead. Returns {}
+    if there is none. Raises `UserError` for an unknown number, and `FileFormatError` if it cannot be read.
     """
     entries = [] if folder is None else recording.entries(folder)[::-1]
     if number is not None:
@@ -129,7 +129,7 @@ def is_bundle(path: Path) -> bool:
 
 
 def unpack(data: bytes, place: str) -> tuple[Json, dict[str, bytes]]:
-    """Document and other members, all of it checked. Raises `FileFormatError` that names place and member."""
+    """Check and read a bundle: document and other members. Raises `FileFormatError` that names the place."""
     found: dict[str, bytes] = {}
     left = MAX_BYTES
     try:
