@@ -1,4 +1,4 @@
-"""The stage's routes on a page of another process: each is asked of the cell, whose stage it is."""
+"""Routes of the stage on a page in another process: requests are forwarded to the cell with the stage."""
 
 from __future__ import annotations
 

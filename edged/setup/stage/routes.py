@@ -85,7 +85,7 @@ class TruthNow(Answer):
 
 
 class StageRoutes:
-    """Routes, and a publisher that remembers the last result. robot : those of the virtual robot."""
+    """Routes of the stage, and a publisher that remembers the last result. robot : the robot's routes."""
 
     def __init__(self, stage: Stage) -> None:
         self._stage = stage
@@ -200,9 +200,10 @@ Pixel = Annotated[float, Field(ge=-1e4, le=1e4)]
 
 
 class PendantQuery(Body):
-    """In whose words. x, y : px of the left picture: the tip on what is nearest there; else the flange.
+    """Request for the pendant's numbers. x, y : px of the left picture: the tip is placed on the nearest
+    feature; without them, the flange's pose is shown.
 
-    noise_um : standard deviation of each coordinate; of rotations as much at 100 mm.
+    noise_um : standard deviation of each coordinate; for rotations the same at 100 mm.
     """
 
     brand: Annotated[Brand, Field(strict=False)] = Brand.KUKA
