@@ -36,7 +36,7 @@ class Nothing(Body):
 
 
 class Revised(Body):
-    """Change of a draft at the revision that was seen; if that is not current, the answer is 412."""
+    """Change of a draft as it was seen; if it has changed since, the answer is 412 with the newer one."""
 
     revision: Revision | None = None
 

@@ -255,9 +255,9 @@ def write_solved(draft: DraftFile[S], state: S, digest: str, files: Mapping[str,
 
 
 def solved_rig(folder: Path, digest: str | None, counted: str) -> bytes:
-    """The rig that came of a draft. digest : by its state.  counted : what it was solved from, in words.
+    """Content of the rig file that a draft was solved to. digest : in its state.  counted : its inputs' name.
 
-    Raises `CalibrationError` if none has, `FileFormatError` if it was changed.
+    Raises `CalibrationError` if it is not solved, `FileFormatError` if the file was changed.
     """
     if digest is None:
         raise CalibrationError(f"it is not solved, or its {counted} have changed since: solve it first")
