@@ -40,7 +40,7 @@ from edged.files.tables import number_of, read_table
 from edged.owners import file_to_read
 
 FLATTENING_MM = 0.002
-"""Largest distance of a curve from its polygon: a hundredth of a pixel of a fine camera."""
+"""Largest deviation of a polygon from its curve: a hundredth of a pixel of a high-resolution camera."""
 GAP_MM = 0.02
 """Ends closer than this count as joined; CAD rounds more finely."""
 MAX_DRAWING_BYTES = 32 << 20

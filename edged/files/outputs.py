@@ -34,7 +34,7 @@ def check_outputs(
 
 
 def check_folder(path: Path) -> None:
-    """Refuse a path that is not a folder, or cannot be made or written into. Raises `FileFormatError`."""
+    """Refuse a path that is not a folder or cannot be created or written to. Raises `FileFormatError`."""
     if path.exists():
         if not path.is_dir():
             raise FileFormatError(f"{path}: is a file, expected a folder to write")

@@ -68,7 +68,7 @@ def half_of(folder: Path, name: str, side: Side) -> Path:
 
 
 def next_number(folder: Path, name: str) -> int:
-    """The number after the highest of NAME_NN_left.* and NAME_NN_right.* in a folder, 0 in an empty one."""
+    """Number after the highest of NAME_NN_left.* and NAME_NN_right.* in a folder; 0 if there is none."""
     numbers = [-1]
     for path in folder.iterdir():
         stem, underscore, side = path.stem.rpartition("_")

@@ -68,7 +68,7 @@ def _is_text(data: bytes) -> bool:
 
 
 def _binary(data: bytes, path: Path) -> FloatArray:
-    """(N, 3, 3) corners."""
+    """Corners (N, 3, 3) of a binary file."""
     if len(data) < HEADER_BYTES:
         raise FileFormatError(f"{path}: {len(data)} bytes: expected an STL file, at least {HEADER_BYTES}")
     count = int.from_bytes(data[80:84], "little")
@@ -83,7 +83,7 @@ def _binary(data: bytes, path: Path) -> FloatArray:
 
 
 def _text(data: bytes, path: Path) -> FloatArray:
-    """(N, 3, 3) corners."""
+    """Corners (N, 3, 3) of a text file."""
     if b"endsolid" not in data[-1024:]:
         raise FileFormatError(f"{path}: cut off: expected endsolid at its end")
     count = data.count(b"endfacet")

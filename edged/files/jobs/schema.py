@@ -232,7 +232,7 @@ class _Corner(_Section):
 
 
 class _Measurement(_Section):
-    """A size to measure; a part out of tolerance is not good."""
+    """A dimension to measure; a part out of tolerance is not good."""
 
     name: Name = Field(description="name of the measurement")
     kind: MeasurementKind = Field(description="what is measured")

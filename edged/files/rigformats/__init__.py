@@ -39,7 +39,7 @@ _FORMATS: dict[str, _Format] = {
 
 
 def rig_format(name: str) -> RigFormat:
-    """The format of this name, or a `UserError` that lists them."""
+    """The format with this name. Raises `UserError` that lists the known ones."""
     known: tuple[RigFormat, ...] = get_args(RigFormat)
     for form in known:
         if name == form:

@@ -138,7 +138,7 @@ def _number(text: str) -> float | str:
     try:
         return decimal(text)
     except ValueError:
-        return text  # the field that needs it says what is wrong
+        return text  # reported when a field needs it as a number
 
 
 def _is_camera(text: str) -> bool:
@@ -163,7 +163,7 @@ def _row(values: FloatArray) -> str:
 
 
 def _pose(path: Path, text: str) -> FloatArray:
-    """left_from_right (4, 4) in mm."""
+    """Parse a pose as left_from_right (4, 4) in mm."""
     fields = Fields(path, {key: [_number(v) for v in values.split()] for key, values in _POSE.findall(text)})
     kind = fields.number("f")
     rotation_values, translation = fields.numbers("r", (3,)), fields.numbers("t", (3,))
