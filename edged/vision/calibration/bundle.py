@@ -165,7 +165,7 @@ def adjust(
 
 
 def residuals(state: BundleState, left: Observations, right: Observations) -> tuple[FloatArray, FloatArray]:
-    """Measured - projected (N, 2) in px, of both cameras."""
+    """Residuals measured - projected (N, 2) in px, of both cameras."""
     in_left = _in_left(state, left)[1]
     in_right = apply(state.right_from_left, _in_left(state, right)[1])
     return left.pixels - state.left.project(in_left), right.pixels - state.right.project(in_right)

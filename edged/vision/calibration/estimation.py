@@ -261,7 +261,7 @@ def _worst_view(solution: CalibrationSolution) -> tuple[int, float, float] | Non
     """Index, residual and typical residual of the worst outlying view, if there is one.
 
     Views are judged by the median over their marks, so that a few wrong marks do not reject a view. Nor do
-    residuals as small as the marks' own precision, even if those of the other views are smaller still.
+    residuals within `bad_view` times the marks' own precision, even if those of other views are smaller.
     """
     result, problem = solution.result, solution.problem
     view = np.concatenate([problem.left.view, problem.right.view])

@@ -288,7 +288,7 @@ def _lines(board: Board, detection: Detection) -> FloatArray:
 
 
 def _levels(across: FloatArray, grey: FloatArray, used: B8) -> tuple[FloatArray, FloatArray]:
-    """Median grey values (M,) on both sides of each edge."""
+    """Median grey values (M,) of both sides of each edge."""
     sides = (used & (across < -IMAGING.flat_px), used & (across > IMAGING.flat_px))
     low, high = (np.nanmedian(np.where(side, grey, np.nan), axis=1) for side in sides)
     return low, high

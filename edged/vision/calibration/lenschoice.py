@@ -194,7 +194,7 @@ def _criteria(results: Sequence[BundleResult], freedoms: Sequence[Freedoms]) -> 
     return np.asarray(np.array(aic) - min(aic))
 
 
-# --- sigma of what might be another model --------------------------------------------------------
+# --- model-averaged covariance -------------------------------------------------------------------
 
 
 def averaged(rig: StereoRig, choice: Choice, points_mm: FloatArray) -> StereoRig:
@@ -230,7 +230,7 @@ def selection_of(rig: StereoRig) -> FloatArray:
     return selection
 
 
-# --- freedom that the data ask for ---------------------------------------------------------------
+# --- release of further parameters ---------------------------------------------------------------
 
 
 def release(solution: CalibrationSolution) -> CalibrationSolution:

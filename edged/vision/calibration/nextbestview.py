@@ -38,7 +38,7 @@ TILTS = (
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Suggestion:
-    """A view to take. gain : share by which the calibration's contribution to the error of points would fall.
+    """A view to take. gain : relative reduction of the calibration's contribution to the error of points.
 
     where : in words, for people.  code : the same for programs, such as "upper-left.near.lower-away".
     left_from_board (4, 4) : where the board would be.
