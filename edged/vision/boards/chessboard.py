@@ -47,7 +47,7 @@ def detect_chessboard(image: Image, board: Chessboard) -> Detection | NotDetecte
 def remeasure_chessboard(
     image: Image, board: Chessboard, found: Detection, camera: CameraModel
 ) -> Detection | NotDetected:
-    """Measure a detected board again, now that the lens is known."""
+    """Measure a detected board again with the lens known."""
     grid = np.full((board.rows * board.columns, 2), np.nan)
     grid[found.ids] = found.pixels
     fits = refine_corners(image, grid.reshape(board.rows, board.columns, 2), camera)

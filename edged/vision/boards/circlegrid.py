@@ -172,7 +172,7 @@ def _map_plane(homography: FloatArray, plane: FloatArray) -> FloatArray:
 
 
 def ellipse_of(outline: FloatArray) -> FloatArray:
-    """(x, y, b11, b12, b22) of the ellipse through points (K, 2); NaN if there is none.
+    """Fit an ellipse (x, y, b11, b12, b22) to points (K, 2); NaN if there is none.
 
     Least squares on the conic a x² + b xy + c y² + d x + e y = 1, about the points' centroid.
     """
@@ -219,7 +219,7 @@ def _minor_px(ellipses: FloatArray) -> FloatArray:
 
 
 def _ellipses(image: Image, block_px: int) -> FloatArray:
-    """Dark elliptic blobs (M, 5) as x, y, b11, b12, b22."""
+    """Find dark elliptic blobs (M, 5) as x, y, b11, b12, b22."""
     smooth = cv2.GaussianBlur(image, (3, 3), 0)
     block = max(11, block_px | 1)
     dark = cv2.adaptiveThreshold(smooth, 255, cv2.ADAPTIVE_THRESH_MEAN_C, cv2.THRESH_BINARY_INV, block, 12)

@@ -71,7 +71,7 @@ def nominal(board: Board) -> NominalBoard:
 
 
 def deviation_mm(board: ShapedBoard) -> tuple[float, float]:
-    """Largest difference of height on the board, and rms deviation in its plane."""
+    """Height difference between lowest and highest mark, and rms deviation in the board's plane."""
     difference = board.points_mm - board.stated.points_mm
     return float(np.ptp(difference[:, 2])), float(np.sqrt(np.mean(np.sum(difference[:, :2] ** 2, axis=1))))
 
