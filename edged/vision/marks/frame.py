@@ -22,15 +22,15 @@ DICTIONARY = "5X5_1000"
 """Any two of its codes differ by at least 5 of 25 squares (OpenCV's `aruco_dictionary.cpp`)."""
 CODES = 1000  # number of codes in the dictionary
 CODE_AWAY = 1.75
-"""Distance from a dot's centre to its code's, in diameters: three quarters of a diameter between are white."""
+"""Distance between the centres of a dot and its code, in diameters, with a white gap of three quarters."""
 MIN_MARKS, MAX_MARKS = 6, 24
-"""Six marks must agree to accept a knock; beyond 24 sigma gains less than a tenth of its value at 8."""
+"""Six must agree to accept a knock; beyond 24 marks sigma improves by less than a tenth of that of 8."""
 GRAMMAR = "WIDTHxHEIGHT:COUNT:DIAMETER_MM[:FIRST_CODE], mm between the outermost dots, e.g. 120x90:8:4:0"
 
 
 @dataclass(frozen=True, slots=True)
 class MarkFrame:
-    """Dots along a rectangle; the frame's origin is its middle, x to the right, y down.
+    """Dots along a rectangle, whose centre is the origin; x to the right, y down.
 
     first : code of the mark at the upper left corner; the others follow clockwise.
     """
