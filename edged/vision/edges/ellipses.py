@@ -15,7 +15,7 @@ from edged.vision.geometry.rigid import rotation_2d
 
 @dataclass(frozen=True, slots=True)
 class ImageEllipse:
-    """Centre (x, y) px, semi-axes px, angle of the first axis in rad; polarity +1: brighter outside."""
+    """An ellipse: centre (x, y) and semi-axes in px, angle of the first axis in rad; +1: brighter outside."""
 
     x: float
     y: float
@@ -89,7 +89,7 @@ def _ransac(points: FloatArray, gradients: FloatArray) -> tuple[ImageEllipse | N
         return None, best_inliers
     outward = points[best_inliers] - (best.x, best.y)
     brighter = float(np.sum(np.sign(np.sum(outward * gradients[best_inliers], axis=1))))
-    if abs(brighter) < 0.6 * best_inliers.sum():  # a line of texture, not the border of something
+    if abs(brighter) < 0.6 * best_inliers.sum():  # a line of texture, not an object's border
         return None, best_inliers
     return ImageEllipse(best.x, best.y, best.a, best.b, best.angle, 1 if brighter > 0 else -1), best_inliers
 

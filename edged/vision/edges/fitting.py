@@ -119,7 +119,7 @@ def _from_circle(points: FloatArray, circle: FloatArray) -> tuple[FloatArray, Fl
 
 
 def _algebraic_circle(points: FloatArray) -> FloatArray | None:
-    """(x, y, radius) of the least-squares solution of x² + y² + d x + e y + f = 0 (I. Kåsa, 1976)."""
+    """Circle (x, y, radius) by least squares of x² + y² + d x + e y + f = 0 (I. Kåsa, 1976)."""
     if len(points) < 3:
         return None
     mean = points.mean(axis=0)

@@ -56,7 +56,7 @@ class OutlineParams:
     nearest_px: float = 1.0  # smallest distance across an edge to the border of a tightly cut template
     border_px: float = 3.0  # distance to the border needed to know an edge's slope
     min_strong: int = 4  # fewest strong pixels of a connected edge: a single one is noise
-    reach_px: float = 1.5  # an edge pixel is within 0.7 px of its edge; texture beside it must not catch it
+    reach_px: float = 1.5  # edge pixels are within 0.7 px of their edge; adjacent texture must stay outside
     min_contour: int = 8  # fewest points of a contour
     tolerance_px: float = 1.0
     """Largest distance of a point from the line or arc of its piece (Ramer 1972,
