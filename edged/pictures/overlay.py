@@ -125,7 +125,7 @@ def _views(
 
 
 def _side_by_side(views: tuple[PictureView, PictureView]) -> Canvas:
-    """Both canvases with the cameras' names."""
+    """Both canvases side by side, labelled with the cameras' names."""
     for view, name in zip(views, SIDES, strict=True):
         words = f"{name} image" if view.scale == 1 else f"{name} image, magnified {view.scale:.2g}×"
         write_rimmed(view.canvas, words, (MARGIN_PX, view.canvas.shape[0] - 18), WHITE, TEXT_PX)
