@@ -180,7 +180,7 @@ class VirtualCell:
             view = self._moved[camera] = RenderedView(model, pose, sensor)
         return view
 
-    # --- what is shown, from the next exposure on ----------------------------------------------
+    # --- things shown from the next exposure on ------------------------------------------------
 
     @property
     def middle_mm(self) -> FloatArray:
@@ -255,7 +255,7 @@ class VirtualCell:
         return left, right, self._truth(-1, 0, rig_from_part)
 
     def scene(self, rig_from_part: FloatArray) -> Scene:
-        """The cell with the part at a pose."""
+        """Scene of the cell with the part at a pose."""
         return Scene(self._floor(), (PlacedPart(self.part, rig_from_part),), self._light)
 
     def _floor(self) -> Table:

@@ -77,7 +77,7 @@ class Hand:
         self._goal: FloatArray | None = None
         self._base = np.array(rig_from_hand, dtype=np.float64)
         self._movements: list[_Movement] = []
-        self._calm: tuple[int, float, float] = (0, 1.0, 1.0)  # since, tremor's share before and after
+        self._calm: tuple[int, float, float] = (0, 1.0, 1.0)  # time of change, tremor before and after
         rng = np.random.default_rng((seed, 7))
         self._hz = rng.uniform(*TREMOR_HZ, (6, WAVES))
         self._phase = rng.uniform(0.0, 2.0 * math.pi, (6, WAVES))

@@ -37,7 +37,7 @@ class Schedule:
 
     @classmethod
     def days(cls, swing_k: float, days: float = 1.0, day_s: float = DAY_S) -> Schedule:
-        """A sine of +- swing_k over each day."""
+        """Schedule of a sine of +- swing_k over each day."""
         count = math.ceil(STEPS_OF_A_DAY * days)
         times = [day_s * k / STEPS_OF_A_DAY for k in range(count + 1)]
         return cls(tuple((t, swing_k * math.sin(2.0 * math.pi * t / day_s)) for t in times))
@@ -126,7 +126,7 @@ class TrueCameras:
 
     @property
     def rig(self) -> StereoRig:
-        """The rig that a perfect calibration would find now."""
+        """The rig that a perfect calibration would find at this moment."""
         right_from_left = self.right_from_world @ invert(self.left_from_world)
         return StereoRig(self.left, self.right, right_from_left, "weather")
 

@@ -102,7 +102,7 @@ class VirtualWorld:
         return lambda request: expose(replace(request, exposure_us=FLASH_US))
 
     def _count(self, request: ExposureRequest) -> int:
-        """The belt's count at the moment that both pictures of the pair show."""
+        """The belt's count at the moment shown by both pictures of the pair."""
         assert self.belt is not None
         return self.belt.count(self.cell.moment("left", request).exposed_ns)
 

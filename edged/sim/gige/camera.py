@@ -145,7 +145,7 @@ class GigeCamera:
         if g.TEMPERATURE in self.registers:
             self.registers.put(g.TEMPERATURE, self._temperature_c)
 
-    # --- what a test or a person does with it ------------------------------------------------------
+    # --- control by tests and people ---------------------------------------------------------------
 
     def start(self) -> None:
         """Open the sockets and start answering. Raises `ListenError` if the port is taken."""
@@ -193,7 +193,7 @@ class GigeCamera:
 
     @property
     def temperature_c(self) -> float:
-        """Its DeviceTemperature."""
+        """The value of DeviceTemperature."""
         return self._temperature_c
 
     @temperature_c.setter
@@ -245,7 +245,7 @@ class GigeCamera:
         self._connect()
         self.start()
 
-    # --- registers with a meaning --------------------------------------------------------------------
+    # --- registers with side effects -----------------------------------------------------------------
 
     def _keep(self, address: int, word: int) -> int:
         self.registers.put(address, word)
@@ -298,11 +298,11 @@ class GigeCamera:
         return SUCCESS
 
     def session_ended(self) -> None:
-        """Control is lost: stop streaming."""
+        """Stop streaming, as control was lost."""
         self._stop_acquisition()
 
     def resend(self, block_id: int, first: int, last: int) -> None:
-        """Send packets again."""
+        """Resend packets of a block."""
         self._stream.resend(block_id, first, last)
 
     def act(self, keys: tuple[int, int, int], at_ticks: int | None) -> int | None:

@@ -44,7 +44,7 @@ SOMEBODY_ELSE: Endpoint = ("0.0.0.0", 0)
 
 
 class ControlledDevice(Protocol):
-    """The device behind the control channel."""
+    """Interface of the device behind the control channel."""
 
     def resend(self, block_id: int, first: int, last: int) -> None:
         """Handle a request to resend packets of a block."""

@@ -51,7 +51,7 @@ def with_chunks(image: bytes, image_id: int, chunks: Sequence[tuple[int, bytes]]
 
 
 def packet(block: ImageBlock, number: int) -> tuple[bytes, ...]:
-    """The parts of the packet with this number, 0 to `block.packets` + 1."""
+    """Parts of the packet with this number, 0 to `block.packets` + 1, to be sent as one datagram."""
     if number == 0:
         return (_leader(block),)
     if number > block.packets:

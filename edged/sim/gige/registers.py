@@ -102,7 +102,7 @@ class CameraRegisters:
         return words
 
     def put(self, address: int, value: float, length: int = 4) -> None:
-        """Set a register from inside, as its feature holds it; 64 bits for a length of 8."""
+        """Set a register from inside the camera, encoded as its feature requires; length 8: 64 bits."""
         feature = self._features.get(address)
         if feature is not None and feature.kind == "float":
             self._words[address] = int.from_bytes(struct.pack(">f", value), "big")
@@ -129,7 +129,7 @@ class CameraRegisters:
 
     @property
     def size(self) -> tuple[int, int]:
-        """(width, height) of the image, px."""
+        """Size (width, height) of the image, px."""
         return self.word(g.WIDTH), self.word(g.HEIGHT)
 
     @property

@@ -133,7 +133,7 @@ def _texture(textures: F32, t: int, u: float, v: float) -> float:
 
 @kernel(inline=True)
 def _grain(textures: F32, layers: F64, n: int, u: float, v: float) -> float:
-    """The texture of layer n at a point of its plane."""
+    """Texture value of layer n at a point of its plane."""
     du, dv = u - layers[n, LAY_U], v - layers[n, LAY_V]
     along, across = layers[n, LAY_COS] * du + layers[n, LAY_SIN] * dv, 0.0
     if layers[n, LAY_RADIUS] > 0.0:
@@ -180,7 +180,7 @@ def _settle_tile(rays: F64, box: I64, layers: F64, n: int, shapes: F64, vertices
 
 @kernel(inline=True)
 def _cell_corners(rays: F64, y: int, x: int, layers: F64, n: int, corners: F64) -> None:
-    """Points of the plane under the (CELLS + 1)² corners of a pixel's cells."""
+    """Points of layer n's plane at the (CELLS + 1)² corners of a pixel's cells."""
     last_y, last_x = rays.shape[0] - 1, rays.shape[1] - 1
     below, above = min(y + 1, last_y), max(y - 1, 0)
     right, left = min(x + 1, last_x), max(x - 1, 0)
@@ -363,7 +363,7 @@ def render_radiance(
             # tiles at the far borders overlap others, so that none is a single pixel
             top, left = max(min(y0, height - TILE), 0), max(min(x0, width - TILE), 0)
             box[:] = (top, min(top + TILE, height), left, min(left + TILE, width))
-            start = 0  # the topmost layer that hides all below
+            start = 0  # topmost layer that hides all others below it
             for n in range(layers.shape[0]):
                 pixel_mm[n] = _settle_tile(rays, box, layers, n, shapes, vertices, states)
                 settled[n] = _shown(layers, n, states) if pixel_mm[n] >= 0.0 else NOTHING
