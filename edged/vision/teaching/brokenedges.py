@@ -209,7 +209,8 @@ def _by_ends(form: _Form, leaves: Leavings) -> _Form:
 
 
 def _as_its_face(form: _Form, shown: npt.NDArray[np.bool_]) -> EdgeModel:
-    """The model of a form; curves not shown (C,) are put at the same end of the break as most of a face."""
+    """The model of a form, with curves that are not shown (C,) at the same ends of breaks as most of their
+    face."""
     model, taught = form.model, replace(form.taught, breaks_mm=form.model.breaks_mm)
     raised = (model.start - taught.start)[:, 2] < -0.5 * model.breaks_mm
     start, end, face = model.start.copy(), model.end.copy(), form.faces[model.chain]

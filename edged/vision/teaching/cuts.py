@@ -112,7 +112,7 @@ def _circle_of(job: Job, rectified_px: FloatArray, rectification: Rectification)
 
 
 def _crossing(contour: Contour, inside: B8, rectification: Rectification) -> tuple[float, float]:
-    """Where a contour first leaves the region, px of the raw left image."""
+    """Place where a contour first leaves the region, px of the raw left image."""
     leaves = np.flatnonzero(inside[:-1] != inside[1:])
     place = contour.points[leaves[:1]] if len(leaves) else contour.points[:1]
     x, y = rectification.raw_points("left", place)[0]

@@ -34,7 +34,7 @@ class FoundFeatures:
     corners: tuple[CornerFeature, ...]
 
     def moved(self, shift_mm: FloatArray) -> FoundFeatures:
-        """All places shifted by a vector (3,)."""
+        """The features with all places shifted by a vector (3,)."""
         return replace(
             self,
             edges=tuple(
@@ -60,7 +60,7 @@ class TeachingView:
 def find_features(
     view: TeachingView, rig_from_part: FloatArray, circles: Sequence[Curve] = ()
 ) -> tuple[FoundFeatures, FloatArray]:
-    """Edges, slots and corners in the face of a part, verified in both images.
+    """Find edges, slots and corners in the face of a part, verified in both images.
 
     rig_from_part (4, 4) : of the face, and of the circles in it that are features already.
     Returns the features, and the (4, 4) pose of the frame they are given in: that of the fit.
@@ -132,7 +132,7 @@ def part_frame(normal: FloatArray, origin: FloatArray) -> FloatArray:
 
 
 def _fitted(view: TeachingView, face: Face, circles: Sequence[Curve]) -> PlaneFit | None:
-    """The circles and all candidates that both images agree on, in one fit."""
+    """Fit the circles and all candidate curves that both images agree on together; None if there are none."""
     left = view.images.rectified_left
     everything = find_contours(left, view.mask)
     contours = _strong(view, find_contours(left, _without(view, face, circles)), everything)
@@ -198,7 +198,7 @@ def _without(view: TeachingView, face: Face, circles: Sequence[Curve]) -> Image:
 
 
 def _in_face(view: TeachingView, face: Face, rectified_px: FloatArray) -> FloatArray:
-    """(N, 2) in the face of points in the rectified left image."""
+    """Coordinates (N, 2) in the face of points of the rectified left image."""
     plane = Plane.through(face.origin, face.normal)
     return face.from_rig(plane.meet(view.images.rays("left", rectified_px)))[:, :2]
 
@@ -264,7 +264,7 @@ def _twins(edge: Curve, longer: Curve) -> bool:
 
 
 def _as_features(view: TeachingView, fit: PlaneFit) -> FoundFeatures:
-    """The fitted curves under their names."""
+    """Convert the fitted curves to named features."""
     slots = [fitted.curve for fitted in fit.fits if fitted.curve.kind == "slot"]
     edges = [fitted.curve for fitted in fit.fits if fitted.curve.kind == "edge"]
     slots.sort(key=_order(lambda curve: float(curve.parameters[3])))

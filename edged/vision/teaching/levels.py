@@ -345,7 +345,7 @@ def _laid(measured: FoundCircle, frame: FloatArray, name: str, height_mm: float)
 
 
 def _carried(found: FoundFeatures, part_from_face: FloatArray, height_mm: float) -> FoundFeatures:
-    """Features of one face in the part's frame, at the height of that face."""
+    """Move features of one face to the part's frame, at the height of that face."""
 
     def place(point: FloatArray) -> FloatArray:
         x, y, _ = apply(part_from_face, point)
@@ -413,7 +413,7 @@ def _one_line(first: FloatArray, other: FloatArray) -> bool:
 
 
 def _as_features(fit: PlaneFit, found: FoundFeatures) -> SolidFeatures:
-    """The fitted curves as features of a frame in the centre of the reference circle."""
+    """Convert the fitted curves to features of a frame in the centre of the reference circle."""
     circles = circles_in_rig(fit)
     origin = fit.face.to_rig(np.append(fit.fits[0].curve.parameters[:2], 0.0)[None])[0]
     shift = -np.append(fit.fits[0].curve.parameters[:2], 0.0)

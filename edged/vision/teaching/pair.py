@@ -307,7 +307,7 @@ def _job(
     rectification = view.images.rectification
     depth = float(rig_from_part[2, 3])
     pixel_mm = depth / rectification.focal_px
-    # a radius vaguer than light can make it is that of a broken rim: its other edge shall be out of tolerance
+    # a radius less certain than light explains is a broken rim's: its other edge must stay out of tolerance
     sigma_mm = min(sigma_mm, LIGHT_PX * pixel_mm)
     if main_face is not None:
         shape = create_model(view.images.rectified_left, main_face, params=wanted.params)

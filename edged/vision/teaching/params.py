@@ -19,9 +19,9 @@ class TeachingParams:
 
     max_mismatch_px: float = 1.0
     """Difference along the normal, left against right: shading moves an edge of the face by less."""
-    max_slope_ratio: float = 2.0  # of one edge's slopes in both images
+    max_slope_ratio: float = 2.0  # between one edge's slopes in both images
     window_px: int = 25  # length of edge that is judged together
-    min_agreeing: float = 0.6  # of a window of the face; at another depth one in five agrees by chance
+    min_agreeing: float = 0.6  # share of a window in the face; at another depth one in five agrees by chance
     clean_share: float = 0.7
     """Share of the region's edges in the face from which the rest belongs to the part: chamfers, bottoms of
     holes."""
@@ -30,15 +30,15 @@ class TeachingParams:
     cut_margin_px: int = 24  # around the region, in which edges are looked for
     min_outside: int = 10  # edge pixels beyond the border: fewer are caused by the border itself
     border_px: int = 8  # an edge this near to the picture's border runs out of it
-    min_at_border: int = 3  # its pixels there
-    near_px: float = 2.0  # from a point of the model: the same edge
+    min_at_border: int = 3  # of its pixels there
+    near_px: float = 2.0  # distance from a point of the model within which an edge is the same
     min_learnt: float = 0.5  # of a contour's points inside: less is texture beside the part
     cut_band_px: float = 8.0  # distance from a circle of its own edge, or of the other edge of its chamfer
     feature_band_px: int = 7  # around a circle that is a feature already
     step_sigma_px: float = 2.5  # an outline is still a step at this width; a machining mark averages out
     min_step_share: float = 0.4  # of the region's strong steps; a line of texture is weaker
     min_edge_px: float = 24.0  # an edge keeps 5 px from its corners and has a dozen samples
-    feature_support: float = 0.75  # of its samples in each image
+    feature_support: float = 0.75  # share of its samples that each image shows
     feature_rms_px: float = 0.5  # of its samples about the curve
     feature_mismatch_px: float = 0.3  # left against right: beyond it an edge lies off the face
     max_features: int = 16  # of a job, the longest first
@@ -60,7 +60,7 @@ class TeachingParams:
     same_px: float = 6.0  # the same difference in px
     margin_px: int = 5  # around the outline, so that the whole of its edge is learnt
     corner_px: float = 0.8  # tolerance of the polygon that is drawn
-    apart_mm: float = 0.3  # faces less far apart are one; edge breaks are smaller, too
+    apart_mm: float = 0.3  # faces nearer to each other are one; edge breaks are smaller, too
     level_mm: float = 0.05  # between heights of circles that are seen by the same ends of their breaks
     break_mm: float = 1.0
     """Two edges of one curve that differ by less in radius and height are a chamfer: one feature."""
@@ -73,7 +73,7 @@ class TeachingParams:
     level_band_px: int = 15  # around a circle of another face
     outline_points: int = 200  # of a circle that is drawn
     together: FitParams = FitParams(reach_px=(2.0,), min_support=0.5)  # fit of all features together
-    rounds: int = 4  # of faces and their circles
+    rounds: int = 4  # of grouping circles by face and fitting the normal
     face_tolerance_mm: float = 0.15  # from a circle to the face; shading displaces farther ones
     solid_score: float = 0.5
     """Minimum score of a thick part's main face: walls as bright as it hide some of its outline, and false
@@ -81,15 +81,15 @@ class TeachingParams:
     solid_top_points: int = 100
     """Minimum number of points on the coarsest level: with fewer, half of them hidden by walls, a tilted view
     resembles many things."""
-    min_support: float = 0.75  # of the reference circle
+    min_support: float = 0.75  # share of a circle that both images show
     height_share: float = 0.12  # of the distance, from the reference circle to another face of the part
     max_rms_px: float = 0.5  # as a job's own limit: edges that scatter more are two different edges
     same_tolerance: float = 0.02  # relative difference of taught tolerances that were not edited
     slot_points: int = 40  # of a slot's outline
     slot_stretch: float = 1.15  # length over width; below that it is a circle
     slot_tolerance: float = 0.03  # of the width: a rectangle's corners lie 0.2 of it outside
-    slot_inside: float = 0.9  # of the points within that
-    slot_coverage: float = 0.75  # of the outline with points
+    slot_inside: float = 0.9  # share of the points within that
+    slot_coverage: float = 0.75  # share of the outline with points
     slot_steps: int = 12  # of Gauss-Newton
     slot_bins: int = 40  # of the outline, for its coverage
     pattern_alike: float = 0.15  # difference in size (log of the area) of two holes of a perforated table
@@ -115,8 +115,8 @@ class CadParams:
     max_sigma_mm: float = 0.3  # a job's limit; twice the above, across the face, is in every result
     above_grey: float = 150.0  # of faces above the painted one
     finer: int = 4  # sub-pixels of the painting, in x and y
-    level_mm: float = 0.01  # heights of one face
-    level_sine: float = 1 - 1e-6  # of a level face's normal
+    level_mm: float = 0.01  # between heights of one face
+    level_sine: float = 1 - 1e-6  # cosine between a level face's normal and up
     min_span: float = 0.6  # of a circle that is cut: with less it is a rounded corner
     meet_mm: float = 0.1  # between the ends of two edges that meet
     sight_points: int = 48  # of a curve, at which occlusion is tested
@@ -137,9 +137,9 @@ class CadParams:
     max_starts: int = 40_000  # poses that are rated
     chunk: int = 2_000  # of them at a time, which bounds the memory
     refined: int = 12  # rounds of refining the best pose
-    floor_mm: float = 0.004  # of the robust scale
+    floor_mm: float = 0.004  # smallest difference in the weights of least absolute differences
     min_matched: float = 0.6  # of the taught curves must have a partner: with fewer it is another part
-    min_curves: int = 2  # in common
+    min_curves: int = 2  # with a partner
     rival: float = 0.02  # share by which the best pose must score better than others
     edge_weight: float = 0.3  # of an edge beside a circle: a break shifts the edge and leaves the centre
     weld_mm: float = 1e-4  # between corners that are one; single precision of a part of a metre is finer

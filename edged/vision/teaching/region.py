@@ -74,7 +74,7 @@ class PolygonRegion:
             raise TeachError(f"region polygon: expected 3 to {MAX_CORNERS} corners X,Y")
         if not np.isfinite(corners).all() or np.abs(corners).max() > FARTHEST_PX:
             raise TeachError("region polygon: expected corners X,Y in pixels of the left image")
-        corners = corners[(corners != np.roll(corners, 1, axis=0)).any(axis=1)]  # no repeats
+        corners = corners[(corners != np.roll(corners, 1, axis=0)).any(axis=1)]  # the last is often the first
         if (crossing := first_crossing(corners)) is not None:
             first, second = crossing
             raise TeachError(
