@@ -1,4 +1,4 @@
-"""Where light shows an edge on the arc of a rounding or a worn chamfer, which differs between pictures.
+"""Unknown places at which light shows edges on the arcs of roundings and worn chamfers, by picture.
 
 A chamfer's edges lie where its faces end. An arc has no edges: grey values change all along it, and most at a
 place that depends on light and view. Surfaces that face the same way look alike: so all profiles of a curve

@@ -63,7 +63,7 @@ def _with_covariance(model: EdgeModel, images: StereoImages, fit: AdjustedPose) 
     profiles = fit.profiles
     design, left, weights = fit.design, fit.left, fit.weights
     inverse, freed = fit.inverse[:6], fit.arcs.free(weights, design)
-    response = inverse @ (weights[:, None] * freed).T  # (6, M): of the twist to each shift
+    response = inverse @ (weights[:, None] * freed).T  # (6, M): motion of the twist by each shift
     by_light = PROFILE.light_px * (response @ np.sign(profiles.height))
     block = _blocks(2 * profiles.seen.curve + profiles.camera, fit.arcs)
     edges = _jackknife(design, freed, weights, left, fit.inverse, block)[:6, :6] + np.outer(
@@ -179,7 +179,7 @@ def _by_calibration(
 
 
 def _added(model: EdgeModel, images: StereoImages, profiles: Profiles) -> tuple[FloatArray, FloatArray]:
-    """(M,) motion along the normals by a shift of the right picture across its rows, and by growth."""
+    """Motions (M,) along the normals by a shift of the right picture across its rows, and by growth."""
     rows, right = np.zeros(len(profiles.camera)), profiles.camera == 1
     rows[right] = profiles.seen.normals[right] @ _across_rows(images)
     return rows, np.einsum("mj,mj->m", profiles.seen.design[:, 3:], profiles.points - model.centre)

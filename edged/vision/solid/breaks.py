@@ -48,7 +48,7 @@ class LaidBody:
 
 
 def lay_with_breaks(images: StereoImages, model: EdgeModel, pose: FloatArray) -> LaidBody | None:
-    """Lay a model on a pair from rig_from_part (4, 4), good to a millimetre, and find its edge breaks.
+    """Fit a model to a pair from rig_from_part (4, 4), good to a millimetre, and find its edge breaks.
 
     None where the pair does not show it there.
     """

@@ -78,7 +78,7 @@ class EdgePoints(NamedTuple):
 
 
 EDGES = 3
-"""Numbers of edges for each curve: the unbroken edge, and both edges of its break."""
+"""Edge numbers per curve: the unbroken edge, and both edges of its break."""
 
 
 def chains_of(curve: I64) -> I64:

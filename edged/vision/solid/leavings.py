@@ -69,7 +69,8 @@ class Gain:
 class Leavings:
     """Residuals of one form in all windows, to compare others with.
 
-    left (M,) : logarithm of the square sum of each profile; curve, block (M,).
+    left (M,) : logarithm of the square sum of each profile.  curve (M,) : its number.  block (M,) : number of
+    the curve in its picture.
     """
 
     model: EdgeModel
@@ -111,7 +112,7 @@ class Leavings:
         return np.asarray(np.bincount(self.curve, gains, minlength=count) / np.maximum(many, 1))
 
     def gain(self, model: EdgeModel, views: Sequence[LaidPair]) -> Gain:
-        """Gain of a form over the one that was given first.
+        """Gain of a form over this one.
 
         Slopes beyond the edges are fitted, too: those of a wall or its shadow are no second edge, but would
         gain like one.

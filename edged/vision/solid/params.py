@@ -18,7 +18,7 @@ class EdgeModelParams:
     flat: float = 1.0 - 1e-7  # cosine: flat up to rounding errors
     smooth: float = 0.8  # cosine between two sides of one curve: arcs have at least ten chords
     convex: float = -0.2  # cosine between the normal of a face and the direction into the other one
-    steep: float = 0.5  # cosine between two faces: with more the edge is an end of a chamfer of 45 degrees
+    steep: float = 0.5  # cosine between two faces: with more the edge is one of a chamfer's two
     tiny_mm: float = 1e-9  # against a division by 0
 
 
@@ -176,7 +176,7 @@ class ProfileParams:
     drawn_px: float = 0.7  # between samples when neighbouring edges are found: none is missed
     every: int = 4  # one of so many is measured: about the correlation length of a pixel and a lens
     step_px: float = 0.5  # of a profile
-    half_px: float = 5.0  # of its length
+    half_px: float = 5.0  # half of its length
     widest_px: float = 2.0  # largest shift that is searched for: the lock is good to one px
     own_px: float = 0.3  # two edges nearer than that are one
     reach_px: float = 8.0  # distance of neighbouring edges that a profile shows
@@ -265,8 +265,8 @@ class SymmetryParams:
     least_rad: float = math.radians(8.0)  # the lock converges from smaller turns
     near: float = 0.01  # of its size: points that are one
     min_share: float = 0.55  # of the edges: rivals with fewer in common differ in half of all samples
-    most: int = 12  # turns
-    round_share: float = 0.97  # of the edges that any turn leaves where they are
+    most: int = 12  # turns that are tried
+    round_share: float = 0.97  # share of the edges that any turn of a round part leaves where they are
 
 
 SYMMETRY = SymmetryParams()
@@ -289,7 +289,8 @@ class DecisionParams:
     """Share of its curves that must show of a part known by them alone: with a third covered it is still
     measured; one that lacks more is another part with the same outline."""
     circles: float = 0.5
-    """The same of its circles (`SolidParams.min_found`): another part of that outline has other holes."""
+    """Share of its circles that must show (`SolidParams.min_found`): another part of that outline has other
+    holes."""
     lying_rad: float = math.radians(8.0)  # largest tilt of parts of a job that allows for none
     tilt_margin_rad: float = math.radians(5.0)  # added to the allowed tilt: views are 13 degrees apart
     rival_steps: int = 4  # last ones of the fine lock, for a turn that leaves the part like itself
@@ -361,7 +362,7 @@ class LeavingsParams:
     Where a line names no source, `tools/bench ablate --only LeavingsParams` shows what the number earns.
     """
 
-    half_px: float = 8.0  # of a profile's length: holds both edges of a break of half a millimetre
+    half_px: float = 8.0  # half of a profile's length: holds both edges of a break of half a millimetre
     blurs_px: tuple[float, ...] = (0.6, 0.9)  # with which forms are compared roughly
     doubt: float = 0.2  # gain of a curve below which it may be chance, by texture
     least_gain: float = math.log(2.0)

@@ -263,7 +263,7 @@ def scatter_of(left: FloatArray, stretch: I64, good: B8) -> FloatArray:
     count, numbers = len(left), 0
     for m in range(count):
         numbers = max(numbers, stretch[m] + 1)
-    # all good residuals, those of one stretch behind each other
+    # all good residuals, sorted by stretch
     ends = np.zeros(numbers + 1, np.int64)
     for m in range(count):
         ends[stretch[m] + 1] += good[m]

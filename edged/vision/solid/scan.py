@@ -135,7 +135,7 @@ def responses(grey: F32) -> U8:
     chance = np.clip(cv2.blur(fits.mean(axis=0), (SCAN.chance_px,) * 2), least, most)
     shows = EVIDENCE.shown * EVIDENCE.found
     miss, full = math.log(1 - shows), math.log(shows / least + 1 - shows)
-    gain = (np.log(shows / chance + 1 - shows) - miss) / (full - miss)  # of a hit against a miss
+    gain = (np.log(shows / chance + 1 - shows) - miss) / (full - miss)  # of an edge over none, up to 1
     return np.asarray(np.rint(FULL * gain * fits), np.uint8)
 
 

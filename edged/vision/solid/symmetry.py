@@ -32,7 +32,7 @@ def like_turns(model: EdgeModel, axis: tuple[float, float]) -> tuple[FloatArray,
 
 
 def is_round(model: EdgeModel, axis: tuple[float, float]) -> bool:
-    """Whether all turns about a line along z at axis (x, y) leave all edges where they are."""
+    """Whether every turn about a line along z at axis (x, y) leaves nearly all edges where they are."""
     return bool(_shares(model, axis)[1].min() > SYMMETRY.round_share)
 
 
