@@ -93,7 +93,10 @@ class Surroundings:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Odds:
-    """Chance edges on the face of a part; own, foreign (T, K) : shares of these points of K `turns`."""
+    """Chance edges on the face of a part.
+
+    own, foreign (T, K) : shares of these points of K `turns` that show an edge by chance.
+    """
 
     chance: Chance
     own: FloatArray
@@ -279,7 +282,7 @@ def _look_at_each(
 ) -> RotationSight:
     """`look` at several poses of one size, each at points of its own, all of them one after the other.
 
-    Forty rotations of a dozen points each at once take a fifth of the time.
+    Forty rotations of a dozen points each, looked at together, take a fifth of the time.
     """
     level, size = model.levels[0], [len(indices) for indices in points]
     placed = np.empty((sum(size), 4))

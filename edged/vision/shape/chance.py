@@ -80,7 +80,7 @@ class Chance:
         return np.asarray(np.where(looked > 0, (met + 0.5) / (looked + 1.0), ROTATIONS.unknown))
 
     def evidence(self, sets: Flags, slopes: FloatArray, strong: float, shares: FloatArray) -> FloatArray:
-        """How unlikely, in nats (K,), as many edges by chance are in each of K sets of points.
+        """Nats (K,) by which chance is unlikely to show as many edges in each of K sets of points.
 
         sets (K, N) : points of the model, with their `shares`.  slopes (N,) or (K, N) : strength of the edge
         that each shows.  strong : lower limit of the slopes that count.

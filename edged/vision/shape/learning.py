@@ -144,7 +144,7 @@ def repetition(points: FloatArray) -> float:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _EdgePoints:
-    """points (N, 2), normals (N, 2) unit gradients, slope: their median; thin (H, W), their pixels."""
+    """points (N, 2), normals (N, 2) unit gradients; slope : median there; thin (H, W) : their pixels."""
 
     points: FloatArray
     normals: FloatArray

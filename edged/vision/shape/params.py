@@ -35,7 +35,7 @@ class ModelParams:
 Polarity = Literal["same", "global", "local", "ignore"]
 SubPixel = Literal["none", "rigid", "similarity", "stretch", "affine", "projective"]
 EACH_EDGE_ITSELF: tuple[Polarity, ...] = ("local", "ignore")
-"""Where the sign of one edge says nothing about that of another."""
+"""Polarities by which the sign of one edge says nothing about that of another."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,7 +46,7 @@ class SearchParams:
     scale_min, scale_max : range of the size.
     scale_y_min, scale_y_max : range of the size along the model's y axis, independent of x; None: as along x.
     min_score : (0, 1], share of the model that must be seen and agree.
-    max_matches : the best ones are returned.
+    max_matches : so many are returned at most, the best ones.
     max_overlap : of two matches that share more than this of their area, the better one remains.
     polarity : contrast "same" as taught; "global": all may be inverted together; "local": each
         stretch of the outline by itself; "ignore": each edge by itself, which clutter imitates most easily.
@@ -193,7 +193,7 @@ class RotationParams:
     Where a line names no source, `tools/bench ablate --only RotationParams` shows what the number earns.
     """
 
-    apart_px: float = 2.0  # a point farther from the outline of another rotation belongs to its own one
+    apart_px: float = 2.0  # a point farther from another rotation's outline is its own rotation's only
     alike: float = 0.8  # cosine between normals of points on one smooth outline
     min_apart: int = 8  # points of its own that a rotation needs for the image to show or deny it
     turns: int = 72  # rotations compared, besides the taught ones: each settles on the best one near it
@@ -221,7 +221,7 @@ class RotationParams:
     mistakes: float = 1e-6  # wanted share of wrong rotations that chance makes look right
     clear_px: float = 4.0  # from every edge of the model: reach and width of the operator
     rare: tuple[float, ...] = (0.05, 0.02, 0.005)
-    """Shares of places on the face where chance shows an edge as strong as one that counts, one by one."""
+    """Shares of places where chance may show an edge that counts: each gives a threshold of its strength."""
     often: float = 0.2  # share at which edges are frequent enough to show how they cluster
     max_looks: int = 960  # places looked at elsewhere: a tenth of a millisecond
     max_points: int = 128  # points of the model that take part

@@ -72,7 +72,7 @@ def one_level_finer(pose: FloatArray) -> FloatArray:
 
 
 def covariance(matrix: FloatArray, freedom: int, sigma: float, pose: FloatArray) -> FloatArray:
-    """(5, 5) of x, y, angle, scale x, scale y from the normal matrix of the fit."""
+    """Covariance (5, 5) of x, y, angle, scale x, scale y from the normal matrix of the fit."""
     found = np.full((5, 5), np.nan)
     if not freedom:
         return found

@@ -89,7 +89,7 @@ def fill_responses(
             u = directions[0, parity >> 1, parity & 1].reshape(-1)[first:last]
             v = directions[1, parity >> 1, parity & 1].reshape(-1)[first:last]
             for i in range(len(inner)):
-                # rounds to nearest: truncation of what is made positive first
+                # rounds to nearest: truncates after the value is made positive
                 inner[i] = np.int32(u[i] * cosine + v[i] * sine + np.float32(8.5)) - 8
 
 
@@ -168,7 +168,8 @@ def scan(
     """Best score and pose per position, sign and sector.
 
     maps : flat response maps.  offsets : (P, N) where in `maps` each point of each pose begins.
-    best, pose : (2, SECTORS, positions), zero on entry; poses below threshold are not entered.
+    sectors : (P,) of each pose.  best, pose : (2, number of sectors, positions); best is zero on entry, and
+    poses below threshold are not entered.
     """
     count = offsets.shape[1]
     sums, words = np.empty(BLOCK, np.int8), np.empty(BLOCK, np.int16)
@@ -207,7 +208,7 @@ def collect_peaks(
     threshold: int,
     peaks: Array,
 ) -> int:
-    """Local maxima (3x3) of the best scores as rows (value, sign, sector, row, column); returns their number.
+    """Write local maxima (3x3) of the best scores as rows (value, sign, sector, row, column); their number.
 
     When there are more than `peaks` holds, the highest are kept, of equal ones the first.
     """
@@ -380,7 +381,7 @@ def best_of_each_place(
 def pose_offsets(
     points: Array, directions: Array, poses: Array, rows: int, columns: int, pad: int, offsets: Array
 ) -> None:
-    """Where each point of poses (P, 3), angle, scale x, scale y, begins in the flat maps: offsets (P, N)."""
+    """Write offsets (P, N) in the flat maps of each point of poses (P, 3): angle, scale x, scale y."""
     placed = np.empty((points.shape[0], 3), np.int64)
     for p in range(poses.shape[0]):
         place_on_maps(points, directions, poses[p, 0], poses[p, 1], poses[p, 2], pad, placed)

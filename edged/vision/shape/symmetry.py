@@ -99,7 +99,7 @@ def find_symmetry(image: Image, origin_px: FloatArray, levels: Sequence[Level], 
 
 
 def _with_inverses(rotations: FloatArray) -> FloatArray:
-    """Add the missing inverses of motions: if one may be mistaken, so may its inverse."""
+    """Add missing inverses: after the inverse of such a motion, the shape looks as similar."""
     complete = list(rotations)
     for dx, dy, angle, similarity in rotations:
         if not any(angle_between(other[2], -angle) < 0.1 for other in complete):

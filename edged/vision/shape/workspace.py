@@ -88,14 +88,14 @@ class Workspace:
 
 
 class WorkspacePool:
-    """Work spaces for as many searches as run at once, from any thread; the last used is lent first."""
+    """Workspaces for as many searches as run at once, from any thread; the last one used is lent first."""
 
     def __init__(self) -> None:
         self._free: list[Workspace] = []
 
     @contextmanager
     def lend(self) -> Iterator[Workspace]:
-        """A work space for exclusive use until the block ends."""
+        """A workspace for exclusive use until the block ends."""
         try:
             work = self._free.pop()  # one step under the GIL: two threads never get the same
         except IndexError:
