@@ -117,7 +117,7 @@ class ViewScanParams:
     points: int = 120  # of a view
     glance_points: int = 32  # of these, with which a view is compared at all places
     peaks: int = 2  # best places of a view
-    looked_at: int = 2000  # best of all of these, which are compared with all points
+    looked_at: int = 2000  # best of all of these, compared with all points, which show more than some
     sought: int = 400  # best of those, which are moved along their lines of sight
     spacing_px: float = 1.0  # between the points of a view before a random choice
     fewest: int = 20  # points of a view
