@@ -157,7 +157,8 @@ class ClimbParams:
     """Sigma of the change of magnification from origin to rim: 10° on a part of a fifth of the distance."""
     steep_prior: float = 0.06  # the same for a shape tilted by up to 45°
     steep_reach_px: tuple[float, ...] = (3.0, 3.0, 2.0, 2.0, 2.0)
-    """Reach of each step from a view some degrees off: it moves farther. Below the top, the first two."""
+    """Reach of each step from a view some degrees off: it moves farther, in all unknowns. Below the top level
+    the first two."""
     max_stretch: float = 1.25  # derivation: 1 / cos 35°
     stretches: int = 4  # local polarity has one sign within cells of the radius over this
     first_points: int = 128  # of the first step on the finest level: they are in random order
@@ -236,7 +237,7 @@ class RotationParams:
     round: float = 0.93  # a shape at least as similar at any rotation is round
     min_contrast: float = 2.0
     """Grey values per px: edges as weak as a search accepts may be mistaken for the model's."""
-    max_rotations: int = 24  # that are checked
+    max_rotations: int = 24  # that are checked; a part with more is round
 
 
 ROTATIONS = RotationParams()
