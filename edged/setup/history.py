@@ -255,9 +255,10 @@ def write_solved(draft: DraftFile[S], state: S, digest: str, files: Mapping[str,
 
 
 def solved_rig(folder: Path, digest: str | None, counted: str) -> bytes:
-    """Content of the rig file that a draft was solved to. digest : in its state.  counted : its inputs' name.
+    """Content of the rig file that a draft was solved to.
 
-    Raises `CalibrationError` if it is not solved, `FileFormatError` if the file was changed.
+    digest : in the draft's state.  counted : name of its inputs, for messages. Raises `CalibrationError` if
+    it is not solved, `FileFormatError` if the file was changed.
     """
     if digest is None:
         raise CalibrationError(f"it is not solved, or its {counted} have changed since: solve it first")

@@ -209,7 +209,7 @@ class Calibrated:
 
     @property
     def rig(self) -> StereoRig:
-        """The calibrated rig; it is known that it can be rectified."""
+        """The calibrated rig, checked to be rectifiable."""
         return self.calibration.rig
 
 

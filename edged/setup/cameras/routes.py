@@ -163,7 +163,7 @@ class EdgeSpread(Answer):
 
 
 class AdviceNow(Answer):
-    """Advice. code : good, less_light, more_light, light_for_gain. exposure_factor : of exposure time."""
+    """Advice on light. code : good, less_light, more_light, light_for_gain. exposure_factor : suggested."""
 
     code: str
     exposure_factor: float

@@ -44,7 +44,7 @@ class MarksLookDocument(Frozen):
 
 
 class TaughtDocument(Frozen):
-    """The last teaching on the page. sigma_um : due to the marks of one exposure, of a part among them."""
+    """The last teaching on the page. sigma_um : left in a part among the marks after one exposure."""
 
     at: str
     by: str

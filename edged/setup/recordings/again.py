@@ -68,7 +68,7 @@ def tried(before: Sequence[Json], after: Sequence[Json]) -> list[TriedCycle]:
         other, head = later.get(line["number"]), (line["number"], line["at"], line["job"])
         if other is None:  # recorded or removed between the two runs
             continue
-        if "shown" not in line:  # the present version cannot measure it either
+        if "shown" not in line:  # the present version cannot measure it
             cycles.append(TriedCycle(*head, skipped=line["skipped"], detail=line["detail"]))
             continue
         if "shown" not in other:

@@ -55,7 +55,7 @@ class RegistrableCell(Protocol):
 
     @property
     def loaded(self) -> Loaded:
-        """What it measures with at present."""
+        """Files and jobs that it measures with at present."""
 
     async def register(self, base: object, save: Callable[[], None]) -> Setup:
         """Save the rig and measure with it. Raises `EdgedError`, `OSError`; also if base is not loaded."""

@@ -209,7 +209,7 @@ class RegistrationSampling:
         return self._judged(state, solved, f"held out {solved.held_out_rms_mm:.3f} mm")
 
     def _other_reading(self, solved: FromPoses) -> str:
-        """Sentence on another reading of the numbers that fits so much better that it must be right; ""."""
+        """Another reading of the numbers that fits so much better that it must be right, in words, or ""."""
         assert self.board is not None
         if not all(self.shown):
             return ""

@@ -246,7 +246,7 @@ def _ranked(
 
 
 def _other_reading(readings: tuple[PoseReading, ...], stated: int | None) -> Trouble | None:
-    """Trouble naming a reading that fits so much better than the stated one that it must be right; None."""
+    """Trouble naming a reading that fits so much better than the stated one that it must be right, if any."""
     if not readings:
         return None
     best = readings[0]

@@ -1,4 +1,4 @@
-"""Installs a release in place of a cell's files. A failure restores the old files; a power cut is made good.
+"""Installs a release in place of a cell's files. A failure restores the old ones; a power cut leaves either.
 
     installing.tar.gz   the release, from before its first file is written until the cell runs with it
     before.tar.gz       the files that the last one replaced, as `edged restore` reads them

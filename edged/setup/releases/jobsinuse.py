@@ -46,7 +46,7 @@ class Candidate:
 
 @dataclass(frozen=True, slots=True)
 class JobsInUse:
-    """Jobs of a cell. folder : that holds them.  wanted : name of the job that the cell begins with."""
+    """Jobs of a cell. folder : with all jobs.  wanted : name of the job that the cell begins with."""
 
     folder: Path
     lines: tuple[JobLine, ...]

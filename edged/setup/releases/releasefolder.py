@@ -37,7 +37,7 @@ Number = Annotated[int, Field(ge=1, le=999_999)]
 class Tested(Kept):
     """Regression test on recorded cycles before a release became active. regression : its id; None without.
 
-    cycles : number it was, or would have been, tried on. signed : why it became active all the same.
+    cycles : how many it was, or would have been, tried on. signed : why it became active all the same.
     """
 
     regression: Text | None

@@ -39,7 +39,7 @@ class Rings(Body):
 
 
 class ShowRequest(Body):
-    """What the cameras shall see; omitted fields stay. waving : "none" ends it."""
+    """Objects to show to the cameras; omitted fields stay. waving : "none" ends it."""
 
     showing: Literal["part", "board", "nothing"] | None = None
     covered: bool | None = None
