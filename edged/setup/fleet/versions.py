@@ -34,7 +34,7 @@ from edged.setup.history import Kept, Text
 COMPLETE, ORDER, SWITCHED = ".complete", "order.json", "switched.json"
 CURRENT, PREVIOUS, AGENT = "current", "previous", "agent"
 START_S = 900.0
-"""A new version whose gate does not judge within this time has not come up; it may have to compile first."""
+"""A new version not judged within this time has not come up; on another processor it compiles first."""
 RESTARTS = 3
 """Restarts during probation from which on the daemon counts as not running."""
 POLL_S = 1.0

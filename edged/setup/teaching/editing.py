@@ -219,7 +219,7 @@ def with_tolerances(job: Job, was: Job) -> Job:
 
 
 def picking_of(former: FormerFiles, taught: Job, moved: FloatArray | None) -> Picking:
-    """Picking of the replaced job; its grasps are kept only if the part's pose relates to the former one."""
+    """Picking of the replaced job; without grasps if the part's pose against the former one is unknown."""
     was = former.job()
     was_drawn = bool(np.array_equal(was.rig_from_part[:3, :3], np.eye(3)))
     if not former.is_same_pair or (was_drawn and moved is None):
