@@ -20,7 +20,7 @@ from edged.vision.curves.edgenoise import Sighting, edge_noise
 from edged.vision.part.expected import Scatters
 
 StillVerdict = Literal["honest", "larger", "smaller", "moving", "vanished"]
-"""larger, smaller : scatter, than it should be. moving, vanished : the part, so that nothing is judged."""
+"""larger, smaller : the scatter, against the expected one. moving, vanished : the part; nothing is judged."""
 
 FAR = 12.0
 """Distance in stated sigmas from its median place at which a part counts as moved."""
