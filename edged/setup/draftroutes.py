@@ -112,8 +112,8 @@ class DraftRoutes:
     ) -> None:
         """Add routes to list, get, discard, undo and redo drafts.
 
-        field : of the list with the drafts.  words : descriptions for "GET all", "GET", "DELETE".  about :
-        returns other fields of the list.
+        field : of the list with the drafts.  words : descriptions for "GET all", "GET", "DELETE".
+        about : returns other fields of the list.
         """
 
         async def listing(_call: Call[None]) -> Given:

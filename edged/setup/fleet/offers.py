@@ -32,9 +32,9 @@ Ring = Annotated[int, Field(ge=0, le=4)]
 class Offer(Kept):
     """A release as its plant signs it: the key `edged` in a target's custom metadata.
 
-    number : counts the plant's releases. ring : index into `RINGS`. cells : all of the plant. may_move_um :
-    by how much results on recorded cycles may move. kind : "file" is anything else, which no cell takes by
-    itself.
+    number : counts the plant's releases. ring : index into `RINGS`. cells : all of the plant.
+    may_move_um : by how much results on recorded cycles may move. kind : "file" is anything else, which no
+    cell takes by itself.
     """
 
     kind: Literal["jobs", "software", "file"]

@@ -42,11 +42,11 @@ class ProbationParams:
 
     good_is_withdrawn : type I error rate, of all tests together. bad_is_kept : type II error rate, of each
     test. odds, share : bad cycles count as more frequent at this factor of the odds, and by this share at
-    least. larger, rows, slower : factors at which sigma, epipolar rms and duration count as larger. moved_mm
-    : shift at which a camera counts as moved. baseline_sigmas : the usual value is raised by this many of its
-    sigmas, its one-sided 95 % limit. most_step : largest step of the log likelihood ratio in one cycle.
-    slow_step : the same for durations. most : number of cycles after which a release is kept unless a test
-    has decided against it.
+    least. larger, rows, slower : factors at which sigma, epipolar rms and duration count as larger.
+    moved_mm : shift at which a camera counts as moved. baseline_sigmas : the usual value is raised by this
+    many of its sigmas, its one-sided 95 % limit. most_step : largest step of the log likelihood ratio in one
+    cycle. slow_step : the same for durations. most : number of cycles after which a release is kept unless a
+    test has decided against it.
     """
 
     good_is_withdrawn: float = 0.001

@@ -120,9 +120,9 @@ def from_points(
 ) -> FromPoints:
     """Register from touched points, (N, 3) mm in both frames. Raises `CalibrationError`.
 
-    Three points cannot predict each other: the distances between them must agree within the limit. with_map :
-    also make a map of the robot's error, if it improves the fit; the limit then applies to points corrected
-    by it.
+    Three points cannot predict each other: the distances between them must agree within the limit.
+    with_map : also make a map of the robot's error, if it improves the fit; the limit then applies to points
+    corrected by it.
     """
     found = register_points(rig_mm, robot_mm)
     checked = bool(np.isfinite(found.held_out_mm).any())

@@ -61,9 +61,9 @@ class Judged:
     """Verdict on the samples so far.
 
     rows, sky : by the sample's name. culprit : the sample that is wrong, or agrees least if they disagree.
-    missing : rotation that the poses lack: "all", "tilt" or "wrist"; "" if they turn enough. readings :
-    ranked, best first; empty with fewer than four poses. stated : rank of the stated one among them. figures
-    : of the fit, mm. registered : set only if the result is good.
+    missing : rotation that the poses lack: "all", "tilt" or "wrist"; "" if they turn enough.
+    readings : ranked, best first; empty with fewer than four poses. stated : rank of the stated one among
+    them. figures : of the fit, mm. registered : set only if the result is good.
     """
 
     rows: Mapping[str, Row] = field(default_factory=dict)

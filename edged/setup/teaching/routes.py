@@ -80,8 +80,8 @@ class Taking(Revised):
 class DrawingUpload(Revised):
     """A DXF drawing, in base64, from which the job is learnt instead of a region.
 
-    depth_mm : of its face from the left camera; default: as stated before, or as the pair shows it. unit :
-    used if the drawing does not state one. layers : only these; empty for all that are switched on.
+    depth_mm : of its face from the left camera; default: as stated before, or as the pair shows it.
+    unit : used if the drawing does not state one. layers : only these; empty for all that are switched on.
     """
 
     name: Name
