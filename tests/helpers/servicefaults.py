@@ -35,10 +35,10 @@ FAKETIME = Path(f"/usr/lib/{os.uname().machine}-linux-gnu/faketime/libfaketime.s
 
 @dataclass(slots=True)
 class Killed:
-    """What many kills left behind.
+    """State left behind by many kills.
 
-    torn : unfinished files that kills left.  swept, children : of the start after the last kill, whether none
-    of them is left and which processes it has started.
+    torn : unfinished files that kills left.  swept, children : after the last start, whether none of these
+    files is left and which processes the daemon has started.
     """
 
     kills: int = 0

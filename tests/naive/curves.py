@@ -36,7 +36,7 @@ def correlation_length(residuals: FloatArray, weights: FloatArray) -> float:
 def solve(
     samples: Samples, unknowns: int, priors: int
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """(delta, covariance, weights, bias): every systematic shift is an unknown of its own with a prior."""
+    """(delta, covariance, weights, bias), where each systematic shift is an explicit unknown with a prior."""
     curves, many, starts = len(samples.kinds), samples.waves.shape[1], samples.starts
     parts = [slice(int(a), int(b)) for a, b in itertools.pairwise(starts)]
     shared = samples._replace(design=_in_bins(samples.design, parts), waves=_in_bins(samples.waves, parts))
@@ -223,7 +223,7 @@ def outline_samples(
 
 
 def curvatures(pixels: FloatArray, normals: FloatArray) -> FloatArray:
-    """(N,) turn of the normal from each sample's predecessor to its successor, per way, around one curve."""
+    """(N,) turn of the normal from each sample's predecessor to its successor, per length, on one curve."""
     angles = np.arctan2(normals[:, 1], normals[:, 0])
     turn = np.abs(np.angle(np.exp(1j * (np.roll(angles, -1) - np.roll(angles, 1)))))
     return turn / np.linalg.norm(np.roll(pixels, -1, axis=0) - np.roll(pixels, 1, axis=0), axis=1)
@@ -234,8 +234,8 @@ def paired_rows(
 ) -> list[list[tuple[FloatArray, FloatArray, float, float]]]:
     """Parts of each curve: lists of (row of the left image's weights, of the right one's, value, base).
 
-    The first two of (N,) are how a sample of both images makes up the row. Parts are means, differences, left
-    alone, right alone, those with too few edges left out.
+    The first two, (N,), are the weights of a sample's two images in the row. Parts are means, differences,
+    left alone, right alone, those with too few edges left out.
     """
     total, most = len(base[0]), np.abs(gain).max()
     share = np.full(total, 0.5)
