@@ -2,10 +2,10 @@
 
     from edged import load_rig, load_job, calibrate, teach, locate
 
-is the method as a library, see `edged.library`; it is loaded when one of its names is first used.
+imports the method as a library, see `edged.library`; it is loaded when one of its names is first used.
 """
 
-TYPE_CHECKING = False  # not of `typing`: to import edged loads nothing
+TYPE_CHECKING = False  # not imported from `typing`, so that importing edged loads nothing
 if TYPE_CHECKING:
     from edged.library import calibrate, load_job, load_rig, locate, save_job, save_rig, teach
 

@@ -1,4 +1,4 @@
-"""Entry point of `edged` and `python -m edged`: the one place where errors become exit codes."""
+"""Entry point of `edged` and `python -m edged`: the only place where errors become exit codes."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ import sys
 from pathlib import Path
 
 if sys.argv[1:2] == ["run"]:
-    # Before all that takes time: a reload that is asked for while the daemon loads waits until `serve` takes
-    # it, and would be its end otherwise; for a stop there is nothing to end in order yet.
+    # Before anything that takes time: a reload requested while the daemon starts waits until `serve` handles
+    # it, and would otherwise end the process; for a stop, there is nothing to shut down yet.
     signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGHUP})
     signal.signal(signal.SIGTERM, lambda *_: os._exit(0))
 
-# Matrices here are small: BLAS threads only spin against the vision thread (measured: 7 x slower beside a
-# busy core). Must be set before numpy is imported; an operator's own setting wins.
+# Matrices here are small: BLAS threads only compete with the vision thread (measured: 7 x slower beside a
+# busy core). Must be set before numpy is imported; an operator's own setting has precedence.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 from edged.errors import EdgedError, printable
@@ -28,7 +28,7 @@ def main() -> None:
         _leave_others_code_alone()
         app()
     except EdgedError as error:
-        # names and values of strangers' files are in it
+        # the text may contain names and values from untrusted files
         sys.stderr.write("\n".join(map(printable, f"edged: {error}".split("\n"))) + "\n")
         sys.exit(2)
     except KeyboardInterrupt:
@@ -39,10 +39,10 @@ def main() -> None:
 
 
 def _leave_others_code_alone() -> None:
-    """Root runs no kernels of a cache that somebody else may write: what numba finds there, it runs."""
+    """Do not let root use a kernel cache that another user may write: numba runs whatever it finds there."""
     folder = os.environ.get("NUMBA_CACHE_DIR")
     if folder and os.geteuid() == 0:
-        from edged.owners import other_owner  # hardly ever needed
+        from edged.owners import other_owner  # rarely needed
 
         user = other_owner(Path(folder))
         if user is not None:

@@ -1,8 +1,8 @@
-"""CBOR for what JSON can say: null, booleans, integers, floats, texts, lists, objects with text keys.
+"""CBOR restricted to what JSON has: null, booleans, integers, floats, strings, lists, objects with text keys.
 
-cbor2 reads and writes; here it is held to that subset, so that both encodings of a message say the same and
-nobody's bytes become a date, a regular expression or a structure that contains itself. Floats are written as
-64 bits, so that they survive exactly; everything has a definite length.
+cbor2 encodes and decodes; this module restricts it to that subset, so that both encodings of a message are
+equivalent and no foreign bytes become a date, a regular expression or a structure that contains itself.
+Floats are written with 64 bits, so that they are preserved exactly; everything has a definite length.
 Source: RFC 8949.
 """
 
@@ -17,12 +17,12 @@ import cbor2
 
 MAX_DEPTH = 32
 BYTES, TEXT, LIST, MAP, TAG = 2, 3, 4, 5, 6
-"""Major types, section 3.1."""
+"""CBOR major types, section 3.1."""
 
 
 @dataclass(frozen=True, slots=True)
 class CborBounds:
-    """Bounds for what is read. size : of the whole, in bytes; items : of all lists and maps, with keys."""
+    """Bounds for decoding. size : of the whole, in bytes; items : in all lists and maps, with keys."""
 
     size: int
     items: int
@@ -30,19 +30,19 @@ class CborBounds:
 
 
 ANYBODYS = CborBounds(1 << 20, 20_000, MAX_DEPTH)
-"""For results and questions of other programs: each has a few hundred items."""
+"""Bounds for results and requests of other programs: each has a few hundred items."""
 
 
 def encode_cbor(value: object) -> bytes:
-    """A value as CBOR. Raises `TypeError` for what JSON cannot say, `ValueError` beyond 64 bits."""
+    """Encode a value. Raises `TypeError` for a type that JSON lacks, `ValueError` beyond 64 bits."""
     _check(value)
     return cbor2.dumps(value, encoders={str: encode_text})
 
 
 def decode_cbor(data: bytes, bounds: CborBounds = ANYBODYS) -> Any:
-    """The value of a CBOR item. Raises `ValueError` for anything that `encode_cbor` would not write.
+    """Decode a CBOR item. Raises `ValueError` for anything that `encode_cbor` would not write.
 
-    What it needs is bounded by the length of the data, whatever the data claims.
+    Memory and time are bounded by the length of the data, whatever lengths the data claims.
     """
     try:
         value = decode_item(data, bounds, strict_hashable_types=True)
@@ -53,10 +53,10 @@ def decode_cbor(data: bytes, bounds: CborBounds = ANYBODYS) -> Any:
 
 
 def decode_item(data: bytes, bounds: CborBounds, *, strict_hashable_types: bool = False) -> Any:
-    """The one item that data is, of any kind, without tags: dates, expressions, what contains itself.
+    """Decode the single item in data, of any type but tags (dates, expressions, recursive structures).
 
-    Raises `cbor2.CBORDecodeError` and what cbor2 raises besides, `ValueError` for what is beyond bounds, and
-    for bytes behind it.
+    Raises `cbor2.CBORDecodeError` and other exceptions of cbor2, `ValueError` beyond the bounds and for bytes
+    after the item.
     """
     count_items(data, bounds)
     stream = io.BytesIO(data)
@@ -74,10 +74,10 @@ def decode_item(data: bytes, bounds: CborBounds, *, strict_hashable_types: bool 
 
 
 def count_items(data: bytes, bounds: CborBounds) -> int:
-    """How many items data has, read by their heads alone, before anything is made of them.
+    """Count the items in data from their heads alone, before anything is constructed.
 
-    An empty list is one byte, and 64 in memory. Raises `ValueError` where there are more than may be, for
-    tags and what has no definite length, and where data does not end with the item.
+    An empty list takes one byte here, and 64 in memory. Raises `ValueError` for more than the bounds allow,
+    for tags and indefinite lengths, and if data does not end with the item.
     """
     size = len(data)
     if size > bounds.size:
@@ -119,7 +119,7 @@ def count_items(data: bytes, bounds: CborBounds) -> int:
 
 
 class _NoTags(dict[int, Any]):
-    """Says of every tag, known to cbor2 or not, how it is read: not at all."""
+    """Tag decoders that refuse every tag, whether known to cbor2 or not."""
 
     def __missing__(self, tag: int) -> Any:
         def refuse(_content: object, _immutable: bool) -> object:
@@ -129,12 +129,12 @@ class _NoTags(dict[int, Any]):
 
 
 def encode_text(encoder: cbor2.CBOREncoder, text: str) -> None:
-    """Text as UTF-8; half of a surrogate pair, from a file name that is no UTF-8, becomes a question mark."""
+    """Encode text as UTF-8; a lone surrogate, from a file name that is not UTF-8, becomes a question mark."""
     encoder.encode_string(text.encode(errors="replace").decode())
 
 
 def _check(value: object) -> None:
-    """Raises `TypeError` for what JSON cannot say, `ValueError` for integers beyond 64 bits, however deep."""
+    """Raise `TypeError` for a type that JSON lacks, `ValueError` for integers over 64 bits, at any depth."""
     if isinstance(value, Mapping):
         if not all(isinstance(key, str) for key in value):
             raise TypeError("a key that is no text has no place in JSON or CBOR")

@@ -1,10 +1,11 @@
-"""A TCP port whose clients are counted from the moment they connect, with TLS and limits.
+"""TCP listener that counts its clients from the moment they connect, with TLS and limits.
 
-Responsible for listening, TLS, connection accounting, and that nothing stays open after `close`; not for who
-may connect (`admits`) nor for the protocol (`make`).
+It does the listening, TLS and connection accounting, and leaves nothing open after `close`; who may connect
+is decided by `admits`, and the protocol by `make`.
 
-Not `loop.create_server`: that counts nobody before the TLS handshake is over, leaves those in it behind when
-it closes, and without descriptors it accepts again and again, a line in the log each time.
+`loop.create_server` is not used: it does not count clients before the TLS handshake is over, abandons those
+in the handshake when it closes, and without free descriptors tries to accept again and again, with a log
+line each.
 """
 
 from __future__ import annotations
@@ -25,10 +26,10 @@ from typing import Any
 from edged.errors import ListenError
 from edged.logs import LogLimit
 
-BACKLOG = 128  # of the kernel, while the loop is busy
+BACKLOG = 128  # connections that the kernel queues while the loop is busy
 TURN = 16  # clients accepted before other tasks get their turn
 HANDSHAKE_S = 5.0
-REST_S = 0.2  # until the next try, when file descriptors have run out
+REST_S = 0.2  # pause before the next try, when file descriptors have run out
 SWEEP_S = 1.0
 CLOSE_S = 1.0
 EXHAUSTED = {errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM}
@@ -37,12 +38,12 @@ Address = IPv4Address | IPv6Address
 
 
 class TcpClient:
-    """A connection, from when it was accepted to its end.
+    """Connection, from its acceptance to its end.
 
-    name : its address as the operating system gives it. peer : the host of that.
-    active_s : time of the last `touch`. busy : a request of it is being answered.
-    has_flooded : it has sent more than it may, and was closed. is_let_in : the protocol knows who it is, and
-    that they may.
+    name : its address as the operating system gives it. peer : the host in it.
+    active_s : time of the last `touch`. busy : one of its requests is being answered.
+    has_flooded : it has sent more than it may, and was closed. is_let_in : the protocol has authenticated and
+    admitted it.
     """
 
     def __init__(self, listener: TcpListener, connection: socket.socket, name: tuple[Any, ...]) -> None:
@@ -63,7 +64,7 @@ class TcpClient:
         return self._transport is not None
 
     def is_silent(self, since_s: float) -> bool:
-        """Whether it has done nothing since then, and nothing is being done for it."""
+        """Whether it has been inactive since then, and none of its requests is being answered."""
         return not self.busy and self.active_s <= since_s
 
     def touch(self, *, busy: bool = False) -> None:
@@ -72,32 +73,32 @@ class TcpClient:
         self.busy = busy
 
     def limit(self, bytes_per_s: float, burst_bytes: float) -> None:
-        """Limit what it may send; with more it is closed."""
+        """Limit the rate at which it may send; beyond it is closed."""
         self._inflow = Rate(bytes_per_s, burst=burst_bytes)
 
     def may_send(self, size: int) -> bool:
-        """Whether what has come from it is within its limit."""
+        """Whether the bytes received from it are within its limit."""
         if self._inflow is not None and not self._inflow.take(size):
             self.has_flooded = True
         return not self.has_flooded
 
     def entered(self, transport: asyncio.Transport) -> None:
-        """The handshake is over."""
+        """Note that the handshake is over."""
         self._transport = transport
 
     def abort(self) -> None:
-        """End it now, also in its handshake; what is not sent is dropped. It counts no longer."""
+        """End it now, even during its handshake; unsent data is dropped. It is no longer counted."""
         if self._transport is not None:
             self._transport.abort()
         else:
-            # its socket belongs to a transport that is not ours yet: this ends the handshake
+            # its socket belongs to a transport that is not known here yet: this ends the handshake
             with contextlib.suppress(OSError):
                 self._connection.shutdown(socket.SHUT_RDWR)
         self._listener.forget(self)
 
 
 def tls_with(name: str, certificate: Path, key: Path) -> ssl.SSLContext:
-    """TLS of a server by PEM files. name : for messages. Raises `ListenError` for files that do not fit."""
+    """TLS context of a server from PEM files. name : for messages. Raises `ListenError` for bad files."""
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
     try:
         context.load_cert_chain(certificate, key)
@@ -107,7 +108,7 @@ def tls_with(name: str, certificate: Path, key: Path) -> ssl.SSLContext:
 
 
 async def listening_on(name: str, host: str, port: int) -> list[socket.socket]:
-    """Sockets that listen on a port, one for each address of the host.
+    """Open sockets that listen on a port, one for each address of the host.
 
     name : for messages. Raises `ListenError` that says what to do; then none stays open.
     """
@@ -137,9 +138,9 @@ async def listening_on(name: str, host: str, port: int) -> list[socket.socket]:
 class TcpListener:
     """Listens on one port.
 
-    name : for the log. make : the protocol of a client. admits : whether a new client may stay; may abort
-    others for it. left : called once for each admitted client, when it counts no longer.
-    idle_s : a client that is not busy and sends nothing for this long is closed; tells : this is logged.
+    name : for the log. make : creates the protocol of a client. admits : whether a new client may stay; may
+    abort others for it. left : called once for each admitted client, when it is no longer counted.
+    idle_s : a client that is not busy and sends nothing for this long is closed; tells : log this.
     """
 
     def __init__(
@@ -170,16 +171,16 @@ class TcpListener:
 
     @property
     def port(self) -> int:
-        """The port that is listened on; 0 when closed."""
+        """Port of the listener; 0 when closed."""
         return int(self._listening[0].getsockname()[1]) if self._listening else 0
 
     @property
     def clients(self) -> tuple[TcpClient, ...]:
-        """All clients, also those in their handshake."""
+        """All clients, including those in their handshake."""
         return tuple(self._clients.values())
 
     def client(self, name: tuple[Any, ...] | None) -> TcpClient | None:
-        """The client with this address; None when it has left."""
+        """Client with this address; None when it has left."""
         return self._clients.get(name) if name is not None else None
 
     async def open(self, host: str, port: int) -> None:
@@ -195,7 +196,7 @@ class TcpListener:
         self._sweep()
 
     def shut(self) -> None:
-        """Listen no longer; clients stay."""
+        """Stop listening; clients stay connected."""
         for timer in self._timers.values():
             timer.cancel()
         self._timers.clear()
@@ -206,7 +207,7 @@ class TcpListener:
         self._listening.clear()
 
     async def close(self) -> None:
-        """Listen no longer, end every client, and leave no socket behind."""
+        """Stop listening, end all clients, and leave no socket open."""
         self.shut()
         for client in self.clients:
             client.abort()
@@ -214,20 +215,20 @@ class TcpListener:
             await asyncio.wait(self._tasks, timeout=CLOSE_S)
         for task in self._tasks:
             task.cancel()
-        if self._open:  # connection_lost comes with a turn of the loop
+        if self._open:  # connection_lost is called in the next iteration of the loop
             self._is_empty.clear()
             with contextlib.suppress(TimeoutError):
                 await asyncio.wait_for(self._is_empty.wait(), CLOSE_S)
-        await asyncio.sleep(0)  # the transport below TLS has its own
+        await asyncio.sleep(0)  # the transport below TLS needs another iteration
 
     def forget(self, client: TcpClient) -> None:
-        """A client counts no longer."""
+        """Stop counting a client."""
         if self._clients.get(client.name) is client:
             del self._clients[client.name]
             self._left(client)
 
     def ended(self, client: TcpClient) -> None:
-        """A client's connection is no more."""
+        """Note that a client's connection has ended."""
         self.forget(client)
         self._open.discard(client)
         if not self._open:
@@ -240,7 +241,7 @@ class TcpListener:
             except (BlockingIOError, InterruptedError):
                 return
             except OSError as error:
-                # what went wrong with one connection before it was accepted comes here, too (accept(2))
+                # errors of a single connection before it was accepted are raised here, too (accept(2))
                 if error.errno in EXHAUSTED:
                     self._rest(listening, error)
                     return
@@ -257,7 +258,7 @@ class TcpListener:
             task.add_done_callback(self._tasks.discard)
 
     async def _receive(self, client: TcpClient, connection: socket.socket) -> None:
-        """Connect a client, through the handshake."""
+        """Connect a client, including the handshake."""
         loop = asyncio.get_running_loop()
         try:
             await loop.connect_accepted_socket(
@@ -266,22 +267,22 @@ class TcpListener:
                 ssl=self._context,
                 ssl_handshake_timeout=None if self._context is None else HANDSHAKE_S,
             )
-        except OSError as error:  # no handshake with this one: `ssl.SSLError` is one, too
-            # its frames and a future hold each other, and the handshake's buffers of 256 KiB with them
+        except OSError as error:  # the handshake failed: `ssl.SSLError` is an `OSError`, too
+            # its frames and a future reference each other, and keep the handshake's buffers of 256 KiB alive
             error.__traceback__ = None
         finally:
             if not client.is_in:
                 self.ended(client)
 
     def _rest(self, listening: socket.socket, error: OSError) -> None:
-        """Accept none for a moment: those that wait remain in the kernel's backlog."""
+        """Pause accepting: waiting clients remain in the kernel's backlog."""
         self._log.warning("%s: nobody can connect: %s", self._name, error.strerror)
         loop = asyncio.get_running_loop()
         loop.remove_reader(listening)
         self._timers[listening] = loop.call_later(REST_S, loop.add_reader, listening, self._accept, listening)
 
     def flooded(self, client: TcpClient) -> None:
-        """A client has sent more than it may."""
+        """Close a client that has sent more than it may."""
         self._log.warning("%s: %s sends too much, closed", self._name, client.peer)
         client.abort()
 
@@ -297,7 +298,7 @@ class TcpListener:
 
 
 class _Counted(asyncio.Protocol):
-    """The protocol of a client; tells the listener when it is connected and when it has gone."""
+    """Wrapper of a client's protocol; notifies the listener when it is connected and when it has gone."""
 
     def __init__(self, listener: TcpListener, client: TcpClient, inner: asyncio.Protocol) -> None:
         self._listener = listener
@@ -308,7 +309,7 @@ class _Counted(asyncio.Protocol):
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         if not isinstance(transport, asyncio.Transport):
             raise TypeError("a stream transport was expected")
-        if self._listener.client(self._client.name) is not self._client:  # it had to go while it came in
+        if self._listener.client(self._client.name) is not self._client:  # aborted during the handshake
             transport.abort()
             return
         self._is_in = True
@@ -341,7 +342,7 @@ class _Counted(asyncio.Protocol):
 
 
 class Rate:
-    """A token bucket: a number each second, and as many at once, or `burst`."""
+    """Token bucket: per_s tokens a second, and at most as many, or `burst`, at once."""
 
     def __init__(
         self, per_s: float, clock_s: Callable[[], float] = time.monotonic, *, burst: float | None = None
@@ -352,7 +353,7 @@ class Rate:
         self._left, self._seen_s = self._most, clock_s()
 
     def take(self, count: float = 1) -> bool:
-        """Whether this many more are within the rate."""
+        """Take this many if they are within the rate; False, and nothing is taken, if not."""
         now_s = self._clock_s()
         self._left = min(self._most, self._left + (now_s - self._seen_s) * self._per_s)
         self._seen_s = now_s
@@ -362,7 +363,7 @@ class Rate:
         return True
 
     def owe(self, count: float) -> None:
-        """Take this many, even more than there are: the next caller waits the longer."""
+        """Take this many, even if there are fewer: the next caller waits longer."""
         self.take(0)
         self._left -= count
 
@@ -373,7 +374,7 @@ class Rate:
 
 
 class Rates:
-    """A rate for each name; of more than `most` names the least recently used is forgotten."""
+    """A rate for each name; beyond `most` names the least recently used is forgotten."""
 
     def __init__(self, per_s: float, burst: float, most: int = 1024) -> None:
         self._per_s = per_s
@@ -382,7 +383,7 @@ class Rates:
         self._rates: OrderedDict[str, Rate] = OrderedDict()
 
     def of(self, name: str) -> Rate:
-        """The rate of a name."""
+        """Rate of a name."""
         rate = self._rates.setdefault(name, Rate(self._per_s, burst=self._burst))
         self._rates.move_to_end(name)
         while len(self._rates) > self._most:
@@ -391,7 +392,7 @@ class Rates:
 
 
 def _why(error: Exception, port: int) -> str:
-    """Why a port cannot be listened on, and what to do about it."""
+    """Reason why a port cannot be listened on, and what to do about it."""
     number = getattr(error, "errno", None)
     if isinstance(error, PermissionError):
         return (
@@ -406,7 +407,7 @@ def _why(error: Exception, port: int) -> str:
 
 @lru_cache(1024)
 def address_of(host: str) -> Address | None:
-    """A peer's address; IPv4 inside IPv6 counts as IPv4. None if it is not an address."""
+    """Parse a peer's address; IPv4 mapped into IPv6 counts as IPv4. None if it is not an address."""
     try:
         address = ip_address(host.partition("%")[0])
     except ValueError:
@@ -418,7 +419,7 @@ def address_of(host: str) -> Address | None:
 
 @lru_cache(1024)
 def network_of(host: str) -> str:
-    """What a peer has to itself, as a limit counts it: an IPv4 address, or a /64 of IPv6 (RFC 6177)."""
+    """Unit by which limits count peers: an IPv4 address, or a /64 network of IPv6 (RFC 6177)."""
     address = address_of(host)
     if isinstance(address, IPv6Address) and not address.is_link_local:
         return str(IPv6Network((address, 64), strict=False))

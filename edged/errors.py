@@ -6,32 +6,32 @@
     │   ├── FileFormatError       a rig, job, model or recording that cannot be used
     │   ├── ImageError            an image that cannot be read or does not fit
     │   ├── CalibrationError      calibration images that cannot give a calibration
-    │   │   └── Undetermined      views, poses or points that leave something open: more of them, elsewhere
+    │   │   └── Undetermined      views, poses or points that do not determine the result: add more, elsewhere
     │   └── TeachError            a region that cannot give a job
-    ├── CaptureError              a camera did not deliver: a fault, the daemon goes on
+    ├── CaptureError              a camera did not deliver: a fault, the daemon continues
     │   ├── CameraUnreachable     not found, or not answering
-    │   │   └── CameraRestarted   it was switched off and on, or gave up the connection
+    │   │   └── CameraRestarted   it was power-cycled, or gave up the connection
     │   ├── CameraBusy            another host controls it
     │   ├── CameraSetupError      it refuses a setting
-    │   │   └── WrongCamera       another camera than the one that was calibrated
+    │   │   └── WrongCamera       not the camera that was calibrated
     │   ├── FrameTimeout          no image in time
-    │   │   └── StreamStalled     again and again, though the camera answers
+    │   │   └── StreamStalled     several times in a row, though the camera answers
     │   ├── FrameIncomplete       packets lost, short or scrambled data
     │   └── PairingError          two frames that are not one exposure
-    │       ├── FrameRepeated     a frame that was there before, by its number
-    │       ├── FrameFrozen       a new number, and the same picture in every pixel
+    │       ├── FrameRepeated     the number of an earlier frame
+    │       ├── FrameFrozen       a new number, but a picture identical in every pixel
     │       ├── FrameUnpaired     one camera exposed, the other did not
     │       └── ExposuresDiffer   two exposures of one cycle that do not show the same
     ├── CommandRefused            a command that cannot be carried out (queue full, unknown job, ...)
-    │   └── BeingSetUp            the cell is in SETUP: nobody is served
+    │   └── BeingSetUp            the cell is in SETUP: no commands are served
     ├── TaskFailed                long work that ended without a result: its process was killed, or a bug
-    │   └── TaskTooLarge          it took more memory or time than it may: asked again, it would again
-    ├── LinkError                 the other process cannot be reached, or says what cannot be understood
+    │   └── TaskTooLarge          it took more memory or time than it may, and would do so again
+    ├── LinkError                 the other process cannot be reached, or sent an invalid message
     ├── RegressionNeeded          a job or rig that makes recorded cycles worse, or was not tried on them
-    ├── SetupRefused              SETUP cannot be entered, or is not (any more) whose token it was
-    ├── PlcFault                  a PLC whose memory cannot be read or written: the cell tries again for ever
+    ├── SetupRefused              SETUP cannot be entered, or the token's lease has ended
+    ├── PlcFault                  a PLC whose memory cannot be read or written: the cell keeps trying
     └── ListenError               a port or socket that cannot be opened
-        └── TookTooLong           not within the time that a server has to start or to end
+        └── TookTooLong           a server did not start or end within its time
 
 An expected miss (no target, low quality) is a `domain.Status`, never an exception.
 """
@@ -46,7 +46,7 @@ _FOLDERS = re.compile(r"(?<![\w/.:~-])/(?:[^\s/:;,'\"<>()|]+/)+")
 
 
 def without_folders(text: str) -> str:
-    """A message for who need not know this machine: of each absolute path the last part alone.
+    """Message for readers outside this machine: each absolute path is cut to its last part.
 
     >>> without_folders("/var/lib/edged/rig.json: not JSON; see /setup")
     'rig.json: not JSON; see /setup'
@@ -55,7 +55,7 @@ def without_folders(text: str) -> str:
 
 
 def printable(text: str) -> str:
-    """A text from anywhere as a terminal may get it: what would steer it is replaced, line ends too.
+    """Make untrusted text safe for a terminal: control characters are replaced, line ends too.
 
     >>> printable("rig\\x1b[2J")
     'rig�[2J'
@@ -64,14 +64,14 @@ def printable(text: str) -> str:
 
 
 class EdgedError(Exception):
-    """Root of the tree."""
+    """Base class of all errors of edged."""
 
 
 class UserError(EdgedError):
     """Wrong usage or input. The message names the place and what was expected.
 
-    code : which mistake of this class it is, for callers with a sentence of their own for it; "" for any.
-    params : what such a sentence needs.
+    code : identifies the mistake within its class, for callers that have their own text for it; "" if none.
+    params : values for such a text.
     """
 
     def __init__(self, message: str, code: str = "", **params: str | float) -> None:
@@ -106,7 +106,7 @@ class CalibrationError(UserError):
 
 
 class Undetermined(CalibrationError):
-    """Views, or poses and points of a robot, that leave open what was asked of them."""
+    """Views, or poses and points of a robot, that do not determine the result."""
 
 
 class TeachError(UserError):
@@ -170,19 +170,19 @@ class CameraRestarted(CameraUnreachable):
 
 
 class WrongCamera(CameraSetupError):
-    """Another serial number than the configuration names: cables or addresses were swapped."""
+    """The serial number is not the configured one: cables or addresses were swapped."""
 
     code = 108
 
 
 class FrameRepeated(PairingError):
-    """A frame that was there before, by its number."""
+    """A frame with the number of an earlier one."""
 
     code = 109
 
 
 class FrameFrozen(PairingError):
-    """A new number, and the same picture in every pixel."""
+    """A frame with a new number, but a picture identical in every pixel."""
 
     code = 110
 
@@ -218,14 +218,14 @@ class TaskFailed(EdgedError):
 
 
 class TaskTooLarge(TaskFailed):
-    """Long work that took more memory or processor time than a task may: of which, and how much it may."""
+    """Long work that took more memory or processor time than a task may; the message has the limit."""
 
 
 class RegressionNeeded(EdgedError):
-    """A job or rig that makes recorded cycles worse, or was not tried on them: somebody must sign for it.
+    """A job or rig that makes recorded cycles worse, or was not tried on them: a person must sign for it.
 
-    cycles : recorded, that it concerns. good_to_bad : of them; None: it was not tried. regression : its id.
-    params : all of that.
+    cycles : number of recorded cycles that it concerns. good_to_bad : those that became bad; None: not tried.
+    regression : id of the trial. params : all of these.
     """
 
     def __init__(self, cycles: int, good_to_bad: int | None, regression: str | None) -> None:
@@ -240,7 +240,7 @@ class RegressionNeeded(EdgedError):
 
 
 class LinkError(EdgedError):
-    """The link between the cell and its page: closed, of another version, or with a message that is none."""
+    """The link between the cell and its page is closed, of another version, or had an invalid message."""
 
 
 class SetupRefused(EdgedError):
@@ -252,7 +252,7 @@ class ListenError(EdgedError):
 
 
 class PlcFault(EdgedError):
-    """A PLC whose memory cannot be read or written. code : of the step that failed, for the log."""
+    """A PLC whose memory cannot be read or written. code : names the step that failed, for the log."""
 
     def __init__(self, message: str, code: str) -> None:
         self.code = code
@@ -265,7 +265,7 @@ class TookTooLong(ListenError):
 
 @contextmanager
 def translated(kind: Callable[[str], EdgedError], what: str) -> Iterator[None]:
-    """Raise what the operating system refuses as an error of ours, whose message begins with `what`."""
+    """Convert an `OSError` raised inside to an `EdgedError` whose message begins with `what`."""
     try:
         yield
     except OSError as error:

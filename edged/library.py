@@ -1,7 +1,7 @@
-"""The method as a library: images in, poses with covariance out; no daemon, no files needed.
+"""The method as a library: images in, poses with covariance out; needs no daemon and no files.
 
-Each name is imported as `from edged import locate`. Lengths are in mm, angles in rad, pixels (x, y) with an
-integer at a pixel's centre, covariances in the units of what they are of. Every refusal is an
+Each name is imported as `from edged import locate`. Lengths are in mm, angles in rad, pixels (x, y) with
+integers at pixel centres, covariances in the units of their quantities. Every refusal is an
 `edged.errors.UserError` whose text says what was expected.
 """
 
@@ -33,7 +33,7 @@ from edged.vision.teaching.pair import WantedJob
 from edged.vision.teaching.region import Area, Region
 
 PREPARED_RIGS = 4
-"""Rigs whose rectification is kept: it takes as long as several cycles, and 20 MB."""
+"""Number of rigs whose rectification is cached: it takes as long as several cycles, and 20 MB."""
 
 
 def load_rig(path: str | Path) -> StereoRig:
@@ -53,9 +53,9 @@ def load_job(folder: str | Path) -> Job:
 
 
 def save_rig(path: str | Path, calibrated: Calibrated | StereoRig) -> None:
-    """Write a rig with, after a calibration, the figures that it was judged by. Replaces a file in one step.
+    """Write a rig; after a calibration, with its quality figures. Replaces an existing file atomically.
 
-    Raises `FileFormatError` where it cannot be written.
+    Raises `FileFormatError` if it cannot be written.
     """
     if isinstance(calibrated, StereoRig):
         rigfiles.save_rig(Path(path), calibrated)
@@ -64,9 +64,9 @@ def save_rig(path: str | Path, calibrated: Calibrated | StereoRig) -> None:
 
 
 def save_job(folder: str | Path, job: Job) -> None:
-    """Write a job's folder; a job that was there is kept as FOLDER.old, later ones as FOLDER.2.old, ...
+    """Write a job's folder; an existing job is kept as FOLDER.old, later ones as FOLDER.2.old, ...
 
-    Raises `FileFormatError` where something else is there, or it cannot be written.
+    Raises `FileFormatError` if something else is there, or it cannot be written.
     """
     jobs.save_job(Path(folder), job)
 
@@ -80,15 +80,15 @@ def calibrate(
 ) -> Calibrated:
     """Calibrate two cameras from pictures of a board.
 
-    pairs : (left, right) of each exposure, (H, W) uint8; three at least, twenty are a good number.
-    board : as `edged calibrate` takes it, "chessboard:9x6:25" with the inner corners and the square's side in
-    mm; or that length alone, where the pictures show which board it is.
-    lens : the lens model, or "auto" to let the views choose it.
-    plate_shape : measure how the board is bent and misprinted, too.
+    pairs : (left, right) of each exposure, (H, W) uint8; at least three, twenty are a good number.
+    board : as for `edged calibrate`, "chessboard:9x6:25" with the inner corners and the square's side in mm;
+    or only that length, if the board can be identified from the pictures.
+    lens : the lens model, or "auto" to choose it by the views.
+    plate_shape : also measure how the board is bent and misprinted.
 
     Returns the `rig`, the `verdict` (grade, reasons, the view to add) and the `quality` figures. All lengths
-    are as true as the board's stated one. Raises `CalibrationError` when the pairs give no rig that can be
-    trusted, `ImageError` for arrays that are no grey images.
+    are as accurate as the given length of the board. Raises `CalibrationError` when the pairs give no
+    trustworthy rig, `ImageError` for arrays that are not grey images.
     """
     named = [Pair.of_images(f"pair {number}", *_grey(pair)) for number, pair in enumerate(pairs, 1)]
     boards, _ = boards_in(stated_boards(str(board)), [pair.left for pair in named])
@@ -111,14 +111,15 @@ def teach(
     """Learn a part from one stereo pair: its shape, and the circles, edges and slots that give its pose.
 
     left, right : raw images (H, W) uint8 of the rig's cameras.
-    region : where the part is in the left one, as x, y, width, height in px or as an `Area`; None: all of it.
-    exclude : what of it is not the part.
-    further : pairs that show the part tilted or in other light: they settle the form of its edge breaks.
-    tilt_rad : how far parts may lie tilted, up to 45 degrees; None: about as at teaching.
+    region : of the part in the left image, as x, y, width, height in px or as an `Area`; None: all of it.
+    exclude : areas of it that do not belong to the part.
+    further : pairs that show the part tilted or in other light: they determine the form of its edge breaks.
+    tilt_rad : maximum tilt of parts, up to 45 degrees; None: about as at teaching.
 
-    Its number on a PLC is 1; another one: `dataclasses.replace(job, number=2)`. What makes the job weaker, as
-    an edge that the region cuts, is a Python warning. Raises `TeachError` for a pair that teaches nothing, or
-    a further one that does not show the part, `ImageError` for images that the rig was not calibrated for.
+    Its number on a PLC is 1; for another one use `dataclasses.replace(job, number=2)`. Anything that weakens
+    the job, such as an edge that the region cuts, is a Python warning. Raises `TeachError` for a pair from
+    which no job can be learnt, or a further one that does not show the part, `ImageError` for images that the
+    rig was not calibrated for.
     """
     check_name(name)
     tilt_deg = None if tilt_rad is None else float(np.degrees(tilt_rad))
@@ -139,14 +140,15 @@ def teach(
 
 
 def locate(left: Image, right: Image, job: Job, rig: StereoRig) -> Outcome:
-    """Find a job's parts in one stereo exposure, and measure where they are.
+    """Find a job's parts in one stereo exposure, and measure their poses.
 
     left, right : raw images (H, W) uint8 of the rig's cameras.
 
     Returns the `status` and a `Target` for each part, those within the job's limits first, with
-    `rig_from_part` (4, 4), its `covariance` (6, 6) of (x, y, z, rotation vector), and `reject`, which says
-    why one is not good. `outcome.nearest.ask()` is the closest miss where nothing was found. The same images
-    give the same digits as in the daemon. Raises `ImageError` for images that the rig was not calibrated for.
+    `rig_from_part` (4, 4), its `covariance` (6, 6) of (x, y, z, rotation vector), and `reject`, the reasons
+    why it is not good. `outcome.nearest.ask()` is the closest miss if nothing was found. The results are
+    identical to those of the daemon for the same images. Raises `ImageError` for images that the rig was not
+    calibrated for.
     """
     pair = FramePair.of_images(left, right)
     return picked(pipeline.locate(pair, job, _prepared(rig)), job.picking, frame_of(rig))

@@ -1,9 +1,9 @@
-"""What every line of the log can say beside its text: which cycle it belongs to, and fields to search for.
+"""Structured fields of log lines, such as the cycle they belong to, and limits on repeated lines.
 
-`edged.adapters.journal` writes them; nothing here writes. Three things keep the log from being filled:
-`FaultLog` says a fault that lasts, or comes and goes, once, and when it is over, how often it happened;
-`LogLimit` is for lines that strangers can cause; `RepeatLimit` holds back whatever repeats itself all the
-same, also lines of libraries.
+`edged.adapters.journal` writes them; nothing here writes. Three classes keep the log from being flooded:
+`FaultLog` logs a fault that lasts, or comes and goes, once, and when it is over, how often it happened;
+`LogLimit` is for lines that strangers can cause; `RepeatLimit` suppresses all other repetition, including
+that of libraries.
 """
 
 from __future__ import annotations
@@ -19,34 +19,34 @@ from dataclasses import dataclass, field
 from edged.domain.events import Snapshot
 
 cycle_number: ContextVar[int | None] = ContextVar("cycle_number", default=None)
-"""The cycle that the running code works for; inherited by its tasks."""
+"""Number of the cycle that the running code works for; inherited by its tasks."""
 
 Fields = Mapping[str, str | int | float]
 
 RELAPSE_S = 60.0
-"""A fault that returns within this time is the same one: a loose plug, not a new event."""
+"""A fault that returns within this time counts as the same one: a loose plug, not a new event."""
 
 REPEATS, REPEATS_S = 10, 10.0
-"""So many lines that say the same are written in so long; the rest is counted."""
+"""Maximum number of equal lines written in this time; the rest is counted."""
 
 MAX_REPEATED = 256
-"""Messages whose repetitions are counted at a time, so that lines which all differ fill no memory."""
+"""Maximum number of messages whose repetitions are counted, so that ever different lines fill no memory."""
 
 
 def fields(**values: str | int | float) -> dict[str, Fields]:
-    """For `extra=` of a log call; `extra=fields(fault=104)` is found by EDGED_FAULT=104."""
+    """Fields for `extra=` of a log call; `extra=fields(fault=104)` is found by EDGED_FAULT=104."""
     return {"edged": values}
 
 
 def fields_of(record: logging.LogRecord) -> dict[str, str | int | float]:
-    """The fields of a record, with the cycle it was made in."""
+    """Fields of a record, with the current cycle."""
     number = cycle_number.get()
     own: Fields = getattr(record, "edged", {})
     return dict(own) if number is None else {"cycle": number, **own}
 
 
 class LogLimit:
-    """Lets one line through per period and says how many were held back: peers can flood, logs must not."""
+    """Lets one line through per period, with the number held back: peers may flood, but not the log."""
 
     def __init__(
         self, logger: str, period_s: float = 10.0, clock_s: Callable[[], float] = time.monotonic
@@ -58,7 +58,7 @@ class LogLimit:
         self._held = 0
 
     def warning(self, message: str, *arguments: object) -> None:
-        """Log, or count."""
+        """Log a warning, or count it."""
         self._tell(logging.WARNING, message, arguments, None)
 
     def error(self, message: str, *arguments: object, exc_info: BaseException | bool) -> None:
@@ -79,7 +79,7 @@ class LogLimit:
 
 @dataclass(slots=True)
 class _Repeated:
-    """Lines that say the same since a moment; first : of those held back, what to say of them all."""
+    """Equal lines since a time. first : from the first one held back, makes the record to sum them up."""
 
     since_s: float
     lines: int = 0
@@ -88,12 +88,12 @@ class _Repeated:
 
 
 class RepeatLimit(logging.Filter):
-    """Lets `REPEATS` lines that say the same through per `REPEATS_S`; says how many it held back.
+    """Lets `REPEATS` equal lines through per `REPEATS_S`, and logs how many it held back.
 
-    The same: from the same place in the code, with the same text before its figures are put in. What was held
-    back is said with the first line of any kind after that time, or by `tell`. Records of the audit are
-    always written: they are compared with the audit's files, which limit how many there are.
-    write : where a line goes that says it.
+    Lines are equal if they come from the same place in the code and have the same text before its arguments
+    are filled in. The number held back is logged with the first line of any kind after that time, or by
+    `tell`. Records of the audit are always written: they are compared with the audit's files, which limit how
+    many there are. write : writes the line with the number.
     """
 
     def __init__(
@@ -106,7 +106,7 @@ class RepeatLimit(logging.Filter):
         self._lock = threading.Lock()
 
     def __len__(self) -> int:
-        """How many messages are remembered."""
+        """Number of messages that are remembered."""
         return len(self._seen)
 
     def filter(self, record: logging.LogRecord) -> bool:
@@ -131,7 +131,7 @@ class RepeatLimit(logging.Filter):
         return not held
 
     def tell(self) -> None:
-        """Say what is held back, before the log is closed."""
+        """Log how many lines are held back, before the log is closed."""
         with self._lock:
             past, self._seen = self._seen, {}
         self._tell(past.values())
@@ -143,14 +143,14 @@ class RepeatLimit(logging.Filter):
 
 
 def _place(record: logging.LogRecord) -> tuple[object, ...]:
-    """What lines that say the same have in common; for a text that is all figures ("%s"), the whole line."""
+    """Key that equal lines have in common; for a format that is only an argument ("%s"), the whole line."""
     text = str(record.msg)
     text = record.getMessage() if text == "%s" else text
     return (record.name, record.levelno, record.pathname, record.lineno, text.partition("\n")[0])
 
 
 def _summary(record: logging.LogRecord) -> Callable[[int], logging.LogRecord]:
-    """What to say of lines like this one, by their number; keeps neither its traceback nor its arguments."""
+    """Maker of the record for a number of held lines like this one; keeps neither traceback nor arguments."""
     place = (record.name, record.levelno, record.pathname, record.lineno)
     text, function = record.getMessage().partition("\n")[0], record.funcName
 
@@ -163,10 +163,10 @@ def _summary(record: logging.LogRecord) -> Callable[[int], logging.LogRecord]:
 
 @dataclass(slots=True)
 class _Outage:
-    """From the first failure until all has been well for `RELAPSE_S`.
+    """Outage, from the first failure until all has been well for `RELAPSE_S`.
 
-    seen : code of each fault in it to its first text and how often it happened.
-    over_s : since when it is well; None while it is not.
+    seen : for the code of each fault, its first text and how often it happened.
+    over_s : time since which all is well; None while it is not.
     """
 
     since_s: float
@@ -176,11 +176,11 @@ class _Outage:
 
 
 class FaultLog:
-    """Says each fault once, and once that it is over, with how often it happened.
+    """Logs each fault once, and once that it is over, with how often it happened.
 
-    A camera that is gone fails in several ways, one after the other: each is said once, and their end is one.
-    What returns within `RELAPSE_S` is counted, and said again only when it has stayed away for so long.
-    level, kind : of the first line, and the field that has the code in it.
+    A camera that is gone fails in several ways, one after the other: each is logged once, and their end once.
+    A fault that returns within `RELAPSE_S` is only counted; it is logged again after it was away for longer.
+    level : of the first line. kind : name of the field with the code.
     """
 
     def __init__(
@@ -198,7 +198,7 @@ class FaultLog:
         self._outage: _Outage | None = None
 
     def failed(self, text: str, code: int | str) -> None:
-        """Something failed; faults are distinguished by their code, because texts hold changing figures."""
+        """Report a failure; faults are distinguished by code, because texts contain changing figures."""
         if self._outage is None:
             self._outage = _Outage(self._monotonic_s())
         outage = self._outage
@@ -211,7 +211,7 @@ class FaultLog:
         outage.seen[code] = (first_text, count + 1)
 
     def well(self) -> None:
-        """It works."""
+        """Report that it works."""
         outage, now_s = self._outage, self._monotonic_s()
         if outage is None:
             return
@@ -242,7 +242,7 @@ class FaultLog:
 
 
 class FaultMemory:
-    """Tells faults that are news from known ones: evidence of the first must outlive the thousandth."""
+    """Tells new faults from known ones: evidence of the first must outlive the thousandth."""
 
     def __init__(self, monotonic_s: Callable[[], float] = time.monotonic) -> None:
         self._monotonic_s = monotonic_s

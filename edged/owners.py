@@ -1,8 +1,8 @@
-"""Places where somebody else than root decides what a name means: what root does there, it does as that user.
+"""File access by root in folders of other users: root acts as that user there.
 
-Whoever owns a folder may put a link in place of any name in it, at any moment. So root becomes the first user
-on the way to a place who is not root, before it writes there; and a link of such a user leads it to files of
-that user only.
+The owner of a folder may replace any name in it by a link, at any moment. So before it writes to a path, root
+becomes the first user on the path who is not root; and it follows such a user's link only to files of that
+user.
 """
 
 from __future__ import annotations
@@ -20,18 +20,19 @@ from typing import BinaryIO
 from edged.errors import FileFormatError
 
 MAX_LINKS = 40
-"""On the way to a file, as the kernel has it: path_resolution(7)."""
+"""Maximum number of links on a path, as in the kernel: path_resolution(7)."""
 NO_GROUP = 65534
-"""For a user without a name, whose folder may have any group: /proc/sys/kernel/overflowgid, proc(5)."""
+"""Group for a user without a name, whose folder may have any group: /proc/sys/kernel/overflowgid, proc(5)."""
 
 
 @contextmanager
 def as_owner(place: Path) -> Iterator[Path]:
-    """Let root be, meanwhile, the first user on the way to a file or folder who is not root.
+    """Let root act as the first user on the path to a file or folder who is not root.
 
-    Yields the place by a descriptor of that user's folder: it may lie where only root gets, as what is in
-    /var/lib/private. The whole process changes its user, so that this is for commands, not for a daemon. For
-    who is not root, and where all is root's, nothing changes. Raises `FileFormatError` where root cannot.
+    Yields the place as a path through a descriptor of that user's folder: it may lie where only root can go,
+    like /var/lib/private. The whole process changes its user, so this is for commands, not for a daemon.
+    Nothing changes for other users than root, or where root owns everything. Raises `FileFormatError` if root
+    cannot act as that user.
     """
     with ExitStack() as opened:
         found = _first_of_another(place, opened) if os.geteuid() == 0 else None
@@ -58,25 +59,25 @@ def as_owner(place: Path) -> Iterator[Path]:
 
 
 def other_owner(place: Path) -> int | None:
-    """The first user on the way to a file or folder who is not root; None where all is root's."""
+    """First user on the path to a file or folder who is not root; None if root owns all of it."""
     with ExitStack() as opened:
         found = _first_of_another(place, opened)
         return None if found is None else found[0]
 
 
 def by_name(folder: Path) -> Path:
-    """A folder by a path that ends with its name, or with a link's: "." and ".." are none."""
+    """Path of a folder that ends with its own name, or that of a link to it, but not with "." or ".."."""
     return folder.resolve() if folder.name in ("", "..") else folder
 
 
 def unlinked(folder: Path) -> Path:
-    """What a path that may be a link's means; the owner of the link must be asked first, by `as_owner`."""
+    """Resolve a path that may be a link; call it inside `as_owner`, for the owner of the link."""
     return folder.resolve() if folder.is_symlink() else folder
 
 
 def open_plain(name: str | Path, flags: int, folder: int | None = None) -> int:
-    """Open a file, of an open folder the one of that name; no link, pipe or device. Raises `OSError`."""
-    # O_NONBLOCK: a pipe at which nobody writes is opened at once, and refused
+    """Open a plain file, in an open folder if given; no link, pipe or device. Raises `OSError`."""
+    # O_NONBLOCK: a pipe without a writer is opened at once, and refused
     flags |= os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
     try:
         handle = os.open(name, flags, 0o600, dir_fd=folder)
@@ -91,10 +92,10 @@ def open_plain(name: str | Path, flags: int, folder: int | None = None) -> int:
 
 
 def open_to_read(path: Path, flags: int = 0, folder: int | None = None) -> int:
-    """Open a file, or the one in an open folder. Raises `OSError`.
+    """Open a file for reading, in an open folder if given. Raises `OSError`.
 
-    Root opens by another user's link only what belongs to that user, too, and no other user's pipe or device,
-    at which it would wait for ever; but a pipe that it was given open, as /dev/stdin, it does.
+    Through another user's link, root opens only what belongs to that user, too, and it opens no other user's
+    pipe or device, on which it could wait for ever, except a pipe that it was given open, like /dev/stdin.
     """
     flags |= os.O_RDONLY | os.O_CLOEXEC
     if os.geteuid() != 0:
@@ -118,13 +119,13 @@ def open_to_read(path: Path, flags: int = 0, folder: int | None = None) -> int:
 
 
 def file_to_read(path: Path) -> BinaryIO:
-    """A file, opened as `open_to_read` does. Raises `OSError`."""
+    """Open a file as `open_to_read` does. Raises `OSError`."""
     return os.fdopen(open_to_read(path), "rb")
 
 
 def _first_of_another(place: Path, opened: ExitStack) -> tuple[int, Path] | None:
-    """User, and the place by a descriptor; None where all that is there is root's."""
-    with suppress(FileNotFoundError):  # what is missing is made in a folder of root's
+    """First user who is not root, and the place through a descriptor; None if root owns all of the path."""
+    with suppress(FileNotFoundError):  # a missing rest will be created in a folder of root
         for step in _steps(place, opened):
             if step.is_roots:
                 continue
@@ -137,7 +138,10 @@ def _first_of_another(place: Path, opened: ExitStack) -> tuple[int, Path] | None
 
 @dataclass(frozen=True, slots=True)
 class _Step:
-    """A folder, link or file on a way, opened as such; the folder that it is in; names that are to come."""
+    """Step of a path: a folder, link or file, opened as such.
+
+    folder : open folder that contains it. rest : names that follow.
+    """
 
     folder: int | None
     name: str
@@ -154,12 +158,12 @@ class _Step:
 
     @property
     def is_roots(self) -> bool:
-        """Or of who owns the root folder: in a user's own namespace that is not 0."""
+        """Whether root owns it, or the owner of the root folder, which in a user namespace is not 0."""
         return self.about.st_uid in (0, Path("/").stat().st_uid)
 
 
 def _steps(path: Path, opened: ExitStack) -> Iterator[_Step]:
-    """Every step of the way to a path, as the kernel goes it; each name is opened once. Raises `OSError`."""
+    """Walk a path step by step, as the kernel does; each name is opened once. Raises `OSError`."""
     todo = [*reversed((Path.cwd() / path).parts)]
     folder, links = None, 0
     while todo:
@@ -169,7 +173,7 @@ def _steps(path: Path, opened: ExitStack) -> Iterator[_Step]:
         if not step.is_link:
             folder = step.handle
         elif step.about.st_dev == Path("/proc").stat().st_dev:
-            # to what is open in a process, which may have no name
+            # a link to a file that is open in a process, which may have no name
             folder = _opened(name, 0, folder, opened)
             yield _Step(folder, name, folder, tuple(reversed(todo)))
         else:

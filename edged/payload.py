@@ -1,9 +1,9 @@
-"""The published JSON, whose shape is decided here alone (schema: config/edged.schema.json).
+"""The published JSON, whose form is defined only here (schema: config/edged.schema.json).
 
-Used by `edged locate --json`, by Zenoh and by everything else that writes results down. Units are in
-the names; lengths in mm, angles in degrees for people, times in ns UTC. JSON has no NaN: a number
-that is not known is null. `targets` of a published snapshot are good; rejected ones are under
-`rejected`, so that no client takes them for good.
+Used by `edged locate --json`, by Zenoh and by everything else that outputs results. Units are in the names;
+lengths are in mm, angles in degrees for people, times in ns UTC. JSON has no NaN: an unknown number is null.
+`targets` of a published snapshot are good; rejected ones are under `rejected`, so that no client mistakes
+them for good.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ from edged.robot.covariance import robot_covariance, robot_pose
 from edged.robot.grasping import held
 
 SCHEMA_VERSION = 1
-"""Raised when a field changes its meaning or goes away; new fields do not raise it."""
+"""Incremented when a field changes its meaning or is removed, but not for new fields."""
 
 Json = dict[str, Any]
 
@@ -52,13 +52,13 @@ Json = dict[str, Any]
 def target_to_json(
     target: Target, robot_from_rig: FloatArray | None, registration: FloatArray | None = None
 ) -> Json:
-    """One located part, rig frame; with `pose_robot` where the rig is registered to a robot.
+    """One located part, rig frame; with `pose_robot` if the rig is registered to a robot.
 
-    With `rig_from_model` where the job was taught with a CAD model, with `offset` where it has a golden part,
-    with `robot_shift` where there is a map of the robot's error.
+    With `rig_from_model` if the job was taught with a CAD model, with `offset` if it has a golden part, with
+    `robot_shift` if there is a map of the robot's error.
 
-    `covariance_6x6` is of (x, y, z in mm, rotation vector in rad) in the axes of the frame the pose
-    is given in, the small rotation applied on the left.
+    `covariance_6x6` is that of (x, y, z in mm, rotation vector in rad) in the axes of the pose's frame, the
+    small rotation applied on the left.
     """
     document: Json = {
         "job": target.job,
@@ -111,7 +111,7 @@ def outcome_to_json(
     robot_from_rig: FloatArray | None = None,
     registration: FloatArray | None = None,
 ) -> Json:
-    """The answer of `edged locate --json`; rejected targets are listed too and say why."""
+    """Output of `edged locate --json`; rejected targets are listed too, with the reason."""
     return {
         "status": str(outcome.status),
         "cycle": cycle,
@@ -140,13 +140,13 @@ def _budget(budget: Budget | None) -> Json | None:
 
 
 def snapshot_to_json(snapshot: Snapshot) -> Json:
-    """Everything of one cycle. `targets` are usable; `rejected` are shown for diagnosis only."""
+    """All results of one cycle. `targets` are usable; `rejected` are for diagnosis only."""
     usable = [
         target for target in snapshot.targets if snapshot.status is Status.OK and target.reject is Reject.NONE
     ]
     rejected = [target for target in snapshot.targets if target not in usable]
     robot, registration = snapshot.robot_from_rig, snapshot.registration_covariance
-    asked: Json = {}  # what is there only where the cell is set up for it
+    asked: Json = {}  # fields that exist only if the cell is configured for them
     if snapshot.exposed_count is not None:
         asked["exposed_count"] = snapshot.exposed_count
     if snapshot.golden is not GoldenState.NONE:
@@ -188,7 +188,7 @@ def snapshot_to_json(snapshot: Snapshot) -> Json:
 
 
 def state_to_json(state: CellState) -> Json:
-    """The daemon's own state."""
+    """State of the daemon."""
     return {
         "state": state.state,
         "ready": state.ready,
@@ -209,7 +209,7 @@ def state_to_json(state: CellState) -> Json:
 
 
 def map_to_json(found: MapFigures) -> Json:
-    """How the map of the robot's error does: `edged.domain.robotmap.MapFigures`."""
+    """Quality of the map of the robot's error: `edged.domain.robotmap.MapFigures`."""
     return {
         "degree": found.degree,
         "points": found.points,
@@ -222,7 +222,7 @@ def map_to_json(found: MapFigures) -> Json:
 
 
 def acceptance_to_json(found: Acceptance) -> Json:
-    """The last acceptance test of the cell; whether it is overdue is for the reader's clock to say."""
+    """The last acceptance test of the cell; the reader must decide by its own clock if it is overdue."""
     return {
         "state": found.state(found.made_ns).name,
         "made_ns": found.made_ns,
@@ -231,7 +231,7 @@ def acceptance_to_json(found: Acceptance) -> Json:
 
 
 def marks_to_json(report: MarksReport) -> Json:
-    """What the reference marks say."""
+    """Findings from the reference marks."""
     return {
         "state": report.state.name,
         "valid": report.valid,
@@ -281,12 +281,12 @@ def command_to_json(command: Command) -> Json:
 def message(
     kind: str, cell: str, started_ns: int, body: Mapping[str, Any], sequence: int | None = None
 ) -> Json:
-    """A message: the body, and its origin.
+    """Message with its body and origin.
 
     kind : "target", "state", ...; names the definition in the schema.
-    started_ns : when this publisher started, UTC ns. sequence : counts the messages of a kind from 1;
-    together they tell a lost message (a gap) from a restart (another `started_ns`). An answer that was
-    never published has no sequence.
+    started_ns : start of this publisher, UTC ns. sequence : counts the messages of a kind from 1; together
+    they distinguish a lost message (a gap) from a restart (another `started_ns`). An answer that was never
+    published has no sequence.
     """
     origin: Json = {"schema": f"edged/{kind}/{SCHEMA_VERSION}", "cell": cell, "started_ns": started_ns}
     if sequence is not None:
@@ -295,15 +295,15 @@ def message(
 
 
 def said(code: str, text: str, **values: Any) -> Json:
-    """A sentence in English with its code and values, from which a page writes it in other languages.
+    """Sentence in English with its code and values, from which a page writes it in other languages.
 
-    Decimal numbers among the values are text, with the digits to show.
+    Decimal numbers among the values are strings, with the digits to show.
     """
     return {"code": code, "text": text, **values}
 
 
 def encode(document: Mapping[str, Any]) -> bytes:
-    """JSON as ASCII bytes. Raises `ValueError` for a NaN that got past the functions above."""
+    """Encode JSON as ASCII bytes. Raises `ValueError` for a NaN that the functions above let through."""
     return json.dumps(document, allow_nan=False, separators=(",", ":")).encode()
 
 
@@ -322,7 +322,7 @@ def _pose(pose: FloatArray, covariance: FloatArray) -> Json:
 
 
 def _offset(offset: Offset) -> Json:
-    """How a part lies against the golden one; sigmas are of where the offset lays the part."""
+    """Offset of a part from the golden one; sigmas are those of the part's place by the offset."""
     return {**_pose(offset.robot, offset.covariance), "part": _pose(offset.part, offset.part_covariance)}
 
 
@@ -446,5 +446,5 @@ def _sigmas(covariance: FloatArray) -> FloatArray:
 
 
 def _numbers(values: FloatArray) -> list[Any]:
-    """Nested lists of a vector or matrix, null for what is not finite."""
+    """Nested lists of a vector or matrix, null for values that are not finite."""
     return [known(value) if np.ndim(value) == 0 else _numbers(value) for value in values]

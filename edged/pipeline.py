@@ -1,4 +1,4 @@
-"""The method, top to bottom: one stereo exposure in, located parts out.
+"""The whole method: one stereo exposure in, located parts out.
 
 Pure: no clock, no I/O, bit-identical when replayed.
 """
@@ -36,19 +36,18 @@ noise takes seconds."""
 
 
 class RigByMarks(Protocol):
-    """Reference marks, which say how a rig stands in an exposure."""
+    """Reference marks, from which the rig's state in an exposure is determined."""
 
     def then(self, track: MarksTrack, pair: FramePair) -> tuple[PreparedRig, MarksReport]:
-        """The rig in a pair that came after a track, and what the marks say in it."""
+        """Rig as corrected for a pair that follows a track, and the report of the marks in it."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PreparedRig:
-    """A rig with its rectification, and the buffers that its searches share.
+    """Rig with its rectification, and the buffers that its searches share.
 
-    calibrated, correction : of a rig as its reference marks show it now, the rig as it was calibrated, and
-    where the cameras are against it; None where nothing is corrected. marks : its reference marks, for who
-    measures an exposure again.
+    calibrated, correction : if the rig is corrected by reference marks, the rig as calibrated, and the
+    cameras' motion against it; otherwise None. marks : its reference marks, to measure an exposure again.
     """
 
     rig: StereoRig
@@ -60,12 +59,12 @@ class PreparedRig:
 
 
 def prepare(rig: StereoRig) -> PreparedRig:
-    """Raises `CalibrationError` for a rig that cannot be rectified."""
+    """Prepare a rig for locating. Raises `CalibrationError` for a rig that cannot be rectified."""
     return PreparedRig(rig, make_rectification(rig))
 
 
 def corrected(prepared: PreparedRig, correction: RigCorrection) -> PreparedRig:
-    """The rig with its cameras where they are now. prepared : the rig as calibrated."""
+    """Rig with its cameras at their current poses. prepared : the rig as calibrated."""
     now = correction.applied(prepared.rig)
     return replace(
         prepared,
@@ -91,7 +90,7 @@ def locate(pair: FramePair, job: Job, rig: PreparedRig, lap: Callable[[str], Non
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PairInspection:
-    """Measured parts, matches that could not be measured; without a match, a query for the nearest miss."""
+    """Measured parts, and matches that could not be measured; without a match, the nearest miss on demand."""
 
     measured: tuple[MeasuredPart, ...]
     dismissed: tuple[NotMeasured, ...]
@@ -101,9 +100,9 @@ class PairInspection:
 def inspect(
     pair: FramePair, job: Job, rig: PreparedRig, lap: Callable[[str], None] = _no_lap
 ) -> PairInspection:
-    """`locate` with the evidence: every part found, with its edges."""
+    """Locate parts with the evidence: every part found, with its edges."""
     images = _rectified(pair, rig)
-    # of one whose features are the edges in the faces, single edges may be the others of their breaks
+    # if its features are edges in the faces, single edges may be the other ones of their edge breaks
     is_plain = not job.solid and job.tilt_rad is None and job.break_end != "face"
     by_all = not is_plain and has_enough_curves(job)
     if job.body is not None or (by_all and job.break_end is not None):
@@ -131,7 +130,7 @@ def inspect(
 
 
 def _inspect_solid(images: StereoImages, job: Job, lap: Callable[[str], None]) -> PairInspection:
-    """`inspect` by all edges of a part, those of its body or those that were taught, in both pictures."""
+    """Inspect with all edges of a part, those of its body or the taught ones, in both pictures."""
     measured, dismissed, missed = locate_solid(images, job)
     lap("find")
     lap("measure")
@@ -150,7 +149,7 @@ def _found(rectified: Image, job: Job, params: SearchParams, rig: PreparedRig) -
 
 
 def nearest_miss(pair: FramePair, job: Job, rig: PreparedRig) -> NearMiss | None:
-    """The best match of a more lenient search; None without one."""
+    """Best match of a more lenient search; None without one."""
     lenient = replace(job.search, min_score=NEAR_SHARE * job.search.min_score, max_matches=1)
     found = _found(_rectified(pair, rig).rectified_left, job, lenient, rig)
     if not found:
@@ -181,7 +180,7 @@ def judge(inspection: PairInspection) -> Outcome:
 
 
 def cloud(pair: FramePair, job: Job, rig: PreparedRig, inspection: PairInspection) -> PointCloud:
-    """Points in space on every measured part (paper, Fig. 9)."""
+    """Point cloud on every measured part (paper, Fig. 9)."""
     return point_cloud(_rectified(pair, rig), job, inspection.measured)
 
 

@@ -1,4 +1,4 @@
-"""Protocols of the core towards the world, implemented in `adapters` and `sim`."""
+"""Interfaces of the core to the outside, implemented in `adapters` and `sim`."""
 
 from __future__ import annotations
 
@@ -38,29 +38,29 @@ class Adjustable(Protocol):
     """A camera whose exposure can be adjusted on trial. Bounded in time; raises only `CaptureError`s."""
 
     async def adjust(self, values: CameraValues) -> CameraValues:
-        """Set the stated values until `restore`; returns all values as read back.
+        """Set the given values until `restore`; return all values as read back.
 
-        Raises `CameraSetupError` for a value that the camera does not have or take; nothing is changed then.
+        Raises `CameraSetupError` for a value that the camera lacks or rejects; then nothing is changed.
         """
 
     async def limits(self) -> CameraLimits:
-        """Values that it can be set to now."""
+        """Ranges of the values that it can be set to now."""
 
     async def restore(self) -> None:
-        """Undo `adjust`; even if this fails, no later connection has the adjusted values."""
+        """Undo `adjust`; even if this fails, the adjusted values do not survive into a later connection."""
 
 
 class Head(Protocol):
     """Two cameras that act as one."""
 
     async def open(self) -> None:
-        """Connect cameras that are not connected or not well."""
+        """Connect cameras that are not connected, or are faulty."""
 
     async def capture(self) -> FramePair:
-        """One exposure of both cameras, bounded in time; raises `CaptureError`."""
+        """Make one exposure with both cameras, bounded in time; raises `CaptureError`."""
 
     async def listen(self) -> FramePair:
-        """The next exposure that others trigger; may be cancelled and called again without losing one."""
+        """Wait for the next externally triggered exposure; may be cancelled and repeated without loss."""
 
     async def close(self) -> None:
         """Release both cameras."""
@@ -71,13 +71,13 @@ class AdjustableHead(Protocol):
     """A head whose cameras' exposure can be adjusted on trial; see `Adjustable`."""
 
     async def adjust(self, side: Side, values: CameraValues) -> CameraValues:
-        """Set the stated values; `CameraValues()` only reads."""
+        """Set the given values; `CameraValues()` only reads."""
 
     async def limits(self, side: Side) -> CameraLimits:
-        """Values that a camera can be set to now."""
+        """Ranges of the values that a camera can be set to now."""
 
     async def restore(self) -> None:
-        """Undo what was adjusted."""
+        """Undo all adjustments."""
 
 
 class Publisher(Protocol):
@@ -87,14 +87,14 @@ class Publisher(Protocol):
         """Open sockets. Raises `ListenError`."""
 
     def announce(self, event: Event) -> None:
-        """Take note of an event on the event loop; must not block or raise."""
+        """Accept an event, on the event loop; must not block or raise."""
 
     async def close(self) -> None:
-        """Stop and leave nothing behind."""
+        """Stop, and release all resources."""
 
 
 class Commander(Protocol):
-    """Takes the commands of publishers' clients."""
+    """Receiver of commands from clients of publishers."""
 
     def submit(self, command: Command) -> None:
         """Accept a command for the cycle, or raise `CommandRefused`.
@@ -108,19 +108,19 @@ class Commander(Protocol):
 
 
 class Commissioner(Protocol):
-    """Takes the requests of people for SETUP. Every method raises `SetupRefused` when refused."""
+    """Receiver of people's requests for SETUP. Every method raises `SetupRefused` when refused."""
 
     async def enter_setup(self, name: str, *, take_over: bool = False) -> str:
-        """Take the cell (take_over : from its holder) after the running cycle; returns a lease's token."""
+        """Take the cell after the running cycle (take_over : even from its holder); return its token."""
 
     async def renew_setup(self, token: str) -> None:
         """Extend the lease, at least once a minute."""
 
     async def leave_setup(self, token: str) -> None:
-        """Give the cell back."""
+        """End the lease."""
 
     async def end_setup(self, name: str) -> None:
-        """End SETUP for any holder, present or lapsed. name : of the person who says so."""
+        """End SETUP for any holder, even with a lapsed lease. name : of the person who requests it."""
 
     async def capture(self, token: str) -> FramePair:
-        """One exposure, which is not announced. Raises `CaptureError`, too."""
+        """Make one exposure, which is not announced. Also raises `CaptureError`."""

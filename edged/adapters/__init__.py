@@ -1,1 +1,1 @@
-"""One module for each foreign protocol; each translates its vendor's errors and units."""
+"""Adapters to foreign protocols, one module or package each; they translate foreign errors and units."""

@@ -1,8 +1,8 @@
-"""Writes each cycle down as a row (`edged.files.history`), and has the rows packed by a lesser process.
+"""Records each cycle as a row (`edged.files.history`), and has the rows packed by a low-priority process.
 
-A cycle costs an entry in a queue. A thread of its own writes what waits once in `WRITE_S`; a row is promised
-when it is on the disc. When the disc is full or broken the cell measures on, rows are left out, and the log
-says so once.
+A cycle only adds an entry to a queue. A separate thread writes the queued rows every `WRITE_S`; a row counts
+as written when it is on disk. If the disk is full or broken the cell goes on measuring, rows are left out,
+and the log says so once.
 """
 
 from __future__ import annotations
@@ -26,16 +26,16 @@ from edged.payload import Json
 log = logging.getLogger(__name__)
 
 WRITE_S = 1.0
-"""So much a cut of power takes at most."""
+"""Period of writing: a power failure loses this much at most."""
 PACK_S = 3600.0
 MOST_WAITING = 10_000
-"""Rows in memory: more than a minute of a disc that hangs."""
+"""Most rows in memory: enough for more than a minute of a disk that hangs."""
 MIB = 1024 * 1024
 
 
 @dataclass(slots=True)
 class HistoryFigures:
-    """Counts since the start; `problem` is "" while all is well."""
+    """Counts since the start, for monitoring. problem : "" while all is well."""
 
     written: int = 0
     left_out: int = 0
@@ -43,7 +43,7 @@ class HistoryFigures:
 
 
 class CycleHistory:
-    """Writes rows (`edged.ports.Publisher`). packer : program that packs them, with its environment."""
+    """Records cycles as rows (`edged.ports.Publisher`). packer : program that packs, and its environment."""
 
     def __init__(
         self,
@@ -61,12 +61,12 @@ class CycleHistory:
         self._waiting: queue.Queue[Snapshot] = queue.Queue(MOST_WAITING)
         self._ends = threading.Event()
         self._thread = threading.Thread(target=self._run, name="history", daemon=True)
-        # of that thread alone
+        # used by that thread only
         self._spool = Spool(self._folder, self._started_ns)
         self._packing: subprocess.Popen[bytes] | None = None
 
     async def start(self) -> None:
-        """Begin to write; the cell starts even if the folder cannot be used."""
+        """Start the thread; the cell starts even if the folder cannot be used."""
         self._thread.start()
 
     def announce(self, event: Event) -> None:
@@ -78,7 +78,7 @@ class CycleHistory:
                 self.figures.left_out += 1
 
     async def close(self) -> None:
-        """Write what waits."""
+        """Write the queued rows, and end the thread."""
         self._ends.set()
         await asyncio.to_thread(self._thread.join)
 
@@ -95,7 +95,7 @@ class CycleHistory:
         self._guarded(self._write)
         with contextlib.suppress(OSError):
             self._spool.turn_over()
-        if self._packing is not None:  # killed at any moment it is done again
+        if self._packing is not None:  # it may be killed at any time, and is repeated
             self._packing.kill()
             self._packing.wait()
 
@@ -133,7 +133,7 @@ class CycleHistory:
         self.figures.written += len(rows)
 
     def _pack(self) -> None:
-        # a bucket may lack what was packed before
+        # files packed earlier may still have to be sent to the bucket
         if self._spool.turn_over() or self._settings.bucket:
             self._start_packer()
         self._drop_oldest()
@@ -141,14 +141,14 @@ class CycleHistory:
     def _start_packer(self) -> None:
         if self._packing is not None:
             if self._packing.poll() is None:
-                return  # the next one takes what waits
+                return  # the next run packs the rest
             if self._packing.returncode:
                 log.warning("history: the last packing failed (%d): rows wait", self._packing.returncode)
         program, environment = self._packer
         self._packing = subprocess.Popen(program, stdin=subprocess.DEVNULL, env=environment)
 
     def _drop_oldest(self) -> None:
-        """Where nothing packs them, the oldest rows go, beyond the limit."""
+        """Delete the oldest unpacked rows beyond the limit, in case packing does not work."""
         files = sorted(file for file in self._folder.iterdir() if file.suffix in (OPEN, FULL))
         size = sum(file.stat().st_size for file in files)
         for file in files[:-1]:

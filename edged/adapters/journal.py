@@ -1,12 +1,12 @@
-"""The log of the daemon: structured entries in systemd's journal, lines on stderr anywhere else.
+"""Log of the daemon: structured entries in systemd's journal, or lines on stderr without it.
 
 Entries go to journald's own socket, each with fields to search for:
 
-    journalctl -u edged EDGED_CYCLE=4711        # all that belongs to one cycle
+    journalctl -u edged EDGED_CYCLE=4711        # everything about one cycle
     journalctl -u edged EDGED_FAULT=101 -o json # a fault by the code that the PLC reads
 
-A journal that does not take an entry at once never stops the cell: what is lost is counted and said
-with the next entry.
+A journal that does not accept an entry at once never stops the cell: lost entries are counted, and the next
+entry says how many.
 Source: systemd.io/JOURNAL_NATIVE_PROTOCOL, systemd.exec(5) on JOURNAL_STREAM.
 """
 
@@ -28,7 +28,7 @@ from edged.logs import RepeatLimit, fields_of
 
 SOCKET = Path("/run/systemd/journal/socket")
 MAX_VALUE_BYTES = 32_768
-"""A longer text is cut: one datagram must hold the entry (the default send buffer is 208 KiB)."""
+"""Longer values are cut, as an entry must fit into one datagram (the default send buffer is 208 KiB)."""
 
 PRIORITIES = (
     (logging.CRITICAL, 2),
@@ -36,7 +36,7 @@ PRIORITIES = (
     (logging.WARNING, 4),
     (logging.INFO, 6),
 )
-"""Least level, priority of syslog(3); below all of them: 7, debug."""
+"""Lowest level and its priority of syslog(3); below all of them: 7, debug."""
 
 
 def set_up_logging(
@@ -46,9 +46,9 @@ def set_up_logging(
     environment: Mapping[str, str] | None = None,
     journal: Path = SOCKET,
 ) -> None:
-    """Log to the journal when stderr leads there and its socket answers, else to stderr.
+    """Log to the journal if stderr is connected to it and its socket can be reached, else to stderr.
 
-    cell : for the field EDGED_CELL. Replaces what was set up before.
+    cell : for the field EDGED_CELL. Replaces all handlers set up before.
     """
     handler: logging.Handler = _CurrentStderr()
     if not _leads_to_journal(environment or os.environ):
@@ -56,11 +56,11 @@ def set_up_logging(
     else:
         try:
             handler = JournalHandler(journal, cell)
-        except OSError:  # the socket is not in this container: lines with their priority do
+        except OSError:  # the socket is missing in this container: use lines with priorities instead
             handler.setFormatter(_PrefixFormatter("%(name)s: %(message)s"))
     limit = RepeatLimit(partial(_emit, handler))
     handler.addFilter(limit)
-    # what is held back when the process ends is said before `logging` closes its handlers
+    # report suppressed messages at exit, before `logging` closes its handlers
     atexit.register(limit.tell)
     for old in tuple(logging.root.handlers):
         logging.root.removeHandler(old)
@@ -69,7 +69,7 @@ def set_up_logging(
 
 
 def _emit(handler: logging.Handler, record: logging.LogRecord) -> None:
-    """Write a line past the handler's filters."""
+    """Write a record, bypassing the handler's filters."""
     handler.acquire()
     try:
         handler.emit(record)
@@ -78,19 +78,19 @@ def _emit(handler: logging.Handler, record: logging.LogRecord) -> None:
 
 
 class _CurrentStderr(logging.StreamHandler[TextIO]):
-    """Lines to what is stderr when they are written: a live table redirects it, to stay in its place."""
+    """Writes lines to the current `sys.stderr`, which a live table redirects to stay in its place."""
 
     def __init__(self) -> None:
         logging.Handler.__init__(self)
 
     @property
     def stream(self) -> TextIO:  # type: ignore[override]  # an attribute there, looked up anew here
-        """The present stderr."""
+        """The current stderr."""
         return sys.stderr
 
 
 def priority(level: int) -> int:
-    """Priority of syslog(3) of a level of `logging`."""
+    """Priority of syslog(3) for a level of `logging`."""
     return next((number for least, number in PRIORITIES if level >= least), 7)
 
 
@@ -150,7 +150,7 @@ class JournalHandler(logging.Handler):
 
 
 def encode(entry: Mapping[str, object]) -> bytes:
-    """An entry in the native protocol: NAME=value, or with its length where a value has newlines."""
+    """Encode an entry in the native protocol: NAME=value, or with its length if a value has newlines."""
     parts = []
     for name, value in entry.items():
         data = str(value).encode(errors="replace")
@@ -164,16 +164,16 @@ def encode(entry: Mapping[str, object]) -> bytes:
 
 
 def _leads_to_journal(environment: Mapping[str, str]) -> bool:
-    """Whether stderr is the journal: systemd says which file that is; a redirected one is another."""
+    """Whether stderr is the journal, by the file that systemd names; a redirected stderr is another file."""
     try:
         status = os.fstat(sys.stderr.fileno())
-    except (OSError, ValueError):  # stderr is closed, or no file
+    except (OSError, ValueError):  # stderr is closed, or not a file
         return False
     return environment.get("JOURNAL_STREAM") == f"{status.st_dev}:{status.st_ino}"
 
 
 class _TerminalFormatter(logging.Formatter):
-    """Adds the cycle, for people."""
+    """Appends the number of the cycle to a line."""
 
     def format(self, record: logging.LogRecord) -> str:
         number = fields_of(record).get("cycle")
@@ -181,7 +181,7 @@ class _TerminalFormatter(logging.Formatter):
 
 
 class _PrefixFormatter(logging.Formatter):
-    """sd-daemon(3): a line that starts with <N> has the priority N."""
+    """Prefixes lines with their priority, <N> by sd-daemon(3)."""
 
     def format(self, record: logging.LogRecord) -> str:
         prefix = f"<{priority(record.levelno)}>"

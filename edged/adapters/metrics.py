@@ -1,6 +1,6 @@
-"""Figures for Prometheus: what the cell did, in SI units, each with a help text.
+"""Metrics of the cell for Prometheus, in SI units, each with a help text.
 
-A registry of its own, so that two cells in one process, or two tests, do not share figures.
+They have a registry of their own, so that two cells in one process, or two tests, do not share metrics.
 """
 
 from __future__ import annotations
@@ -28,13 +28,13 @@ from edged.payload import reject_names
 STAGE_BUCKETS_S = (0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0)
 
 Figures = Callable[[], Mapping[str, tuple[str, float]]]
-"""Name without prefix to (help text, value now)."""
+"""Returns (help text, current value) by name without prefix."""
 
 
 class MetricsPublisher:
-    """Counts events (`edged.ports.Publisher`); `render` gives what /metrics answers.
+    """Counts events (`edged.ports.Publisher`); `render` returns the response to /metrics.
 
-    more : figures of other parts of the daemon, asked for at each `render`.
+    more : metrics of other parts of the daemon, read at each `render`.
     """
 
     def __init__(self, cell: str, more: Figures = dict) -> None:
@@ -55,7 +55,7 @@ class MetricsPublisher:
             "edged_failed_commands", "commands that could not be carried out", registry=registry
         )
         self._faults = Counter("edged_faults", "faults of the cameras by code", ["code"], registry=registry)
-        for code in sorted(set(_codes(CaptureError))):  # a count that begins with 1 has not risen
+        for code in sorted(set(_codes(CaptureError))):  # from 0, or the first one shows no increase
             self._faults.labels(str(code))
         self._stages = Histogram(
             "edged_stage_seconds",
@@ -85,10 +85,10 @@ class MetricsPublisher:
         )
 
     async def start(self) -> None:
-        """Nothing to open."""
+        """Do nothing."""
 
     def announce(self, event: Event) -> None:
-        """Count."""
+        """Update the metrics by an event."""
         if isinstance(event, Snapshot):
             self._count(event)
         elif isinstance(event, CommandFailed):
@@ -117,15 +117,15 @@ class MetricsPublisher:
                 self._sigma.labels(axis).set(sigma_mm * 1e-3)
 
     def render(self) -> bytes:
-        """All figures in Prometheus' text format 0.0.4."""
+        """All metrics in Prometheus' text format 0.0.4."""
         return generate_latest(self._registry)
 
     async def close(self) -> None:
-        """Nothing to close."""
+        """Do nothing."""
 
 
 class _More:
-    """Figures that are asked for when they are read."""
+    """Collector of gauges whose values are queried at each scrape."""
 
     def __init__(self, figures: Figures) -> None:
         self._figures = figures

@@ -1,11 +1,11 @@
-"""Keeps the last cycles, and every bad one, on disk (`edged.files.recording`): evidence for afterwards.
+"""Records the last cycles, and every bad one, on disk (`edged.files.recording`), for later analysis.
 
-Everything that touches the disk happens in one thread of its own with a short queue. When the disk is
-slower than the cell, good cycles are left out before bad ones; when it is full or broken the cell goes on
-measuring, and the log says so once. A fault that lasts, or comes and goes, is recorded once.
+All disk access happens on a thread of its own with a short queue. When the disk is slower than the cell, good
+cycles are left out before bad ones; when it is full or broken the cell goes on measuring, and the log says so
+once. A fault that lasts, or comes and goes, is recorded once.
 
-A clock that is set must not delete evidence: the age of a recording is counted from one recording to the
-next, and no gap between two counts more than `MAX_GAP` of the limit.
+Setting the clock must not delete recordings: their age is summed from one recording to the next, and no gap
+between two counts for more than `MAX_GAP` of the limit.
 """
 
 from __future__ import annotations
@@ -34,16 +34,17 @@ from edged.logs import FaultMemory
 log = logging.getLogger(__name__)
 
 QUEUE_GOOD = 2
-"""With so many waiting writes a good cycle is left out: it would only delay the next bad one."""
+"""With this many queued writes a good cycle is left out, as it would only delay the next bad one."""
 QUEUE_BAD = 8
 MAX_GAP = 0.1
-"""Longest step of the age. A weekend counts in full; a clock a month ahead, or a month off, as three days."""
+"""Longest step of the age, as a share of the limit. A weekend counts in full; a clock that jumps a month
+ahead, or a month without recordings, counts for three days."""
 DAY_S = 86400.0
 MIB = 1024 * 1024
 
 
 class _Kept(NamedTuple):
-    """A recording on disk. at_s : its time on the clock of ages."""
+    """A recording on disk. at_s : its time on the clock that ages are counted on."""
 
     entry: recording.Entry
     size: int
@@ -52,7 +53,7 @@ class _Kept(NamedTuple):
 
 @dataclass(slots=True)
 class RecorderFigures:
-    """Counts since the start; `problem` is "" while all is well."""
+    """Counts since the start, for monitoring. problem : "" while all is well."""
 
     written: int = 0
     left_out: int = 0
@@ -65,7 +66,7 @@ class RecorderFigures:
 class Recorder:
     """Writes recordings (`edged.ports.Publisher`).
 
-    setup : fingerprint and files (relative name to content) of the configuration that runs.
+    setup : returns fingerprint and files (content by relative name) of the configuration in use.
     """
 
     def __init__(
@@ -83,20 +84,20 @@ class Recorder:
         self._waiting = 0
         self._exposed: tuple[int, FramePair] | None = None
         self._faults = FaultMemory(monotonic_s)
-        # of the writer's thread alone
+        # used by the writer's thread only
         self._kept: dict[bool, deque[_Kept]] = {True: deque(), False: deque()}
         self._kept_bytes = 0
         self._next = 0
-        self._age_s = 0.0  # the clock that ages are counted on, and what the other one said last
+        self._age_s = 0.0  # the clock that ages are counted on; _seen: UTC at its last step
         self._seen: datetime | None = None
         self._has_stock = False
 
     async def start(self) -> None:
-        """Repair and count the recordings; the cell starts even if the folder cannot be used."""
+        """Clean up and count the recordings; the cell starts even if the folder cannot be used."""
         await asyncio.get_running_loop().run_in_executor(self._writer, self._guarded, self._take_stock)
 
     def announce(self, event: Event) -> None:
-        """Keep the pair of an exposure until its result comes; hand both to the writer."""
+        """Keep the pair of an exposure until its result comes, then pass both to the writer."""
         if isinstance(event, ExposureDone) and event.pair is not None:
             self._exposed = (event.cycle, event.pair)
         if not isinstance(event, Snapshot):
@@ -118,18 +119,18 @@ class Recorder:
         future.add_done_callback(self._written)
 
     async def close(self) -> None:
-        """Finish the running write, and drop the waiting ones."""
+        """Finish the running write, and drop the queued ones."""
         await asyncio.to_thread(self._writer.shutdown, wait=True, cancel_futures=True)
 
     def _written(self, future: asyncio.Future[None]) -> None:
         self._waiting -= 1
         if not future.cancelled():
-            future.result()  # a bug in the writer is a bug of the daemon
+            future.result()  # let a bug in the writer surface
 
     # --- in the writer's thread ----------------------------------------------------------------
 
     def _guarded(self, action: Callable[..., None], *arguments: object) -> None:
-        """The disk may fail at any time; the cell measures on."""
+        """Run an action on the disk; report its failure, and go on."""
         problem = ""
         try:
             action(*arguments)
@@ -160,7 +161,7 @@ class Recorder:
         self._forget_setups(recording.setups(folder))
 
     def _write(self, snapshot: Snapshot, pair: FramePair | None, files: Mapping[str, bytes]) -> None:
-        if not self._has_stock:  # the disk was not there at the start: what is on it counts, too
+        if not self._has_stock:  # the disk was missing at the start: count the recordings on it now
             self._take_stock()
         settings, now = self._settings, self._now()
         self._see(now)
@@ -168,7 +169,7 @@ class Recorder:
         if not self._make_room(size):
             raise OSError(0, f"less than {settings.min_free_mib} MiB are free, and nothing is left to remove")
         if snapshot.nearest is not None:
-            snapshot.nearest.ask()  # it explains why the pictures are kept, and delays no client here
+            snapshot.nearest.ask()  # it explains the miss in the recording, and delays no client here
         if files:
             recording.save_setup(settings.folder, snapshot.fingerprint, files)
         entry = recording.save(settings.folder, self._next, now, snapshot, pair)
@@ -178,7 +179,7 @@ class Recorder:
         self._make_room(0)
 
     def _make_room(self, size: int) -> bool:
-        """Remove what exceeds the limits; False when the disk is too full even so."""
+        """Remove recordings beyond the limits; False if the disk is still too full."""
         settings = self._settings
         oldest_s = self._age_s - settings.max_age_days * DAY_S
         good, bad = self._kept[True], self._kept[False]
@@ -203,7 +204,7 @@ class Recorder:
         return datetime.fromtimestamp(self._utc_ns() / 1e9, UTC)
 
     def _see(self, utc: datetime) -> None:
-        """Let ages grow by what the clock went on since it was looked at last, but not by a leap."""
+        """Advance the clock of ages by the UTC elapsed since the last call, limited by `MAX_GAP`."""
         gap_s = 0.0 if self._seen is None else (utc - self._seen).total_seconds()
         self._age_s += min(max(gap_s, 0.0), MAX_GAP * self._settings.max_age_days * DAY_S)
         self._seen = utc
@@ -216,15 +217,15 @@ class Recorder:
 
     def _remove_oldest(self, ring: deque[_Kept]) -> str:
         entry, size, _ = ring[0]
-        entry.path.unlink(missing_ok=True)  # may fail: then it still counts
+        entry.path.unlink(missing_ok=True)  # if this fails, the recording stays counted
         ring.popleft()
         self._kept_bytes -= size
         return entry.fingerprint
 
     def _forget_setups(self, fingerprints: set[str]) -> None:
-        """Delete a setup without recordings."""
+        """Delete those of these setups that no recording refers to, except the current one."""
         if not fingerprints:
             return
         used = {entry.fingerprint for ring in self._kept.values() for entry, _, _ in ring}
-        with contextlib.suppress(OSError):  # it costs a little room only, and the next start tries again
+        with contextlib.suppress(OSError):  # it only costs a little space, and the next start tries again
             recording.forget_setups(self._settings.folder, fingerprints - used - {self._setup()[0]})

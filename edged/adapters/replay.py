@@ -1,7 +1,7 @@
-"""Image pairs from a folder, behind the port of a camera.
+"""Image pairs from a folder, behind the `Camera` port.
 
-`replay_cameras` checks the whole folder at once and gives both cameras; they go through the pairs of
-`edged.files.pairs` in step, in the order of their names, and start again after the last one.
+`replay_cameras` checks the folder and returns both cameras; they go through the pairs of `edged.files.pairs`
+in step, in the order of their names, and start again after the last one.
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ from edged.files.pairs import ImagePair, find_pairs
 
 
 class Reel:
-    """The film that two `ReplayCamera`s show in step.
+    """The sequence of pairs that two `ReplayCamera`s go through in step.
 
-    An exposure begins when a side asks for one it already has, and is joined by the other side.
+    An exposure begins when a side that has taken part in the current one asks again; the other side joins it.
     """
 
     def __init__(self, pairs: Sequence[ImagePair], shape: tuple[int, int]) -> None:
@@ -32,7 +32,7 @@ class Reel:
         self._taken: set[str] = set(SIDES)
 
     def expose(self, side: str) -> None:
-        """Join the exposure the other side began, or begin the next one."""
+        """Join the exposure that the other side began, or begin the next one."""
         if side in self._taken:
             self.number += 1
             self.exposed_ns = time.time_ns()
@@ -40,7 +40,7 @@ class Reel:
         self._taken.add(side)
 
     def resynchronise(self) -> None:
-        """End the exposure: the next read begins a new one."""
+        """End the exposure, so that the next `expose` begins a new one."""
         self._taken = set(SIDES)
 
     def load(self, side: str, number: int) -> Image:
@@ -54,7 +54,7 @@ class Reel:
 
 
 class ReplayCamera:
-    """The camera of one side of a folder of pairs."""
+    """Camera for one side of a folder of pairs."""
 
     def __init__(self, name: str, reel: Reel) -> None:
         if name not in SIDES:
@@ -70,7 +70,7 @@ class ReplayCamera:
         return self._name
 
     async def open(self) -> None:
-        """Nothing to connect; the film goes on where it was."""
+        """Mark the camera as open; the sequence continues where it was."""
         if not self._is_open:
             self._is_open = True
             self._reel.resynchronise()
@@ -83,7 +83,7 @@ class ReplayCamera:
         self._exposure = (self._reel.number, self._reel.exposed_ns)
 
     async def frame(self) -> Frame:
-        """Return the image of the last trigger; `FrameIncomplete` when the file went bad meanwhile."""
+        """Return the image of the last trigger. Raises `FrameIncomplete` for a file that has become bad."""
         if self._exposure is None:
             raise FrameTimeout(self._name, "no exposure was triggered")
         (number, exposed_ns), self._exposure = self._exposure, None
@@ -94,7 +94,7 @@ class ReplayCamera:
         return Frame(self._name, number, image, exposed_ns, exposed_ns)
 
     async def close(self) -> None:
-        """Forget the exposure under way."""
+        """Mark the camera as closed, and forget the exposure under way."""
         self._is_open = False
         self._exposure = None
 

@@ -1,10 +1,9 @@
 """The daemon's reports to the service manager: readiness, status, watchdog (sd_notify(3)).
 
-The watchdog is fed by events of the measuring loop and by nothing else: no timer, no thread. When
-the loop hangs, in a camera, in the vision or in a bug, the feeding ends and systemd restarts the
-daemon. Until the cameras are there the same events extend the start-up time: a cell whose cameras
-boot slowly waits for them with its PLC server up, and a start that hangs is still killed. A cell in SETUP has
-started.
+The watchdog is fed only by events of the measuring loop, not by a timer or thread. When the loop hangs, in a
+camera, in the vision or in a bug, the feeding stops and systemd restarts the daemon. Until the cameras are
+there, the same events extend the start-up time: a cell whose cameras boot slowly waits for them with its PLC
+server up, and a start that hangs is still killed. A cell in SETUP counts as started.
 
 Outside of systemd (no NOTIFY_SOCKET) nothing happens.
 """
@@ -24,14 +23,14 @@ from edged.domain.numerals import is_whole
 log = logging.getLogger(__name__)
 
 FEED_S = 0.5
-"""Least time between status lines: a fast cell need not wake the service manager with every cycle."""
+"""Shortest time between messages: a fast cell need not wake the service manager with every cycle."""
 
 START_EXTENSION_S = 60.0
-"""Each sign of life before READY buys this much start-up time."""
+"""Start-up time granted by each sign of life before READY."""
 
 
 class SystemdNotifier:
-    """Tells systemd what the cell does (`edged.ports.Publisher`).
+    """Reports the state of the cell to systemd (`edged.ports.Publisher`).
 
     environment : NOTIFY_SOCKET, WATCHDOG_USEC and WATCHDOG_PID as systemd sets them.
     """
@@ -61,12 +60,12 @@ class SystemdNotifier:
             self._socket.setblocking(False)  # a busy service manager must not stop the loop
 
     def announce(self, event: Event) -> None:
-        """Feed the watchdog; tell readiness, status and stop when they change."""
+        """Feed the watchdog; report readiness, status and stopping when they change."""
         if self._socket is None:
             return
         if isinstance(event, Snapshot):
             self._cycles += 1
-        elif isinstance(event, CellState) and event.state is not CellPhase.BUSY:  # a moment, nothing to show
+        elif isinstance(event, CellState) and event.state is not CellPhase.BUSY:  # too short to be shown
             self._state = event
         if self._state is not None and self._state.state is CellPhase.STOPPING:
             self._tell_stopping()
@@ -77,20 +76,20 @@ class SystemdNotifier:
             self._tell("WATCHDOG=1", *extension, *self._changed_status())
 
     def reloading(self) -> None:
-        """The configuration is being read again; `reloaded` must follow. A cell that starts still starts."""
+        """Report a reload of the configuration, except before READY; `reloaded` must follow."""
         if not self._is_ready:
             return
         # systemd tells this reload from an earlier one by the time stamp (CLOCK_MONOTONIC)
         self._tell("RELOADING=1", f"MONOTONIC_USEC={time.monotonic_ns() // 1000}")
 
     def reloaded(self, refused: str = "") -> None:
-        """The reload is over; refused : why the old configuration stays, "" if it does not."""
+        """Report that the reload is over. refused : why the old configuration stays; "" if it does not."""
         self._status = f"reload refused: {refused}" if refused else "reloaded"
         ready = ("READY=1",) if self._is_ready else ()
         self._tell(*ready, f"STATUS={_one_line(self._status)}")
 
     async def close(self) -> None:
-        """Tell that we stop; close the socket."""
+        """Report that the daemon is stopping, and close the socket."""
         if self._socket is not None:
             self._tell_stopping()
             self._socket.close()
@@ -101,7 +100,7 @@ class SystemdNotifier:
             self._is_stopping = self._tell("STOPPING=1", "STATUS=stopping")
 
     def _changed_status(self) -> tuple[str, ...]:
-        """The status line, for `systemctl status`."""
+        """The status line for `systemctl status`, if it has changed."""
         state = self._state
         if state is None:
             return ()
@@ -114,12 +113,12 @@ class SystemdNotifier:
         return (f"STATUS={_one_line(status)}",)
 
     def _tell(self, *lines: str) -> bool:
-        """Send one datagram; False if it did not arrive: the next event tries again."""
+        """Send one datagram; False if it could not be sent: the next event tries again."""
         if self._socket is None:
             return False
         try:
             self._socket.sendto("\n".join(lines).encode(errors="replace"), self._address)
-        except OSError as error:  # full queue, or the manager is gone: nothing that stops a cell
+        except OSError as error:  # full queue, or the manager is gone: no reason to stop a cell
             if not self._complained:
                 log.warning("systemd does not listen at %s: %s", self._address.replace("\0", "@"), error)
             self._complained = True
@@ -129,7 +128,7 @@ class SystemdNotifier:
 
 
 def _has_started(state: CellState) -> bool:
-    """Also in SETUP, which may last for weeks: a start that waited for its end would never be one."""
+    """Whether the cell counts as started: when ready, and in SETUP, which may last for weeks."""
     return state.ready or state.state is CellPhase.SETUP
 
 
@@ -141,7 +140,7 @@ def _address(path: str) -> str:
 
 
 def _feed_period_s(environment: Mapping[str, str]) -> float:
-    """How often to feed: a fourth of the watchdog's time, so that one lost datagram does not matter."""
+    """Period of feeding: a quarter of the watchdog's time, so that one lost datagram does not matter."""
     text = environment.get("WATCHDOG_USEC", "")
     ours = environment.get("WATCHDOG_PID", str(os.getpid())) == str(os.getpid())
     if not (ours and is_whole(text) and int(text) > 0):
@@ -150,5 +149,5 @@ def _feed_period_s(environment: Mapping[str, str]) -> float:
 
 
 def _one_line(text: str) -> str:
-    """A status is one line; a newline would begin another assignment."""
+    """Join the lines of a status, as a newline would start another assignment."""
     return " ".join(text.split())

@@ -1,7 +1,7 @@
 """The demo's view: measurement and truth, live in the terminal.
 
-On a terminal a table that stays in place; elsewhere (a pipe, a CI log) one line per cycle. Writing
-happens on a thread, so that a terminal that is stopped with ctrl-S does not stop the cell.
+On a terminal, a table that stays in place; elsewhere (a pipe, a CI log), one line per cycle. Output is
+written on a thread, so that a terminal that is paused with ctrl-S does not stop the cell.
 """
 
 from __future__ import annotations
@@ -31,13 +31,13 @@ STOP_TIMEOUT_S = 1.0
 AXES = ("X", "Y", "Z")
 
 Truth = Callable[[Snapshot], FloatArray | None]
-"""The true rig_from_part (4, 4) at the exposure of a snapshot, None where there was no part."""
+"""Returns the true rig_from_part (4, 4) at the exposure of a snapshot; None if there was no part."""
 
 
 def reading_hints(
     cell: str, modbus: tuple[str, int] | None = None, zenoh_endpoint: str | None = None
 ) -> tuple[str, ...]:
-    """How another program reads the results; modbus : host and port."""
+    """Hints how another program can read the results. modbus : host and port."""
     hints = []
     if modbus is not None:
         host, port = modbus
@@ -52,12 +52,12 @@ def reading_hints(
 
 @dataclass(frozen=True, slots=True)
 class DemoSummary:
-    """Figures of a whole run; None where nothing was measured.
+    """Statistics of a whole run; None where nothing was measured.
 
     located : cycles with status OK whose truth is known; all errors are over these.
     rms_mm, max_mm : length of (measured - true) position; rms_axis_mm : of each axis, rig frame.
     rms_angle_deg : angle between measured and true rotation.
-    chi2_per_dof : mean squared error over stated variance; 1 when the stated sigmas are honest.
+    chi2_per_dof : mean squared error over stated variance; 1 if the stated sigmas are right.
     rate_hz : cycles per second. mean_ms : duration of each stage.
     """
 
@@ -73,7 +73,7 @@ class DemoSummary:
     mean_ms: Mapping[str, float]
 
     def to_json(self) -> dict[str, Any]:
-        """The figures under their names."""
+        """The statistics by name."""
         return asdict(self)
 
 
@@ -89,7 +89,7 @@ class TruthComparison:
 
     @property
     def error_mm(self) -> FloatArray:
-        """(3,) measured - true."""
+        """Position error (3,), measured - true."""
         return self.measured_mm - self.true_mm
 
     @staticmethod
@@ -110,7 +110,7 @@ class TruthComparison:
 
 @dataclass(slots=True)
 class Tally:
-    """Running sums; no memory of single cycles, a demo may run for days."""
+    """Running sums over all cycles; single cycles are not kept, as a demo may run for days."""
 
     cycles: int = 0
     by_status: dict[str, int] = field(default_factory=dict)
@@ -141,7 +141,7 @@ class Tally:
             self.sum_chi2 += comparison.chi2
 
     def summary(self) -> DemoSummary:
-        """The figures so far."""
+        """Statistics so far."""
         n, span_s = self.located, self.last_s - self.first_s
         axes = np.sqrt(self.sum_axis_mm2 / n) if n else None
         chi2 = self.sum_chi2 / (3 * n) if n else np.nan
@@ -161,7 +161,7 @@ class Tally:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Scene:
-    """Content of the table; replaced as a whole, as another thread draws it."""
+    """Content of the table; replaced as a whole, since another thread draws it."""
 
     snapshot: Snapshot
     comparison: TruthComparison | None
@@ -171,8 +171,8 @@ class _Scene:
 class DemoView:
     """Shows each cycle of a virtual cell against its truth (`edged.ports.Publisher`).
 
-    truth : see `Truth`. hints : lines printed at start, for example of `reading_hints`.
-    cycles, finished : after so many cycles `finished` is called once (0: never).
+    truth : see `Truth`. hints : lines printed at the start, for example from `reading_hints`.
+    cycles, finished : after this many cycles `finished` is called once (0: never).
     """
 
     def __init__(
@@ -197,7 +197,7 @@ class DemoView:
         self._lines: _Lines | None = None
 
     async def start(self) -> None:
-        """Print how to read the results, begin to draw."""
+        """Print the hints, and start drawing."""
         for hint in self._hints:
             _print(self._console, hint)
         if self._console.is_terminal and not self._console.quiet:
@@ -212,7 +212,7 @@ class DemoView:
             self._lines = _Lines(self._console)
 
     def announce(self, event: Event) -> None:
-        """Take note of a cycle."""
+        """Show a cycle, and add it to the statistics."""
         if not isinstance(event, Snapshot) or (self._cycles and self._tally.cycles >= self._cycles):
             return
         comparison = TruthComparison.of(event, self._truth(event))
@@ -236,7 +236,7 @@ class DemoView:
         _print(self._console, _summary_table(self.summary()))
 
     def summary(self) -> DemoSummary:
-        """Figures of all cycles so far."""
+        """Statistics of all cycles so far."""
         return self._tally.summary()
 
     def _draw(self) -> RenderableType:
@@ -247,7 +247,7 @@ class DemoView:
 
 
 class _Lines:
-    """A thread that prints lines; they are dropped once the pipe is closed."""
+    """A thread that prints lines; they are dropped when the queue is full or the pipe is closed."""
 
     def __init__(self, console: Console) -> None:
         self._queue: queue.Queue[str | None] = queue.Queue(maxsize=1000)
@@ -270,7 +270,7 @@ class _Lines:
 
 
 def _print(console: Console, what: RenderableType) -> None:
-    """Print; silent once the pipe is closed (`edged demo | head`)."""
+    """Print, unless the pipe has been closed (`edged demo | head`)."""
     try:
         console.print(what, markup=False, highlight=False, soft_wrap=isinstance(what, str))
     except (OSError, SystemExit):  # rich turns a closed pipe into SystemExit
@@ -278,7 +278,7 @@ def _print(console: Console, what: RenderableType) -> None:
 
 
 def _line(scene: _Scene) -> str:
-    """A cycle as one line."""
+    """Format a cycle as one line."""
     snapshot, comparison = scene.snapshot, scene.comparison
     head = f"cycle {snapshot.cycle:5d}  {snapshot.status:13s}"
     total_ms = snapshot.timing_ms.get("total", float("nan"))

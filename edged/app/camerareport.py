@@ -1,6 +1,6 @@
-"""Two cameras, looked at for some minutes: what they are, how well they expose together, what they lose.
+"""Report on two cameras tested for some minutes: what they are, how well they synchronise, what they lose.
 
-Not responsible for: what is in the pictures.
+Not responsible for: the content of the pictures.
 """
 
 from __future__ import annotations
@@ -22,16 +22,16 @@ from edged.errors import CaptureError
 from edged.payload import Json
 
 TOGETHER_SHARE = 0.5
-"""Share of the time for pairs by software trigger; the rest is for both at full rate."""
+"""Share of the time spent on pairs by software trigger; the rest runs both at full rate."""
 PERCENTILES = (50, 99)
 REST_S = 0.1
-"""After a fault: cameras that are closed are opened again no sooner than the head thinks fit."""
+"""Pause after a fault; the head decides itself when closed cameras are reopened."""
 
 
 async def camera_report(devices: Sequence[str], seconds: float) -> Json:
-    """Look at two cameras, by address or serial number, for so long. Raises `CaptureError`.
+    """Test two cameras, given by address or serial number, for this time. Raises `CaptureError`.
 
-    Nothing of the report names a camera: no serial number, no address.
+    The report identifies no camera: it contains no serial number and no address.
     """
     sides = {side: {"device": device} for side, device in zip(("left", "right"), devices, strict=True)}
     wide = {
@@ -72,7 +72,10 @@ async def _said(camera: AravisCamera) -> Json:
 
 
 async def together(head: CellHead, seconds: float) -> Json:
-    """Pairs by software trigger for so long: how many, how soon, how far apart; a fault that lasts is one."""
+    """Capture pairs by software trigger for this time; return their number, latency, skew and faults.
+
+    A lasting fault counts once.
+    """
     times_ms, skews_us = list[float](), list[float]()
     faults, lasting = Counter[str](), None
     until_s = time.monotonic() + seconds
@@ -108,7 +111,7 @@ def _percentiles(values: Sequence[float]) -> list[float]:
 
 
 async def _full_rate(head: CellHead, seconds: float) -> Json:
-    """Both send as fast as they run by themselves; images are taken in and dropped."""
+    """Let both cameras free-run at full rate; images are received and dropped."""
     cameras = _cameras(head)
     before = [camera.health for camera in cameras]
     began_s = time.monotonic()

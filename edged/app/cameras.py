@@ -1,4 +1,4 @@
-"""The stereo head that a configuration asks for: which cameras, triggered how."""
+"""Builds the stereo head of a configuration: which cameras, and how they are triggered."""
 
 from __future__ import annotations
 
@@ -39,8 +39,8 @@ CellHead = StereoHead | TwoExposureHead
 class Triggering:
     """How both cameras are triggered together.
 
-    triggers, outputs : of left and right. follower : the camera that is armed before the other is triggered;
-    "" where it does not matter.
+    triggers, outputs : of left and right. follower : the camera to be armed before the other is triggered;
+    "" if the order does not matter.
     """
 
     triggers: tuple[Trigger, Trigger]
@@ -55,9 +55,9 @@ def head_of(
     external: bool = False,
     calibrated: tuple[Size, Size] | None = None,
 ) -> CellHead:
-    """The stereo head of a configuration, not yet open.
+    """Return the stereo head of a configuration, not yet open.
 
-    world : where virtual cameras are. external : others trigger, the daemon only listens.
+    world : source of virtual cameras. external : triggered externally, the daemon only listens.
     calibrated : (width, height) of the images that the rig was calibrated with, left and right; None: any.
     """
     left: Camera
@@ -104,7 +104,7 @@ def head_of(
 
 
 def triggering_of(section: TriggerSection, devices: Sequence[str], *, external: bool) -> Triggering:
-    """How both cameras are triggered, from the configuration. devices : as the cameras are addressed."""
+    """Return how the configuration triggers both cameras. devices : addresses of the cameras."""
     line = LineTrigger(section.line, section.edge, section.delay_us, section.debounce_us)
     match section.mode:
         case "free-run":
@@ -133,7 +133,7 @@ def triggering_of(section: TriggerSection, devices: Sequence[str], *, external: 
 
 
 ALIKE = ("device", "serial", "exposure_us", "gain_db", "packet_size", "packet_delay_us", "count")
-"""What the configuration of a camera and the settings of its adapter call alike."""
+"""Options with the same name in a camera's configuration and its adapter's settings."""
 
 
 def _aravis(
@@ -163,7 +163,7 @@ def _aravis(
 
 
 def camera_facts(head: CellHead) -> dict[str, list[Json]]:
-    """How the cameras are, for people; one that is lost stays in the list."""
+    """Return the state of each camera as text for people; a lost camera stays in the list."""
     facts = {
         camera.name: [said("not-connected", "not connected")]
         for camera in head.cameras
@@ -206,8 +206,7 @@ def camera_facts(head: CellHead) -> dict[str, list[Json]]:
 
 
 def camera_gammas(head: CellHead) -> dict[str, tuple[float, str]]:
-    """The response that each open camera states: the exponent between light and grey value,
-    and how to make it 1."""
+    """Return each open camera's gamma (exponent from light to grey value) and the setting that makes it 1."""
     return {
         camera: (health.gamma, f"{health.linear[0]} = {json.dumps(health.linear[1])}")
         for camera, health in _healths(head)
@@ -215,7 +214,7 @@ def camera_gammas(head: CellHead) -> dict[str, tuple[float, str]]:
 
 
 def open_cameras(head: Head) -> dict[str, OpenCamera]:
-    """The cameras that are open, by side, for who sets them up."""
+    """Return the open cameras, by side, for the set-up page."""
     if not isinstance(head, StereoHead | TwoExposureHead):
         return {}
     return {
@@ -225,7 +224,7 @@ def open_cameras(head: Head) -> dict[str, OpenCamera]:
 
 
 def camera_figures(head: CellHead) -> dict[str, tuple[str, float]]:
-    """Figures of the cameras for /metrics: name to (help text, value)."""
+    """Return camera figures for /metrics: name to (help text, value)."""
     figures: dict[str, tuple[str, float]] = {}
     for camera, health in _healths(head):
         for name, text, value in (

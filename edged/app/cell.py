@@ -1,4 +1,4 @@
-"""From a configuration file to a cell that can measure."""
+"""Loads a configuration file into a cell that can measure."""
 
 from __future__ import annotations
 
@@ -37,16 +37,16 @@ from edged.vision.kernels.jit import load_called
 from edged.vision.part.job import Job
 
 PACKAGES = tuple(f"edged.vision.{package}" for package in ("shape", "edges", "curves", "part"))
-"""Packages whose kernels a cycle calls."""
+"""Packages whose kernels every cycle calls."""
 OF_MARKS = ("edged.vision.marks", "edged.vision.boards")
-"""Packages whose kernels a cycle with reference marks calls besides."""
+"""Further packages whose kernels a cycle with reference marks calls."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LoadedCell:
-    """A cell's files and what they become: the rig with its maps, and what the loop measures by.
+    """A cell's files and what is made of them: the rig with its maps, and the setup of the loop.
 
-    rig : None for a cell that is not finished, whose setup says what it lacks.
+    rig : None for an unfinished cell, whose setup says what it lacks.
     """
 
     cell: CellFiles | UnfinishedCell
@@ -55,7 +55,7 @@ class LoadedCell:
 
 
 def load_any_cell(path: Path) -> LoadedCell:
-    """Get a cell ready to measure, or to be set up. Raises `ConfigError` with every mistake in its files."""
+    """Load a cell, ready to measure or to be set up. Raises `ConfigError` with every mistake in its files."""
     cell = read_any_cell(path)
     if isinstance(cell, CellFiles):
         return _loaded(cell)
@@ -74,7 +74,7 @@ def load_any_cell(path: Path) -> LoadedCell:
 
 
 def load_cell(path: Path) -> LoadedCell:
-    """Get a cell ready to measure. Raises `ConfigError` with every mistake in its files."""
+    """Load a cell, ready to measure. Raises `ConfigError` with every mistake in its files."""
     return _loaded(read_cell(path))
 
 
@@ -120,9 +120,9 @@ def _belt(config: Config, rig: StereoRig) -> Belt | None:
 
 
 def with_registration(loaded: LoadedCell) -> LoadedCell:
-    """The cell with the rig as its file is now: the same cameras, standing elsewhere to the robot.
+    """Return the cell with the rig file read again: same cameras, new pose relative to the robot.
 
-    Its jobs stay in memory: they measure in the rig's own frame. Raises `EdgedError`.
+    Its jobs stay in memory, as they measure in the rig's own frame. Raises `EdgedError`.
     """
     cell, prepared = loaded.cell, loaded.rig
     if not isinstance(cell, CellFiles) or prepared is None:
@@ -149,9 +149,9 @@ def with_registration(loaded: LoadedCell) -> LoadedCell:
 
 
 def with_golden(loaded: LoadedCell, snapshot: Snapshot) -> LoadedCell:
-    """The cell with the one good part of a snapshot as the golden one of its job, which is saved.
+    """Save the single good part of a snapshot as the golden part of its job; return the cell with it.
 
-    Raises `UserError`; then nothing has changed.
+    Raises `UserError`; nothing has changed then.
     """
     cell, target = loaded.cell, golden_target(snapshot)
     if not isinstance(cell, CellFiles) or snapshot.fingerprint != cell.fingerprint:
@@ -178,7 +178,7 @@ def _bind(job: Job, rig: PreparedRig) -> Callable[[FramePair, Callable[[str], No
 
 
 def warm_up(loaded: LoadedCell) -> None:
-    """Load the kernels that a cycle calls; run every job once on an empty pair: buffers are allocated."""
+    """Load the kernels that a cycle calls, and run every job once on a blank pair to allocate buffers."""
     if loaded.rig is None:
         return
     load_called(*PACKAGES)

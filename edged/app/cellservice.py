@@ -1,4 +1,4 @@
-"""The cell as its page's process reaches it: what that is news, and what it may ask."""
+"""The cell's side of the link to its page's process: the state it reports and the requests it answers."""
 
 from __future__ import annotations
 
@@ -36,10 +36,10 @@ if TYPE_CHECKING:  # a cell without a stage does not load what its routes need
     from edged.setup.stage.forwarding import StageService
 
 INSTALL_S, INSTALLS_AT_ONCE = 2.0, 5.0
-"""A page may ask for so many releases at once, and then for one in so long."""
+"""Rate limit of releases from the page: a burst of `INSTALLS_AT_ONCE`, then one every `INSTALL_S`."""
 LOCKED = "the plant runs: its PLC forbids changes (AUTO_LOCK is 1)"
 GOLDEN_S = 10.0
-"""A cycle takes a second or two; one that is slower may still be kept, which the page then shows."""
+"""Time limit of GOLDEN; a cycle takes a second or two. A part kept after it still appears on the page."""
 log = logging.getLogger(__name__)
 
 PAGE = "page"
@@ -49,8 +49,8 @@ PAGE = "page"
 class CellService:
     """Serves one page (`edged.link.cellend.ServedCell`); used on the event loop.
 
-    installer : of releases. metrics : Prometheus' text. head_with : a head of other cameras, not yet open.
-    stage : what stands before virtual cameras; None without.
+    installer : of releases. metrics : returns the Prometheus text. head_with : returns a head with changed
+    cameras, not yet open. stage : the scene before virtual cameras; None without one.
     """
 
     def __init__(
@@ -78,11 +78,11 @@ class CellService:
 
     @property
     def task(self) -> PageTask:
-        """What the page is to serve."""
+        """Description of what the page is to serve."""
         return self._task
 
     def summary(self) -> CellSummary:
-        """State of the cell at this moment."""
+        """Return the present state of the cell."""
         running, session = self._running, self._running.session
         modbus = running.modbus()
         return CellSummary(
@@ -99,17 +99,17 @@ class CellService:
         )
 
     def version(self) -> LoadedCell:
-        """Another object whenever the cell runs by other files."""
+        """Version of the cell's files: a new object whenever they change."""
         return self._running.loaded
 
     def files(self, version: object) -> FilesInUse:
-        """The files of a version; called on any thread."""
+        """Return the files of a version; may be called on any thread."""
         if not isinstance(version, LoadedCell):
             raise TypeError(f"no version of a cell: {version!r}")
         return files_in_use(version.cell)
 
     async def answer(self, request: ask.Asked, memory: int | None = None) -> object:
-        """Do what a page asks. memory : sealed, that came with it. Raises `EdgedError`, `OSError`."""
+        """Carry out a page's request. memory : sealed memory sent with it. Raises `EdgedError`, `OSError`."""
         session = self._running.session
         match request:
             case ask.EnterSetup():
@@ -145,9 +145,9 @@ class CellService:
         return None
 
     async def _install(self, request: ask.InstallRelease, memory: int) -> None:
-        """Run by other files, where nobody else has the cell.
+        """Install a release if nobody else holds the cell.
 
-        In a while, where the page has asked too often: it cannot keep the cell busy.
+        Delayed if the page asks too often, so that it cannot keep the cell busy.
         """
         if not self._installs.take():
             await asyncio.sleep(INSTALL_S)
@@ -163,7 +163,7 @@ class CellService:
         log.info("%s has let the cell run by other files: %s", request.author, request.note)
 
     async def _keep_beside(self, request: ask.KeepBeside, memory: int) -> None:
-        """Write it beside the rig, and run with it; else what was there stays. Raises `EdgedError`."""
+        """Write marks or acceptance beside the rig and reload; restored if refused. Raises `EdgedError`."""
         await self._running.session.renew_setup(request.token)
         if self._running.session.is_locked:
             raise SetupRefused(LOCKED)
@@ -183,7 +183,10 @@ class CellService:
         log.info("%s was exchanged", place.name)
 
     async def _mend(self, what: str) -> None:
-        """Raises `SetupRefused`, `CommandRefused`, `UserError` for files that the cell cannot run by."""
+        """Reload, or close files with secrets to other users.
+
+        Raises `SetupRefused`, `CommandRefused`, and `UserError` for files that the cell cannot run with.
+        """
         if self._running.session.is_locked:
             raise SetupRefused(LOCKED)
         if what == "secrets":
@@ -192,7 +195,7 @@ class CellService:
             raise UserError(f"the cell cannot run with it, and goes on as before: {refused}")
 
     async def _looked_up(self, request: ask.Asked) -> object:
-        """What changes nothing, but on a stage."""
+        """Answer a request that changes nothing, except on a stage."""
         match request:
             case ask.AskRegisters():
                 return [(register.address, value) for register, value in self._running.registers()]
@@ -212,7 +215,7 @@ class CellService:
         self._running.cycle.submit(self._command(CommandKind.CHANGE_JOB, number, "it changes the job itself"))
 
     async def _keep_golden(self, number: int) -> None:
-        """Raises `SetupRefused`, `CommandRefused` that say why nothing was kept."""
+        """Run GOLDEN for a job. Raises `SetupRefused`, `CommandRefused` that say why nothing was kept."""
         if self._running.session.is_locked:
             raise SetupRefused(LOCKED)
         command = self._command(CommandKind.GOLDEN, number, "it commands GOLDEN itself")
@@ -223,7 +226,7 @@ class CellService:
             raise CommandRefused(f"no good part: {end.error or end.status}")
 
     def _command(self, kind: CommandKind, number: int, instead: str) -> Command:
-        """A command of the page. Raises `SetupRefused` while a PLC has the right to write."""
+        """Return a command from the page. Raises `SetupRefused` while a PLC has the right to write."""
         modbus = self._running.modbus()
         if modbus is not None and modbus.owner:
             raise SetupRefused(f"the PLC at {modbus.owner} has the right to write: {instead}")
@@ -232,7 +235,7 @@ class CellService:
 
 
 def plc_now(modbus: ModbusPublisher) -> PlcNow:
-    """The Modbus server as the page shows it."""
+    """Return the state of the Modbus server for the page."""
     now = modbus.settings
     return PlcNow(
         host=now.host,

@@ -1,4 +1,4 @@
-"""The daemon: connects cameras, loop and publishers, and exchanges parts of them on reload."""
+"""The daemon: connects cameras, loop and publishers, and replaces what has changed on reload."""
 
 from __future__ import annotations
 
@@ -43,11 +43,11 @@ if TYPE_CHECKING:  # a cell with real cameras starts without the simulation
 log = logging.getLogger(__name__)
 
 STOP_GRACE_S = 1.0
-"""A running cycle may end; what takes longer is cancelled, so that a stop takes less than 2 s."""
+"""Time for the running cycle to finish before it is cancelled, so that a stop takes less than 2 s."""
 
 
 def head_for(loaded: LoadedCell, world: VirtualWorld | None) -> CellHead:
-    """The stereo head of a loaded configuration; it insists on images as they were calibrated."""
+    """Return the stereo head of a loaded configuration; it requires images of the calibrated size."""
     rig = None if loaded.rig is None else loaded.rig.rig
     return head_of(
         loaded.cell.config.cameras, world, external=loaded.setup.listens, calibrated=_image_sizes(rig)
@@ -61,7 +61,7 @@ def _image_sizes(rig: StereoRig | None) -> tuple[Size, Size] | None:
 
 
 def _other_cameras(new: LoadedCell, old: LoadedCell) -> bool:
-    """Whether a reload needs another head: cameras, who triggers them, or the images they must give."""
+    """Whether a reload needs another head: cameras, their triggering or the calibration have changed."""
     return (new.cell.config.cameras, new.setup.listens, new.setup.calibration_id) != (
         old.cell.config.cameras,
         old.setup.listens,
@@ -74,7 +74,7 @@ class Daemon:
 
     observers : more publishers, for example the demo's view; they outlive a reload.
     world : the virtual cell that a configuration with virtual cameras needs; its owner starts and stops it.
-    routes : of the stage before virtual cameras, which its page forwards. awaited : the page, where it is a
+    routes : of the stage before virtual cameras, which the page forwards. awaited : the page, if it is a
     service of its own. on_started : called before the first cycle.
     """
 
@@ -113,7 +113,7 @@ class Daemon:
         """Publish and measure until `stop`. Raises `ListenError` when a port cannot be opened."""
         started: list[Publisher] = []
         try:
-            async with self._reloading:  # one that is asked for meanwhile comes after the start
+            async with self._reloading:  # a reload requested meanwhile waits until the start is complete
                 if not await self._start_servers():
                     return
                 self._warn()
@@ -122,7 +122,7 @@ class Daemon:
                     try:
                         await start_within(START_S, observer, type(observer).__name__)
                     except TookTooLong as error:
-                        log.error("%s; the cell runs without it", error)  # noqa: TRY400  (it names all)
+                        log.error("%s; the cell runs without it", error)  # noqa: TRY400  (the message says all)
                 self._tell_cycle()
             self.on_started()
             await self._run_cycle()
@@ -134,7 +134,7 @@ class Daemon:
                 await close_within(observer, type(observer).__name__)
 
     async def _start_servers(self) -> bool:
-        """False when the cell was stopped before they had started. Raises `ListenError`."""
+        """Start the servers; return False if stopped before they had started. Raises `ListenError`."""
         starting = asyncio.create_task(self._servers.start(self._running.loaded.cell.config), name="start")
         stopped = asyncio.create_task(self._cycle.stopping.wait(), name="stop")
         try:
@@ -148,23 +148,23 @@ class Daemon:
             await asyncio.wait({starting, stopped})
 
     def stop(self) -> None:
-        """End after the running cycle."""
+        """Stop after the running cycle."""
         self._cycle.stop()
 
     async def reload(self) -> bool:
-        """Read the configuration again and exchange what changed; False if it was refused.
+        """Read the configuration again and apply what has changed; return False if it was refused.
 
-        A configuration with mistakes, files that cannot be read, or ports that cannot be opened leave
+        Mistakes in the configuration, unreadable files and ports that cannot be opened leave
         everything as it was.
         """
         return not await self._read_again()
 
     async def _read_again(self) -> str:
-        """Read the configuration again; returns why it was refused, or ""."""
+        """Read the configuration again; return why it was refused, or ""."""
         async with self._reloading:
             self._notifier.reloading()
             try:
-                # a cell that measures keeps what it measures by; one that cannot may get it piece by piece
+                # a cell that measures must stay complete; an unfinished one may be completed step by step
                 load = load_cell if self._running.loaded.rig is not None else load_any_cell
                 loaded = await asyncio.to_thread(load, self._path)
                 await asyncio.to_thread(warm_up, loaded)
@@ -172,11 +172,11 @@ class Daemon:
                 await self._servers.exchange(loaded.cell.config)
             except (EdgedError, OSError, RuntimeError) as error:
                 why = str(error) or type(error).__name__
-                # the message names file, section and option: a traceback says no more
+                # the message names file, section and option; a traceback would add nothing
                 log.error("reload refused, the running configuration stays: %s", why)  # noqa: TRY400
                 self._notifier.reloaded(refused=why)
                 return why
-            except Exception:  # any: systemd waits to hear that the reload has ended; the bug goes on
+            except Exception:  # any: systemd waits for the end of the reload; the bug propagates
                 self._notifier.reloaded(refused="a bug, see the log")
                 raise
             self._running.loaded, self._running.head = loaded, head or self._running.head
@@ -194,11 +194,11 @@ class Daemon:
 
     @property
     def loaded(self) -> LoadedCell:
-        """The cell as it is loaded."""
+        """The cell as loaded now."""
         return self._running.loaded
 
     async def register(self, base: object, save: Callable[[], None]) -> Setup:
-        """Save the rig that a robot's program has registered, and measure by it. Raises as `activate`."""
+        """Save the rig that a robot's program has registered and measure with it. Raises as `activate`."""
         async with self._reloading:
             loaded = self._running.loaded
             if loaded is not base:
@@ -213,7 +213,7 @@ class Daemon:
             return self._running.loaded.setup
 
     async def keep(self, snapshot: Snapshot) -> Setup:
-        """Keep a golden part, and measure with it. Raises `EdgedError`."""
+        """Save a golden part and measure with it. Raises `EdgedError`."""
         async with self._reloading:
             self._running.loaded = await asyncio.to_thread(with_golden, self._running.loaded, snapshot)
             return self._running.loaded.setup
@@ -238,7 +238,7 @@ class Daemon:
                 await task
 
     def _page(self, cell: str, section: WebSection) -> PageServer:
-        """The page of the cell, in a process of its own."""
+        """Return the publisher of the cell's page, which runs in a process of its own."""
         stage = None
         if self._stage_routes:
             from edged.setup.stage.forwarding import StageService
@@ -267,7 +267,7 @@ class Daemon:
         return page
 
     def _head_with(self, changes: Mapping[Side, ChosenCamera]) -> CellHead:
-        """Other cameras for the cell as it is, whose images must fit its rig, also while jobs are missing."""
+        """Return a head with changed cameras, whose images must fit the rig, even while jobs are missing."""
         section = self.loaded.cell.config.cameras
         sides: dict[str, CameraSection] = {
             side: getattr(section, side).model_copy(update=change.stated())
@@ -278,6 +278,6 @@ class Daemon:
         return head_of(cameras, self._world, external=self.loaded.setup.listens, calibrated=sizes)
 
     def _tell_cycle(self) -> None:
-        # the PLC's registers first: a thread that others wake for a result takes the interpreter from them
+        # the PLC's registers first, before a thread woken by another publisher can take the interpreter lock
         servers = sorted(self._servers.started.items(), key=lambda server: server[0] != "modbus")
         self._cycle.set_publishers((*(publisher for _, publisher in servers), *self._observers))

@@ -1,4 +1,4 @@
-"""The view of the demo: each result of a virtual cell beside what is true, in the terminal."""
+"""The demo's view: each result of a virtual cell beside the true value, in the terminal."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ from edged.sim.cell import VirtualCell
 def demo_view(
     cell: VirtualCell, config: Config, console: Console, *, cycles: int, finished: Callable[[], None]
 ) -> DemoView:
-    """The live view of a virtual cell that runs with this configuration.
+    """Return the live view of a virtual cell that runs with this configuration.
 
-    finished : called once after so many cycles; 0: never.
+    finished : called once after `cycles` cycles; 0: never.
     """
 
     def truth(snapshot: Snapshot) -> FloatArray | None:
@@ -35,9 +35,9 @@ def demo_view(
 
 
 class BeltView:
-    """Errors of parts on a virtual belt, by the count that is told with them (`edged.ports.Publisher`).
+    """Errors of parts on a virtual belt at the encoder count published with them (`edged.ports.Publisher`).
 
-    belt : as the cell knows it. virtual : as it truly is. robot_from_rig (4, 4) : of the published frame.
+    belt : as configured in the cell. virtual : the true belt. robot_from_rig (4, 4) : of the published frame.
     """
 
     def __init__(
@@ -54,10 +54,10 @@ class BeltView:
         self.numbers: set[int] = set()
 
     async def start(self) -> None:
-        """Nothing is shown before the end."""
+        """Nothing to do, as nothing is shown before the end."""
 
     def announce(self, event: Event) -> None:
-        """Compare the best part of a cycle with where it truly was when the encoder stood at the count."""
+        """Compare the best part of a cycle with its true position at the published encoder count."""
         if not isinstance(event, Snapshot) or event.belt is None or not event.targets:
             return
         truth, part = self._cell.truth(event.exposed_ns), event.targets[0].belt

@@ -1,4 +1,4 @@
-"""Which devices answer: cameras in the networks of this machine, and the PLC whose memory the cell uses."""
+"""Discovery of devices: cameras in this machine's networks, and the PLC whose memory the cell uses."""
 
 from edged.adapters.aravis import (
     CameraInfo,

@@ -1,4 +1,4 @@
-"""What `edged doctor` finds on this machine, for the page: asked by the cell, as its own user."""
+"""Runs `edged doctor` for the page, started by the cell as its own user."""
 
 from __future__ import annotations
 
@@ -19,12 +19,14 @@ from edged.setup.cellfiles import exposed_secrets
 MOST_S = 60.0
 MOST_CHECKS, MOST_LETTERS = 200, 2000
 AGAIN_S, AT_ONCE = 5.0, 6.0
-"""A page may have six examinations one behind the other, as each mended finding asks for one, and then one in
-so long: each takes a processor a second."""
+"""Rate limit of examinations: a burst of `AT_ONCE`, then one every `AGAIN_S`.
+
+Each fixed finding asks for one, and each takes a second of one processor.
+"""
 
 
 class Examiner:
-    """Examines one at a time, in another process that gives way to the cell; used on the event loop."""
+    """Runs one examination at a time, in another process of lower priority; used on the event loop."""
 
     def __init__(self, config: Path) -> None:
         self._config = config
@@ -32,7 +34,7 @@ class Examiner:
         self._rate = Rate(1 / AGAIN_S, burst=AT_ONCE)
 
     async def examine(self) -> list[dict[str, str]]:
-        """Findings, as `edged doctor --json` has them; no picture is taken. Raises `CommandRefused`."""
+        """Return the findings of `edged doctor --json`, without taking a picture. Raises `CommandRefused`."""
         if self._turn.locked() or not self._rate.take():
             raise CommandRefused("this machine is being examined, or was a moment ago")
         async with self._turn:
@@ -59,9 +61,9 @@ class Examiner:
 
 
 def close_secrets(path: Path, config: Config) -> None:
-    """Take files with secrets from other users of this machine. path : of the configuration.
+    """Close files with secrets to other users of this machine. path : of the configuration.
 
-    Raises `CommandRefused` for one that this process may not.
+    Raises `CommandRefused` for a file that this process may not change.
     """
     for secret in exposed_secrets(path, config):
         if not secret.can_be_closed:

@@ -1,4 +1,4 @@
-"""What every cell says that this machine can reach."""
+"""Messages of all cells that this machine can reach."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from edged.adapters.zenoh.session import ClientTls
 
 __all__ = ["ClientTls", "Document", "Fleet", "News", "is_cell_name", "is_name_pattern", "news_of_cells"]
 
-INBOX_LENGTH = 10_000  # a reader that is stopped for long loses news, never memory
+INBOX_LENGTH = 10_000  # bounds memory: a reader that is stopped for long loses messages
 
 Document = dict[str, Any]
 
@@ -30,8 +30,9 @@ class News:
 
 @dataclass(frozen=True, slots=True)
 class Fleet:
-    """What is heard. inbox : fills with what the cells say. links : connections to routers and cells, now.
+    """Messages received from the cells.
 
+    inbox : queue of their messages. links : present number of connections to routers and cells.
     doubts : a sentence on each cell whose messages may not all be its own.
     """
 
@@ -41,12 +42,12 @@ class Fleet:
 
 
 def is_cell_name(text: str) -> bool:
-    """Whether a cell can have this name."""
+    """Whether this is a valid cell name."""
     return CELL_NAME.fullmatch(text) is not None
 
 
 def is_name_pattern(text: str) -> bool:
-    """Whether it is a cell's name in which * and ? stand for others."""
+    """Whether this is a valid pattern of cell names with the wildcards * and ?."""
     return re.fullmatch(r"[A-Za-z0-9_.*?-]{1,64}", text) is not None and "**" not in text
 
 
@@ -54,9 +55,10 @@ def is_name_pattern(text: str) -> bool:
 def news_of_cells(
     connect: Sequence[str], cell: str | None, tls: ClientTls | None = None, shared_key: bytes | None = None
 ) -> Iterator[Fleet]:
-    """What cells say while this is open; cell : only the one with this name; shared_key : only what it signs.
+    """Receive messages of cells while open.
 
-    Raises `ConfigError` for endpoints that cannot be, `UserError` for certificates.
+    cell : only from the cell with this name. shared_key : only messages signed with it.
+    Raises `ConfigError` for invalid endpoints, `UserError` for certificates.
     """
     inbox: queue.Queue[News] = queue.Queue(INBOX_LENGTH)
 

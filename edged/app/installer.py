@@ -1,4 +1,4 @@
-"""Releases that the page hands over are installed by another process (`edged.setup.releases.installing`)."""
+"""Installs releases from the page in a separate process (`edged.setup.releases.installing`)."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ from edged.setup.releases.installing import UNDO, note_installed
 log = logging.getLogger(__name__)
 
 MOST_S = 90.0
-"""For a release to be read and written: a hundred jobs take a few seconds."""
+"""Limit for reading and writing a release; a hundred jobs take a few seconds."""
 MOST_LINE_BYTES = 64 * 1024
 
 
 class Installer:
     """Installs one release at a time; used on the event loop.
 
-    config : of the cell. reload : reads it again; returns why it was refused, or "".
+    config : path of the cell's configuration. reload : reads it again; returns why it was refused, or "".
     """
 
     def __init__(self, config: Path, reload: Callable[[], Awaitable[str]]) -> None:
@@ -36,10 +36,10 @@ class Installer:
         self._turn = asyncio.Lock()
 
     async def install(self, memory: int) -> None:
-        """Let the cell run by a release. memory : sealed, with its archive.
+        """Run the cell with a release. memory : sealed memory with its archive.
 
-        Raises `EdgedError`, `OSError`; then the cell runs as before, by the files of before. After a
-        `LinkError` it is one of both, from the next start at the latest.
+        Raises `EdgedError`, `OSError`; the cell then runs as before, with its previous files. After a
+        `LinkError` it runs with either the old or the new files, from the next start at the latest.
         """
         if self._turn.locked():
             raise SetupRefused("another release is being installed")
@@ -69,7 +69,7 @@ class Installer:
 
 
 async def _heard(process: subprocess.Popen[bytes], word: str = "") -> None:
-    """Say a word to it, if there is one, and wait for how it went. Raises what it says, `LinkError`."""
+    """Send the process a word, if any, and wait for its answer. Raises the error it reports, `LinkError`."""
 
     def exchange() -> bytes:
         if process.stdin is None or process.stdout is None:
@@ -93,7 +93,7 @@ async def _heard(process: subprocess.Popen[bytes], word: str = "") -> None:
 
 
 def _ended(process: subprocess.Popen[bytes]) -> None:
-    """Leave nothing of it behind: all that it does was heard, or it hangs."""
+    """Kill the process and close its pipes: it has reported all it does, or it hangs."""
     process.kill()
     process.wait()
     for pipe in (process.stdin, process.stdout):

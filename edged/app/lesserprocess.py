@@ -1,7 +1,7 @@
-"""What a process gives up that serves people beside a cell: privileges, and its turn.
+"""Runs a program that serves people beside a cell with lower priority and without privileges.
 
-`python -m edged.app.lesserprocess PROGRAM ...` becomes that program without them. Capabilities go with the
-change of the program, as they come by the ambient set: the filter of the systemd units forbids capset(2).
+`python -m edged.app.lesserprocess PROGRAM ...` becomes that program. Its capabilities come from the ambient
+set, so they are dropped by the exec; the system call filter of the systemd units forbids capset(2).
 """
 
 from __future__ import annotations
@@ -15,16 +15,16 @@ from pathlib import Path
 from edged.setup.jobs.workerprocess import gain_no_more_rights, python_environment
 
 LESSER = (sys.executable, "-m", "edged.app.lesserprocess")
-"""Before a program that is to be less."""
+"""Command prefix for a program that is to run with less priority and privilege."""
 NICER = 10
 OOM_SCORE = 500
-"""/proc/self/oom_score_adj: where memory is short, the page goes before the cell."""
+"""/proc/self/oom_score_adj: if memory runs out, the page is killed before the cell."""
 
 
 def become(program: Sequence[str]) -> None:
-    """Become a program that gives way to the cell in processor time and memory, and has no capabilities.
+    """Become a program that yields processor time and memory to the cell and has no capabilities.
 
-    Root keeps its own: it reads and writes the files of others.
+    Root keeps its capabilities, since it reads and writes files of other users.
     """
     with contextlib.suppress(OSError):
         os.nice(NICER)
@@ -35,7 +35,7 @@ def become(program: Sequence[str]) -> None:
 
 
 def environment() -> dict[str, str]:
-    """That of a Python beside a cell; systemd hears the cell alone."""
+    """Return the environment for a Python process beside a cell; only the cell itself may notify systemd."""
     ours = ("NOTIFY_SOCKET", "WATCHDOG_USEC", "WATCHDOG_PID")
     return {name: text for name, text in python_environment().items() if name not in ours}
 

@@ -1,7 +1,7 @@
 """The page's process: HTTP, people, set-up, drafts, audit, manual and the worker, for the cell at the link.
 
-`python -m edged.app.page LEVEL LINK` with the level of the log, and the number of an inherited socket where
-the cell starts it, or the path of the cell's socket where it is a service (`edged.app.pagesource`).
+`python -m edged.app.page LEVEL LINK`, where LEVEL is the log level, and LINK is the number of an inherited
+socket if the cell starts it, or the path of the cell's socket if it is a service (`edged.app.pagesource`).
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from __future__ import annotations
 import gc
 
 if __name__ == "__main__":
-    gc.disable()  # until all is imported, which leaves no garbage: a tenth of the start was searches for it
+    gc.disable()  # until all is imported, which leaves no garbage; collections took a tenth of the start
 
 import asyncio
 import contextlib
@@ -47,15 +47,15 @@ log = logging.getLogger(__name__)
 
 CLOSE_S = 5.0
 SILENT_S = 5.0
-"""A cell that says nothing for so long hangs: it says something every second (`link.cellend.BEAT_S`)."""
+"""A cell that is silent for this long hangs; it sends a heartbeat every second (`link.cellend.BEAT_S`)."""
 REACH_S, AGAIN_S = 10.0, 0.2
-"""A service without a cell tries for so long, so often, before it ends and is started again."""
+"""A page service without a cell tries to connect every `AGAIN_S` for `REACH_S`, then ends to be restarted."""
 GONE_S = 1.0
-"""A page that has not ended by itself so long after its cell is cut off."""
+"""Grace period of a page after its cell has gone; then its process is ended."""
 
 
 class Page:
-    """The page of one cell, from the first that the link tells to its end."""
+    """The page of one cell, from the first message of the link until its end."""
 
     def __init__(self, link: PageEnd, task: PageTask) -> None:
         self._link = link
@@ -70,7 +70,7 @@ class Page:
         self._waiting: list[Callable[[], None]] | None = []
 
     async def start(self, listening: Sequence[socket.socket]) -> None:
-        """Serve; files and summary have come. Raises `EdgedError`."""
+        """Start serving, after files and summary have arrived. Raises `EdgedError`."""
         section = self.cell.files.config.web
         if section is None:
             raise LinkError("the cell runs without a page")
@@ -82,7 +82,7 @@ class Page:
             self.setup = SetupServices(self.cell, notices, live, self._task.addresses)
             routes += self.setup.routes()
             if self._task.is_staged:
-                from edged.setup.stage.forwarding import ForwardedStage  # with the simulation
+                from edged.setup.stage.forwarding import ForwardedStage  # imported only with the simulation
 
                 routes.append(ForwardedStage(self.cell.on_stage))
         self._web = WebPublisher(
@@ -98,7 +98,7 @@ class Page:
             what()
 
     async def watch(self) -> None:
-        """Say so when the cell says nothing, and take it back when it does again."""
+        """Announce a fault when the cell has become silent; `hear` withdraws it."""
         while True:
             heard_s = self._heard_s
             await asyncio.sleep(SILENT_S)
@@ -118,7 +118,7 @@ class Page:
             self._announce(self.cell.state)
 
     async def hear(self, news: LinkNews) -> None:
-        """Take note of what the cell tells."""
+        """Process one message from the cell."""
         self._speaks_again()
         match news.kind:
             case "files":
@@ -132,7 +132,7 @@ class Page:
                 self._do(lambda: self._tell_of(news.body))
 
     def _do(self, what: Callable[[], None]) -> None:
-        """Now, or once the page serves."""
+        """Call it now, or once the page serves."""
         if self._waiting is None:
             what()
         else:
@@ -147,7 +147,7 @@ class Page:
             tell_of(step, self.setup.program)
 
     async def close(self) -> None:
-        """Leave nothing behind."""
+        """Release all resources."""
         if self._web is not None:
             await self._web.close()
         if self._live is not None:
@@ -157,7 +157,7 @@ class Page:
 
 
 def tell_of(step: ProgramStep, program: RobotProgram) -> None:
-    """A step of a robot's registration becomes part of its draft; one whose pictures are lost does not."""
+    """Add a step of a robot's registration to its draft; a step whose pictures are lost is skipped."""
     match step.step:
         case "begun":
             mount: Any = step.mount
@@ -176,9 +176,9 @@ async def serve(
     named: Callable[[str], None] = lambda _cell: None,
     served: Callable[[], None] = lambda: None,
 ) -> int:
-    """Serve the page until the link ends; returns the exit code.
+    """Serve the page until the link ends; return the exit code.
 
-    named : called with the name of the cell. served : called once requests are answered.
+    named : called with the name of the cell. served : called once requests are being answered.
     """
     link = PageEnd(connection)
     try:
@@ -191,7 +191,7 @@ async def serve(
         try:
             for kind in ("files", "summary"):
                 await page.hear(LinkNews(kind, await _first(arriving, kind)))
-            # services ask as they start
+            # listen already, because services send requests as they start
             hearing = asyncio.create_task(_hear(arriving, page), name="link")
             listening = [*link.listening]
             link.listening.clear()
@@ -209,11 +209,11 @@ async def serve(
                 hearing.cancel()
                 with contextlib.suppress(asyncio.CancelledError):
                     await hearing
-    except LinkError as error:  # the cell has gone, and has its own words for it
+    except LinkError as error:  # the cell has gone, and logs the reason itself
         log.info("the page has stopped: %s", error)
         return 1
     except (EdgedError, OSError) as error:
-        # the message says what and why: a traceback says no more
+        # the message says what and why; a traceback would add nothing
         log.error("the page has stopped: %s", error)  # noqa: TRY400
         return 1
     finally:
@@ -227,7 +227,7 @@ async def _hear(arriving: AsyncIterator[LinkNews], page: Page) -> None:
 
 
 async def _first(arriving: AsyncIterator[LinkNews], kind: str) -> Any:
-    """The next of a kind, before which nothing else counts. Raises `LinkError`."""
+    """Return the next message of a kind, ignoring others before it. Raises `LinkError`."""
     async for news in arriving:
         if news.kind == kind:
             return news.body
@@ -235,7 +235,7 @@ async def _first(arriving: AsyncIterator[LinkNews], kind: str) -> Any:
 
 
 def _end_with(link: socket.socket) -> None:
-    """End this process soon after the link, whatever it does: it holds the port that the next cell needs."""
+    """End this process soon after the link closes, as it holds the port that the next cell needs."""
     poll = select.poll()
     poll.register(link, select.POLLRDHUP)
     poll.poll()
@@ -244,7 +244,7 @@ def _end_with(link: socket.socket) -> None:
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Run the process. arguments : level of the cell's log, descriptors of the link and of what listens."""
+    """Run the process. arguments : level of the cell's log; socket number or path of the link."""
     level, place = arguments
     start_log = partial(set_up_logging, level=int(level))
     start_log()
@@ -252,7 +252,7 @@ def main(arguments: Sequence[str]) -> int:
     try:
         link = _reached(place)
     except OSError as error:
-        log.error("no cell at %s: %s", place, error.strerror or error)  # noqa: TRY400  (it says all)
+        log.error("no cell at %s: %s", place, error.strerror or error)  # noqa: TRY400  (the message says all)
         return 1
     link.set_inheritable(False)
     link.setblocking(False)
@@ -261,7 +261,7 @@ def main(arguments: Sequence[str]) -> int:
 
 
 def _reached(place: str) -> socket.socket:
-    """The link by an inherited socket's number, or by the path of the cell's socket. Raises `OSError`."""
+    """Return the link. place : number of an inherited socket, or path of the cell's. Raises `OSError`."""
     if is_whole(place):
         return socket.socket(fileno=whole(place))
     link = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
@@ -269,7 +269,7 @@ def _reached(place: str) -> socket.socket:
     while True:
         try:
             link.connect(place)
-        except OSError:  # the cell is just being started, or another page of it is just ending
+        except OSError:  # the cell is still starting, or its previous page is still ending
             if time.monotonic() > deadline_s:
                 link.close()
                 raise
@@ -281,4 +281,4 @@ def _reached(place: str) -> socket.socket:
 if __name__ == "__main__":
     code = main(sys.argv[1:])
     logging.shutdown()
-    os._exit(code)  # threads of a library that still draw must not keep its port
+    os._exit(code)  # library threads that are still drawing must not hold its port

@@ -1,7 +1,7 @@
-"""The page as the cell has it: a process of its own; another takes its place whenever it ends.
+"""The cell's side of the page: keeps a page process running, and replaces it whenever it ends.
 
-The cell opens the port and hands it on: a browser that comes while the process starts waits a moment, and
-nobody else gets the port meanwhile.
+The cell opens the port and passes it on, so a browser that connects while the process starts waits a moment,
+and no other program can take the port meanwhile.
 """
 
 from __future__ import annotations
@@ -28,14 +28,14 @@ from edged.link.summary import ProgramStep
 log = logging.getLogger(__name__)
 
 PAUSE_S, MOST_PAUSE_S = 0.2, 5.0
-"""Before there is another page: doubled each time, unless it ran for a while."""
+"""Backoff before the next page: doubles each time, unless the last page ran for `GOOD_S`."""
 GOOD_S = 30.0
 
 
 class PageWitness:
-    """Tells the page of a robot's registration (`edged.setup.registration.registrar.Witness`), on any thread.
+    """Reports a robot's registration to the page, from any thread.
 
-    tell : called on the event loop.
+    Implements `edged.setup.registration.registrar.Witness`. tell : called on the event loop.
     """
 
     def __init__(self, tell: Callable[[ProgramStep], None], loop: asyncio.AbstractEventLoop) -> None:
@@ -43,29 +43,29 @@ class PageWitness:
         self._loop = loop
 
     def begun(self, mount: str, kind: str, board: str, limit_mm: float) -> None:
-        """It has begun anew."""
+        """Report that a registration has begun."""
         self._say(ProgramStep("begun", mount=mount, kind=kind, board=board, limit_mm=limit_mm))
 
     def posed(self, pair: FramePair, robot_from_flange: FloatArray) -> None:
-        """A pose was taken."""
+        """Report that a pose was taken."""
         self._say(ProgramStep("posed", pair=pair, pose=robot_from_flange))
 
     def touched(self, pair: FramePair, job: str, rig_mm: FloatArray, robot_from_tip: FloatArray) -> None:
-        """A point (3,) was taken, on the part of a job."""
+        """Report that a point (3,) was taken on the part of a job."""
         point_mm = np.asarray(rig_mm)
         self._say(ProgramStep("touched", pair=pair, job=job, point_mm=point_mm, pose=robot_from_tip))
 
     def activated(self) -> None:
-        """The cell runs by the result."""
+        """Report that the cell measures with the result."""
         self._say(ProgramStep("activated"))
 
     def _say(self, step: ProgramStep) -> None:
-        with contextlib.suppress(RuntimeError):  # the loop has ended
+        with contextlib.suppress(RuntimeError):  # the loop may have ended
             self._loop.call_soon_threadsafe(self._tell, step)
 
 
 class PageServer:
-    """The publisher of the page (`edged.ports.Publisher`). host, port : where it is served."""
+    """Publisher that runs the page (`edged.ports.Publisher`). host, port : where it is served."""
 
     def __init__(self, host: str, port: int, view: ServedCell, source: PageSource) -> None:
         self._host, self._port = host, port
@@ -80,17 +80,17 @@ class PageServer:
 
     @property
     def pid(self) -> int | None:
-        """Id of the process; None while there is none."""
+        """Id of the page's process; None while there is none."""
         return self._source.pid
 
     async def start(self) -> None:
-        """Open the port, and have the process. Raises `ListenError`."""
+        """Open the port and start the task that keeps a page running. Raises `ListenError`."""
         self._listening = await listening_on("status page", self._host, self._port)
         self._running = asyncio.create_task(self._run(), name="page")
         self._running.add_done_callback(_show_bug)
 
     def announce(self, event: Event) -> None:
-        """Pass an event on, and remember what a page needs that starts later."""
+        """Pass an event on, and remember those that a page started later needs."""
         match event:
             case CellState():
                 self._state = event
@@ -107,13 +107,13 @@ class PageServer:
             self._end.tell_step(step)
 
     async def close(self) -> None:
-        """End the process, and close the port."""
+        """End the process and close the port."""
         if self._running is not None:
             await cancel_and_await(self._running)
             self._running = None
         for opened in self._listening:
             with contextlib.suppress(OSError):
-                opened.shutdown(socket.SHUT_RDWR)  # also where a page that has not ended has it, too
+                opened.shutdown(socket.SHUT_RDWR)  # even if a page that has not ended still holds it
             opened.close()
         self._listening.clear()
 
@@ -127,7 +127,7 @@ class PageServer:
             await asyncio.sleep(pause_s)
 
     async def _serve_once(self) -> str:
-        """Have a page and serve it until it ends, or the link does; returns why, in words."""
+        """Get a page and serve it until it or the link ends; return the reason in words."""
         try:
             ours = await self._source.connection()
         except OSError as error:
@@ -150,6 +150,6 @@ class PageServer:
 
 
 def _show_bug(running: asyncio.Task[None]) -> None:
-    """Log a bug at once, not when the daemon ends: the cell goes on without its page."""
+    """Log a bug at once rather than when the daemon ends; the cell continues without its page."""
     if not running.cancelled() and (bug := running.exception()) is not None:
         log.error("the cell runs without its page, because of a bug", exc_info=bug)

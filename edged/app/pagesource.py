@@ -1,4 +1,4 @@
-"""Where a page's process comes from: the cell starts it, or it is a service and comes to a socket."""
+"""Sources of a page's process: started by the cell, or a service that connects to the cell's socket."""
 
 from __future__ import annotations
 
@@ -23,33 +23,33 @@ from edged.errors import UserError
 log = logging.getLogger(__name__)
 
 END_S = 1.0
-"""For the process to end by itself once the link is closed."""
+"""Grace period for the process to end by itself once the link is closed."""
 LEFT_S = 2.0
-"""For a page of another service, which cannot be killed from here."""
+"""Grace period for a page of another service, which cannot be killed from here."""
 WAITING = 1
-"""Pages that may wait for the one before them to end."""
+"""Listen backlog: pages that may wait for the previous one to end."""
 REFUSED_S = 1.0
-"""Nobody is let in for so long after somebody who may not."""
+"""Pause after refusing a connection, before the next one is accepted."""
 SOCKET = "page"
-"""In the runtime directory of the cell's service."""
+"""Name of the socket in the runtime directory of the cell's service."""
 
 
 class PageSource(Protocol):
-    """Gives the cell one page after another."""
+    """Provides the cell with one page process after another."""
 
     @property
     def pid(self) -> int | None:
         """Id of the process that has the link; None while there is none."""
 
     async def connection(self) -> socket.socket:
-        """The cell's end of a link to a page, as soon as there is one. Raises `OSError`."""
+        """Wait for a page; return the cell's end of the link to it. Raises `OSError`."""
 
     async def ended(self, *, is_good: bool) -> str:
-        """The link has ended; how the process did, in words. is_good : it has not misbehaved."""
+        """Wait for the process after the link's end; return how it ended. is_good : it has not misbehaved."""
 
 
 class StartedPage:
-    """A process that the cell starts, of the same user."""
+    """A page process that the cell starts, under the same user."""
 
     def __init__(self) -> None:
         self._process: subprocess.Popen[bytes] | None = None
@@ -60,7 +60,7 @@ class StartedPage:
         return None if self._process is None else self._process.pid
 
     async def connection(self) -> socket.socket:
-        """Start it on a thread; one that comes too late is ended. Raises `OSError`."""
+        """Start the process on a thread; if cancelled meanwhile, end it again. Raises `OSError`."""
         ours, theirs = socket.socketpair()
         with theirs:
             starting = asyncio.ensure_future(asyncio.to_thread(_started, theirs))
@@ -76,7 +76,7 @@ class StartedPage:
         return ours
 
     async def ended(self, *, is_good: bool) -> str:
-        """Wait for it to end; what misbehaves is not asked to."""
+        """Wait for the process to end; one that has misbehaved is killed at once."""
         process, self._process = self._process, None
         if process is None:
             return ""
@@ -85,9 +85,9 @@ class StartedPage:
 
 
 class AwaitedPage:
-    """A service of its own, which comes to a socket in the cell's runtime directory. user : that it runs as.
+    """A page service that connects to a socket in the cell's runtime directory. user : that it runs as.
 
-    The socket is for the cell's group, and the kernel says who comes (SO_PEERCRED, unix(7)).
+    The socket is open to the cell's group, and the kernel identifies the peer (SO_PEERCRED, unix(7)).
     """
 
     def __init__(self, user: str, place: Path) -> None:
@@ -107,7 +107,7 @@ class AwaitedPage:
         if self._listening is not None:
             return
         with contextlib.suppress(FileNotFoundError):
-            if stat.S_ISSOCK(self._place.lstat().st_mode):  # of a cell that was killed
+            if stat.S_ISSOCK(self._place.lstat().st_mode):  # left by a cell that was killed
                 self._place.unlink()
         listening = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
         try:
@@ -124,7 +124,7 @@ class AwaitedPage:
         self._listening = listening
 
     async def connection(self) -> socket.socket:
-        """Wait for the page. Raises `OSError`."""
+        """Wait for the page to connect. Raises `OSError`."""
         self.open()
         if self._listening is None:
             raise OSError("closed")
@@ -134,7 +134,7 @@ class AwaitedPage:
             expected = await asyncio.to_thread(_number_of, self._user)
             if user == expected:
                 self._pid = pid
-                with contextlib.suppress(OSError):  # it has just ended
+                with contextlib.suppress(OSError):  # it may just have ended
                     self._process = os.pidfd_open(pid)
                 return came
             came.close()
@@ -143,7 +143,7 @@ class AwaitedPage:
             await asyncio.sleep(REFUSED_S)
 
     async def ended(self, *, is_good: bool) -> str:
-        """Wait for it to end by itself, as it holds the port; its service manager looks after it."""
+        """Wait for it to end by itself, as it holds the port; its service manager restarts it."""
         process, self._pid, self._process = self._process, None, None
         if process is not None:
             try:
@@ -153,7 +153,7 @@ class AwaitedPage:
         return "" if is_good else "its service starts it again"
 
     def close(self) -> None:
-        """Listen no more."""
+        """Stop listening and remove the socket."""
         if self._listening is not None:
             self._listening.close()
             self._listening = None
@@ -162,7 +162,7 @@ class AwaitedPage:
 
 
 def awaited_page(user: str) -> AwaitedPage:
-    """The page of a service whose page is another one. Raises `UserError` outside of a service."""
+    """Return the source of a page that is a service of its own. Raises `UserError` outside a service."""
     folder = os.environ.get("RUNTIME_DIRECTORY", "").partition(":")[0]
     if not folder:
         raise UserError(
@@ -173,7 +173,7 @@ def awaited_page(user: str) -> AwaitedPage:
 
 
 def peer_of(connection: socket.socket) -> tuple[int, int]:
-    """Process and user at the other end of a Unix socket, as the kernel knows them."""
+    """Return process and user id of the peer of a Unix socket, as known to the kernel."""
     pid, user, _group = struct.unpack("3i", connection.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, 12))
     return pid, user
 
@@ -186,7 +186,7 @@ def _number_of(user: str) -> int | None:
 
 
 def _has_ended(process: int) -> bool:
-    """Whether a process has ended within its time."""
+    """Whether a process ends within `LEFT_S`. process : its pidfd."""
     poll = select.poll()
     poll.register(process, select.POLLIN)
     return bool(poll.poll(1e3 * LEFT_S))
@@ -199,12 +199,12 @@ def _started(link: socket.socket) -> subprocess.Popen[bytes]:
         stdin=subprocess.DEVNULL,
         pass_fds=[link.fileno()],
         env=environment(),
-        start_new_session=True,  # a ctrl-C is the cell's, which ends the page
+        start_new_session=True,  # a ctrl-C goes to the cell only, which ends the page
     )
 
 
 async def _ended(process: subprocess.Popen[bytes], grace_s: float) -> int:
-    """Wait for the process to end, kill it if it does not; returns its exit code."""
+    """Wait for the process to end, killing it if it does not; return its exit code."""
 
     def wait() -> int:
         with contextlib.suppress(subprocess.TimeoutExpired):

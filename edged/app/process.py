@@ -1,4 +1,4 @@
-"""The process of a daemon: its log, its threads' turns, its garbage and its signals."""
+"""The process of a daemon: logging, thread switching, garbage collection and signals."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ SWITCH_INTERVAL_S = 0.0005
 
 STANDARD_FILES = (0, 1, 2)
 DESCRIPTORS = 4096
-"""As in the systemd units; a shell's usual 1024 is what all servers may take together, and little more."""
+"""Limit of open files, as in the systemd units; a shell's usual 1024 is barely enough for all servers."""
 
 
 def set_up_process(level: int = logging.INFO) -> None:
-    """Log from here on, and let the event loop have its turns; before anything is loaded."""
+    """Set up logging, thread switch interval and the limit of open files; call before loading anything."""
     set_up_logging(level=level)
     sys.setswitchinterval(SWITCH_INTERVAL_S)
     allowed, most = resource.getrlimit(resource.RLIMIT_NOFILE)
@@ -36,16 +36,16 @@ def set_up_process(level: int = logging.INFO) -> None:
 
 
 def log_as(cell: str) -> None:
-    """Every entry of the log names the cell, now that its configuration is read."""
+    """Add the cell's name to every log entry from now on."""
     set_up_logging(cell)
 
 
 async def serve(build: Callable[[], Daemon]) -> None:
     """Run a daemon with the signals of a service: TERM and INT stop, HUP reloads.
 
-    A HUP because the terminal was closed stops it, too: cameras and ports would be held, and nobody knew.
+    A HUP because the terminal was closed stops it as well, or it would hold cameras and ports unnoticed.
     """
-    gc.freeze()  # now, as building looks for garbage, too
+    gc.freeze()  # now, as building triggers collections as well
     gc.enable()
     daemon = build()
     daemon.on_started = keep_what_is_loaded
@@ -66,7 +66,7 @@ async def serve(build: Callable[[], Daemon]) -> None:
     for number in (signal.SIGTERM, signal.SIGINT):
         loop.add_signal_handler(number, daemon.stop)
     loop.add_signal_handler(signal.SIGHUP, hang_up)
-    # one that came since the process began is a reload now: `edged run` holds it until here
+    # a HUP since the process began takes effect as a reload now: `edged run` blocks it until here
     former = signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGHUP})
     try:
         await daemon.run()

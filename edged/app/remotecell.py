@@ -1,4 +1,4 @@
-"""The cell as the page's process has it: what the link tells, and requests for all else."""
+"""The page process's view of the cell: state received over the link, and requests for everything else."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class RemoteSession:
         self._cell = cell
 
     async def enter_setup(self, name: str, *, take_over: bool = False) -> str:
-        """Take the cell; returns the lease's token. Raises `SetupRefused`."""
+        """Take the cell; return the lease's token. Raises `SetupRefused`."""
         token: str = await self._link.ask(ask.EnterSetup(name=name, take_over=take_over))
         return token
 
@@ -58,7 +58,7 @@ class RemoteSession:
         await self._link.ask(ask.EndSetup(name=name))
 
     async def capture(self, token: str) -> FramePair:
-        """One exposure. Raises `SetupRefused`, `CaptureError`."""
+        """Return one exposure. Raises `SetupRefused`, `CaptureError`."""
         pair: FramePair | None = await self._link.ask(ask.TakePair(token=token))
         if pair is None:
             raise FrameTimeout("both", "its pictures came too late to the page: take others")
@@ -73,7 +73,7 @@ class RemoteSession:
         return made
 
     async def limits(self, token: str, side: Side) -> CameraLimits:
-        """What a camera can be set to now. Raises `SetupRefused`, `CaptureError`."""
+        """Ranges that a camera can be set to now. Raises `SetupRefused`, `CaptureError`."""
         limits: CameraLimits = await self._link.ask(ask.ReadLimits(token=token, side=side))
         return limits
 
@@ -98,9 +98,9 @@ class RemoteSession:
 
 
 class RemoteCell:
-    """`edged.setup.inuse.RunningCell` and `edged.adapters.web.PageSources`. path : of the configuration.
+    """Implements `edged.setup.inuse.RunningCell` and `edged.adapters.web.PageSources`.
 
-    Files and summary have come before anybody asks.
+    path : of the configuration. Files and summary arrive before anything is asked of it.
     """
 
     def __init__(self, link: PageEnd, path: Path) -> None:
@@ -109,23 +109,23 @@ class RemoteCell:
         self._files: CellFiles | UnfinishedCell | None = None
         self._rig: PreparedRig | None = None
         self._pair: tuple[int, FramePair] | None = None
-        self.state: CellState | None = None  # as the cell has told it last
+        self.state: CellState | None = None  # as last announced by the cell
         self.summary = CellSummary()
         self.session = RemoteSession(link, self)
 
-    # --- what the link tells -----------------------------------------------------------------------
+    # --- messages from the link --------------------------------------------------------------------
 
     async def take_files(self, files: FilesInUse) -> None:
-        """The cell runs by other files. Raises `EdgedError`, `ValueError`."""
+        """Take over the files that the cell now runs with. Raises `EdgedError`, `ValueError`."""
         self._files = found = await asyncio.to_thread(cell_of, files)
         self._rig = PreparedRig(found.rig, found.rectification) if isinstance(found, CellFiles) else None
 
     def take_summary(self, summary: CellSummary) -> None:
-        """What no event tells has changed."""
+        """Take over a new summary: state that no event carries."""
         self.summary = summary
 
     def take_event(self, event: Event) -> Event:
-        """An event as the page gets it: of a miss with the question what was nearest, to be asked here."""
+        """Return an event for the page; the nearest candidate of a miss is computed here, on demand."""
         if isinstance(event, ExposureDone):
             self._pair = None if event.pair is None else (event.cycle, event.pair)
         elif isinstance(event, CellState):
@@ -151,7 +151,7 @@ class RemoteCell:
 
     @property
     def files(self) -> CellFiles | UnfinishedCell:
-        """The files that it runs by."""
+        """The files that the cell runs with."""
         if self._files is None:
             raise RuntimeError("the cell has not said yet what it runs by")
         return self._files
@@ -162,11 +162,11 @@ class RemoteCell:
         return self.state is not None and self.state.state is CellPhase.SETUP
 
     async def install(self, archive: bytes, token: str | None, author: str, note: str) -> None:
-        """Let it run by the files of an archive. Raises `EdgedError`, `OSError`."""
+        """Run the cell with the files of an archive. Raises `EdgedError`, `OSError`."""
         await self._hand_over(archive, ask.InstallRelease(token=token, author=author, note=note))
 
     async def keep_beside(self, what: ask.BesideRig, content: bytes, token: str) -> None:
-        """Let it have other marks, or an acceptance, beside the rig. Raises `EdgedError`, `OSError`."""
+        """Replace the marks or the acceptance stored beside the rig. Raises `EdgedError`, `OSError`."""
         await self._hand_over(content, ask.KeepBeside(token=token, what=what))
 
     async def _hand_over(self, data: bytes, request: ask.Asked) -> None:
@@ -177,29 +177,29 @@ class RemoteCell:
             os.close(memory)
 
     async def take_job(self, number: int) -> None:
-        """Measure by a job. Raises `SetupRefused`, `CommandRefused`."""
+        """Switch to a job. Raises `SetupRefused`, `CommandRefused`."""
         await self._link.ask(ask.TakeJob(number=number))
 
     async def keep_golden(self, number: int) -> None:
-        """Keep where the part of a job lies. Raises `SetupRefused`, `CommandRefused`."""
+        """Keep the present part of a job as its golden part. Raises `SetupRefused`, `CommandRefused`."""
         await self._link.ask(ask.KeepGolden(number=number))
 
     async def examine(self) -> Sequence[Mapping[str, str]]:
-        """What `edged doctor` finds on the machine. Raises `CommandRefused`."""
+        """Return the findings of `edged doctor` on the cell's machine. Raises `CommandRefused`."""
         found: Sequence[Mapping[str, str]] = await self._link.ask(ask.Examine())
         return found
 
     async def mend(self, what: Literal["reload", "secrets"]) -> None:
-        """Do what a finding needs. Raises `SetupRefused`, `CommandRefused`, `UserError`."""
+        """Apply the remedy for a finding. Raises `SetupRefused`, `CommandRefused`, `UserError`."""
         await self._link.ask(ask.Mend(what=what))
 
     async def exchanges(self) -> Sequence[Exchange]:
-        """The last commands of a PLC and their outcome, newest first."""
+        """Return the last commands of a PLC and their outcome, newest first."""
         found: Sequence[Exchange] = await self._link.ask(ask.AskExchanges())
         return found
 
     async def metrics(self) -> bytes:
-        """Prometheus' text."""
+        """Return the Prometheus text."""
         text: bytes = await self._link.ask(ask.AskMetrics())
         return text
 
@@ -221,28 +221,28 @@ class RemoteCell:
         return self.summary.jobs
 
     def facts(self) -> Mapping[str, Mapping[str, Any]]:
-        """What the status page says of the parts, group by group."""
+        """Facts about the cell's components for the status page, by group."""
         return self.summary.facts
 
     async def registers(self) -> Sequence[tuple[Register, Number]]:
-        """Each register with its value; none where Modbus is off."""
+        """Return each register with its value; none if Modbus is off."""
         found = await self._link.ask(ask.AskRegisters())
         return [(REGISTERS[address], value) for address, value in found]
 
     def convention(self) -> Convention:
-        """How A, B, C state an orientation in the registers."""
+        """Convention by which A, B, C give an orientation in the registers."""
         return Convention[self.files.config.modbus.convention.upper()]
 
     def overview(self) -> Overview:
-        """What who sets the cell up sees first."""
+        """Overview for the person who sets the cell up."""
         return self.summary.overview
 
     def fingerprint(self) -> str:
-        """Digest of all that results stand on."""
+        """Digest of everything that results depend on."""
         return self.files.fingerprint
 
     def limits(self) -> Mapping[int, float]:
-        """What each job allows a coordinate's sigma to be, mm, by its number."""
+        """Largest sigma of a coordinate that each job allows, mm, by job number."""
         files = self.files
         jobs = files.jobs if isinstance(files, CellFiles) else ()
         return {job.number: job.limits.max_sigma_mm for job in jobs}

@@ -1,4 +1,4 @@
-"""The running cell: its parts, and what servers and pages tell of them."""
+"""The running cell: its components, and what servers and pages report about them."""
 
 from __future__ import annotations
 
@@ -40,16 +40,16 @@ GROUPS = {
     "recorder": "Recorder",
     "history": "History",
 }
-"""Where the status page says what is wrong with a server."""
+"""Group of the status page that shows a server's problem, by the name of its section."""
 
 
 @dataclass(slots=True, eq=False)
 class Running:
-    """The parts of a running cell.
+    """The components of a running cell.
 
-    path : of the configuration. loaded, head : exchanged by a reload. reload : reads the configuration again;
+    path : of the configuration. loaded, head : replaced by a reload. reload : reads the configuration again;
     returns why it was refused, or "". staged : its world is a stage. servers : by the name of their section.
-    problems : why servers do not run that are wanted, by the name of their section.
+    problems : why wanted servers do not run, by the name of their section.
     """
 
     path: Path
@@ -63,12 +63,12 @@ class Running:
 
     @property
     def files(self) -> CellFiles | UnfinishedCell:
-        """The files that it runs by."""
+        """The files that the cell runs with."""
         return self.loaded.cell
 
     @property
     def session(self) -> SetupSession:
-        """Its lease, and its cameras in SETUP."""
+        """The lease and the cameras in SETUP."""
         return self.cycle.session
 
     def modbus(self) -> ModbusPublisher | None:
@@ -87,16 +87,16 @@ class Running:
         return ethernetip if isinstance(ethernetip, EnipPublisher) else None
 
     def registers(self) -> list[tuple[Register, Number]]:
-        """Each register with its value; none where Modbus is off."""
+        """Each register with its value; none if Modbus is off."""
         modbus = self.modbus()
         return [] if modbus is None else list(modbus.values())
 
     def fingerprint(self) -> str:
-        """Digest of all that results stand on."""
+        """Digest of everything that results depend on."""
         return self.loaded.setup.fingerprint
 
     def recorded(self) -> tuple[str, Mapping[str, bytes]]:
-        """Fingerprint and files, as recordings keep them."""
+        """Fingerprint and files, as stored with recordings."""
         return self.fingerprint(), self.files.contents
 
     def jobs(self) -> list[tuple[int, str]]:
@@ -104,7 +104,7 @@ class Running:
         return [(job.number, job.name) for job in self.loaded.setup.jobs.values()]
 
     def config_summary(self) -> dict[str, Any]:
-        """What `edged/<cell>/config` answers; asterisks say that there is a password's hash, and no more."""
+        """Answer to `edged/<cell>/config`; a password hash appears as asterisks only."""
         return {
             "version": __version__,
             "fingerprint": self.loaded.setup.fingerprint,
@@ -113,7 +113,7 @@ class Running:
         }
 
     def facts(self) -> dict[str, dict[str, Any]]:
-        """What the status page says of the parts, group by group."""
+        """Facts about the cell's components for the status page, by group."""
         config, setup = self.files.config, self.loaded.setup
         registered = said("not-registered", "no: results are in the rig's frame")
         if setup.robot_from_rig is not None:
@@ -184,12 +184,12 @@ class Running:
         }
 
     def history(self) -> HistoryFigures | None:
-        """Figures of the history; None where none is written."""
+        """Figures of the history; None if none is written."""
         found = self.servers.get("history")
         return found.figures if isinstance(found, CycleHistory) else None
 
     def figures(self) -> dict[str, tuple[str, float]]:
-        """Figures of the parts for /metrics."""
+        """Figures of the components for /metrics: name to (help text, value)."""
         drift = self.cycle.drift
         result: dict[str, tuple[str, float]] = {
             "calibration_verdict": (
@@ -258,7 +258,7 @@ class Running:
         return result
 
     def overview(self) -> Overview:
-        """What who sets the cell up sees first."""
+        """Overview for the person who sets the cell up."""
         loaded, drift, rig = self.loaded, self.cycle.drift, None
         calibrated = loaded.cell.rig
         if calibrated is not None:
@@ -288,7 +288,7 @@ class Running:
         )
 
     def _calibration_sigma_um(self) -> tuple[float, float, float] | None:
-        """Sigma of X, Y, Z by the calibration, rig frame, rms over the taught places; None: not known."""
+        """Sigma of X, Y, Z due to the calibration, rig frame, µm, rms over taught places; None if unknown."""
         loaded = self.loaded
         if loaded.rig is None or loaded.rig.rig.covariance is None or not isinstance(loaded.cell, CellFiles):
             return None

@@ -1,6 +1,7 @@
-"""What a configuration publishes by: Modbus, OPC UA, Zenoh, recorder, web page, ..., started and exchanged.
+"""Starts and replaces the servers of a configuration: Modbus, OPC UA, Zenoh, recorder, web page, ...
 
-A cell without Zenoh or OPC UA loads none of them: each is a tenth of a start. The page has its own process.
+A cell without Zenoh or OPC UA does not import them, as each takes a tenth of the start. The page has its own
+process.
 """
 
 from __future__ import annotations
@@ -40,31 +41,34 @@ from edged.ports import Publisher
 log = logging.getLogger(__name__)
 
 START_S = 10.0
-"""For one server, while the cell waits for it. The slowest is OPC UA, which builds its address space first:
-`python -m pytest tests/wire/test_opcua.py --durations 3`."""
+"""Limit for starting one server while the cell waits. The slowest is OPC UA, which builds its address space
+first: `python -m pytest tests/wire/test_opcua.py --durations 3`."""
 LATE_START_S = 60.0
-"""For one while the cell measures: longer than any server allows itself, OPC UA 30 s."""
+"""Limit for starting one while the cell measures: longer than any server's own limit (OPC UA 30 s)."""
 CLOSE_S = 5.0
-"""OPC UA allows itself 3 s."""
+"""Limit for closing one server; OPC UA's own limit is 3 s."""
 RETRY_S = 5.0
 
 
 def import_servers(config: Config) -> None:
-    """Import what a configuration's servers need; a part of it, as reading certificates, is not Python."""
+    """Import the modules that a configuration's servers need.
+
+    Part of the work, such as reading certificates, is not Python, so it gains from a thread of its own.
+    """
     wanted = {"zenoh": config.zenoh.enabled, "opcua": config.opcua is not None}
     if config.plc is not None:
         wanted[f"plcmemory.{config.plc.family}"] = True
     for name in (name for name, asked in wanted.items() if asked):
-        with contextlib.suppress(ImportError):  # the server that needs a missing package says so
+        with contextlib.suppress(ImportError):  # the server itself reports its missing package
             importlib.import_module(f"edged.adapters.{name}")
 
 
 Build = Callable[[], Publisher]
-"""Makes a server anew of what was read before: it needs no file any more."""
+"""Builds a server from what has been read before, without reading any file."""
 
 
 async def start_within(limit_s: float, publisher: Publisher, what: str) -> None:
-    """Start a publisher, or close it again. Raises `TookTooLong` that names it."""
+    """Start a publisher; close it if that fails. Raises `TookTooLong` that names it."""
     try:
         async with asyncio.timeout(limit_s):
             await publisher.start()
@@ -77,7 +81,7 @@ async def start_within(limit_s: float, publisher: Publisher, what: str) -> None:
 
 
 async def close_within(publisher: Publisher, what: str) -> None:
-    """Close it; one that hangs is left behind, and that is said."""
+    """Close a publisher; one that hangs is abandoned with a warning in the log."""
     try:
         async with asyncio.timeout(CLOSE_S):
             await publisher.close()
@@ -88,8 +92,8 @@ async def close_within(publisher: Publisher, what: str) -> None:
 class Servers:
     """The publishers that a configuration asks for.
 
-    running : the cell, whose `servers` and `problems` are kept up to date. changed : called whenever others
-    run than before an exchange. page : makes the page of a cell by its name.
+    running : the cell, whose `servers` and `problems` are kept up to date. changed : called whenever the set
+    of running servers may have changed after the start. page : makes the page of a cell, given its name.
     """
 
     def __init__(
@@ -100,25 +104,25 @@ class Servers:
         self._problems = running.problems
         self._changed = changed
         self._page = page
-        self._wanted: dict[str, tuple[WantedServer, Build]] = {}  # of those that run
+        self._wanted: dict[str, tuple[WantedServer, Build]] = {}  # for running servers
         self._failing: dict[str, tuple[WantedServer, Build]] = {}
         self._trying: asyncio.Task[None] | None = None
 
     @property
     def started(self) -> Mapping[str, Publisher]:
-        """Those that run, by the name of their section."""
+        """Running servers, by the name of their section."""
         return self._started
 
     @property
     def problems(self) -> Mapping[str, str]:
-        """Why those do not run that could not start, by the name of their section; they are tried again."""
+        """Why servers could not start, by the name of their section; they are retried."""
         return self._problems
 
     async def start(self, config: Config) -> None:
-        """Start all that are wanted; one that takes too long is tried again while the cell measures.
+        """Start all wanted servers; one that takes too long is retried while the cell measures.
 
-        Raises `ListenError` for one that cannot be: who started the cell is to see it, and systemd starts it
-        again. Those that were started before it run on.
+        Raises `ListenError` for one that cannot start, so that the person who started the cell sees it and
+        systemd restarts it. Those started before it keep running.
         """
         for name, wanted in wanted_servers(config).items():
             build = self._builder(wanted)
@@ -129,12 +133,12 @@ class Servers:
         self._try_again_later()
 
     async def exchange(self, config: Config) -> None:
-        """Exchange those that are wanted otherwise, or whose files have changed; or all stay, and it raises.
+        """Replace servers whose settings or files have changed; on failure keep all as before, and raise.
 
-        Files are read, and judged, before any server is touched. One that listens elsewhere is started beside
-        the running one. When one cannot start all the same, those that were exchanged before it are again as
-        they were, of the files as they were. One that could not start before, and is wanted as before, is
-        tried again later.
+        Files are read and checked before any server is touched. A server that moves to another port is
+        started beside the running one. If one still cannot start, those replaced before it are restored with
+        their old settings and files. One that could not start before and whose settings are unchanged is
+        retried later.
         """
         wanted = await asyncio.to_thread(wanted_servers, config)
         await self._try_no_more()
@@ -160,7 +164,7 @@ class Servers:
             self._forget_failing(name)
 
     async def close(self) -> None:
-        """Close all."""
+        """Close all servers."""
         await self._try_no_more()
         for name, publisher in self._started.items():
             await close_within(publisher, name)
@@ -187,7 +191,7 @@ class Servers:
         try:
             await self._restart(name, old)
         except (EdgedError, OSError) as error:
-            # somebody took its port meanwhile; the others must be put back all the same
+            # its port was taken meanwhile; the others must still be restored
             if old is not None:
                 self._note_failing(name, old, str(error))
 
@@ -196,7 +200,7 @@ class Servers:
         await start_within(limit_s or START_S, publisher, f"{name} on {wanted.place}")
         self._started[name], self._wanted[name] = publisher, (wanted, build)
 
-    # --- those that cannot start now ---------------------------------------------------------------
+    # --- servers that cannot start now -------------------------------------------------------------
 
     def _note_failing(self, name: str, failing: tuple[WantedServer, Build], why: str) -> None:
         self._failing[name], self._problems[name] = failing, why
@@ -234,7 +238,7 @@ class Servers:
         self._trying = None
 
     def _builder(self, wanted: WantedServer) -> Build:
-        """Read what a server needs. Raises `EdgedError` or `OSError` for what it cannot use."""
+        """Read a server's files and return its builder. Raises `EdgedError`, `OSError` for unusable files."""
         running, section = self._running, wanted.section
         match section:
             case ModbusSection():
@@ -282,7 +286,7 @@ class Servers:
 
 
 def _history_builder(section: HistorySection, cell: str) -> Build:
-    """Raises `ListenError` where nothing could pack what is written."""
+    """Return the builder of the history. Raises `ListenError` if the package that packs it is missing."""
     if importlib.util.find_spec("pyarrow") is None:
         raise ListenError("history: needs another package: pip install 'edged[history]'")
     limits = str(section.max_days), str(section.max_mib), *([section.bucket] if section.bucket else [])
@@ -291,11 +295,11 @@ def _history_builder(section: HistorySection, cell: str) -> Build:
 
 
 def _show_bug(trying: asyncio.Task[None]) -> None:
-    """Log a bug of a server that was tried again at once, not when the daemon ends."""
+    """Log a bug in a retried server at once rather than when the daemon ends."""
     if not trying.cancelled() and (bug := trying.exception()) is not None:
         log.error("a server cannot be started because of a bug, and is not tried again", exc_info=bug)
 
 
 def _lie_apart(first: WantedServer, second: WantedServer) -> bool:
-    """Whether both can run at once."""
+    """Whether both can run at once: both ports are known and differ."""
     return None not in (first.port, second.port) and first.port != second.port

@@ -1,4 +1,4 @@
-"""The services of setting up a cell over its page, and their routes."""
+"""The services for setting up a cell from its page, and their routes."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ from edged.setup.trials.service import Trials
 
 
 class SetupServices:
-    """Built for a page by which the cell may be set up, in the page's own process.
+    """All set-up services of a page that allows commissioning, in the page's own process.
 
     addresses : of virtual cameras, left and right; None without.
     """
@@ -53,7 +53,7 @@ class SetupServices:
         self._running = running
         services = acceptance, calibrations, cycles, marking, registrations, regressions, teachings, trials
         functions = ChainMap(*(service.FUNCTIONS for service in services))
-        # while the cell measures, one processor is left to it alone
+        # while the cell measures, one processor is reserved for it
         worker, tasks = Worker(functions, lambda: 2 if running.in_setup else 1), Tasks(notices)
         self.cell = cell = CellInUse(running, worker, tasks, notices)
         self._calibrations = Calibrations(cell)
@@ -80,7 +80,7 @@ class SetupServices:
         self._stop = live.listen(self._offer)
 
     def routes(self) -> Sequence[object]:
-        """Objects with the routes; aiohttp is imported only for a page."""
+        """Return the objects with the routes; aiohttp is imported only for a page."""
         from edged.setup.acceptance.routes import AcceptanceRoutes
         from edged.setup.calibration.routes import CalibrationRoutes, CheckRoutes
         from edged.setup.cameras.routes import CameraRoutes
@@ -117,12 +117,12 @@ class SetupServices:
         ]
 
     def _offer(self, number: int, pair: FramePair) -> None:
-        """A live pair goes to the trial that is on, else to the calibration."""
+        """Pass a live pair to the running trial, else to the calibration."""
         service = self._trials if self._trials.is_on else self._calibrations
         service.offer(number, pair)
 
     async def close(self) -> None:
-        """End the worker process; drafts are on disc."""
+        """Close all services and the worker process; drafts are already on disc."""
         self._stop()
         await self._gate.close()
         await self._cameras.close()

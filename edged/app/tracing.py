@@ -1,6 +1,6 @@
-"""Where the time of a cycle goes: what runs on each thread, and what the loop waits for, as trace events.
+"""Trace of where a cycle's time goes: what runs on each thread, and what the loop waits for.
 
-A daemon that is not traced knows nothing of it: functions are wrapped when a trace begins, and unwrapped when
+There is no overhead without a trace: functions are wrapped when a trace begins and unwrapped when
 it ends. The file is JSON in the Trace Event Format, for https://ui.perfetto.dev or chrome://tracing.
 Source: N. Duca and D. Sinclair, "Trace Event Format", 2016.
 """
@@ -24,13 +24,13 @@ from edged.files.atomic import write_file
 from edged.logs import cycle_number
 
 KEPT = 200_000
-"""Spans in memory, the last ones: half an hour of a cell that measures twice a second."""
+"""Number of newest spans kept in memory: half an hour of a cell that measures twice a second."""
 OWN_THREAD = ""
-"""Track of a function that ends before its thread does anything else."""
+"""Track of a function that runs without interruption on its thread."""
 CELL = "cell"
-"""Track of what the loop awaits one after the other; the thread does other things meanwhile."""
+"""Track of what the loop awaits in sequence; the thread does other things meanwhile."""
 CAMERA = "camera"
-"""Tracks of what is awaited of each camera; both at once."""
+"""Tracks of what is awaited from each camera, both in parallel."""
 PUBLISHERS = (
     "edged.adapters.modbus.publisher:ModbusPublisher",
     "edged.adapters.opcua.publisher:OpcUaPublisher",
@@ -66,18 +66,18 @@ TRACED = {
     "edged.adapters.modbus.cell:CellRegisters.take": ("answer into registers", OWN_THREAD),
     "edged.adapters.modbus.cell:CellRegisters.read": ("registers read", OWN_THREAD),
 }
-"""Functions that are traced: module and name, with the name of the span ("" : of the class) and its track."""
+"""Traced functions: module and name, with the name of the span ("" : of the class) and its track."""
 
 
 class Trace:
-    """Spans of this process. Kept in memory: nothing is written while a cycle runs."""
+    """Spans of this process, kept in memory so that nothing is written while a cycle runs."""
 
     def __init__(self) -> None:
         self._spans: deque[tuple[str, str | int, int, int, int | None]] = deque(maxlen=KEPT)
         self._threads: dict[int, str] = {}
 
     def wrapped(self, function: Callable[..., Any], name: str, track: str) -> Callable[..., Any]:
-        """The function, each call of which is a span."""
+        """Return the function wrapped so that each call is recorded as a span."""
         clock_ns, note = time.perf_counter_ns, self._note
 
         @wraps(function)
@@ -106,7 +106,7 @@ class Trace:
         self._spans.append((name, track or thread, begun_ns, now_ns - begun_ns, cycle_number.get()))
 
     def events(self) -> list[dict[str, Any]]:
-        """Trace events, of which tracks that are no threads have small numbers."""
+        """Return the trace events; tracks that are not threads have small numbers."""
         process, spans = os.getpid(), list(self._spans)
         tracks = sorted({track for _, track, *_ in spans if isinstance(track, str)})
         numbers: dict[str | int, int] = {track: number for number, track in enumerate(tracks, 1)}
@@ -133,9 +133,9 @@ class Trace:
 
 @contextmanager
 def traced(path: Path | None) -> Iterator[None]:
-    """Trace this process, and write the file at the end; None: nothing is done.
+    """Trace this process and write the file at the end; None: do nothing.
 
-    What is not imported by now is not traced.  Raises `FileFormatError` where the file cannot be written.
+    Modules not imported by now are not traced. Raises `FileFormatError` if the file cannot be written.
     """
     if path is None:
         yield

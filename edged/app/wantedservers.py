@@ -26,10 +26,10 @@ if TYPE_CHECKING:  # a cell without them does not load them
 
 
 class WantedServer(NamedTuple):
-    """A server that a configuration asks for. cell : the cell's name where the server says it, else "".
+    """A server that a configuration asks for.
 
-    free_running : the cell measures unasked, where the server says that.
-
+    cell : the cell's name if the server publishes it, else "".
+    free_running : the cell measures without commands; set only if the server publishes that.
     files : digest of each file that it reads at its start: certificates, authorities, access control.
     """
 
@@ -49,7 +49,7 @@ class WantedServer(NamedTuple):
 
     @property
     def port(self) -> int | None:
-        """The TCP port that it listens on; None where that is not all that it holds, or not known."""
+        """TCP port that it listens on; None if it holds other resources as well, or the port is unknown."""
         section = self.section
         if isinstance(section, ModbusSection):
             return section.port if section.serial is None and section.socket is None else None
@@ -79,9 +79,9 @@ class WantedServer(NamedTuple):
 
 
 def wanted_servers(config: Config) -> dict[str, WantedServer]:
-    """By the name of their section, the PLC's last; two that are equal need no exchange.
+    """Return the wanted servers by the name of their section, those for a PLC last.
 
-    Raises `OSError` for a file that cannot be read.
+    A server that compares equal need not be replaced. Raises `OSError` for a file that cannot be read.
     """
     wanted = dict[str, WantedServer]()
     files = config.machine_files()

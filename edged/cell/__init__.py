@@ -1,1 +1,1 @@
-"""The running cell: the loop from trigger to result, and what it is made of."""
+"""The running cell: the loop from trigger to result, and its components."""

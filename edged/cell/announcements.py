@@ -1,4 +1,4 @@
-"""The publishers of one cell, the state they know, and log lines of faults and misses."""
+"""The publishers of one cell, the state last announced to them, and log lines of faults and misses."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from edged.logs import FaultLog, fields
 from edged.ports import Publisher
 
 log = logging.getLogger("edged.cell.cycle")
-"""Logger of the loop and its parts, so that one filter of the journal finds all their lines."""
+"""Logger shared by the loop and its parts, so that one journal filter finds all their lines."""
 
 
 class Announcements:
     """Passes events to every publisher. Used on the event loop only.
 
-    basis : what results stand on. state : announced last; None before the first.
-    faults : log of camera faults, each at its start and with a count at its end.
+    basis : setup that results are based on. state : announced last; None before the first.
+    faults : log of camera faults, with a line at the start of each and a count at its end.
     """
 
     def __init__(self, basis: Basis) -> None:
@@ -49,7 +49,7 @@ class Announcements:
         self.announce(self.basis)
 
     def tell_state(self, new: CellState, drift: DriftState, calibration_id: str) -> None:
-        """Announce a state unless it is the known one; log a change of `calibrated`, which drift explains."""
+        """Announce a state if it has changed; log a change of `calibrated` with the drift behind it."""
         if new == self.state:
             return
         if self.state is not None and new.calibrated is not self.state.calibrated:
@@ -64,7 +64,7 @@ class Announcements:
         self.announce(new)
 
     def log_miss(self, snapshot: Snapshot) -> None:
-        """Log that a part is missing or refused: at the start, and with a count at the end."""
+        """Log that parts are missing or refused: once at the start of a series, with a count at its end."""
         grabbed = snapshot.command is not None and snapshot.command.kind is CommandKind.GRAB
         if snapshot.status is Status.CAPTURE_FAULT or grabbed:
             return

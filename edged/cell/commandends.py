@@ -1,4 +1,4 @@
-"""How a command of the page ends, for who has submitted it."""
+"""Lets the page wait for the end of a command that it has submitted."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class CommandEnds:
         """Nothing to open."""
 
     def announce(self, event: Event) -> None:
-        """Wake who waits for this command; by identity, as its number may be used again."""
+        """Wake the waiter for this command, found by identity, as its number may be reused."""
         if isinstance(event, Ended):
             for command, end in self._waiting:
                 if command is event.command and not end.done():

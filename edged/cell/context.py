@@ -1,4 +1,4 @@
-"""What the loop and its parts share: what is in use, the commands that wait, and what was announced."""
+"""State shared by the loop and its parts: the setup in use, waiting commands and announced states."""
 
 from __future__ import annotations
 
@@ -30,13 +30,13 @@ T = TypeVar("T")
 NO_EXPOSURE = "no exposure yet"
 
 IDLE_S = 1.0
-"""Longest wait for something to do: then the cameras are checked, or a sign of life is given."""
+"""Longest wait for something to do; after it the cameras are checked, or a heartbeat is sent."""
 QUEUE_LENGTH = 8
-"""Waiting commands of the PLC, and as many of all other clients; a further one is refused (OVERRUN)."""
+"""Limit of waiting commands, one for the PLC and one for all other clients; more are refused (OVERRUN)."""
 
 
 class CommandQueue:
-    """Commands that wait. The PLC's go first and have places of their own, which no other client can fill."""
+    """Waiting commands. Those of the PLC go first and have a quota that no other client can use up."""
 
     def __init__(self) -> None:
         self._plc: deque[Command] = deque()
@@ -46,7 +46,7 @@ class CommandQueue:
         return len(self._plc) + len(self._others)
 
     def add(self, command: Command) -> None:
-        """Append a command. Raises `CommandRefused` when the places of its source are taken."""
+        """Append a command. Raises `CommandRefused` when the quota of its source is used up."""
         queue = self._plc if command.source == PLC_SOURCE else self._others
         if len(queue) >= QUEUE_LENGTH:
             raise CommandRefused(f"{QUEUE_LENGTH} commands wait already")
@@ -58,16 +58,16 @@ class CommandQueue:
 
 
 class CellContext:
-    """Used on the event loop only; written by the loop, SETUP and the robot's registration.
+    """State of one cell, used on the event loop only; written by the loop, SETUP and robot registration.
 
-    head, setup, active : the cameras, files and job that are measured with.
-    pending : setup, and cameras if they change too, to exchange between two cycles.
-    registrant : source of the client that registers the rig by commands; "" when none does.
+    head, setup, active : the cameras, setup and job in use.
+    pending : setup, and cameras if they change too, to switch to between two cycles.
+    registrant : source of the client that registers the rig by commands; "" if none.
     in_setup : the loop serves SETUP and measures nothing.
-    number, missed : of the newest cycle; triggers missed since the start.
+    number, missed : number of the newest cycle; triggers missed since the start.
     seen : parts on the conveyor belt.
-    track, marks : where the reference marks say that the cameras are, and what they said last; None without.
-    announced_marks : what they said when that changed last.
+    track, marks : track of the reference marks (None without marks), and their latest report.
+    announced_marks : the report when it last changed.
     """
 
     def __init__(self, head: Head, setup: Setup, *, was_taken: bool = False) -> None:
@@ -101,7 +101,7 @@ class CellContext:
         return SetupSource.ROBOT if self.registrant else self.setup.lacks
 
     def use(self, setup: Setup) -> bool:
-        """Measure by this setup from now on; a job that is gone falls back to the default.
+        """Measure with this setup from now on; if the active job is gone, use the default job.
 
         Returns whether calibration or files differ from those used before.
         """
@@ -116,7 +116,7 @@ class CellContext:
         return (setup.calibration_id, setup.fingerprint) != (before.calibration_id, before.fingerprint)
 
     def _begin_marks(self, before: MarksFollower | None) -> None:
-        """Take the setup's marks: those that were followed before go on where they are."""
+        """Switch to the setup's marks; unchanged marks continue their track."""
         marks = self.setup.marks
         if marks is None:
             self.track, self.marks = None, MarksReport(self.setup.others)
@@ -125,7 +125,7 @@ class CellContext:
         self.announced_marks = self.marks
 
     async def follow(self, pair: FramePair) -> MarksTrack | None:
-        """See the marks of an exposure; returns the track before it, None where nothing is corrected."""
+        """Update the track with an exposure's marks; return the track before it (None without correction)."""
         marks, before = self.setup.marks, self.track
         if marks is None or before is None:
             return None
@@ -145,8 +145,8 @@ class CellContext:
         return before
 
     def begin_setup(self) -> None:
-        """Enter SETUP, and fail the commands that wait."""
-        self.tell_state(CellPhase.SETUP)  # first: from now on no answer says ready, valid or open
+        """Enter SETUP and fail waiting commands."""
+        self.tell_state(CellPhase.SETUP)  # first, so that from now on no answer says ready, valid or open
         self.in_setup = True
         log.warning("SETUP: %s", "" if self.announcements.state is None else self.announcements.state.why)
         self.fail_waiting("the cell is being set up")
@@ -157,18 +157,18 @@ class CellContext:
             self.announce(CommandFailed(self.commands.take(), why))
 
     async def wait(self, timeout_s: float = math.inf) -> bool:
-        """Wait until there is something to do; False after `timeout_s`, or after `IDLE_S`."""
+        """Wait until there is something to do; return False after `timeout_s` or `IDLE_S`."""
         with contextlib.suppress(TimeoutError):
             await asyncio.wait_for(self.wake.wait(), min(timeout_s, IDLE_S))
             return True
         return False
 
     async def on_vision_thread(self, work: Callable[..., T], *arguments: object) -> T:
-        """Run on the one thread where jobs are measured; raises what it raises."""
+        """Run work on the single thread that measures jobs. Raises what the work raises."""
         return await asyncio.get_running_loop().run_in_executor(self.vision, work, *arguments)
 
     async def setup_picture(self) -> FramePair:
-        """Return one exposure of the cameras used in SETUP. Raises `CaptureError`."""
+        """Return one exposure of the cameras in use in SETUP. Raises `CaptureError`."""
         return await self.cameras.capture(self.head, listens=self.setup.listens)
 
     def tell_exchange(self) -> None:
@@ -182,9 +182,9 @@ class CellContext:
     def tell_state(
         self, phase: CellPhase, *, error: str = "", code: int = 0, keep_error: bool = False
     ) -> None:
-        """Announce the state when it has changed, and log when a fault begins or ends.
+        """Announce the state if it has changed, and log when a fault begins or ends.
 
-        keep_error : the error that was announced last still holds.
+        keep_error : the last announced error still holds.
         """
         out = self.announcements
         if keep_error and out.state is not None:
@@ -215,6 +215,6 @@ class CellContext:
         out.tell_state(state, drift, self.setup.calibration_id)
 
     def _is_picture_wanted(self) -> bool:
-        """Whether somebody still waits for a picture; also a sign of life, as the loop waits for it."""
+        """Whether a picture is still wanted; also announces a heartbeat, as the loop is waiting meanwhile."""
         self.announce(Idle())
         return (self.lease.taken or bool(self.registrant)) and not self.stopping.is_set()

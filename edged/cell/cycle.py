@@ -1,9 +1,10 @@
 """The loop: wait for a tick or a command, capture, locate, announce.
 
-Responsible for the order and exclusivity of cycles. What it shares with SETUP (`lease`) and with a robot's
-registration (`registering`) is in `context`; one measurement is in `measurement`. Not responsible for how
-images arrive (`stereohead`), what is measured (`pipeline`) and where results go (`Publisher`s). An expected
-miss and a fault of the cameras are statuses; a bug in the pipeline propagates: systemd restarts the daemon.
+Responsible for the order and exclusivity of cycles. The state it shares with SETUP (`lease`) and with a
+robot's registration (`registering`) is in `context`; a single measurement is in `measurement`. Not
+responsible for how images arrive (`stereohead`), what is measured (`pipeline`) or where results go
+(`Publisher`s). An expected miss and a camera fault are statuses; a bug in the pipeline propagates, and
+systemd restarts the daemon.
 """
 
 from __future__ import annotations
@@ -54,25 +55,25 @@ from edged.logs import cycle_number, fields
 from edged.ports import Head, Publisher
 
 FAULT_REST_S = 0.1
-"""Pause after a fault in a cycle without a command: each one is announced, published and recorded."""
+"""Pause after a fault in a cycle without a command, as each fault is announced, published and recorded."""
 
 
 class GoldenKeeper(Protocol):
     """Keeps golden parts."""
 
     async def keep(self, snapshot: Snapshot) -> Setup:
-        """Keep the one good part of a snapshot, and return the setup that has it.
+        """Store the single good part of a snapshot and return the setup that contains it.
 
-        Raises `EdgedError` that says why not; then nothing has changed.
+        Raises `EdgedError` with the reason; nothing has changed then.
         """
 
 
 class Cycle:
     """The measuring loop of one cell; also the `Commander` of its publishers.
 
-    session : where people take the cell for SETUP (`Commissioner`). stopping : set by `stop`.
-    notebook : None: who holds the cell is forgotten with this process.
-    registrar : None: no robot's program registers the rig. keeper : None: GOLDEN is refused.
+    session : the `Commissioner` through which people take the cell for SETUP. stopping : set by `stop`.
+    notebook : None: the holder of the cell is not remembered across restarts.
+    registrar : None: robot programs cannot register the rig. keeper : None: GOLDEN is refused.
     """
 
     def __init__(
@@ -131,9 +132,10 @@ class Cycle:
             cell.vision.shutdown()
 
     def exchange(self, setup: Setup, head: Head | None = None) -> None:
-        """Take a new setup, and new cameras if given, between this cycle and the next (SIGHUP).
+        """Switch to a new setup, and to new cameras if given, before the next cycle (SIGHUP).
 
-        A second exchange before that replaces the first's setup; cameras that only the first one gave remain.
+        A second exchange before then replaces the setup of the first, but keeps its cameras if it brings
+        none.
         """
         if head is None and self._cell.pending is not None:
             _, head = self._cell.pending
@@ -141,13 +143,13 @@ class Cycle:
         self._cell.wake.set()
 
     def stop(self) -> None:
-        """Let the running cycle end, then leave `run`."""
+        """Finish the running cycle, then return from `run`."""
         self.stopping.set()
         self._cell.wake.set()
 
     @property
     def drift(self) -> DriftState:
-        """The verdict on the calibration, and the means it is based on."""
+        """Verdict on the calibration, and the means it is based on."""
         return self._cell.drift.state()
 
     @property
@@ -157,12 +159,12 @@ class Cycle:
 
     @property
     def robot_map(self) -> MapFigures:
-        """How the map of the robot's error does."""
+        """Figures of the robot's error map."""
         return self._cell.setup.map_figures
 
     @property
     def marks(self) -> MarksReport:
-        """What the reference marks said last."""
+        """Latest report of the reference marks."""
         return self._cell.marks
 
     @property
@@ -195,7 +197,7 @@ class Cycle:
         cell.wake.set()
 
     def lock_setup(self, locked: bool) -> None:
-        """Forbid SETUP and end it where a person or a robot has begun it; or allow it again."""
+        """Forbid SETUP, ending one that a person or a robot has begun; or allow it again."""
         self._cell.lease.lock(locked)
         if locked and self._registration.is_on:
             self._registration.end("the plant runs: its PLC has ended SETUP (AUTO_LOCK)")
@@ -204,7 +206,7 @@ class Cycle:
     # --- the loop ----------------------------------------------------------------------------
 
     async def _check_cameras(self) -> None:
-        """Open closed cameras. On failure the daemon runs on without, and tries again later."""
+        """Open closed cameras. On failure the daemon keeps running without them and tries again later."""
         cell = self._cell
         try:
             await cell.head.open()
@@ -217,9 +219,9 @@ class Cycle:
             cell.tell_state(CellPhase.READY)
 
     async def _apply(self, setup: Setup, head: Head | None) -> None:
-        """Exchange setup and cameras, and fail waiting commands: they were accepted for the previous setup.
+        """Switch setup and cameras, and fail waiting commands, which were accepted for the previous setup.
 
-        A reload without any change (renewed certificates, a second SIGHUP) fails none.
+        A reload that changes nothing (renewed certificates, a second SIGHUP) fails no command.
         """
         cell = self._cell
         cell.pending = None
@@ -229,14 +231,14 @@ class Cycle:
             cell.fail_waiting("the configuration was reloaded while it waited: ask again")
         if head is not None:
             if cell.in_setup:
-                await cell.cameras.put_down(cell.head)  # what was tried was tried on the previous cameras
+                await cell.cameras.put_down(cell.head)  # settings on trial belong to the previous cameras
             await cell.head.close()
             cell.head = head
         if not cell.in_setup:
             await self._check_cameras()
 
     async def _listen(self) -> None:
-        """Measure the next exposure that others trigger; return early when there is something else to do."""
+        """Measure the next externally triggered exposure; return early when there is something else to do."""
         cell = self._cell
         cell.wake.clear()
         heard = asyncio.ensure_future(cell.head.listen())
@@ -257,9 +259,9 @@ class Cycle:
             await cell.wait(math.inf if gone else FAULT_REST_S)
 
     async def _tick_or_wait(self, due_s: float) -> float:
-        """Measure when the tick is due, else wait until something happens; returns the next tick.
+        """Measure if the tick is due, else wait until something happens; return the time of the next tick.
 
-        A tick that comes late moves all later ones (slip); missed ticks are counted, never made up for.
+        A late tick delays all later ones; missed ticks are counted but never made up.
         """
         cell, period_s, now_s = self._cell, self._cell.setup.period_s, time.monotonic()
         if period_s is not None and now_s >= max(due_s, self._rests_until_s):
@@ -267,7 +269,7 @@ class Cycle:
             cell.missed += late
             await self._serve(None)
             return (now_s if late else due_s) + period_s
-        # a shorter period counts from now; after "only on command" the first tick is due at once
+        # a period that was shortened counts from now; after "only on command" the first tick is due at once
         due_s = now_s if period_s is None else min(due_s, now_s + period_s)
         cell.wake.clear()
         next_s = max(due_s, self._rests_until_s)
@@ -281,18 +283,18 @@ class Cycle:
         return due_s
 
     async def _expose_for_nobody(self) -> None:
-        """One exposure that keeps the sensors as warm as they are at work; a fault of it is the cameras'.
+        """Make one exposure to keep the sensors at working temperature; a failure is a camera fault.
 
-        The pair goes no further, but for the reference marks in it: that is when no part covers them.
+        Only the reference marks in the pair are used, as no part covers them now. The rest is discarded.
         """
         cell = self._cell
         self._exposed_s = time.monotonic()
         try:
-            with contextlib.suppress(ExposuresDiffer):  # whoever brings the next part may move
+            with contextlib.suppress(ExposuresDiffer):  # someone bringing the next part may be moving
                 was_valid = cell.marks.valid
                 await cell.follow(await cell.head.capture())
                 if was_valid and not cell.marks.valid:
-                    cell.tell_exchange()  # what is on display was measured by cameras that were moved since
+                    cell.tell_exchange()  # the result on display was measured before the cameras moved
         except CaptureError as error:
             self._rests_until_s = time.monotonic() + IDLE_S
             cell.tell_fault(error)
@@ -300,7 +302,7 @@ class Cycle:
             cell.tell_state(CellPhase.READY)
 
     async def _serve(self, command: Command | None, heard: asyncio.Future[FramePair] | None = None) -> None:
-        """Carry out a command or a tick. heard : an exposure that others triggered."""
+        """Carry out a command or a tick. heard : an externally triggered exposure."""
         cell = self._cell
         if command is not None and command.kind is CommandKind.CHANGE_JOB:
             self._change_job(command)
@@ -328,7 +330,7 @@ class Cycle:
         await asyncio.sleep(0)
 
     async def _measure(self, command: Command | None, heard: asyncio.Future[FramePair] | None) -> Snapshot:
-        """One cycle. A miss or a fault is a status; a bug propagates."""
+        """Run one cycle. A miss or a fault is a status; a bug propagates."""
         cell, run = self._cell, CycleRun(self._cell, command, self._utc_ns)
         self._exposed_s = time.monotonic()
         try:
@@ -344,14 +346,14 @@ class Cycle:
         return await run.located(pair)
 
     async def _keep_golden(self, command: Command, snapshot: Snapshot) -> Snapshot | CommandFailed:
-        """The event that ends GOLDEN on a good part."""
+        """Keep a good part as golden and return the event that answers GOLDEN."""
         cell = self._cell
-        assert self._keeper is not None  # it is refused without
+        assert self._keeper is not None  # without one the command is refused
         try:
             setup = await self._keeper.keep(snapshot)
         except EdgedError as error:
             return CommandFailed(command, str(error))
-        if cell.pending is not None:  # a reload that changed nothing else came meanwhile, without the part
+        if cell.pending is not None:  # a reload arrived meanwhile; its setup lacks the new part
             cell.pending = (setup, cell.pending[1])
         cell.use(setup)
         log.info("GOLDEN of job %d (%s) was kept", snapshot.job_number, snapshot.job)

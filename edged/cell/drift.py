@@ -1,16 +1,16 @@
-"""Does the calibration still hold? Two witnesses, smoothed over many cycles.
+"""Drift monitor: checks that the calibration still holds, by two witnesses smoothed over many cycles.
 
-Rows: corresponding points of both images must lie on one rectified row. That sees a camera that was turned or
-shifted across the rows. It does *not* see a wrong baseline or focal length: those scale the world and leave
-every point on its row (0.1 % of the baseline is 0.2 mm at 200 mm).
-Length: a size of the part that is known (the job's witness) must come out right. That sees the scale. Neither
-sees a motion of both cameras together: only touching a point with the robot does.
+Rows: corresponding points of both images must lie on one rectified row. This detects a camera that was turned
+or shifted across the rows. It does *not* detect a wrong baseline or focal length: those scale the world and
+leave every point on its row (0.1 % of the baseline is 0.2 mm at 200 mm).
+Length: a known size of the part (the job's witness) must come out right. This detects a wrong scale. Neither
+detects a motion of both cameras together: only touching a point with the robot does.
 
 Single parts differ within their tolerance, and every measurement has noise; neither may raise an alarm. So
-the mean counts, and only by as much as it is certain: an exponentially weighted mean and its standard error
-(S. W. Roberts, "Control chart tests based on geometric moving averages", 1959). A whole lot may lie at one
-end of its tolerance, though, and no mean tells that from a scale: the tolerance that the job states for the
-witness is allowed on top of the limits, and a witness without one may warn, but never refuse results.
+the mean is judged, and only as far as it is certain: an exponentially weighted mean and its standard error
+(S. W. Roberts, "Control chart tests based on geometric moving averages", 1959). A whole batch may lie at one
+end of its tolerance, though, and no mean can distinguish that from a wrong scale. So the tolerance that the
+job states for the witness is added to the limits; a witness without one may warn, but never refuses results.
 """
 
 from __future__ import annotations
@@ -22,20 +22,20 @@ from edged.domain.cell import CalibrationHealth, DriftState
 from edged.domain.measurement import Outcome, Reject, Status, Target
 
 WEIGHT = 0.05
-"""Weight of the newest cycle: the mean remembers about forty."""
+"""Weight of the newest cycle; the mean spans about forty cycles."""
 CERTAIN = 3.0
 """Standard errors between the mean and a limit before the limit counts as passed."""
 TELLING = Reject.TOLERANCE | Reject.LEFT_RIGHT_MISMATCH
-"""Rejects that a wrong rig causes; targets rejected for other reasons are no evidence of drift."""
+"""Rejects caused by a wrong rig calibration; targets rejected for other reasons are no evidence of drift."""
 TORN = Reject.FEW_EDGES | Reject.RESIDUAL | Reject.SIGMA_LIMIT
-"""Rejects that a mismatch of rows also causes in a fit over both images, whose sizes are then meaningless."""
+"""Rejects that a row mismatch also causes in a fit over both images; the sizes are meaningless then."""
 
 
 @dataclass(frozen=True, slots=True)
 class DriftLimits:
-    """Limits of the mean: row difference in px (rms), deviation of the known length in percent.
+    """Limits for the means: row difference in px (rms), deviation of the known length in percent.
 
-    min_cycles : needed for a verdict.
+    min_cycles : cycles needed for a verdict.
     """
 
     warn_rows_px: float = 0.5
@@ -47,7 +47,7 @@ class DriftLimits:
 
 @dataclass(slots=True)
 class _Mean:
-    """Exponentially weighted mean and variance; the first values count alike."""
+    """Exponentially weighted mean and variance; the first values have equal weight."""
 
     number: int = 0
     mean: float = 0.0
@@ -62,7 +62,7 @@ class _Mean:
 
     @property
     def error(self) -> float:
-        """Standard error of the mean; infinite for less than two values."""
+        """Standard error of the mean; infinite for fewer than two values."""
         if self.number < 2:
             return math.inf
         share = max(WEIGHT / (2 - WEIGHT), 1 / self.number)
@@ -87,9 +87,9 @@ class DriftMonitor:
     _verdict: CalibrationHealth = CalibrationHealth.HOLDS
 
     def add(self, target: Target, witness: str | None) -> None:
-        """Note a located part. witness : name of its measurement of known nominal size.
+        """Record a located part. witness : name of its measurement of known nominal size.
 
-        Parts rejected for wrong rows or sizes count: a wrong rig causes just that.
+        Parts rejected for wrong rows or sizes count as well, since a wrong calibration causes exactly that.
         """
         torn = TORN if target.reject & Reject.LEFT_RIGHT_MISMATCH else Reject.NONE
         if target.reject & ~(TELLING | torn):
@@ -102,12 +102,12 @@ class DriftMonitor:
                 length = self._lengths.setdefault(f"{target.job}/{size.name}", _Length(allowed))
                 length.mean.add(100 * (size.value / size.nominal - 1))
         found = self._judged()
-        # hysteresis: after INVALID, results are given again only when nothing drifts any more
+        # hysteresis: after INVALID, results are valid again only once nothing drifts any more
         held = self._verdict is CalibrationHealth.INVALID and found is CalibrationHealth.DRIFTS
         self._verdict = CalibrationHealth.INVALID if held else found
 
     def state(self) -> DriftState:
-        """The verdict now, the mean row difference, and the mean of the length that is worst."""
+        """Return the current verdict, the mean row difference, and the mean of the worst length."""
         rows = self._rows.mean if self._rows.number else math.nan
         lengths = [length.mean.mean for length in self._lengths.values()]
         return DriftState(self._verdict, rows, max(lengths, key=abs, default=math.nan))
@@ -134,7 +134,7 @@ class DriftMonitor:
 
 
 def refused(outcome: Outcome) -> Outcome:
-    """A good outcome as LOW_QUALITY, while the calibration is known to be wrong."""
+    """Return a good outcome downgraded to LOW_QUALITY, as the calibration is known to be wrong."""
     if outcome.status is not Status.OK:
         return outcome
     targets = tuple(replace(target, reject=target.reject | Reject.CALIBRATION) for target in outcome.targets)

@@ -1,4 +1,4 @@
-"""Setup of the loop: jobs in memory, and all else that a reload exchanges."""
+"""Setup of the loop: jobs in memory, and everything else that a reload exchanges."""
 
 from __future__ import annotations
 
@@ -33,8 +33,9 @@ Locate = Callable[[FramePair, Callable[[str], None]], Outcome]
 class LoadedJob:
     """A job that is in memory and warm.
 
-    witness : its measurement of known size, for the drift. picking : which parts a robot may pick, and how.
-    golden : the part that its offsets count from; None where none was kept.
+    witness : its measurement of known size, used to detect drift. picking : which parts a robot may pick, and
+    how.
+    golden : the reference part for offsets; None if none was kept.
     """
 
     name: str
@@ -46,20 +47,20 @@ class LoadedJob:
 
 
 class MarksFollower(Protocol):
-    """Reference marks of a rig, which say where its cameras are in each exposure."""
+    """Follows a rig's reference marks, which give the position of its cameras in each exposure."""
 
     @property
     def digest(self) -> str:
-        """Digest of the marks: with the same one a track goes on."""
+        """Digest of the marks: a track continues as long as it is unchanged."""
 
     def begin(self) -> MarksTrack:
-        """The track before the first exposure."""
+        """Return the track before the first exposure."""
 
     def see(self, track: MarksTrack, pair: FramePair) -> tuple[MarksTrack, MarksReport]:
-        """What the marks of a pair say; called on the thread where jobs are measured."""
+        """Return the track after this pair, and a report of its marks; called on the measuring thread."""
 
     def locate(self, number: int, pair: FramePair, track: MarksTrack, lap: Callable[[str], None]) -> Outcome:
-        """Locate a job's part by the rig as it is after an exposure."""
+        """Locate a job's part with the rig geometry corrected by the track."""
 
 
 def _no_job(_pair: FramePair, _lap: Callable[[str], None]) -> Outcome:
@@ -67,22 +68,22 @@ def _no_job(_pair: FramePair, _lap: Callable[[str], None]) -> Outcome:
 
 
 NO_JOB = LoadedJob("", 0, _no_job)
-"""Active job of a cell without calibration or jobs: it is in SETUP, and never measures."""
+"""Active job of a cell without calibration or jobs, which is in SETUP and never measures."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Setup:
     """Everything that a reload may exchange between two cycles.
 
-    jobs : by number. period_s : None: only on command.
+    jobs : by number. period_s : None: measure only on command.
     lacks : why the cell cannot measure and is in SETUP; it has no jobs then.
-    idle_s : so often an exposure is thrown away while nothing is asked; None: none is made.
-    listens : others trigger the cameras, and each of their exposures is measured.
-    flange_from_rig : of a rig that the robot carries; each command then says where the flange is.
+    idle_s : interval of warming exposures while nothing is requested; None: none are made.
+    listens : the cameras are triggered externally, and every exposure is measured.
+    flange_from_rig : for a rig carried by the robot; each command then gives the flange pose.
     registration_covariance : (6, 6) of robot_from_rig, or of flange_from_rig.
-    bounds : where the robot may go, whatever the job. marks : None: nothing is corrected; others : why, where
-    there are reference marks all the same. error_map : of the robot. acceptance : the last test of the cell.
-    belt : that carries the parts; None: they lie still.
+    bounds : where the robot may go, for all jobs. marks : None: nothing is corrected; others : state to
+    report then, which says why marks that exist are not used. error_map : of the robot. acceptance : last
+    acceptance test of the cell. belt : the belt carrying the parts; None: they lie still.
     """
 
     jobs: Mapping[int, LoadedJob]
@@ -107,11 +108,11 @@ class Setup:
 
     @property
     def map_figures(self) -> MapFigures:
-        """How the map of the robot's error does."""
+        """Figures of the robot's error map."""
         return MapFigures() if self.error_map is None else self.error_map.figures
 
     def problem(self, command: Command) -> str:
-        """Why a command cannot be carried out; "" when it can."""
+        """Reason why a command cannot be carried out; "" if it can."""
         if command.kind in WITHOUT_PICTURE:
             return f"{command.kind.name} is answered from the last picture, and this client has none"
         if command.job and command.job not in self.jobs:
@@ -135,7 +136,7 @@ class Setup:
         return ""
 
     def frame(self, command: Command | None) -> tuple[RobotFrame, FloatArray | None]:
-        """The frame of a cycle's coordinates, and its covariance (6, 6)."""
+        """Return the frame of a cycle's coordinates, and the covariance (6, 6) of its registration."""
         robot_from_rig, registration = self.robot_from_rig, self.registration_covariance
         robot_from_flange = command.robot_from_flange if command is not None else None
         if self.flange_from_rig is None:
@@ -148,6 +149,6 @@ class Setup:
         return RobotFrame(robot_from_rig, robot_from_flange=robot_from_flange), moved
 
     def picking(self, job: LoadedJob, command: Command | None) -> Picking:
-        """The job's picking rules within the limits of the cell and the command."""
+        """Return the job's picking rules, restricted by the limits of the cell and the command."""
         picking = within(job.picking, narrowed(self.bounds, command.box if command is not None else 0))
         return picking if command is None else replace(picking, skipped_mm=command.skipped_mm)

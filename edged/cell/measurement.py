@@ -1,4 +1,4 @@
-"""One cycle up to its snapshot: one job or all of them, the drift, picking limits and stage times."""
+"""One cycle up to its snapshot: one job or all jobs, drift, picking limits and stage times."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class CycleRun:
     """A running cycle; exactly one of `failed`, `grabbed` and `located` ends it.
 
     cell : its setup and active job do not change during a cycle. command : None for a tick.
-    utc_ns : clock of the result's time stamp. lap : called at the end of each stage.
+    utc_ns : clock for the result's time stamp. lap : called at the end of each stage.
     """
 
     cell: CellContext
@@ -40,7 +40,7 @@ class CycleRun:
     lap: Stopwatch = field(default_factory=Stopwatch, init=False)
 
     def failed(self, error: CaptureError) -> Snapshot:
-        """Snapshot without an exposure."""
+        """Snapshot of a cycle whose exposure failed."""
         blank = self._blank(self._job, Status.CAPTURE_FAULT)
         return replace(blank, error=str(error), error_code=error.code)
 
@@ -49,9 +49,9 @@ class CycleRun:
         return self._exposed(self._job, pair, Outcome(Status.NO_TARGET))
 
     async def located(self, pair: FramePair) -> Snapshot:
-        """Snapshot of an exposure measured by its job, or by the best of all jobs.
+        """Snapshot of an exposure measured with the cycle's job, or with the best of all jobs.
 
-        Raises what the pipeline raises: a bug.
+        Anything that the pipeline raises is a bug and propagates.
         """
         before = await self.followed(pair)
         if self.command is not None and self.command.tries_all:
@@ -73,7 +73,7 @@ class CycleRun:
 
     @property
     def _job(self) -> LoadedJob:
-        """The job that the command names, else the active one."""
+        """Job named by the command, else the active one."""
         named = self.command is not None and self.command.job
         return self.cell.setup.jobs[named] if named else self.cell.active
 
@@ -84,7 +84,7 @@ class CycleRun:
         return await self.cell.on_vision_thread(marks.locate, job.number, pair, track, self.lap)
 
     async def followed(self, pair: FramePair) -> MarksTrack | None:
-        """The track of the reference marks before this exposure, which has been added to it."""
+        """Add this exposure to the track of the reference marks; return the track before it."""
         before = await self.cell.follow(pair)
         if before is not None:
             self.lap("marks")
@@ -112,12 +112,12 @@ class CycleRun:
         return max(tried, key=agreement)
 
     def _picked(self, job: LoadedJob, outcome: Outcome) -> Outcome:
-        """The outcome with the targets in picking order, and those out of the robot's limits refused."""
+        """Return the outcome with targets in picking order and those outside the robot's limits refused."""
         frame, _ = self.cell.setup.frame(self.command)
         return picked(outcome, self.cell.setup.picking(job, self.command), frame)
 
     def _on_belt(self, pair: FramePair, outcome: Outcome) -> Outcome:
-        """The outcome of parts that move: each with its number, blurred ones refused."""
+        """Return the outcome for parts on a belt: each gets its number, and blurred ones are refused."""
         belt = self.cell.setup.belt
         if belt is None:
             return outcome
@@ -132,7 +132,7 @@ class CycleRun:
         return None if belt is None else moment_of(belt, pair, None if command is None else command.belt)
 
     def _watched(self, job: LoadedJob, outcome: Outcome) -> Outcome:
-        """The outcome with good results refused while the calibration is known to be wrong."""
+        """Feed the drift monitor; refuse good results while the calibration is known to be wrong."""
         for target in outcome.targets:
             self.cell.drift.add(target, job.witness)
         return refused(outcome) if self.cell.drift.state().verdict is CalibrationHealth.INVALID else outcome
@@ -156,7 +156,7 @@ class CycleRun:
         )
 
     def _blank(self, job: LoadedJob, status: Status, exposed_ns: int = 0, **exposed: Any) -> Snapshot:
-        """A snapshot with what is known of its exposure and result; nothing by itself."""
+        """Return a snapshot with the cycle's context; exposed : fields of exposure and result, if any."""
         setup = self.cell.setup
         frame, registration = setup.frame(self.command)
         return Snapshot(

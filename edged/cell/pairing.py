@@ -1,11 +1,12 @@
-"""Are two frames one exposure? The best clock that both cameras have decides.
+"""Decides whether two frames belong to one exposure, using the best clock that both cameras share.
 
     both locked to PTP                   their own time stamps, to the microsecond
-    both mapped to the host's clock      `exposed_ns`, to some 0.1 ms
-    command known, no stamps             when the commands left
-    nothing but the arrival              arrival, with a limit of its own, and both frame counters
+    both mapped to the host's clock      `exposed_ns`, to about 0.1 ms
+    command time known, no stamps        when the commands were sent
+    only arrival known                   arrival, with a limit of its own, and both frame counters
 
-A camera that says it is locked to PTP is not believed blindly: its stamps must agree with its clock's map.
+A camera that claims to be locked to PTP is not trusted blindly: its stamps must agree with the map of its
+clock.
 """
 
 from __future__ import annotations
@@ -15,12 +16,12 @@ from dataclasses import dataclass
 from edged.domain.frames import Frame, TimeBase
 
 CLOCK_DRIFT = 400e-6
-"""Two camera clocks run apart by no more than this: crystals of ±200 ppm over temperature and age."""
+"""Largest relative drift of two camera clocks: crystals of ±200 ppm each over temperature and age."""
 
 
 @dataclass(frozen=True, slots=True)
 class Skew:
-    """How far apart two exposures are: left minus right and its limit, ns; what : the clock used."""
+    """Time between two exposures: left minus right, and its limit, in ns; what : what was compared."""
 
     ns: int
     limit_ns: int
@@ -28,7 +29,7 @@ class Skew:
 
     @property
     def is_one_exposure(self) -> bool:
-        """Whether it is within the limit."""
+        """Whether the skew is within the limit."""
         return abs(self.ns) <= self.limit_ns
 
     def __str__(self) -> str:
@@ -39,7 +40,7 @@ class Pairing:
     """Compares frames of two cameras; remembers the last pair.
 
     max_skew_s : limit of the time between two frames of one exposure.
-    max_arrival_skew_s : limit where only their arrival is known.
+    max_arrival_skew_s : limit if only their arrival is known.
     """
 
     def __init__(self, max_skew_s: float, max_arrival_skew_s: float) -> None:
@@ -52,12 +53,12 @@ class Pairing:
         self._last = None
 
     def accept(self, left: Frame, right: Frame) -> None:
-        """Note two frames of one exposure, as the reference for the next pair."""
-        # their images need not be kept for that
+        """Store two frames of one exposure as the reference for the next pair."""
+        # without their images, which the comparison does not need
         self._last = (_without_image(left), _without_image(right))
 
     def skew(self, left: Frame, right: Frame) -> Skew:
-        """How far apart two exposures are, by the best clock of both."""
+        """Return the skew of two exposures by the best clock they share."""
         bases = {left.time_base, right.time_base}
         apart_ns = left.exposed_ns - right.exposed_ns
         if TimeBase.ARRIVAL in bases:
@@ -70,7 +71,7 @@ class Pairing:
         return Skew(apart_ns, self._limit_ns, "exposures")
 
     def problem(self, left: Frame, right: Frame) -> str:
-        """Why two frames are not one exposure; "" if they are."""
+        """Return why two frames are not one exposure; "" if they are."""
         skew = self.skew(left, right)
         if not skew.is_one_exposure:
             return str(skew)
@@ -80,7 +81,7 @@ class Pairing:
         return "" if bases <= {TimeBase.PTP, TimeBase.CAMERA} else self._clocks(left, right)
 
     def _counters(self, left: Frame, right: Frame) -> str:
-        """Both cameras must have counted the same number of frames since the pair before."""
+        """Problem if the cameras counted different numbers of frames since the last pair; "" otherwise."""
         if self._last is None:
             return ""
         ours, theirs = left.frame_id - self._last[0].frame_id, right.frame_id - self._last[1].frame_id
@@ -89,14 +90,15 @@ class Pairing:
         return f"since the last pair left counted {ours} frames, right {theirs}"
 
     def _clocks(self, left: Frame, right: Frame) -> str:
-        """Both cameras must have counted the same time since the pair before.
+        """Problem if the cameras' own clocks counted different times since the last pair; "" otherwise.
 
-        This needs no common epoch, and it sees what host time cannot: a camera that took its trigger late.
+        This needs no common epoch, and it detects what host time cannot: a camera that reacted late to its
+        trigger.
         """
         if self._last is None:
             return ""
         ours, theirs = left.device_ns - self._last[0].device_ns, right.device_ns - self._last[1].device_ns
-        if ours <= 0 or theirs <= 0:  # a camera without a clock, or one whose clock was set
+        if ours <= 0 or theirs <= 0:  # a camera without a clock, or whose clock was set
             return ""
         skew = Skew(ours - theirs, self._limit_ns, "exposures by the cameras' own clocks")
         drifted_ns = CLOCK_DRIFT * max(ours, theirs)

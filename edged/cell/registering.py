@@ -1,4 +1,4 @@
-"""A registration of the rig by a robot's own program.
+"""Registration of the rig by the robot's own program.
 
 It lives in memory only: a restart or reload ends it, and the previous registration stays in force.
 """
@@ -18,27 +18,27 @@ from edged.domain.registration import Obstacle, Registration
 from edged.errors import CaptureError, EdgedError
 
 REST_S = 1800.0
-"""Without a command for so long a registration ends. Going to a point by hand takes minutes."""
+"""A registration ends after this time without a command. Jogging to a point by hand takes minutes."""
 STARTS = (CommandKind.HAND_EYE_START, CommandKind.TOUCH_START)
 
 
 class Registrar(Protocol):
-    """Keeps the poses or points of one registration, solves and saves it; `add`, `solve` on any thread."""
+    """Collects the samples of one registration, solves and saves it; `add` and `solve` run on any thread."""
 
     def problem(self, kind: CommandKind) -> str:
-        """Why this kind of registration cannot begin; "" when it can."""
+        """Return why this kind of registration cannot begin; "" if it can."""
 
     def begin(self, command: Command) -> Registered:
-        """Begin anew, without samples."""
+        """Start afresh, without samples."""
 
     def add(self, command: Command, pair: FramePair) -> Registered:
-        """Take one pose or point, with its pictures."""
+        """Add one pose or point with its pictures."""
 
     def solve(self, command: Command) -> Registered:
         """Solve and judge; nothing is saved."""
 
     async def activate(self) -> Setup:
-        """Save the solution and return the setup that has it. Raises `EdgedError`, `OSError`."""
+        """Save the solution and return the setup that uses it. Raises `EdgedError`, `OSError`."""
 
 
 class RobotRegistration:
@@ -55,11 +55,11 @@ class RobotRegistration:
 
     @property
     def is_on(self) -> bool:
-        """Between a START command and the end."""
+        """Whether a registration is under way: after a START command, until it ends."""
         return bool(self._cell.registrant)
 
     def problem(self, command: Command) -> str:
-        """Why a registration command is refused; "" when it is accepted."""
+        """Return why a registration command is refused; "" if it is accepted."""
         if self._registrar is None:
             return "no robot's program may register the rig: there is no [registration] in the configuration"
         if self.is_on and command.source != self._cell.registrant:
@@ -110,7 +110,7 @@ class RobotRegistration:
             self._cell.announce(event)
 
     def end(self, why: str) -> None:
-        """Drop the samples; the previous registration stays in force. Nothing to do when none is on."""
+        """End a running registration and drop its samples; the previous registration stays in force."""
         if self.is_on:
             log.warning("registration: ended without a result: %s", why)
         self._forget()
@@ -138,7 +138,7 @@ class RobotRegistration:
         return event
 
     def _finish(self) -> None:
-        """End after a result. READY comes before the answer: who gets the answer may measure at once."""
+        """End after a result. READY is announced before the answer, whose recipient may measure at once."""
         self._forget()
         if self._cell.setup_source is SetupSource.NONE:
             self._cell.in_setup = False
@@ -153,7 +153,7 @@ class RobotRegistration:
             log.warning("registration: %s: %s", event.obstacle.name, event.why or event.obstacle.value)
 
     def _refused(self, command: Command, obstacle: Obstacle, why: str = "") -> Registered:
-        """The answer to a command that changes nothing."""
+        """Answer to a command that changes nothing."""
         return Registered(command, self._state, obstacle, why or obstacle.value)
 
     def _forget(self) -> None:

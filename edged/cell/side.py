@@ -1,4 +1,4 @@
-"""One camera of the stereo head: its last frames, the frame that is awaited, and its slow closing."""
+"""One camera of the stereo head: its last frames, the awaited frame, and closing in the background."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from edged.ports import Camera
 class CameraSide:
     """One camera of the head, and its state.
 
-    frame_id, paired_id : of the last frame and pair since it was opened. image : the last one ever, so that a
-    reopened camera that still shows the same picture is caught. coming : task that waits for the next frame,
-    since since_s; heard_s : when the last frame came (time of the event loop). suspect : it gave no
-    image, and is to be checked.
+    frame_id, paired_id : of the last frame and the last pair since it was opened. image : the last image,
+    kept across a reopen so that a camera that still sends the same picture is caught. coming : task waiting
+    for the next frame, started at since_s; heard_s : when the last frame arrived (event loop time). suspect :
+    it gave no image and must be checked. faults : consecutive failed exposures.
     """
 
     def __init__(self, camera: Camera) -> None:
@@ -40,7 +40,7 @@ class CameraSide:
         return self.camera.name
 
     def close_soon(self) -> None:
-        """Begin to close the camera; a camera that does not answer must not hold up the cycle."""
+        """Start closing the camera in the background; if it does not answer, it must not delay the cycle."""
         self.open = False
         self.faults = 0
         self.frame_id = self.paired_id = None
@@ -57,19 +57,19 @@ class CameraSide:
         await self.camera.close()
 
     def has_given_up(self) -> bool:
-        """Whether nothing came within the camera's own limit."""
+        """Whether waiting for a frame ended with the camera's own time-out."""
         coming = self.coming
         return coming is not None and coming.done() and isinstance(coming.exception(), FrameTimeout)
 
     def listen(self) -> asyncio.Task[Frame]:
-        """The task that waits for the next frame; cancelling who awaits it does not end it."""
+        """Return the task that waits for the next frame; it survives the cancellation of its awaiter."""
         if self.coming is None:
             self.since_s = asyncio.get_running_loop().time()
             self.coming = asyncio.create_task(self._hear(), name=f"listen {self.name}")
         return self.coming
 
     def listen_again(self) -> None:
-        """Wait on after it gave up, with the same start time."""
+        """Resume waiting after a time-out, keeping the original start time."""
         since_s, self.coming = self.since_s, None
         self.listen()
         self.since_s = since_s
@@ -80,7 +80,7 @@ class CameraSide:
         return frame
 
     async def closed(self) -> None:
-        """Wait for the end of what `close_soon` began."""
+        """Wait until the closing begun by `close_soon` is complete."""
         if self.closing is not None:
             closing = self.closing
             await asyncio.shield(closing)
@@ -88,14 +88,14 @@ class CameraSide:
                 self.closing = None
 
     def look_at(self, frame: Frame, *, detect_frozen: bool) -> PairingError | None:
-        """Remember a frame; returns what is wrong with it after the previous one, or None."""
+        """Remember a frame; return what is wrong with it as the successor of the previous one, or None."""
         last_id, last_image = self.frame_id, self.image
         self.frame_id, self.image = frame.frame_id, frame.image
         if last_id is not None and frame.frame_id <= last_id:
             return FrameRepeated(
                 self.name, f"frame {frame.frame_id} came after frame {last_id}: not a new image"
             )
-        # a dark or saturated image has no pixel to tell it from the previous one
+        # uniformly dark or saturated images are equal without being frozen
         if (
             detect_frozen
             and last_image is not None

@@ -1,10 +1,10 @@
-"""The stereo head: two cameras that answer as one.
+"""The stereo head: two cameras that act as one.
 
-Responsible for: opening both, triggering both at once, one deadline for everything, the proof
-that two frames are one exposure, and reopening what broke. Not responsible for: how a camera is
+Responsible for: opening both, triggering both at once, one deadline for everything, checking
+that two frames belong to one exposure, and reopening failed cameras. Not responsible for: how a camera is
 reached (`adapters`, `sim`), when it is triggered (`cycle`).
 
-A fault is a `CaptureError` at once, never a wait: cameras are opened by a task beside the cycle,
+A fault raises `CaptureError` at once and never blocks: cameras are opened by a background task,
 and between two attempts the last error is raised again.
 """
 
@@ -35,14 +35,14 @@ from edged.errors import (
 from edged.ports import Adjustable, Camera
 
 REOPEN_AFTER = 3
-"""Exposures in a row that one camera failed to deliver, before it is closed and opened again.
+"""Consecutive exposures that one camera failed to deliver before it is closed and reopened.
 
-A single lost frame is the network's; a camera that was switched off and on accepts triggers on the
-old connection for ever and never sends an image.
+A single lost frame is the network's fault; a camera that was power-cycled accepts triggers on the
+old connection for ever but never sends an image.
 """
 
 LISTEN_AGAIN_S = 0.1
-"""Pause before listening again to a camera whose wait timed out: most time out after seconds."""
+"""Pause before listening again to a camera whose wait timed out; most waits time out only after seconds."""
 
 T = TypeVar("T")
 
@@ -53,15 +53,16 @@ class HeadSettings:
 
     timeout_s : from trigger to both images.
     max_skew_s, max_arrival_skew_s : see `Pairing`.
-    follower : the camera that exposes when the other one does, and so must be armed before that is triggered.
-    free_running : both expose all the time: a frame without a partner is followed by another.
-    by_others : others trigger them: that neither camera gives a frame is no fault.
+    follower : the camera that exposes when the other one does, and so must be armed before the other is
+    triggered.
+    free_running : both expose continuously, so after a frame without a partner the next one is tried.
+    by_others : triggered externally: it is no fault if neither camera delivers a frame.
     open_timeout_s : for one attempt to open both cameras.
     min_backoff_s, max_backoff_s : pause after a failed attempt, or after a fault that closed a
-        camera; doubles with each one until a pair has been captured.
+        camera; doubles each time until a pair has been captured.
     detect_frozen : an image that equals the previous one in every pixel is a fault; False for
-        sources without noise that may repeat themselves (a folder with one pair).
-    image_sizes : width, height of left and right images that the rig was calibrated with; None: any.
+        noise-free sources that may repeat an image (a folder with one pair).
+    image_sizes : width, height of the left and right images that the rig was calibrated with; None: any.
     """
 
     timeout_s: float = 1.0
@@ -81,7 +82,7 @@ DEFAULTS = HeadSettings()
 
 
 class StereoHead:
-    """Two cameras that are triggered together. clock : monotonic seconds, for the back-off."""
+    """Two cameras triggered together. clock : monotonic seconds, for the backoff."""
 
     def __init__(
         self,
@@ -108,17 +109,17 @@ class StereoHead:
         return left.camera, right.camera
 
     async def open(self) -> None:
-        """Connect closed cameras, and check open ones.
+        """Connect closed cameras and check open ones.
 
-        Raises the `CaptureError` that keeps a camera closed. The first time it waits for the attempt
-        to end; during a known fault, for one capture time-out at most, and the attempt goes on.
+        Raises the `CaptureError` that keeps a camera closed. Normally waits for the attempt to end;
+        during a known fault, for at most one capture time-out, while the attempt goes on.
         """
         await self._ready(look=True)
 
     async def capture(self) -> FramePair:
-        """One exposure of both cameras. Raises `CaptureError`.
+        """Return one exposure of both cameras. Raises `CaptureError`.
 
-        Takes one time-out at most while both are open, and one more where they have to be opened.
+        Takes at most one time-out while both are open, and one more if they have to be opened.
         """
         await self._ready(look=any(side.suspect for side in self._sides))
         listening = [side.coming for side in self._sides if side.coming is not None]
@@ -127,9 +128,9 @@ class StereoHead:
         return await self._judged(self._expose())
 
     async def listen(self) -> FramePair:
-        """The next exposure of both cameras, which others trigger. Raises `CaptureError`.
+        """Return the next externally triggered exposure of both cameras. Raises `CaptureError`.
 
-        Waits for it as long as it takes; may be cancelled and called again, and no frame is lost.
+        Waits without limit; may be cancelled and called again without losing a frame.
         """
         await self._ready(look=any(side.suspect for side in self._sides))
         pair = await self._judged(self._come())
@@ -151,21 +152,21 @@ class StereoHead:
         self._backoff_s = self._settings.min_backoff_s
         return pair
 
-    # --- exposure and gain, tried -----------------------------------------------------------
+    # --- exposure and gain on trial ----------------------------------------------------------
 
     async def adjust(self, side: Side, values: CameraValues) -> CameraValues:
-        """Set the stated values of one camera until `restore`; returns all values in force.
+        """Set the stated values of one camera until `restore`; return all values in force.
 
         Raises `CameraSetupError` for a refused value, and the `CaptureError` that keeps a camera closed.
         """
         return await self._asked(side, lambda camera: camera.adjust(values))
 
     async def limits(self, side: Side) -> CameraLimits:
-        """What one camera can be set to now. Raises `CaptureError`."""
+        """Ranges that one camera can be set to now. Raises `CaptureError`."""
         return await self._asked(side, lambda camera: camera.limits())
 
     async def restore(self) -> None:
-        """Undo `adjust`; a camera that does not answer is closed, and is set up anew when it is opened."""
+        """Undo `adjust`; a camera that does not answer is closed, and is configured afresh when reopened."""
         for side in self._sides:
             if isinstance(side.camera, Adjustable):
                 try:
@@ -181,12 +182,12 @@ class StereoHead:
         try:
             return await question(camera)
         except CameraSetupError:
-            raise  # the camera refused a value, and works
+            raise  # the camera refused a value but works
         except CaptureError as error:
             raise self._note(error) from None
 
     async def close(self) -> None:
-        """Release both cameras and end an attempt to open them; safe to call twice."""
+        """Release both cameras and cancel any attempt to open them; safe to call twice."""
         attempt, self._attempt = self._attempt, None
         if attempt is not None:
             await cancel_and_await(attempt)
@@ -199,15 +200,15 @@ class StereoHead:
     # --- opening -----------------------------------------------------------------------------
 
     async def _ready(self, *, look: bool) -> None:
-        """Return when both cameras are open, or raise why they are not.
+        """Return when both cameras are open, or raise the `CaptureError` that prevents it.
 
-        look : check open cameras as well (`Camera.open` of an open camera says whether it is alive).
+        look : check open cameras as well (`Camera.open` on an open camera checks that it is alive).
         """
         if self._attempt is None:
             if not look and all(side.open for side in self._sides):
                 return
             if self._error is not None and self._clock() < self._retry_at_s:
-                raise self._error.with_traceback(None)  # or every raise would make it longer
+                raise self._error.with_traceback(None)  # otherwise the traceback would grow with every raise
             self._attempt = asyncio.create_task(self._open_both(), name="open cameras")
         attempt = self._attempt
         wait_s = self._settings.open_timeout_s + 1.0 if self._error is None else self._timeout_s
@@ -222,9 +223,9 @@ class StereoHead:
             raise self._error.with_traceback(None)
 
     async def _open_both(self) -> None:
-        """One attempt; its result is `_error`. A camera that works stays open meanwhile."""
+        """Try once to open both cameras, with the outcome in `_error`; a working camera stays open."""
         left, right = self._sides
-        limit_s = self._settings.open_timeout_s + 5.0  # each side has its own limit: this is never reached
+        limit_s = self._settings.open_timeout_s + 5.0  # never reached, as each side has its own limit
         errors = [e for e in await both(self._open(left), self._open(right), limit_s) if e is not None]
         if errors:
             self._fail(_merge(errors))
@@ -249,7 +250,7 @@ class StereoHead:
         return error
 
     def _fail(self, error: CaptureError) -> None:
-        """Note the error; no camera is touched before the back-off has passed."""
+        """Note the error; no camera is touched until the backoff has passed."""
         self._error = error
         self._retry_at_s = self._clock() + self._backoff_s
         self._backoff_s = min(2 * self._backoff_s, self._settings.max_backoff_s)
@@ -257,7 +258,10 @@ class StereoHead:
     # --- one exposure ------------------------------------------------------------------------
 
     async def _expose(self) -> FramePair:
-        """Trigger and fetch both within `timeout_s`; both triggers leave in one turn of the event loop."""
+        """Trigger both and fetch both frames within `timeout_s`.
+
+        Without a follower, both triggers are sent in one turn of the event loop.
+        """
         waiting = [side.name for side in self._sides]
         armed = asyncio.Event()
         deadline_s = asyncio.get_running_loop().time() + self._timeout_s
@@ -285,7 +289,7 @@ class StereoHead:
             raise FrameTimeout(name, f"no image within {self._timeout_s:g} s of the trigger") from None
 
     async def _nearest(self, pair: FramePair) -> FramePair:
-        """Replace the older frame by the camera's next one until two fit."""
+        """Replace the older frame with that camera's next one until the two match."""
         while not (skew := self._pairing.skew(pair.left, pair.right)).is_one_exposure:
             left, right = (side.camera for side in self._sides)
             if skew.ns < 0:
@@ -295,7 +299,7 @@ class StereoHead:
         return pair
 
     async def _come(self) -> FramePair:
-        """Wait for two frames that others triggered. Raises `FrameUnpaired` for a frame without a partner."""
+        """Wait for two externally triggered frames. Raises `FrameUnpaired` for a frame without a partner."""
         while True:
             tasks = [side.listen() for side in self._sides]
             await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
@@ -307,7 +311,7 @@ class StereoHead:
                 if side.has_given_up():
                     side.listen_again()
         # this may be cancelled and called again while a camera is silent: the time-out counts from when the
-        # first frame was there and both were listened to
+        # first frame had arrived and both cameras were being listened to
         now_s = asyncio.get_running_loop().time()
         frames_s = (side.heard_s for side, task in zip(self._sides, tasks, strict=True) if _has_frame(task))
         first_s = min(frames_s, default=now_s)
@@ -321,13 +325,13 @@ class StereoHead:
             if skew.is_one_exposure:
                 self._taken("left", "right")
                 return pair
-            # the later frame may be the first of the next exposure: only the older one has no partner
+            # the later frame may be the first of the next exposure: only the older one is without a partner
             older, newer = ("left", "right") if skew.ns < 0 else ("right", "left")
             self._taken(older)
             raise FrameUnpaired(newer, f"no partner for frame {frames[older].frame_id} of {older}: {skew}")
         self._taken(*came)
         for task in came.values():
-            task.result()  # raises the fault of the camera that gave no frame
+            task.result()  # raises the fault of a camera that delivered no frame
         (name,) = {"left", "right"} - frames.keys()
         (other,) = frames.values()
         raise FrameUnpaired(
@@ -341,9 +345,9 @@ class StereoHead:
                 side.coming = None
 
     def _check_pair(self, pair: FramePair) -> None:
-        """Raise `PairingError` unless both frames are new and show one instant.
+        """Raise `PairingError` unless both frames are new and show the same instant.
 
-        And `CameraSetupError` where one is not of the size that was calibrated.
+        Raises `CameraSetupError` if an image does not have the calibrated size.
         """
         for frame, size in zip((pair.left, pair.right), self._settings.image_sizes or (), strict=False):
             height, width = frame.image.shape
@@ -363,7 +367,7 @@ class StereoHead:
             raise PairingError("both", problem)
 
     def _note(self, error: CaptureError) -> CaptureError:
-        """Close cameras that are gone or failed too often; returns the error to raise."""
+        """Close cameras that are gone or have failed too often; return the error to raise."""
         at_fault = [side for side in self._sides if error.camera in (side.name, "both")]
         if self._settings.by_others and isinstance(error, FrameTimeout) and len(at_fault) == 2:
             return error
@@ -390,7 +394,7 @@ def _has_frame(task: asyncio.Task[Frame]) -> bool:
 
 
 def _merge(errors: list[CaptureError]) -> CaptureError:
-    """One error for both cameras, of the left camera's type."""
+    """Merge the errors into one for both cameras, of the left camera's type."""
     if len(errors) == 1:
         return errors[0]
     return type(errors[0])("both", "; ".join(str(error).removeprefix("camera ") for error in errors))

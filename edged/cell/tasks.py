@@ -1,4 +1,4 @@
-"""Tasks that are cancelled and awaited, and blocking calls with a time limit."""
+"""Helpers to cancel and await tasks, and to bound blocking calls in time."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ Result = TypeVar("Result")
 async def both(
     left: Coroutine[Any, Any, Result], right: Coroutine[Any, Any, Result], timeout_s: float
 ) -> tuple[Result, Result]:
-    """Run two coroutines as one: both results, or one error with neither still running.
+    """Run two coroutines as one: return both results, or raise one error with neither still running.
 
-    The first error wins, and the other task is cancelled and awaited before it is raised; so it is
+    The first error wins, and the other task is cancelled and awaited before it is raised; likewise
     when the caller is cancelled. Raises `TimeoutError` when either is not done within timeout_s.
-    `asyncio.gather` leaves the other task running, and a `TaskGroup` inside `asyncio.timeout` can
-    surface a CancelledError on Python 3.11: hence this.
+    This exists because `asyncio.gather` leaves the other task running, and a `TaskGroup` inside
+    `asyncio.timeout` can surface a CancelledError on Python 3.11.
     """
     tasks = (asyncio.ensure_future(left), asyncio.ensure_future(right))
     try:
@@ -37,7 +37,7 @@ async def both(
 
 
 async def cancel_and_await(*tasks: asyncio.Future[Any]) -> None:
-    """End tasks and see them end, even while being cancelled oneself; their results are dropped."""
+    """Cancel tasks and wait until they have ended, even if cancelled meanwhile; their results are dropped."""
     cancelled: asyncio.CancelledError | None = None
     for task in tasks:
         task.cancel()
@@ -48,7 +48,7 @@ async def cancel_and_await(*tasks: asyncio.Future[Any]) -> None:
             cancelled = error
     for task in tasks:
         if not task.cancelled():
-            task.exception()  # seen: or asyncio complains that it was never retrieved
+            task.exception()  # retrieved, or asyncio would complain
     if cancelled is not None:
         raise cancelled
 
@@ -59,7 +59,7 @@ async def bounded(
     """Run a blocking call on a thread of its own. Raises `TookTooLong`, and what the call raises.
 
     undo : called with a result that comes too late.
-    Not `asyncio.to_thread`: its threads are joined at exit, and one that hangs would hang the exit.
+    Does not use `asyncio.to_thread`, whose threads are joined at exit, so that a hanging one would block it.
     """
     loop = asyncio.get_running_loop()
     done: asyncio.Future[Result] = loop.create_future()
@@ -77,7 +77,7 @@ async def bounded(
             setter, value = done.set_result, result
             if is_left.is_set() and undo is not None:
                 undo(result)
-        except Exception as error:  # noqa: BLE001  (whatever it is, it is raised by the await below)
+        except Exception as error:  # noqa: BLE001  (any error is raised by the await below)
             setter, value = done.set_exception, error
         with contextlib.suppress(RuntimeError):  # the loop is closed
             loop.call_soon_threadsafe(settle, setter, value)
@@ -91,4 +91,4 @@ async def bounded(
     finally:
         is_left.set()
         if not done.cancelled():
-            thread.join()  # it is at its last line
+            thread.join()  # it has only its last line left

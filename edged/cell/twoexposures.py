@@ -1,10 +1,10 @@
-"""A stereo head that takes a long and a short exposure in each cycle, and gives them as one pair.
+"""A stereo head that takes a long and a short exposure in each cycle and merges them into one pair.
 
-Responsible for: setting both cameras from one exposure to the other between two captures of the head, and for
-what no merged picture may hide: something that moved, light that changed. Not responsible for: how a pair is
-captured (`stereohead`), how it is merged (`pictures.twoexposures`).
+Responsible for: switching both cameras between the exposures, and for detecting what a merged picture must
+not hide: something that moved, light that changed. Not responsible for: how a pair is captured
+(`stereohead`), how it is merged (`pictures.twoexposures`).
 
-A cycle begins with the exposure that the last one ended with: there is one change in each.
+A cycle begins with the exposure that the last one ended with, so that each needs only one change.
 """
 
 from __future__ import annotations
@@ -24,19 +24,22 @@ from edged.pictures.twoexposures import MergedExposures, merge_exposures
 from edged.ports import Camera
 
 CHANGE_S = 8.0
-"""Some registers, and an exposure that is thrown away; a camera that must be opened anew takes the most."""
+"""Limit for changing the exposure: some registers, a discarded exposure, and at worst reopening a camera."""
 MOST_MOVED_PX = 1.0
-"""Half a pixel to a whole one. Less blurs a picture no more than a lens does; a part that is carried on moves
-by many."""
+"""Largest motion between the exposures; 0.5 to 1 px is reasonable. Less blurs a picture no more than a lens
+does; a part that is being conveyed moves by many pixels."""
 MOST_FLICKER = 0.25
-"""Lamps on the mains flicker by less; a camera that took its new exposure late is off by the whole ratio."""
+"""Largest relative error of the measured exposure ratio.
+
+Lamps on the mains flicker by less; a camera that applied its new exposure late is off by the whole ratio.
+"""
 
 Which = Literal["long", "short"]
 
 
 @dataclass(frozen=True, slots=True)
 class TakenTwice:
-    """Exposures of the last pair. long_us, short_us : of the left camera. apart_ns : from first to second."""
+    """Exposures of the last pair. long_us, short_us : left camera. apart_ns : time from first to second."""
 
     long_us: float
     short_us: float
@@ -46,8 +49,9 @@ class TakenTwice:
 class TwoExposureHead:
     """A `StereoHead` that exposes twice.
 
-    long_us : the long exposure of both cameras, as configured. ratio : by which the short one is shorter.
-    settles : the cameras do not see to it themselves that a picture after `adjust` has the new exposure.
+    long_us : configured long exposure of both cameras. ratio : long to short exposure.
+    settles : a picture must be discarded after `adjust`, as the cameras do not ensure that it has the new
+    exposure.
     """
 
     def __init__(
@@ -69,8 +73,10 @@ class TwoExposureHead:
         await self._head.open()
 
     async def capture(self) -> FramePair:
-        """Both exposures of both cameras, merged. Raises `CaptureError`; takes up to two time-outs, and the
-        change between them."""
+        """Return both exposures of both cameras, merged. Raises `CaptureError`.
+
+        Takes up to two time-outs plus the exposure change between them.
+        """
         begins = self._now or "long"
         ends: Which = "short" if begins == "long" else "long"
         if self._now is None:
@@ -94,16 +100,16 @@ class TwoExposureHead:
         return FramePair(left, right, missed=first.missed + second.missed)
 
     async def listen(self) -> FramePair:
-        """Nobody else can trigger two exposures: a configuration that asks for it is refused."""
+        """Always raise: two exposures cannot be triggered externally; such a configuration is refused."""
         raise FrameTimeout("both", "two exposures are not taken by others' triggers")
 
     async def adjust(self, side: Side, values: CameraValues) -> CameraValues:
-        """As `StereoHead.adjust`; the exposure time is the long one's."""
+        """As `StereoHead.adjust`; the exposure time is that of the long exposure."""
         await self._be_long()
         made = await self._head.adjust(side, values)
         if values.exposure_us is not None and made.exposure_us is not None:
             self._long_us[side] = made.exposure_us
-            self._now = None  # its short one is another, too
+            self._now = None  # the short exposure changes as well
         return made
 
     async def limits(self, side: Side) -> CameraLimits:
@@ -111,7 +117,7 @@ class TwoExposureHead:
         return await self._head.limits(side)
 
     async def restore(self) -> None:
-        """As `StereoHead.restore`: then both have the configured exposure, which is the long one."""
+        """As `StereoHead.restore`; both cameras then have the configured, long exposure."""
         self._long_us, self._now = dict(self._configured_us), None
         await self._head.restore()
 
@@ -124,7 +130,7 @@ class TwoExposureHead:
             await self._change_to("long")
 
     async def _change_to(self, which: Which) -> None:
-        """Set both cameras' exposure. Raises `CaptureError`; which one they have is then not known."""
+        """Set the exposure of both cameras. Raises `CaptureError`; their exposure is unknown then."""
         self._now = None
         share = 1.0 if which == "long" else 1.0 / self._ratio
         left, right = (
@@ -140,7 +146,7 @@ class TwoExposureHead:
         self._now = which
 
     def _ratio_of(self, side: Side) -> float:
-        """As the camera made it: it rounds."""
+        """Ratio of the exposures as set by the camera, which rounds them."""
         index = SIDES.index(side)
         return self._made_us["long"][index] / self._made_us["short"][index]
 
@@ -150,18 +156,18 @@ class TwoExposureHead:
 
 
 def _problem(picture: MergedExposures, ratio: float, apart_ns: int) -> str:
-    """Why a merged picture must not be measured; "" if it may."""
+    """Return why a merged picture must not be measured; "" if it may."""
     between = f"between its two exposures, {apart_ns * 1e-6:.0f} ms apart"
     if picture.moved_px > MOST_MOVED_PX:
         by = f"by about {picture.moved_px:.1f} px " if picture.moved_px < float("inf") else ""
         return f"something moved {by}{between}: the part must lie still"
-    if abs(picture.ratio / ratio - 1.0) > MOST_FLICKER:  # NaN: not seen well enough by both
+    if abs(picture.ratio / ratio - 1.0) > MOST_FLICKER:  # False for NaN: not measurable in both exposures
         return f"the light changed {between}: long to short it is {picture.ratio:.1f}, not {ratio:.1f}"
     return ""
 
 
 def _between(first: Frame, second: Frame, picture: MergedExposures) -> Frame:
-    """The merged frame. It was exposed between both, and its bound reaches to either."""
+    """Return the merged frame, dated midway between both exposures, with a bound that covers both."""
     apart_ns = second.exposed_ns - first.exposed_ns
     bounds = first.exposed_bound_ns, second.exposed_bound_ns
     known = [bound for bound in bounds if bound is not None]

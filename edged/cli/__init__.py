@@ -1,1 +1,1 @@
-"""The command line: one module for each group of commands, `main` that joins them."""
+"""The command line: one module for each group of commands, joined by `main`."""

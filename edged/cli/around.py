@@ -1,4 +1,4 @@
-"""Commands that show a cell without hardware, and connect other programs to one."""
+"""Commands that demonstrate a cell without hardware, and connect other programs to one."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def demo(
         bool, typer.Option("--stage", help="without rig and job: set the cell up on its page, step by step")
     ] = False,
 ) -> None:
-    """Run a virtual cell and the daemon on this machine; shows measured against true position."""
+    """Run a virtual cell and the daemon on this machine; compare measured and true positions."""
     from edged.commands.demo import DemoOptions
     from edged.commands.demo import demo as command
 
@@ -93,17 +93,17 @@ def sim(
     ] = 0.0,
     day_s: Annotated[float, typer.Option("--day", min=1, help="seconds that such a day takes")] = 86400.0,
 ) -> None:
-    """Simulate GigE Vision cameras over UDP, with faults at will, to test any client of such cameras.
+    """Simulate GigE Vision cameras over UDP, with faults on demand, to test any client of such cameras.
 
     A virtual cell on 127.0.0.2 and 127.0.0.3:  edged sim
 
-    Pictures of a folder, 1 % of the packets lost:  edged sim --images DIR --fault packet_loss=0.01
+    Pictures from a folder, with 1 % of the packets lost:  edged sim --images DIR --fault packet_loss=0.01
 
     Reference marks, and a day of +-10 K in ten minutes:  edged sim --marks 60x52:8:2 --weather 10 --day 600
 
     One camera with a test pattern:  edged sim --pattern 640x480 --left 192.168.7.10 --right none
 
-    While it runs, lines on standard input change what goes wrong: `set left unplugged on`, `reboot both`,
+    While it runs, lines on standard input control faults: `set left unplugged on`, `reboot both`,
     `pulse both Line1`, `steal right`; `help` lists them.
     """
     from edged.commands.sim import SimOptions
@@ -199,7 +199,7 @@ def watch(
         bool, typer.Option("--json", help="print one JSON object per result, one a line")
     ] = False,
 ) -> None:
-    """Show live results of every cell that is reachable over Zenoh. 1: not --count within --timeout."""
+    """Show live results of every cell reachable over Zenoh. 1: --timeout passed before --count results."""
     from edged.app.fleet import ClientTls
     from edged.commands.watch import WatchOptions
     from edged.commands.watch import watch as command

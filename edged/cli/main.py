@@ -1,9 +1,9 @@
 """The command line: parses, calls `commands`, and turns errors into exit codes.
 
-0: done. 1: ran, and the answer is "no" (no target, check failed). 2: wrong usage or input; the
+0: done. 1: it ran, and the answer is "no" (no target, check failed). 2: wrong usage or input; the
 message goes to stderr and names the file, the field and what was expected.
 
-Each command imports what it needs when it runs, so that `edged --help` stays quick.
+Each command imports its modules only when it runs, so that `edged --help` stays quick.
 """
 
 from __future__ import annotations

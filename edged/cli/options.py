@@ -1,4 +1,4 @@
-"""Options that several commands share."""
+"""Options shared by several commands."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ JsonOption = Annotated[bool, typer.Option("--json", help="print one JSON object 
 
 
 def screen(*, stderr: bool = False, soft_wrap: bool = False) -> Console:
-    """Where a command prints; rich is imported once one does."""
+    """Return the console that a command prints to; rich is imported only then."""
     from rich.console import Console
 
     return Console(stderr=stderr, soft_wrap=soft_wrap)

@@ -47,7 +47,7 @@ def make_root(
     online: Annotated[Path, typer.Option(help="public key that publishes")],
     threshold: Annotated[int, typer.Option(min=1, help="so many keys of the root must sign")] = 2,
 ) -> None:
-    """Make the root of trust, or another version of it: whose keys count."""
+    """Make the root of trust, or a new version of it: the list of trusted keys."""
     from edged.commands.release import root
 
     raise typer.Exit(root(repository, key, threshold, targets, online, screen(soft_wrap=True)))
@@ -55,7 +55,7 @@ def make_root(
 
 @release.command()
 def countersign(repository: RepositoryArgument, key: SignerOption) -> None:
-    """Sign the root with one more of its keys."""
+    """Sign the root with another of its keys."""
     from edged.commands.release import countersign as command
 
     raise typer.Exit(command(repository, key, screen(soft_wrap=True)))
@@ -68,7 +68,7 @@ def delegate(
     plant_key: Annotated[Path, typer.Option(help="public key of the plant")],
     key: SignerOption,
 ) -> None:
-    """Let the key of a plant sign its releases, and nothing else."""
+    """Allow a plant's key to sign that plant's releases, and nothing else."""
     from edged.commands.release import delegate as command
 
     raise typer.Exit(command(repository, plant, plant_key, key, screen(soft_wrap=True)))
@@ -96,7 +96,7 @@ def sign(
     ] = None,
     note: Annotated[str | None, typer.Option(help="for people")] = None,
 ) -> None:
-    """Sign a release with the plant's key, or another ring of it."""
+    """Sign a release with the plant's key, or assign a signed one to another ring."""
     from edged.commands.release import sign as command
 
     code = command(
@@ -114,7 +114,7 @@ def publish(
         float, typer.Option(min=0.01, help="cells believe it for so long; publish again before")
     ] = 14.0,
 ) -> None:
-    """Let cells see what is signed; again, before it expires."""
+    """Publish signed releases to the cells; repeat it before the publication expires."""
     from edged.commands.release import publish as command
 
     raise typer.Exit(command(repository, key, days, screen(soft_wrap=True)))
@@ -138,7 +138,7 @@ def switch(
     config: ConfigArgument,
     unit: Annotated[str, typer.Option(help="service of the cell, which is restarted")] = "edged.service",
 ) -> None:
-    """Switch to the version that the cell's gate wants, and back if it does not come up."""
+    """Switch to the software version that the cell's gate wants, and back if it does not start."""
     from edged.commands.release import switch as command
 
     raise typer.Exit(command(config, unit, screen(soft_wrap=True)))
@@ -146,7 +146,7 @@ def switch(
 
 @release.command()
 def status(config: ConfigArgument, place: PlaceOption = None, as_json: JsonOption = False) -> None:
-    """Show what is published, and what this cell has. 1: the repository is not reached, or refused."""
+    """Show what is published and what this cell has. 1: the repository was not reached, or was refused."""
     from edged.commands.release import status as command
 
     raise typer.Exit(command(config, screen(soft_wrap=True), place=place, as_json=as_json))

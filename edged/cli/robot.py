@@ -1,4 +1,4 @@
-"""Commands that bring results into a robot's frame, and say how its tool takes a part."""
+"""Commands that bring results into a robot's frame, and teach how its tool grips a part."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def grasp_touch(
         int, typer.Option(min=0, help="ways to take the part alike, turned about its z; 0: any")
     ] = 1,
 ) -> None:
-    """From where the robot stands when it takes the part. 0: added to the job; 1: the part is not good."""
+    """Teach a grasp from the robot's pose when it grips the part. 0: added to the job; 1: no good part."""
     from edged.commands.grasp import Touch
     from edged.commands.grasp import touch as command
 
@@ -51,7 +51,7 @@ def belt_command(
         list[Path], typer.Argument(help="left and right image at the first count, then those at the second")
     ],
 ) -> None:
-    """Direction and scale of a conveyor belt, from a board that it carried: prints [belt] for cell.toml."""
+    """Measure direction and scale of a conveyor belt with a board on it; print [belt] for cell.toml."""
     from edged.commands.belt import CountedPair
     from edged.commands.belt import belt as command
 
@@ -83,9 +83,10 @@ def register_touch(
         bool, typer.Option("--map", help="also a map of the robot's error, from 12 points or more")
     ] = False,
 ) -> None:
-    """From three or more points that the robot touched. 0: saved; 1: over the limit.
+    """Register from three or more points that the robot touched. 0: saved; 1: over the limit.
 
-    With five or more a wrong point is named. The points of a map lie all around where parts may lie.
+    With five or more, a wrong point is identified. Points for a map must surround the places where parts may
+    lie.
     """
     from edged.commands.register import touch as command
 
@@ -100,9 +101,9 @@ def register_marks(
     output: Annotated[Path, typer.Option("--output", "-o", help="rig file to write")],
     limit: Annotated[float, typer.Option(min=0, help="mm: of each mark against all others")] = 0.05,
 ) -> None:
-    """Take the robot over to a new calibration by the marks, which were taught with both. 0: saved; 1: not.
+    """Carry the registration over to a new calibration by marks taught with both. 0: saved; 1: not.
 
-    Neither plate nor robot may have moved between both teachings. The new marks.json is beside --rig.
+    Neither plate nor robot may have moved between the two teachings. The new marks.json is beside --rig.
     """
     from edged.commands.register import by_marks as command
 
@@ -123,7 +124,7 @@ def register_hand_eye(
     limit: Annotated[float, typer.Option(min=0, help="mm: rms of held-out poses")] = 0.5,
     as_json: JsonOption = False,
 ) -> None:
-    """From poses of the flange, each with a view of a board that it holds. 0: saved; 1: over the limit."""
+    """Register from flange poses, each with a view of a board on the flange. 0: saved; 1: over the limit."""
     from edged.commands.register import FlangePoses
     from edged.commands.register import hand_eye_command as command
 
@@ -143,7 +144,7 @@ def register_self_test(
     brand: Annotated[str | None, typer.Option(help="whose poses these should be")] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Which convention, unit and mount the poses are in: every reading is tried. 0: one stands out."""
+    """Find the convention, unit and mount of the poses by trying all of them. 0: one stands out."""
     from edged.commands.register import FlangePoses
     from edged.commands.register import self_test as command
 

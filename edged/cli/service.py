@@ -1,4 +1,4 @@
-"""Commands that run a cell and look after it."""
+"""Commands that run and maintain a cell."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ app.add_typer(release, name="release")
 def check(
     config: Annotated[Path, typer.Argument(help="configuration file")], as_json: JsonOption = False
 ) -> None:
-    """Validate configuration, rig and jobs; report every mistake in one go."""
+    """Validate configuration, rig and jobs; report all mistakes at once."""
     from edged.commands.check import check as command
 
     raise typer.Exit(command(config, as_json=as_json))
@@ -38,7 +38,7 @@ def doctor(
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Examine machine, network and cameras: likely problems, and the command that fixes each."""
+    """Examine machine, network and cameras; show likely problems and the command that fixes each."""
     from edged.commands.doctor import doctor as command
 
     raise typer.Exit(command(config, as_json, screen(), trigger=trigger, daemon=daemon))
@@ -66,7 +66,7 @@ def run(
     ] = None,
 ) -> None:
     """Run the daemon until SIGTERM; SIGHUP reloads the configuration."""
-    gc.disable()  # imports leave no garbage, and looking for it is a tenth of the start; `serve` enables it
+    gc.disable()  # imports leave no garbage, and collections take a tenth of the start; `serve` enables it
     from edged.commands.run import run as command
 
     raise typer.Exit(command(config, page_user, trace))
@@ -77,7 +77,7 @@ def status(
     url: Annotated[str, typer.Option(help="status page of the cell")] = "http://127.0.0.1:8080",
     as_json: JsonOption = False,
 ) -> None:
-    """Show what the cell does now, from its status page. 0: ready; 1: not ready or not reached."""
+    """Show the present state of a cell, from its status page. 0: ready; 1: not ready or not reached."""
     from edged.commands.status import status as command
 
     raise typer.Exit(command(url, as_json, screen()))
@@ -96,7 +96,7 @@ def replay(
         Path | None, typer.Option(help="folder for pictures: each pair with what was measured")
     ] = None,
 ) -> None:
-    """Measure recorded cycles again; says if any result differs in a single bit."""
+    """Measure recorded cycles again; report any result that differs, even in a single bit."""
     from edged.commands.replay import replay as command
 
     raise typer.Exit(command(path, as_json, screen(), export, overlays))
@@ -146,7 +146,7 @@ def support(
         int | None, typer.Option(min=0, help="number of a recording; left out: the newest that was not good")
     ] = None,
 ) -> None:
-    """Write a bundle for who helps from afar: a failed cycle, findings, versions, audit; no secrets."""
+    """Write a bundle for remote support: a failed cycle, findings, versions, audit; no secrets."""
     from edged.commands.support import support as command
 
     raise typer.Exit(command(config, output, cycle, screen(soft_wrap=True)))
@@ -170,7 +170,7 @@ def history(
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Ask what cells measured: in SQL, as a report, or against each other. 1: a cell differs."""
+    """Query what cells measured: in SQL, as a report, or compared with each other. 1: a cell differs."""
     if (sql is not None) + (week is not None) + compare != 1:
         raise UserError("expected either SQL, --week or --compare")
     try:
@@ -205,7 +205,7 @@ def audit(
         typer.Option(help="compare with the journal: `journal`, or a file of `journalctl --output=json`"),
     ] = None,
 ) -> None:
-    """Show who did what on the page. 0: the chain holds; 1: it does not, or the journal has another one."""
+    """Show who did what on the page. 0: the chain holds; 1: it does not, or the journal differs."""
     from edged.commands.audit import audit as command
 
     raise typer.Exit(command(config, screen(soft_wrap=True), as_json=as_json, last=last, against=against))
@@ -220,7 +220,7 @@ def web_invite(
     config: Annotated[Path, typer.Argument(help="configuration file of the cell")],
     name: Annotated[str, typer.Argument(help="of who may use it: a new one, or a user's")],
 ) -> None:
-    """Print a code by which somebody becomes an engineer, once: the first one, or one without a password."""
+    """Print a one-time code that makes a person an engineer: the first one, or one without a password."""
     from edged.commands.web import invite
 
     raise typer.Exit(invite(config, name))

@@ -32,11 +32,11 @@ def cameras(
 ) -> None:
     """List the GenICam cameras that answer, their addresses, and whether they can be used.
 
-    --give-address reaches a camera whose address is in another network (GigE Vision's FORCEIP), and has it
-    keep the new one. A camera that a program controls is left alone.
+    --give-address reaches a camera whose address is in another network (GigE Vision's FORCEIP), and makes it
+    keep the new one. A camera controlled by another program is left alone.
 
-    With --report two of them are measured: firmware, features, what they lack, skew of both exposures, time
-    from trigger to images, packets sent again at full rate, temperature. Their settings are those of a cell.
+    With --report, two of them are tested: firmware, features, missing features, skew of both exposures, time
+    from trigger to images, packets resent at full rate, temperature. They are set up as in a cell.
     """
     from edged.commands.cameras import address as give
     from edged.commands.cameras import cameras as command
@@ -59,7 +59,7 @@ def grab(
     """Save pairs of pictures, for calibration and teaching.
 
     With --count, a terminal asks for Enter before each pair; otherwise a pair is taken whenever the view has
-    changed and rests. Each is on the disc before the next, and none is ever overwritten.
+    changed and is at rest. Each pair is on disc before the next is taken, and none is ever overwritten.
     """
     from edged.commands.grab import grab as command
 
@@ -82,7 +82,7 @@ def board(
         str | None, typer.Option(help="A5 to A1 or letter; the smallest of A5 to A1 that fits if not given")
     ] = None,
 ) -> None:
-    """Draw a calibration board, or reference marks, to print, with rulers that tell how true they are."""
+    """Draw a calibration board or reference marks to print, with rulers to check the print's scale."""
     from edged.commands.board import board as command
 
     raise typer.Exit(command(spec, paper, output, screen(stderr=True), marks=marks))
@@ -131,7 +131,7 @@ def verify(
     max_length_error: Annotated[float, typer.Option(min=0, help="largest length error, percent")] = 0.1,
     as_json: JsonOption = False,
 ) -> None:
-    """Check a rig against one fresh pair: rows must agree, and a known length must come out."""
+    """Check a rig with one fresh pair: rows must agree, and a known length must come out right."""
     from edged.commands.verify import verify as command
     from edged.setup.calibration.checking import Limits
 
@@ -291,10 +291,10 @@ def golden(
     left: Annotated[Path, typer.Argument(help="left image of the part as it lay when the path was taught")],
     right: Annotated[Path, typer.Argument(help="right image")],
 ) -> None:
-    """Keep where the part lay for which a path was taught; results then say how they lie against it.
+    """Save the pose of the part for which a path was taught; results then carry their offset from it.
 
-    Written beside the rig, as the command GOLDEN does; a running cell knows it after a reload. 0: kept, 1:
-    there is not one good part.
+    Written beside the rig, as the command GOLDEN does; a running cell uses it after a reload. 0: saved, 1:
+    not exactly one good part.
     """
     from edged.commands.golden import golden as command
 
@@ -327,7 +327,7 @@ def accept(
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Test a cell in its own place, and write a page to sign. 0: passed; 1: not, or not whole."""
+    """Run a cell's acceptance test on site and write a page to sign. 0: passed; 1: not, or incomplete."""
     from edged.commands.accept import Signed
     from edged.commands.accept import accept as command
     from edged.commands.verify import parse_length
@@ -352,7 +352,7 @@ def study(
     report: Annotated[Path | None, typer.Option(help="HTML page to write")] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Is the cell fit to inspect a size? Capability by a master, gauge R&R by parts. 0: fit; 1: not."""
+    """Test fitness to inspect a size: capability by a master, gauge R&R by parts. 0: fit; 1: not."""
     from edged.commands.study import parse_tolerance
     from edged.commands.study import study as command
     from edged.setup.acceptance.studying import StudiedSize
@@ -376,9 +376,9 @@ def marks_teach(
     rig: RigOption,
     material: MaterialOption = "steel",
 ) -> None:
-    """Keep where the marks are seen while the calibration is fresh: 50 pairs of a still cell, `edged grab`.
+    """Teach the marks while the calibration is fresh, from 50 pairs of a still cell (`edged grab`).
 
-    Written as marks.json beside the rig; a running cell knows them after a reload. 0: kept.
+    Written as marks.json beside the rig; a running cell uses them after a reload. 0: saved.
     """
     from edged.commands.marks import teach as command
 
@@ -394,9 +394,9 @@ def marks_status(
     range_k: Annotated[float, typer.Option(min=0.001, max=100, help="as [marks] range_k")] = 10.0,
     as_json: Annotated[bool, typer.Option("--json", help="one JSON object")] = False,
 ) -> None:
-    """What the marks of one pair say: how far each dot is from where it was, and where the cameras are.
+    """Show the marks of one pair: motion of each dot since teaching, and displacement of the cameras.
 
-    0: results may be given; 1: not, and why.
+    0: results may be given; 1: not, with the reason.
     """
     from edged.commands.marks import status as command
     from edged.vision.marks.tracking import MarksSettings

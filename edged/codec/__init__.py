@@ -1,1 +1,1 @@
-"""Values of edged as CBOR and back, between its own processes: a closed list of kinds for each link."""
+"""Encoding of values as CBOR between processes of edged: a closed list of types for each link."""

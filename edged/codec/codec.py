@@ -1,11 +1,11 @@
-"""Values of edged as CBOR and back: the kinds of a closed list, and no others.
+"""Encoding of values as CBOR, and decoding, for a closed list of types only.
 
-Either end refuses by name what is not on the list. What is read may come from a process that a stranger's
-file has taken over: length, items and depth are counted before anything is made of them, and what is made has
-fields of the very kinds that its class says; nothing is run but the constructors of the list.
+Either end refuses a type that is not on the list, and names it. A message may come from a process that was
+compromised by a stranger's file: length, items and depth are counted before anything is constructed, objects
+get fields of exactly the types that their class declares, and no code runs but the constructors on the list.
 
-A message is a list of `FORMAT` and the value. What CBOR has no word for is a list that begins with one:
-`["tuple", 1, 2]`, `["Circle3D", {"radius_mm": 5.0, ...}]`, `["Status", 1]`.
+A message is a list of `FORMAT` and the value. A type that CBOR does not have is a list that begins with its
+name: `["tuple", 1, 2]`, `["Circle3D", {"radius_mm": 5.0, ...}]`, `["Status", 1]`.
 Source: RFC 8949.
 """
 
@@ -33,7 +33,7 @@ from edged.domain.measurement import Nearest
 from edged.errors import EdgedError, printable
 
 FORMAT = 1
-"""The number of this format; it grows when one is written another way."""
+"""Number of this format; it grows when the encoding changes."""
 _SEQUENCES: dict[type, str] = {list: "list", tuple: "tuple", frozenset: "set"}
 _COLLECTED: dict[str, Callable[[list[Any]], Any]] = {"list": list, "tuple": tuple, "set": frozenset}
 _ARRAY_KINDS = "biufUS"
@@ -46,14 +46,15 @@ _DAMAGE = (
     AttributeError,
     RecursionError,
 )
-"""What reading anything else raises."""
+"""Exceptions that decoding an invalid message raises."""
 
 
 @dataclass(frozen=True, slots=True)
 class Codec:
-    """A closed list of kinds, by name: dataclasses, models and enumerations, or the module that has one.
+    """Encoder and decoder for a closed list of types, by name.
 
-    what : has its messages, for errors. bounds : of a message that is read.
+    kinds : dataclasses, models and enumerations, or the module that defines one. what : the messages' owner,
+    for errors. bounds : of a message to decode.
     """
 
     what: str
@@ -62,20 +63,20 @@ class Codec:
 
     @classmethod
     def of(cls, what: str, kinds: Iterable[type], bounds: CborBounds) -> Codec:
-        """One of classes that are here already."""
+        """Codec for classes that are imported already."""
         return cls(what, {kind.__name__: kind for kind in kinds}, bounds)
 
     def encode(self, value: object, images: list[Image] | None = None) -> bytes:
-        """A value as CBOR. images : those of its frames are appended, and not written; None: written as well.
+        """Encode a value. images : those of its frames are appended here, not written; None: written as well.
 
-        Raises `TypeError` that names a kind that is not on the list, `ValueError` beyond 64 bits.
+        Raises `TypeError` that names a type that is not on the list, `ValueError` beyond 64 bits.
         """
         return cbor2.dumps([FORMAT, self._plain(value, images)], encoders={str: encode_text})
 
     def decode(self, data: bytes, images: Sequence[Image | None] = ()) -> Any:
-        """The value. images : of its frames; a pair with an image that is None is None, too.
+        """Decode a value. images : of its frames; a frame or pair whose image is None becomes None.
 
-        Raises `ValueError` that says why for anything that `encode` does not write.
+        Raises `ValueError`, with the reason, for anything that `encode` does not write.
         """
         try:
             message = decode_item(data, self.bounds)
@@ -86,10 +87,10 @@ class Codec:
             why = printable(str(error)[:300]) or type(error).__name__
             raise ValueError(f"no message of {self.what}: {why}") from error
 
-    # --- written ---------------------------------------------------------------------------------
+    # --- encoding --------------------------------------------------------------------------------
 
     def _plain(self, value: Any, images: list[Image] | None) -> Any:
-        """What CBOR has words for."""
+        """Convert a value to types that CBOR has."""
         if value is None or type(value) in (bool, float, str, bytes):
             return value
         if type(value) is int:
@@ -135,10 +136,10 @@ class Codec:
             raise TypeError(f"{kind.__module__}.{kind.__qualname__} is no message of {self.what}")
         return kind.__name__
 
-    # --- read ------------------------------------------------------------------------------------
+    # --- decoding --------------------------------------------------------------------------------
 
     def _value(self, plain: Any, images: Sequence[Image | None]) -> Any:
-        """Raises those of `_DAMAGE`."""
+        """Convert CBOR types back to a value. Raises the exceptions in `_DAMAGE`."""
         if isinstance(plain, dict):
             if not all(type(key) is str for key in plain):
                 raise TypeError("a key that is no text")
@@ -165,7 +166,7 @@ class Codec:
                 return {self._value(key, images): self._value(item, images) for key, item in parts}
             case "nearest", [bool(is_known), written]:
                 answer = self._value(written, images)
-                # what is not known is left to the receiver; `ask` of what is known answers at once
+                # an unknown answer is left to the receiver; a known one is asked for now, at no cost
                 nearest = Nearest(lambda: answer)
                 if is_known:
                     nearest.ask()
@@ -183,7 +184,7 @@ class Codec:
         return getattr(import_module(listed), name) if isinstance(listed, str) else listed
 
     def _made(self, kind: Any, stated: Any, images: Sequence[Image | None]) -> Any:
-        """A value of a kind of the list."""
+        """Construct a value of a listed type from its fields."""
         if issubclass(kind, enum.Enum):
             return kind(self._value(stated, images))
         if type(stated) is not dict:

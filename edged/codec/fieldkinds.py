@@ -1,4 +1,4 @@
-"""Whether a value is of the kind that a field is declared with."""
+"""Checks whether a value has the type that a field is declared with."""
 
 from __future__ import annotations
 
@@ -23,16 +23,16 @@ _NUMBERS: dict[type, tuple[type, ...]] = {
 
 @cache
 def checks_of(kind: type) -> dict[str, Check]:
-    """A check for each field of a dataclass, by its name."""
+    """Checks of the fields of a dataclass, by name."""
     hints = typing.get_type_hints(kind)
     return {field.name: check_of(hints[field.name]) for field in fields(kind)}
 
 
 @cache
 def check_of(hint: Any) -> Check:
-    """Whether a value is of a kind. A list counts as a tuple of one kind, and the other way round.
+    """Check for a type hint. A list is accepted as a homogeneous tuple, and the other way round.
 
-    Raises `TypeError` for a kind that nothing here can check.
+    Raises `TypeError` for a type that cannot be checked here.
     """
     origin, parts = typing.get_origin(hint), typing.get_args(hint)
     if hint in (Any, object):

@@ -1,4 +1,4 @@
-"""Errors as another process of edged tells them: their kind, their text, and what they say besides."""
+"""Errors passed between processes of edged: their class, text and further attributes."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from edged import errors
 from edged.errors import EdgedError, UserError
 
 _PLAIN = (str, int, float, bool, type(None))
-"""Kinds of what an error says besides, and of what is in its lists and objects."""
+"""Types of an error's attributes, and of the items of its lists and dicts."""
 
 
 def plain_error(error: EdgedError | OSError) -> dict[str, Any]:
-    """An error as JSON and CBOR take it."""
+    """Convert an error to a dict for JSON and CBOR."""
     if isinstance(error, OSError):
         number = {"errno": error.errno or 0}
         return {"kind": "OSError", "text": error.strerror or str(error), "fields": number}
@@ -20,9 +20,9 @@ def plain_error(error: EdgedError | OSError) -> dict[str, Any]:
 
 
 def error_of(kind: str, text: str, fields: dict[str, Any]) -> EdgedError | OSError:
-    """The error again, as the other process has raised it; an `EdgedError` for one that nobody knows.
+    """Recreate the error that the other process raised; an `EdgedError` for an unknown class.
 
-    Raises `TypeError` for what no error has.
+    Raises `TypeError` for invalid content.
     """
     if not (type(kind) is type(text) is str and type(fields) is dict and all(map(_is_plain, fields.items()))):
         raise TypeError("no error")

@@ -1,1 +1,1 @@
-"""What each command does; `cli` only parses, these return exit codes."""
+"""Implementation of each command; `cli` only parses, and these functions return exit codes."""

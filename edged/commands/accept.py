@@ -1,4 +1,4 @@
-"""`edged accept`: a cell tests itself in its own place, by what a person shows it; with a page to sign."""
+"""`edged accept`: acceptance test of a cell on site, from what a person shows it; with a page to sign."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from edged.setup.releases.signing import signature_file, signature_of
 
 @dataclass(frozen=True, slots=True)
 class Signed:
-    """By whom. key : private, PEM; None: only by hand, on the page."""
+    """Who signs. key : private, PEM; None: signed only by hand, on the page."""
 
     by: str = ""
     key: Path | None = None
@@ -41,9 +41,10 @@ def accept(
     signed: Signed | None = None,
     as_json: bool = False,
 ) -> int:
-    """Test what `folder` has: still/, pose/, length/, robot/. 0: passed; 1: not. Raises `UserError`.
+    """Run the tests that `folder` contains: still/, pose/, length/, robot/. 0: passed; 1: not.
 
-    Writes acceptance.json, .html and .pdf to `output`, and the first beside the rig, too: a cell reads it.
+    Writes acceptance.json, .html and .pdf to `output`, and the first beside the rig as well, where the cell
+    reads it. Raises `UserError`.
     """
     rig, job = load_rig(rig_path), load_job(job_path)
     check_folder(output)

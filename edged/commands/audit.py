@@ -1,4 +1,4 @@
-"""`edged audit`: who did what to the cell, and what shows that this is all of it."""
+"""`edged audit`: who did what to the cell, and the evidence that the record is complete."""
 
 from __future__ import annotations
 
@@ -29,9 +29,10 @@ JOURNALCTL = (
 
 
 def audit(config: Path, console: Console, *, as_json: bool, last: int, against: str | None = None) -> int:
-    """Verify the chain, and print the last records. 0: it holds; 1: it does not, or the journal has another.
+    """Verify the chain and print the last records. 0: it holds; 1: it does not, or the journal differs.
 
-    against : "journal": that of this machine; else a file of `journalctl --output=json`; None: nothing.
+    against : "journal": this machine's journal; else a file of `journalctl --output=json`; None: no
+    comparison.
     Raises `UserError` when one of them cannot be read.
     """
     folder = page_folder(config)
@@ -55,10 +56,10 @@ def audit(config: Path, console: Console, *, as_json: bool, last: int, against: 
 
 
 def _against(source: str, config: Path, folder: Path) -> JournalVerdict:
-    """What the journal says of the audit of a configuration. Raises `UserError`."""
+    """Compare the audit of a configuration with the journal. Raises `UserError`."""
     try:
         user = folder.stat().st_uid
-    except FileNotFoundError:  # nothing is kept, or all was deleted
+    except FileNotFoundError:  # nothing was kept, or all was deleted
         user = os.getuid()
     writer = JournalWriter(config.stem, load(config).cell.name, user)
     with (
@@ -72,7 +73,7 @@ def _against(source: str, config: Path, folder: Path) -> JournalVerdict:
 
 @contextmanager
 def _entries(source: str) -> Iterator[IO[bytes]]:
-    """The entries of the journal, or of a file of them. Raises `UserError`, `OSError`."""
+    """Open the entries of the journal, or a file of them. Raises `UserError`, `OSError`."""
     if source != JOURNAL:
         with file_to_read(Path(source)) as file:
             yield file

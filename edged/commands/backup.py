@@ -1,4 +1,4 @@
-"""`edged backup` and `edged restore`: all that a cell consists of in one file, and back again."""
+"""`edged backup` and `edged restore`: all files of a cell in one archive, and back again."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ from edged.setup.releases.rights import rights_at, rights_in
 from edged.setup.releases.signing import signature_file, signature_of
 
 MAX_LINES = 50
-"""The most lines of one kind: an archive may name very many."""
+"""Limit of printed lines of one kind, as an archive may name very many."""
 
 
 def backup(
     config: Path, output: Path, console: Console, *, force: bool = False, key: Path | None = None
 ) -> int:
-    """Write the archive, proven by restoring it once. Raises `UserError`; then no archive is left.
+    """Write the archive, proven by restoring it once. Raises `UserError`; no archive is left then.
 
-    key : private, PEM; the archive is signed with it, in a file beside it.
+    key : private, PEM; signs the archive, in a file beside it.
     """
     if not output.name.lower().endswith((".tar.gz", ".tgz")):
         raise UserError(f"{output}: an archive is a tar: expected a name that ends in .tar.gz")
@@ -60,11 +60,11 @@ def restore(
     force: bool = False,
     signed_by: Path | None = None,
 ) -> int:
-    """Check an archive; with an output put its files into that folder, all of them or none.
+    """Check an archive; with an output, put its files into that folder, all of them or none.
 
-    force : files of this cell that are there make room and are kept beside the folder; others stay as they
-    are. signed_by : a public key, PEM, whose signature the archive must have. Returns 0, or 1 when the daemon
-    would not start with what was restored. Raises `UserError`; then nothing has changed.
+    force : existing files of this cell are moved aside and kept beside the folder; other files stay as they
+    are. signed_by : a public key, PEM, whose signature the archive must have. Returns 0, or 1 if the daemon
+    would not start with the restored files. Raises `UserError`; nothing has changed then.
     """
     taken = read(archive, signed_by)
     if output is not None:
@@ -102,7 +102,7 @@ def restore(
 
 
 def _tell_verdict(taken: Backup, output: Path, console: Console) -> int:
-    """Whether the daemon would start with the restored cell, and has the archive's fingerprint."""
+    """Print whether the daemon would start with the archive's fingerprint; 1 if it would not start."""
     config = output / taken.config
     try:
         fingerprint = read_cell(config).fingerprint

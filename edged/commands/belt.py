@@ -1,4 +1,4 @@
-"""`edged belt`: direction and scale of a conveyor belt, from a board that it carries."""
+"""`edged belt`: direction and scale of a conveyor belt, measured with a board that it carries."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from edged.vision.geometry.camera import StereoRig
 
 @dataclass(frozen=True, slots=True)
 class CountedPair:
-    """Pictures of the board, and the encoder's count while they were taken: the belt stood."""
+    """Pictures of the board taken while the belt stood, and the encoder count then."""
 
     count: int
     left: Path
@@ -54,7 +54,7 @@ def belt(rig: Path, board: str, first: CountedPair, second: CountedPair, console
 
 
 def _board_at(rig: StereoRig, board: str, pair: CountedPair) -> FloatArray:
-    """robot_from_board (4, 4)."""
+    """Return robot_from_board (4, 4)."""
     try:
         pattern, *others = parse_boards(board)
     except CalibrationError as error:

@@ -1,4 +1,4 @@
-"""`edged board`: a calibration board or reference marks to print, with rulers that tell how true they are."""
+"""`edged board`: a calibration board or reference marks to print, with rulers to check the print's scale."""
 
 from __future__ import annotations
 
@@ -29,13 +29,13 @@ MARGIN_MM = 8.0
 BESIDE_MM, BELOW_MM = 9.0, 18.0
 """Room for the rulers, and for the lines of text below."""
 RULER_MM, STEP_MM = 200.0, 10.0
-"""Length of a ruler at the most, and between its marks."""
+"""Greatest length of a ruler, and the distance between its marks."""
 
 
 def board(
     spec: str | None, paper: str | None, output: Path, console: Console, *, marks: str | None = None
 ) -> int:
-    """Write the page of a board, or of reference marks. Raises `UserError` for what fits on no paper."""
+    """Write the page of a board or of reference marks. Raises `UserError` if it fits on no paper."""
     if output.suffix.lower() != ".pdf":
         raise UserError(f"{output}: expected a name that ends in .pdf")
     check_outputs({"--output": output})
@@ -56,7 +56,7 @@ def board(
 def _paper(
     drawn: Artwork, paper: str | None, wanted: NominalBoard | MarkFrame
 ) -> tuple[str, tuple[float, float]]:
-    """Name and size (w, h) of the smallest paper on which the board fits, upright or on its side."""
+    """Return name and size (w, h) of the smallest paper on which the board fits, portrait or landscape."""
     known = {name.lower(): name for name in PAPERS}
     if paper is not None and paper.lower() not in known:
         raise UserError(f"--paper {paper!r}: expected one of {', '.join(PAPERS)}")
@@ -96,7 +96,7 @@ def _needed(drawn: Artwork) -> tuple[float, float]:
 def _page(
     drawn: Artwork, size: tuple[float, float], wanted: NominalBoard | MarkFrame
 ) -> tuple[list[PageShapes], list[Text]]:
-    """Board, rulers and text; the board in the middle of what the text leaves."""
+    """Return board, rulers and text; the board is centred in the space that the text leaves."""
     width, height = _ink(drawn)
     left = (size[0] - width) / 2
     top = MARGIN_MM + BESIDE_MM + (size[1] - _needed(drawn)[1]) / 2
@@ -135,7 +135,7 @@ def _page(
 
 
 def _ruler(x: float, y: float, length: float, *, upright: bool) -> list[tuple[float, float, float, float]]:
-    """A line with marks, 0.2 mm wide; the outer edges of its last marks are its ends."""
+    """Return a ruler of 0.2 mm wide lines; its ends are the outer edges of its first and last marks."""
     thin, marks = 0.2, round(length / STEP_MM)
     places = [min(k * STEP_MM, length - thin) if k else 0.0 for k in range(marks + 1)]
     if upright:

@@ -1,4 +1,4 @@
-"""Errors about the board, for commands that take `--board`."""
+"""Error messages about the board for commands that take `--board`."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from edged.errors import CalibrationError
 
 @contextmanager
 def naming_board_option() -> Iterator[None]:
-    """Let errors about which board the pictures show begin with the option that states it."""
+    """Prefix errors about which board the pictures show with the option that states it."""
     try:
         yield
     except CalibrationError as error:

@@ -1,4 +1,4 @@
-"""`edged calibrate`: a folder of stereo pictures of a board in, a rig file and a report out."""
+"""`edged calibrate`: turns a folder of stereo pictures of a board into a rig file and a report."""
 
 from __future__ import annotations
 
@@ -38,9 +38,9 @@ def calibrate(
     *,
     plate_shape: bool = False,
 ) -> int:
-    """Calibrate from every pair in a folder; write the rig, and the report where one is wanted.
+    """Calibrate from every pair in a folder; write the rig, and a report if wanted.
 
-    Nothing is written unless all has succeeded; a rig that was there before is kept beside the new
+    Nothing is written unless everything has succeeded; an existing rig is kept beside the new
     one under its own calibration id. Raises `UserError` for input that gives no calibration.
     """
     lens = next((wish for wish in get_args(LensWish) if wish == model), None)
@@ -79,7 +79,7 @@ def _keep_old(output: Path, console: Console) -> Path | None:
         old = load_rig(kept)
         registered = old.robot_from_rig is not None or old.flange_from_rig is not None
     except FileFormatError:
-        registered = False  # whatever it was, it is kept
+        registered = False  # unreadable, but kept all the same
     if registered:
         console.print(
             "[yellow]note[/] the old rig was registered to the robot; that does not hold for the new one: "

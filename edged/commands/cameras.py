@@ -1,4 +1,4 @@
-"""`edged cameras`: what is on the network; and a report on two of them."""
+"""`edged cameras`: cameras on the network, and a report on two of them."""
 
 from __future__ import annotations
 
@@ -26,14 +26,14 @@ from edged.payload import Json
 
 
 def cameras(as_json: bool, console: Console) -> int:
-    """List every GenICam camera that answers; 0 when there is one, else 1."""
+    """List every GenICam camera that answers; 0 if there is any, else 1."""
     if missing := aravis_missing():
         raise UserError(missing)
     found = with_addresses(list_cameras())
     if as_json:
         print(json.dumps([_fields(info, heard) for info, heard in found]))
     elif found:
-        whole = [Column(name, no_wrap=True) for name in ("serial", "address")]  # they are copied
+        whole = [Column(name, no_wrap=True) for name in ("serial", "address")]  # users copy these
         table = Table(whole[0], "vendor", "model", whole[1], "by", "protocol", "use")
         helps = []
         for info, heard in found:
@@ -54,7 +54,7 @@ def cameras(as_json: bool, console: Console) -> int:
 
 
 def address(serial: str, wanted: str, console: Console) -> int:
-    """Give a camera an address in this machine's network, a free one for ""; 0, or 1 where it cannot be."""
+    """Give a camera an address in this machine's network; "": a free one. Returns 0, or 1 on failure."""
     try:
         given, is_kept = give_address(serial, wanted)
     except CaptureError as error:
@@ -66,7 +66,7 @@ def address(serial: str, wanted: str, console: Console) -> int:
 
 
 def _fields(info: CameraInfo, heard: HeardCamera | None) -> Json:
-    """As `--json` has them."""
+    """Fields of a camera for `--json`."""
     reached = {"address_by": "", "in_network": True}
     if heard is not None:
         reached = {"address_by": heard.ways, "in_network": not heard.is_lost}
@@ -74,8 +74,7 @@ def _fields(info: CameraInfo, heard: HeardCamera | None) -> Json:
 
 
 def report(file: Path, devices: list[str], minutes: float, console: Console) -> int:
-    """Look at two cameras for some minutes and write what was seen to a file; 0, or 1 when they cannot be
-    used."""
+    """Test two cameras for some minutes and write the report to a file; 0, or 1 if they cannot be used."""
     if missing := aravis_missing():
         raise UserError(missing)
     check_outputs({"--report": file})

@@ -1,4 +1,4 @@
-"""`edged check`: can this configuration run, with its rig and its jobs?"""
+"""`edged check`: checks whether a configuration can run with its rig and its jobs."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from edged.setup.cellfiles import UnfinishedCell, doubts, exposed_secrets, read_
 
 
 def check(path: Path, *, as_json: bool) -> int:
-    """Print what was found; 0 when the cell would measure, 2 when not.
+    """Print the findings; 0 if the cell would measure, 2 if not.
 
-    Without a rig or any job, and without any mistake, the daemon starts all the same, in SETUP.
+    If only the rig or the jobs are missing and there is no other mistake, the daemon still starts, in SETUP.
     """
     try:
         cell = read_any_cell(path)

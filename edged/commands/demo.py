@@ -1,4 +1,4 @@
-"""`edged demo`: a virtual cell and the daemon, on this machine, at once."""
+"""`edged demo`: runs a virtual cell and the daemon on this machine, without any preparation."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ from edged.vision.teaching.region import Region
 CELL = "demo"
 BELT_SPACING_MM, BELT_EXPOSURE_S = 40.0, 200e-6
 REGISTERED = transform(np.diag((1.0, -1.0, -1.0)), np.array((600.0, 0.0, 500.0)))
-"""Where the robot of `--brand` has the left camera: 500 mm above its base, looking down."""
+"""Pose of the left camera in the frame of the robot of `--brand`: 500 mm above its base, looking down."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,7 +62,7 @@ class DemoOptions:
 
 
 def demo(options: DemoOptions) -> int:
-    """Make a cell, teach it, run the daemon on it; 0 when every cycle found the part, 1 when not."""
+    """Create a cell, teach it and run the daemon on it; 0 if every cycle found the part, else 1."""
     if options.brand is not None and options.brand not in set(Brand):
         raise UserError(f"--brand {options.brand}: expected {', '.join(Brand)}")
     set_up_process(logging.WARNING)
@@ -109,7 +109,7 @@ def demo(options: DemoOptions) -> int:
 
 
 def _stage(options: DemoOptions, console: Console, *, gige: bool) -> int:
-    """The cell is set up on its page: nothing is prepared."""
+    """Run a cell with nothing prepared, to be set up on its page."""
     from edged.commands.stage import WEB_PORT, run_stage  # with the page's packages
 
     if options.cycles or options.as_json or options.brand is not None:
@@ -122,7 +122,7 @@ def _stage(options: DemoOptions, console: Console, *, gige: bool) -> int:
 
 
 def _how_to_talk(brand: str, port: int, config: Path) -> str:
-    """What to type to be that robot, and what comes."""
+    """Return what to type to act as that robot, and the fields of the answer."""
     fields = ",".join(answer_fields(Brand(brand)))
     return f"""robot: printf '{brand},1,LOCATE,0\\n' | nc -q 2 127.0.0.1 {port}
        answers {fields}
@@ -130,7 +130,7 @@ def _how_to_talk(brand: str, port: int, config: Path) -> str:
 
 
 def _belt(cell: VirtualCell) -> VirtualBelt:
-    """Parts pass through the middle of where they may lie, from left to right, not quite along the rows."""
+    """Return a belt with parts through the middle of the cell, left to right, not quite along the rows."""
     rig_from_part = np.eye(4)
     rig_from_part[:3, 3] = cell.middle_mm
     direction = np.array([1.0, 0.15, 0.0])
@@ -140,7 +140,7 @@ def _belt(cell: VirtualCell) -> VirtualBelt:
 
 
 def _belt_text(rig: StereoRig, belt: VirtualBelt) -> str:
-    """The sections that say what `edged belt` would find."""
+    """Return the configuration sections with the result that `edged belt` would find."""
     assert rig.robot_from_rig is not None
     step = belt.mm_per_count * belt.direction / np.linalg.norm(belt.direction)
     mm_per_count = ", ".join(f"{x:.9f}" for x in rig.robot_from_rig[:3, :3] @ step)
@@ -164,7 +164,7 @@ jitter_ms = 0.01
 
 
 def region_of_part(rig: StereoRig, truth: Truth) -> Region:
-    """The square around the largest circle, with a margin."""
+    """Return the square around the largest circle, with a margin."""
     outline = max(truth.circles, key=lambda circle: circle.radius_mm)
     x, y = rig.left.project(outline.centre_mm[None])[0]
     half = 1.12 * outline.radius_mm * rig.left.fx / outline.centre_mm[2]
@@ -172,7 +172,7 @@ def region_of_part(rig: StereoRig, truth: Truth) -> Region:
 
 
 def prepare_cell(folder: Path, cell: VirtualCell, options: DemoOptions, *, gige: bool) -> Path:
-    """Write rig, taught job and configuration of the virtual cell; returns the configuration file."""
+    """Write rig, taught job and configuration of the virtual cell; return the configuration file."""
     make_folder(folder)
     rig = cell.rig if options.brand is None else replace(cell.rig, robot_from_rig=REGISTERED)
     save_rig(folder / "rig.json", rig)

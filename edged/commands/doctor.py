@@ -1,4 +1,4 @@
-"""`edged doctor`: likely problems, and the command that fixes each."""
+"""`edged doctor`: finds likely problems, and the command that fixes each."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ MARKS = {
 
 
 def doctor(config: Path, as_json: bool, console: Console, *, trigger: bool, daemon: int | None = None) -> int:
-    """Examine and tell; 0 when nothing is bad, else 1. daemon : process that runs it; None: looked for."""
+    """Run and print the checks; 0 if none is bad, else 1. daemon : its process id; None: search for it."""
     checks = []
     for check in examine(config, trigger=trigger, process=daemon):
         checks.append(check)
@@ -35,7 +35,7 @@ def doctor(config: Path, as_json: bool, console: Console, *, trigger: bool, daem
 
 
 def show(check: Check, console: Console) -> None:
-    """A line for what is well, three for what is not; never wrapped, so that commands can be copied."""
+    """Print one line for a good check, three for others; never wrapped, so that commands can be copied."""
     console.print(MARKS[check.verdict], end=" ")
     console.print(f"{check.name}: {check.finding}", markup=False, highlight=False, soft_wrap=True)
     if check.verdict in (CheckResult.WARN, CheckResult.BAD):

@@ -1,4 +1,4 @@
-"""Pictures that were given the wrong way round: the left camera's as the right one's."""
+"""Detection of swapped pictures: the left camera's given as the right one's."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ SWAPPED = "left and right are swapped: with the pictures exchanged it succeeds; 
 
 
 def found_exchanged(left: Image, right: Image, job: Job, rig: PreparedRig) -> bool:
-    """Whether a pair in which nothing good was found has a good part when its sides are exchanged."""
-    with suppress(ImageError):  # the cameras' images differ in size: they are not swapped
+    """Whether a pair without a good part yields one when its sides are swapped."""
+    with suppress(ImageError):  # the cameras' images differ in size, so they are not swapped
         return locate(FramePair.of_images(right, left), job, rig).status is Status.OK
     return False

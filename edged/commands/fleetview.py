@@ -1,4 +1,4 @@
-"""Cells as `edged watch` shows them: what is known of each, all on one screen, a result on a line."""
+"""Display of cells for `edged watch`: a table of all cells on one screen, or one line per result."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from edged.domain.numerals import number_in
 from edged.errors import printable
 
 TABLE_LINES = 6
-"""Lines beside rows and troubles: the table's head, the count of what is left out, the cursor."""
+"""Lines besides rows and troubles: the table's head, the count of omitted cells, the cursor."""
 MAX_TEXT = 200
 STYLES = {
     "OK": "green",
@@ -28,15 +28,15 @@ STYLES = {
 }
 GONE = "GONE"
 WIDE = 100
-"""Columns for everything that is known of a cell in one line."""
+"""Terminal width needed to show all columns of a cell on one line."""
 MAX_NAME = 24
 STATES = ("FAULT", GONE, "SETUP", "STARTING", "STOPPING", "?", "BUSY", "READY")
-"""In the order of the summary: what needs attention first."""
+"""States in the order of the summary: those that need attention first."""
 
 
 @dataclass(slots=True)
 class CellView:
-    """The latest messages of a cell. misses : equal results in a row that are not OK."""
+    """The latest messages of a cell. misses : consecutive results with the same status other than OK."""
 
     state: str = "?"
     error: str = ""
@@ -49,7 +49,7 @@ class CellView:
     misses: int = 0
 
     def take(self, news: News, now_s: float, utc_ns: int) -> None:
-        """Take a message in; now_s : monotonic, utc_ns : of this machine."""
+        """Update the view from a message; now_s : monotonic, utc_ns : of this machine."""
         document = news.document
         if news.kind == "alive":
             self.state = GONE if not document["alive"] else ("?" if self.state == GONE else self.state)
@@ -62,22 +62,22 @@ class CellView:
             self.lost += _gap(self.target, document)
             alike = _text(self.target, "status") == _text(document, "status") != "OK"
             self.misses = self.misses + 1 if alike else 1
-            # after the first one, which may be old, only this machine's clock counts: clocks differ
+            # only the first result may be old; later ones use this machine's clock alone, as clocks differ
             exposed_ns = utc_ns if self.target else number_in(document.get("exposed_ns")) or utc_ns
             self.age_at_arrival_s = max(0.0, (utc_ns - exposed_ns) / 1e9)
             self.target, self.arrived_s = document, now_s
 
     def age_s(self, now_s: float) -> float | None:
-        """Age of the last result."""
+        """Return the age of the last result; None without one."""
         return self.age_at_arrival_s + now_s - self.arrived_s if self.target else None
 
 
 def fleet_view(
     cells: dict[str, CellView], known: int, problem: str, now_s: float, size: ConsoleDimensions
 ) -> RenderableType:
-    """All of it on one screen: a summary of many cells, those that need attention, then the others by name.
+    """Fit all cells on one screen: a summary if there are many, those that need attention, then the others.
 
-    cells : those that are wanted, of `known`.
+    Cells of equal urgency are sorted by name. cells : those to show. known : number of all cells.
     """
     rows = sorted(cells.items(), key=lambda item: (_urgency(item[1]), item[0]))
     troubles = [f"{name}: {printable(text)}" for name, cell in rows for text in _troubles(cell)]
@@ -118,7 +118,7 @@ def _summary(cells: Mapping[str, CellView]) -> Text:
 
 
 def _urgency(cell: CellView) -> int:
-    """0: needs attention now; 3: well."""
+    """Return 0 for a cell that needs attention now, up to 3 for one that is well."""
     if cell.error or cell.state in (GONE, "FAULT"):
         return 0
     if cell.setup or _drift(cell.target):
@@ -133,7 +133,7 @@ def _troubles(cell: CellView) -> list[str]:
 
 
 def _setup(document: object) -> str:
-    """Why a cell is in SETUP."""
+    """Return why a cell is in SETUP."""
     if not isinstance(document, dict):
         return ""
     source = _text(document, "source").lower().replace("_", " ")
@@ -143,7 +143,10 @@ def _setup(document: object) -> str:
 
 
 def _table(rows: Sequence[tuple[str, CellView]], now_s: float, *, one_line: bool, narrow: bool) -> Table:
-    """Fits 80 columns. one_line : each cell in one, what is too long is cut. narrow : only what decides."""
+    """Return a table that fits 80 columns.
+
+    one_line : each cell takes one line, and long text is cut. narrow : only the essential columns.
+    """
     table = Table(box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
     longest = max(len(name) for name, _ in rows)
     table.add_column(
@@ -183,7 +186,7 @@ def _table(rows: Sequence[tuple[str, CellView]], now_s: float, *, one_line: bool
 
 
 def _place(cell: CellView) -> str:
-    """The part's position, or the number of equal misses in a row."""
+    """Return the part's position, or the number of consecutive equal misses."""
     frame, pose = _pose(cell.target)
     if pose:
         return f"{_triple(pose.get('position_mm'), '{:.3f}')} {frame}"
@@ -195,7 +198,7 @@ def _styled(word: str) -> Text:
 
 
 def line_of(news: News) -> str:
-    """A result on one line."""
+    """Return a result as one line."""
     document = news.document
     frame, pose = _pose(document)
     place = ""
@@ -209,13 +212,13 @@ def line_of(news: News) -> str:
 
 
 def _text(document: Document, name: str) -> str:
-    """A field as a short text without control characters: what others publish must not steer a terminal."""
+    """Return a field as short text without control characters, which could control the terminal."""
     value = document.get(name)
     return printable("" if value is None else str(value)[:MAX_TEXT])
 
 
 def _drift(document: Document) -> Document:
-    """The result's note about a calibration that does not hold; {} while it holds."""
+    """Return the result's note on a calibration that does not hold; {} if it holds."""
     drift = document.get("drift")
     known = isinstance(drift, dict) and drift.get("verdict") not in (None, "HOLDS")
     return drift if known and isinstance(drift, dict) else {}
@@ -228,14 +231,14 @@ def _drift_text(drift: Document) -> str:
 
 
 def _first(document: Document) -> Document:
-    """The best target of a result, {} if it has none."""
+    """Return the best target of a result; {} if it has none."""
     targets = document.get("targets")
     first = targets[0] if isinstance(targets, list) and targets else {}
     return first if isinstance(first, dict) else {}
 
 
 def _pose(document: Document) -> tuple[str, Document]:
-    """Frame and pose of the best target: the robot's frame where it is known."""
+    """Return frame and pose of the best target, in the robot's frame if known."""
     first = _first(document)
     robot = first.get("pose_robot")
     return ("robot", robot) if isinstance(robot, dict) else ("rig", first)
@@ -248,7 +251,7 @@ def _triple(values: object, form: str) -> str:
 
 
 def _largest(values: object) -> str:
-    """The largest of three sigmas: the one that decides whether a robot may grip."""
+    """Return the largest of three sigmas, which decides whether a robot may grip."""
     numbers = [number_in(value) for value in values] if isinstance(values, list) else []
     known = [number for number in numbers if number is not None]
     return _shown(max(known), "{:.4f}") if numbers and len(known) == len(numbers) else ""
@@ -260,7 +263,7 @@ def _shown(value: object, form: str) -> str:
 
 
 def _gap(old: Document, new: Document) -> int:
-    """Number of results lost between two of the same run of the daemon."""
+    """Return the number of results lost between two from the same run of the daemon."""
     before, after = old.get("sequence"), new.get("sequence")
     if not isinstance(before, int) or not isinstance(after, int):
         return 0

@@ -1,4 +1,4 @@
-"""`edged golden`: where the part lay when the robot's path was taught, from one stereo pair."""
+"""`edged golden`: records where the part lay when the robot's path was taught, from one stereo pair."""
 
 from __future__ import annotations
 
@@ -24,7 +24,10 @@ from edged.robot.reading import reading_of
 
 
 def golden(rig: Path, job: Path, left: Path, right: Path, console: Console) -> int:
-    """Keep the golden part of a job beside the rig; 0: kept, 1: not one good part. Raises `UserError`."""
+    """Save the golden part of a job beside the rig; 0: saved, 1: not exactly one good part.
+
+    Raises `UserError`.
+    """
     loaded, taught = load_rig(rig), load_job(job)
     if loaded.robot_from_rig is None:
         how = "the robot carries it: let its program say GOLDEN" if loaded.flange_from_rig is not None else ""
@@ -41,7 +44,7 @@ def golden(rig: Path, job: Path, left: Path, right: Path, console: Console) -> i
         calibration_id=loaded.calibration_id,
         fingerprint="",
         simulated=False,
-        exposed_ns=left.stat().st_mtime_ns,  # pictures say nothing of their own time
+        exposed_ns=left.stat().st_mtime_ns,  # pictures do not contain their own time
         published_ns=0,
         targets=outcome.targets,
         robot_from_rig=loaded.robot_from_rig,

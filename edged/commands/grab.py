@@ -1,4 +1,4 @@
-"""`edged grab`: pairs of pictures from the configured cameras, each on the disc before the next is taken."""
+"""`edged grab`: saves pairs from the configured cameras, each written to disc before the next is taken."""
 
 from __future__ import annotations
 
@@ -26,15 +26,15 @@ from edged.owners import as_owner
 from edged.sim.world import VirtualWorld
 
 BLOCK_PX = 16
-"""Pictures are compared by the means of such blocks: noise of 3 grey values moves one by 0.2."""
+"""Block size; pictures are compared by block means, which noise of 3 grey values changes by 0.2."""
 MOVING_GREY, MOVING_SHARE = 2.5, 0.002
-"""More blocks change by more between two exposures of a board that moves by a third of a pixel."""
+"""Limits for rest, exceeded between two exposures by a board that moves by a third of a pixel."""
 CHANGED_GREY, CHANGED_SHARE = 10.0, 0.02
-"""More blocks differ by more from the last pair when the board lies elsewhere."""
+"""Limits for a changed view, exceeded relative to the last pair when the board lies elsewhere."""
 LOOK_AGAIN_S = 0.2
 PATIENCE_S = 60.0
 MAX_FAULTS = 5
-"""Captures in a row that failed, before grabbing ends; a single lost frame is the network's."""
+"""Consecutive failed captures before grabbing ends; a single lost frame is the network's fault."""
 
 
 class GrabHead(Protocol):
@@ -44,7 +44,7 @@ class GrabHead(Protocol):
         """Connect."""
 
     async def capture(self) -> FramePair:
-        """One pair."""
+        """Return one pair."""
 
     async def close(self) -> None:
         """Disconnect."""
@@ -52,13 +52,13 @@ class GrabHead(Protocol):
 
 @dataclass(slots=True)
 class ViewChange:
-    """Has the view changed since the last pair, and does it rest?"""
+    """Detects when the view has changed since the last pair and is at rest."""
 
     _taken: tuple[FloatArray, FloatArray] | None = None
     _before: tuple[FloatArray, FloatArray] | None = None
 
     def rests_anew(self, pair: FramePair) -> bool:
-        """Whether a pair shows something else than the last one taken, and the same as the one before it."""
+        """Whether a pair differs from the last one taken and equals the one before it."""
         now = _blocks(pair.left.image), _blocks(pair.right.image)
         before, self._before = self._before, now
         if self._taken is not None and not _differ(now, self._taken, CHANGED_GREY, CHANGED_SHARE):
@@ -66,12 +66,12 @@ class ViewChange:
         return before is not None and not _differ(now, before, MOVING_GREY, MOVING_SHARE)
 
     def take(self, pair: FramePair) -> None:
-        """This one was kept: the next must differ from it."""
+        """Note that this pair was taken; the next must differ from it."""
         self._taken = _blocks(pair.left.image), _blocks(pair.right.image)
 
 
 def _blocks(image: Image) -> FloatArray:
-    """Means of blocks, with the brightness of the whole divided out: lamps flicker."""
+    """Return block means, divided by the overall brightness because lamps flicker."""
     height, width = image.shape
     size = max(1, width // BLOCK_PX), max(1, height // BLOCK_PX)
     means = cv2.resize(image.astype(np.float32), size, interpolation=cv2.INTER_AREA).astype(np.float64)
@@ -81,7 +81,7 @@ def _blocks(image: Image) -> FloatArray:
 def _differ(
     before: tuple[FloatArray, FloatArray], now: tuple[FloatArray, FloatArray], grey: float, share: float
 ) -> bool:
-    """Whether more than a share of the blocks of either camera differ by more than so many grey values."""
+    """Whether more than this share of either camera's blocks differ by more than `grey` grey values."""
     return any(
         a.shape != b.shape or float(np.mean(np.abs(a - b) > grey)) > share
         for a, b in zip(before, now, strict=True)
@@ -89,11 +89,11 @@ def _differ(
 
 
 def grab(config: Path, output: Path, count: int, name: str, console: Console) -> int:
-    """Save pairs as NAME_NN_left.png, NAME_NN_right.png; 0 when all were taken, else 1.
+    """Save pairs as NAME_NN_left.png, NAME_NN_right.png; 0 if all were taken, else 1.
 
-    On a terminal a person is asked before each pair, unless it is a single one; elsewhere a pair is taken
-    whenever the view has changed and rests. Numbers go on after those in the folder; nothing is overwritten,
-    and what was taken stays, whatever comes after.
+    On a terminal a person is asked before each pair, unless it is a single one; otherwise a pair is taken
+    whenever the view has changed and is at rest. Numbers continue after those in the folder; nothing is
+    overwritten, and pairs already taken are kept if a later one fails.
     """
     section = load(config).cameras
     check_folder(output)
@@ -102,7 +102,7 @@ def grab(config: Path, output: Path, count: int, name: str, console: Console) ->
     when = session.at_once if count == 1 else session.asked if sys.stdin.isatty() else session.resting
     try:
         if section.source.startswith("virtual"):
-            when = session.at_once  # each exposure is another scene
+            when = session.at_once  # each exposure shows a new scene
             with VirtualWorld(gige=section.source == "virtual") as world:
                 asyncio.run(session.run(head_of(section, world), when))
         else:
@@ -116,7 +116,7 @@ def grab(config: Path, output: Path, count: int, name: str, console: Console) ->
 
 @dataclass(slots=True)
 class Grab:
-    """Some pairs of one head into a folder."""
+    """A session that saves pairs from one head into a folder."""
 
     output: Path
     name: str
@@ -128,12 +128,12 @@ class Grab:
 
     @property
     def summary(self) -> str:
-        """Number of pairs taken, and the latest files."""
+        """Number of pairs taken, the folder, and the largest skew."""
         number = f"{self.taken}" if self.taken == self.count else f"{self.taken} of {self.count}"
         return f"{number} pair(s) in {self.output}, skew up to {self.skew_ms:.2f} ms"
 
     async def run(self, head: GrabHead, when: Callable[[GrabHead], Awaitable[FramePair | None]]) -> None:
-        """Take pairs until there are enough, or `when` gives none. Raises `CaptureError`."""
+        """Take pairs until there are enough or `when` returns None. Raises `CaptureError`."""
         try:
             await head.open()
             while self.taken < self.count:
@@ -145,11 +145,11 @@ class Grab:
             await head.close()
 
     async def at_once(self, head: GrabHead) -> FramePair | None:
-        """The next exposure."""
+        """Return the next exposure."""
         return await self._captured(head)
 
     async def asked(self, head: GrabHead) -> FramePair | None:
-        """The next exposure after Enter; None after `q`, or when standard input ends."""
+        """Return the next exposure after Enter; None after `q`, or when standard input ends."""
         self._say(f"{self.taken + 1} of {self.count}: place the board, then press Enter (q Enter: end)")
         line = await _line(sys.stdin.fileno())
         if not line or line.strip().lower() in ("q", "quit"):
@@ -157,7 +157,7 @@ class Grab:
         return await self._captured(head)
 
     async def resting(self, head: GrabHead) -> FramePair | None:
-        """The next exposure whose view has changed and rests; None when nothing does for a long time."""
+        """Return the next exposure whose view has changed and is at rest; None after `PATIENCE_S`."""
         if self.taken:
             self._say(f"{self.taken + 1} of {self.count}: waiting until the view has changed and rests")
         until_s = asyncio.get_running_loop().time() + PATIENCE_S
@@ -172,7 +172,7 @@ class Grab:
         return None
 
     async def _captured(self, head: GrabHead) -> FramePair:
-        """A pair, after a few faults at most. Raises the last `CaptureError`."""
+        """Return a pair, retrying after a few faults. Raises the last `CaptureError`."""
         for _ in range(MAX_FAULTS - 1):
             try:
                 return await head.capture()
@@ -182,7 +182,7 @@ class Grab:
         return await head.capture()
 
     def _keep(self, pair: FramePair) -> None:
-        """Write a pair under the next free number. Raises `FileFormatError`, and then has written nothing."""
+        """Write a pair under the next free number. Raises `FileFormatError`; nothing is written then."""
         stem = f"{self.name}_{next_number(self.output, self.name):02d}"
         pictures = {"left": pair.left.image, "right": pair.right.image}
         encoded = {side: cv2.imencode(".png", image)[1].tobytes() for side, image in pictures.items()}
@@ -203,7 +203,7 @@ class Grab:
 
 
 def _write_all(folder: Path, files: Mapping[str, bytes]) -> None:
-    """Each by its name, or none. Raises `OSError`."""
+    """Write all files or none. files : contents by name. Raises `OSError`."""
     written: list[Path] = []
     try:
         for name, data in files.items():
@@ -216,7 +216,7 @@ def _write_all(folder: Path, files: Mapping[str, bytes]) -> None:
 
 
 async def _line(descriptor: int) -> str:
-    """The next line of a file, "" at its end; once cancelled, nothing keeps waiting for it."""
+    """Return the next line of a file, "" at its end; a cancelled call leaves no pending reader."""
     loop = asyncio.get_running_loop()
     heard = b""
     while not heard.endswith(b"\n"):

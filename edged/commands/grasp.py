@@ -1,4 +1,4 @@
-"""`edged grasp touch`: how a tool takes a part, from where the robot stands when it does."""
+"""`edged grasp touch`: teaches a grasp from the robot's pose when its tool grips the part."""
 
 from __future__ import annotations
 
@@ -32,7 +32,10 @@ from edged.vision.geometry.rigid import invert
 
 @dataclass(frozen=True, slots=True)
 class Touch:
-    """The robot's pose. pose : of the tool's tip, as the controller shows it, numbers with commas."""
+    """The robot's pose and the options of a grasp.
+
+    pose : of the tool's tip, as shown by the controller, numbers separated by commas.
+    """
 
     pose: str
     brand: str
@@ -45,7 +48,7 @@ class Touch:
 def touch(rig: Path, job: Path, left: Path, right: Path, asked: Touch, console: Console) -> int:
     """Add a grasp to a job; 0: written, 1: the part was not found, or is not good. Raises `UserError`.
 
-    left, right : pictures of the part as it lies when the robot takes it.
+    left, right : pictures of the part as it lies when the robot grips it.
     """
     loaded, taught = load_rig(rig), load_job(job)
     if loaded.robot_from_rig is None:
@@ -85,7 +88,7 @@ def touch(rig: Path, job: Path, left: Path, right: Path, asked: Touch, console: 
 
 
 def _pose(asked: Touch) -> FloatArray:
-    """robot_from_tcp (4, 4)."""
+    """Return robot_from_tcp (4, 4)."""
     try:
         brand = Brand(asked.brand.lower())
     except ValueError:
@@ -97,7 +100,7 @@ def _pose(asked: Touch) -> FloatArray:
 
 
 def _append(job: Path, lines: list[str]) -> None:
-    """Behind what people wrote, which stays as it is; nothing is written that could not be read again."""
+    """Append lines after the user's own text, which is kept; the result is parsed before it is written."""
     files = read_job(job)
     text = files[TEXT].rstrip() + ("\n\n" + "\n".join(lines) + "\n").encode()
     job_of({**files, TEXT: text}, job)
@@ -105,7 +108,7 @@ def _append(job: Path, lines: list[str]) -> None:
 
 
 def _sigma_mm(target: Target, part_from_tcp: FloatArray, rig: StereoRig) -> FloatArray:
-    """(3,) of the tip in the robot's frame, by this measurement."""
+    """Return sigma (3,) of the tip in the robot's frame for this measurement."""
     pose = target.rig_from_part @ part_from_tcp
     held = replace(target, rig_from_part=pose, covariance=lever_covariance(target, pose, is_any=False))
     registration = rig.registration_covariance

@@ -1,4 +1,4 @@
-"""`edged history`: what cells measured, in SQL, as the report of a week, and against each other."""
+"""`edged history`: results of cells, by SQL query, as a weekly report, and compared between cells."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from edged.report.week import differing_line, week_page
 
 
 def question(sql: str, folders: Sequence[Path | str], as_json: bool, console: Console) -> int:
-    """Print the answer. Raises `UserError`."""
+    """Print the answer to an SQL query. Raises `UserError`."""
     columns, rows = ask(folders, sql)
     if as_json:
         answer = [dict(zip(columns, row, strict=True)) for row in rows]
@@ -50,7 +50,7 @@ def week(folders: Sequence[Path | str], until: str | None, output: Path, console
 
 
 def compared(folders: Sequence[Path | str], until: str | None, as_json: bool, console: Console) -> int:
-    """Compare the cells of seven days, job by job. 0: none differs; 1: one does. Raises `UserError`."""
+    """Compare cells over seven days, job by job. 0: none differs; 1: one does. Raises `UserError`."""
     first, last = last_days(folders, until)
     found = compare(folders, first, last)
     differing = [(what, cell) for what in found for cell in what.differing]

@@ -40,8 +40,9 @@ from edged.vision.geometry.camera import StereoRig
 
 @dataclass(frozen=True, slots=True)
 class LocateOutputs:
-    """Files to write. overlay, cloud : pictures (PNG) of the evidence and of the points in space; ply : those
-    points as a file.
+    """Files to write.
+
+    overlay, cloud : pictures (PNG) of the evidence and of the point cloud; ply : the point cloud itself.
     """
 
     overlay: Path | None = None
@@ -59,9 +60,9 @@ def locate(
     outputs: LocateOutputs | None = None,
     convention: str = "fixed_xyz",
 ) -> int:
-    """Locate and print; 0 when a good target was found, 1 when not.
+    """Locate and print; 0 if a good target was found, else 1.
 
-    convention : what A, B, C of the printed pose are, as `modbus.convention`. Raises `UserError`.
+    convention : meaning of A, B, C in the printed pose, as `modbus.convention`. Raises `UserError`.
     """
     wanted = outputs or LocateOutputs()
     overlay, ply, cloud = wanted.overlay, wanted.ply, wanted.cloud
@@ -170,7 +171,7 @@ def _as_read(target: Target, rig: StereoRig, convention: Convention) -> Table:
 
 
 def _taken(grasp: GraspPose, rig: StereoRig) -> str:
-    """The grasp, in the frame of the pose above."""
+    """Return the grasp as text, in the frame of the printed pose."""
     frame_from_rig = np.eye(4) if rig.robot_from_rig is None else rig.robot_from_rig
     shift = np.zeros(3) if grasp.robot_shift is None else grasp.robot_shift.shift_mm
     tip, start = (

@@ -1,4 +1,4 @@
-"""`edged marks`: reference marks are taught while the calibration is fresh, and looked at later."""
+"""`edged marks`: teaches reference marks while the calibration is fresh, and checks them later."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from edged.vision.marks.tracking import MarksSettings
 
 
 def teach(directory: Path, rig: Path, material: str, console: Console) -> int:
-    """Teach the marks that all pairs of a folder show, beside the rig. 0: kept. Raises `UserError`."""
+    """Teach the marks shown in all pairs of a folder and save them beside the rig; 0. Raises `UserError`."""
     loaded = load_rig(rig)
     check_folder(rig.resolve().parent)
     taught = taught_in(directory, loaded)
@@ -57,7 +57,7 @@ def teach(directory: Path, rig: Path, material: str, console: Console) -> int:
 def status(
     rig: Path, left: Path, right: Path, settings: MarksSettings, console: Console, *, as_json: bool
 ) -> int:
-    """What the marks of a pair say, as the first exposure after a start would. 0: corrected; 1: not."""
+    """Print what the marks of a pair show, as for the first exposure after a start. 0: corrected; 1: not."""
     loaded, place = load_rig(rig), marks_file(rig)
     taught = marks_of(read_marks(place), place, loaded)
     if taught is None:
@@ -94,7 +94,7 @@ def status(
 
 
 def _print(taught: TaughtMarks, dots: DotsInPair, console: Console) -> None:
-    """A row for each mark: how far its dot is from where it was."""
+    """Print a row for each mark with the motion of its dot since teaching."""
     table = Table("mark", "left x", "y", "right x", "y", title="px since the teaching")
     moved = dots.pixels - taught.pixels
     for index, code in enumerate(taught.codes):

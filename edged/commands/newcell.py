@@ -1,4 +1,4 @@
-"""A cell that knows nothing yet: its configuration, written where there is none."""
+"""Configuration for a new cell, written where there is none."""
 
 from __future__ import annotations
 
@@ -43,9 +43,9 @@ commissioning = true
 
 
 def config_in(place: Path) -> Path:
-    """The configuration of a place: the file itself, or a folder's `cell.toml`, written if it is missing.
+    """Return the configuration of a place: the file itself, or a folder's `cell.toml`, written if missing.
 
-    A file that is not there is a mistake and no new cell. Raises `UserError` where it cannot be written.
+    A missing file is a mistake, not a new cell. Raises `UserError` if the file cannot be written.
     """
     if not place.is_dir():
         return place
@@ -60,9 +60,10 @@ def config_in(place: Path) -> Path:
 
 
 def new_cell(cameras: list[CameraInfo], recordings: str = "recordings") -> str:
-    """The file's text. Of two cameras the first is left until a hand waves; else a person chooses.
+    """Return the file's text.
 
-    recordings : their folder; `tools/install` asks for another one.
+    Exactly two cameras are entered as left and right, until waving a hand before one shows which is which;
+    otherwise a person chooses. recordings : their folder; `tools/install` asks for another one.
 
     >>> 'device = "to-be-chosen-left"' in new_cell([])
     True

@@ -1,4 +1,4 @@
-"""How far the work is, in the terminal: a bar for many pieces, a spinner for one."""
+"""Progress display in the terminal: a bar for many steps, a spinner for a single one."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from edged.setup.pairs import silent
 
 @contextmanager
 def shown_on(console: Console) -> Iterator[Told]:
-    """Show progress while this is open; nothing where the console is not a terminal."""
+    """Show progress while open; nothing if the console is not a terminal."""
     if not console.is_terminal:
-        yield silent  # rich would leave an empty line in the file for each stage
+        yield silent  # otherwise rich would write an empty line for each stage
         return
     with ExitStack() as shown:
         yield _Shown(console, shown)

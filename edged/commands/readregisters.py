@@ -1,4 +1,4 @@
-"""`edged registers --read`: what the registers of a cell say now, in words. It only reads."""
+"""`edged registers --read`: prints the present registers of a cell in words. It only reads."""
 
 from __future__ import annotations
 
@@ -34,8 +34,8 @@ PROBE_U32 = 0x01020304
 def read(place: str, base_address: int, unit_id: int, console: Console) -> int:
     """Read every block of a cell and print values with their meaning; nothing is written to it.
 
-    place : HOST or HOST:PORT. Blocks of the target table are shown as far as they hold a part. The word order
-    is found out. Raises `UserError` for what does not answer, or is not a cell with this map.
+    place : HOST or HOST:PORT. Blocks of the target table are shown only if they hold a part. The word order
+    is detected. Raises `UserError` if nothing answers, or it is not a cell with this map.
     """
     host, port = _host_and_port(place)
     client = ModbusTcpClient(host, port=port, timeout=ANSWER_S)
@@ -90,7 +90,7 @@ def _is_empty(block: Block, values: Mapping[str, Number]) -> bool:
 
 
 def _word_order(place: str, words: Sequence[int]) -> WordOrder:
-    """As the constants tell it. Raises `UserError` for another device, and for another map."""
+    """Detect the word order from the constants. Raises `UserError` for another device or another map."""
     orders: tuple[WordOrder, ...] = ("high", "low")
     for order in orders:
         constants = decode(CONSTANTS, words, order)

@@ -55,9 +55,9 @@ def touch(
     *,
     with_map: bool = False,
 ) -> int:
-    """Register from touched points; 0 when each is within the limit of where the others expect it, else 1.
+    """Register from touched points; 0 if each is within the limit of where the others predict it, else 1.
 
-    Three points have no others: there the distances between them must agree within the limit.
+    Three points cannot predict one another, so the distances between them must agree within the limit.
     """
     check_outputs({"--output": output}, {"--points": points})
     rig = load_rig(rig_path)
@@ -94,7 +94,7 @@ def touch(
 def by_marks(
     rig_path: Path, former_path: Path, former_marks: Path, output: Path, limit_mm: float, console: Console
 ) -> int:
-    """Register a rig that was calibrated anew by reference marks of its former calibration; 0 when saved."""
+    """Register a recalibrated rig by reference marks of its former calibration; 0 if saved, else 1."""
     check_outputs({"--output": output}, {"--former": former_path, "--former-marks": former_marks})
     rig, former = load_rig(rig_path), load_rig(former_path)
     if rig.calibration_id == former.calibration_id:
@@ -127,7 +127,7 @@ def by_marks(
 
 @dataclass(frozen=True, slots=True)
 class FlangePoses:
-    """Poses of the flange, a pair at each. folder : of the pairs.  file : of the poses. board : as stated."""
+    """Poses of the flange, a pair at each. folder : of the pairs. file : of the poses. board : as stated."""
 
     folder: Path
     file: Path
@@ -136,7 +136,10 @@ class FlangePoses:
     def seen_by(
         self, rig: StereoRig, console: Console
     ) -> tuple[dict[str, tuple[float, ...]], NominalBoard, dict[str, FloatArray]]:
-        """Numbers of each pose, the board, and where each pair that shows it has it. Raises `UserError`."""
+        """Return the numbers of each pose, the board, and its pose in each pair that shows it.
+
+        Raises `UserError`.
+        """
         stated, numbers = stated_boards(self.board), read_poses(self.file)
         pattern = _board_in(stated, self.folder, list(numbers), console)
         return numbers, pattern, _views(rig, self.folder, pattern, list(numbers), console)
@@ -152,7 +155,7 @@ def hand_eye_command(
     as_json: bool,
     console: Console,
 ) -> int:
-    """Register from poses of the flange; 0 when the held-out rms is within the limit, else 1."""
+    """Register from poses of the flange; 0 if the held-out rms is within the limit, else 1."""
     check_outputs({"--output": output}, {"--poses": taken.file})
     rig, maker = load_rig(rig_path), _brand(brand)
     numbers, pattern, views = taken.seen_by(rig, console)
@@ -185,7 +188,7 @@ def hand_eye_command(
 
 
 def self_test(rig_path: Path, taken: FlangePoses, brand: str | None, as_json: bool, console: Console) -> int:
-    """Try every reading of the poses; 0 when one stands out and, if a brand is stated, it is that one's."""
+    """Try every convention for the poses; 0 if one stands out and agrees with the brand, if stated."""
     numbers, pattern, views = taken.seen_by(load_rig(rig_path), console)
     stated = None
     if brand is not None:
@@ -220,7 +223,7 @@ def self_test(rig_path: Path, taken: FlangePoses, brand: str | None, as_json: bo
 
 
 def read_poses(path: Path) -> dict[str, tuple[float, ...]]:
-    """Poses by the name of their pair: lines of `NAME,x,y,z,` and three or four numbers of orientation."""
+    """Read poses by the name of their pair: lines of `NAME,x,y,z,` and three or four orientation numbers."""
     return read_named(path, (6, 7), "NAME and six or seven numbers")
 
 
@@ -239,7 +242,7 @@ def _transform(brand: Brand, name: str, numbers: tuple[float, ...], path: Path) 
 
 
 def _board_in(stated: Stated, folder: Path, names: list[str], console: Console) -> NominalBoard:
-    """The one board of all poses."""
+    """Return the one board shown at all poses."""
     with shown_on(console) as progress, naming_board_option():
         pictures = [] if isinstance(stated, tuple) else [_picture(folder, name, "left") for name in names]
         boards, remark = boards_in(stated, pictures, progress)
@@ -253,7 +256,7 @@ def _board_in(stated: Stated, folder: Path, names: list[str], console: Console) 
 def _views(
     rig: StereoRig, folder: Path, board: NominalBoard, names: list[str], console: Console
 ) -> dict[str, FloatArray]:
-    """rig_from_board of every pair that shows the board; the others are named and skipped."""
+    """Return rig_from_board of every pair that shows the board; others are reported and skipped."""
     found: dict[str, FloatArray] = {}
     for name in track(names, "finding the board", console=console, transient=True):
         placed = rig_from_board(rig, Pair(name, *(_picture(folder, name, side) for side in SIDES)), board)
@@ -278,7 +281,7 @@ def _tell_saved(output: Path, kept: Path | None, console: Console) -> None:
 
 
 def _verdict_of_touch(names: Sequence[str], solved: FromPoints, limit_mm: float) -> str:
-    """Why nothing is saved, and which point to touch again."""
+    """Return why nothing is saved, and which point to touch again."""
     found, worst_mm = solved.found, solved.worst_mm
     if (culprit := found.culprit) is not None:
         return (
@@ -295,7 +298,7 @@ def _verdict_of_touch(names: Sequence[str], solved: FromPoints, limit_mm: float)
 
 
 def _tell_map(solved: FromPoints, console: Console) -> None:
-    """How each degree of a map of the robot's error foretells points that were left out."""
+    """Print how well each degree of the robot's error map predicts held-out points."""
     table = Table("map of the robot's error", "points left out, rms mm", "BIC")
     for trial in solved.trials:
         name = f"degree {trial.degree}" if trial.degree else "none: the registration alone"

@@ -1,4 +1,4 @@
-"""`edged registers`: the Modbus map and the programs for robots and PLCs, from the schema that encodes it."""
+"""`edged registers`: the Modbus map and programs for robots and PLCs, from the schema that encodes it."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ from edged.robot.orientations import Convention
 from edged.robots.formats import FORMATS, ProgramCell, written
 
 DISCARD = 9
-"""A port to look for the way to; nothing is sent."""
+"""Port used to find the route to a host; nothing is sent."""
 
 
 def registers(fmt: str | None, folder: Path | None, config: Path | None = None, name: str = "") -> int:
-    """Print a format that is one file, or write its files into a folder and print their names.
+    """Print a format of one file, or write the files of a format into a folder and print their names.
 
-    fmt : None is the map, or with a configuration the program of its robot's brand. config : of the cell that
-    the program is for. name : see `ProgramCell`.
-    Raises `UserError` for another format, for files without a folder, for a folder without files, and for a
-    configuration without what the program talks to.
+    fmt : None is the map, or with a configuration the program for its robot's brand. config : of the cell
+    that the program is for. name : see `ProgramCell`.
+    Raises `UserError` for an unknown format, for several files without a folder, for a folder with a single
+    file, and for a configuration without the server that the program talks to.
     """
     cell = ProgramCell(name=name)
     if config is not None:
@@ -62,7 +62,7 @@ def _format_of_brand(config: Config) -> str:
 
 
 def program_cell(config: Config, fmt: str, name: str = "") -> ProgramCell:
-    """The cell of a configuration, as a program sees it. Raises `UserError`."""
+    """Return what a program must know of a configuration's cell. Raises `UserError`."""
     modbus = config.modbus
     if not modbus.enabled:
         raise UserError("--config: modbus.enabled is false: no program reaches this cell")
@@ -88,10 +88,10 @@ def program_cell(config: Config, fmt: str, name: str = "") -> ProgramCell:
 
 
 def _address(host: str, writers: list[str]) -> str:
-    """Where a program finds the cell: `host`, or this machine's address on the way to the first writer.
+    """Return the cell's address for a program: `host`, or this machine's on the route to the first writer.
 
-    Raises `UserError` where only this machine reaches the cell, and for a name or an IPv6 address, which not
-    every controller takes.
+    Raises `UserError` if only this machine can reach the cell, and for a name or an IPv6 address, which not
+    every controller accepts.
     """
     try:
         address = ipaddress.ip_address(host)

@@ -1,4 +1,4 @@
-"""`edged release`: signed releases for many cells, in a repository that is a plain folder."""
+"""`edged release`: signed releases for many cells, in a repository that is an ordinary folder."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ PASSPHRASE_VARIABLE = "EDGED_PASSPHRASE"
 
 
 def key(file: Path, token: str | None, console: Console) -> int:
-    """Make a key, encrypted with a passphrase that is asked for; or write the public half of a token's."""
+    """Make a key encrypted with a passphrase from a prompt, or export the public half of a token's key."""
     check_outputs({"FILE": file})
     if token is not None:
         place = Path(token)
@@ -68,7 +68,7 @@ def key(file: Path, token: str | None, console: Console) -> int:
 def root(
     folder: Path, keys: Sequence[Path], threshold: int, targets: Path, online: Path, console: Console
 ) -> int:
-    """Say whose keys count. keys : of the root, public halves, or private ones, which sign at once."""
+    """Define the trusted keys. keys : of the root; public halves, or private ones, which sign at once."""
     check_folder(folder)
     signers = [_signer(file) for file in keys if file.suffix != ".pub"]
     public = [public_key(file.with_suffix(".pub")) for file in keys if not is_in_token(file)]
@@ -83,7 +83,7 @@ def root(
 
 
 def countersign(folder: Path, file: Path, console: Console) -> int:
-    """Sign the root with one more of its keys."""
+    """Sign the root with another of its keys."""
     lacking = Repository(folder).countersign(_signer(file))
     say(f"{folder}: the root is signed with {file}" + _then(lacking, "edged release countersign"), console)
     return 0
@@ -101,7 +101,7 @@ def sign(
     jobs: Path | None, wheels: Path | None, other: Path | None, ring: str | None, cells: Path | None,
     may_move_mm: float | None, note: str | None,
 ) -> int:  # fmt: skip
-    """Sign a release, or another ring of one that is signed. jobs, wheels : folders; other : any file."""
+    """Sign a release, or a new ring of a signed one. jobs, wheels : folders; other : any file."""
     if sum(source is not None for source in (jobs, wheels, other)) > 1:
         raise UserError("expected one of --jobs, --wheels and --file")
     if ring is not None and ring not in RINGS:
@@ -145,7 +145,7 @@ def sign(
 
 
 def publish(folder: Path, file: Path, days: float, console: Console) -> int:
-    """Let cells see what is signed."""
+    """Publish to the cells what is signed."""
     seen = Repository(folder).publish(_signer(file), days)
     roles = ", ".join(
         f"{name.removesuffix('.json')} {meta.version}" for name, meta in sorted(seen.meta.items())
@@ -158,9 +158,10 @@ def publish(folder: Path, file: Path, days: float, console: Console) -> int:
 
 
 def pull(config: Path, console: Console, *, place: str | None, name: str | None, output: Path | None) -> int:
-    """Fetch the newest release that this cell is to take, for its gate; or any file of its plant.
+    """Fetch the next release due for this cell, for its gate; or any file of its plant.
 
-    place : another one than configured, such as a stick. 0: fetched, or there already; 1: there is none.
+    place : a repository other than the configured one, such as a USB stick. 0: fetched, or already there;
+    1: there is none.
     """
     if (name is None) != (output is None):
         raise UserError("expected --name NAME and --output FILE, or neither")
@@ -202,7 +203,7 @@ def pull(config: Path, console: Console, *, place: str | None, name: str | None,
         if offer.kind == "jobs":
             client.stage(path, offer)
     if offer.kind == "software" and section is not None and section.software is not None:
-        # not as the page's user: what is installed is verified again where only root writes
+        # not as the page's user: it is verified again in a folder that only root can write
         _install(source, section.software, path, offer)
         with _kept(config) as kept:
             source(kept).stage(path, offer)
@@ -211,7 +212,7 @@ def pull(config: Path, console: Console, *, place: str | None, name: str | None,
 
 
 def _token(stated: Config) -> str:
-    """What says to hawkBit who asks; "" without one. Raises `UserError`."""
+    """Return the token that identifies the cell to hawkBit; "" without one. Raises `UserError`."""
     section = stated.fleet
     if section is None or section.hawkbit_token is None:
         return ""
@@ -219,7 +220,7 @@ def _token(stated: Config) -> str:
 
 
 def _install(source: Callable[[Path], Client], folder: Path, path: str, offer: Offer) -> None:
-    """Fetch the wheels of a release of software, and make its environment. Raises `UserError`."""
+    """Fetch the wheels of a software release and create its environment. Raises `UserError`."""
     with translated(UserError, f"{folder}: software cannot be installed"):
         client = source(folder)
         files = folder / FOLDER / "wheels"
@@ -228,7 +229,7 @@ def _install(source: Callable[[Path], Client], folder: Path, path: str, offer: O
 
 
 def switch(config: Path, unit: str, console: Console) -> int:
-    """Switch to the version that the gate of the cell's page wants, or back. 0: it runs; 1: it does not."""
+    """Switch to the version that the gate of the cell's page wants, or back. 1: failed, else 0."""
     section = load(config).fleet
     if section is None or section.software is None:
         raise UserError(f"{config}: [fleet] software is missing: /opt/edged")
@@ -242,7 +243,7 @@ def switch(config: Path, unit: str, console: Console) -> int:
 
 
 def status(config: Path, console: Console, *, place: str | None, as_json: bool) -> int:
-    """Show what is published, and what this cell has of it. 0: the repository is good; 1: it is not."""
+    """Show what is published and what this cell has of it. 0: the repository is good; 1: it is not."""
     stated, problem, offers = load(config), "", dict[str, Offer]()
     section, cell = stated.fleet, stated.cell.name
     try:
@@ -299,7 +300,7 @@ def status(config: Path, console: Console, *, place: str | None, as_json: bool) 
 
 @contextmanager
 def _kept(config: Path) -> Iterator[Path]:
-    """The page's folder, as its owner. Raises `UserError`."""
+    """Open the page's folder, acting as its owner. Raises `UserError`."""
     folder = page_folder(config)
     with translated(UserError, f"{folder}: releases cannot be kept there"):
         if not folder.is_dir():
@@ -309,9 +310,10 @@ def _kept(config: Path) -> Iterator[Path]:
 
 
 def _source(config: Path, stated: Config, place: str | None) -> Callable[[Path], Client]:
-    """What opens the releases of a cell's plant for a folder to keep them in.
+    """Return a function that opens the releases of the cell's plant, given the folder to keep them in.
 
-    Before another user is taken on, who may read neither the configuration nor what lies beside it.
+    Call this before switching to another user, who can read neither the configuration nor the files beside
+    it.
     """
     section = stated.fleet
     if section is None:

@@ -1,4 +1,4 @@
-"""`edged replay`: measure recorded exposures again, and say what comes out differently."""
+"""`edged replay`: measures recorded exposures again and reports differences."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ SHOWN = 12
 
 @dataclass(slots=True)
 class Report:
-    """What a replay says, as written by --json."""
+    """Result of a replay, as written by --json."""
 
     versions: Mapping[str, str]
     same: int = 0
@@ -34,7 +34,7 @@ class Report:
     skipped: list[Json] = field(default_factory=list)
 
     def to_json(self) -> Json:
-        """One object."""
+        """Return the report as one JSON object."""
         return {
             "versions": self.versions,
             "same": self.same,
@@ -46,9 +46,9 @@ class Report:
 def replay(
     path: Path, as_json: bool, console: Console, export: Path | None = None, overlays: Path | None = None
 ) -> int:
-    """Replay a recording, or all of a folder or bundle. 0: each is the same to the last bit; 1: not so.
+    """Replay a recording, or all of a folder or bundle. 0: all are the same to the last bit; 1: not.
 
-    export : folder to write the recordings with their setups and the report to, for a bug report.
+    export : folder for the recordings with their setups and the report, to attach to a bug report.
     overlays : folder for a picture (PNG) of each measured pair with the evidence.
     """
     with opened(path) as folder:
@@ -59,7 +59,7 @@ def _replay(
     files: list[Path], as_json: bool, console: Console, export: Path | None, overlays: Path | None
 ) -> int:
     for folder in (export, overlays):
-        if folder is not None:  # before the work, which may take an hour
+        if folder is not None:  # checked before the work, which may take an hour
             check_folder(folder)
             make_folder(folder)
     report = Report(recording.versions())
@@ -109,7 +109,7 @@ def _files(path: Path) -> list[Path]:
 
 
 def _export(files: list[Path], target: Path, report: Report) -> None:
-    """Everything needed to see the same elsewhere."""
+    """Write everything needed to reproduce the result elsewhere."""
     make_folder(target / "cycles")
     for file in files:
         write_file(target / "cycles" / file.name, read_bytes(file, "a recording"))

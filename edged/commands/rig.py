@@ -1,4 +1,4 @@
-"""`edged rig convert`: rigs from and to other software."""
+"""`edged rig convert`: converts rigs from and to the formats of other software."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def convert(
     pixel_um: float,
     console: Console,
 ) -> int:
-    """Read a rig of any format, write it in another. Raises `UserError` that names what is wrong."""
+    """Read a rig in any format and write it in another. Raises `UserError` that names what is wrong."""
     target_format, source_format = rig_format(to), rig_format(from_) if from_ else None
     if unit not in UNITS_MM:
         raise UserError(f"--unit {unit!r}: expected one of {', '.join(UNITS_MM)}")
@@ -36,7 +36,7 @@ def convert(
     options = Options(parse_size(size) if size else None, UNITS_MM[unit], pixel_um)
     imported = read_rig(source, source_format, options)
     rig = imported.rig
-    # A wrong unit, order or direction of the relation seldom survives this.
+    # a wrong unit, order or direction of the transform rarely passes this
     make_rectification(rig)
     kept = keep_old_rig(target) if target_format == "edged" else None
     notes = write_rig(target, rig, target_format, options)

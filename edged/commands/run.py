@@ -1,4 +1,4 @@
-"""`edged run`: the daemon under systemd or in a terminal."""
+"""`edged run`: runs the daemon under systemd or in a terminal."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ log = logging.getLogger(__name__)
 def run(path: Path, page_user: str | None = None, trace: Path | None = None) -> int:
     """Run the daemon of a configuration file, or of a folder with one, until SIGTERM or SIGINT.
 
-    page_user : of the page, where it is a service of its own; None: the daemon starts it.  trace : file for
-    what each thread does, see `tracing`. Raises `UserError`.
+    page_user : user of the page if it is a service of its own; None: the daemon starts it. trace : file for a
+    trace of what each thread does, see `tracing`. Raises `UserError`.
     """
     check_outputs({"--trace": trace})
     set_up_process()
     awaited = None if page_user is None else awaited_page(page_user)
-    faulthandler.enable()  # the watchdog's SIGABRT, as any crash, leaves every thread's stack in the log
+    faulthandler.enable()  # on a crash or the watchdog's SIGABRT, log the stack of every thread
     path = config_in(path)
     finish_installation(path)
     loaded = load_any_cell(path)

@@ -1,4 +1,4 @@
-"""Lines of text from anywhere on a terminal."""
+"""Prints untrusted text on a terminal."""
 
 from __future__ import annotations
 
@@ -8,5 +8,5 @@ from edged.errors import printable
 
 
 def say(text: str, console: Console) -> None:
-    """Print a line as it is, but for what would steer the terminal."""
+    """Print a line unchanged, except for characters that would control the terminal."""
     console.print(printable(text), markup=False, highlight=False)

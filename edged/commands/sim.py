@@ -1,4 +1,4 @@
-"""`edged sim`: GigE Vision cameras that are not there, to test a client of real ones with."""
+"""`edged sim`: simulated GigE Vision cameras for testing a client of real ones."""
 
 from __future__ import annotations
 
@@ -86,7 +86,7 @@ def sim(options: SimOptions, console: Console) -> int:
 
 
 def build(options: SimOptions) -> dict[str, GigeCamera]:
-    """The cameras, not yet started. Raises `UserError`."""
+    """Return the cameras, not yet started. Raises `UserError`."""
     where = _places(options)
     size, exposures = _pictures(options)
     quirks = frozenset(_quirk(name) for name in options.quirks)
@@ -110,7 +110,7 @@ def build(options: SimOptions) -> dict[str, GigeCamera]:
 
 
 def _places(options: SimOptions) -> dict[str, tuple[str, str]]:
-    """Address and serial number by side."""
+    """Return address and serial number by side."""
     places: dict[str, tuple[str, str]] = dict(zip(SIDES, zip(ADDRESSES, SERIALS, strict=True), strict=True))
     if options.config is not None:
         section = load(options.config).cameras
@@ -131,14 +131,14 @@ def _places(options: SimOptions) -> dict[str, tuple[str, str]]:
 
 
 def _configured(camera: CameraSection, address: str, serial: str) -> tuple[str, str]:
-    """The cameras of the configuration: by address, or by serial number at the usual address."""
+    """Return address and serial number of a configured camera, whose `device` is either of the two."""
     if _is_address(camera.device):
         return camera.device, camera.serial or serial
     return address, camera.device or serial
 
 
 def _pictures(options: SimOptions) -> tuple[tuple[int, int], dict[str, Exposure]]:
-    """(width, height) and what each side sees: a pattern, pictures of a folder, or the virtual cell."""
+    """Return (width, height) and the image source of each side: a pattern, a folder or the virtual cell."""
     if options.pattern:
         width, by, height = options.pattern.partition("x")
         if not by:
@@ -180,7 +180,7 @@ def _quirk(name: str) -> Quirk:
 
 
 def _set_fault(cameras: dict[str, GigeCamera], text: str) -> None:
-    """[SIDE.]NAME=VALUE"""
+    """Set a fault given as [SIDE.]NAME=VALUE."""
     name, separator, value = text.partition("=")
     side, dot, fault = name.rpartition(".")
     chosen = [camera for key, camera in cameras.items() if not dot or key == side]
@@ -200,7 +200,7 @@ def _is_address(text: str) -> bool:
 
 @contextmanager
 def _stop_signals() -> Iterator[threading.Event]:
-    """Set by SIGINT and SIGTERM, which do nothing else meanwhile."""
+    """Return an event that SIGINT and SIGTERM set; they have no other effect meanwhile."""
     stopped = threading.Event()
     before = {
         number: signal.signal(number, lambda *_: stopped.set()) for number in (signal.SIGINT, signal.SIGTERM)
@@ -214,7 +214,7 @@ def _stop_signals() -> Iterator[threading.Event]:
 
 @contextmanager
 def _pulses(cameras: dict[str, GigeCamera], rate_hz: float) -> Iterator[None]:
-    """A sensor that gives both cameras' Line1 the same pulse, again and again."""
+    """Simulate a sensor that repeatedly sends the same pulse to Line1 of all cameras."""
     ended = threading.Event()
 
     def work() -> None:
@@ -233,7 +233,7 @@ def _pulses(cameras: dict[str, GigeCamera], rate_hz: float) -> Iterator[None]:
 
 
 def _lines(stopped: threading.Event) -> Iterator[str]:
-    """Lines of standard input as they come; when it ends, only a signal does."""
+    """Yield lines of standard input as they arrive; after its end, wait for a signal."""
     rest, descriptor, is_open = b"", sys.stdin.fileno(), True
     while not stopped.is_set():
         if not is_open:

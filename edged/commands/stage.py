@@ -1,4 +1,4 @@
-"""`edged demo --stage`: a virtual cell without rig and job, to be set up on its page, with a hand to help."""
+"""`edged demo --stage`: a virtual cell without rig and job, to be set up on its page with simulated hands."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def run_stage(
 
 
 def _what_it_has(loaded: LoadedCell) -> str:
-    """In words: what was done in this folder before is still there."""
+    """Describe what an earlier run has left in this folder."""
     lacks, count = loaded.setup.lacks, len(loaded.setup.jobs)
     if lacks is SetupSource.NO_CALIBRATION:
         return "without a calibration and without a job"
@@ -73,7 +73,7 @@ def _what_it_has(loaded: LoadedCell) -> str:
 def write_cell(
     folder: Path, password: str, *, ports: tuple[int, int, int], period_s: float, gige: bool
 ) -> Path:
-    """Write the configuration and its user, and nothing else; what was taught there before stays."""
+    """Write the configuration and its user only; earlier rigs and jobs in the folder stay."""
     make_folder(folder)
     web, modbus, zenoh = ports
     hashed = hash_password(password)

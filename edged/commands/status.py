@@ -1,4 +1,4 @@
-"""`edged status`: what the cell does now, asked from its status page."""
+"""`edged status`: prints the present state of a cell, read from its status page."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ PASSWORD_VARIABLE = "EDGED_PASSWORD"
 
 
 def status(url: str, as_json: bool, console: Console) -> int:
-    """Print the status; 0 when the cell is ready. Raises `UserError` for what is not a status page."""
+    """Print the status; 0 if the cell is ready, else 1. Raises `UserError` if it is not a status page."""
     if urlsplit(url).scheme not in ("http", "https"):
         raise UserError(f"--url {url}: expected http://HOST:PORT or https://HOST:PORT")
     try:
@@ -69,7 +69,7 @@ def _in_words(state: dict[str, Any]) -> str:
 
 
 def _text(fact: Any) -> str:
-    """In English: a value, a sentence with its code, or several of them."""
+    """Return a fact in English: a value, a sentence with its code, or several of them."""
     if isinstance(fact, list):
         return "; ".join(_text(part) for part in fact)
     return str(fact["text"] if isinstance(fact, dict) else fact)

@@ -1,4 +1,4 @@
-"""`edged study`: is the cell fit to inspect a size? Capability by a master, and gauge R&R."""
+"""`edged study`: whether a cell is fit to inspect a size, by capability on a master and by gauge R&R."""
 
 from __future__ import annotations
 
@@ -35,9 +35,9 @@ def study(
     report: Path | None = None,
     as_json: bool = False,
 ) -> int:
-    """Study what `folder` has: master/ (with `reference`), parts/PART/PERSON/. 0: fit; 1: not, or hardly.
+    """Study the pairs in `folder`: master/ (with `reference`), parts/PART/PERSON/. 0: fit; 1: not or barely.
 
-    of : its name is as in `edged verify --length`. Raises `UserError`.
+    of : named as in `edged verify --length`. Raises `UserError`.
     """
     check_outputs({"--report": report})
     prepared, taught = prepare(load_rig(rig)), load_job(job)
@@ -91,7 +91,7 @@ def study(
 
 
 def parse_tolerance(text: str) -> tuple[float, float]:
-    """Both limits of LOW:HIGH, mm. Raises `UserError`."""
+    """Return both limits of LOW:HIGH, mm. Raises `UserError`."""
     low, _, high = text.partition(":")
     try:
         limits = decimal(low), decimal(high)
@@ -105,7 +105,7 @@ def parse_tolerance(text: str) -> tuple[float, float]:
 
 
 def _of_parts(rig: PreparedRig, job: Job, folder: Path, size: str) -> dict[tuple[str, str], list[float]]:
-    """Sizes by part and person, mm."""
+    """Return sizes by part and person, mm."""
     return {
         (part, person): [value for value, _ in _sizes(rig, job, folder / part / person, pairs, size)]
         for part, person, pairs in studied_folders(folder)
@@ -115,7 +115,7 @@ def _of_parts(rig: PreparedRig, job: Job, folder: Path, size: str) -> dict[tuple
 def _sizes(
     rig: PreparedRig, job: Job, folder: Path, pairs: list[ImagePair], size: str
 ) -> list[tuple[float, float]]:
-    """Size and sigma of every pair. Raises `UserError` for one without a good part: none is left out."""
+    """Return size and sigma of every pair. Raises `UserError` for a pair without a good part."""
     found, missing = sizes_in(rig, job, pairs, size)
     for name, why in missing.items():
         raise UserError(f"{folder}: {name}: {why}: take it again")

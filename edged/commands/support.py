@@ -1,4 +1,4 @@
-"""`edged support`: what who helps from afar needs of a cell, in one file without secrets."""
+"""`edged support`: a bundle of all that remote support needs from a cell, in one file without secrets."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ from edged.setup.machine import bundle
 
 
 def support(config: Path, output: Path, cycle: int | None, console: Console) -> int:
-    """Write the bundle, for its owner alone. Raises `UserError`; then none is left.
+    """Write the bundle, readable by its owner only. Raises `UserError`; no file is left then.
 
-    cycle : number of a recording; None: the newest with pictures that was not good.
+    cycle : number of a recording; None: the newest failed one with pictures.
     """
     if output.exists():
         raise UserError(f"{output}: exists; choose another name")

@@ -1,4 +1,4 @@
-"""`edged teach`: a job from one stereo pair, with the part's STEP file or without it, or from a drawing."""
+"""`edged teach`: makes a job from a stereo pair, with or without the part's STEP file, or from a drawing."""
 
 from __future__ import annotations
 
@@ -91,11 +91,11 @@ AXES = {
 
 
 def read_model(step: Path, up: str, unit: str | None = None) -> tuple[CadModel, PartModel]:
-    """A STEP file, or an STL file by its ending, and what it shows to the cameras.
+    """Read a STEP file, or an STL file by its suffix, and the curves that face the cameras.
 
     unit : of an STL file's numbers; None: mm.
 
-    Raises `TeachError` for what is not an axis, `FileFormatError` for what is not a model.
+    Raises `TeachError` for an invalid axis, `FileFormatError` for an invalid model.
     """
     axis = AXES.get(up.strip().lower().removeprefix("+"))
     if axis is None:
@@ -122,10 +122,10 @@ def parse_contrast(text: str | None) -> tuple[float | None, float | None]:
 
 @dataclass(frozen=True, slots=True)
 class PairSource:
-    """A stereo pair, and the region of the part where it is not the whole picture, as on the command line.
+    """A stereo pair as given on the command line. region : of the part; None: the whole picture.
 
     step, up : the part's STEP or STL file, and which axis of it points to the cameras.
-    unit : of the numbers in an STL file.  further : more pairs of the part, left and right.
+    unit : of the numbers in an STL file. further : more pairs of the part, left and right.
     """
 
     left: Path | None
@@ -139,7 +139,7 @@ class PairSource:
 
     @staticmethod
     def of(lefts: Sequence[Path], rights: Sequence[Path], **rest: Any) -> PairSource:
-        """The first pair, and further ones. Raises `UserError` where a picture has no other."""
+        """Return the first pair with any further ones. Raises `UserError` for a picture without a partner."""
         if lefts and rights and len(lefts) != len(rights):
             raise UserError(
                 f"teach: {len(lefts)} --left and {len(rights)} --right: expected both of each pair"
@@ -162,7 +162,7 @@ class DrawingSource:
 
 
 def chosen_source(pair: PairSource, drawing: DrawingSource) -> PairSource | DrawingSource:
-    """The source to teach from. Raises `UserError` where none, several or half of one is given."""
+    """Return the source to teach from. Raises `UserError` if none, several or an incomplete one is given."""
     given = pair.left, pair.right, pair.region
     from_pair = bool(pair.exclude) or any(value is not None for value in given)
     if (pair.step is None) != (pair.up is None):
@@ -191,9 +191,9 @@ def chosen_source(pair: PairSource, drawing: DrawingSource) -> PairSource | Draw
 
 @dataclass(frozen=True, slots=True)
 class TeachOptions:
-    """Options of a job. number : None: that of the job that was there, or the first that is free beside it.
+    """Options of a job. number : None: that of the replaced job, or the first free one in its folder.
 
-    params : of the model.  tilt_deg : how far parts may lie tilted.
+    params : of the model. tilt_deg : how far parts may be tilted.
     """
 
     number: int | None = None
@@ -212,9 +212,9 @@ def teach(
     report: Path | None = None,
     as_json: bool = False,
 ) -> int:
-    """Teach a job and write its folder; nothing is written when that fails.
+    """Teach a job and write its folder; nothing is written on failure.
 
-    What a person changed in the job that was there is carried over.
+    Manual changes in the replaced job are carried over.
     """
     asked = asked or TeachOptions()
     check_name(name)
@@ -267,7 +267,7 @@ def teach(
 
 
 def _taught_from(source: PairSource | DrawingSource) -> dict[str, str]:
-    """For the head of the report: the files by name, as another PC may have them elsewhere."""
+    """Return the sources for the report's header: file names without folders, as those differ between PCs."""
     files = {name.removeprefix("--"): path.name for name, path in _inputs(source).items() if path is not None}
     if isinstance(source, DrawingSource):
         return {**files, "distance of the face": f"{source.depth_mm:g} mm, as stated"}
@@ -317,7 +317,7 @@ def _proposal(
 
 @contextlib.contextmanager
 def _swap_named(taken: Callable[[Image, Image], Proposal], left: Image, right: Image) -> Iterator[None]:
-    """A pair that teaches nothing is tried the other way round: then the message says what is wrong."""
+    """If teaching fails, try the pair swapped; if that works, the error says that it was swapped."""
     try:
         yield
     except TeachError as error:
@@ -330,7 +330,7 @@ def _swap_named(taken: Callable[[Image, Image], Proposal], left: Image, right: I
 
 @contextlib.contextmanager
 def _unit_named(model: CadModel, step: Path, unit: str | None) -> Iterator[None]:
-    """With an STL file a failure may be its unit, which only a person knows: the message says its size."""
+    """Add an STL model's size to an error, as its assumed unit may be wrong: the file does not state one."""
     try:
         yield
     except TeachError as error:
@@ -341,7 +341,7 @@ def _unit_named(model: CadModel, step: Path, unit: str | None) -> Iterator[None]
 
 
 def _about_tilt(job: Job, rectification: Rectification) -> list[str]:
-    """Views and depth that a tilted search takes, and warnings where the part leaves a picture."""
+    """Return lines on the views and depth of a tilted search, and warnings if the part leaves a picture."""
     tilt_rad = job.tilt_rad or 0.0
     views = tilted_views(rectification, job.shape, job.rig_from_part, tilt_rad)
     count = 1 if views is None else len(views.turns)

@@ -1,4 +1,4 @@
-"""`edged verify`: does the stored rig still hold? One fresh pair of a board, or of a part of known size."""
+"""`edged verify`: checks the stored rig with one fresh pair of a board, or of a part of known size."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def verify(
     as_json: bool,
     console: Console,
 ) -> int:
-    """Print the verdict; 0 if the rig holds, 1 if it does not or that cannot be said."""
+    """Print the verdict; 0 if the rig holds, 1 if it does not or this is undecided."""
     if not (math.isfinite(limits.epipolar_px) and math.isfinite(limits.length_percent)):
         raise UserError("--max-epipolar and --max-length-error: expected finite numbers")
     rig = load_rig(rig_path)
@@ -86,7 +86,7 @@ def _holds_exchanged(measure: Callable[[tuple[Image, Image]], Finding], images: 
 
 
 def parse_length(text: str) -> tuple[str, float]:
-    """Name and millimetres of NAME=MM. Raises `UserError`."""
+    """Return name and millimetres of NAME=MM. Raises `UserError`."""
     name, equals, value = text.rpartition("=")
     try:
         millimetres = decimal(value.strip())

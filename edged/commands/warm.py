@@ -1,4 +1,4 @@
-"""`edged warm`: compile the kernels before they are needed."""
+"""`edged warm`: compiles the kernels before they are needed."""
 
 from __future__ import annotations
 
@@ -20,7 +20,8 @@ from edged.vision.kernels.jitcache import COMPILING
 def warm(*, only_if_needed: bool) -> int:
     """Compile the kernels of every module of the numerical core and the virtual cell.
 
-    With `only_if_needed` a stamp in NUMBA_CACHE_DIR tells that nothing changed since the last time.
+    only_if_needed : do nothing if a stamp in NUMBA_CACHE_DIR shows that nothing has changed since the last
+    time.
     """
     cache = os.environ.get("NUMBA_CACHE_DIR")
     stamp = Path(cache) / "edged-warm" if cache else None
@@ -28,7 +29,7 @@ def warm(*, only_if_needed: bool) -> int:
     if only_if_needed and stamp is not None and stamp.is_file() and stamp.read_text() == key:
         return 0
     sys.stderr.write(f"edged: {COMPILING}\n")
-    logging.getLogger("edged.vision.kernels").setLevel(logging.ERROR)  # it is said by now
+    logging.getLogger("edged.vision.kernels").setLevel(logging.ERROR)  # already printed above
     import edged.sim
     import edged.vision
     from edged.vision.kernels.jit import load_all
@@ -42,7 +43,7 @@ def warm(*, only_if_needed: bool) -> int:
 
 
 def _key() -> str:
-    """Fingerprint of the kernels' sources and the compiler's versions."""
+    """Return a key that changes with the sources or the versions of compiler and libraries."""
     root = Path(edged.__file__).parent
     sources = sorted(root.rglob("*.py"))
     newest_ns = max(source.stat().st_mtime_ns for source in sources)

@@ -1,4 +1,4 @@
-"""`edged watch`: live results of every cell that is reachable over Zenoh."""
+"""`edged watch`: shows live results of every cell reachable over Zenoh."""
 
 from __future__ import annotations
 
@@ -26,15 +26,16 @@ REFRESH_S = 0.25
 SILENCE_HINT_S = 3.0
 LOOK_S = 1.0
 MOST_DOUBTS = 3
-"""On the screen; of many false cells the first tell enough."""
+"""Limit of doubts on the screen; if there are many, the first few suffice."""
 
 
 @dataclass(frozen=True, slots=True)
 class WatchOptions:
     """Options of the command line.
 
-    cell : a name, or with * and ?; None: all. states : only cells in one of them, in the table; () : all.
-    count : ends after so many results. timeout_s : ends then. shared_key : file; only what it signs is shown.
+    cell : a name, or a pattern with * and ?; None: all. states : the table shows only cells in one of them;
+    () : all. count : end after this number of results. timeout_s : end after this time. shared_key : file;
+    only messages signed with it are shown.
     """
 
     connect: tuple[str, ...] = ("tcp/127.0.0.1:7447",)
@@ -48,11 +49,11 @@ class WatchOptions:
 
 
 def watch(options: WatchOptions, console: Console) -> int:
-    """Show results until ctrl-C, or until `count` results have come; 1 when `timeout_s` was over before.
+    """Show results until ctrl-C or until `count` results have come; 1 if `timeout_s` passed before that.
 
-    On a terminal a table of cells; elsewhere one line per result; with `as_json` the messages
-    themselves, one JSON object a line. Raises `UserError` for endpoints, names, states or certificates
-    that cannot be.
+    Prints a table of cells on a terminal, otherwise one line per result; with `as_json` the messages
+    themselves, one JSON object per line. Raises `UserError` for invalid endpoints, names, states or
+    certificates.
     """
     _check(options)
     name = options.cell if options.cell is not None and is_cell_name(options.cell) else None
@@ -103,7 +104,7 @@ def _check(options: WatchOptions) -> None:
 
 
 class Link:
-    """Watches the connection to other sessions. stream : where changes are printed; None: nowhere."""
+    """Monitors the connection to other sessions. stream : where changes are printed; None: nowhere."""
 
     def __init__(self, places: str, stream: TextIO | None) -> None:
         self._places = places
@@ -113,7 +114,7 @@ class Link:
         self.problem = ""
 
     def look(self, links: Callable[[], int]) -> None:
-        """Once a second: count the connections."""
+        """Count the connections, at most once a second, and update the problem."""
         now_s = time.monotonic()
         if now_s - self._looked_s < LOOK_S:
             return
@@ -131,7 +132,7 @@ class Link:
 
 
 class Doubts:
-    """Cells whose messages may not all be their own. stream : where changes are said; None: nowhere."""
+    """Cells whose messages may not all be their own. stream : where changes are printed; None: nowhere."""
 
     def __init__(self, doubts: Callable[[], list[str]], stream: TextIO | None) -> None:
         self._doubts = doubts
@@ -140,7 +141,7 @@ class Doubts:
         self.sentences: list[str] = []
 
     def look(self, *, at_once: bool = False) -> None:
-        """Once a second: say what is new."""
+        """Print new doubts, at most once a second."""
         now_s = time.monotonic()
         if now_s - self._looked_s < LOOK_S and not at_once:
             return
@@ -153,7 +154,7 @@ class Doubts:
 
 
 class Results:
-    """The stream, ended after `count` results or `timeout_s`. missing : what did not come of `count`."""
+    """The stream, ended after `count` results or `timeout_s`. missing : results still to come of `count`."""
 
     def __init__(self, stream: Iterator[News | None], count: int | None, timeout_s: float | None) -> None:
         self._stream = stream
@@ -172,7 +173,7 @@ class Results:
 
 
 def _stream(fleet: Fleet, link: Link, doubts: Doubts, pattern: str) -> Iterator[News | None]:
-    """News of the cells that are meant, as it comes; None when there was none for a while."""
+    """Yield news of the selected cells as it arrives; None for other cells, or `REFRESH_S` without news."""
     while True:
         link.look(fleet.links)
         doubts.look()

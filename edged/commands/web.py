@@ -1,4 +1,4 @@
-"""`edged web invite`: a one-time code that makes its user an engineer; `edged password`: a hash."""
+"""`edged web invite`: makes a one-time code for a new engineer; `edged password`: hashes a password."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from edged.owners import as_owner
 
 
 def invite(config: Path, name: str) -> int:
-    """Print a code for somebody; it is valid at once. Raises `UserError` where it would be of no use."""
+    """Print a code for a person, valid at once. Raises `UserError` if it would be of no use."""
     web = load(config).web
     if web is None or not web.commissioning:
         raise UserError(f"{config}: web.commissioning is off: this cell cannot be set up on the page")
@@ -58,7 +58,7 @@ def password() -> int:
 
 
 def _note(audit: AuditFile, deed: AuditEntry, folder: Path) -> None:
-    """Add it to the chain; the code is made by now, and a disc without room must not keep it."""
+    """Add an entry to the audit chain; a failure is only reported, as the code has already been made."""
     try:
         audit.add(deed)
     except OSError as error:

@@ -1,4 +1,4 @@
-"""Where images come from, and what starts an exposure."""
+"""Sections for the source of images and the trigger of exposures."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ FeatureGroup = dict[str, Annotated[bool | int | float | str, PlainValidator(_fea
 
 
 def _groups(value: object) -> object:
-    """One table of features is a list of one."""
+    """Accept a single table of features as a list of one."""
     return [value] if isinstance(value, dict) else value
 
 
 class StrobeSection(Section):
-    """An output line that shows when the camera exposes: for a flash."""
+    """Output line that is active while the camera exposes, for a flash."""
 
     line: str = Field("Line2", min_length=1, description="the output")
     source: str = Field("ExposureActive", min_length=1, description="GenICam LineSource")
@@ -32,7 +32,7 @@ class StrobeSection(Section):
 
 
 class CameraSection(Section):
-    """One camera. Values that are left out stay as the camera has them."""
+    """One camera. Values that are left out stay as they are in the camera."""
 
     device: str = Field("", description="serial number or IP address")
     serial: str = Field("", description="serial number that is expected at an IP address")
@@ -68,12 +68,12 @@ MODE_KEYS: dict[str, set[str]] = {
     "chain": {"first", "first_line", "output", "line", "edge", "delay_us", "debounce_us"},
     "action": {"device_key", "group_key", "group_mask", "broadcast", "lead_ms"},
 }
-"""What belongs to which trigger mode: a setting that would be ignored is a mistake."""
+"""Keys that each trigger mode uses: a setting that would be ignored is a mistake."""
 Key = Annotated[int, Field(ge=0, le=0xFFFF_FFFF)]
 
 
 class TriggerSection(Section):
-    """What starts an exposure. A key that does not belong to the mode is a mistake."""
+    """Trigger of an exposure. A key that does not belong to the mode is a mistake."""
 
     mode: Literal["software", "free-run", "line", "chain", "action"] = Field(
         "software",
@@ -111,17 +111,17 @@ class TriggerSection(Section):
 
     @property
     def is_ours(self) -> bool:
-        """Whether edged starts the exposures, when it wants them."""
+        """Whether edged itself starts the exposures, at any time."""
         return self.mode not in ("free-run", "line") and not self.first_line
 
     @property
     def can_be_external(self) -> bool:
-        """Whether others can start the exposures."""
+        """Whether exposures can be started from outside."""
         return self.mode in ("free-run", "line", "action") or (self.mode == "chain" and self.first_line != "")
 
 
 class CamerasSection(Section):
-    """Where images come from."""
+    """Source of the images."""
 
     source: Literal["aravis", "replay", "virtual", "virtual-inprocess"] = Field(
         "aravis",

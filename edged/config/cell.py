@@ -1,4 +1,4 @@
-"""What is measured and when, where the robot may go, and what is kept of it."""
+"""Sections for what is measured and when, where the robot may go, and what is recorded."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from edged.vision.boards.board import NominalBoard, parse_boards
 
 
 class CellSection(Section):
-    """What is measured, and with which rig."""
+    """The cell: what it measures, and with which rig."""
 
     name: Name = Field(description="name of the cell; part of every Zenoh key")
     rig: FilePath = Field(description="calibrated rig, written by `edged calibrate`")
@@ -26,7 +26,7 @@ class CellSection(Section):
 
 
 class CycleSection(Section):
-    """When it is measured."""
+    """When the cell measures."""
 
     mode: Literal["free", "command", "external"] = Field(
         "command",
@@ -50,7 +50,7 @@ class CycleSection(Section):
 
 
 class DriftSection(Section):
-    """When the calibration counts as drifting, and from when on no result is given (means over cycles)."""
+    """Limits beyond which the calibration counts as drifting, or results are refused (means over cycles)."""
 
     warn_rows_px: float = Field(0.5, gt=0, le=100, description="row difference of corresponding points, rms")
     invalid_rows_px: float = Field(1.0, gt=0, le=100, description="the same: beyond it results are refused")
@@ -72,7 +72,7 @@ class DriftSection(Section):
 
 
 class MarksSection(Section):
-    """Reference marks around the pick area (`edged marks teach`). Without any taught nothing of it counts."""
+    """Reference marks around the pick area (`edged marks teach`). Has no effect until marks are taught."""
 
     on_knock: Literal["heal", "refuse"] = Field(
         "heal",
@@ -91,7 +91,7 @@ Corner = Annotated[list[Annotated[float, Field(ge=-100_000, le=100_000)]], Field
 
 
 class ZoneSection(Section):
-    """A part must lie in a box, and in no keep-out zone; of the robot's frame, without one of the rig's."""
+    """Box in which a part must lie, or keep-out zone; in the robot's frame, or the rig's without a robot."""
 
     name: Name = Field(description="for people")
     min_mm: Corner = Field(description="least x, y, z")
@@ -104,7 +104,7 @@ class ZoneSection(Section):
         return self
 
     def box(self) -> Box:
-        """The value that is measured by."""
+        """Convert to the domain value."""
         (a, b, c), (d, e, f) = self.min_mm, self.max_mm
         return Box(self.name, (a, b, c), (d, e, f))
 
@@ -113,11 +113,11 @@ Zones = Annotated[list[ZoneSection], Field(max_length=64)]
 
 
 class BodySection(ZoneSection):
-    """A box of the gripper's body; of the tip's frame, whose z is the direction in which it comes."""
+    """Box of the gripper's body; in the tip's frame, whose z is the approach direction."""
 
 
 class GripperSection(Section):
-    """The tool on the flange. Left out: its turn is that of the teaching, and its body is not looked at."""
+    """The tool on the flange. Left out: its turn is the taught one, and its body is not checked."""
 
     tip_mm: Corner = Field(
         [0.0, 0.0, 0.0], description="the tip in the flange's frame, as the robot's tool data"
@@ -129,21 +129,21 @@ class GripperSection(Section):
     )
 
     def gripper(self) -> Gripper:
-        """The value that is measured by."""
+        """Convert to the domain value."""
         x, y, z = self.tip_mm
         a, b, c = (math.radians(angle) for angle in self.tip_deg)
         return Gripper((x, y, z), (a, b, c), tuple(box.box() for box in self.box))
 
 
 class LimitsSection(Section):
-    """Where the robot may go, whatever the job; each job's `[limits]` may say more. Left out: everywhere."""
+    """Where the robot may go, for all jobs; a job's `[limits]` may restrict it more. Left out: everywhere."""
 
     box: Zones = Field(default_factory=list, description="a part in none of them is not good")
     keep_out: Zones = Field(default_factory=list, description="a part in one of them is not good")
     gripper: GripperSection | None = None
 
     def bounds(self) -> Bounds:
-        """The value that is measured by."""
+        """Convert to the domain value."""
         return Bounds(
             tuple(zone.box() for zone in self.box),
             tuple(zone.box() for zone in self.keep_out),
@@ -155,7 +155,7 @@ Step = Annotated[list[Annotated[float, Field(ge=-10, le=10)]], Field(min_length=
 
 
 class BeltSection(Section):
-    """A conveyor belt that carries the parts, as `edged belt` teaches it. Left out: they lie still."""
+    """Conveyor belt that carries the parts, as `edged belt` teaches it. Left out: the parts lie still."""
 
     mm_per_count: Step = Field(
         description="by how much a part goes on with one count of the encoder: x, y, z of the robot's frame"
@@ -189,7 +189,7 @@ class BeltSection(Section):
         return step
 
     def belt(self, exposure_s: float, focal_px: float) -> Belt:
-        """The value that is measured by."""
+        """Convert to the domain value."""
         (a, b, c), (x, y, z) = self.mm_per_count, self.first_mm
         return Belt(
             (a, b, c),
@@ -205,7 +205,7 @@ class BeltSection(Section):
 
 
 class RegistrationSection(Section):
-    """A robot's program may register the rig (HAND_EYE_START, TOUCH_START). Left out: only people may."""
+    """Registration of the rig by a robot's program (HAND_EYE_START, TOUCH_START). Left out: people only."""
 
     board: str | None = Field(
         None, description="for HAND_EYE_START, as for `edged calibrate`: chessboard:11x8:4.0, ..."
@@ -229,12 +229,12 @@ class RegistrationSection(Section):
 
     @property
     def pattern(self) -> NominalBoard | None:
-        """The board."""
+        """The board; None without one."""
         return None if self.board is None else parse_boards(self.board)[0]
 
 
 class RecorderSection(Section):
-    """What is kept on disk of the cycles, for `edged replay`. Left out: nothing."""
+    """Recording of cycles on disk, for `edged replay`. Left out: nothing is recorded."""
 
     folder: FilePath = Field(description="where recordings go")
     keep_good: int = Field(200, ge=0, le=1_000_000, description="good cycles")
@@ -249,7 +249,7 @@ class RecorderSection(Section):
 
 
 class HistorySection(Section):
-    """Each cycle as a row, for `edged history`. Left out: none; needs the extra `history`."""
+    """A row for each cycle, for `edged history`. Left out: none; needs the extra `history`."""
 
     folder: FilePath = Field(description="where rows go, as Parquet by plant, day and cell")
     plant: Name = Field("plant", description="name of the plant, by which cells of several are told apart")

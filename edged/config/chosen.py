@@ -1,4 +1,4 @@
-"""Files beside a rig with what people have chosen on the page: read within bounds, and parsed."""
+"""Files beside a rig that hold choices made on the page: read within bounds, and parsed."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ Choice = TypeVar("Choice", bound=Section)
 
 
 def read_choice(file: Path, what: str) -> bytes | None:
-    """The content of such a file; None without one. what : was chosen. Raises `ConfigError`."""
+    """Content of such a file; None without one. what : is chosen, for messages. Raises `ConfigError`."""
     try:
         with file_to_read(file) as opened:
             content = opened.read(MAX_BYTES + 1)
@@ -31,11 +31,11 @@ def read_choice(file: Path, what: str) -> bytes | None:
 
 
 def choice_of(model: type[Choice], content: bytes, file: Path, what: str, without: str) -> Choice:
-    """A choice from such content. without : how it is where the file is removed. Raises `ConfigError`."""
+    """Parse such content. without : effect of removing the file, for messages. Raises `ConfigError`."""
     try:
         return model.model_validate(json.loads(content))
     except (ValueError, RecursionError) as error:
-        # written by the daemon: an error means a damaged file, not a typing error
+        # the daemon wrote the file: an error means that it is damaged, not mistyped
         why = error.errors()[0]["msg"] if isinstance(error, ValidationError) else "not JSON"
         problem = f"{file.name}: no chosen {what}: {why}; remove it, and {without}"
         raise ConfigError(str(file), [problem]) from error

@@ -1,7 +1,7 @@
-"""Cameras as they were chosen on the page, beside the rig that was calibrated with them.
+"""Cameras chosen on the page, in a file beside the rig that was calibrated with them.
 
-The configuration is the administrator's; which camera is left, and how it is exposed, belongs to the rig, and
-is written with it: `rig.json` has `rig.cameras.json`. What it states counts before `[cameras.left]` and
+The configuration belongs to the administrator; which camera is left, and how it is exposed, belongs to the
+rig, and is stored with it: `rig.json` has `rig.cameras.json`. Its values override `[cameras.left]` and
 `[cameras.right]`.
 """
 
@@ -19,13 +19,13 @@ from edged.config.fields import Section
 from edged.domain.arrays import SIDES, Side
 
 UNCHOSEN: Mapping[Side, str] = {"left": "to-be-chosen-left", "right": "to-be-chosen-right"}
-"""Devices of a cell whose cameras nobody has chosen yet: no camera answers to them."""
+"""Placeholder devices until cameras are chosen: no camera answers to them."""
 NAME = "rig.cameras.json"
-"""In recordings, whatever the rig's file is called."""
+"""Name of the file in recordings, whatever the rig's file is called."""
 
 
 class ChosenCamera(Section):
-    """Choice of one camera; None: as configured. device : serial or address; serial : expected there."""
+    """Choice for one camera; None: as configured. device : serial or address; serial : expected there."""
 
     device: str | None = Field(None, min_length=1, max_length=64)
     serial: str | None = Field(None, max_length=64)
@@ -33,18 +33,18 @@ class ChosenCamera(Section):
     gain_db: float | None = Field(None, ge=-10, le=60)
 
     def stated(self) -> dict[str, str | float]:
-        """What is other than configured, by the names of the configuration."""
+        """Values that were chosen, by the names of the configuration."""
         return self.model_dump(exclude_none=True)
 
 
 class ChosenCameras(Section):
-    """Both."""
+    """Choice for both cameras."""
 
     left: ChosenCamera = ChosenCamera()
     right: ChosenCamera = ChosenCamera()
 
     def over(self, cameras: Mapping[str, Any]) -> dict[str, Any]:
-        """The section `cameras` of a configuration with what was chosen."""
+        """Section `cameras` of a configuration, with the choice applied."""
         merged = dict(cameras)
         for side in SIDES:
             before = merged.get(side, {})
@@ -54,7 +54,7 @@ class ChosenCameras(Section):
 
 
 def chosen_file(rig: Path) -> Path:
-    """Where the choice for a rig is.
+    """Path of the file with the choice for a rig.
 
     >>> chosen_file(Path("/etc/edged/rig.json")).name
     'rig.cameras.json'
@@ -73,9 +73,9 @@ def chosen_of(content: bytes, file: Path) -> ChosenCameras:
 
 
 def with_changes(before: bytes | None, file: Path, changes: Mapping[Side, Mapping[str, Any]]) -> bytes:
-    """The content of a file in which these are chosen, too. Raises `ConfigError`.
+    """Content of the file after further choices. Raises `ConfigError`.
 
-    changes : keys of the configuration's `[cameras.left]` and `[cameras.right]`.
+    before : content so far. changes : keys of the configuration's `[cameras.left]` and `[cameras.right]`.
     """
     old = ChosenCameras() if before is None else chosen_of(before, file)
     document = {side: {**getattr(old, side).stated(), **changes.get(side, {})} for side in SIDES}

@@ -1,8 +1,8 @@
-"""Connections of PLCs and robots, and other settings, as they were chosen on the page: a file beside the rig.
+"""Connections of PLCs and robots, and other settings, chosen on the page and kept in a file beside the rig.
 
-The configuration is the administrator's, and the page cannot write it. What was chosen counts before it:
+The configuration belongs to the administrator, and the page cannot write it. Choices override it:
 `rig.json` has `rig.connections.json`, with keys of `[modbus]` and `[opcua]`, and `settings` by their dotted
-names (`chosensettings`); a key that is null is left out.
+names (`chosensettings`); a null value removes the key.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ Settings = Annotated[
 
 
 class ChosenConnections(Section):
-    """Keys of both sections, and settings. opcua : None: there is to be no such server."""
+    """Chosen keys of both sections, and settings. opcua : None: there is to be no such server."""
 
     modbus: dict[str, Any] = {}  # noqa: RUF012  (pydantic copies it)
     opcua: dict[str, Any] | None = {}  # noqa: RUF012  (likewise)
@@ -33,11 +33,11 @@ class ChosenConnections(Section):
 
     @property
     def connects(self) -> bool:
-        """Whether it says how PLCs and robots connect."""
+        """Whether it changes how PLCs and robots connect."""
         return bool(self.modbus) or self.opcua != {}
 
     def over(self, data: Mapping[str, Any]) -> dict[str, Any]:
-        """A configuration's tables with what was chosen."""
+        """Tables of a configuration, with the choice applied."""
         merged = dict(data)
         for name, chosen in (("modbus", self.modbus), ("opcua", self.opcua)):
             before = merged.pop(name, {})
@@ -51,7 +51,7 @@ class ChosenConnections(Section):
         return chosensettings.over(self.settings, merged)
 
     def content(self) -> bytes | None:
-        """The file's content; None where nothing is chosen."""
+        """Content for the file; None if nothing is chosen."""
         chosen = self.model_dump(mode="json")
         if not self.connects:
             del chosen["modbus"], chosen["opcua"]
@@ -61,7 +61,7 @@ class ChosenConnections(Section):
 
 
 def connections_file(rig: Path) -> Path:
-    """Where the choice for a cell is.
+    """Path of the file with the choice for a cell.
 
     >>> connections_file(Path("/etc/edged/rig.json")).name
     'rig.connections.json'
@@ -75,7 +75,7 @@ def read_connections(rig: Path) -> bytes | None:
 
 
 def connections_of(content: bytes | None, file: Path) -> ChosenConnections:
-    """Parse a choice; of no content, that of nothing. Raises `ConfigError`."""
+    """Parse a choice; an empty one without content. Raises `ConfigError`."""
     if content is None:
         return ChosenConnections()
     without = "PLCs and robots connect as configured, and all else is as configured"
@@ -83,14 +83,14 @@ def connections_of(content: bytes | None, file: Path) -> ChosenConnections:
 
 
 def chosen_connections(rig: Path) -> ChosenConnections:
-    """What is chosen for a cell. Raises `ConfigError`."""
+    """Read and parse the choice for a cell. Raises `ConfigError`."""
     return connections_of(read_connections(rig), connections_file(rig))
 
 
 def with_password_of(content: bytes | None, now: bytes | None, file: Path) -> bytes | None:
-    """What was chosen once, with the password that is chosen now: one that was replaced does not come back.
+    """An earlier choice with the current password, so that a replaced one does not come back.
 
-    Raises `ConfigError`.
+    content : of the earlier file; now : of the current one. Raises `ConfigError`.
     """
     chosen, other = (connections_of(data, file) for data in (content, now))
     password = (other.opcua or {}).get("password_hash")

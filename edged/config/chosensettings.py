@@ -1,7 +1,7 @@
-"""Settings that people may choose on the page, by their dotted names, over those of the configuration.
+"""Settings that people may choose on the page, by their dotted names; they override the configuration.
 
-The configuration is the administrator's, and the page cannot write it. What is chosen is in the file beside
-the rig (`chosenconnections`), which the page hands over: the cell takes the names of `CHOOSABLE`, no others.
+The configuration belongs to the administrator, and the page cannot write it. Choices are in the file beside
+the rig (`chosenconnections`), which the page sends: the cell accepts only the names in `CHOOSABLE`.
 """
 
 from __future__ import annotations
@@ -28,20 +28,20 @@ CHOOSABLE: tuple[str, ...] = (
     *(f"recorder.{key}" for key in RecorderSection.model_fields if key != "folder"),
     *(f"zenoh.{key}" for key in ("encoding", "trigger_timeout_s", "ros2_domain_id")),
 )
-"""Each a number, a word, or yes or no: nothing that opens a port, names a file or lets anybody in."""
+"""Each is a number, a word or a boolean: nothing that opens a port, names a file or grants access."""
 OPTIONAL = ("opcua", "recorder")
-"""Sections that a choice does not make where the configuration has none: what they need is not here."""
+"""Sections that a choice does not create if the configuration lacks them: required keys are not here."""
 
 
 def refuse_unknown(chosen: Mapping[str, Scalar | None]) -> Mapping[str, Scalar | None]:
-    """The same. Raises `ValueError` for a name that cannot be chosen."""
+    """Return the choice unchanged. Raises `ValueError` for a name that cannot be chosen."""
     if odd := sorted(chosen.keys() - set(CHOOSABLE)):
         raise ValueError(f"{odd[0]}: cannot be chosen on the page")
     return chosen
 
 
 def over(chosen: Mapping[str, Scalar | None], data: Mapping[str, Any]) -> dict[str, Any]:
-    """A configuration's tables with what was chosen; None leaves a key out."""
+    """Tables of a configuration, with the choice applied; None removes a key."""
     merged = dict(data)
     for name, value in _with_mode(chosen).items():
         *sections, key = name.split(".")
@@ -51,7 +51,7 @@ def over(chosen: Mapping[str, Scalar | None], data: Mapping[str, Any]) -> dict[s
         for section in sections:
             inner = table.get(section, {})
             if not isinstance(inner, dict):
-                break  # a mistake, which is said where the configuration is read
+                break  # a mistake, which is reported where the configuration is read
             table[section] = inner = dict(inner)
             table = inner
         else:
@@ -63,7 +63,7 @@ def over(chosen: Mapping[str, Scalar | None], data: Mapping[str, Any]) -> dict[s
 
 
 def _with_mode(chosen: Mapping[str, Scalar | None]) -> dict[str, Scalar | None]:
-    """With another trigger mode, what belongs to others is left out, too."""
+    """Choice that, with a trigger mode, also removes the keys that belong to other modes."""
     mode = chosen.get(f"{TRIGGER}.mode")
     own = MODE_KEYS.get(str(mode), set()) | {"mode"}
     others = TriggerSection.model_fields.keys() - own if mode is not None else set()
@@ -71,7 +71,7 @@ def _with_mode(chosen: Mapping[str, Scalar | None]) -> dict[str, Scalar | None]:
 
 
 def at(data: Mapping[str, Any], name: str) -> Any:
-    """What stands under a dotted name; None where nothing does."""
+    """Value under a dotted name; None if there is none."""
     value: Any = data
     for part in name.split("."):
         value = value.get(part) if isinstance(value, Mapping) else None

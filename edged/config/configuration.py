@@ -1,4 +1,4 @@
-"""The whole file: its sections, what must hold between them, and the files that they name."""
+"""The whole configuration file: its sections, constraints between them, and the files that they name."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from edged.config.zenoh import ZenohSection, tcp_port
 
 
 class Config(Section):
-    """The whole file."""
+    """The whole configuration file."""
 
     cell: CellSection
     cycle: CycleSection = CycleSection()
@@ -110,7 +110,7 @@ class Config(Section):
         return self
 
     def secret_files(self) -> dict[str, Path]:
-        """Private and shared keys by their dotted path. This file is one more with any `password_hashes`."""
+        """Private and shared keys by dotted path. This file is secret, too, if it has `password_hashes`."""
         return {place: file for place, file in self.machine_files().items() if place.endswith("key")}
 
     @property
@@ -119,7 +119,7 @@ class Config(Section):
         return self.password_hashes().get("web.password_hash", "")
 
     def password_hashes(self) -> dict[str, str]:
-        """The hashes that are set, by their dotted path."""
+        """Password hashes that are set, by their dotted path."""
         found = {
             f"{name}.{option}": getattr(section, option).get_secret_value()
             for name, section in (("web", self.web), ("opcua", self.opcua))
@@ -145,7 +145,7 @@ class Config(Section):
         return found
 
     def missing_files(self) -> list[str]:
-        """A line for each file or folder that is named and not there; rig and jobs are judged elsewhere."""
+        """A line for each named file or folder that does not exist; rig and jobs are checked elsewhere."""
         named = self.machine_files()
         if self.zenoh.enabled and self.zenoh.config_file is not None:
             named["zenoh.config_file"] = self.zenoh.config_file

@@ -1,4 +1,4 @@
-"""Common kinds of values of the sections, and their base class, which refuses unknown keys."""
+"""Common field types of the sections, and their base class, which refuses unknown keys."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from edged.domain.numerals import is_whole
 
 
 def _beside_the_file(value: object, info: ValidationInfo) -> object:
-    """Relative paths mean: beside the configuration file, whatever the working directory is."""
+    """Resolve relative paths against the configuration file's folder, not the working directory."""
     if isinstance(value, str) and value and info.context is not None:
         try:
             return Path(info.context["directory"]) / Path(value).expanduser()
@@ -63,13 +63,13 @@ _ARGON2 = re.compile(
 )
 """An encoded hash: cost, salt of 8 to 64 bytes, hash of 16 to 64 (RFC 9106, 3.1 recommends 16 and 32)."""
 MAX_MEMORY_KIB, MAX_PASSES, MAX_LANES = 256 * 1024, 16, 4
-"""The most that a hash computed here may cost: one from elsewhere must not exhaust memory or processor."""
+"""Maximum cost of a hash that is accepted: one from elsewhere must not exhaust memory or processor."""
 HASH_LEFT_OUT = "$argon2-left-out"
-"""In place of a password's hash: a configuration that can be read, and a password that nothing fits."""
+"""Replaces a password hash in a configuration that is passed on: it stays valid, but no password matches."""
 
 
 def check_password_hash(text: str) -> str:
-    """An Argon2 hash that can be afforded, as it is. Raises `ValueError` that does not repeat it."""
+    """Return an Argon2 hash of acceptable cost. Raises `ValueError`, whose text does not contain the hash."""
     found = _ARGON2.fullmatch(text)
     if found is None:
         raise ValueError("expected an Argon2 hash, as `edged password` prints it")
@@ -91,13 +91,13 @@ PasswordHash = Annotated[SecretStr, AfterValidator(_password_hash)]
 
 
 class Section(BaseModel):
-    """A table of the file: unknown keys are mistakes, and so are values of another type."""
+    """Table of the file: unknown keys and values of another type are mistakes."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, strict=True)
 
 
 def is_loopback(host: str) -> bool:
-    """Whether only this machine reaches an address."""
+    """Whether an address can be reached from this machine only."""
     try:
         return host == "localhost" or ipaddress.ip_address(host).is_loopback
     except ValueError:
@@ -105,7 +105,7 @@ def is_loopback(host: str) -> bool:
 
 
 def is_address(device: str) -> bool:
-    """Whether a camera is named by its IP address, not by its serial number."""
+    """Whether a camera is named by its IP address, rather than its serial number."""
     try:
         ipaddress.ip_address(device)
     except ValueError:

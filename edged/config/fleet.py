@@ -1,4 +1,4 @@
-"""The signed releases that a cell takes by itself."""
+"""Section for the signed releases that a cell fetches by itself."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _WINDOW = re.compile(r"([01][0-9]|2[0-3]):([0-5][0-9])-([01][0-9]|2[0-3]):([0-5]
 
 
 class FleetSection(Section):
-    """Signed releases, which `edged release pull` fetches and the cell tries before it runs by them."""
+    """Signed releases, which `edged release pull` fetches and the cell tries before it uses them."""
 
     repository: str = Field(description="https://HOST/FOLDER, or the absolute path of a folder")
     plant: Name = Field(description="whose releases: the name that the repository delegates to")
@@ -59,7 +59,7 @@ class FleetSection(Section):
         return text
 
     def is_open(self, now: time) -> bool:
-        """Whether a time of day lies in the window.
+        """Whether a time of day lies within the window.
 
         >>> night = FleetSection(repository="/usb", plant="north", root=Path("r"), window="22:00-05:00")
         >>> [night.is_open(time(hour)) for hour in (4, 5, 21, 22)]

@@ -1,4 +1,4 @@
-"""The PLC whose own memory the cell reads and writes."""
+"""Section for a PLC whose own memory the cell reads and writes."""
 
 from __future__ import annotations
 
@@ -69,14 +69,14 @@ class MelsecSection(Section):
     )
 
     def devices(self, words: int) -> tuple[str, str]:
-        """The first device, and the one that is so many words behind it."""
+        """Names of the first device, and of the one that many words after it."""
         kind, number, _, link = _DEVICE.fullmatch(self.device).groups()  # type: ignore[union-attr]  # validated
         behind = f"W{int(link, 16) + words:X}" if link else f"{kind}{int(number) + words}"
         return self.device, behind
 
 
 FAMILIES = ("s7", "logix", "melsec")
-"""Tables of `[plc]`, of which one must be there."""
+"""Tables of `[plc]`, of which exactly one must be present."""
 
 
 class PlcSection(Section):
@@ -101,7 +101,7 @@ class PlcSection(Section):
 
     @property
     def family(self) -> str:
-        """The one that is stated: what it is called in `FAMILIES`."""
+        """Name of the configured PLC family, one of `FAMILIES`."""
         return next(name for name in FAMILIES if getattr(self, name) is not None)
 
     @property

@@ -1,4 +1,4 @@
-"""Reading of the configuration file, with mistakes explained in its author's terms."""
+"""Reading of the configuration file, with mistakes explained in terms of the file."""
 
 from __future__ import annotations
 
@@ -39,11 +39,11 @@ EXPECTED = {
     "string_too_short": "expected a text that is not empty",
     "string_pattern_mismatch": "expected 1 to 64 letters, digits, '_', '.' and '-', a letter or digit first",
 }
-"""pydantic's kinds of mistakes in the words of the person who writes the file."""
+"""Messages for pydantic's error types, in words for the person who writes the file."""
 
 
 def _known_keys(model: type[BaseModel], path: Sequence[int | str]) -> list[str]:
-    """Keys of the section at a path; none if it is not a section of fixed keys."""
+    """Keys of the section at a path; empty if it is not a section with fixed keys."""
     for part in path:
         if isinstance(part, int):
             return []
@@ -67,10 +67,10 @@ def load(path: Path) -> Config:
 
 
 def read(path: Path) -> bytes:
-    """Parse a configuration file. Raises `ConfigError`."""
+    """Read the bytes of a configuration file. Raises `ConfigError`."""
     try:
         with file_to_read(path) as file:
-            content = file.read(MAX_TOML_BYTES + 1)  # a device has no size, and no end
+            content = file.read(MAX_TOML_BYTES + 1)  # bounded, as a device has no size and no end
     except OSError as error:
         raise ConfigError(str(path), [f"cannot be read: {error.strerror or error}"]) from error
     if len(content) > MAX_TOML_BYTES:
@@ -79,13 +79,13 @@ def read(path: Path) -> bytes:
 
 
 def config_of(content: bytes, path: Path) -> Config:
-    """The configuration in a file that was read; raises as `load`. path : where; its paths lie beside it."""
+    """Parse the content of a configuration file; raises as `load`. path : of the file, for relative paths."""
     config, _ = config_and_choice(content, path)
     return config
 
 
 def config_and_choice(content: bytes, path: Path) -> tuple[Config, bytes | None]:
-    """The configuration with what was chosen on the page, in force; and the cameras of that as written."""
+    """Configuration with the choices of the page applied, and the content of the file of chosen cameras."""
     data = _tables(content, path)
     configured = _validated(data, path, str(path))
     chosen = read_chosen(configured.cell.rig)
@@ -93,7 +93,7 @@ def config_and_choice(content: bytes, path: Path) -> tuple[Config, bytes | None]
 
 
 def config_with(content: bytes, path: Path, connections: bytes | None) -> Config:
-    """The configuration as it would be with other connections and settings than those that are chosen.
+    """Configuration as it would be with other connections and settings than those now chosen.
 
     connections : content of their file; None: as configured. Raises as `load`.
     """
@@ -116,7 +116,7 @@ def _tables(content: bytes, path: Path) -> dict[str, Any]:
 def _chosen(
     data: dict[str, Any], path: Path, configured: Config, connections: bytes | None, cameras: bytes | None
 ) -> Config:
-    """With what the files of connections and of cameras have."""
+    """Configuration with the choices in the files of connections and of cameras applied."""
     rig, config = configured.cell.rig, configured
     if connections is not None:
         file = connections_file(rig)
@@ -137,27 +137,27 @@ def _validated(data: dict[str, Any], path: Path, source: str) -> Config:
 
 
 def limits_of(content: bytes) -> LimitsSection:
-    """`[limits]` of a configuration that was in use, whatever else is missing in it by now.
+    """`[limits]` of an earlier configuration, even if the rest of it is no longer valid.
 
-    Raises `ValueError` for what is not a configuration.
+    Raises `ValueError` if it is not a configuration.
     """
     data = toml_of(content)
     return LimitsSection.model_validate(data.get("limits", {}))
 
 
 def marks_of_config(content: bytes) -> MarksSection:
-    """`[marks]` of a configuration that was in use. Raises `ValueError` as `limits_of`."""
+    """`[marks]` of an earlier configuration. Raises `ValueError` as `limits_of`."""
     return MarksSection.model_validate(toml_of(content).get("marks", {}))
 
 
 def not_utf8(error: UnicodeDecodeError) -> str:
-    """The error of a text file, and its line."""
+    """Message for a file that is not UTF-8, with the line."""
     line = error.object.count(b"\n", 0, error.start) + 1
     return f"line {line}: not UTF-8 text (a byte 0x{error.object[error.start]:02x}): save it as UTF-8"
 
 
 def not_toml(error: tomllib.TOMLDecodeError, content: bytes) -> str:
-    """The parser's words, with the line that it did not understand."""
+    """Message of the TOML parser, with the line that it did not understand."""
     message, lines = str(error), content.decode("utf-8-sig").splitlines()
     found = re.search(r" \(at line ([0-9]+), column [0-9]+\)$", message)
     if found is None or int(found[1]) > len(lines):
@@ -166,9 +166,9 @@ def not_toml(error: tomllib.TOMLDecodeError, content: bytes) -> str:
 
 
 def problem_of(detail: Any, model: type[BaseModel]) -> str:
-    """One line of `edged check` for a mistake that pydantic found in what should be a `model`.
+    """One line of `edged check` for a mistake that pydantic found when it validated a `model`.
 
-    The dotted path, what is wrong, what was expected and found.
+    It has the dotted path, what is wrong, and what was expected and found.
     """
     place = ".".join(str(part) for part in detail["loc"]) or "(file)"
     if detail["type"] == "extra_forbidden":

@@ -1,4 +1,4 @@
-"""What listens: Modbus and its lines, EtherNet/IP, the status page, OPC UA."""
+"""Sections for the servers: Modbus and its lines of text, EtherNet/IP, the status page, OPC UA."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from edged.config.fields import (
 
 
 class SerialSection(Section):
-    """Modbus RTU on a serial line, beside TCP and on the same registers."""
+    """Modbus RTU on a serial line, in addition to TCP and with the same registers."""
 
     device: str = Field(min_length=1, description="for example /dev/ttyUSB0")
     baud: int = Field(19200, ge=300, le=4_000_000, description="bits a second")
@@ -36,7 +36,7 @@ class SerialSection(Section):
 
 
 class SocketSection(Section):
-    """Lines of text over TCP for robots, on the same registers, networks and right to write."""
+    """Lines of text over TCP for robots, with the same registers, networks and right to write."""
 
     port: Port = Field(1503, description="TCP port; the address is that of the Modbus server")
     brand: Literal[
@@ -117,7 +117,7 @@ class ModbusSection(Section):
 
 
 ETHERNETIP_PORT = 44818
-"""Fixed, over TCP and UDP: scanners look nowhere else."""
+"""Fixed port, over TCP and UDP: scanners use no other."""
 
 
 def _ipv4(value: str) -> str:
@@ -127,7 +127,7 @@ def _ipv4(value: str) -> str:
 
 
 class EthernetIpSection(Section):
-    """The EtherNet/IP adapter for a PLC's scanner: registers and handshake of Modbus. Left out: none.
+    """EtherNet/IP adapter for a PLC's scanner, with the registers and handshake of Modbus. Left out: none.
 
     Its ports are TCP and UDP 44818, UDP 2222.
     """
@@ -146,7 +146,7 @@ class EthernetIpSection(Section):
 
 
 class WebSection(Section):
-    """The status page, the manual, and what Prometheus reads. Left out: none of them."""
+    """The status page, the manual, and the metrics for Prometheus. Left out: none of them."""
 
     host: Host = Field("127.0.0.1", description="address to listen on")
     port: Port = Field(8080, description="TCP port")
@@ -192,7 +192,7 @@ class WebSection(Section):
 
 
 class OpcUaSection(Section):
-    """The OPC UA server: the same registers and handshake as Modbus has. Left out: none."""
+    """OPC UA server, with the same registers and handshake as Modbus. Left out: none."""
 
     host: Host = Field("127.0.0.1", description="address to listen on")
     port: Port = Field(4840, description="TCP port")

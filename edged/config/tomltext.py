@@ -1,4 +1,4 @@
-"""TOML from anywhere, of a length and of keys that are read in no time."""
+"""Parsing of untrusted TOML, with limits on length and keys so that it takes little time."""
 
 from __future__ import annotations
 
@@ -7,10 +7,10 @@ import tomllib
 from typing import Any
 
 MAX_TOML_BYTES = 1024 * 1024
-"""A configuration is kilobytes; a job with 256 features of each kind is 700 kB."""
+"""Maximum length; a configuration has kilobytes, a job with 256 features of each kind 700 kB."""
 MAX_KEY_PARTS = 16
-"""Parts of a dotted key; ours have four. tomllib keeps a tuple for each prefix of a key: 2.8 s and 1.5 GB for
-20,000 parts (CPython 3.11). Counted in texts and comments, too."""
+"""Maximum parts of a dotted key; ours have four. tomllib keeps a tuple for each prefix of a key: 2.8 s and
+1.5 GB for 20,000 parts (CPython 3.11). Dotted words in strings and comments count, too."""
 _PART = r"""(?:[A-Za-z0-9_-]++|"[^"\n]*+"|'[^'\n]*+')"""
 _LONG_KEY = re.compile(rf"(?<![A-Za-z0-9_-])(?:{_PART}[ \t]*+\.[ \t]*+){{{MAX_KEY_PARTS}}}")
 

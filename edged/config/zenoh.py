@@ -1,4 +1,4 @@
-"""Publication over Zenoh: its endpoints, and who may command over them."""
+"""Section for publication over Zenoh: its endpoints, and permission to command over them."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from edged.config.fields import FilePath, Section, is_loopback
 
 INTERNET = ("tcp", "tls", "udp", "quic", "ws")
 PROTOCOLS = (*INTERNET, "serial", "unixsock-stream", "unixpipe", "vsock")
-"""Protocols of Zenoh's endpoints."""
+"""Protocols of Zenoh endpoints."""
 
 
 def _endpoint(value: str) -> str:
@@ -25,7 +25,7 @@ def _endpoint(value: str) -> str:
 
 
 def tcp_port(endpoint: str) -> int | None:
-    """The TCP port of a listening endpoint."""
+    """TCP port of a listening endpoint; None if it has none."""
     found = re.match(r"(?:tcp|tls|ws)/[^?#]*:([0-9]{1,5})(?:[?#]|$)", endpoint)
     return None if found is None else int(found[1])
 
@@ -41,7 +41,7 @@ def check_endpoint(endpoint: str) -> None:
 
 
 def is_local(endpoint: str) -> bool:
-    """Whether only this machine is at the other end of a Zenoh endpoint."""
+    """Whether a Zenoh endpoint connects within this machine only."""
     protocol, _, rest = endpoint.partition("/")
     host, _, _ = re.split("[?#]", rest, maxsplit=1)[0].rpartition(":")
     return protocol in ("unixsock-stream", "unixpipe") or is_loopback(host.strip("[]"))
@@ -84,15 +84,15 @@ class ZenohSection(Section):
 
     @model_validator(mode="after")
     def _guarded(self) -> ZenohSection:
-        if self.config_file is None:  # what that says is looked at where it is read
+        if self.config_file is None:  # otherwise it is checked where that file is read
             self.refuse_unguarded([("listen", end) for end in self.listen])
             self.refuse_unguarded([("connect", end) for end in self.connect])
         return self
 
     def refuse_unguarded(self, endpoints: Sequence[tuple[str, str]]) -> None:
-        """Raise `ValueError` where commands could come from other machines over one of the endpoints.
+        """Raise `ValueError` if commands could come from other machines over one of the endpoints.
 
-        endpoints : "listen" or "connect", and where; those that neither mutual TLS nor access control guards.
+        endpoints : ("listen" or "connect", endpoint) of those not guarded by mutual TLS or access control.
         """
         for side, endpoint in endpoints:
             if self.enabled and self.commands == "guarded" and not is_local(endpoint):

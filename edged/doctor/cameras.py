@@ -1,4 +1,4 @@
-"""Cameras that answer, their addresses, and which host controls them."""
+"""Checks of the cameras: whether they answer, their addresses, and what controls them."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ from edged.vision.geometry.camera import StereoRig
 def look_at_cameras(
     config: Config, rig: StereoRig | None, daemon: OurDaemon | None = None
 ) -> Iterator[Check]:
-    """Cameras of the configuration and their network.
+    """Check the cameras of the configuration and their network.
 
-    rig : tells how large the images are.  daemon : of this cell, which has the cameras where it runs.
+    rig : gives the size of the images. daemon : of this cell, which holds the cameras if it runs.
     """
     if missing := aravis_missing():
         yield bad("Aravis", missing, "no camera can be reached", "apt install gir1.2-aravis-0.8 python3-gi")
@@ -41,7 +41,7 @@ def look_at_cameras(
             continue
         where, interface = home(side, info, ports)
         if interface is None or where.verdict is CheckResult.BAD:
-            yield where  # which is why it does not answer
+            yield where  # explains why the camera does not answer
             continue
         yield camera(side, section, info, discovered, ports, daemon)
         yield where
@@ -52,7 +52,7 @@ def look_at_cameras(
         image_bytes = {"left": rig.left.width * rig.left.height, "right": rig.right.width * rig.right.height}
         yield from look_at_network(places, ports or (), image_bytes, config)
     seen = [(place.interface.name, place.info.address) for place in places]
-    # behind a firewall a camera may not have been found: then every wire may be its own
+    # a firewall may have hidden a camera, which could then be on any Ethernet port
     wires = [
         (port.name, str(interface.network))
         for port in ports or ()
@@ -67,7 +67,7 @@ def _configured(device: str, found: Sequence[CameraInfo]) -> CameraInfo | None:
 
 
 def twins(found: Sequence[CameraInfo]) -> Iterator[Check]:
-    """Two cameras with one address, or one serial number."""
+    """Find cameras with the same address or the same serial number."""
     for address, who in _shared((info.address, info.serial) for info in found):
         yield bad(
             "camera addresses",
@@ -85,7 +85,7 @@ def twins(found: Sequence[CameraInfo]) -> Iterator[Check]:
 
 
 def _shared(pairs: Iterable[tuple[str, str]]) -> Iterator[tuple[str, str]]:
-    """Each first that stands in more than one pair, with all its seconds."""
+    """Yield each first element that occurs in more than one pair, with all its second elements."""
     groups = defaultdict[str, list[str]](list)
     for first, second in pairs:
         groups[first].append(second)
@@ -102,7 +102,7 @@ def camera(
     ports: Sequence[Interface] = (),
     daemon: OurDaemon | None = None,
 ) -> Check:
-    """Whether a configured camera is there and can be taken, or this cell's own daemon has it."""
+    """Check that a configured camera is present and free, or held by this cell's own daemon."""
     name = f"{side} camera"
     if info is None:
         return _absent(name, section.device, found, ports)
@@ -127,7 +127,7 @@ def camera(
 
 
 def _absent(name: str, device: str, found: Sequence[CameraInfo], ports: Sequence[Interface]) -> Check:
-    """A camera that discovery did not find: by its address it may answer all the same."""
+    """Check a camera that discovery did not find, but which may still answer at its address."""
     others = ", ".join(f"{info.serial} at {info.address}" for info in found) or "none at all"
     if device in UNCHOSEN.values():
         finding = f"not chosen yet; cameras that answer: {others}"

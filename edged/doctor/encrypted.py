@@ -1,4 +1,4 @@
-"""Certificates: whether the OPC UA server answers, and until when each certificate is good."""
+"""Checks that the OPC UA server answers, and until when each certificate is valid."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from edged.doctor.host import at_home
 
 ANSWER_S = 2.0
 SOON = timedelta(days=30)
-"""To make another certificate, and to have it trusted by every client."""
+"""Time needed to make a new certificate and have every client trust it."""
 
 
 def look_at_opcua(host: str, port: int) -> Check | None:
-    """Whether a server of OPC UA answers there; None where nothing listens.
+    """Check that an OPC UA server answers there; None if nothing listens.
 
     Source: OPC 10000-6, 7.1.2: a server answers Hello with Acknowledge, or with Error.
     """
@@ -48,7 +48,7 @@ def look_at_opcua(host: str, port: int) -> Check | None:
 
 
 def look_at_certificates(config: Config, now: datetime | None = None) -> Iterator[Check]:
-    """Until when each certificate that this cell shows is good."""
+    """Check until when each certificate that this cell presents is valid."""
     now = now or datetime.now(UTC)
     for place, file in config.machine_files().items():
         if place.endswith(".certificate") and file.is_file():

@@ -1,4 +1,4 @@
-"""All checks for a configuration, one after the other."""
+"""Runs all checks for a configuration in order."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ NOT_YET, RELOAD = "places are off as before it was made", "sudo systemctl reload
 
 
 def examine(path: Path, *, trigger: bool = True, process: int | None = None) -> Iterator[Check]:
-    """All checks for a configuration, as they are done. trigger : take test pictures too.
+    """Yield all checks for a configuration as they are made. trigger : take test pictures as well.
 
-    process : of the daemon that runs it, where that is known.
+    process : id of the daemon that runs it, if known.
 
-    A cell without a rig or jobs is examined as far as that goes: its network comes before its calibration.
-    Where its daemon runs, that is asked, and no picture is taken beside it.
+    A cell without a rig or jobs is examined as far as possible, as its network is set up before its
+    calibration. If its daemon runs, it is queried instead, and no picture is taken.
     """
     clock = ClockWatch()
     try:
@@ -86,7 +86,7 @@ def examine(path: Path, *, trigger: bool = True, process: int | None = None) -> 
 
 
 def look_at_plc(section: PlcSection) -> Check:
-    """Whether the PLC answers, and has both images: connect, read, hang up; nothing is written."""
+    """Check that the PLC answers and has both images: connect, read, disconnect; nothing is written."""
     name = "PLC's memory"
     try:
         return ok(name, ask_plc(section))
@@ -102,9 +102,9 @@ def look_at_plc(section: PlcSection) -> Check:
 
 
 def look_at_map(cell: CellFiles, *, is_used: bool) -> Iterator[Check]:
-    """What the map of a robot's error is worth, and whether parts lie in it: a finding where the rig has one.
+    """Check the quality of the robot's error map, and that taught parts lie within it; nothing without a map.
 
-    is_used : no daemon runs by other files than these.
+    is_used : no daemon is running with other files than these.
     """
     made = cell.rig.robot_map
     if made is None:

@@ -17,10 +17,10 @@ class CheckResult(enum.StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Check:
-    """One finding; consequence and remedy are empty when all is well.
+    """One finding; consequence and remedy are empty if all is well.
 
-    mend : what the cell's page can do about it when asked: "reload", "secrets", or "address" and a camera's
-    serial number; "" where only a person at the machine can.
+    mend : fix that the cell's page can apply on request: "reload", "secrets", or "address" and a camera's
+    serial number; "" if only a person at the machine can fix it.
     """
 
     name: str
@@ -31,25 +31,25 @@ class Check:
     mend: str = ""
 
     def to_json(self) -> dict[str, str]:
-        """Plain values."""
+        """Return all fields as text."""
         return {key: str(value) for key, value in asdict(self).items()}
 
 
 def ok(name: str, finding: str) -> Check:
-    """All is well."""
+    """Return a check with a good result."""
     return Check(name, CheckResult.OK, finding)
 
 
 def skip(name: str, finding: str) -> Check:
-    """It could not be looked at."""
+    """Return a check that could not be made."""
     return Check(name, CheckResult.SKIP, finding)
 
 
 def warn(name: str, finding: str, consequence: str, remedy: str, mend: str = "") -> Check:
-    """It may do harm."""
+    """Return a check whose finding may cause trouble."""
     return Check(name, CheckResult.WARN, finding, consequence, remedy, mend)
 
 
 def bad(name: str, finding: str, consequence: str, remedy: str, mend: str = "") -> Check:
-    """The cell does not work with it."""
+    """Return a check whose finding stops the cell from working."""
     return Check(name, CheckResult.BAD, finding, consequence, remedy, mend)

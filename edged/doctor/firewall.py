@@ -1,8 +1,8 @@
-"""Whether the firewall lets images in.
+"""Checks that the firewall lets images in.
 
-A camera sends images from a port of its own choice to one that Aravis chose: a rule for port 3956, where
-the commands go, does not let them pass. And an answer to a broadcast belongs to no connection that the
-firewall knows: such a camera is opened by its address, and not found by its serial number.
+A camera sends images from a port of its choice to one that Aravis chose, so a rule for the command port 3956
+does not let them pass. Also, an answer to a broadcast belongs to no connection known to the firewall: such a
+camera can be opened by its address, but is not found by its serial number.
 """
 
 from __future__ import annotations
@@ -17,11 +17,11 @@ from edged.doctor.findings import Check, CheckResult, ok, skip, warn
 from edged.doctor.host import CAP_NET_RAW, has_capability, read, run
 
 Rules = Sequence[dict[str, Any]]
-"""As `nft --json list ruleset` gives them."""
+"""Entries of `nft --json list ruleset`."""
 
 
 def look_at_firewall(cameras: Sequence[tuple[str, str]]) -> Check:
-    """cameras : name of the port of this host and IP address, or network, of each."""
+    """Check that images can arrive. cameras : port of this host, and IP address or network, of each."""
     rules = _nft_rules()
     if rules is None:
         return _old_firewall()
@@ -51,7 +51,7 @@ def look_at_firewall(cameras: Sequence[tuple[str, str]]) -> Check:
 
 
 def accepts_by_default(rules: Rules) -> bool:
-    """Whether a ruleset lets in what no rule names."""
+    """Whether a ruleset accepts packets that match no rule."""
     last: dict[tuple[str, str, str], Any] = {}
     for rule in (entry["rule"] for entry in rules if "rule" in entry):
         last[_place(rule, rule.get("chain"))] = rule.get("expr", [])
@@ -63,7 +63,7 @@ def accepts_by_default(rules: Rules) -> bool:
 
 
 def accepted_places(rules: Rules) -> set[str]:
-    """What the accepting rules name: ports of this host, addresses, networks."""
+    """Return what accepting rules match: ports of this host, addresses, networks."""
     places = set[str]()
     for rule in (entry["rule"] for entry in rules if "rule" in entry):
         parts = rule.get("expr", [])
@@ -90,7 +90,7 @@ def _input_chains(rules: Rules) -> list[dict[str, Any]]:
 
 
 def _input_chain(rules: Rules) -> str:
-    """The position for a new rule, as `nft` takes it."""
+    """Return the chain for a new rule, in the form that `nft` expects."""
     chains = _input_chains(rules)
     shut = next((chain for chain in chains if chain.get("policy") == "drop"), chains[0])
     return f"{shut.get('family')} {shut.get('table')} {shut.get('name')}"
@@ -123,7 +123,7 @@ def _nft_rules() -> Rules | None:
 
 
 def _old_firewall() -> Check:
-    """Without nft: at least what the older iptables does by default."""
+    """Check, without nft, the default policy of the older iptables."""
     tables = read("/proc/net/ip_tables_names")
     if tables is not None and "filter" not in tables.split():
         return skip("firewall", "nft is not here; no filter by the older iptables")

@@ -1,4 +1,4 @@
-"""Looking at this machine without changing it: files, commands, network ports, who owns an address."""
+"""Inspects this machine without changing it: files, commands, network ports, owners of an address."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ CAP_NET_BIND_SERVICE, CAP_NET_RAW = 10, 13
 
 ETHERTYPE_ARP, ARP_REQUEST, ARP_REPLY = 0x0806, 1, 2
 ARP_WAIT_S = 0.3
-"""On one Ethernet segment an answer takes below a millisecond; a sleeping switch port a few."""
+"""Wait for ARP answers; one takes under a millisecond on a segment, a few with a sleeping switch port."""
 
 
 @dataclass(frozen=True, slots=True)
 class Interface:
     """A network port of this host: name, its networks, MTU in bytes, rate in Mbit/s (0: unknown).
 
-    up : there is a link. ethernet : addresses are found by ARP; not so on loopback.
+    up : there is a link. ethernet : addresses are resolved by ARP, unlike on loopback.
     """
 
     name: str
@@ -40,12 +40,12 @@ class Interface:
 
 
 def at_home(host: str) -> str:
-    """Where this machine reaches its own server that listens on this address."""
+    """Return the address at which this machine reaches its own server that listens on `host`."""
     return {"0.0.0.0": "127.0.0.1", "::": "::1"}.get(host, host)
 
 
 def interfaces() -> list[Interface] | None:
-    """The network ports of this host with an IPv4 address; None where `ip` is missing."""
+    """Return the network ports of this host with an IPv4 address; None if `ip` is missing."""
     text = run("ip", "-json", "address")
     if text is None:
         return None
@@ -73,15 +73,15 @@ def interfaces() -> list[Interface] | None:
 
 
 def route(address: str) -> str | None:
-    """The name of the port by which this host sends to an address; None where it is not known."""
+    """Return the name of the port through which this host sends to an address; None if unknown."""
     entries = _json_list(run("ip", "-json", "route", "get", address) or "")
     return str(entries[0].get("dev", "")) or None if entries else None
 
 
 def owners(interface: str, address: str) -> set[str] | None:
-    """MAC addresses of those who say that an IPv4 address is theirs; None without the right to ask.
+    """Return the MAC addresses of devices that claim an IPv4 address; None without permission to ask.
 
-    An ARP probe: its sender address is 0.0.0.0, so that nobody takes note of it (RFC 5227, 2.1.1).
+    Sends an ARP probe, whose sender address 0.0.0.0 keeps others from caching it (RFC 5227, 2.1.1).
     """
     macs = set[str]()
     try:
@@ -120,7 +120,7 @@ def has_capability(number: int) -> bool:
 
 
 def read(path: str) -> str | None:
-    """A file's text; None when it cannot be read."""
+    """Return a file's text; None if it cannot be read."""
     try:
         return Path(path).read_text().strip()
     except (OSError, ValueError):
@@ -128,7 +128,7 @@ def read(path: str) -> str | None:
 
 
 def run(*command: str) -> str | None:
-    """Output of a command; None when it is missing, fails or hangs."""
+    """Return the output of a command; None if it is missing, fails or hangs."""
     if shutil.which(command[0]) is None:
         return None
     try:

@@ -1,4 +1,4 @@
-"""This machine: kernel cache, clock, processor, disk, serial port, and the network ports to listen on."""
+"""Checks of this machine: kernel cache, clock, processor, disk, serial port, and ports to listen on."""
 
 from __future__ import annotations
 
@@ -24,16 +24,16 @@ from edged.domain.numerals import is_whole
 from edged.plc.ethernetip import TCP_PORT
 
 TIMEX_LONGS, TIMEX_MAXERROR_US, TIME_ERROR = 26, 3, 5
-"""`struct timex` in longs, the place of maxerror, the state of an unsynchronised clock: adjtimex(2)."""
+"""Size of `struct timex` in longs, index of maxerror, state of an unsynchronised clock: adjtimex(2)."""
 
 CLOCK_STEP_S = 0.001
-"""NTP slews by 0.5 ms a second at most; what moves more between two looks was set."""
+"""Smallest change that counts as a step: NTP slews by at most 0.5 ms a second."""
 
 
 class ClockWatch:
-    """Sees whether the host's clock is set while the checks run.
+    """Detects whether the host's clock is set while the checks run.
 
-    Exposure times are UTC of this host: a step makes two of them disagree with the time between them.
+    Exposure times are UTC of this host, so a step between two of them falsifies their difference.
     utc_s : the host's clock.
     """
 
@@ -42,7 +42,7 @@ class ClockWatch:
         self._ahead_s = self._ahead()
 
     def look(self) -> Iterator[Check]:
-        """A check when it was set since this was made; nothing when not."""
+        """Yield a warning if the clock has been set since construction; nothing otherwise."""
         step_s = self._ahead() - self._ahead_s
         if abs(step_s) > CLOCK_STEP_S:
             yield warn(
@@ -53,12 +53,12 @@ class ClockWatch:
             )
 
     def _ahead(self) -> float:
-        """Seconds of the monotonic clock."""
+        """Return by how many seconds UTC is ahead of the monotonic clock."""
         return self._utc_s() - time.monotonic()
 
 
 def look_at_machine(config: Config) -> Iterator[Check]:
-    """Kernel cache, clock, processor, disk, serial port."""
+    """Check kernel cache, clock, processor, disk and serial port."""
     yield _cache()
     yield _clock()
     yield _governor()
@@ -90,8 +90,8 @@ def _cache() -> Check:
 
 
 def _clock() -> Check:
-    """The kernel's estimate of the clock's error, as NTP or PTP maintain it."""
-    timex = (ctypes.c_long * TIMEX_LONGS)()  # modes = 0: only look
+    """Check the kernel's estimate of the clock's error, maintained by NTP or PTP."""
+    timex = (ctypes.c_long * TIMEX_LONGS)()  # modes = 0: read only
     state = ctypes.CDLL(None).adjtimex(timex)
     if state < 0:
         return skip("clock", "the kernel does not tell")
@@ -154,7 +154,7 @@ def _serial(device: Path) -> Check:
 
 
 def look_at_ports(config: Config, daemon: OurDaemon | None = None) -> Iterator[Check]:
-    """The ports that the daemon will listen on, or listens on now."""
+    """Check the ports that the daemon will listen on, or listens on now."""
     if config.modbus.enabled:
         yield _port("Modbus port", config.modbus.host, config.modbus.port, daemon)
         if config.modbus.socket is not None:
@@ -176,7 +176,7 @@ def look_at_ports(config: Config, daemon: OurDaemon | None = None) -> Iterator[C
 
 
 def _writers(config: Config) -> Check:
-    """Addresses whose writes were refused, by the daemon's log, and that still may not write."""
+    """Check for addresses whose writes were refused, by the daemon's log, and that still may not write."""
     name, tried = "Modbus writers", run("journalctl", "--no-pager", "-F", "EDGED_REFUSED_WRITER")
     if tried is None:
         return skip(name, "who was refused stands in the journal, which cannot be read here")
@@ -223,7 +223,7 @@ def _port(name: str, host: str, port: int, daemon: OurDaemon | None) -> Check:
 
 
 def _why_not(error: OSError, host: str, port: int) -> str:
-    """For the person who has to change it, with the program that is installed."""
+    """Return why a port cannot be used, naming the program that holds it if `ss` shows it."""
     if error.errno == errno.EADDRNOTAVAIL:
         return f"{host} is no address of this machine"
     if error.errno == errno.EADDRINUSE:

@@ -1,4 +1,4 @@
-"""The way between this host and its cameras."""
+"""Checks of the network between this host and its cameras."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from edged.domain.numerals import is_whole
 
 JUMBO_MTU = 8000
 BANDWIDTH_SHARE = 0.9
-"""Share of a link's nominal rate that frames, gaps and headers leave for images."""
+"""Share of a link's nominal rate left for images after frames, gaps and headers."""
 GVSP_OVERHEAD = 1.05
 STRICT = "1"
 
 
 @dataclass(frozen=True, slots=True)
 class CameraPort:
-    """A camera that was found: "left" or "right", its identity, and the port of this host in its network."""
+    """A discovered camera: "left" or "right", its identity, and the port of this host in its network."""
 
     side: str
     info: CameraInfo
@@ -34,7 +34,10 @@ def look_at_network(
     image_bytes: Mapping[str, int],
     config: Config,
 ) -> Iterator[Check]:
-    """places : of the configured cameras that answered. image_bytes : of one image, by side."""
+    """Check the network of the cameras.
+
+    places : of the configured cameras that answered. image_bytes : of one image, by side.
+    """
     yield from overlaps(interfaces)
     for place in places:
         yield from _route(place)
@@ -47,7 +50,7 @@ def look_at_network(
 
 
 def home(side: str, info: CameraInfo, interfaces: Sequence[Interface]) -> tuple[Check, Interface | None]:
-    """The port of this host whose network the camera's address is in."""
+    """Find the port of this host whose network contains the camera's address, with the check's result."""
     name, address = f"{side} camera", ipaddress.ip_address(info.address)
     for interface in interfaces:
         for network in interface.networks:
@@ -85,7 +88,7 @@ def _homeless(name: str, info: CameraInfo, interfaces: Sequence[Interface]) -> C
 
 
 def overlaps(interfaces: Sequence[Interface]) -> Iterator[Check]:
-    """Two ports in one network: the kernel sends everything through one of them."""
+    """Find ports in the same network, for which the kernel sends everything through one of them."""
     ports = [
         (interface, network)
         for interface in interfaces
@@ -105,7 +108,7 @@ def overlaps(interfaces: Sequence[Interface]) -> Iterator[Check]:
 
 
 def _route(place: CameraPort) -> Iterator[Check]:
-    """Commands must leave through the port where the camera is: answers come in there."""
+    """Check that commands leave through the camera's own port, where its answers arrive."""
     name, there = f"{place.side} camera's route", place.interface.name
     way = route(place.info.address)
     if way is None or there == "lo" or way == "lo":
@@ -126,7 +129,7 @@ def _route(place: CameraPort) -> Iterator[Check]:
 
 
 def _owners(place: CameraPort) -> Iterator[Check]:
-    """Ask the wire who has the camera's address, and who has ours."""
+    """Ask the network segment which devices claim the camera's address."""
     if not place.interface.ethernet:
         return
     name, camera = f"{place.side} camera's address", place.info.address
@@ -147,7 +150,7 @@ def _owners(place: CameraPort) -> Iterator[Check]:
 
 
 def _our_owners(interface: Interface) -> Iterator[Check]:
-    """Nobody else may have this host's address either: only others are heard to answer."""
+    """Check that no other device claims this host's address; this host's own answers are not received."""
     for network in interface.networks if interface.ethernet else ():
         if macs := owners(interface.name, str(network.ip)):
             yield bad(
@@ -159,7 +162,7 @@ def _our_owners(interface: Interface) -> Iterator[Check]:
 
 
 def receive_buffers(image_bytes: int) -> Check:
-    """Whether the kernel's buffers hold a burst of packets."""
+    """Check that the kernel's buffers can hold a burst of packets."""
     name = "receive buffers"
     if has_capability(CAP_NET_RAW):
         return ok(name, "packet socket (CAP_NET_RAW)")
@@ -179,7 +182,7 @@ def receive_buffers(image_bytes: int) -> Check:
 
 
 def link(interface: Interface, sides: Sequence[str], image_bytes: int, config: Config) -> Iterator[Check]:
-    """MTU and rate of a port. image_bytes : of all its cameras for one exposure."""
+    """Check MTU and rate of a port. image_bytes : of all its cameras for one exposure."""
     name = f"link {interface.name}"
     asked = [section.packet_size for section in (config.cameras.left, config.cameras.right)]
     packet = max((size for size in asked if size is not None), default=0)
@@ -202,7 +205,7 @@ def link(interface: Interface, sides: Sequence[str], image_bytes: int, config: C
 
 
 def _budget(name: str, rate_mbit: int, sides: Sequence[str], image_bytes: int, config: Config) -> Check:
-    """Images of one exposure leave at once: all must have arrived before time is up, or the next come."""
+    """Check that all images of an exposure, sent at once, arrive before time-out and next exposure."""
     takes_s = 8e-6 * image_bytes * GVSP_OVERHEAD / (BANDWIDTH_SHARE * rate_mbit)
     free = config.cycle.mode == "free" and config.cycle.period_s > 0
     limit_s = min(config.cameras.timeout_s, config.cycle.period_s) if free else config.cameras.timeout_s

@@ -1,4 +1,4 @@
-"""Whether this cell's own daemon runs, and what it says: then it has the ports and the cameras, rightly."""
+"""Detects this cell's own daemon and its state; if it runs, it rightly holds ports and cameras."""
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ READ_HOLDING = 3
 class OurDaemon:
     """The process that runs this cell's configuration.
 
-    loaded : fingerprint of the files that it runs by; "" where it was not told.  ready : whether it would
-    measure; None where nobody says.  why : of one that would not.
+    loaded : fingerprint of the files that it runs with; "" if unknown. ready : whether it would
+    measure; None if unknown. why : why it would not.
     """
 
     process: int
@@ -39,16 +39,16 @@ class OurDaemon:
 
     @property
     def is_set_up(self) -> bool:
-        """Whether a person has the cell, who sees what its cameras see."""
+        """Whether a person holds the cell for SETUP and can see its pictures."""
         return self.why.startswith("setup by ")
 
     @property
     def has_cameras(self) -> bool:
-        """Whether it is the program that controls them."""
+        """Whether it controls the cameras."""
         return self.ready is not False or self.is_set_up
 
     def has(self, port: int) -> bool:
-        """Whether it, or a process that it started, listens there; True where it cannot be seen who does."""
+        """Whether it or a descendant listens on a port; True if the listener's process is not visible."""
         listeners = run("ss", "-Hltnp", f"sport = :{port}") or ""
         processes = re.findall(r"pid=([0-9]+)", listeners)
         if not processes:
@@ -56,7 +56,7 @@ class OurDaemon:
         return any(self.process in _with_parents(int(process)) for process in processes)
 
     def look(self, fingerprint: str) -> Check:
-        """How it is. fingerprint : of the files as they are now; "": they cannot be read."""
+        """Check its state. fingerprint : of the present files; "": they cannot be read."""
         name, text = "daemon", f"this cell's own runs, process {self.process}"
         if self.loaded and fingerprint and self.loaded != fingerprint:
             return warn(
@@ -79,9 +79,9 @@ class OurDaemon:
 
 
 def our_daemon(path: Path, config: Config, process: int | None = None) -> OurDaemon | None:
-    """The daemon that runs this configuration file on this machine; None where none does.
+    """Return the daemon that runs this configuration file on this machine; None if there is none.
 
-    process : its number, where that is known: it need not be visible.
+    process : its id, if known; it need not be visible then.
     """
     process = next(_running(path), None) if process is None else process
     if process is None:
@@ -91,7 +91,7 @@ def our_daemon(path: Path, config: Config, process: int | None = None) -> OurDae
 
 
 def _running(path: Path) -> Iterator[int]:
-    """Processes that were started as `edged run` or `edged demo` with this file, or its folder."""
+    """Yield processes that were started as `edged run` or `edged demo` with this file or its folder."""
     for folder in Path("/proc").glob("[0-9]*"):
         try:
             words = [os.fsdecode(word) for word in (folder / "cmdline").read_bytes().split(b"\0")[:-1]]
@@ -101,21 +101,21 @@ def _running(path: Path) -> Iterator[int]:
                 continue
             if any(_names(word, folder, path) for word in command[1:]):
                 yield int(folder.name)
-        except OSError:  # it has just ended
+        except OSError:  # it may just have ended
             continue
 
 
 def _names(word: str, process: Path, path: Path) -> bool:
-    """Whether a word that a process was started with is this file, or the folder that it is in."""
+    """Whether an argument of a process is this file or its folder."""
     try:
         named = Path(word) if Path(word).is_absolute() else (process / "cwd").readlink() / word
         return named.samefile(path) or named.samefile(path.parent)
-    except OSError:  # there is no such file, or the process is somebody else's
+    except OSError:  # no such file, or a process of another user
         return False
 
 
 def _with_parents(process: int) -> Iterator[int]:
-    """It, who started it, and so on."""
+    """Yield the process and all its ancestors."""
     while process > 1:
         yield process
         try:
@@ -125,7 +125,7 @@ def _with_parents(process: int) -> Iterator[int]:
 
 
 def _readiness(config: Config) -> tuple[bool | None, str]:
-    """What the page says, which needs no password for it."""
+    """Return readiness and reason from the page, which needs no password for them."""
     if config.web is None:
         return None, ""
     secure = config.web.certificate is not None
@@ -133,7 +133,7 @@ def _readiness(config: Config) -> tuple[bool | None, str]:
     place = f"[{host}]" if ":" in host else host
     url = f"{'https' if secure else 'http'}://{place}:{config.web.port}/ready"
     context = ssl.create_default_context()
-    context.check_hostname = False  # nothing secret is sent, and the certificate need not be for this name
+    context.check_hostname = False  # no secret is sent, and the certificate may be for another name
     context.verify_mode = ssl.CERT_NONE
     try:
         with urllib.request.urlopen(url, timeout=ANSWER_S, context=context) as answer:
@@ -150,7 +150,7 @@ def _readiness(config: Config) -> tuple[bool | None, str]:
 
 
 def _loaded(config: Config) -> str:
-    """The fingerprint that the registers tell."""
+    """Return the fingerprint from the registers; "" if they cannot be read."""
     modbus = config.modbus
     if not modbus.enabled or modbus.tls is not None:
         return ""

@@ -1,4 +1,4 @@
-"""A few test pictures, as the daemon would take them."""
+"""Takes a few test pictures as the daemon would."""
 
 from __future__ import annotations
 
@@ -43,11 +43,11 @@ REMEDIES: dict[type[EdgedError], str] = {
     ExposuresDiffer: "hold part and light still between both exposures of cameras.exposure_ratio",
     PairingError: "one trigger for both cameras? cameras.max_skew_ms",
 }
-"""By what went wrong, the first that fits."""
+"""Remedy by type of error; the first match applies."""
 
 
 def take_pictures(config: Config, rig: StereoRig | None) -> Iterator[Check]:
-    """Open the cameras, take a few pairs, and see whether they and the cameras' response fit the rig.
+    """Open the cameras, take a few pairs, and check that they and the cameras' response fit the rig.
 
     rig : None before the calibration.
     """
@@ -118,7 +118,7 @@ async def _shoot(config: Config, rig: StereoRig | None, world: VirtualWorld | No
 
 
 def _responses(rig: StereoRig | None, gammas: dict[str, tuple[float, str]]) -> Iterator[Check]:
-    """A warning for each camera whose grey values are not in proportion to the light."""
+    """Warn about each camera whose grey values are, or were at calibration, not proportional to the light."""
     for side, (gamma, linear) in gammas.items():
         measured, then = "edges are measured best where it is 1", "before you calibrate"
         calibrated = 1.0
@@ -135,7 +135,7 @@ def _responses(rig: StereoRig | None, gammas: dict[str, tuple[float, str]]) -> I
 
 
 def _remedy(error: EdgedError) -> str:
-    """The likeliest cause."""
+    """Return the remedy for the most likely cause."""
     for kind, remedy in REMEDIES.items():
         if isinstance(error, kind):
             return remedy
@@ -143,17 +143,17 @@ def _remedy(error: EdgedError) -> str:
 
 
 def look_at_marks(config: Config, rig: StereoRig | None, pair: FramePair) -> Iterator[Check]:
-    """A finding where there are marks for this calibration; another one is said with the configuration."""
+    """Check the marks taught with this calibration, if any; marks of another one are reported elsewhere."""
     place = marks_file(config.cell.rig)
     if rig is None or not place.is_file():
         return
     try:
         taught = marks_of(read_marks(place), place, rig)
-    except FileFormatError:  # a mistake of the configuration, as it says there
+    except FileFormatError:  # already reported with the configuration
         return
     if taught is None:
         return
-    from edged.vision.marks.tracking import MarksFilter, MarksSettings  # with its compiler
+    from edged.vision.marks.tracking import MarksFilter, MarksSettings  # imports the compiler
 
     settings = MarksSettings(config.marks.material, config.marks.range_k)
     tracker = MarksFilter(taught, settings)

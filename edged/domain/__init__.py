@@ -1,4 +1,4 @@
-"""The values that travel through edged: frozen, and complete once built.
+"""Value types shared by all of edged: frozen, and complete once built.
 
 Conventions (docs/index.md, "Frames and units"): lengths in mm, angles in rad, pixels (x, y)
 with an integer at the centre of a pixel, times in ns UTC. Frame `rig` is the left camera

@@ -1,4 +1,4 @@
-"""The last acceptance test of a cell: whether it was passed, and until when that counts."""
+"""The last acceptance test of a cell: whether it was passed, and until when it is valid."""
 
 from __future__ import annotations
 
@@ -9,27 +9,27 @@ NS_PER_DAY = 86_400 * 10**9
 
 
 class AcceptanceState(enum.IntEnum):
-    """What the last acceptance test of a cell says today."""
+    """Validity of a cell's last acceptance test."""
 
     NONE = 0
-    """There was none."""
+    """There was no test."""
     PASSED = 1
-    """Passed, and not due again."""
+    """Passed, and not yet due again."""
     FAILED = 2
-    """Not passed, or not whole."""
+    """Not passed, or incomplete."""
     OVERDUE = 3
-    """Passed, and its date is over."""
+    """Passed, but due again."""
     OTHER_RIG = 4
-    """The rig was calibrated or registered anew since."""
+    """The rig has been recalibrated or reregistered since."""
     DAMAGED = 5
     """Its file cannot be read."""
 
 
 @dataclass(frozen=True, slots=True)
 class Acceptance:
-    """What is kept of one. passed : all of its tests. made_ns, due_ns : UTC; 0: there was none.
+    """Summary of an acceptance test. passed : all of its parts. made_ns, due_ns : UTC; 0: there was none.
 
-    wrong : why it says nothing, whatever it found: `OTHER_RIG`, `DAMAGED`, or `NONE`.
+    wrong : why its result does not count: `OTHER_RIG` or `DAMAGED`; `NONE` if it counts.
     """
 
     passed: bool = False
@@ -38,7 +38,7 @@ class Acceptance:
     wrong: AcceptanceState = AcceptanceState.NONE
 
     def state(self, now_ns: int) -> AcceptanceState:
-        """What it says at a time, UTC."""
+        """Return its validity at a time, UTC."""
         if self.wrong is not AcceptanceState.NONE or not self.made_ns:
             return self.wrong
         if not self.passed:
@@ -46,5 +46,5 @@ class Acceptance:
         return AcceptanceState.OVERDUE if now_ns > self.due_ns else AcceptanceState.PASSED
 
     def days_left(self, now_ns: int) -> int:
-        """Whole days until it is due; negative ones since."""
+        """Return the whole days until it is due; negative if overdue."""
         return (self.due_ns - now_ns) // NS_PER_DAY

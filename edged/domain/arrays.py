@@ -1,4 +1,4 @@
-"""Types of arrays, and the names of the two cameras."""
+"""Array types, and the names of the two cameras."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy.typing as npt
 FloatArray = npt.NDArray[np.float64]
 Image = npt.NDArray[np.uint8]
 F64 = FloatArray
-"""As kernels name it, beside those that follow."""
+"""Short name for kernels, like those that follow."""
 F32 = npt.NDArray[np.float32]
 I64 = npt.NDArray[np.int64]
 I32 = npt.NDArray[np.int32]

@@ -1,4 +1,4 @@
-"""A conveyor belt: how parts go on with the count of an encoder."""
+"""A conveyor belt: how parts move with the count of an encoder."""
 
 from __future__ import annotations
 
@@ -8,18 +8,19 @@ from typing import Literal
 from edged.domain.arrays import FloatArray
 
 Source = Literal["command", "camera"]
-"""Who says the count: the client with its command, or a camera with its image."""
+"""Source of the count: the client, with its command, or a camera, with its image."""
 
 
 @dataclass(frozen=True, slots=True)
 class Belt:
     """A belt, in the frame of the published coordinates.
 
-    step_mm (x, y, z) : by how much a part goes on with one count. first_mm : origin of the belt's frame.
-    counts : after so many the encoder begins again at 0. source : of the count: the client with its command,
-    or a camera with its image. speed_mm_s : where nobody says it. jitter_s : one sigma of when the count was
-    read. exposure_s : how long the cameras expose. focal_px : the longer one of both. same_mm : parts that
-    are nearer to each other are the same.
+    step_mm (x, y, z) : motion of a part per count. first_mm : origin of the belt's frame.
+    counts : number of counts after which the encoder wraps to 0. source : of the count: the client with its
+    command, or a camera with its image. speed_mm_s : used if no command gives the speed. jitter_s : one sigma
+    of the time at which the count was read. exposure_s : exposure time of the cameras. focal_px : the longer
+    focal length of the two. same_mm : a part within this distance of the predicted position of a known part
+    is that part.
     """
 
     step_mm: tuple[float, float, float]
@@ -35,7 +36,7 @@ class Belt:
 
 @dataclass(frozen=True, slots=True)
 class BeltReading:
-    """The encoder as a client read it. read_ns : UTC ns when its command came."""
+    """Encoder reading of a client. read_ns : UTC ns when its command arrived."""
 
     count: int
     speed_mm_s: float
@@ -46,7 +47,7 @@ class BeltReading:
 class BeltMoment:
     """The belt in the middle of an exposure.
 
-    count : with its fraction. speed_mm_s : along the travel. sigma_mm : one sigma of where it is.
+    count : with a fraction. speed_mm_s : along the travel. sigma_mm : one sigma of its position.
     """
 
     count: float
@@ -58,8 +59,9 @@ class BeltMoment:
 class OnBelt:
     """A part on the belt.
 
-    number : from 1, the same as often as it is seen. covariance (6, 6) : of its pose by where the belt is,
-    rig frame. belt_from_part (4, 4) : at the whole count. belt_covariance (6, 6) : of it.
+    number : from 1, the same whenever the part is seen again. covariance (6, 6) : part of its pose's
+    covariance that comes from the belt's position, rig frame. belt_from_part (4, 4) : at the rounded count.
+    belt_covariance (6, 6) : of belt_from_part.
     """
 
     number: int
@@ -70,7 +72,7 @@ class OnBelt:
 
 @dataclass(frozen=True, slots=True)
 class PartSeen:
-    """Where a part lay at a count, frame of the published coordinates."""
+    """Position of a part at a count, frame of the published coordinates."""
 
     number: int
     count: float
@@ -79,7 +81,7 @@ class PartSeen:
 
 @dataclass(frozen=True, slots=True)
 class PartsSeen:
-    """Parts that were seen on the belt and have not gone far since. last : the newest number."""
+    """Parts seen on the belt that have not travelled far since. last : newest number given to a part."""
 
     parts: tuple[PartSeen, ...] = ()
     last: int = 0

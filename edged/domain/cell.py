@@ -12,14 +12,14 @@ from edged.domain.robotmap import MapFigures
 
 
 class CalibrationHealth(enum.IntEnum):
-    """Whether the calibration holds, by what the parts show."""
+    """Whether the calibration holds, judged by the measured parts."""
 
     HOLDS = 0
     """No evidence against it, or too little to judge."""
     DRIFTS = 1
-    """Rows or the known length are beyond the first limit: calibrate soon."""
+    """Rows or the known length exceed the first limit: calibrate soon."""
     INVALID = 2
-    """Beyond the second limit: results are refused."""
+    """The second limit is exceeded: results are refused."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,22 +48,22 @@ class SetupSource(enum.IntEnum):
     NONE = 0
     """It is not in SETUP."""
     PERSON = 1
-    """A person has taken it, to calibrate, teach or look."""
+    """A person has taken it, to calibrate, teach or inspect."""
     NO_CALIBRATION = 2
     """There is no rig file yet."""
     NO_JOB = 3
     """There is no job yet."""
     ROBOT = 4
-    """A robot's program registers the rig: HAND_EYE_START or TOUCH_START began it."""
+    """A robot's program is registering the rig, begun by HAND_EYE_START or TOUCH_START."""
 
 
 @dataclass(frozen=True, slots=True)
 class CellState:
     """The daemon's own state, published on change.
 
-    marks : what the reference marks said when that changed last. acceptance : the last test of
-    the cell. robot_map : of its robot's error. setup : why it is in SETUP. setup_by : holder of the cell; ""
-    when no lease is held.
+    marks : report of the reference marks when it last changed. acceptance : last acceptance test of the
+    cell. robot_map : figures of the robot's error map. setup : why it is in SETUP. setup_by : holder of the
+    cell; "" if no lease is held.
     """
 
     state: CellPhase
@@ -83,7 +83,7 @@ class CellState:
 
     @property
     def why(self) -> str:
-        """Why the cell does not measure, in words for people; "" when it does, or nothing is wrong."""
+        """Why the cell does not measure, as text for people; "" if it does, or nothing is wrong."""
         match self.setup:
             case SetupSource.NONE:
                 return self.error

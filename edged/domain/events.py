@@ -19,34 +19,34 @@ from edged.domain.registration import Obstacle, Registration
 
 
 class CommandKind(enum.IntEnum):
-    """Command register values."""
+    """Commands, by the value of the command register."""
 
     LOCATE = 1
     """Measure; a good result has coordinates."""
     CHANGE_JOB = 2
-    """Load another job; ended when it is loaded and warm."""
+    """Load another job; done when it is loaded and warm."""
     GRAB = 3
     """Take the pictures only."""
     VERIFY = 4
     """Measure and say OK or NOK, without coordinates."""
     NEXT_PART = 5
-    """Give the next good part that the last LOCATE found, without another picture."""
+    """Return the next good part found by the last LOCATE, without another picture."""
     HAND_EYE_START = 6
-    """Begin to register the rig by poses of the flange and a board; SETUP until REGISTER_SOLVE is good."""
+    """Start registering the rig by poses of the flange and a board; SETUP until REGISTER_SOLVE succeeds."""
     TOUCH_START = 7
-    """Begin to register the rig by points that the tool's tip touches; SETUP until then, too."""
+    """Start registering the rig by points touched by the tool's tip; SETUP until REGISTER_SOLVE succeeds."""
     REGISTER_ADD = 8
-    """Take a picture for the pose that FLANGE says; a NACK added nothing."""
+    """Take a picture for the pose in FLANGE; after a NACK nothing was added."""
     REGISTER_SOLVE = 9
-    """Solve, and register the rig if the result is good; a NACK changes nothing."""
+    """Solve, and register the rig if the result is good; after a NACK nothing has changed."""
     GOLDEN = 10
-    """Measure, and keep where the one good part lies: later results say how they lie against it."""
+    """Measure and keep the pose of the single good part; later results carry their offset from it."""
     NEXT_GRASP = 11
-    """Give another allowed way to take the part that is shown, without another picture."""
+    """Return another allowed grasp of the part that is shown, without another picture."""
 
 
 WITHOUT_PICTURE = frozenset({CommandKind.NEXT_PART, CommandKind.NEXT_GRASP})
-"""Commands that are answered from what the last picture showed, to the client that asked for it."""
+"""Commands answered from the last picture, and only to the client that requested that picture."""
 REGISTERING = frozenset(
     {
         CommandKind.HAND_EYE_START,
@@ -58,7 +58,7 @@ REGISTERING = frozenset(
 """Commands with which a robot's program registers the rig."""
 
 PLC_SOURCE = "modbus"
-"""Source of commands written to registers; they go before all others."""
+"""Source of commands written to registers; they take precedence over all others."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,12 +67,12 @@ class Command:
 
     source : client (`PLC_SOURCE`, "zenoh", ...); sequence : that source's own number.
     job : job number, 0 for the active one.
-    robot_from_flange (4, 4) : pose of the flange at the exposure, for a rig that it carries; None: not given.
+    robot_from_flange (4, 4) : pose of the flange at the exposure, for a rig mounted on it; None: not given.
     tries_all : try every job and report the best part; job is then 0.
-    box : the only box of the cell that counts, from 1; 0: every box.
-    shown : the numbers behind robot_from_flange, as the robot wrote them; () if unknown.
-    skipped_mm (x, y, z) : where the part lay that could not be picked, as published; None: none is skipped.
-    belt : where the conveyor belt was; None: not given.
+    box : the only box of the cell to allow, from 1; 0: every box.
+    shown : the numbers behind robot_from_flange, as written by the robot; () if unknown.
+    skipped_mm (x, y, z) : published position of a part that could not be picked; None: none is skipped.
+    belt : the conveyor belt's encoder reading; None: not given.
     """
 
     kind: CommandKind
@@ -89,9 +89,9 @@ class Command:
 
 @dataclass(frozen=True, slots=True)
 class ExposureDone:
-    """Both images of a cycle are in memory: the part may move.
+    """Both images of a cycle are in memory, so the part may move.
 
-    pair : the images, for previews; keeping them keeps their memory.
+    pair : the images, for previews; holding them holds their memory.
     """
 
     cycle: int
@@ -110,7 +110,7 @@ class JobChanged:
 
 @dataclass(frozen=True, slots=True)
 class Registered:
-    """A registration command has ended. obstacle : None when it was carried out. why : text for people."""
+    """A registration command has ended. obstacle : None if it was carried out. why : text for people."""
 
     command: Command
     registration: Registration
@@ -128,22 +128,24 @@ class CommandFailed:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Snapshot:
-    """Everything that is published of one cycle; immutable, also its arrays: publishers keep it on threads.
+    """Everything published about one cycle; immutable with its arrays, as publishers use it on threads.
 
     exposed_ns : UTC ns of the exposure; 0 if there was none.
-    exposed_bound_ns : bound of its error; None: not known.
-    exposed_count : of the encoder at the exposure; None: no camera sends it.
+    exposed_bound_ns : bound on its error; None: unknown.
+    exposed_count : encoder count at the exposure; None: no camera sends it.
     published_ns : UTC ns when the result was complete.
     timing_ms : stage name to duration.
     error, error_code : the fault of a CAPTURE_FAULT; empty and 0 otherwise.
-    dismissed, nearest, pockets : see `Outcome`. belt : at the exposure; None: there is none, or nobody said.
-    carried_by : the belt itself, for who measures the exposure again; None: the parts lie still.
+    dismissed, nearest, pockets : see `Outcome`. belt : at the exposure; None: no belt, or its count is
+    unknown.
+    carried_by : the belt itself, for measuring the exposure again; None: the parts lie still.
     basis : number of the `Basis` it was measured on.
-    robot_from_rig (4, 4), or None where the rig is not registered to a robot; registration_covariance (6, 6)
-    of it, or None where it is not known.  drift : of the calibration, this cycle included.
-    golden : whether the job has a golden part; golden_ns : UTC ns of the golden part's exposure, 0 without.
-    marks : what the reference marks say; marks_before : where they said the cameras were before the exposure,
-    for a replay, None where nothing is corrected.
+    robot_from_rig (4, 4), or None if the rig is not registered to a robot; registration_covariance (6, 6)
+    of it, or None if unknown. drift : of the calibration, including this cycle.
+    golden : whether the job has a golden part; golden_ns : UTC ns of the golden part's exposure, 0 without
+    one.
+    marks : report of the reference marks; marks_before : their track before the exposure, for a replay, None
+    if nothing is corrected.
     """
 
     cycle: int
@@ -195,10 +197,10 @@ def _seal(value: object) -> None:
 
 @dataclass(frozen=True, slots=True)
 class Basis:
-    """What results are based on: rig, registration, jobs, limits and cameras.
+    """The setup that results are based on: rig, registration, jobs, limits and cameras.
 
-    Announced after each exchange of any of them, and to each new publisher. number : counts the exchanges of
-    a daemon; results with an older number are void.
+    Announced after any of them has changed, and to each new publisher. number : incremented by the daemon
+    with each change; results with an older number are void.
     """
 
     number: int
@@ -208,7 +210,7 @@ class Basis:
 
 @dataclass(frozen=True, slots=True)
 class Idle:
-    """Sign of life of a loop that waits."""
+    """Heartbeat of a waiting loop."""
 
 
 Event = Snapshot | ExposureDone | JobChanged | Registered | CommandFailed | CellState | Basis | Idle

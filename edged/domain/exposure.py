@@ -1,4 +1,4 @@
-"""Exposure time and gain of a camera: as they are, and as they can be."""
+"""Exposure time and gain of a camera: values and limits."""
 
 from __future__ import annotations
 
@@ -7,13 +7,13 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True)
 class CameraValues:
-    """Values that a camera has, or is to get. None: no such setting, or unchanged."""
+    """Values that a camera has, or is to be given. None: no such setting, or unchanged."""
 
     exposure_us: float | None = None
     gain_db: float | None = None
 
     def over(self, before: CameraValues) -> CameraValues:
-        """These where they are stated, and those before elsewhere.
+        """Return these values, with those that are None taken from `before`.
 
         >>> CameraValues(gain_db=3.0).over(CameraValues(500.0, 0.0))
         CameraValues(exposure_us=500.0, gain_db=3.0)
@@ -26,13 +26,13 @@ class CameraValues:
 
 @dataclass(frozen=True, slots=True)
 class CameraLimits:
-    """Least and largest value that a camera takes now. None: no such setting."""
+    """Smallest and largest value that a camera accepts now. None: no such setting."""
 
     exposure_us: tuple[float, float] | None = None
     gain_db: tuple[float, float] | None = None
 
     def problem(self, values: CameraValues) -> str:
-        """Why the camera cannot take these values; "" when it can.
+        """Return why the camera cannot accept these values; "" if it can.
 
         >>> CameraLimits((10.0, 1000.0)).problem(CameraValues(exposure_us=5.0))
         'exposure_us: 5 is outside 10 to 1000'

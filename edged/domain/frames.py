@@ -10,7 +10,7 @@ from edged.domain.arrays import Image, Side
 
 
 class TimeBase(enum.StrEnum):
-    """Where the time of an exposure comes from, best first."""
+    """Source of an exposure's time, best first."""
 
     PTP = "ptp"
     CAMERA = "camera"
@@ -24,12 +24,13 @@ class Frame:
 
     image : (H, W) uint8, owned by the frame (never a view of a driver's buffer).
     frame_id : the camera's own counter.
-    device_ns : the camera's time stamp, its own epoch; with `TimeBase.PTP` the epoch of all such cameras.
-    exposed_ns : host UTC ns of the exposure's begin, as well as it is known.
-    exposed_bound_ns : the true time, by the host's clock, is no further away; None: not known.
+    device_ns : the camera's time stamp, in its own epoch; with `TimeBase.PTP`, the epoch shared by all such
+    cameras.
+    exposed_ns : best estimate of the exposure's start, host UTC ns.
+    exposed_bound_ns : bound on the error of exposed_ns, by the host's clock; None: unknown.
     time_base : PTP and CAMERA: the camera's stamp, by a map between its clock and the host's. HOST: when the
-        command left. ARRIVAL: when the image came.
-    count : of the encoder or counter at the exposure, as the camera sent it along; None: it was not asked to.
+        command was sent. ARRIVAL: when the image arrived.
+    count : of the encoder or counter at the exposure, sent by the camera; None: not requested.
     """
 
     camera: str
@@ -55,11 +56,11 @@ class FramePair:
 
     @classmethod
     def of_images(cls, left: Image, right: Image) -> Self:
-        """A pair of pictures (H, W) uint8 that no camera has just taken."""
+        """Return a pair of pictures (H, W) uint8 that do not come from a camera."""
         return cls(Frame("left", 0, left, 0, 0), Frame("right", 0, right, 0, 0))
 
     def side(self, side: Side) -> Frame:
-        """The frame of one camera."""
+        """Return the frame of one camera."""
         return self.left if side == "left" else self.right
 
     @property
@@ -69,17 +70,17 @@ class FramePair:
 
     @property
     def exposed_ns(self) -> int:
-        """The earlier of both exposures, UTC ns."""
+        """Time of the earlier exposure, UTC ns."""
         return self._earlier.exposed_ns
 
     @property
     def exposed_bound_ns(self) -> int | None:
-        """The bound of its error; None: not known."""
+        """Bound on the error of `exposed_ns`; None: unknown."""
         return self._earlier.exposed_bound_ns
 
     @property
     def count(self) -> int | None:
-        """The encoder's count at the exposure of the camera that has it; None without one."""
+        """Encoder count at the exposure of the camera that sends it; None without one."""
         return self.right.count if self.left.count is None else self.left.count
 
     @property

@@ -1,4 +1,4 @@
-"""Reference marks: whether they correct a result, and what they show."""
+"""Reference marks: their state, their report, and the track of the cameras."""
 
 from __future__ import annotations
 
@@ -9,31 +9,30 @@ from edged.domain.arrays import FloatArray
 
 
 class MarksState(enum.IntEnum):
-    """Whether the reference marks hold the cell true."""
+    """State of the correction by reference marks."""
 
     NONE = 0
     """This cell has no reference marks."""
     CORRECTED = 1
-    """The marks agree: results are where the cameras are now."""
+    """The marks agree; results are corrected for the cameras' present poses."""
     COASTING = 2
-    """Too few marks are seen: the last correction counts, and sigma grows with time."""
+    """Too few marks are seen; the last correction is used, and sigma grows with time."""
     KNOCKED = 3
-    """A camera, the rig or the plate of the marks was moved: no results until the marks agree again."""
+    """A camera, the rig or the plate of the marks was moved; no results until the marks agree again."""
     CONTRADICTED = 4
-    """Marks contradict each other or are not this cell's: those excluded, or no results."""
+    """Marks contradict each other or are not this cell's; they are excluded, or there are no results."""
     OTHER_CALIBRATION = 5
-    """The marks were taught with another calibration of the rig: results are not corrected."""
+    """The marks were taught with another calibration of the rig; results are not corrected."""
 
 
 @dataclass(frozen=True, slots=True)
 class MarksReport:
-    """What the marks of one exposure say.
+    """Report of the marks in one exposure.
 
     valid : whether results may be given. seen : marks that were used, of `taught`. excluded : codes of those
-    that disagree. fit : squared misfit over what is expected, about 1; None where nothing was compared.
-    left_mm, right_mm : how far each camera is from where it was taught; None before the first
-    exposure. why : text for people; "" if all is
-    well.
+    that disagree. fit : squared misfit relative to the expected one, about 1; None if nothing was compared.
+    left_mm, right_mm : displacement of each camera since teaching; None before the first exposure.
+    why : text for people; "" if all is well.
     """
 
     state: MarksState = MarksState.NONE
@@ -49,14 +48,14 @@ class MarksReport:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MarksTrack:
-    """All that is carried from exposure to exposure; with a pair of pictures it decides the next.
+    """Filter state carried from exposure to exposure; with a pair of pictures it determines the next one.
 
     displacement (14,) of the cameras, see `edged.vision.geometry.correction`; covariance (14, 14) of it;
-    cross (14, 8 N) : covariance with the dots' taught places, and with what pixels do to them. maps (14,) :
-    displacement that the rectified pictures are made for. exposed_ns : of the exposure before, UTC, 0 at the
-    beginning. knocked : a knock was found, and results wait for `wait` exposures that agree (without healing
-    for ever). searched, blank : exposures until the next search of the whole picture, and how many found
-    nothing.
+    cross (14, 8 N) : its covariance with the dots' taught positions and with the effect of pixel errors on
+    them. maps (14,) : displacement for which the rectification maps are made. exposed_ns : of the previous
+    exposure, UTC, 0 at first. knocked : a knock was detected, and results are withheld until `wait` more
+    exposures agree (for ever without healing). searched : exposures until the next search of the whole
+    picture. blank : backoff of that search, grown with each one that found nothing.
     """
 
     displacement: FloatArray

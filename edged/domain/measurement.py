@@ -22,11 +22,11 @@ class Status(enum.StrEnum):
     OK = "OK"
     """At least one part is within all limits."""
     NO_TARGET = "NO_TARGET"
-    """The shape was not found, or nothing that was found could be measured."""
+    """The shape was not found, or no match could be measured."""
     LOW_QUALITY = "LOW_QUALITY"
-    """Parts were measured, and none of them is within all limits."""
+    """Parts were measured, but none is within all limits."""
     CAPTURE_FAULT = "CAPTURE_FAULT"
-    """The cameras gave no pair of images."""
+    """The cameras delivered no pair of images."""
 
 
 class Reject(enum.IntFlag):
@@ -34,21 +34,21 @@ class Reject(enum.IntFlag):
 
     NONE = 0
     FEW_EDGES = 1 << 0
-    """Too little of the reference, or of what is to be measured, was seen: covered, glare, no contrast."""
+    """Too little of the reference, or of a feature to measure, was seen: covered, glare, no contrast."""
     RESIDUAL = 1 << 1
-    """The edges scatter about their curve more than `max_rms_px`: blur, a burr, another part."""
+    """The edges scatter about their curve by more than `max_rms_px`: blur, a burr, another part."""
     SIGMA_LIMIT = 1 << 2
-    """A coordinate, or how high the far end of the face lies, is less certain than `max_sigma_mm`."""
+    """A coordinate, or the height of the face's far end, has a sigma above `max_sigma_mm`."""
     LEFT_RIGHT_MISMATCH = 1 << 3
-    """The cameras contradict each other: rows do not meet; moved between exposures, or a knock."""
+    """The cameras contradict each other, as rows do not match: motion between exposures, or a knock."""
     OUT_OF_VOLUME = 1 << 4
-    """Nearer or farther than `depth_mm` allows."""
+    """Closer or farther than `depth_mm` allows."""
     TOLERANCE = 1 << 5
-    """A size or the form is not the taught one: another part or edge, or the distance is wrong."""
+    """A size or the form differs from the taught one: another part or edge, or a wrong distance."""
     AMBIGUOUS_ROTATION = 1 << 6
     """Another rotation explains the image nearly as well."""
     LOW_SCORE = 1 << 7
-    """Reserved; the search leaves out what scores less than `min_score`."""
+    """Reserved; the search drops matches that score below `min_score`."""
     CALIBRATION = 1 << 8
     """The calibration has drifted beyond its limits (`[drift]`): no result is given."""
     AMBIGUOUS_EDGE = 1 << 9
@@ -58,13 +58,13 @@ class Reject(enum.IntFlag):
     KEEP_OUT = 1 << 11
     """In a zone of `[[limits.keep_out]]`: the robot must not go there."""
     NO_GRASP = 1 << 12
-    """No `[[grasp]]` of the job lies where the robot may go."""
+    """No `[[grasp]]` of the job is where the robot may go."""
     OUT_OF_MAP = 1 << 13
-    """Beyond the touched points of the map of the robot's error: how wrong it is there is not known."""
+    """Outside the touched points of the robot's error map, where its error is unknown."""
     BLUR = 1 << 14
-    """A belt moves it by more than a pixel during the exposure: expose shorter, or let the belt go slower."""
+    """The belt moves it by more than a pixel during the exposure: shorten the exposure, or slow the belt."""
     NO_COUNT = 1 << 15
-    """On a belt, and nobody said where that was at the exposure."""
+    """On a belt whose position at the exposure is unknown."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,8 +72,8 @@ class Match:
     """Where the shape was found.
 
     x_px, y_px : the model's origin in the left image as delivered by the camera (not rectified).
-    angle_rad : rotation against the taught view, positive from x to y (clockwise on screen).
-    scale_x, scale_y : size against the taught view, along the model's own axes.
+    angle_rad : rotation relative to the taught view, positive from x to y (clockwise on screen).
+    scale_x, scale_y : size relative to the taught view, along the model's own axes.
     score : visible share of the model that agrees, [0, 1].
     """
 
@@ -101,7 +101,7 @@ class Circle3D:
 
     @property
     def sigma_centre_mm(self) -> FloatArray:
-        """(3,) one sigma of the centre."""
+        """One sigma (3,) of the centre."""
         return np.sqrt(np.diag(self.covariance)[:3])
 
     @property
@@ -114,7 +114,7 @@ class Circle3D:
 class Edge3D:
     """A measured straight edge in the rig frame.
 
-    start_mm, end_mm (3,) : the taught ends, laid on the measured line; no edge has an end of its own.
+    start_mm, end_mm (3,) : the taught ends projected onto the measured line; ends are not measured.
     covariance (2, 2) of (shift across the edge in its face in mm, angle in its face in rad).
     """
 
@@ -128,7 +128,7 @@ class Edge3D:
 class Slot3D:
     """A measured slot in the rig frame: two half circles joined by straight edges.
 
-    centre_mm (3,), direction (3,) unit along it, length_mm over all, width_mm, covariance (5, 5) of
+    centre_mm (3,), direction (3,) unit vector along it, length_mm overall, width_mm, covariance (5, 5) of
     (centre x, y, z, length, width) in mm².
     """
 
@@ -153,8 +153,8 @@ class Corner3D:
 class Measurement:
     """One measured size of a part.
 
-    unit : "mm" or "deg", of all four numbers. value, sigma : NaN when its features were not seen. nominal,
-    tolerance : None where the job has none.
+    unit : "mm" or "deg", of all four numbers. value, sigma : NaN if its features were not seen. nominal,
+    tolerance : None if the job has none.
     """
 
     name: str
@@ -167,7 +167,7 @@ class Measurement:
 
     @property
     def ok(self) -> bool | None:
-        """Whether it is within its tolerance (False when not seen); None without a tolerance."""
+        """Whether it is within its tolerance (False if not seen); None without a tolerance."""
         if self.tolerance is None:
             return None
         return abs(self.value - (self.nominal or 0.0)) <= self.tolerance
@@ -175,7 +175,7 @@ class Measurement:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ReportedPose:
-    """Pose that is published instead of the reference point's; fields as in `Target`."""
+    """Pose published instead of the reference point's; fields as in `Target`."""
 
     rig_from_part: FloatArray
     covariance: FloatArray
@@ -192,21 +192,21 @@ class Target:
     covariance (6, 6): of (x, y, z in mm, rotation vector in rad), rig frame, small rotation
     applied on the left (rig axes).
     epipolar_rms_px : rms row difference of corresponding points, rectified pixels.
-    free_axis (3,) : unit, rig frame: the axis about which the part looks the same from all sides, so that its
-    rotation about it is not known; None where the part has no such axis.
-    grasp : how a tool takes it; None where the job has none, or none that is allowed. other_grasps : further
-    allowed ways, in their order.
-    rig_from_model (4, 4) : where the frame of the job's CAD model lies; None where it was taught without one.
-    reported : what is published in place of the reference point's pose; None: that one.
-    offset : how it lies against the golden part; None where the job has none.
-    robot_shift : by the map of the robot's error; None where there is none.
-    pocket : of the tray in which it lies, from 1; 0: in none. belt : where it is on the conveyor belt; None:
-    there is none.
-    doubt_mm : part of the distance's sigma, in every covariance, from evidence against the rig: rows that
-    do not meet, sizes that are all wrong by one factor.
-    by_edges, by_doubt, by_marks (6, 6) : parts of the covariance from the edges, from the doubt, and from the
-    correction by reference marks (None: not corrected); the rest is the calibration's. by_edges None: not
-    known.
+    free_axis (3,) : unit vector in the rig frame: axis about which the part looks the same from all sides, so
+    that its rotation about it is unknown; None if the part has no such axis.
+    grasp : how a tool grips it; None if the job has no grasp, or no allowed one. other_grasps : further
+    allowed grasps, in order.
+    rig_from_model (4, 4) : pose of the frame of the job's CAD model; None if it was taught without one.
+    reported : pose published instead of the reference point's; None: the reference point's.
+    offset : from the golden part; None if the job has none.
+    robot_shift : by the robot's error map; None if there is none.
+    pocket : pocket of the tray in which it lies, from 1; 0: in none. belt : its place on the conveyor belt;
+    None: there is no belt.
+    doubt_mm : share of the distance's sigma, in every covariance, that comes from evidence against the rig:
+    rows that do not match, sizes that are all wrong by one factor.
+    by_edges, by_doubt, by_marks (6, 6) : shares of the covariance from the edges, from the doubt, and from
+    the correction by reference marks (None: not corrected); the rest comes from the calibration. by_edges
+    None: unknown.
     """
 
     job: str
@@ -236,7 +236,7 @@ class Target:
 
     @property
     def as_reported(self) -> Target:
-        """The target with its `reported` pose, if it has one, as its pose."""
+        """The target with its pose replaced by the `reported` one, if any."""
         if self.reported is None:
             return self
         return replace(
@@ -249,18 +249,18 @@ class Target:
 
     @property
     def position_mm(self) -> FloatArray:
-        """(3,) reference point in the rig frame."""
+        """Reference point (3,) in the rig frame."""
         return self.rig_from_part[:3, 3]
 
     @property
     def sigma_mm(self) -> FloatArray:
-        """(3,) one sigma of the position."""
+        """One sigma (3,) of the position."""
         return np.sqrt(np.diag(self.covariance)[:3])
 
 
 @dataclass(frozen=True, slots=True)
 class NotMeasured:
-    """A match in the left image that could not be measured, and why."""
+    """A match in the left image that could not be measured, with the reason."""
 
     match: Match
     reject: Reject
@@ -268,16 +268,16 @@ class NotMeasured:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NearMiss:
-    """The best match in the left image below the needed score."""
+    """The best match in the left image below the required score."""
 
     match: Match
     needed_score: float
 
 
 class Nearest:
-    """A lazy query for the nearest miss: searched for on the first `ask`, on any thread.
+    """A lazy query for the nearest miss, which is searched for on the first `ask`, on any thread.
 
-    A search takes as long as a cycle, or longer, and helps people only; publishers for machines do not ask.
+    The search takes as long as a cycle, or longer, and only helps people; publishers for machines do not ask.
     """
 
     def __init__(self, look: Callable[[], NearMiss | None]) -> None:
@@ -311,7 +311,7 @@ class Nearest:
 
     @property
     def answer(self) -> NearMiss | None:
-        """The known answer; None also before the search."""
+        """The known answer; None before the search as well."""
         return self._answer
 
 
@@ -319,8 +319,8 @@ class Nearest:
 class Outcome:
     """Result of the pipeline for one pair, without time or identity.
 
-    nearest : where nothing was found at all, a lazy query for the nearest miss. pockets : of the job's tray;
-    0: it has none.
+    nearest : if nothing was found at all, a lazy query for the nearest miss. pockets : number in the job's
+    tray; 0: it has none.
     """
 
     status: Status

@@ -1,7 +1,7 @@
-"""Numbers as machines and strangers write them: digits of ASCII, and nothing that only Python takes for one.
+"""Strict parsing of numbers from other machines and people: ASCII digits only.
 
-`int` and `float` also read underscores, digits of any alphabet, `nan` and `inf`: what was torn or mistyped
-would be another number, and a robot would move by it.
+`int` and `float` also accept underscores, digits of any alphabet, `nan` and `inf`: truncated or mistyped
+input would become another number, and a robot would move by it.
 """
 
 from __future__ import annotations
@@ -14,11 +14,11 @@ from typing import Any
 _WHOLE = re.compile(r"[0-9]+")
 _DECIMAL = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
 LONGEST = 100
-"""Characters of a number; none that is meant has more."""
+"""Limit of characters in a number; no genuine one has more."""
 
 
 def whole(text: str) -> int:
-    """A number of digits alone, without a sign. Raises ValueError.
+    """Parse a number of digits only, without a sign. Raises ValueError.
 
     >>> whole("0042")
     42
@@ -29,12 +29,12 @@ def whole(text: str) -> int:
 
 
 def is_whole(text: str) -> bool:
-    """Whether a text is digits of ASCII alone, as `whole` reads them."""
+    """Whether a text consists of ASCII digits only, as `whole` accepts them."""
     return len(text) <= LONGEST and _WHOLE.fullmatch(text) is not None
 
 
 def decimal(text: str) -> float:
-    """A finite number with a decimal point, or without one. Raises ValueError.
+    """Parse a finite number with or without a decimal point. Raises ValueError.
 
     >>> decimal("-5123456E-4")
     -512.3456
@@ -45,7 +45,7 @@ def decimal(text: str) -> float:
 
 
 def json_of(text: str | bytes) -> Any:
-    """A document of JSON (RFC 8259), whose numbers are finite. Raises ValueError, RecursionError.
+    """Parse JSON (RFC 8259) with finite numbers only. Raises ValueError, RecursionError.
 
     >>> json_of("[1, 2.5]")
     [1, 2.5]
@@ -54,7 +54,7 @@ def json_of(text: str | bytes) -> Any:
 
 
 def number_in(value: object) -> float | None:
-    """What stands in a document, if it is a number; None for anything else.
+    """Return a document's value if it is a number; None for anything else.
 
     >>> number_in(2), number_in(True), number_in("2")
     (2.0, None, None)
@@ -63,7 +63,7 @@ def number_in(value: object) -> float | None:
 
 
 def known(value: float | None, digits: int | None = None) -> float | None:
-    """A number as JSON has it, rounded to so many digits; None for NaN and infinity.
+    """Return a number for JSON, rounded to `digits` decimals if given; None for NaN and infinity.
 
     >>> known(1.26, 1), known(math.nan)
     (1.3, None)

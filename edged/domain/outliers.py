@@ -1,4 +1,4 @@
-"""The one among many that differs more than chance makes one of so many differ."""
+"""Outlier detection with a limit that accounts for the number of values."""
 
 from __future__ import annotations
 
@@ -11,30 +11,32 @@ import numpy as np
 from edged.domain.arrays import FloatArray
 
 NORMAL_MAD = 1.4826
-"""Sigma of a normal distribution over its median absolute deviation."""
+"""Ratio of sigma to median absolute deviation in a normal distribution."""
 
 
 @dataclass(frozen=True, slots=True)
 class OutlierParams:
-    """min_count : of values; with fewer none is named. false_alarms : share of normal sets with a named one.
+    """Parameters of the outlier test.
 
-    Of five values the spread tells too little: one must lie twenty times it apart to be named.
+    min_count : of values; with fewer, none is reported. false_alarms : share of normal sets with a reported
+    one. The spread of five values is too uncertain: one would have to deviate by twenty times it to be
+    reported.
     """
 
     min_count: int = 6
     false_alarms: float = 0.005
-    draws: int = 20_000  # of sets of normal values: false_alarms is known to a tenth
-    many: int = 200  # of more values the spread is known, and the normal distribution's own quantile holds
+    draws: int = 20_000  # simulated normal sets: gives false_alarms to within a tenth
+    many: int = 200  # with more values the spread is well known, and the normal quantile holds
 
 
 OUTLIERS = OutlierParams()
 
 
 def deviations(values: FloatArray, least_spread: float = 0.0) -> FloatArray:
-    """How far each value lies from the median, in robust sigmas: the modified z-score, with its sign.
+    """Return the signed modified z-score: deviation of each value from the median in robust sigmas.
 
-    values : (N,). least_spread : a sigma below which the spread does not count: smaller differences matter to
-    nobody. Returns (N,). Source: B. Iglewicz, D. C. Hoaglin, "How to Detect and Handle Outliers", 1993.
+    values : (N,). least_spread : lower bound on the robust sigma, so that irrelevant differences are ignored.
+    Returns (N,). Source: B. Iglewicz, D. C. Hoaglin, "How to Detect and Handle Outliers", 1993.
     """
     away = values - np.median(values)
     spread = max(NORMAL_MAD * float(np.median(np.abs(away))), least_spread)
@@ -43,9 +45,10 @@ def deviations(values: FloatArray, least_spread: float = 0.0) -> FloatArray:
 
 @lru_cache(maxsize=64)
 def limit(count: int, params: OutlierParams = OUTLIERS) -> float:
-    """The deviation that the largest of so many normal values exceeds in `params.false_alarms` of all sets.
+    """Return the deviation exceeded by the largest of `count` normal values in `false_alarms` of all sets.
 
-    The usual 3.5 names one of six normal values in a fifth of all sets: their spread is itself a chance.
+    The usual 3.5 would report one of six normal values in a fifth of all sets, as their spread is itself
+    random.
     """
     if count > params.many:
         return NormalDist().inv_cdf(1.0 - params.false_alarms / (2 * count))
@@ -56,7 +59,7 @@ def limit(count: int, params: OutlierParams = OUTLIERS) -> float:
 
 
 def outliers(values: FloatArray, least_spread: float = 0.0, params: OutlierParams = OUTLIERS) -> list[int]:
-    """Indices of the values that differ, the farthest first; none of fewer than `params.min_count`."""
+    """Return the indices of outliers, the farthest first; none for fewer than `params.min_count` values."""
     if len(values) < params.min_count:
         return []
     found = np.abs(deviations(values, least_spread))

@@ -1,4 +1,4 @@
-"""What people see first of a cell: what it lacks, its rig, the right to write, and how its jobs were used."""
+"""Overview of a cell for people: what it lacks, its rig, the right to write, and the use of its jobs."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True)
 class RigFigures:
-    """The rig in use. deviations are NaN where they are not known.
+    """The rig in use. rows_px, length_percent : NaN if unknown.
 
-    sigma_um : of X, Y, Z of a point where parts were taught, by the calibration alone; None: not known.
+    sigma_um : of X, Y, Z at the taught parts, due to the calibration alone; None: unknown.
     """
 
     calibration_id: str
@@ -22,10 +22,10 @@ class RigFigures:
 
 @dataclass(frozen=True, slots=True)
 class Overview:
-    """What events do not tell.
+    """State of a cell that no event carries.
 
-    missing : "rig", "jobs". plc_owner : who holds the right to write, "" for nobody. auto_lock : the plant
-    forbids SETUP. stage : the cameras are virtual, and what stands before them can be moved.
+    missing : "rig", "jobs". plc_owner : client with the right to write, "" for none. auto_lock : the plant
+    forbids SETUP. stage : the cameras are virtual, and the scene before them can be changed.
     """
 
     missing: tuple[str, ...] = ()
@@ -45,5 +45,5 @@ class Use:
 
     @property
     def good_share(self) -> float | None:
-        """None before the first cycle."""
+        """Share of good cycles; None before the first cycle."""
         return self.good / self.cycles if self.cycles else None

@@ -1,4 +1,4 @@
-"""Picking rules: which parts a robot may pick, in which order, and how its tool takes them."""
+"""Picking rules: which parts a robot may pick, in which order, and how its tool grips them."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ class Order(enum.StrEnum):
     NEAREST = "nearest"
     """Nearest to the left camera first."""
     TOPMOST = "topmost"
-    """Highest in the robot's frame first; without a registration, least deep along the camera's axis."""
+    """Highest in the robot's frame first; without a registration, smallest depth along the camera's axis."""
     LEFTMOST = "leftmost"
     """Leftmost in the left picture first."""
     LEAST_SIGMA = "least_sigma"
@@ -40,8 +40,8 @@ class Box:
 class Gripper:
     """The tool on the flange.
 
-    tip_mm, tip_rad : the tip in the flange's frame, turned about its fixed x, y, z. boxes : of the body, in
-    the frame of the tip, whose z is the direction in which it comes; none: not known.
+    tip_mm, tip_rad : pose of the tip in the flange's frame, rotated about fixed x, y, z. boxes : of the body,
+    in the tip's frame, whose z is the approach direction; none: unknown.
     """
 
     tip_mm: tuple[float, float, float]
@@ -51,9 +51,9 @@ class Gripper:
 
 @dataclass(frozen=True, slots=True)
 class Bounds:
-    """Where a robot may go: into one of the boxes (anywhere if there are none), into no keep-out zone.
+    """Where a robot may go: into one of the boxes (anywhere if there are none), and into no keep-out zone.
 
-    gripper : what goes there; None: the tip alone, whose turn is that of the teaching.
+    gripper : tool that must fit; None: only the tip is checked, with its taught rotation.
     """
 
     boxes: tuple[Box, ...] = ()
@@ -63,11 +63,11 @@ class Bounds:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Grasp:
-    """How a tool takes the part; it approaches along its z axis.
+    """How a tool grips the part; it approaches along its z axis.
 
-    part_from_tcp (4, 4), and rig_from_tcp (4, 4) as the part lay at teaching. approach_mm, retreat_mm : along
-    the tool's z, before and after. symmetry : number of equal turns of the part about its z; 1: none besides
-    the taught one, 0: any angle.
+    part_from_tcp (4, 4), and rig_from_tcp (4, 4) for the part as it lay at teaching. approach_mm, retreat_mm
+    : along the tool's z, before and after. symmetry : number of equivalent rotations of the part about its z;
+    1: only the taught one, 0: any angle.
     """
 
     name: str
@@ -80,10 +80,10 @@ class Grasp:
 
 @dataclass(frozen=True, slots=True)
 class Tray:
-    """A tray or pallet: places in equal steps along up to three directions.
+    """A tray or pallet: pockets in equal steps along up to three directions.
 
     first_mm : a part's reported point in the first pocket, frame of the published coordinates. ends_mm : the
-    same in the last one along each of three directions. counts : pockets along each; they are numbered from
+    same in the last pocket along each direction. counts : pockets along each; they are numbered from
     1, the first direction running fastest. tolerance_mm : how far a part may lie from the middle of its
     pocket.
     """
@@ -95,7 +95,7 @@ class Tray:
 
     @property
     def pockets(self) -> int:
-        """How many there are."""
+        """Number of pockets."""
         return math.prod(self.counts)
 
 
@@ -103,9 +103,9 @@ class Tray:
 class Picking:
     """Picking rules of a job.
 
-    bounds : all must allow a part. grasps : the first allowed one is given. skipped_mm (x, y, z) : where a
-    part lay that could not be picked, in the frame of the published coordinates; None: nowhere. tray : a good
-    part lies in one of its pockets; None: anywhere.
+    bounds : all must allow a part. grasps : the first allowed one is used. skipped_mm (x, y, z) : position of
+    a part that could not be picked, in the frame of the published coordinates; None: no such part. tray : a
+    good part must lie in one of its pockets; None: anywhere.
     """
 
     order: Order = Order.SCORE
@@ -116,16 +116,17 @@ class Picking:
 
     @property
     def gripper(self) -> Gripper | None:
-        """The cell's."""
+        """The cell's gripper; None if it has none."""
         return next((each.gripper for each in self.bounds if each.gripper is not None), None)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GraspPose:
-    """Where the tool takes one part.
+    """Where the tool grips one part.
 
-    number : of the grasp in its job, from 1. turn_rad : about the part's z, against the taught grasp.
-    rig_from_tcp (4, 4), covariance (6, 6) : pose of the tool's tip; robot_shift : there; as of a target.
+    number : of the grasp in its job, from 1. turn_rad : rotation about the part's z relative to the taught
+    grasp. rig_from_tcp (4, 4), covariance (6, 6) : pose of the tool's tip; robot_shift : at the tip; as in
+    `Target`.
     """
 
     name: str
@@ -139,12 +140,12 @@ class GraspPose:
 
     @property
     def rig_from_approach(self) -> FloatArray:
-        """(4, 4) before the approach along the tool's z."""
+        """Pose (4, 4) before the approach along the tool's z."""
         return self._shifted(-self.approach_mm)
 
     @property
     def rig_from_retreat(self) -> FloatArray:
-        """(4, 4) after the retreat."""
+        """Pose (4, 4) after the retreat along the tool's z."""
         return self._shifted(-self.retreat_mm)
 
     def _shifted(self, along_mm: float) -> FloatArray:

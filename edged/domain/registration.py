@@ -1,4 +1,4 @@
-"""A registration by the robot's own program: its state and quality, and why a command failed."""
+"""Registration by the robot's own program: state, quality, and reasons why a command failed."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ class Method(enum.IntEnum):
     """Method of a registration."""
 
     NONE = 0
-    """By nothing yet."""
+    """No method yet."""
     HAND_EYE = 1
     """Poses of the flange with pictures of a board."""
     TOUCH = 2
-    """Points that the tool's tip touched, with pictures of a part there."""
+    """Points touched by the tool's tip, with pictures of a part there."""
 
 
 class Obstacle(enum.Enum):
-    """Why a command of a registration was not carried out; a NACK_REASON has the same name."""
+    """Why a registration command was not carried out; a NACK_REASON has the same name."""
 
     CAPTURE_FAULT = "the cameras gave no pair of images"
     FAILED = "accepted, and then it could not be carried out"
@@ -40,9 +40,9 @@ class Registration:
 
     samples : poses or points taken; used : those not rejected as outliers. worst : number, from 1, of the
     sample that agrees least with the others; 0: none.
-    rms_mm, held_out_mm : how far poses or points are from the fit of all, and of all others, at the board or
-    the point; limit_mm : of held_out_mm. sigma : of X, Y, Z (mm) in the middle of the samples, and of the
-    rotation about each axis (degrees), of the robot's frame.
+    rms_mm, held_out_mm : residual of poses or points to the fit of all, and to the fit of all others, at the
+    board or the point; limit_mm : of held_out_mm. sigma : of X, Y, Z (mm) at the centre of the samples, and
+    of the rotation about each axis (degrees), in the robot's frame.
     """
 
     method: Method = Method.NONE

@@ -1,4 +1,4 @@
-"""The map of a robot's error: where it says that it is, against where the cameras see its tip."""
+"""Map of a robot's error: its own position readings compared with where the cameras see its tip."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from edged.domain.arrays import I64, FloatArray
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RobotMap:
-    """What the map is computed from; see `edged.robot.errormap`.
+    """Data that the map is computed from; see `edged.robot.errormap`.
 
-    expected_mm (N, 3) : places by the registration, robot's frame. shown_mm (N, 3) : what the robot showed
-    with its tip there. degree : of the polynomial, from 1. hull (F, 3) : triangles around all places, their
-    corners by number, anticlockwise as seen from outside.
+    expected_mm (N, 3) : touched places by the registration, robot's frame. shown_mm (N, 3) : what the robot
+    showed with its tip there. degree : of the polynomial, from 1. hull (F, 3) : triangles of the convex hull
+    of all places, as indices, anticlockwise seen from outside.
     """
 
     expected_mm: FloatArray
@@ -26,10 +26,11 @@ class RobotMap:
 
 @dataclass(frozen=True, slots=True)
 class MapFigures:
-    """How a cell's map of its robot's error does. degree : 0 where there is none.
+    """Quality of a cell's robot error map. degree : 0 if there is none.
 
-    alone_mm, held_out_mm : rms of points that were left out, by the registration alone and with the map.
-    noise_mm : one sigma of what no smooth map tells. least_mm, most_mm : of the places, robot's frame.
+    alone_mm, held_out_mm : rms error of held-out points, by the registration alone and with the map.
+    noise_mm : one sigma of the error that no smooth map describes. least_mm, most_mm : bounds of the touched
+    places, robot's frame.
     """
 
     degree: int = 0
@@ -43,11 +44,11 @@ class MapFigures:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RobotShift:
-    """By how much what is published differs from the registration alone, robot's frame.
+    """Shift of a published position relative to the registration alone, robot's frame.
 
-    shift_mm (3,). row (M,), mm : what the map's own noise moves it by, along each axis alike; with another
-    shift by the same map it has the product of both rows in common. noise_mm : one sigma of what no
-    smooth map tells.
+    shift_mm (3,). row (M,), mm : its sensitivity to the map's own noise, the same along each axis; its
+    covariance with another shift by the same map is the product of both rows. noise_mm : one sigma of the
+    error that no smooth map describes.
     """
 
     shift_mm: FloatArray
@@ -60,7 +61,7 @@ class RobotShift:
         return float(self.row @ self.row) + self.noise_mm**2
 
     def moved(self, pose: FloatArray) -> FloatArray:
-        """The pose (4, 4) of the robot's frame, shifted."""
+        """Return a pose (4, 4) in the robot's frame, shifted."""
         result = np.array(pose)
         result[:3, 3] += self.shift_mm
         return result

@@ -1,4 +1,4 @@
-"""What the stages of a measurement take."""
+"""Durations of the stages of a measurement."""
 
 from __future__ import annotations
 
@@ -6,22 +6,22 @@ import time
 
 
 class Stopwatch:
-    """Collects stage times; called at the end of each stage. One that comes again goes on."""
+    """Collects stage times; called at the end of each stage. Times of a repeated stage add up."""
 
     def __init__(self) -> None:
         self._start_s = self._last_s = time.perf_counter()
         self._stages_ms: dict[str, float] = {}
 
     def __call__(self, stage: str) -> None:
-        """A stage has ended, which began when the one before it ended."""
+        """Record the end of a stage, which began when the previous one ended."""
         now_s = time.perf_counter()
         self._stages_ms[stage] = self._stages_ms.get(stage, 0.0) + (now_s - self._last_s) * 1e3
         self._last_s = now_s
 
     def stages_ms(self) -> dict[str, float]:
-        """The time of each stage."""
+        """Return the duration of each stage."""
         return dict(self._stages_ms)
 
     def timing_ms(self) -> dict[str, float]:
-        """The time of each stage, and "total" until now."""
+        """Return the duration of each stage, and the "total" until now."""
         return {**self._stages_ms, "total": (time.perf_counter() - self._start_s) * 1e3}

@@ -1,1 +1,1 @@
-"""What is read from and written to disk: atomic, versioned, read with suspicion."""
+"""File formats: written atomically, versioned, and validated strictly when read."""

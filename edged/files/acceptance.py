@@ -1,4 +1,4 @@
-"""`acceptance.json`: the last acceptance test, beside the rig that it was made with."""
+"""`acceptance.json`: the result of the last acceptance test, kept beside the rig file it was made with."""
 
 from __future__ import annotations
 
@@ -18,14 +18,17 @@ MAX_ACCEPTANCE_BYTES = 256 * 1024
 
 
 def acceptance_file(rig: Path) -> Path:
-    """Where the last acceptance of a rig is kept. rig : its file."""
+    """Path of a rig's acceptance file. rig : the rig's file."""
     return rig.parent / "acceptance.json"
 
 
 def document_of(
     found: Acceptance, calibration_id: str, registration: str, more: Mapping[str, object]
 ) -> bytes:
-    """The file. registration : digest of how the rig stands to the robot. more : figures for people."""
+    """Content of the acceptance file. registration : digest of the robot registration.
+
+    more : further figures, for people only.
+    """
     document = {
         "format": ACCEPTANCE_FORMAT,
         "version": ACCEPTANCE_VERSION,
@@ -40,7 +43,7 @@ def document_of(
 
 
 def exchange_acceptance(path: Path, data: bytes, rig: StereoRig) -> bytes | None:
-    """Write an acceptance of this rig; returns what was there. Raises `FileFormatError`."""
+    """Write an acceptance of this rig and return the former content. Raises `FileFormatError`."""
     found = acceptance_in(data, path, rig.calibration_id, registration_digest(rig))
     if found.wrong is not AcceptanceState.NONE:
         raise FileFormatError(f"{path}: the new acceptance is of another rig")
@@ -50,7 +53,7 @@ def exchange_acceptance(path: Path, data: bytes, rig: StereoRig) -> bytes | None
 
 
 def load_acceptance(path: Path, calibration_id: str, registration: str) -> Acceptance:
-    """The acceptance beside a rig of this identity; one without figures where there is none.
+    """Load the acceptance kept beside a rig; an empty `Acceptance` if there is no file.
 
     Raises `FileFormatError` that names file, field and expectation.
     """
@@ -61,7 +64,7 @@ def load_acceptance(path: Path, calibration_id: str, registration: str) -> Accep
 
 
 def acceptance_in(data: bytes, path: Path, calibration_id: str, registration: str) -> Acceptance:
-    """The acceptance in a file that was read; raises as `load_acceptance`."""
+    """Parse the bytes of an acceptance file; raises as `load_acceptance`."""
     reader = JsonFields.of(data, path, "acceptance test", ACCEPTANCE_FORMAT, ACCEPTANCE_VERSION)
     passed = reader.document.get("passed")
     if not isinstance(passed, bool):

@@ -19,18 +19,18 @@ from edged.files.zipmembers import open_zip, read_member
 
 
 def pack_arrays(kind: str, version: int, arrays: Mapping[str, npt.NDArray[Any]]) -> bytes:
-    """Named arrays as one checksummed .npz (a zip of .npy; no pickle)."""
+    """Pack named arrays into one checksummed .npz (a zip of .npy; no pickle)."""
     buffer = io.BytesIO()
     header = json.dumps({"kind": kind, "version": version, "sha256": _digest(arrays)})
-    # an array that is called allow_pickle would be taken for numpy's option: none is
+    # an array named allow_pickle would be taken for numpy's option: there is none of that name
     np.savez_compressed(buffer, __header__=np.array(header), **dict(arrays))  # type: ignore[arg-type]
     return buffer.getvalue()
 
 
 def unpack_arrays(data: bytes, path: Path, kind: str, version: int) -> dict[str, npt.NDArray[Any]]:
-    """What `pack_arrays` packed; damage, another kind or version is a `FileFormatError`.
+    """Unpack the arrays of `pack_arrays`; damage, another kind or version is a `FileFormatError`.
 
-    path : where it was read, for messages.
+    path : where the data came from, for messages.
     """
     try:
         with open_zip(io.BytesIO(data)) as archive:
@@ -62,14 +62,17 @@ def unpack_arrays(data: bytes, path: Path, kind: str, version: int) -> dict[str,
 
 
 def _array(data: bytes, name: str) -> npt.NDArray[Any]:
-    """numpy makes room for what an array's header claims before it reads: that must be what is there."""
+    """Read one .npy array, after checking that its header claims exactly the bytes that are there.
+
+    numpy allocates what the header claims before it reads.
+    """
     file = io.BytesIO(data)
     version = np.lib.format.read_magic(file)
     if version not in ((1, 0), (2, 0)):
         raise ValueError(f"{name}: unknown version of the .npy format {version}")
     read = np.lib.format.read_array_header_1_0 if version[0] == 1 else np.lib.format.read_array_header_2_0
     shape, _, dtype = read(file)
-    # python integers: no claim is too large to be counted
+    # Python integers: a huge claimed shape cannot overflow
     if math.prod(shape, start=dtype.itemsize) != len(data) - file.tell():
         raise ValueError(f"{name}: claims {shape} {dtype}, which is not what the file holds")
     file.seek(0)

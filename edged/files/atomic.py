@@ -1,4 +1,4 @@
-"""Files and folders that are whole or not there, also after a power cut."""
+"""Atomic writes: a file or folder is either complete or absent, even after a power cut."""
 
 from __future__ import annotations
 
@@ -16,21 +16,22 @@ from secrets import token_hex
 from edged.errors import FileFormatError, translated
 from edged.owners import open_to_read
 
-MAX_FILE_BYTES = 64 * 1024 * 1024  # a model is megabytes: more is a wrong file
+MAX_FILE_BYTES = 64 * 1024 * 1024  # a model takes a few megabytes: anything larger is the wrong file
 MAX_DOCUMENT_BYTES = 4 * 1024 * 1024
-"""Size of a JSON file: in memory it takes up to 25 times as much (`[{},{},...`, CPython 3.11), and a rig with
-the figures of a hundred views is a tenth of it."""
+"""Largest JSON file: parsed, it takes up to 25 times as much memory (`[{},{},...`, CPython 3.11). A rig with
+the figures of a hundred views is a tenth of this size."""
 TEMPORARY_NAMES = 100
-"""How many are tried before all count as taken: of 2^32 two hardly ever are, unless somebody guesses them."""
+"""Names tried before giving up: two of 2^32 random names hardly ever collide unless someone guesses them."""
 
 
 def write_atomically(
     path: Path, data: bytes, *, mode: int = 0o644, group: int = -1, is_state: bool = False
 ) -> None:
-    """Write a file so that after a power cut either the old or the new content is there.
+    """Write a file so that after a power cut it has either the old or the new content, complete.
 
-    mode : other users read rigs; for a secret see `private.write_private`.  group : -1 for one's own.
-    is_state : a file that root writes gets the folder's owner: the daemon.
+    mode : readable by other users by default, as rigs are; for a secret see `private.write_private`.
+    group : -1 for the process's own.  is_state : when root writes it, give the file the folder's owner,
+    which is the daemon.
     """
     path = Path(path)
     with open_folder(path.parent) as folder:
@@ -41,7 +42,7 @@ def write_atomically(
                     give_like(handle, folder)
                 if group != -1:
                     os.fchown(handle, -1, group)
-                os.fchmod(handle, mode)  # it was made private
+                os.fchmod(handle, mode)  # it was created private
                 file.write(data)
                 file.flush()
                 os.fsync(handle)
@@ -54,7 +55,7 @@ def write_atomically(
 
 
 def _new_file(beginning: str, folder: int) -> tuple[int, str]:
-    """A file that was not there, nor a link of its name; and its name. Raises `OSError`."""
+    """Create a file under a random name, not following links; its descriptor and name. Raises `OSError`."""
     flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
     for _ in range(TEMPORARY_NAMES):
         name = f"{beginning}{token_hex(4)}"
@@ -64,7 +65,7 @@ def _new_file(beginning: str, folder: int) -> tuple[int, str]:
 
 
 def give_like(handle: int, folder: int) -> None:
-    """Give a new file of root's the owner of the open folder that it is in. Raises `OSError`."""
+    """When running as root, give a new file the owner of its (open) folder. Raises `OSError`."""
     if os.geteuid() == 0:
         owner = os.fstat(folder)
         os.fchown(handle, owner.st_uid, owner.st_gid)
@@ -72,7 +73,7 @@ def give_like(handle: int, folder: int) -> None:
 
 @contextmanager
 def open_folder(folder: Path) -> Iterator[int]:
-    """A folder by its descriptor: it stays the same one, whatever its name means next. Raises `OSError`."""
+    """Open a folder as a descriptor, which stays valid even if its path is replaced. Raises `OSError`."""
     opened = open_to_read(folder, os.O_DIRECTORY)
     try:
         yield opened
@@ -81,13 +82,13 @@ def open_folder(folder: Path) -> Iterator[int]:
 
 
 def write_file(path: Path, data: bytes, *, mode: int = 0o644) -> None:
-    """`write_atomically` for what a person asked for. Raises `FileFormatError` where the disc refuses."""
+    """`write_atomically` for files a user asked for. Raises `FileFormatError` if it cannot be written."""
     with translated(FileFormatError, f"{path}: cannot be written"):
         write_atomically(path, data, mode=mode)
 
 
 def generations(first: Path) -> dict[int, Path]:
-    """What is there of x.old, x.2.old, x.3.old, ... by its number; first : x.old. Raises `OSError`."""
+    """Existing paths of x.old, x.2.old, x.3.old, ... by their number; first : x.old. Raises `OSError`."""
     later = re.compile(rf"{re.escape(first.stem)}\.([1-9][0-9]{{0,5}}){re.escape(first.suffix)}")
     found = {1: first} if os.path.lexists(first) else {}
     for place in first.parent.iterdir():
@@ -97,17 +98,17 @@ def generations(first: Path) -> dict[int, Path]:
 
 
 def next_generation(first: Path) -> Path:
-    """Where what is replaced next is kept: later than each that is there. Raises `OSError`."""
+    """Path for the next generation, numbered after all existing ones. Raises `OSError`."""
     number = max(generations(first), default=0) + 1
     return first if number == 1 else first.with_name(f"{first.stem}.{number}{first.suffix}")
 
 
 def replace_folder(folder: Path, files: Mapping[str, bytes], keep: Path | None = None) -> Path | None:
-    """Let a folder hold these files, by name, and no others; after a crash it is the former or the new one.
+    """Replace the content of a folder by exactly these files; after a crash it is either the old or the new.
 
-    keep : beside it, where the first former folder that was not empty remains; the next ones are later
-    generations. Returns where the former one is now; None where none is kept, or none had to be replaced.
-    Raises `OSError`; then nothing has changed.
+    keep : path beside it under which the former folder is kept unless it was empty; later ones are kept as
+    later generations. Returns the path of the kept folder; None if none is kept or nothing had to be
+    replaced. Raises `OSError`; nothing has changed then.
     """
     make_folders(folder.parent)
     if _holds(folder, files):
@@ -130,7 +131,7 @@ def replace_folder(folder: Path, files: Mapping[str, bytes], keep: Path | None =
     except BaseException:
         shutil.rmtree(draft, ignore_errors=True)
         raise
-    sync(folder.parent)  # before what was there is touched: a disc may keep the later change alone
+    sync(folder.parent)  # before the former folder is touched: a disc may persist only the later change
     if in_use and keep is not None:
         draft.rename(keep)
         sync(folder.parent)
@@ -141,7 +142,7 @@ def replace_folder(folder: Path, files: Mapping[str, bytes], keep: Path | None =
 
 
 def _holds(folder: Path, files: Mapping[str, bytes]) -> bool:
-    """Whether a folder holds just these files already; False where that cannot be told."""
+    """Whether a folder already holds exactly these files; False if it cannot be read."""
     try:
         there = {path.relative_to(folder).as_posix(): path for path in folder.rglob("*") if not path.is_dir()}
         return (
@@ -157,9 +158,9 @@ def _holds(folder: Path, files: Mapping[str, bytes]) -> bool:
 
 
 def exchange(first: Path, second: Path) -> None:
-    """Swap what two names mean, in one step: at no moment is either missing. Raises `OSError`.
+    """Swap two paths atomically, so that neither is ever missing. Raises `OSError`.
 
-    renameat2(2) with RENAME_EXCHANGE, which is Linux only. Network file systems may lack it: there it takes
+    Uses renameat2(2) with RENAME_EXCHANGE (Linux only). Network file systems may lack it: there it takes
     three steps, and a crash between them leaves `second` under the name of `first` with a dash.
     """
     at_fdcwd, rename_exchange = -100, 2
@@ -179,7 +180,7 @@ def exchange(first: Path, second: Path) -> None:
 
 
 def make_folders(folder: Path) -> None:
-    """Make a folder, and those that it is in, where they are missing; they last. Raises `OSError`."""
+    """Make a folder and its missing parents, synced to disc. Raises `OSError`."""
     missing = [place for place in (folder, *folder.parents) if not place.is_dir()]
     for place in reversed(missing):
         place.mkdir(exist_ok=True)
@@ -187,7 +188,7 @@ def make_folders(folder: Path) -> None:
 
 
 def sync(folder: Path) -> None:
-    """Bring the names in a folder, or the content of a file, to the disc."""
+    """fsync the entries of a folder, or the content of a file."""
     opened = os.open(folder, os.O_RDONLY)
     try:
         os.fsync(opened)
@@ -196,20 +197,20 @@ def sync(folder: Path) -> None:
 
 
 def sync_folders(folder: Path) -> None:
-    """Bring the names in a folder and in all folders inside it to the disc."""
+    """fsync the entries of a folder and of all folders inside it."""
     for place, _, _ in os.walk(folder):
         sync(Path(place))
 
 
 def read_bytes(path: Path, what: str, most: int = MAX_FILE_BYTES) -> bytes:
-    """Read a file of sane size, or raise `FileFormatError` that names it. most : bytes of it."""
+    """Read a file of limited size, or raise `FileFormatError` that names it. most : largest size, bytes."""
     return _read(path, what, None, most)
 
 
 def read_folder(folder: Path, names: Sequence[str], what: str) -> dict[str, bytes]:
-    """Files of a folder by their name, all of them as they were before a `replace_folder`, or all after it.
+    """Read files of a folder by name, consistently: all from before a `replace_folder` or all from after.
 
-    The folder is opened once: a replacement exchanges its name, and leaves alone what is open. Raises
+    The folder is opened once: a replacement exchanges names and does not affect the open folder. Raises
     `FileFormatError` that names the file.
     """
     while True:
@@ -220,13 +221,13 @@ def read_folder(folder: Path, names: Sequence[str], what: str) -> dict[str, byte
         except FileFormatError:
             if _is_named(folder, opened):
                 raise
-            # replaced, and what it was has been removed meanwhile: read what is there now
+            # the folder was replaced and the former one removed meanwhile: read the new one
         finally:
             os.close(opened)
 
 
 def _is_named(folder: Path, opened: int) -> bool:
-    """Whether a folder's name still means the one that is open."""
+    """Whether a folder's path still refers to the open descriptor."""
     try:
         return os.path.samestat(os.stat(folder), os.fstat(opened))  # noqa: PTH116  (fstat has no path)
     except OSError:
@@ -234,12 +235,12 @@ def _is_named(folder: Path, opened: int) -> bool:
 
 
 def _read(path: Path, what: str, folder: int | None, most: int = MAX_FILE_BYTES) -> bytes:
-    """A file; of an open folder the one of that name in it."""
+    """Read a file by path, or by its name within an open folder."""
     with translated(FileFormatError, f"{path}: cannot read {what}"):
         handle = open_to_read(path if folder is None else Path(path.name), folder=folder)
         with os.fdopen(handle, "rb") as file:
             size = os.fstat(handle).st_size
-            data = b"" if size > most else file.read(most + 1)  # a device has no size, and no end
+            data = b"" if size > most else file.read(most + 1)  # a device reports no size and has no end
             if max(size, len(data)) > most:
                 raise FileFormatError(
                     f"{path}: {max(size, len(data))} bytes are too many for {what}: expected at most {most}"
@@ -248,7 +249,7 @@ def _read(path: Path, what: str, folder: int | None, most: int = MAX_FILE_BYTES)
 
 
 def put_back(path: Path, former: bytes | None) -> None:
-    """Have a file as it was; None: there was none. Raises `FileFormatError`."""
+    """Restore a file's former content; None: remove the file. Raises `FileFormatError`."""
     if former is None:
         path.unlink(missing_ok=True)
     else:

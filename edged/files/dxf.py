@@ -1,7 +1,7 @@
-"""Drawings of flat parts: DXF, or contours as plain text, to closed outlines in mm.
+"""Read drawings of flat parts (DXF, or contours as plain text) as closed outlines in mm.
 
 An outline is a (N, 2) float64 polygon, x to the right, y up as drawn, without its first point repeated.
-Lines and arcs that meet are joined; what does not close is an error that names the open ends.
+Lines and arcs that meet are joined; an outline that does not close is an error that names its open ends.
 """
 
 from __future__ import annotations
@@ -40,25 +40,27 @@ from edged.files.tables import number_of, read_table
 from edged.owners import file_to_read
 
 FLATTENING_MM = 0.002
-"""Largest distance of a curve from its polygon: a hundredth of a pixel of a fine camera."""
+"""Largest deviation of a polygon from its curve: a hundredth of a pixel of a high-resolution camera."""
 GAP_MM = 0.02
-"""Ends closer than this meet; CAD rounds to less."""
+"""Ends closer than this count as joined; CAD rounds more finely."""
 MAX_DRAWING_BYTES = 32 << 20
-"""ezdxf takes eleven times as much (a file of 100,000 lines); 50,000 lines are 6 MB, 500,000 points 20 MB."""
+"""ezdxf takes eleven times as much memory (a file of 100,000 lines); 50,000 lines are 6 MB, 500,000 points
+20 MB."""
 MAX_MEMORY_BYTES, MAX_CPU_S = 1 << 30, 60.0
-"""To read and draw it: three times what the largest allowed file takes to be read, and six times as long."""
+"""Limits for reading and flattening: three times the memory and six times the time that reading the largest
+allowed file takes."""
 MAX_POINTS = 500_000
 MAX_ENTITIES = 50_000
-"""With what blocks draw again and again: as many times as they are placed."""
+"""Includes the entities of blocks, once for each placement."""
 MAX_FIT_POINTS, MAX_ALL_FIT_POINTS = 1000, 20_000
-"""Fit points of one spline, and of all together: the equations grow with their square, to 0.1 s
-and 23 MiB for a thousand, 43 s and 3.4 GB for twelve thousand. CAD draws through some dozens."""
+"""Fit points of one spline, and of all together. The equations grow with their square: 0.1 s and 23 MiB for
+a thousand, 43 s and 3.4 GB for twelve thousand. CAD programs use a few dozen."""
 MAX_DEPTH = 8
-"""Depth of blocks inside blocks."""
+"""Largest nesting depth of blocks."""
 MAX_MEETING = 200
-"""Ends within the tolerance of one place: no outline has lines of a ten-thousandth of a millimetre."""
+"""Most ends within the tolerance of one point: no outline has lines of a ten-thousandth of a millimetre."""
 SHAPES = {"LINE", "ARC", "CIRCLE", "ELLIPSE", "LWPOLYLINE", "POLYLINE", "SPLINE"}
-# what the parser raises for damaged files, by fuzzing it
+# what the parser raises for damaged files, found by fuzzing
 _DAMAGE = (
     DXFError,
     OSError,
@@ -76,14 +78,15 @@ _NO_NUMBER = re.compile(
     rb"(?P<value>[^\r\n]*)",
     re.MULTILINE,
 )
-"""A group code of floating-point numbers (DXF reference, "Group code value types"), and a line without one.
-Where a value looks like such a code, the next line is a code, and a number. ezdxf reads `1_0` and `nan`."""
+"""A group code of floating-point values (DXF reference, "Group code value types") followed by a line that is
+not a number. Where a value happens to look like such a code, the next line is a code and so a number.
+Checked here because ezdxf accepts `1_0` and `nan`."""
 UNITS = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "in": 25.4}
 
 
 @dataclass(frozen=True, slots=True)
 class JoinedPoints:
-    """Points (N, 2) in mm that are connected, and whether the last meets the first."""
+    """A polyline of points (N, 2) in mm, and whether its last point meets the first."""
 
     points: FloatArray
     closed: bool
@@ -92,11 +95,12 @@ class JoinedPoints:
 def read_dxf(
     path: Path, layers: Sequence[str] = (), units: str | None = None, most_points: int = MAX_POINTS
 ) -> list[FloatArray]:
-    """Closed outlines of a DXF drawing in mm.
+    """Read the closed outlines of a DXF drawing, in mm.
 
-    layers : only these; empty: all that are switched on.  units : of `UNITS`, where the drawing does not say.
-    most_points : of all curves, at most; what would take more memory is refused before it is drawn.
-    Raises `FileFormatError` for what is not a DXF drawing, has no unit, is not flat or closed, or is empty.
+    layers : only these; empty: all that are switched on.  units : key of `UNITS`; None: as the drawing says.
+    most_points : limit for all curves together; a drawing that exceeds it is refused before it is flattened.
+    Raises `FileFormatError` for a file that is not a DXF drawing, has no unit, is not flat or closed, or is
+    empty.
     """
     path = Path(path)
     data = read_bytes(path, "a drawing", MAX_DRAWING_BYTES)
@@ -117,7 +121,7 @@ def _read_chains(
     path: Path, layers: Sequence[str], units: str | None, most_points: int
 ) -> list[JoinedPoints]:
     with file_to_read(path) as opened:
-        place = f"/proc/self/fd/{opened.fileno()}"  # the name may mean another file by now
+        place = f"/proc/self/fd/{opened.fileno()}"  # the path may refer to another file by now
         try:
             document = readfile(place)
         except OSError as error:
@@ -141,7 +145,7 @@ def _read_chains(
 
 
 def read_contour(path: Path) -> list[FloatArray]:
-    """Closed outlines from text: a point `x,y` in mm on each line, an empty line between outlines.
+    """Read closed outlines from text: one point `x,y` in mm per line, an empty line between outlines.
 
     Raises `FileFormatError` that names the line.
     """
@@ -179,7 +183,7 @@ def _scale(document: DxfDocument, path: Path, units: str | None) -> float:
 
 @dataclass(frozen=True, slots=True)
 class _Content:
-    """Counts of what is drawn. points : of polylines and splines; fit_points : of splines through them."""
+    """Counts of drawn content. points : of polylines and splines; fit_points : of splines defined by them."""
 
     shapes: int = 0
     points: int = 0
@@ -192,9 +196,10 @@ class _Content:
 
 
 def _forget_undrawn(document: DxfDocument, layers: Sequence[str]) -> None:
-    """Leave nothing but shapes of the layers, and blocks: whatever is in one is copied wherever it is placed.
+    """Delete every entity that is not a shape on a wanted layer, except block references.
 
-    Text, dimensions and hatches draw no edge.
+    The content of a block is copied at each placement, so it is filtered, too. Text, dimensions and hatches
+    draw no edge.
     """
     hidden = {layer.dxf.name for layer in document.layers if layer.is_off() or layer.is_frozen()}
     for layout in (document.modelspace(), *document.blocks):
@@ -206,7 +211,7 @@ def _forget_undrawn(document: DxfDocument, layers: Sequence[str]) -> None:
 
 
 def _placed_content(document: DxfDocument, path: Path) -> _Content:
-    """Counts of all that the model space would draw, blocks as often as they are placed."""
+    """Counts of everything that the model space draws, with blocks counted once for each placement."""
     known: dict[str, _Content] = {}
 
     def of(entities: Iterable[DXFEntity], depth: int) -> _Content:
@@ -284,17 +289,18 @@ def _chains(entity: DXFGraphic, scale: float, path: Path, most_points: int) -> l
 
 
 def _flattened(entity: DXFGraphic, distance: float, most: int) -> list[FloatArray]:
-    """Points (N, 3) of each curve of an entity, every one of them on the drawn curve itself.
+    """Points (N, 3) of each curve of an entity, each lying exactly on the drawn curve.
 
-    distance : largest one of the curve from its chords. most : points; one more says that there are.
+    distance : largest deviation of the curve from its chords. most : limit of points; one more is returned
+    if there are more.
 
-    ezdxf's paths are Bézier curves, 0.03 % too large where they stand for arcs: the radius of a job would be
-    off by four times what is measured.
+    ezdxf's paths are Bézier curves, which are 0.03 % too large for arcs: a job's radius would be off by four
+    times the measurement error.
     """
     vertices: Iterable[Vec3]
-    if isinstance(entity, Circle):  # an arc, too
+    if isinstance(entity, Circle):  # Arc is a subclass
         radius = abs(entity.dxf.radius)
-        if not math.pi * math.sqrt(0.5 * radius / distance) < most:  # all of them are made at once
+        if not math.pi * math.sqrt(0.5 * radius / distance) < most:  # ezdxf makes all points at once
             raise FileFormatError(f"{entity}: an arc of more than {most} points", "large")
         vertices = entity.flattening(min(distance, 0.1 * radius))
     elif isinstance(entity, Ellipse | Spline):
@@ -319,7 +325,7 @@ def _as_points(vertices: Iterable[Vec3], most: int) -> FloatArray:
 def _bulged(
     corners: FloatArray, closed: bool, height: float, ocs: OCS, distance: float, most: int
 ) -> Iterable[Vec3]:
-    """Vertices of a polyline; corners (N, 3) : x, y, bulge (tangent of a quarter of the arc to the next)."""
+    """Vertices of a polyline. corners (N, 3) : x, y, bulge (tangent of a quarter of the arc's angle)."""
     following = np.roll(corners, -1, axis=0)
     sides = len(corners) if closed else len(corners) - 1
     places, drawn = [corners[:1, :2]], 0
@@ -346,7 +352,7 @@ def _bulged(
 
 
 def _chain(points: FloatArray) -> JoinedPoints:
-    """Without points that repeat their predecessor."""
+    """Make a chain, dropping points that repeat their predecessor."""
     steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
     kept = points[np.concatenate([[True], steps > 1e-9])]
     closed = len(kept) > 3 and float(np.linalg.norm(kept[0] - kept[-1])) < GAP_MM
@@ -354,7 +360,7 @@ def _chain(points: FloatArray) -> JoinedPoints:
 
 
 def _outlines(chains: Sequence[JoinedPoints], place: str) -> list[FloatArray]:
-    """Join open chains end to end. Raises `FileFormatError` for what stays open, and for nothing at all."""
+    """Join open chains end to end. Raises `FileFormatError` if one stays open or there is no outline."""
     outlines = [chain.points for chain in chains if chain.closed and len(chain.points) >= 3]
     outlines += _joined(
         [chain.points for chain in chains if not chain.closed and len(chain.points) >= 2], place
@@ -367,11 +373,11 @@ def _outlines(chains: Sequence[JoinedPoints], place: str) -> list[FloatArray]:
 
 
 def _joined(lines: Sequence[FloatArray], place: str) -> list[FloatArray]:
-    """Outlines of lines (N, 2) that meet end to end, in any order and direction.
+    """Join lines (N, 2) that meet end to end, in any order and direction, into outlines.
 
-    ezdxf finds the ends that are near; which of them goes on is decided here. Its own chains stop where more
-    than two ends are within the tolerance, as where lines are shorter than it or two outlines nearly touch,
-    and go round for ever where two ends are near a third but not each other.
+    ezdxf finds nearby ends; which of them continues the chain is decided here. Its own chaining stops where
+    more than two ends are within the tolerance, as with lines shorter than it or outlines that nearly touch,
+    and loops for ever where two ends are near a third but not near each other.
     """
     edges = [make_edge(points[0], points[-1], payload=points) for points in lines]
     if not edges:
@@ -395,13 +401,13 @@ def _joined(lines: Sequence[FloatArray], place: str) -> list[FloatArray]:
 
 
 def _next(chain: Sequence[Edge], used: Set[Edge], ends: Deposit) -> Edge | None:
-    """The nearest line that goes on where a chain ends; its own first one where that closes it."""
+    """Nearest line that continues a chain at its end; the chain's first line if that closes it."""
     end = chain[-1].end
     linked = ends.edges_linked_to(end)
     if len(linked) > MAX_MEETING:
         return None
     near = [way for edge in linked if edge not in used for way in (edge, edge.reversed())]
-    if sum(len(edge.payload) - 1 for edge in chain[:3]) >= 3:  # there and back encloses nothing
+    if sum(len(edge.payload) - 1 for edge in chain[:3]) >= 3:  # two segments, there and back, enclose nothing
         near.append(chain[0])
     return min(
         (edge for edge in near if edge.start.distance(end) < GAP_MM),
@@ -411,7 +417,7 @@ def _next(chain: Sequence[Edge], used: Set[Edge], ends: Deposit) -> Edge | None:
 
 
 def _why_open(place: str, chain: Sequence[Edge], ends: Deposit) -> FileFormatError:
-    """Why a chain does not close: a loose end, or a point where more than two edges meet."""
+    """Error that says why a chain does not close: a loose end, or a point where more than two edges meet."""
     hint = "expected closed outlines (leave out construction lines by choosing layers)"
     last, first = chain[-1].end, chain[0].start
     for end in (last, first):

@@ -1,7 +1,8 @@
-"""Golden parts: a file for each job, in the folder `golden` beside the rig, under the job's number.
+"""Golden parts: one file per job, named by the job's number, in the folder `golden` beside the rig.
 
-It belongs to the robot's taught path, not to the job: a job that is edited, and a release that is installed,
-leave it where it is. What it was kept with stands in it, and is compared when it is read.
+A golden part belongs to the robot's taught path, not to the job: editing the job or installing a release
+leaves it in place. It records the part, calibration and registration it was saved with; these are compared
+when it is used.
 """
 
 from __future__ import annotations
@@ -21,17 +22,17 @@ GOLDEN_FORMAT = "edged-golden"
 GOLDEN_VERSION = 1
 MAX_GOLDEN_BYTES = 256 * 1024
 MAX_POINTS = 1000
-"""Points of a part at the most; 8 for a circle, 2 for an edge or a slot."""
+"""Most points of a part; 8 for a circle, 2 for an edge or a slot."""
 _DIGEST = re.compile(r"[0-9a-f]{16}")
 
 
 def golden_file(rig: Path, number: int) -> Path:
-    """Where the golden part of a job is kept. rig : the rig's file."""
+    """Path of a job's golden part. rig : the rig's file."""
     return rig.parent / "golden" / f"{number}.json"
 
 
 def save_golden(path: Path, golden: Golden) -> None:
-    """Write it; a former one is replaced in one step. Raises `FileFormatError` where the disc refuses."""
+    """Write a golden part, replacing a former one atomically. Raises `FileFormatError` if that fails."""
     document = {
         "format": GOLDEN_FORMAT,
         "version": GOLDEN_VERSION,
@@ -56,7 +57,7 @@ def save_golden(path: Path, golden: Golden) -> None:
 
 
 def load_golden(path: Path) -> Golden:
-    """Read one. Every flaw is a `FileFormatError` that names the file, the field and the expectation."""
+    """Read a golden part. Every flaw is a `FileFormatError` that names file, field and expectation."""
     data = read_bytes(path, "a golden part", MAX_GOLDEN_BYTES)
     reader = JsonFields.of(data, path, "golden part", GOLDEN_FORMAT, GOLDEN_VERSION)
     golden = Golden(

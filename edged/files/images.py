@@ -15,14 +15,14 @@ from edged.files.imagesizes import MAX_PIXELS, MAX_UNPACKED_BYTES, claimed_size
 from edged.owners import file_to_read
 
 MAX_IMAGE_BYTES = MAX_UNPACKED_BYTES + (1 << 20)
-"""Bytes of a file: an uncompressed picture and its header."""
+"""Largest file: an uncompressed picture and its header."""
 SENSOR_BITS = (8, 10, 12, 14, 16)
 
 
 def load_image(path: Path) -> Image:
-    """Read an image as 8-bit grey (H, W) uint8; colours and 16 bits are converted.
+    """Read an image as 8-bit grey (H, W) uint8; colour and 16-bit images are converted.
 
-    Raises `ImageError` for what cannot be read, is not an image, is too large, or has
+    Raises `ImageError` for a file that cannot be read, is not an image, is too large, or has
     floating-point pixels.
     """
     path = Path(path)
@@ -39,7 +39,7 @@ def load_image(path: Path) -> Image:
 
 
 def decode_image(data: bytes, place: str) -> Image:
-    """`load_image` of bytes; place : what a message calls them."""
+    """Decode the bytes of an image as `load_image` does; place : their name in messages."""
     if not data:
         raise ImageError(f"{place}: an empty file, expected an image")
     claimed = claimed_size(data)
@@ -67,7 +67,7 @@ def decode_image(data: bytes, place: str) -> Image:
 
 
 def _as_8_bits(image: MatLike) -> Image:
-    """The upper eight of the bits that a sensor has: cameras put 10, 12 or 14 of them into 16."""
+    """The sensor's upper eight bits: cameras store 10, 12 or 14 bits in 16."""
     bits = max(8, int(image.max()).bit_length())
     bits = next(depth for depth in SENSOR_BITS if bits <= depth)
     return np.asarray(np.asarray(image, np.uint16) >> (bits - 8), np.uint8)

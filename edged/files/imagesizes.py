@@ -1,6 +1,6 @@
-"""The size that an image file states in its head: nothing is decoded.
+"""Read the size stated in an image file's header, without decoding it.
 
-A kilobyte of PNG may unpack to more than a PC holds: what is read here is what OpenCV makes room for.
+A kilobyte of PNG may unpack to more than a PC's memory: the size read here is what OpenCV would allocate.
 """
 
 from __future__ import annotations
@@ -12,30 +12,32 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 MAX_PIXELS = 1 << 26
-"""Pixels of a picture: the largest sensors of industrial cameras have 9344 x 7000 (Gpixel GMAX3265)."""
+"""Most pixels of a picture: the largest sensors of industrial cameras have 9344 x 7000 (Gpixel GMAX3265)."""
 MAX_UNPACKED_BYTES = 4 * MAX_PIXELS
-"""Colours with transparency of as many pixels, or 16 bits of one; then a picture takes as much once more."""
+"""`MAX_PIXELS` in colour with transparency; decoding takes as much again."""
 PNG, JPEG, BMP = b"\x89PNG\r\n\x1a\n", b"\xff\xd8\xff", b"BM"
 TIFF = {b"II*\0": "<", b"MM\0*": ">", b"II+\0": "<", b"MM\0+": ">"}
-"""Byte order by how a file begins; with a plus it is a BigTIFF."""
+"""Byte order by the first four bytes; those with a plus are BigTIFF."""
 _PNM = re.compile(rb"P([1-6])" + 2 * rb"(?:\s|#[^\r\n]*[\r\n])+([0-9]{1,9})")
 """Netpbm's formats; comments may stand between the numbers (pgm(5))."""
 _PNG_CHANNELS = {0: 1, 2: 3, 3: 4, 4: 4, 6: 4}
-"""By colour type (PNG specification, 11.2.1), as OpenCV unpacks them: a palette's may have transparency."""
+"""Channels by colour type (PNG specification, 11.2.1) as OpenCV unpacks them: a palette may have
+transparency."""
 _NO_FRAMES = {0xC4, 0xC8, 0xCC}
 """Markers in the range of the JPEG frames, SOF0 to SOF15, that begin no frame (ITU-T T.81, table B.1)."""
 _BARE_MARKERS = {0x01, *range(0xD0, 0xD8)}
-"""Without a length and content (the same table)."""
+"""Markers without a length and content (same table)."""
 _TIFF_TYPES = {3: "H", 4: "I", 16: "Q"}
-"""Whole numbers: SHORT, LONG and BigTIFF's LONG8 (TIFF 6.0, section 2)."""
+"""Struct codes of the integer types: SHORT, LONG and BigTIFF's LONG8 (TIFF 6.0, section 2)."""
 _WIDTH, _LENGTH, _BITS, _SAMPLES, _TILE_WIDTH, _TILE_LENGTH = 256, 257, 258, 277, 322, 323
 _MOST_TAGS, _MOST_VALUES = 1000, 64
-"""Read of a TIFF's directory; those of cameras and drawing programs have a few dozen."""
+"""Most entries read of a TIFF directory, and values of an entry; cameras and drawing programs write a few
+dozen."""
 
 
 @dataclass(frozen=True, slots=True)
 class ClaimedSize:
-    """Pixels, and bytes that all of them take once they are decoded."""
+    """Size in pixels, and bytes of the decoded image."""
 
     width: int
     height: int
@@ -43,7 +45,7 @@ class ClaimedSize:
 
 
 def claimed_size(data: bytes) -> ClaimedSize | None:
-    """The size stated by the head of a PNG, JPEG, BMP, TIFF or PGM; None for others and damaged heads."""
+    """Size stated by the header of a PNG, JPEG, BMP, TIFF or PNM; None for other or damaged headers."""
     try:
         return next((read(data) for begins, read in _READERS if data.startswith(begins)), None)
     except (struct.error, ValueError, LookupError):
@@ -62,18 +64,18 @@ def _png(data: bytes) -> ClaimedSize | None:
 
 
 def _bmp(data: bytes) -> ClaimedSize | None:
-    """A negative height is a picture from top to bottom."""
+    """Size in a BMP header; a negative height means top-down rows."""
     (head,) = struct.unpack_from("<I", data, 14)
     width, height = struct.unpack_from("<HH" if head == 12 else "<ii", data, 18)
     return _size(abs(width), abs(height), 4)
 
 
 def _jpeg(data: bytes) -> ClaimedSize | None:
-    """From the head of its one frame; what stands between two markers is not guessed at."""
+    """Size in the header of the first frame; None if bytes between two markers are not as expected."""
     at = 2
     while data[at] == 0xFF:
         marker = data[at + 1]
-        if marker == 0xFF:  # they may be filled up with these
+        if marker == 0xFF:  # fill bytes may precede a marker
             at += 1
         elif marker in _BARE_MARKERS:
             at += 2
@@ -86,7 +88,7 @@ def _jpeg(data: bytes) -> ClaimedSize | None:
 
 
 def _pnm(data: bytes) -> ClaimedSize | None:
-    """16 bits and three colours are taken for granted where there may be."""
+    """Size in a PNM header; 16 bits, and three colours where the format allows them, are assumed."""
     found = _PNM.match(data)
     if found is None:
         return None
@@ -94,10 +96,10 @@ def _pnm(data: bytes) -> ClaimedSize | None:
 
 
 def _tiff(data: bytes) -> ClaimedSize | None:
-    """Size of the first picture; a tile may be larger than it, and is unpacked as a whole."""
+    """Size of the first picture, or of a tile, which may be larger and is unpacked as a whole."""
     tags: dict[int, int] = {_SAMPLES: 1, _BITS: 1, _TILE_WIDTH: 0, _TILE_LENGTH: 0}
     for tag, value in _tiff_tags(data, TIFF[data[:4]], is_big=b"+" in data[:4]):
-        tags[tag] = max(value, tags.get(tag, 0))  # libtiff takes one of two, we need not know which
+        tags[tag] = max(value, tags.get(tag, 0))  # of a repeated tag libtiff takes one: assume the larger
     pixel_bytes = tags[_SAMPLES] * math.ceil(tags[_BITS] / 8)
     picture = _size(tags[_WIDTH], tags[_LENGTH], pixel_bytes)
     tile = _size(tags[_TILE_WIDTH], tags[_TILE_LENGTH], pixel_bytes)
@@ -105,7 +107,7 @@ def _tiff(data: bytes) -> ClaimedSize | None:
 
 
 def _tiff_tags(data: bytes, order: str, *, is_big: bool) -> Iterator[tuple[int, int]]:
-    """Numbers of the first directory: each tag, and the largest of its values."""
+    """Integer entries of the first directory: each tag and the largest of its values."""
     (first,) = struct.unpack_from(order + ("Q" if is_big else "I"), data, 8 if is_big else 4)
     counted, entry, inline_bytes = ("Q", "HHQ", 8) if is_big else ("H", "HHI", 4)
     (count,) = struct.unpack_from(order + counted, data, first)
@@ -117,7 +119,7 @@ def _tiff_tags(data: bytes, order: str, *, is_big: bool) -> Iterator[tuple[int, 
             continue
         letters = order + _TIFF_TYPES[kind] * min(values, _MOST_VALUES)
         place += head
-        if struct.calcsize(letters) > inline_bytes:  # they stand elsewhere
+        if struct.calcsize(letters) > inline_bytes:  # the values are stored elsewhere
             (place,) = struct.unpack_from(order + ("Q" if is_big else "I"), data, place)
             if tag not in (_WIDTH, _LENGTH, _BITS, _SAMPLES, _TILE_WIDTH, _TILE_LENGTH):
                 continue

@@ -1,4 +1,4 @@
-"""Fields of a JSON document of ours, read with suspicion."""
+"""Strict reading of the fields of a JSON document in one of our formats."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from edged.errors import FileFormatError
 
 
 def text_of_json(document: Mapping[str, Any]) -> bytes:
-    """A document as such files have it."""
+    """Serialise a document as the bytes of a JSON file."""
     return (json.dumps(document, indent=1, allow_nan=False) + "\n").encode()
 
 
 class JsonFields:
-    """Reads typed fields of a JSON object and names the place when one is wrong."""
+    """Reads typed fields of a JSON object and names the field when one is wrong."""
 
     def __init__(self, path: Path, document: dict[str, Any], prefix: str = "") -> None:
         self.path, self.document, self.prefix = path, document, prefix
@@ -29,10 +29,10 @@ class JsonFields:
     def of(
         data: bytes, path: Path, what: str, form: str, version: int, parse: Callable[[bytes], Any] = json_of
     ) -> JsonFields:
-        """The fields of a whole document of ours. what, form : what it is, for people and in its "format".
+        """Parse a whole document. what, form : its name in messages, and the value of its "format".
 
-        parse : `json.loads` where numbers that are not finite are to be named by their field.
-        Raises `FileFormatError` for another document, or another version of it.
+        parse : `json.loads` if numbers that are not finite shall be reported by their field.
+        Raises `FileFormatError` for another kind of document, or another version of it.
         """
         try:
             document = parse(data)
@@ -45,11 +45,11 @@ class JsonFields:
         return JsonFields(path, document)
 
     def error(self, name: str, problem: str) -> FileFormatError:
-        """What is wrong with a field."""
+        """Error that names file and field."""
         return FileFormatError(f"{self.path}: {self.prefix}{name}: {problem}")
 
     def sub(self, name: str) -> JsonFields:
-        """An object in a field."""
+        """Reader of the object in a field."""
         value = self.document.get(name)
         if not isinstance(value, dict):
             raise self.error(name, f"expected an object, got {type(value).__name__}")
@@ -63,7 +63,7 @@ class JsonFields:
         return float(value)
 
     def whole(self, name: str, most: int, least: int = 0, what: str = "") -> int:
-        """A whole number. what : it is, for a message."""
+        """A whole number from least to most. what : description for the message."""
         value = self.document.get(name)
         if isinstance(value, bool) or not isinstance(value, int) or not least <= value <= most:
             raise self.error(
@@ -76,14 +76,14 @@ class JsonFields:
         return self.whole(name, 99_999, 1, "a size in pixels")
 
     def text(self, name: str) -> str:
-        """A name, not empty."""
+        """A string that is not empty."""
         value = self.document.get(name)
         if not isinstance(value, str) or not value:
             raise self.error(name, f"expected a name, got {value!r}")
         return value
 
     def array(self, name: str, shape: tuple[int, ...]) -> FloatArray:
-        """Finite numbers in this shape."""
+        """An array of this shape, all finite."""
         try:
             value = np.array(self.document.get(name), dtype=np.float64)
         except (TypeError, ValueError):
@@ -93,7 +93,7 @@ class JsonFields:
         return value
 
     def transform_or_none(self, name: str) -> FloatArray | None:
-        """A rigid motion (4, 4); None where null or nothing stands for it."""
+        """A rigid motion (4, 4); None if the field is null or missing."""
         return None if self.document.get(name) is None else self.transform(name)
 
     def transform(self, name: str) -> FloatArray:

@@ -1,4 +1,4 @@
-"""`marks.json`: reference marks as they were taught, beside the rig that they were taught with."""
+"""`marks.json`: the taught reference marks, kept beside the rig file they were taught with."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from edged.vision.geometry.camera import StereoRig
 from edged.vision.marks.frame import CODES
 from edged.vision.marks.params import MARKS
 
-if TYPE_CHECKING:  # a cell without marks is checked without what measures them, and its compiler
+if TYPE_CHECKING:  # checking a cell without marks must not import the measuring code and its compiler
     from edged.vision.marks.taught import TaughtMarks
 
 MARKS_FORMAT = "edged-marks"
@@ -23,21 +23,21 @@ MARKS_VERSION = 1
 MARKS_NAME = "marks.json"
 MAX_MARKS_BYTES = 1024 * 1024
 MAX_TAUGHT = 64
-"""Marks of one cell: 64 make a covariance of 37,000 numbers."""
+"""Most marks of one cell: 64 make a covariance of 37,000 numbers."""
 
 
 def marks_file(rig: Path) -> Path:
-    """Where the marks of a rig are kept. rig : its file."""
+    """Path of a rig's marks. rig : the rig's file."""
     return rig.parent / MARKS_NAME
 
 
 def save_marks(path: Path, taught: TaughtMarks) -> None:
-    """Write them; former ones are replaced in one step. Raises `FileFormatError` where the disc refuses."""
+    """Write the marks, replacing former ones atomically. Raises `FileFormatError` if that fails."""
     write_file(path, marks_text(taught))
 
 
 def marks_text(taught: TaughtMarks) -> bytes:
-    """The text of their file."""
+    """Content of the marks file."""
     from edged.vision.marks.taught import places_in_own_frame
 
     placed = taught.placed
@@ -67,10 +67,10 @@ def marks_text(taught: TaughtMarks) -> bytes:
 
 
 def keep_old_marks(path: Path, calibration_id: str) -> Path | None:
-    """Copy marks of another calibration, which are about to be replaced, beside them, under its id.
+    """Keep a copy of marks of another calibration that are about to be replaced, named by its id.
 
-    They say where the rig of that calibration stood, and so where the robot is (`edged register marks`).
-    Returns the copy, or None where there is nothing to keep.
+    They tell where the rig of that calibration stood, and so where the robot is (`edged register marks`).
+    Returns the path of the copy, or None if there is nothing to keep.
     """
     if not path.is_file():
         return None
@@ -88,7 +88,7 @@ def keep_old_marks(path: Path, calibration_id: str) -> Path | None:
 
 
 def exchange_marks(path: Path, data: bytes, rig: StereoRig) -> bytes | None:
-    """Write marks of this rig; returns what was there, for `put_back`. Raises `FileFormatError`."""
+    """Write marks of this rig; returns the former content, for `put_back`. Raises `FileFormatError`."""
     if marks_of(data, path, rig) is None:
         raise FileFormatError(f"{path}: the new marks are of another calibration")
     former = read_marks(path) if path.is_file() else None
@@ -98,14 +98,14 @@ def exchange_marks(path: Path, data: bytes, rig: StereoRig) -> bytes | None:
 
 
 def read_marks(path: Path) -> bytes:
-    """The bytes of a file of marks. Raises `FileFormatError`."""
+    """Read the bytes of a marks file. Raises `FileFormatError`."""
     return read_bytes(path, "reference marks", MAX_MARKS_BYTES)
 
 
 def marks_of(data: bytes, path: Path, rig: StereoRig) -> TaughtMarks | None:
-    """The marks in a file that was read; None where they were taught with another calibration.
+    """Parse a marks file; None if the marks were taught with another calibration.
 
-    path : where, for messages. Every flaw is a `FileFormatError` that names file, field and expectation.
+    path : for messages. Every flaw is a `FileFormatError` that names file, field and expectation.
     """
     if len(data) > MAX_MARKS_BYTES:
         raise FileFormatError(f"{path}: {len(data)} bytes: expected marks, at most {MAX_MARKS_BYTES}")

@@ -1,4 +1,4 @@
-"""Checks that a command can write its outputs, before its work begins."""
+"""Check that a command can write its outputs before it starts work."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from edged.owners import as_owner
 def check_outputs(
     outputs: Mapping[str, Path | None], inputs: Mapping[str, Path | None] | None = None
 ) -> None:
-    """Refuse files that cannot be written, two outputs in one file, and an output that is an input.
+    """Refuse outputs that cannot be written, that share one file, or that would overwrite an input.
 
-    outputs, inputs : by the name of their option or argument; None: not wanted.
+    outputs, inputs : by the name of their option or argument; None: not used.
     Raises `UserError` that names them.
     """
     named: dict[Path, str] = {}
@@ -34,7 +34,7 @@ def check_outputs(
 
 
 def check_folder(path: Path) -> None:
-    """Refuse a path that is not a folder, or cannot be made or written into. Raises `FileFormatError`."""
+    """Refuse a path that is not a folder or cannot be created or written to. Raises `FileFormatError`."""
     if path.exists():
         if not path.is_dir():
             raise FileFormatError(f"{path}: is a file, expected a folder to write")
@@ -47,7 +47,7 @@ def check_folder(path: Path) -> None:
 
 
 def make_folder(folder: Path) -> None:
-    """Make a folder to write into, and those that it is in; root does as who they belong to.
+    """Make a folder and its parents; when running as root, do so as their owner.
 
     Raises `FileFormatError`.
     """
@@ -65,7 +65,7 @@ def _check_file(path: Path) -> None:
 
 
 def _check_takes(path: Path, folder: Path) -> None:
-    """A file is written beside its place and renamed, so the folder decides: it takes one for a moment."""
+    """Check that the folder is writable, with a temporary file: files are written there and then renamed."""
     with (
         translated(FileFormatError, f"{path}: cannot be written into {folder}"),
         tempfile.TemporaryFile(dir=folder),

@@ -15,7 +15,7 @@ SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
 
 @dataclass(frozen=True, slots=True)
 class ImagePair:
-    """Two files of one exposure."""
+    """The two files of one exposure."""
 
     name: str
     left: Path
@@ -23,10 +23,10 @@ class ImagePair:
 
 
 def find_pairs(folder: Path) -> list[ImagePair]:
-    """The pairs of a folder, sorted by name as people count: v2 comes before v10.
+    """Find the pairs of a folder, in natural order of names: v2 comes before v10.
 
-    Raises `ImageError` that names every half without its other half, every doubled half, or the
-    folder that holds no pair at all.
+    Raises `ImageError` that names every half without its counterpart and every duplicate, or the
+    folder if it holds no pair at all.
     """
     if not folder.is_dir():
         raise ImageError(f"{folder}: not a folder; expected pairs NAME_left.png and NAME_right.png")
@@ -54,13 +54,13 @@ def find_pairs(folder: Path) -> list[ImagePair]:
 
 
 def _as_counted(name: str) -> tuple[list[str | int], str]:
-    """A key to sort names by, their numbers by value; what is alike then, such as 1 and 01, by letter."""
-    parts = re.split(r"([0-9]+)", name)  # text and numbers by turns
+    """Key for natural order: numbers compare by value; ties, such as 1 and 01, by the plain name."""
+    parts = re.split(r"([0-9]+)", name)  # text and numbers alternate
     return [int(part) if index % 2 else part for index, part in enumerate(parts)], name
 
 
 def half_of(folder: Path, name: str, side: Side) -> Path:
-    """The file NAME_SIDE.* of a folder, of any of the `SUFFIXES`; NAME_SIDE.png where there is none."""
+    """The file NAME_SIDE.* of a folder with any of `SUFFIXES`; NAME_SIDE.png if there is none."""
     return next(
         (path for suffix in SUFFIXES if (path := folder / f"{name}_{side}{suffix}").is_file()),
         folder / f"{name}_{side}.png",
@@ -68,7 +68,7 @@ def half_of(folder: Path, name: str, side: Side) -> Path:
 
 
 def next_number(folder: Path, name: str) -> int:
-    """The number after the highest of NAME_NN_left.* and NAME_NN_right.* in a folder, 0 in an empty one."""
+    """Number after the highest of NAME_NN_left.* and NAME_NN_right.* in a folder; 0 if there is none."""
     numbers = [-1]
     for path in folder.iterdir():
         stem, underscore, side = path.stem.rpartition("_")

@@ -1,4 +1,4 @@
-"""One page of black and white shapes and lines of text as PDF, true to scale."""
+"""Write one page of grey shapes and lines of text as PDF, true to scale."""
 
 from __future__ import annotations
 
@@ -7,13 +7,13 @@ from dataclasses import dataclass
 
 POINTS_PER_MM = 72 / 25.4
 ARC = 0.5522847498307936
-"""Share of the radius: control points of the four Bézier curves that are a circle to 0.03 %."""
+"""Distance of control points over the radius, for four Bézier curves that match a circle to 0.03 %."""
 MAX_TEXT = 200
 
 
 @dataclass(frozen=True, slots=True)
 class PageShapes:
-    """Filled as one, mm from the page's upper left corner.
+    """Shapes filled as one path, in mm from the page's upper left corner.
 
     grey : 0 black to 1 white.  rectangles : x, y, width, height.  circles : x, y, radius.
     triangles : x, y of three corners.
@@ -27,7 +27,7 @@ class PageShapes:
 
 @dataclass(frozen=True, slots=True)
 class Text:
-    """A line in Helvetica; x, y mm of its beginning on the base line, height mm of its capitals and more."""
+    """A line in Helvetica; x, y : start of the baseline, mm; height : font size, mm."""
 
     x: float
     y: float
@@ -38,7 +38,7 @@ class Text:
 def one_page(
     size_mm: tuple[float, float], shapes: Sequence[PageShapes], texts: Sequence[Text], title: str
 ) -> bytes:
-    """The file. size_mm : width and height of the page."""
+    """Content of the PDF file. size_mm : width and height of the page."""
     width, height = size_mm
     # from here on millimetres, y down
     lines = [f"{POINTS_PER_MM:.9f} 0 0 {-POINTS_PER_MM:.9f} 0 {height * POINTS_PER_MM:.6f} cm"]

@@ -26,7 +26,7 @@ TYPES = {"<f4": "float", "|u1": "uchar"}
 
 
 def encode_ply(cloud: PointCloud) -> bytes:
-    """A binary PLY: x, y, z in mm of the rig frame, colour by kind, sigma of the depth in mm."""
+    """Encode as binary PLY: x, y, z in mm in the rig frame, colour by kind, sigma of the depth in mm."""
     vertices = np.zeros(len(cloud.points_mm), VERTEX)
     for axis, name in enumerate("xyz"):
         vertices[name] = cloud.points_mm[:, axis]
@@ -47,5 +47,5 @@ def encode_ply(cloud: PointCloud) -> bytes:
 
 
 def save_ply(path: Path, cloud: PointCloud) -> None:
-    """Write a PLY file as a whole. Raises `FileFormatError` where the disc refuses."""
+    """Write a PLY file atomically. Raises `FileFormatError` if that fails."""
     write_file(path, encode_ply(cloud))

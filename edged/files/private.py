@@ -1,4 +1,4 @@
-"""Files that hold a secret: who may read them, and how they are written."""
+"""Files that hold a secret: their permissions, and how they are written."""
 
 from __future__ import annotations
 
@@ -11,18 +11,19 @@ from edged.errors import FileFormatError
 from edged.files.atomic import read_bytes, write_atomically
 
 CONFIG_GROUP = "edged-config"
-"""The daemons' users are in it, and nobody else; tools/install makes it (systemd/edged-sysusers.conf)."""
+"""Group of the daemons' users only; tools/install creates it (systemd/edged-sysusers.conf)."""
 OTHERS = 0o007
 MIN_KEY_BYTES, MAX_KEY_BYTES = 32, 4096
-"""Length of a key for HMAC-SHA256: at least that of its output (RFC 2104, section 3)."""
+"""Length of a key for HMAC-SHA256: at least that of the hash output (RFC 2104, section 3)."""
 
 
 def write_private(path: Path, data: bytes, like: Path | None = None) -> None:
     """Write a file that others must not read. Raises `OSError`.
 
-    like : the file that it replaces. Where others cannot read that, its group keeps what it may do.
-    Otherwise, a file of root's is for the daemons too, and any other one for its owner alone; but where root
-    replaces one and there is no group of daemons, it stays readable: the daemon may be one of the others.
+    like : the file that it replaces. If others have no access to that, its group and mode are kept.
+    Otherwise a file of root's is readable by the daemons, too, and any other file by its owner alone. But if
+    root replaces a file and there is no group of daemons, mode and group stay: the daemon may be one of the
+    others.
     """
     is_root, daemons = os.geteuid() == 0, _config_group()
     found = like.stat() if like is not None and like.exists() else None
@@ -35,9 +36,9 @@ def write_private(path: Path, data: bytes, like: Path | None = None) -> None:
 
 
 def read_shared_key(path: Path) -> bytes:
-    """The key that a cell and those who check what it says have in common: what stands in the file.
+    """Read the key shared by a cell and those who verify its messages.
 
-    White space around it does not count. Raises `FileFormatError` where others may read it, or it is short.
+    Surrounding white space is ignored. Raises `FileFormatError` if others may read the file, or it is short.
     """
     key = read_bytes(path, "a shared key", MAX_KEY_BYTES).strip()
     if len(key) < MIN_KEY_BYTES:
@@ -49,7 +50,7 @@ def read_shared_key(path: Path) -> bytes:
 
 
 def is_exposed(path: Path) -> bool:
-    """Whether every user of this machine may read the file; False for one that cannot be looked at."""
+    """Whether every user of this machine may read the file; False if it cannot be examined."""
     try:
         return bool(path.stat().st_mode & 0o004)
     except OSError:
@@ -57,7 +58,7 @@ def is_exposed(path: Path) -> bool:
 
 
 def closing(path: Path) -> str:
-    """The command that keeps other users from reading it, but not the daemon."""
+    """Shell command that makes the file unreadable for other users, but not for the daemon."""
     file = shlex.quote(str(path.resolve()))
     if _config_group() is None:
         return f"chmod 600 {file}"
@@ -65,7 +66,7 @@ def closing(path: Path) -> str:
 
 
 def can_close(path: Path) -> bool:
-    """Whether this process may take a file from other users, and no group of daemons is to have it."""
+    """Whether this process owns the file, and there is no group of daemons that it should belong to."""
     try:
         return path.stat().st_uid == os.geteuid() and _config_group() is None
     except OSError:
@@ -73,7 +74,7 @@ def can_close(path: Path) -> bool:
 
 
 def close_to_others(path: Path) -> None:
-    """Let owner and group do what they may, and others nothing. Raises `OSError`."""
+    """Remove all permissions of others; those of owner and group stay. Raises `OSError`."""
     path.chmod(path.stat().st_mode & 0o777 & ~OTHERS)
 
 

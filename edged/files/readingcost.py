@@ -1,4 +1,4 @@
-"""Bounds on the time and memory that a library may take to read a file."""
+"""Limit the time and memory that a library may take to read a file."""
 
 from __future__ import annotations
 
@@ -13,25 +13,25 @@ from pathlib import Path
 from edged.errors import FileFormatError
 
 WATCHED_S = 0.01
-"""Of processor time, between two looks: a library that makes objects fills some megabytes in it."""
+"""Processor time between two checks: a library that makes objects fills some megabytes in it."""
 
 
 class _TooMuch(BaseException):
-    """No `Exception`: a library that goes on after any of those must not after this one."""
+    """Not an `Exception`, so that a library that catches those cannot swallow it."""
 
 
 @contextmanager
 def reading_cost(path: Path, memory_bytes: int, cpu_s: float) -> Iterator[None]:
-    """Let what is inside take so much more memory, and so much processor time.
+    """Limit the additional memory and the processor time of the enclosed code.
 
-    Raises `FileFormatError` that names the file and the bound, with the code "large". Both are watched in
-    the main thread alone, where commands and the worker process read.
+    Raises `FileFormatError` that names the file and the limit, with the code "large". Enforced only in
+    the main thread, where commands and the worker process read files.
 
-    What is watched is ended while there still is memory to end it with: where a small object can no longer be
-    made at all (RLIMIT_AS), CPython 3.11 looks for the handler of its MemoryError for ever.
+    The code is interrupted while some memory is left: when no small object can be allocated at all
+    (RLIMIT_AS), CPython 3.11 searches for the handler of its MemoryError for ever.
     """
     if threading.current_thread() is not threading.main_thread():
-        yield  # signals are for the main thread
+        yield  # signal handlers work only in the main thread
         return
     most_bytes, most_s = _memory_bytes() + memory_bytes, time.process_time() + cpu_s
 
@@ -42,7 +42,7 @@ def reading_cost(path: Path, memory_bytes: int, cpu_s: float) -> Iterator[None]:
             raise _TooMuch(f"{cpu_s:g} s of processor time")
 
     before = signal.signal(signal.SIGPROF, look)
-    # again and again: what is raised in a destructor is lost
+    # repeating: an exception raised in a destructor is lost
     signal.setitimer(signal.ITIMER_PROF, WATCHED_S, WATCHED_S)
     try:
         try:

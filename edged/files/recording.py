@@ -1,10 +1,10 @@
-"""Recordings: one exposure with its result in one file, enough to measure it again bit by bit.
+"""Recordings: one exposure with its result in one file, enough to reproduce the result bit for bit.
 
     FOLDER/cycles/000000042_20260131T235959.123456Z_OK_1a2b3c4d.zip   left.png, right.png, recording.json
     FOLDER/setups/1a2b3c4d/...                                        rig, jobs, configuration of that cycle
 
-The first number counts recordings and goes on after a restart, so that the order of files does not depend
-on a clock that may jump; the last part is the fingerprint of the setup. Files are whole or not there.
+The first number counts recordings and continues after a restart, so that the order of files does not depend
+on a clock that may jump; the last part is the fingerprint of the setup. Files are written atomically.
 """
 
 from __future__ import annotations
@@ -59,18 +59,18 @@ NAME = re.compile(
 DOCUMENT = "recording.json"
 PICTURES: dict[Side, str] = {side: f"{side}.png" for side in SIDES}
 _DAMAGE = (zipfile.BadZipFile, zlib.error, KeyError, ValueError, EOFError, NotImplementedError, RuntimeError)
-"""Errors of reading a ZIP and its JSON."""
+"""Errors raised when reading a damaged ZIP or its JSON."""
 PNG_QUICK = (cv2.IMWRITE_PNG_COMPRESSION, 1)
 """Lossless at any level; higher ones take three times as long for a tenth less."""
 
 
 MOST_COLUMNS = 512
-"""Coordinates of marks in both pictures, see `edged.files.marks.MAX_TAUGHT`."""
+"""Most columns of `cross`: 8 for each mark, see `edged.files.marks.MAX_TAUGHT`."""
 
 
 @dataclass(frozen=True, slots=True)
 class Entry:
-    """A recording by its name: what a ring has to know without opening it."""
+    """Facts in a recording's file name, which a ring buffer needs without opening the file."""
 
     path: Path
     index: int
@@ -83,10 +83,10 @@ class Entry:
 class Recording:
     """The contents of one file.
 
-    snapshot : as published (`payload.snapshot_to_json`).  versions : of what computed it.
-    pair : None where there was no exposure (a fault of the cameras). marks_before : where the reference marks
-    said that the cameras were before it; None without marks. belt, moment : that carried the parts, and
-    where it was; None as in `Snapshot`.
+    snapshot : as published (`payload.snapshot_to_json`).  versions : of the software that computed it.
+    pair : None if there was no exposure (a camera fault). marks_before : state of the tracking of reference
+    marks before the exposure; None without marks. belt, moment : the belt that carried the parts and its
+    position; None as in `Snapshot`.
     """
 
     snapshot: Json
@@ -98,7 +98,7 @@ class Recording:
 
 
 def versions() -> dict[str, str]:
-    """Inputs of a result besides the images."""
+    """Versions of the software that a result depends on."""
     return {
         "edged": __version__,
         "python": platform.python_version(),
@@ -110,7 +110,7 @@ def versions() -> dict[str, str]:
 
 
 def encode(snapshot: Snapshot, pair: FramePair | None) -> bytes:
-    """The file of one cycle."""
+    """Content of the recording of one cycle."""
     frames = {} if pair is None else {"left": pair.left, "right": pair.right}
     document = {
         "format": FORMAT,
@@ -143,7 +143,7 @@ def encode(snapshot: Snapshot, pair: FramePair | None) -> bytes:
 
 
 def decode(data: bytes, place: str) -> Recording:
-    """Read a file's content back. Raises `FileFormatError` that names place, member and expectation."""
+    """Parse the content of a recording. Raises `FileFormatError` that names place, member and expectation."""
     try:
         with open_zip(io.BytesIO(data)) as archive:
             wanted = {DOCUMENT, *PICTURES.values()} & set(archive.namelist())
@@ -164,7 +164,7 @@ def decode(data: bytes, place: str) -> Recording:
 
 
 def _belt(document: Json, place: str) -> tuple[Belt | None, BeltMoment | None]:
-    """The belt and where it was. Raises `FileFormatError`."""
+    """The belt and its position at the exposure. Raises `FileFormatError`."""
     belt = moment = None
     try:
         if "belt" in document:
@@ -184,14 +184,14 @@ def _belt(document: Json, place: str) -> tuple[Belt | None, BeltMoment | None]:
 
 
 def _number(value: Any) -> float:
-    """Raises `TypeError`, `OverflowError`."""
+    """Number of a JSON value. Raises `TypeError`, `OverflowError`."""
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise TypeError(f"expected a number, got {value!r}")
     return float(value)
 
 
 def _track_to_json(track: MarksTrack) -> Json:
-    """What a track is, to the last bit."""
+    """All fields of a track, without loss of precision."""
     return {
         field.name: value.tolist() if isinstance(value, np.ndarray) else value
         for field in fields(track)
@@ -200,7 +200,7 @@ def _track_to_json(track: MarksTrack) -> Json:
 
 
 def _track(document: dict[str, Any], place: str) -> MarksTrack:
-    """The track again. Raises `FileFormatError`."""
+    """Parse the track written by `_track_to_json`. Raises `FileFormatError`."""
     reader = JsonFields(Path(place), document, "marks_before.")
     cross = document.get("cross")
     columns = len(cross[0]) if isinstance(cross, list) and cross and isinstance(cross[0], list) else 0
@@ -226,7 +226,7 @@ def _track(document: dict[str, Any], place: str) -> MarksTrack:
 
 
 def _snapshot_of(document: Any, place: str) -> Json:
-    """The snapshot in a recording's document, as far as everybody needs it looked at."""
+    """The snapshot in a recording's document, with the fields that every caller needs checked."""
     if not isinstance(document, dict) or document.get("format") != FORMAT:
         raise FileFormatError(f'{place}: not a recording (expected "format": "{FORMAT}")')
     if document.get("version") != VERSION:
@@ -239,7 +239,7 @@ def _snapshot_of(document: Any, place: str) -> Json:
 
 
 def load_snapshot(path: Path) -> tuple[Json, bool]:
-    """The snapshot of one recording, and whether there are pictures; these are not read.
+    """Load the snapshot of one recording, and whether it has pictures, without reading those.
 
     Raises `FileFormatError`.
     """
@@ -252,7 +252,7 @@ def load_snapshot(path: Path) -> tuple[Json, bool]:
 
 
 def load_picture(path: Path, side: Side) -> Image:
-    """One picture of a recording. Raises `FileFormatError`."""
+    """Load one picture of a recording. Raises `FileFormatError`."""
     name = PICTURES[side]
     data = _members_of(path, (name,))[0][name]
     try:
@@ -262,7 +262,7 @@ def load_picture(path: Path, side: Side) -> Image:
 
 
 def _members_of(path: Path, wanted: Iterable[str]) -> tuple[dict[str, bytes], set[str]]:
-    """Some members of a file, each of sane size, and the names of all."""
+    """Contents of the wanted members of a file, each of limited size, and the names of all members."""
     try:
         if not path.is_file() or path.stat().st_size > MAX_FILE_BYTES:
             raise FileFormatError(f"{path}: no file of a recording")
@@ -293,13 +293,13 @@ def save(folder: Path, index: int, recorded: datetime, snapshot: Snapshot, pair:
 
 
 def entries(folder: Path) -> list[Entry]:
-    """The recordings of a folder, oldest first; other files are passed over."""
+    """The recordings of a folder, oldest first; other files are ignored."""
     found = (_entry(path) for path in (folder / "cycles").glob("*.zip"))
     return sorted((entry for entry in found if entry is not None), key=lambda entry: entry.index)
 
 
 def find(folder: Path, index: int) -> Entry | None:
-    """The recording with a number; None where there is none."""
+    """The recording with this number; None if there is none."""
     found = (_entry(path) for path in (folder / "cycles").glob(f"{index:09d}_*.zip"))
     return next((entry for entry in found if entry is not None), None)
 
@@ -310,23 +310,23 @@ def _entry(path: Path) -> Entry | None:
         return None
     try:
         recorded = datetime.strptime(parts["utc"], "%Y%m%dT%H%M%S.%fZ").replace(tzinfo=UTC)
-    except ValueError:  # a date that does not exist: somebody else named it
+    except ValueError:  # a date that does not exist: not a file of ours
         return None
     return Entry(path, int(parts["index"]), recorded, parts["status"], parts["fingerprint"])
 
 
 def save_setup(folder: Path, fingerprint: str, files: Mapping[str, bytes]) -> None:
-    """Keep what results of this fingerprint stand on, once. Raises `OSError`."""
+    """Store the setup of this fingerprint unless it is there already. Raises `OSError`."""
     target = setup_folder(folder, fingerprint)
     if not target.is_dir():
         replace_folder(target, files)
 
 
 def forget_setups(folder: Path, fingerprints: Iterable[str]) -> None:
-    """Remove setups on which no recording stands any longer; each is whole or not there. Raises `OSError`."""
+    """Remove setups that no recording needs any longer, each atomically. Raises `OSError`."""
     unused = [place for name in fingerprints if (place := setup_folder(folder, name)).is_dir()]
     if unused and (folder / "cycles").is_dir():
-        sync(folder / "cycles")  # that the recordings are gone has to last first
+        sync(folder / "cycles")  # the removal of the recordings must reach the disc first
     for place in unused:
         aside = Path(tempfile.mkdtemp(prefix=f".{place.name}.", dir=place.parent))
         place.replace(aside)
@@ -335,17 +335,17 @@ def forget_setups(folder: Path, fingerprints: Iterable[str]) -> None:
 
 
 def setup_folder(folder: Path, fingerprint: str) -> Path:
-    """The folder of rig and jobs of a fingerprint."""
+    """Folder of the rig, jobs and configuration of a fingerprint."""
     return folder / "setups" / fingerprint
 
 
 def setups(folder: Path) -> set[str]:
-    """Fingerprints whose rig and jobs are kept."""
+    """Fingerprints of the stored setups."""
     return {path.name for path in (folder / "setups").glob("[0-9a-f]*") if path.is_dir()}
 
 
 def sweep(folder: Path) -> int:
-    """Remove what an interrupted writer left behind; returns how many."""
+    """Remove temporary files and folders left by an interrupted writer; returns how many."""
     left = [*(folder / "cycles").glob(".*"), *(folder / "setups").glob(".*")]
     for path in left:
         if path.is_dir():
@@ -356,7 +356,7 @@ def sweep(folder: Path) -> int:
 
 
 def _member(name: str) -> zipfile.ZipInfo:
-    """A member without a date: ZIP knows none before 1980, and a PC without battery begins in 1970."""
+    """A member with a fixed date: ZIP has none before 1980, and a PC without a battery starts in 1970."""
     member = zipfile.ZipInfo(name)
     member.external_attr = 0o644 << 16
     return member

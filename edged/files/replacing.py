@@ -1,4 +1,4 @@
-"""Some files of a folder exchanged in one step, beside others that stay."""
+"""Replace some files of a folder in one atomic step and keep the others."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ def replace_files(
     *,
     private: Collection[str] = (),
 ) -> bool:
-    """Let a folder hold these files, by name, instead of those replaced; the others stay as they are.
+    """Put these files, by name, into a folder in place of those replaced; the others stay as they are.
 
-    After a crash it is the former folder or the new one. keep : a free name beside the folder, for the files
-    replaced. private : of the files, those that others must not read. Returns whether anything is kept.
-    Raises `OSError`; then nothing has changed.
+    After a crash it is either the former folder or the new one. keep : a free path beside the folder, for the
+    files replaced. private : those of the files that others must not read. Returns whether anything is kept.
+    Raises `OSError`; nothing has changed then.
     """
     make_folders(folder.parent)
     draft = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", dir=folder.parent))
@@ -52,7 +52,7 @@ def replace_files(
     except BaseException:
         shutil.rmtree(draft, ignore_errors=True)
         raise
-    sync(folder.parent)  # before the former folder, whose name is the draft's now, is taken apart
+    sync(folder.parent)  # before the former folder, which now has the draft's name, is taken apart
     if replaced:
         _take_out(staying, draft)
         draft.rename(keep)
@@ -63,9 +63,9 @@ def replace_files(
 
 
 def _link_others(folder: Path, draft: Path, replaced: Collection[str]) -> set[str]:
-    """Give the draft every other file of the folder: the same file, not a copy. Returns their names.
+    """Hard-link every other file of the folder into the draft. Returns their names.
 
-    The folder is walked by descriptors: who owns one in it may exchange its name for a link meanwhile.
+    The folder is walked by descriptors, as the owner of a subfolder may swap it for a link meanwhile.
     """
     staying = set[str]()
     for place, folders, names, opened in os.fwalk(folder):
@@ -88,10 +88,10 @@ def _is_link(name: str, folder: int) -> bool:
 
 
 def _link(name: str, folder: int, target: Path) -> None:
-    """Give a file of an open folder a second name; or copy it, on the disc when this returns."""
+    """Hard-link a file of an open folder to a second path; if that fails, copy it and sync the copy."""
     try:
         os.link(name, target, src_dir_fd=folder, follow_symlinks=False)
-    except OSError:  # a file system without links, or a file of somebody else's
+    except OSError:  # a file system without hard links, or a file of another owner
         if _is_link(name, folder):
             target.symlink_to(os.readlink(name, dir_fd=folder))
         else:
@@ -110,9 +110,9 @@ def _copy(name: str, folder: int, target: Path) -> None:
 
 
 def _like_former(draft: Path, folder: Path) -> None:
-    """Give each folder owner, group and mode of the former one, as far as one may.
+    """Give each folder the owner, group and mode of the former one, as far as permitted.
 
-    The deepest first, and when all is written: who gets a folder may put a link in place of what is in it.
+    Deepest first, and only once all is written: the owner of a folder may replace its entries by links.
     """
     for place, _, _, opened in os.fwalk(folder, topdown=False):
         inner = draft / Path(place).relative_to(folder)
@@ -126,19 +126,19 @@ def _like_former(draft: Path, folder: Path) -> None:
 
 
 def _take_out(staying: Collection[str], former: Path) -> None:
-    """Remove the names of files that stay, and folders that hold nothing then; again by descriptors."""
+    """Unlink the files that stay and the folders that are then empty; again by descriptors."""
     for place, folders, names, opened in os.fwalk(former, topdown=False):
         here = Path(place).relative_to(former)
         for name in [*names, *folders]:
             if (here / name).as_posix() in staying:
                 os.unlink(name, dir_fd=opened)
             elif name in folders:
-                with suppress(OSError):  # it holds something
+                with suppress(OSError):  # not empty
                     os.rmdir(name, dir_fd=opened)
 
 
 def _remove_empty(draft: Path, folder: Path) -> None:
-    """Remove folders of a draft that hold nothing; not those that are empty in the other folder, too."""
+    """Remove empty folders of a draft, except those that are empty in the original folder, too."""
     for place, _, _ in os.walk(draft, topdown=False):
         inner = Path(place)
         if inner == draft or any(inner.iterdir()):

@@ -1,4 +1,4 @@
-"""Rigs as JSON files, written atomically, read with suspicion."""
+"""Rigs as JSON files, written atomically and validated strictly when read."""
 
 from __future__ import annotations
 
@@ -25,17 +25,17 @@ RIG_VERSION = 1
 MAP_VERSION = 2
 MIN_TRIANGLES = 4
 FARTHEST_MM = 1e5
-"""No robot touches a place farther than this."""
+"""Largest robot coordinate accepted; no robot reaches farther."""
 MIN_GAMMA, MAX_GAMMA = 0.2, 5.0
 
 
 def save_rig(path: Path, rig: StereoRig, quality: Mapping[str, Any] | None = None) -> None:
-    """Write a rig as JSON. quality : figures of the calibration, kept for people."""
+    """Write a rig as JSON. quality : figures of the calibration, stored for people."""
     write_file(path, rig_text(rig, quality))
 
 
 def rig_text(rig: StereoRig, quality: Mapping[str, Any] | None = None) -> bytes:
-    """The text of a rig file."""
+    """Content of a rig file."""
     document = {
         "format": RIG_FORMAT,
         "version": RIG_VERSION,
@@ -60,10 +60,10 @@ def rig_text(rig: StereoRig, quality: Mapping[str, Any] | None = None) -> bytes:
 
 
 def keep_old_rig(path: Path) -> Path | None:
-    """Copy a rig that is about to be replaced beside it, under its own calibration id.
+    """Keep a copy of a rig that is about to be replaced, beside it, named by its calibration id.
 
-    That id is in every result the rig ever gave. A rig that was registered anew keeps it: each is a later
-    generation. Returns the copy, or None where there is no rig.
+    Every result of the rig carries that id. Registering the rig again does not change the id, so such rigs
+    are kept as later generations. Returns the path of the copy, or None if there is no rig.
     """
     if not path.exists():
         return None
@@ -84,7 +84,7 @@ def keep_old_rig(path: Path) -> Path | None:
 
 
 def read_rig(path: Path) -> bytes:
-    """The bytes of a rig file. Raises `FileFormatError`."""
+    """Read the bytes of a rig file. Raises `FileFormatError`."""
     return read_bytes(path, "a rig", MAX_DOCUMENT_BYTES)
 
 
@@ -94,8 +94,8 @@ def load_rig(path: Path) -> StereoRig:
 
 
 def rig_of(data: bytes, path: Path) -> StereoRig:
-    """The rig in a file that was read; raises as `load_rig`. path : where, for messages."""
-    if len(data) > MAX_DOCUMENT_BYTES:  # of a backup or a recording, which may be larger as a whole
+    """Parse the bytes of a rig file; raises as `load_rig`. path : for messages."""
+    if len(data) > MAX_DOCUMENT_BYTES:  # data may come from a backup or recording with a larger limit
         raise FileFormatError(f"{path}: {len(data)} bytes: expected a rig, at most {MAX_DOCUMENT_BYTES}")
     reader = JsonFields.of(data, path, "rig file", RIG_FORMAT, RIG_VERSION, json.loads)
     left, right = _camera_from_json(reader.sub("left")), _camera_from_json(reader.sub("right"))
@@ -133,7 +133,7 @@ def _map_to_json(made: RobotMap, rig: StereoRig) -> dict[str, Any]:
 
 
 def _map(reader: JsonFields) -> RobotMap | None:
-    """The map of the robot's error; what determines none is named."""
+    """The map of the robot's error; None without one. Raises `FileFormatError` if it is not determined."""
     if reader.document.get("robot_map") is None:
         return None
     if reader.document.get("robot_from_rig") is None:
@@ -171,7 +171,7 @@ def _hull(of_map: JsonFields, count: int) -> I64:
 
 
 def load_rig_quality(path: Path) -> dict[str, Any]:
-    """The figures that `save_rig` kept for people; {} where there are none."""
+    """Load the figures that `save_rig` stored for people; {} if there are none."""
     try:
         quality = json.loads(read_rig(Path(path))).get("quality")
     except (ValueError, AttributeError, RecursionError) as error:
@@ -198,7 +198,7 @@ def _camera_from_json(reader: JsonFields) -> CameraModel:
     if model not in DISTORTION_NAMES:
         raise reader.error("model", f"expected one of {sorted(DISTORTION_NAMES)}, got {model!r}")
     width, height = reader.size_px("width"), reader.size_px("height")
-    if width * height > MAX_PIXELS:  # tables of the rectification take 16 bytes for each
+    if width * height > MAX_PIXELS:  # the rectification tables take 16 bytes per pixel
         raise reader.error("width", f"{width}x{height}: expected at most {MAX_PIXELS} pixels")
     distortion = reader.sub("distortion")
     fx, fy = reader.number("fx"), reader.number("fy")

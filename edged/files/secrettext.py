@@ -1,4 +1,4 @@
-"""A configuration's text without its secrets, for recordings and whatever else leaves the machine."""
+"""Remove secrets from a configuration's text, for recordings and anything else that leaves the machine."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ HASH = re.compile(r"\$argon2[a-z]*\$[\w=,.+/$-]*", re.ASCII)
 _STRING_OR_COMMENT = re.compile(
     r"""(\"{3}(?:\\.|[^\\])*?\"{3,5}|'{3}.*?'{3,5}|"(?:\\.|[^"\\\n])*"|'[^'\n]*')|[ \t]*#[^\n]*""", re.DOTALL
 )
-"""A text in TOML's four kinds of quotes (TOML 1.0), or a comment."""
+"""A TOML 1.0 string in any of its four kinds of quotes, or a comment."""
 
 
 def without_secrets(text: bytes, *, comments: bool = True) -> bytes:
-    """The text with every Argon2 hash replaced, also in comments; b"" where one is hidden in escapes.
+    """Replace every Argon2 hash, also in comments; returns b"" if a hash is hidden by escapes.
 
-    comments : whether they stay: people write passwords in them, too.
+    comments : whether to keep them: people write passwords in comments, too.
     """
     plain = HASH.sub(HASH_LEFT_OUT, text.decode("utf-8", "replace"))
     try:

@@ -1,7 +1,8 @@
-"""The folders for what a cell and its page write themselves.
+"""State folders of a cell and its web page.
 
-The cell's has the release before, what is being installed, recordings and the note of SETUP; the page's has
-users, the audit, drafts and releases. Under systemd they are two, of two users; else they are the same.
+The cell's folder has the previous release, the one being installed, recordings and the note of SETUP; the
+page's has users, the audit log, drafts and releases. Under systemd they are two folders, owned by two users;
+otherwise they are the same.
 """
 
 from __future__ import annotations
@@ -17,9 +18,9 @@ STATE = Path("/var/lib")
 
 
 def state_folder(config: Path) -> Path:
-    """The state directory of a cell's service; without a service manager a folder beside its configuration.
+    """State folder of a cell's service; without a service manager a folder beside its configuration.
 
-    For an installed configuration a command in a shell finds it, too. It may be missing.
+    For an installed configuration, commands run in a shell find it, too. It may not exist.
     """
     if (given := _given()) is not None:
         return given
@@ -30,9 +31,9 @@ def state_folder(config: Path) -> Path:
 
 
 def page_folder(config: Path) -> Path:
-    """The state directory of the page's service; where the cell starts its page itself, that of the cell.
+    """State folder of the page's service; the cell's if the cell starts its page itself.
 
-    For an installed configuration a command in a shell finds it, too. It may be missing.
+    For an installed configuration, commands run in a shell find it, too. It may not exist.
     """
     installed = config.resolve()
     if _given() is None and installed.parent == INSTALLED:
@@ -41,37 +42,37 @@ def page_folder(config: Path) -> Path:
 
 
 def setup_note(config: Path) -> Path:
-    """The file that names the holder of the cell: in the state directory, else beside the configuration."""
+    """File that names the holder of the cell: in the state directory, else beside the configuration."""
     given = _given()
     return config.resolve().parent / f".{config.stem}.setup" if given is None else given / "setup"
 
 
 def _given() -> Path | None:
-    """The directory that systemd gives a service."""
+    """The state directory that systemd passes to a service; None outside of systemd."""
     given = os.environ.get("STATE_DIRECTORY", "").partition(":")[0]
     return Path(given) if given else None
 
 
 @dataclass(frozen=True, slots=True)
 class SetupNote:
-    """A file that is there while a person has the cell; it holds the name.
+    """A file that exists while a person holds the cell, with the holder's name in it.
 
-    After a kill or a power cut the cell is in SETUP again, not ready.
+    It makes the cell start in SETUP, not ready, after a kill or a power cut.
     """
 
     path: Path
 
     def is_taken(self) -> bool:
-        """Whether somebody has; True where that is not known."""
+        """Whether the cell is held; True if that cannot be determined."""
         try:
             return self.path.exists()
         except OSError:
             return True
 
     def note(self, name: str) -> None:
-        """Somebody has. Raises `OSError`."""
+        """Record the holder's name. Raises `OSError`."""
         write_atomically(self.path, f"{name}\n".encode())
 
     def clear(self) -> None:
-        """Nobody has. Raises `OSError`."""
+        """Record that nobody holds the cell. Raises `OSError`."""
         self.path.unlink(missing_ok=True)

@@ -1,7 +1,7 @@
-"""STEP files of one solid part, read with `cascadio` (the extra `cad`): its faces, in mm of the file's frame.
+"""Read STEP files of one solid part with `cascadio` (the extra `cad`): faces in mm, in the file's frame.
 
-The reader is a large library of another language, and files come from anywhere. It works in a process of its
-own, with a limit of time and of memory, so that whatever it does with a damaged file ends in a message.
+`cascadio` wraps a large C++ library, and files come from untrusted sources. It runs in its own process with
+limits of time and memory, so that anything it does with a damaged file ends in an error message.
 """
 
 from __future__ import annotations
@@ -24,17 +24,17 @@ from edged.files.atomic import read_bytes
 from edged.vision.teaching.cadmodel import CadModel, FlatSurface, RoundSurface, Surface
 
 MAX_FACES = 20_000
-"""Faces of one part; castings with every fillet have a few thousand."""
+"""Most faces of one part; castings with every fillet have a few thousand."""
 MIN_READ = 0.9
-"""Share of the faces that may be lost: slivers between others, no whole faces."""
+"""Smallest share of the faces that must be read: only slivers between others may be lost."""
 MAX_TRIANGLES = 2_000_000
 MAX_SECONDS = 60
 MAX_MEMORY_BYTES = 4 << 30
-"""Address space, not resident pages: the library alone takes 1 GiB of it."""
+"""Limit of address space, not of resident pages: the library alone takes 1 GiB of it."""
 MAX_MESH_BYTES = 256 << 20
-"""Size of the triangles that the library hands over."""
+"""Largest binary glTF accepted from the library."""
 TOLERANCE_MM, TOLERANCE_RAD = 0.01, 0.2
-"""Deviation of the triangles from the surface: they only tell where faces meet."""
+"""Deviation of the triangles from the surface; they only serve to find where faces meet."""
 METRES = 1000.0
 
 _SOLIDS = re.compile(
@@ -65,10 +65,10 @@ with os.fdopen(out, "wb") as stream:
 
 
 def read_step(path: Path) -> CadModel:
-    """The one solid of a STEP file, in mm whatever its unit is.
+    """Read the one solid of a STEP file, converted to mm.
 
-    Raises `FileFormatError` for what is not a STEP file, is cut off or damaged, holds no solid or several,
-    has more than `MAX_FACES` faces or no plane one, and where `cascadio` is not installed.
+    Raises `FileFormatError` for a file that is not STEP, is cut off or damaged, has no solid or several,
+    has more than `MAX_FACES` faces or no plane one, and if `cascadio` is not installed.
     """
     path = Path(path)
     data = read_bytes(path, "a STEP file")
@@ -94,7 +94,7 @@ def read_step(path: Path) -> CadModel:
 
 
 def _converted(data: bytes, path: Path) -> bytes:
-    """The file as triangles with their faces, in binary glTF."""
+    """Convert the file to binary glTF: triangles and the face that each belongs to."""
     if importlib.util.find_spec("cascadio") is None:
         raise FileFormatError(f"{path}: to read STEP files, install cascadio: pip install 'edged[cad]'")
     limits = MAX_MEMORY_BYTES, MAX_SECONDS, TOLERANCE_MM, TOLERANCE_RAD, MAX_MESH_BYTES
@@ -113,7 +113,7 @@ def _converted(data: bytes, path: Path) -> bytes:
 
 
 def _model(glb: bytes) -> CadModel:
-    """Triangles and faces of binary glTF. Raises ValueError, LookupError, TypeError or struct.error."""
+    """Parse triangles and faces from binary glTF. Raises ValueError, LookupError, TypeError, struct.error."""
     if glb[:4] != b"glTF":
         raise ValueError("no triangles")
     (size,) = struct.unpack_from("<I", glb, 12)
@@ -138,7 +138,7 @@ def _model(glb: bytes) -> CadModel:
 
 
 _TYPES: dict[int, str] = {5121: "<u1", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
-"""Component types as numpy's (glTF 2.0 specification, 3.6.2.2)."""
+"""numpy types of glTF component types (glTF 2.0 specification, 3.6.2.2)."""
 
 
 def _array(document: dict[str, Any], binary: bytes, number: int) -> FloatArray:
@@ -153,7 +153,7 @@ def _array(document: dict[str, Any], binary: bytes, number: int) -> FloatArray:
 
 
 def _placed(document: dict[str, Any], node: int) -> FloatArray:
-    """(4, 4) of a body in its file, in metres: the product down the tree of nodes."""
+    """Pose (4, 4) of a node in its file, in metres: the product of the transforms from the root to it."""
     placed = np.eye(4)
     seen: set[int] = set()
     at: int | None = node
@@ -181,7 +181,7 @@ def _own_place(node: dict[str, Any]) -> FloatArray:
 
 
 def _surface(face: dict[str, Any], placed: FloatArray) -> Surface | None:
-    """A face's exact parameters in mm; None for what is neither plane, cylinder nor cone."""
+    """Exact parameters of a face in mm; None if it is neither a plane, a cylinder nor a cone."""
 
     def point(name: str) -> FloatArray:
         return np.asarray(METRES * (placed[:3, :3] @ np.array(face[name], np.float64) + placed[:3, 3]))

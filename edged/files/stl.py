@@ -14,31 +14,31 @@ from edged.files.dxf import UNITS
 from edged.vision.teaching.cadmodel import CadModel, open_sides, welded
 
 MAX_FACETS = 500_000
-"""Triangles of one part; a casting meshed to a micrometre has half of them."""
+"""Most triangles of one part; a casting meshed to a micrometre has half as many."""
 MAX_SIZE_MM = 1e5
 MAX_OPEN = 0.01
-"""Share of all edges that may lack a neighbour or have several: beyond it the mesh is open or damaged."""
+"""Largest share of edges without exactly one neighbour; beyond it the mesh is open or damaged."""
 HEADER_BYTES, FACET_BYTES = 84, 50
-"""80 bytes of anything, the count, and for each facet twelve float32 and two bytes (StereoLithography
+"""80 arbitrary bytes and the count; for each facet twelve float32 and two bytes (StereoLithography
 Interface Specification, 3D Systems 1988)."""
 _CORNER = re.compile(rb"vertex" + 3 * rb"\s+([-+.0-9eE]{1,40})" + rb"\s")
 _OTHER_WORDS = 100
-"""That may contain "vertex" and are none: names of solids."""
+"""Occurrences of "vertex" allowed that are no corners, such as in names of solids."""
 _FACET = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 
 
 def read_stl(path: Path, unit: str | None = None) -> CadModel:
-    """The triangles of an STL file in mm, its corners welded.
+    """Read the triangles of an STL file in mm, with coincident corners merged.
 
-    unit : of `UNITS`, in which its numbers are; None: mm.
-    Raises `FileFormatError` for what is not an STL file, is cut off, has coordinates that are not numbers,
-    more than `MAX_FACETS` facets, or no closed surface of one body.
+    unit : the file's unit, a key of `UNITS`; None: mm.
+    Raises `FileFormatError` for a file that is not STL, is cut off, has coordinates that are not finite,
+    more than `MAX_FACETS` facets, or is not the closed surface of one body.
     """
     path = Path(path)
     if unit is not None and unit not in UNITS:
         raise FileFormatError(f"{path}: unit {unit!r}: expected one of {', '.join(UNITS)}")
     data = read_bytes(path, "an STL file")
-    with np.errstate(invalid="ignore"):  # what is not a number is found below
+    with np.errstate(invalid="ignore"):  # values that are not finite are refused below
         corners = _text(data, path) if _is_text(data) else _binary(data, path)
     if not len(corners):
         raise FileFormatError(f"{path}: no facet: expected the triangles of one part")
@@ -62,13 +62,13 @@ def read_stl(path: Path, unit: str | None = None) -> CadModel:
 
 
 def _is_text(data: bytes) -> bool:
-    """Many binary files begin with the word `solid`, too: those have the size that their count says."""
+    """Whether the file is text. Binary files may begin with `solid`, too, but their size fits their count."""
     counted = HEADER_BYTES + int.from_bytes(data[80:84], "little") * FACET_BYTES
     return data[:512].lstrip().startswith(b"solid") and len(data) != counted
 
 
 def _binary(data: bytes, path: Path) -> FloatArray:
-    """(N, 3, 3) corners."""
+    """Corners (N, 3, 3) of a binary file."""
     if len(data) < HEADER_BYTES:
         raise FileFormatError(f"{path}: {len(data)} bytes: expected an STL file, at least {HEADER_BYTES}")
     count = int.from_bytes(data[80:84], "little")
@@ -83,7 +83,7 @@ def _binary(data: bytes, path: Path) -> FloatArray:
 
 
 def _text(data: bytes, path: Path) -> FloatArray:
-    """(N, 3, 3) corners."""
+    """Corners (N, 3, 3) of a text file."""
     if b"endsolid" not in data[-1024:]:
         raise FileFormatError(f"{path}: cut off: expected endsolid at its end")
     count = data.count(b"endfacet")

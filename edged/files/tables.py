@@ -1,7 +1,7 @@
-"""Tables of numbers as people have them: from Excel, from a robot's log, typed by hand.
+"""Read tables of numbers from common sources: Excel, a robot's log, typed by hand.
 
-Cells are separated by commas, semicolons, tabs or spaces; with another separator than the comma, a comma is
-the decimal sign. Lines without a number at the top are a header; what follows `#` is a comment.
+Cells are separated by commas, semicolons, tabs or spaces; if the separator is not a comma, a comma is the
+decimal sign. Leading lines without a number are a header; text after `#` is a comment.
 """
 
 from __future__ import annotations
@@ -18,23 +18,23 @@ from edged.errors import FileFormatError
 from edged.files.atomic import read_bytes
 
 MAX_TEXT_BYTES = 32 << 20
-"""Bytes of a file: 600,000 lines of three numbers with all their digits."""
+"""Largest file: 600,000 lines of three numbers with all their digits."""
 MAX_LINES = 600_000
 MAX_LINE_LETTERS = 10_000
-"""Cells of a line, of sixty bytes each: a pose has seven numbers."""
+"""Longest line, in characters; a pose has seven numbers."""
 _DECIMAL_COMMA = re.compile(r"[-+−]?[0-9]+,[0-9]+(?:[eE][-+]?[0-9]+)?")
 
 
 @dataclass(frozen=True, slots=True)
 class TableLine:
-    """Cells of a line, and its number in the file from 1; a blank line has none."""
+    """Cells of a line and its number in the file, from 1; a blank line has no cells."""
 
     number: int
     cells: tuple[str, ...]
 
 
 def read_text(path: Path, what: str) -> str:
-    """A text file, with or without a byte order mark. Raises `FileFormatError`."""
+    """Read a text file, with or without a byte order mark. Raises `FileFormatError`."""
     data = read_bytes(path, what, MAX_TEXT_BYTES)
     encoding = "utf-16" if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)) else "utf-8-sig"
     try:
@@ -44,7 +44,10 @@ def read_text(path: Path, what: str) -> str:
 
 
 def read_table(path: Path, what: str = "a table") -> list[TableLine]:
-    """The lines of a table, blank ones included, without header and comments. Raises `FileFormatError`."""
+    """Read the lines of a table, including blank ones, without header and comments.
+
+    Raises `FileFormatError`.
+    """
     found: list[TableLine] = []
     is_header = True
     for number, line in enumerate(io.StringIO(read_text(path, what), newline=None), 1):
@@ -68,8 +71,9 @@ def read_table(path: Path, what: str = "a table") -> list[TableLine]:
 
 
 def read_named(path: Path, counts: tuple[int, ...], expected: str) -> dict[str, tuple[float, ...]]:
-    """Numbers by the name before them: as many as one of `counts`. expected : such a line, in words.
+    """Read lines of a name followed by numbers.
 
+    counts : allowed counts of numbers. expected : description of such a line, for messages.
     Raises `FileFormatError` that names the line.
     """
     found: dict[str, tuple[float, ...]] = {}
@@ -86,7 +90,7 @@ def read_named(path: Path, counts: tuple[int, ...], expected: str) -> dict[str, 
 
 
 def numbers_of(cells: Sequence[str], place: str) -> tuple[float, ...]:
-    """Cells as numbers. Raises `FileFormatError` that begins with the place."""
+    """Parse cells as numbers. Raises `FileFormatError` that begins with the place."""
     try:
         return tuple(number_of(cell) for cell in cells)
     except ValueError as error:
@@ -94,7 +98,7 @@ def numbers_of(cells: Sequence[str], place: str) -> tuple[float, ...]:
 
 
 def split(content: str) -> tuple[str, ...]:
-    """The cells of a line."""
+    """Split a line into cells."""
     for separator in (";", "\t"):
         if separator in content:
             return tuple(_plain(cell) for cell in content.split(separator))
@@ -109,12 +113,12 @@ def split(content: str) -> tuple[str, ...]:
 
 
 def number_of(cell: str) -> float:
-    """A finite number. Raises ValueError that says what is there instead."""
+    """Parse a finite number. Raises ValueError that quotes the text."""
     return decimal(cell.replace("−", "-"))
 
 
 def _plain(cell: str) -> str:
-    """Without quotes, and with a decimal point."""
+    """A cell without quotes and with a decimal point."""
     text = cell.strip().strip('"').strip()
     return text.replace(",", ".") if _DECIMAL_COMMA.fullmatch(text) else text
 

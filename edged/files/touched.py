@@ -1,4 +1,4 @@
-"""Tables of points that a robot touched, beside where the cameras have them."""
+"""Tables of points touched by a robot, with their positions as measured by the cameras."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from edged.files.tables import numbers_of, read_table
 
 
 def read_touched(path: Path) -> tuple[list[str], FloatArray, FloatArray]:
-    """Names, rig and robot coordinates (N, 3) mm.
+    """Read names, rig coordinates and robot coordinates (N, 3) in mm.
 
-    Lines of `rig_x,rig_y,rig_z,robot_x,robot_y,robot_z`, or `FILE.json,robot_x,robot_y,robot_z` with what
-    `edged locate --json` printed. Raises `FileFormatError` that names the line.
+    Lines are `rig_x,rig_y,rig_z,robot_x,robot_y,robot_z`, or `FILE.json,robot_x,robot_y,robot_z` with a file
+    of the output of `edged locate --json`. Raises `FileFormatError` that names the line.
     """
     names, rig, robot = list[str](), list[Sequence[float]](), list[Sequence[float]]()
     for line in read_table(path):
@@ -44,7 +44,7 @@ def read_touched(path: Path) -> tuple[list[str], FloatArray, FloatArray]:
 
 
 def _located(path: Path, place: str) -> list[float]:
-    """Position of the one good target in what `edged locate --json` printed."""
+    """Position of the one good target in the output of `edged locate --json`."""
     try:
         document = json.loads(read_bytes(path, "a result of edged locate --json", MAX_DOCUMENT_BYTES))
         good = [target for target in document["targets"] if not target["reject"]]

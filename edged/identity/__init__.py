@@ -1,1 +1,1 @@
-"""Users: passwords, roles, invitations, sessions, and the audit of what they did."""
+"""Users: passwords, roles, invitations, sessions, and the audit log of their actions."""

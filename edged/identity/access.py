@@ -1,8 +1,8 @@
-"""Who may look and who may do more: passwords, sessions, invitations.
+"""Access control of one server: passwords, sessions, invitations.
 
-Passwords are stored as hashes (`edged.identity.passwords`): one for the page, with which one may look; one,
+Passwords are stored as hashes (`edged.identity.passwords`): one for the page, which grants viewing only; one,
 the token, for the metrics alone; and those of users, each with a role. Prometheus sends the token with each
-request (Bearer), or the page's password (HTTP Basic, any user). Sessions are forgotten at a restart.
+request (Bearer), or the page's password (HTTP Basic, any user). Sessions are lost at a restart.
 """
 
 from __future__ import annotations
@@ -25,16 +25,16 @@ from edged.identity.users import User, UserFile, key_of
 from edged.identity.visitors import Role, Visitor
 
 PAGE, METRICS = "page", "metrics"
-"""Accounts that are nobody's."""
+"""Accounts with a shared password, that belong to no user."""
 INVITATION = ""
-"""Codes are not an account: 59 bits are not guessed, and nobody may lock them."""
+"""Account of invitation codes: none that can be locked, since 59 bits cannot be guessed."""
 
 
 class Access:
     """Log-in, sessions and password checks of one server.
 
-    cookie : name of the one that holds a session.
-    password_hash : of the page; "" : everybody may look. metrics_hash : of the token for the metrics; "" :
+    cookie : name of the session cookie.
+    password_hash : of the page; "" : everybody may view it. metrics_hash : of the token for the metrics; "" :
     there is none. users, invite : None: there are none.
     """
 
@@ -59,13 +59,13 @@ class Access:
 
     @property
     def is_open(self) -> bool:
-        """No password is asked for to look."""
+        """Whether the page can be viewed without a password."""
         return not self._hashes[PAGE]
 
     # --- sessions ----------------------------------------------------------------------------
 
     def visitor(self, cookie: str, address: str) -> Visitor | None:
-        """The session of a cookie; None where it is invalid or has ended."""
+        """Visitor with the session of a cookie; None if the session is invalid or has ended."""
         digest = session_of(cookie)
         session = self._sessions.get(digest)
         if session is None:
@@ -73,7 +73,7 @@ class Access:
         if not session.user:
             return Visitor("", Role.VIEWER, address, digest)
         user = self._user(session.user)
-        if user is None:  # taken out meanwhile
+        if user is None:  # removed meanwhile
             return None
         role = Role[user.role.upper()]
         is_idle = role is Role.ENGINEER and self._sessions.is_idle(session)
@@ -88,11 +88,11 @@ class Access:
         )
 
     def note_activity(self, session: str) -> None:
-        """Note that a person did something; a session that was idle too long needs the password instead."""
+        """Record activity of a person; a session that was idle too long needs the password instead."""
         self._sessions.note_activity(session)
 
     async def log_in(self, address: str, password: str, name: str = "") -> str | None:
-        """A new session's cookie, or None for a wrong password. Raises `TooManyAttempts`.
+        """Open a session; return its cookie, or None for a wrong password. Raises `TooManyAttempts`.
 
         name : of a user; "" with the page's password.
         """
@@ -103,10 +103,10 @@ class Access:
         return self._sessions.open(name, address) if known else None
 
     async def is_user(self, address: str, name: str, password: str) -> bool:
-        """Whether it is that user's password. Raises `TooManyAttempts`."""
+        """Whether the password is that user's. Raises `TooManyAttempts`."""
         user = self._user(name)
         stored = user.password_hash if user is not None else None
-        # who is not there takes as long, and is locked like others: names are not to be guessed
+        # an unknown user takes as long and is locked like others, so that names cannot be probed
         return await self._attempts.check(
             address,
             f"user {key_of(name)}",
@@ -114,7 +114,7 @@ class Access:
         )
 
     async def confirm(self, address: str, visitor: Visitor, password: str) -> bool:
-        """Note that it is still them, also after they were idle; False for a wrong password.
+        """Confirm a session by its user's password, also after they were idle; False for a wrong password.
 
         Raises `TooManyAttempts`.
         """
@@ -125,9 +125,9 @@ class Access:
         return True
 
     async def redeem(self, address: str, code: str, name: str, password: str) -> str | None:
-        """Make an engineer by a code; their session's cookie, or None for a wrong one, or one for another.
+        """Create an engineer with an invitation code; return their session's cookie.
 
-        Raises `TooManyAttempts`, `FileFormatError`, `OSError`.
+        None for a wrong code or one for another name. Raises `TooManyAttempts`, `FileFormatError`, `OSError`.
         """
         users, invite = self._users, self._invite
         if users is None or invite is None:
@@ -145,19 +145,19 @@ class Access:
         return self._sessions.open(name, address)
 
     def log_out(self, cookie: str) -> None:
-        """Forget a session."""
+        """End the session of a cookie."""
         self._sessions.end([session_of(cookie)])
 
     def now_s(self) -> float:
-        """Now, as the times of sessions are."""
+        """Current time on the clock of the sessions."""
         return self._clock_s()
 
     def sessions(self, name: str) -> list[tuple[str, Session]]:
-        """Digest and session of each that a user has open, the oldest first."""
+        """Digest and session of each open session of a user, the oldest first."""
         return self._sessions.of(name)
 
     def end_sessions(self, name: str, but: str = "") -> None:
-        """End the sessions of a user, after a new password for example; but : except this one."""
+        """End the sessions of a user, for example after a new password; but : digest of one to keep."""
         self._sessions.end(digest for digest, _ in self._sessions.of(name) if digest != but)
 
     async def has_basic(self, address: str, header: str) -> bool:
@@ -167,7 +167,7 @@ class Access:
             return False
         try:
             _, _, password = base64.b64decode(value, validate=True).decode().partition(":")
-        except ValueError:  # no ASCII, no base64, no UTF-8
+        except ValueError:  # not ASCII, not base64, or not UTF-8
             return False
         return await self._is_shared(PAGE, address, password)
 
@@ -183,15 +183,15 @@ class Access:
     # --- passwords ---------------------------------------------------------------------------
 
     async def hash(self, address: str, password: str) -> str:
-        """Hash of a user's password, for anybody who asks from an address. Raises `TooManyAttempts`."""
+        """Hash a password, at the turn of an address, as it is slow. Raises `TooManyAttempts`."""
         return await self._attempts.run(address, partial(hash_password, password))
 
     async def _is_shared(self, account: str, address: str, password: str) -> bool:
-        """Whether it is the password of nobody in particular."""
+        """Whether the password is that of a shared account."""
         stored = self._hashes[account]
         if not stored:
             return False
-        # a scraper comes every few seconds: the slow hash is computed for the first time only
+        # a scraper comes every few seconds: compute the slow hash only the first time
         digest = hashlib.sha256(password.encode("utf-8", "surrogateescape")).digest()
         if account in self._known and hmac.compare_digest(self._known[account], digest):
             return True
@@ -206,5 +206,5 @@ class Access:
 
 @cache
 def _nobodys() -> str:
-    """The hash of a password that nobody has."""
+    """Hash of a random password that nobody has."""
     return hash_password(secrets.token_urlsafe(32))

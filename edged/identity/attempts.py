@@ -1,12 +1,12 @@
-"""A limit on guessing passwords: how long somebody has to wait, and whose turn it is to be checked.
+"""Rate limit on guessing passwords: lock-out times, and a queue for the checks.
 
-Wrong attempts are counted for each address with each account. An address waits after a few, whatever accounts
-they were for, and so does an account, wherever they came from; coming in clears only what that address did
-with that account. An account that many guess at lets in whoever came in from their address before: nobody
-can be kept out by guessing in their name.
+Wrong attempts are counted per pair of address and account. After a few of them an address is locked for a
+time, whatever the accounts, and so is an account, whatever the addresses. A successful log-in clears only the
+count of that pair. A locked account still admits an address that has logged in to it before, so that nobody
+can be kept out by guesses in their name.
 
-One password is checked at a time, since that costs a core and 64 MiB. Of those who wait, one for each
-address, the one with the fewest wrong attempts is next.
+One password is checked at a time, since a check takes a core and 64 MiB. One request per address may wait;
+the address with the fewest wrong attempts is next.
 """
 
 from __future__ import annotations
@@ -22,22 +22,22 @@ from typing import Any, TypeVar
 from edged.connections import network_of
 
 FREE_ATTEMPTS = 5
-"""Wrong attempts of an address without waiting."""
+"""Number of wrong attempts at which an address is locked."""
 FREE_OF_ACCOUNT = 4 * FREE_ATTEMPTS
-"""Wrong attempts with an account, from wherever; of one address no more than FREE_ATTEMPTS count."""
+"""Number of wrong attempts at which an account is locked; at most FREE_ATTEMPTS count per address."""
 LOCKED_S, MAX_LOCKED_S = 30.0, 300.0
-"""The first wait, which doubles with every further attempt; the longest."""
+"""The first lock-out time, which doubles with every further attempt, and the longest."""
 FORGOTTEN_S = 3600.0
-"""After so long without another, wrong attempts count no longer."""
+"""Time after the last one at which wrong attempts are forgotten."""
 MAX_REMEMBERED = 1024
 MAX_WAITING = 16
 BUSY_S = 1.0
-"""Who gets no turn may try again after this: a check takes a few tenths of it."""
+"""Wait before another try when the queue is full: a check takes a few tenths of this."""
 T = TypeVar("T")
 
 
 class TooManyAttempts(Exception):
-    """Somebody guesses, or too many passwords are being checked: `wait_s` until the next attempt."""
+    """Too many wrong passwords, or too many checks under way: `wait_s` until the next attempt."""
 
     def __init__(self, why: str, wait_s: float) -> None:
         self.wait_s = wait_s
@@ -46,7 +46,7 @@ class TooManyAttempts(Exception):
 
 @dataclass(frozen=True, slots=True)
 class _Wrong:
-    """Wrong attempts of an address with an account. last_s : when the last one was."""
+    """Wrong attempts of an address at an account. last_s : time of the last one."""
 
     count: int
     last_s: float
@@ -62,9 +62,9 @@ class Attempts:
         self._turns = _Turns(lambda place: sum(wrong.count for wrong in self._of(0, place)))
 
     async def check(self, address: str, account: str, is_right: Callable[[], bool]) -> bool:
-        """Whether an attempt is right, checked in a thread. Raises `TooManyAttempts`, and what it raises.
+        """Whether an attempt is right, checked in a thread. Raises `TooManyAttempts`, and what is_right does.
 
-        account : of what it is an attempt at; "" : of nothing that could be locked.
+        account : that the attempt is for; "" : none that could be locked.
         """
         place = network_of(address)
         self._check_lock(place, account)
@@ -74,7 +74,7 @@ class Attempts:
         except TooManyAttempts:
             self._turns.end()
             raise
-        self._note(place, account)  # before the check: who breaks it off has had it
+        self._note(place, account)  # before the check: an aborted attempt counts, too
         if not await self._turns.run(is_right):
             return False
         self._wrong.pop((place, account), None)
@@ -82,7 +82,7 @@ class Attempts:
         return True
 
     async def run(self, address: str, work: Callable[[], T]) -> T:
-        """Do what costs as much as a check, at its turn. Raises `TooManyAttempts`, and what it raises."""
+        """Run work as costly as a check, at its turn. Raises `TooManyAttempts`, and what work raises."""
         await self._turns.wait(network_of(address))
         return await self._turns.run(work)
 
@@ -98,7 +98,7 @@ class Attempts:
             raise TooManyAttempts("too many wrong passwords", wait_s)
 
     def _of(self, part: int, name: str) -> list[_Wrong]:
-        """Wrong attempts of an address (part 0) or with an account (part 1)."""
+        """Wrong attempts from an address (part 0) or at an account (part 1)."""
         return [wrong for key, wrong in self._wrong.items() if key[part] == name]
 
     def _note(self, place: str, account: str) -> None:
@@ -107,14 +107,14 @@ class Attempts:
         _remember(self._wrong, (place, account), _Wrong(count, self._clock_s()))
 
     def _forget(self) -> None:
-        """What is old; the first is the one that was noted first."""
+        """Drop old attempts; they are in the order in which they were noted."""
         old_s = self._clock_s() - FORGOTTEN_S
         while self._wrong and next(iter(self._wrong.values())).last_s <= old_s:
             self._wrong.popitem(last=False)
 
 
 class _Turns:
-    """One piece of work at a time, in a thread. rank : of an address; the least is next, then the first."""
+    """Queue for one job at a time, in a thread. rank : of an address; the lowest is next, then the first."""
 
     def __init__(self, rank: Callable[[str], int]) -> None:
         self._rank = rank
@@ -122,7 +122,7 @@ class _Turns:
         self._waiting: dict[str, asyncio.Future[None]] = {}
 
     async def wait(self, place: str) -> None:
-        """Wait for a turn, which `run` or `end` gives back. Raises `TooManyAttempts`."""
+        """Wait for a turn, which `run` or `end` releases. Raises `TooManyAttempts`."""
         if not self._is_taken:
             self._is_taken = True
             return
@@ -145,29 +145,29 @@ class _Turns:
             raise
 
     async def run(self, work: Callable[[], T]) -> T:
-        """Do it, and end the turn when it is done."""
+        """Run the work, and end the turn when it is done."""
         done = asyncio.get_running_loop().run_in_executor(None, work)
         done.add_done_callback(self._ended)
-        # a thread cannot be stopped: also after a disconnect it is under way until it ends
+        # a thread cannot be stopped: even after a disconnect it runs to its end
         return await asyncio.shield(done)
 
     def end(self) -> None:
-        """Give the turn to the next, if anybody waits."""
+        """Pass the turn to the next one in the queue, if any."""
         while self._waiting:
             following = self._waiting.pop(min(self._waiting, key=self._rank))
-            if not following.done():  # who has hung up in this very moment is still among them
+            if not following.done():  # one that was cancelled just now is still in the queue
                 following.set_result(None)
                 return
         self._is_taken = False
 
     def _ended(self, done: asyncio.Future[Any]) -> None:
         if not done.cancelled():
-            done.exception()  # who asked may have gone
+            done.exception()  # mark it as retrieved: the caller may have gone
         self.end()
 
 
 def _until_s(count: int, free: int, several: list[_Wrong]) -> float:
-    """Until when so many wrong attempts lock."""
+    """Time until which this many wrong attempts lock."""
     if count < free:
         return -math.inf
     wait_s = min(LOCKED_S * 2.0 ** min(count - free, 16), MAX_LOCKED_S)
@@ -179,7 +179,7 @@ def _busy() -> TooManyAttempts:
 
 
 def _remember(table: OrderedDict[tuple[str, str], T], key: tuple[str, str], value: T) -> None:
-    """Put it last; of too many the first goes."""
+    """Put an entry last, and drop the first ones when there are too many."""
     table[key] = value
     table.move_to_end(key)
     while len(table) > MAX_REMEMBERED:

@@ -1,10 +1,10 @@
-"""Who did what to the cell: lines of JSON, each with the hash of the one before; the newest in one file.
+"""Audit log of actions on the cell: lines of JSON, each with the hash of the one before.
 
-When a file is full the chain goes on in the next one; the oldest files are deleted when there are many, and a
-record says so. A changed, missing or inserted line breaks the chain, in whichever file. The head holds number
-and hash of the last record and the number of the first one kept, so that lines missing at either end are
-noticed. An incomplete last line, left by a crash, is reported as such. Anybody who may write all files can
-write another history, but its hashes are not those in the journal.
+When a file is full the chain continues in the next one; the oldest files are deleted when there are too many,
+and a record says so. A changed, missing or inserted line breaks the chain, in any file. The head file holds
+number and hash of the last record and the number of the first one kept, so that lines missing at either end
+are noticed. An incomplete last line, left by a crash, is reported as such. A user who may write all files can
+forge a history, but its hashes differ from those in the journal.
 """
 
 from __future__ import annotations
@@ -29,20 +29,20 @@ from edged.owners import open_plain
 
 LINES, HEAD = "audit.jsonl", "audit.head"
 FULL = re.compile(r"audit\.([0-9]{9,})\.jsonl")
-"""An older file, by the number of its last record."""
+"""Name of a full file, with the number of its last record."""
 FULL_BYTES = 4 * 1024 * 1024
 KEPT = 15
-"""Full files, with the newest 64 MiB: at 400 bytes each some 160,000 deeds, which are verified in seconds."""
+"""Full files kept; with the current one 64 MiB, some 160,000 records of 400 bytes, verified in seconds."""
 TAIL_BYTES = 64 * 1024
-"""A line is shorter."""
+"""Upper bound of the length of a line."""
 MAX_TEXT = 300
 
 
 @dataclass(frozen=True, slots=True)
 class AuditEntry:
-    """An action that somebody took or tried to take.
+    """Action that was taken or attempted.
 
-    before, after : hash of what was changed, where there is one. outcome : "ok", or why not, as a code.
+    before, after : hash of the changed object, where there is one. outcome : "ok", or the reason as a code.
     """
 
     user: str
@@ -58,10 +58,10 @@ class AuditEntry:
 
 @dataclass(frozen=True, slots=True)
 class AuditVerdict:
-    """Whether a chain holds, and the records that were asked for.
+    """Result of verifying a chain, with the requested records.
 
     first, count : numbers of the oldest record kept, and of the newest.  hash : of the newest.
-    problem : "" for a chain that holds.  torn_bytes : length of an incomplete last line, left by a crash.
+    problem : "" for an intact chain.  torn_bytes : length of an incomplete last line, left by a crash.
     """
 
     records: tuple[dict[str, Any], ...]
@@ -76,9 +76,9 @@ Wanted = Callable[[dict[str, Any]], bool]
 
 
 class AuditFile:
-    """The chain of a cell; processes may add to it at the same time.
+    """Audit chain of a cell, in a folder; several processes may add to it at the same time.
 
-    called : how messages name the folder. None of its files is opened where a link is in its place.
+    called : name of the folder in messages. Files that are symbolic links are not opened.
     """
 
     def __init__(
@@ -89,7 +89,7 @@ class AuditFile:
         self._utc_s = utc_s
 
     def add(self, deed: AuditEntry) -> dict[str, Any]:
-        """Keep a deed, on the disc when this returns; its number and hash. Raises `OSError`."""
+        """Append an entry, on the disc when this returns; return its number and hash. Raises `OSError`."""
         make_folders(self._folder)
         while True:
             with open_folder(self._folder) as folder, _locked(folder) as file:
@@ -102,7 +102,7 @@ class AuditFile:
                     )
                     number, digest = self._write(file, torn, number, digest)
                 if file.seek(0, os.SEEK_END) >= FULL_BYTES:
-                    self._note_end(number, digest)  # first: a crash leaves nothing else that knows the end
+                    self._note_end(number, digest)  # first: after a crash nothing else would know the end
                     turn_over(folder, number)
                     continue  # another process may have begun the next file by now
                 number, digest = self._write(file, deed, number, digest)
@@ -111,7 +111,7 @@ class AuditFile:
                 return {"number": number, "hash": digest}
 
     def _write(self, file: BinaryIO, deed: AuditEntry, number: int, digest: str) -> tuple[int, str]:
-        """One line; returns its number and hash."""
+        """Write one line; return its number and hash."""
         body = {
             "number": number + 1,
             "time": datetime.fromtimestamp(self._utc_s(), UTC).isoformat(timespec="milliseconds"),
@@ -158,7 +158,7 @@ class AuditFile:
                 reason=f"records {head.first} to {last}: there is no room for all",
             )
             number, digest = self._write(file, entry, number, digest)
-            # first: a file whose records are before the first one counts no more
+            # before deleting: files with records before the head's first are ignored from now on
             self._put_head(AuditHead(number, digest, last + 1, "" if found is None else found[1]))
         for _, name in old:
             with suppress(FileNotFoundError):
@@ -173,9 +173,9 @@ class AuditFile:
         return None if data is None else head_in(data)
 
     def _end(self, file: BinaryIO) -> tuple[int, str, int]:
-        """Number and hash that the next line follows, and bytes of a line that was torn.
+        """Number and hash that the next line follows, and length of a torn line.
 
-        Of the line or of the head, whichever is later: where lines are missing, who verifies sees the gap.
+        Taken from the last line or the head, whichever is later: verifying then shows if lines are missing.
         """
         last, torn_bytes = _tail(file)
         head = self._head()
@@ -186,7 +186,10 @@ class AuditFile:
         return number, digest, torn_bytes
 
     def verify(self, wanted: Wanted = lambda _record: True, last: int | None = None) -> AuditVerdict:
-        """Read all of it. wanted : of the records, and of those the last ones. Raises `FileFormatError`."""
+        """Verify the whole chain. Raises `FileFormatError`.
+
+        wanted : filter of the records to return. last : return only so many, the newest; None: all.
+        """
         with ExitStack() as opened:
             try:
                 data, full, head_data = self._opened(opened)
@@ -213,9 +216,9 @@ class AuditFile:
         return AuditVerdict(tuple(kept), chain.first, chain.number, chain.digest, problem, len(torn))
 
     def _opened(self, opened: ExitStack) -> tuple[bytes | None, list[tuple[int, BinaryIO]], bytes | None]:
-        """All files of one moment: the newest, None for none; the full ones, which nobody writes; the head.
+        """Consistent snapshot of all files: content of the current one (None without), full ones, and head.
 
-        Writers wait no longer than this takes.
+        Full files are never written again, so that they can be read later. Writers wait only for this call.
         """
         with ExitStack() as held:
             try:
@@ -235,20 +238,20 @@ class AuditFile:
     def _lines(
         self, full: list[tuple[int, BinaryIO]], first: int, data: bytes | None
     ) -> Iterator[list[bytes]]:
-        """Lines of each file in turn; the last item is an unfinished line, or b""."""
+        """Lines of each file in turn; the last item of each is an unfinished line, or b""."""
         for number, file in full:
-            if number >= first:  # else it was let go, and a crash left it
+            if number >= first:  # an older file should be deleted, but a crash left it
                 lines = _content(file).split(b"\n")
                 yield lines if not lines[-1] else [*lines, b""]
         yield (data or b"").split(b"\n")
 
 
 def _ends(chain: AuditChain, head: AuditHead | None, at_head: str, *, has_head: bool) -> str:
-    """Why a chain that holds does not end where it should; "" when it does."""
+    """Reason why an intact chain does not end where the head says; "" when it does."""
     if head is None:
         if has_head:
             return f"{HEAD} cannot be read"
-        # the first line is on the disc before the head is
+        # the first line is on the disc before the head file
         return f"{HEAD} is missing: lines at the end may be, too" if chain.number > 1 else ""
     if head.number > chain.number:
         return f"cut off: the last {head.number - chain.number} of {head.number} records are missing"
@@ -258,19 +261,19 @@ def _ends(chain: AuditChain, head: AuditHead | None, at_head: str, *, has_head: 
 
 
 def _full(folder: int) -> list[tuple[int, str]]:
-    """The older files of a folder, by their last number."""
+    """Full files of a folder as (number of the last record, name), in that order."""
     found = (FULL.fullmatch(name) for name in os.listdir(folder))
     return sorted((int(name[1]), name[0]) for name in found if name)
 
 
 def turn_over(folder: int, number: int) -> None:
-    """Make room for the next file."""
+    """Rename the current file as full, so that the next one can begin."""
     os.rename(LINES, f"audit.{number:09}.jsonl", src_dir_fd=folder, dst_dir_fd=folder)
     os.fsync(folder)
 
 
 def _read_head(folder: int) -> bytes | None:
-    """None where there is none. Raises `OSError`."""
+    """Content of the head file; None if there is none. Raises `OSError`."""
     try:
         with os.fdopen(open_plain(HEAD, os.O_RDONLY, folder), "rb") as file:
             return _content(file)
@@ -279,7 +282,7 @@ def _read_head(folder: int) -> bytes | None:
 
 
 def _content(file: BinaryIO) -> bytes:
-    """All of a file of an audit; one that is larger than any is none. Raises `OSError`."""
+    """Content of a file of an audit. Raises `OSError`, also for a file that is too large to be one."""
     most = FULL_BYTES + TAIL_BYTES
     data = file.read(most + 1)
     if len(data) > most:
@@ -288,7 +291,7 @@ def _content(file: BinaryIO) -> bytes:
 
 
 def _tail(file: BinaryIO) -> tuple[tuple[int, str] | None, int]:
-    """Number and hash of the last whole line, and bytes of one that was torn behind it."""
+    """Number and hash of the last whole line, and the length of a torn line after it."""
     size = file.seek(0, os.SEEK_END)
     file.seek(max(0, size - TAIL_BYTES))
     whole, newline, torn = file.read().rpartition(b"\n")
@@ -296,13 +299,13 @@ def _tail(file: BinaryIO) -> tuple[tuple[int, str] | None, int]:
 
 
 def _short(text: str | None) -> str | None:
-    """Shorten a text to the limit of a line."""
+    """Shorten a text to the limit for a field."""
     return None if text is None else text[:MAX_TEXT]
 
 
 @contextmanager
 def _locked(folder: int, *, make: bool = True) -> Iterator[BinaryIO]:
-    """The newest file, that no other process reads or writes meanwhile. Raises `OSError`."""
+    """Open and lock the current file: exclusively with make, else shared for reading. Raises `OSError`."""
     while True:
         with os.fdopen(_open_lines(folder, make=make), "r+b" if make else "rb") as file:
             fcntl.flock(file, fcntl.LOCK_EX if make else fcntl.LOCK_SH)
@@ -312,7 +315,7 @@ def _locked(folder: int, *, make: bool = True) -> Iterator[BinaryIO]:
 
 
 def _open_lines(folder: int, *, make: bool) -> int:
-    """The newest file; a new one gets the folder's owner. Raises `OSError`."""
+    """Open the current file; with make, create it if missing, with the folder's owner. Raises `OSError`."""
     while True:
         try:
             return open_plain(LINES, os.O_RDWR if make else os.O_RDONLY, folder)
@@ -326,7 +329,7 @@ def _open_lines(folder: int, *, make: bool) -> int:
 
 
 def _is_at(file: BinaryIO, folder: int) -> bool:
-    """Whether an open file still has its name: another process may have turned it over meanwhile."""
+    """Whether an open file still has its name: another process may have renamed it as full meanwhile."""
     try:
         there = os.stat(LINES, dir_fd=folder, follow_symlinks=False)
         return os.path.samestat(os.fstat(file.fileno()), there)

@@ -1,4 +1,4 @@
-"""The chain of the audit: records as lines of JSON, each with the hash of the one before; what breaks it."""
+"""Hash chain of the audit: records as lines of JSON, each with the hash of the one before, and its check."""
 
 from __future__ import annotations
 
@@ -11,12 +11,15 @@ from typing import Any
 from edged.domain.numerals import json_of
 
 START = "0" * 64
-"""The previous hash of the first record."""
+"""Previous hash of the first record."""
 
 
 @dataclass(frozen=True, slots=True)
 class AuditHead:
-    """Number and hash of the last record; and of the first that is kept, with the hash before it."""
+    """Head of the chain. number, hash : of the last record. first : number of the first record kept.
+
+    previous : hash of the record before the first one.
+    """
 
     number: int
     hash: str
@@ -24,12 +27,12 @@ class AuditHead:
     previous: str = START
 
     def to_bytes(self) -> bytes:
-        """The head as its file has it."""
+        """Encode the head as the content of its file."""
         return json.dumps({name: getattr(self, name) for name in self.__slots__}).encode()
 
 
 def head_in(data: bytes) -> AuditHead | None:
-    """None if it is not a valid head."""
+    """Decode the content of a head file; None if it is not a valid head."""
     try:
         head = json_of(data)
         number, first, previous = head["number"], head.get("first", 1), str(head.get("previous", START))
@@ -40,13 +43,13 @@ def head_in(data: bytes) -> AuditHead | None:
 
 
 def line_of(body: dict[str, Any]) -> tuple[bytes, str]:
-    """A record without its hash as a line, with its hash; and the hash."""
+    """Line of a record, with its hash added, and the hash. body : the record without it."""
     digest = _hash(body)
     return _canonical({**body, "hash": digest}) + b"\n", digest
 
 
 def end_of(line: bytes) -> tuple[int, str] | None:
-    """Number and hash that a line states for itself; None if it is not a record."""
+    """Number and hash that a line states, unchecked; None if it is not a record."""
     record = _record(line)
     if record is None or not isinstance(record.get("number"), int):
         return None
@@ -54,7 +57,7 @@ def end_of(line: bytes) -> tuple[int, str] | None:
 
 
 class AuditChain:
-    """Follows lines. number, digest : of the last record that fits.  problem : of the first that does not."""
+    """Checks lines in turn. number, digest : of the last valid record.  problem : of the first invalid."""
 
     def __init__(self, begins: AuditHead | None) -> None:
         self.first = 1 if begins is None else begins.first
@@ -63,7 +66,7 @@ class AuditChain:
         self.problem = ""
 
     def follow(self, lines: Iterable[bytes]) -> Iterator[dict[str, Any]]:
-        """The records, up to the first that does not fit."""
+        """Yield the records, up to the first that does not fit."""
         for line in lines:
             record = _record(line)
             self.problem = self._problem(line, record)

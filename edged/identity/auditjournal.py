@@ -1,9 +1,8 @@
-"""An audit held against the journal: its daemon writes each record to both, and cannot change the journal.
+"""Check of an audit against the journal: a daemon writes each record to both, and cannot change the journal.
 
-The journal is journald's: who may write all files of an audit may make another history of them, with a chain
-that holds, or delete them, but the journal keeps number and hash of the records that there were. The chain is
-then that of the journal up to the newest record found in both. After that, a daemon that was taken over may
-have written what it likes, to both.
+A user who may write all files of an audit can forge a history with an intact chain, or delete it, but
+journald keeps number and hash of the original records. So the chain is authentic up to the newest record
+found in both. After that, a compromised daemon may have written anything, to both.
 """
 
 from __future__ import annotations
@@ -18,17 +17,17 @@ from edged.identity.audit import AuditFile
 
 NUMBER, HASH = "EDGED_AUDIT", "EDGED_AUDIT_HASH"
 FIELDS = (NUMBER, HASH, "EDGED_CELL", "_UID", "_SYSTEMD_UNIT")
-"""The fields of an entry. Those with an underscore are journald's own, and nobody else can state them
+"""Fields of an entry. Those with an underscore are set by journald itself, and no client can forge them
 (systemd.journal-fields(7))."""
 MAX_LINE_BYTES = 1 << 20
 """The longest entry, as JSON; a longer line is not the audit's."""
 MOST_OTHERS = 1000
-"""Entries that differ and are looked at again: fewer deeds are done while the journal is read."""
+"""Maximum number of differing entries to check again: fewer are written while the journal is read."""
 
 
 @dataclass(frozen=True, slots=True)
 class JournalWriter:
-    """Whose entries count. stem : of the configuration's file, which the service has in its name.
+    """Writer whose entries count. stem : of the configuration file, part of the service's name.
 
     cell, user : name of the cell and owner of the audit's files, for a daemon that is not a service.
     """
@@ -47,10 +46,11 @@ class JournalWriter:
 
 @dataclass(frozen=True, slots=True)
 class JournalVerdict:
-    """What the journal says of an audit.
+    """Result of comparing an audit with the journal.
 
-    newest : number of the newest record that both have; 0: none. let_go : newest record that the journal has,
-    and the files no more. lost : entries of deeds that could not be kept. problem : "" where nothing differs.
+    newest : number of the newest record that both have; 0: none. let_go : newest record that the journal has
+    but that was deleted with the old files. lost : number of actions that could not be written to the audit.
+    problem : "" if nothing differs.
     """
 
     newest: int = 0
@@ -60,7 +60,7 @@ class JournalVerdict:
 
 
 def compare(file: AuditFile, entries: Iterable[bytes], writer: JournalWriter) -> JournalVerdict:
-    """Hold an audit against entries of the journal, as `journalctl --output=json` prints them, a line each.
+    """Compare an audit with entries of the journal, as `journalctl --output=json` prints them, a line each.
 
     Raises `FileFormatError` when the audit cannot be read.
     """
@@ -79,7 +79,7 @@ def compare(file: AuditFile, entries: Iterable[bytes], writer: JournalWriter) ->
             others[number] = digest
             if len(others) > MOST_OTHERS:
                 del others[max(others)]
-    if others:  # written, or let go, since the files were read
+    if others:  # perhaps written, or deleted with an old file, since the files were read
         first, hashes = _hashes(file)
         others = {n: digest for n, digest in others.items() if n >= first and hashes.get(n) != digest}
     return JournalVerdict(newest, let_go, lost, _problem(others, hashes))
@@ -97,7 +97,7 @@ def _hashes(file: AuditFile) -> tuple[int, dict[int, str]]:
 
 
 def _record(line: bytes, writer: JournalWriter) -> tuple[int | None, str]:
-    """Number and hash that an entry states; None for an entry of others, or of something else."""
+    """Number and hash in an entry; None for an entry by another writer, or about something else."""
     if len(line) > MAX_LINE_BYTES or NUMBER.encode() not in line:
         return None, ""
     try:

@@ -16,23 +16,23 @@ from edged.files.atomic import make_folders, read_bytes, sync, write_atomically
 from edged.identity.users import key_of
 
 LETTERS = "abcdefghjkmnpqrstuvwxyz23456789"
-"""Letters that are not mistaken for each other."""
+"""Letters and digits that cannot be confused with each other."""
 GROUPS, GROUP = 3, 4
-"""59 bits: nobody guesses them within a day."""
+"""Groups in a code, and letters in a group: 59 bits, not to be guessed within a day."""
 VALID_S = 24 * 3600.0
 
 
 class Invite:
-    """The valid code, if any: a file with its digest. A new code replaces the last."""
+    """The only valid code, if any, stored as a digest in a file. A new code replaces it."""
 
     def __init__(self, folder: Path, utc_s: Callable[[], float] = time.time) -> None:
         self._path = folder / "invite.json"
         self._utc_s = utc_s
 
     def make(self, name: str = "") -> str:
-        """A code that holds for a day, or until it is used. Raises `OSError`.
+        """Create a code that is valid for a day, or until it is used. Raises `OSError`.
 
-        name : of the user that it is for; "" : somebody new, by a name that no user has.
+        name : of the user that it is for; "" : a new user, with a name that no user has.
         """
         code = "-".join("".join(secrets.choice(LETTERS) for _ in range(GROUP)) for _ in range(GROUPS))
         document = {"digest": _digest(code), "until_s": self._utc_s() + VALID_S, "name": name}
@@ -41,7 +41,7 @@ class Invite:
         return code
 
     def is_valid(self, code: str, name: str, *, is_new: bool) -> bool:
-        """Whether this is the code for this name, today; False for a file that cannot be used.
+        """Whether this code is now valid for this name; False if the file cannot be used.
 
         is_new : no user has the name, nor one that looks like it.
         """
@@ -55,18 +55,18 @@ class Invite:
             return False
 
     def take(self, code: str, name: str, *, is_new: bool) -> bool:
-        """Use the code up; returns whether it was valid, as `is_valid`. Raises `OSError`."""
+        """Use up the code; return whether it was valid, as `is_valid`. Raises `OSError`."""
         if not self.is_valid(code, name, is_new=is_new):
             return False
         try:
             self._path.unlink()
-        except FileNotFoundError:  # somebody else was quicker
+        except FileNotFoundError:  # another request was quicker
             return False
         sync(self._path.parent)
         return True
 
 
 def _digest(code: str) -> str:
-    """Typed by hand: case, blanks and dashes do not count."""
+    """Digest of a code; as codes are typed by hand, case, blanks and dashes do not count."""
     letters = "".join(letter for letter in code.lower() if letter.isalnum())
     return hashlib.sha256(letters.encode("utf-8", "surrogateescape")).hexdigest()

@@ -25,7 +25,7 @@ thomas trustno user viewer vision volkswagen wartung welcome werk whatever willk
 zugang zxcvbnm
 """
 COMMON = frozenset(_WORDS.split())
-"""Words that guessing begins with: of the lists of stolen passwords, and of plants."""
+"""Words that are guessed first: from lists of stolen passwords, and common in plants."""
 ROWS = (
     "abcdefghijklmnopqrstuvwxyz",
     "01234567890",
@@ -36,12 +36,12 @@ LEET = str.maketrans("013457@$!", "oleastasi")
 
 
 def hash_password(password: str) -> str:
-    """The hash for a `password_hash`; slow on purpose, each call with another salt."""
+    """Hash a password, for a `password_hash`; slow on purpose, with a new salt in each call."""
     return HASHER.hash(password)
 
 
 def is_password(password_hash: str, password: str) -> bool:
-    """Whether the hash was made of this password; False also for what is not a hash. As slow as hashing."""
+    """Whether the hash is that of this password; False also for text that is no hash. As slow as hashing."""
     try:
         return HASHER.verify(password_hash, password)
     except (Argon2Error, InvalidHashError):
@@ -49,10 +49,10 @@ def is_password(password_hash: str, password: str) -> bool:
 
 
 def why_weak(password: str, name: str = "") -> str:
-    """Why a password is one of those that are guessed first; "" for others.
+    """Reason why a password is weak; "" if it is not.
 
-    It is a common word or the user's name, with digits and signs around it or in place of letters; next to
-    nothing but digits and signs; a row of keys or letters; or the same again. name : of its user.
+    Weak is a common word or the user's name, with digits and signs around it or in place of letters; almost
+    nothing but digits and signs; a row of keys or letters; or a repetition. name : of its user.
     """
     text = unicodedata.normalize("NFKC", password).casefold()
     core = re.sub(r"^[\W\d_]+|[\W\d_]+$", "", text)

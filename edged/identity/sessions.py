@@ -1,4 +1,4 @@
-"""Sessions of the page, in memory: each a random cookie, of a user or of whoever has the page's password."""
+"""Sessions of the page, in memory: each a random cookie, for a user or for the page's shared password."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ from edged.identity.users import key_of
 
 SESSION_S = 12 * 3600.0
 IDLE_S = 600.0
-"""After this long without a sign of them an engineer may only look: the panel stands beside the cell."""
+"""Time without activity after which an engineer may only view: the panel stands beside the cell."""
 CONFIRMED_S = 300.0
-"""For so long after their password a session may change users and what the cell runs by."""
+"""Time after entering the password in which a session may change users and the cell's configuration."""
 OF_A_PERSON = 8
 OF_THE_PAGE, OF_AN_ADDRESS = 64, 8
-"""Sessions with the page's password alone: of all, and of one address. Users have theirs beside them."""
+"""Maximum number of sessions with the page's password: in all, and per address. Users' count separately."""
 
 
 @dataclass(frozen=True, slots=True)
 class Session:
-    """user : name; "" with the page's password alone. address : where they logged in.
+    """Session of a visitor. user : name; "" with the page's password alone. address : of the log-in.
 
-    active_s : when a person did something last. confirmed_s : when they gave their password last.
+    active_s : time of the last activity. confirmed_s : time at which the password was last entered.
     """
 
     user: str
@@ -36,14 +36,14 @@ class Session:
 
 
 class Sessions:
-    """All that are open. A new one takes the place of the user's own oldest, or of the address's."""
+    """All open sessions. When there are too many, a new one replaces the oldest of its user or address."""
 
     def __init__(self, clock_s: Callable[[], float]) -> None:
         self._clock_s = clock_s
         self._sessions: dict[str, Session] = {}
 
     def open(self, user: str, address: str) -> str:
-        """Open a session; its cookie."""
+        """Open a session; return its cookie."""
         now_s = self._clock_s()
         self.end([digest for digest in self._sessions if self.get(digest) is None])
         self._displace(user, address)
@@ -52,33 +52,33 @@ class Sessions:
         return cookie
 
     def get(self, digest: str) -> Session | None:
-        """The session of a cookie's digest; None where there is none, or no longer."""
+        """Session with this cookie digest; None if there is none, or it has expired."""
         found = self._sessions.get(digest)
         return found if found is not None and self._clock_s() < found.since_s + SESSION_S else None
 
     def note_activity(self, digest: str) -> None:
-        """Note that a person did something; a session that was idle too long needs the password instead."""
+        """Record activity of a person; a session that was idle too long needs the password instead."""
         found = self.get(digest)
         if found is not None and not self.is_idle(found):
             self._sessions[digest] = replace(found, active_s=self._clock_s())
 
     def confirm(self, digest: str) -> None:
-        """Note that a person gave their password."""
+        """Record that the person entered their password."""
         found = self.get(digest)
         if found is not None:
             now_s = self._clock_s()
             self._sessions[digest] = replace(found, active_s=now_s, confirmed_s=now_s)
 
     def is_idle(self, session: Session) -> bool:
-        """Whether there was no sign of a person for too long."""
+        """Whether the session has been inactive for too long."""
         return self._clock_s() - session.active_s >= IDLE_S
 
     def is_confirmed(self, session: Session) -> bool:
-        """Whether they gave their password just now."""
+        """Whether the password was entered recently."""
         return self._clock_s() - session.confirmed_s < CONFIRMED_S
 
     def of(self, user: str) -> list[tuple[str, Session]]:
-        """Digest and session of each that a user has open, the oldest first."""
+        """Digest and session of each open session of a user, the oldest first."""
         key = key_of(user)
         return [
             (digest, session)
@@ -87,7 +87,7 @@ class Sessions:
         ]
 
     def end(self, digests: Iterable[str]) -> None:
-        """End sessions."""
+        """End the sessions with these digests."""
         for digest in digests:
             self._sessions.pop(digest, None)
 
@@ -100,12 +100,12 @@ class Sessions:
         of_place = [digest for place, digest in places if place == network_of(address)]
         if len(of_place) >= OF_AN_ADDRESS:
             self.end(of_place[:1])
-        elif len(own) >= OF_THE_PAGE:  # of the address that has most
+        elif len(own) >= OF_THE_PAGE:  # end one of the address that has most
             count = Counter(place for place, _ in places)
             self.end([max(places, key=lambda session: count[session[0]])[1]])
 
 
 def session_of(cookie: str) -> str:
-    """The digest of a cookie, by which its session is kept: comparing them tells nothing of the cookie."""
-    # a header may hold any bytes, which aiohttp hands on as surrogates
+    """Digest of a cookie, as key of its session: comparing digests reveals nothing about the cookie."""
+    # a header may hold any bytes, which aiohttp passes on as surrogates
     return hashlib.sha256(cookie.encode("utf-8", "surrogateescape")).hexdigest()

@@ -1,4 +1,4 @@
-"""Who may do what on the page: a file of names, roles and hashes of passwords.
+"""Users of the page: a file with names, roles and password hashes.
 
 {"format": "edged users", "version": 1,
  "users": [{"name": "Anna", "role": "engineer", "password_hash": "$argon2id$…", "language": "de"}]}
@@ -27,15 +27,15 @@ LATIN = {
     **str.maketrans("ՍՏՕցհոսօզյ", "USOghnuoqj"),  # Armenian
     **str.maketrans("ıɩɑɡʏʀɪɴʜᴀᴄᴇᴊᴋᴍᴏᴘᴛᴜᴠᴡᴢ", "iiagyrinhacejkmoptuvwz"),  # Latin without a decomposition
 }
-"""Letters as the Latin ones that they are mistaken for: from confusables.txt of Unicode's Technical Standard
-39, those of the scripts that stand beside Latin on keyboards."""
+"""Letters mapped to the Latin ones that they look like: from confusables.txt of Unicode's Technical Standard
+39, those of the scripts that are found beside Latin on keyboards."""
 ALIKE = str.maketrans(
     {
         **dict.fromkeys("I1|ǀ∣", "l"),
         **dict.fromkeys("0O", "o"),
         **dict.fromkeys("‐‑‒–—―−", "-"),
         **dict.fromkeys("’‘ʼ`´", "'"),
-        **dict.fromkeys("\u034f\u115f\u1160\u17b4\u17b5\u3164\uffa0", ""),  # printable, and nothing is seen
+        **dict.fromkeys("\u034f\u115f\u1160\u17b4\u17b5\u3164\uffa0", ""),  # printable, but invisible
         **dict.fromkeys(map(chr, range(0xFE00, 0xFE10)), ""),
     }
 )
@@ -52,11 +52,11 @@ def _printable(name: str) -> str:
 
 UserName = Annotated[str, StringConstraints(min_length=1, max_length=64), AfterValidator(_printable)]
 Language = Annotated[str, StringConstraints(pattern=r"^[A-Za-z]{2,3}(-[A-Za-z0-9]{2,8}){0,2}$")]
-"""A tag of BCP 47."""
+"""A language tag of BCP 47."""
 
 
 class User(BaseModel):
-    """Somebody with a password. language : None: as the browser has it."""
+    """User with a role and a password. language : None: that of the browser."""
 
     model_config = ConfigDict(strict=True, extra="forbid", frozen=True)
 
@@ -79,13 +79,13 @@ class LastEngineer(Exception):
 
 
 class NameTaken(Exception):
-    """A new user's name looks like that of another."""
+    """A new user's name looks like another user's."""
 
 
 class UserFile:
-    """The users of a cell. Names are compared by `names.key_of`: as people do, ignoring case.
+    """The users of a cell, in a file. Names are compared by `key_of`: as people do, ignoring case.
 
-    A file that cannot be used is nobody's: `problem` says what is wrong with it, and it is not overwritten.
+    If the file cannot be used there are no users: `problem` says what is wrong, and it is not overwritten.
     """
 
     def __init__(self, path: Path) -> None:
@@ -100,7 +100,7 @@ class UserFile:
 
     @property
     def users(self) -> list[User]:
-        """By name."""
+        """All users, sorted by name."""
         return sorted(self._users.values(), key=lambda user: user.name.casefold())
 
     @property
@@ -109,11 +109,11 @@ class UserFile:
         return any(user.role == "engineer" for user in self._users.values())
 
     def get(self, name: str) -> User | None:
-        """The user of that name."""
+        """User with this name; None if there is none."""
         return self._users.get(key_of(name))
 
     def like(self, name: str) -> User | None:
-        """Somebody else whose name this could be taken for; None for the name of a user."""
+        """Another user whose name looks like this one; None also if a user has this name."""
         if self.get(name) is not None:
             return None
         return next((user for user in self._users.values() if look_alike(user.name, name)), None)
@@ -144,7 +144,7 @@ class UserFile:
 
 
 def _read(path: Path) -> dict[str, User]:
-    """Users by name; none where there is no file. Raises `FileFormatError`."""
+    """Read the users by key; empty if there is no file. Raises `FileFormatError`."""
     if not path.exists():
         return {}
     data = read_bytes(path, "users")
@@ -164,16 +164,16 @@ def _read(path: Path) -> dict[str, User]:
 
 
 def key_of(name: str) -> str:
-    """The key by which names are compared: without case, width and other forms of compatibility (NFKC)."""
+    """Key by which names are compared: without case, width and other compatibility differences (NFKC)."""
     return unicodedata.normalize("NFKC", unicodedata.normalize("NFKC", name).casefold())
 
 
 def look_alike(name: str, other: str) -> bool:
-    """Whether somebody could take one name for the other: as they stand, or in small letters."""
+    """Whether the names can be mistaken for each other, as they are or in lower case."""
     return _skeleton(name) == _skeleton(other) or _skeleton(key_of(name)) == _skeleton(key_of(other))
 
 
 def _skeleton(name: str) -> str:
-    """What is seen of a name (UTS 39, section 4), with Latin letters."""
+    """Visual skeleton of a name (UTS 39, section 4), in Latin letters."""
     letters = unicodedata.normalize("NFD", unicodedata.normalize("NFKC", name))
     return " ".join(letters.translate(LATIN).translate(ALIKE).split())

@@ -1,4 +1,4 @@
-"""Roles, and the visitor who sends a request."""
+"""Roles, and the visitor that sends a request."""
 
 from __future__ import annotations
 
@@ -7,28 +7,28 @@ from dataclasses import dataclass
 
 
 class Role(enum.IntEnum):
-    """What somebody may do; each may do what those before it may."""
+    """Permissions of a visitor; each role includes those before it."""
 
     VIEWER = 0
-    """Look."""
+    """May view."""
     OPERATOR = 1
-    """Run the cell: end SETUP, change jobs, check."""
+    """May run the cell: end SETUP, change jobs, check."""
     ENGINEER = 2
-    """Set the cell up."""
+    """May set up the cell."""
 
     @property
     def word(self) -> str:
-        """As it is written in JSON."""
+        """Name of the role in JSON."""
         return self.name.lower()
 
 
 @dataclass(frozen=True, slots=True)
 class Visitor:
-    """Who sent a request.
+    """Sender of a request.
 
-    session : digest of the cookie of a log-in on the page; "" without one, for looking only.
-    is_idle : inactive for so long that they may only look until they enter their password again.
-    is_confirmed : they entered it just now.
+    session : digest of the session cookie of the page; "" without one, for viewing only.
+    is_idle : inactive for so long that they may only view until they enter their password again.
+    is_confirmed : they entered it recently.
     """
 
     name: str

@@ -1,1 +1,1 @@
-"""The link between the cell's process and the page's: one versioned schema, and two ends."""
+"""The link between the process of the cell and that of the page: one versioned schema, and two ends."""

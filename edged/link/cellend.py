@@ -1,9 +1,8 @@
-"""The cell's end of the link: it never waits, keeps the newest, and believes nothing that arrives.
+"""The cell's end of the link: it never blocks, keeps the newest data, and does not trust what arrives.
 
-What is to be sent is encoded and written by a thread of its own; the loop only puts it where the thread finds
-it, in queues of a bounded length. What arrives is read by another thread, at a bounded rate: a page that
-floods waits in its own socket's buffer. A page that sends what is not a message, or reads none, loses the
-link.
+A thread of its own encodes and sends; the event loop only fills queues of bounded length. Another thread
+reads what arrives, at a bounded rate: a page that floods fills only its own socket's buffer. A page that
+sends an invalid message, or does not read, loses the link.
 """
 
 from __future__ import annotations
@@ -49,51 +48,51 @@ from edged.link.values import CODEC
 log = logging.getLogger(__name__)
 
 EVENTS, PAIRS, STEPS = 256, 2, 20
-"""Events that wait to be sent; how many of them with their pictures; steps of a robot's registration."""
+"""Maximum events waiting to be sent; of these with pictures; steps of a robot's registration."""
 UNDERWAY, CAPTURES = 16, 4
-"""Requests under way, and answers that wait, more are not read; and how many of them have pictures."""
+"""Maximum requests under way plus unsent answers, beyond which no more are read; of these with pictures."""
 REQUESTS_PER_S, REQUESTS_AT_ONCE = 200.0, 400.0
 COSTLY, DEAR = (AskExchanges, AskMetrics, AskRegisters), 20
-"""Requests that take milliseconds of the loop, and as how many others each counts."""
+"""Requests that take milliseconds of the event loop, and the number of others that each counts for."""
 COUNTED_BYTES = 1024
-"""A message counts once more for each of so many: to check 15 kB of numbers takes 3 ms of the loop."""
+"""A message counts once more for each this many bytes: to check 15 kB of numbers takes 3 ms of the loop."""
 REST_S = 0.05
-"""A page that has asked too much is read again after this."""
+"""Pause before a page that has exceeded its rate is read again."""
 WRITE_S = 15.0
-"""A page that does not read for this long loses the link; one that starts on a busy PC imports meanwhile."""
+"""Time without reading after which a page loses the link; one that starts on a busy PC imports meanwhile."""
 BEAT_S = 1.0
-"""The summary comes at least so often: a page that hears nothing knows that the cell's loop hangs."""
+"""Longest interval between summaries: a page that gets none knows that the cell's event loop hangs."""
 GREET_S = 60.0
-"""For a process to start on a busy PC, and to say which version it is."""
+"""Time for a process to start on a busy PC and send its version."""
 
 
 class ServedCell(Protocol):
-    """What a page is told of the cell, and who does what it asks; called on the event loop."""
+    """The cell as served to a page: state to send, and requests to carry out; called on the event loop."""
 
     @property
     def task(self) -> PageTask:
-        """What the page is to serve."""
+        """Description of what the page is to serve."""
 
     def summary(self) -> CellSummary:
         """State of the cell at this moment."""
 
     def version(self) -> object:
-        """Another object whenever the cell runs by other files."""
+        """Identity of the files in use: another object whenever the cell uses other files."""
 
     def files(self, version: object) -> FilesInUse:
         """The files of a version; called on any thread."""
 
     async def answer(self, request: Asked, memory: int | None = None) -> object:
-        """Do what a page asks. memory : that came with it, sealed, open until then.
+        """Carry out a request of a page. memory : sealed, that came with it; open until this returns.
 
         Raises `EdgedError`, `OSError`.
         """
 
 
 class CellEnd:
-    """One page's link.
+    """Link to one page.
 
-    connection : a Unix stream socket, owned from now on. listening : the sockets that the page serves.
+    connection : a Unix stream socket, owned from now on. listening : sockets for the page to serve.
     """
 
     def __init__(
@@ -124,7 +123,7 @@ class CellEnd:
         self._failed: asyncio.Future[str] = asyncio.get_running_loop().create_future()
 
     async def serve(self) -> str:
-        """Serve the page until the link ends; returns why, "" where the page has closed it."""
+        """Serve the page until the link ends; return the reason, "" if the page closed it."""
         loop = asyncio.get_running_loop()
         telling = loop.create_task(self._tell(), name="page link")
         greeting = loop.call_later(GREET_S, self._miss_greeting)
@@ -143,7 +142,7 @@ class CellEnd:
             self._beats.cancel()
             if self._rest is not None:
                 self._rest.cancel()
-            telling.cancel()  # but what was asked is carried out: half a reload would be worse
+            telling.cancel()  # but requests under way are carried out: half a reload would be worse
             await asyncio.gather(telling, return_exceptions=True)
             with contextlib.suppress(OSError):
                 self._connection.shutdown(socket.SHUT_RDWR)  # a write under way ends, too
@@ -153,10 +152,10 @@ class CellEnd:
             self._sender.shutdown()
             self._connection.close()
 
-    # --- what the page is told -------------------------------------------------------------------
+    # --- sent to the page ------------------------------------------------------------------------
 
     def announce(self, event: Event) -> None:
-        """Tell of an event, soon; the oldest are left out where the page is too slow."""
+        """Queue an event to be sent; the oldest are dropped if the page is too slow."""
         self._events.append(event)
         if isinstance(event, ExposureDone):
             self._drop_pairs()
@@ -164,12 +163,12 @@ class CellEnd:
         self._wake.set()
 
     def tell_step(self, step: ProgramStep) -> None:
-        """Tell of a step of a robot's registration."""
+        """Queue a step of a robot's registration to be sent."""
         self._steps.append(step)
         self._wake.set()
 
     def _drop_pairs(self) -> None:
-        """Only the newest exposures keep their pictures."""
+        """Drop the pictures of all queued exposures but the newest."""
         kept = 0
         for index in range(len(self._events) - 1, -1, -1):
             event = self._events[index]
@@ -192,7 +191,7 @@ class CellEnd:
             self._fail("" if isinstance(error, ConnectionError) else str(error))
 
     async def _tell_all(self) -> None:
-        """Files before the summary, and both before the answers: who asked finds what has become of it."""
+        """Send files before the summary, and both before the answers: a requester then sees the new state."""
         if not self._has_task:
             self._has_task = True
             await self._post("task", self._view.task, sockets=len(self._listening))
@@ -241,7 +240,7 @@ class CellEnd:
     def _send(self, data: bytes, handles: list[int]) -> None:
         send_within(self._connection, data, handles, WRITE_S)
 
-    # --- what the page asks ------------------------------------------------------------------------
+    # --- requests from the page --------------------------------------------------------------------
 
     def _arrived(self, data: bytes, memory: int | None) -> None:
         if memory is not None:
@@ -254,13 +253,13 @@ class CellEnd:
             self._hear()
 
     def _keep(self, memory: int | None) -> None:
-        """Have the memory that came last, and no other."""
+        """Hold only the memory that came last, and close the one before."""
         if self._memory is not None:
             os.close(self._memory)
         self._memory = memory
 
     def _hear(self) -> None:
-        """Carry out the messages that are whole, as fast as a page may ask."""
+        """Carry out the complete messages, within the rate that a page may use."""
         try:
             while not self._is_full and self._frames.has_next():
                 if not self._rate.take():
@@ -282,7 +281,7 @@ class CellEnd:
 
     @property
     def _is_full(self) -> bool:
-        """Whether as many requests are under way, or answered and not sent, as may be."""
+        """Whether the maximum of requests is under way, or answered but not sent."""
         return len(self._underway) + len(self._answers) >= UNDERWAY
 
     def _go_on(self) -> None:
@@ -290,7 +289,7 @@ class CellEnd:
         self._hear()
 
     def _beat(self) -> None:
-        """The summary is due, and will be again."""
+        """Send the summary now, and again after each `BEAT_S`."""
         self._is_summary_due = True
         self._wake.set()
         self._beats = asyncio.get_running_loop().call_later(BEAT_S, self._beat)
@@ -306,7 +305,7 @@ class CellEnd:
 
     def _carry_out(self, envelope: Envelope) -> None:
         memory = None
-        # it may have been read together with those before it
+        # only these requests take the memory: it may have been received together with earlier messages
         if isinstance(envelope.request, InstallRelease | KeepBeside):
             memory, self._memory = self._memory, None
         task = asyncio.get_running_loop().create_task(self._answer(envelope, memory), name="page's request")
@@ -346,6 +345,6 @@ class CellEnd:
             self._captures -= 1
 
     def _fail(self, why: str) -> None:
-        """The link has failed; "" where the other end has closed it."""
+        """Note that the link has failed. why : "" if the other end closed it."""
         if not self._failed.done():
             self._failed.set_result(why)

@@ -1,7 +1,7 @@
-"""Bytes that one process hands another as memory that nobody can change from then on.
+"""Bytes that one process passes to another as sealed memory, which nobody can change any more.
 
-The pages count as memory of the process that made them, also for the limits of its service; the receiver
-pays for what it copies.
+The pages count as memory of the process that created them, also for the limits of its service; the receiver
+pays only for what it copies.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ SEALS = fcntl.F_SEAL_SHRINK | fcntl.F_SEAL_GROW | fcntl.F_SEAL_WRITE | fcntl.F_S
 
 
 def sealed(data: bytes) -> int:
-    """A descriptor of memory with these bytes, which the caller closes. Raises `OSError`."""
+    """Descriptor of sealed memory with these bytes; the caller closes it. Raises `OSError`."""
     handle = os.memfd_create("edged-handed-over", os.MFD_CLOEXEC | os.MFD_ALLOW_SEALING)
     try:
         view = memoryview(data)
@@ -27,7 +27,7 @@ def sealed(data: bytes) -> int:
 
 
 def is_sealed(handle: int) -> bool:
-    """Whether a descriptor is of such memory: any other kind of file has no seals, and is not touched."""
+    """Whether a descriptor is of sealed memory; any other kind of file has no seals, and is not touched."""
     try:
         return fcntl.fcntl(handle, fcntl.F_GET_SEALS) & SEALS == SEALS
     except OSError:
@@ -35,7 +35,7 @@ def is_sealed(handle: int) -> bool:
 
 
 def sealed_bytes(handle: int, most: int) -> bytes:
-    """The bytes, wherever the descriptor stands. Raises `ValueError` for another file, or one too large."""
+    """All bytes, whatever the file offset. Raises `ValueError` for memory not sealed, or too large."""
     if not is_sealed(handle):
         raise ValueError("expected sealed memory")
     size = os.fstat(handle).st_size

@@ -1,4 +1,4 @@
-"""The page's end of the link: it asks, and hears answers and news in the order of the cell."""
+"""The page's end of the link: it sends requests, and gets answers and news in the order of the cell."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ from edged.link.values import CODEC, MOST_BYTES
 READ_BYTES = 1024 * 1024
 MOST_DESCRIPTORS = 16
 ANSWER_S = 120.0
-"""Longer than any request takes that the cell carries out."""
+"""Time-out of an answer, longer than the cell takes for any request."""
 
 
 class LinkNews(NamedTuple):
-    """Something that the cell tells. kind : "task", "files", "summary", "event" or "step"."""
+    """News from the cell. kind : "task", "files", "summary", "event" or "step"."""
 
     kind: str
     body: Any
@@ -33,7 +33,7 @@ class LinkNews(NamedTuple):
 class PageEnd:
     """The link to the cell. connection : a Unix stream socket, owned from now on.
 
-    listening : the sockets that the page serves, which come with its task; the taker closes them.
+    listening : sockets for the page to serve, which come with its task; the caller takes and closes them.
     """
 
     def __init__(self, connection: socket.socket) -> None:
@@ -49,12 +49,12 @@ class PageEnd:
         self.listening: list[socket.socket] = []
 
     async def greet(self) -> None:
-        """Say which version this is, and hear the cell's. Raises `LinkError` where it is another."""
+        """Send this version, and read the cell's. Raises `LinkError` if it is another."""
         await self._write(encoded(GREETING))
         greeting_of(await self._message()).check("the cell")
 
     async def ask(self, request: Asked, memory: int | None = None) -> Any:
-        """Ask the cell. memory : that goes with it. Raises what the cell raises, and `LinkError`."""
+        """Ask the cell; return its answer. memory : sent with it. Raises its errors, and `LinkError`."""
         if self._is_over:
             raise LinkError("the cell is not reached")
         number = next(self._numbers)
@@ -69,7 +69,7 @@ class PageEnd:
             self._asked.pop(number, None)
 
     async def news(self) -> AsyncIterator[LinkNews]:
-        """What the cell tells, until the link ends; answers are given on once what came before is done."""
+        """Yield news from the cell until the link ends; answers are set once earlier news is handled."""
         try:
             while True:
                 message = CODEC.decode(await self._message())
@@ -137,7 +137,7 @@ class PageEnd:
                     os.close(memory)
 
     async def _message(self) -> bytes:
-        """The next message. Raises `LinkError` when the link has ended."""
+        """Read the next message. Raises `LinkError` when the link has ended."""
         while not self._frames.has_next():
             try:
                 data, memories, _flags, _ = socket.recv_fds(

@@ -1,7 +1,7 @@
-"""Pictures in shared memory: the cell writes them into a ring of few slots, a page copies them out in time.
+"""Pictures in shared memory: the cell writes them into a ring of few slots, and a page copies them out.
 
-The memory is the cell's, and bounded whatever a page does: a slot is used again without asking. A page that
-comes too late sees by the slot's number that it has another pair by now, and goes without it. No page can
+The memory belongs to the cell, and is bounded whatever a page does: a slot is reused without asking. A page
+that is too late sees from the slot's number that it holds another pair by now, and does without. No page can
 change the size of the memory or map it for writing, and the cell never reads it.
 """
 
@@ -20,12 +20,12 @@ from edged.domain.arrays import Image
 SLOTS = 4
 ALIGN = 64
 F_SEAL_FUTURE_WRITE = 0x0010
-"""<linux/fcntl.h>; Python has no name for it before 3.13. Linux has it since 5.1."""
+"""From <linux/fcntl.h>; Python has no name for it before 3.13. Linux has it since 5.1."""
 MAX_BYTES = 1 << 30
 
 
 class Placed(NamedTuple):
-    """Where the pictures of a message are: offset of the slot, its number, and (height, width) of each."""
+    """Place of a message's pictures: offset of the slot, its number, and (height, width) of each."""
 
     offset: int
     number: int
@@ -33,7 +33,7 @@ class Placed(NamedTuple):
 
 
 class PictureRing:
-    """The cell's side; used by one thread."""
+    """The cell's side of the ring; used by one thread."""
 
     def __init__(self) -> None:
         self._map: mmap.mmap | None = None
@@ -43,7 +43,7 @@ class PictureRing:
     def place(self, images: Sequence[Image]) -> tuple[Placed, int | None]:
         """Write pictures (H, W) uint8 into the next slot.
 
-        Returns where, and the descriptor of the memory if it is a new one, which the caller closes.
+        Returns their place, and the descriptor of the memory if it is new, which the caller closes.
         Raises `OSError`.
         """
         needed = ALIGN + sum(_aligned(image.nbytes) for image in images)
@@ -56,7 +56,7 @@ class PictureRing:
         offset = self._number % SLOTS * self._slot_bytes
         slot = np.frombuffer(self._map, np.uint8, self._slot_bytes, offset)
         head = slot[:8].view(np.uint64)
-        head[0] = 0  # in work: who copies now sees that
+        head[0] = 0  # being written: a page that copies now notices
         at = ALIGN
         for image in images:
             slot[at : at + image.nbytes].reshape(image.shape)[:] = image
@@ -65,12 +65,12 @@ class PictureRing:
         return Placed(offset, self._number, [list(image.shape) for image in images]), descriptor
 
     def close(self) -> None:
-        """Let go of the memory."""
-        self._map = None  # arrays of it are gone, or keep it
+        """Release the memory."""
+        self._map = None  # it is freed with the last array that uses it
 
 
 class SharedPictures:
-    """A page's side: of the memory that came last."""
+    """A page's side of the ring: reads the memory that came last."""
 
     def __init__(self) -> None:
         self._map: mmap.mmap | None = None
@@ -86,7 +86,7 @@ class SharedPictures:
             os.close(descriptor)
 
     def copy(self, placed: Placed) -> list[Image | None]:
-        """The pictures; None of those whose slot has others by now. Raises `ValueError`."""
+        """Copy the pictures; None for each if their slot was reused. Raises `ValueError`."""
         lost: list[Image | None] = [None] * len(placed.sizes)
         if self._map is None:
             return lost

@@ -1,8 +1,8 @@
-"""Reads what a page sends, in a thread of its own.
+"""Reading of what a page sends, in a thread of its own.
 
-A page may pass descriptors with its bytes, of anything that it has open. Whoever receives one closes it, also
-unread, and to close it may take as long as the page likes: a socket of a client with SO_LINGER and bytes that
-nobody takes, for example. So the event loop receives nothing from a page.
+A page may pass descriptors of anything that it has open along with its bytes. The receiver must close them,
+and closing one may take as long as the page likes, for example a client's socket with SO_LINGER and unsent
+bytes. So the event loop itself receives nothing from a page.
 Source: unix(7), socket(7).
 """
 
@@ -20,18 +20,18 @@ from edged.link.memory import is_sealed
 
 READ_BYTES = 16 * 1024
 JOIN_S = 1.0
-"""A thread that closes for longer is left behind."""
+"""Time to wait for the thread's end; one that takes longer to close a descriptor is abandoned."""
 
 
 class Receiver:
-    """The thread; it reads once for each time that it is allowed to.
+    """Reading thread; it reads once for each `allow`.
 
-    arrived : told on the event loop of what came, b"" at the end, with a descriptor of sealed memory if one
-    came with it, which is then its own. Every other descriptor is closed.
+    arrived : called on the event loop with the bytes, b"" at the end, and the descriptor of sealed memory
+    that came with them, or None; it then owns the descriptor. All other descriptors are closed.
     """
 
     def __init__(self, connection: socket.socket, arrived: Callable[[bytes, int | None], None]) -> None:
-        self._connection = connection.dup()  # its number stays its own while the thread waits
+        self._connection = connection.dup()  # so that its number is not reused while the thread waits
         self._arrived = arrived
         self._loop = asyncio.get_running_loop()
         self._turn = threading.Semaphore(0)
@@ -40,13 +40,13 @@ class Receiver:
         self._thread.start()
 
     def allow(self) -> None:
-        """Let it read once, if it may not already."""
+        """Allow one read, unless one is allowed already."""
         if not self._is_allowed:
             self._is_allowed = True
             self._turn.release()
 
     def end(self) -> None:
-        """Let the thread end; the connection was shut down."""
+        """End the thread; the connection must have been shut down."""
         self._is_over = True
         self._turn.release()
         self._thread.join(JOIN_S)

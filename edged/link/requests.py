@@ -1,4 +1,4 @@
-"""What a page may ask of the cell. Everything in it is hostile until it is read here."""
+"""Requests that a page may send to the cell. Their content is untrusted until it is validated here."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from edged.errors import LinkError
 from edged.link.values import schema_of
 
 MAX_BYTES = 64 * 1024
-"""Size of a message of a page: the note of a release is the largest."""
+"""Maximum size of a page's message: the note of a release is the largest."""
 BOUNDS = CborBounds(MAX_BYTES, 2000, 32)
 
 BesideRig = Literal["marks", "acceptance"]
@@ -23,7 +23,7 @@ Name = Annotated[str, StringConstraints(min_length=1, max_length=64)]
 
 
 class Request(BaseModel):
-    """A message of a page: nothing else, of the very types, every text with a bound."""
+    """Base of a page's messages: no extra fields, exact types, and bounded strings."""
 
     model_config = ConfigDict(strict=True, extra="forbid", frozen=True, allow_inf_nan=False)
 
@@ -32,7 +32,7 @@ Message = TypeVar("Message", bound=Request)
 
 
 class EnterSetup(Request):
-    """Take the cell for SETUP; answered by the lease's token."""
+    """Take the cell for SETUP; answered with the lease's token."""
 
     ask: Literal["enter"] = "enter"
     name: Name
@@ -47,28 +47,28 @@ class RenewLease(Request):
 
 
 class LeaveSetup(Request):
-    """Give the cell back."""
+    """End the lease of the cell."""
 
     ask: Literal["leave"] = "leave"
     token: Token
 
 
 class EndSetup(Request):
-    """End SETUP for its holder. name : of the person who says so."""
+    """End SETUP on behalf of its holder. name : of the person who requests it."""
 
     ask: Literal["end"] = "end"
     name: Name
 
 
 class TakePair(Request):
-    """One exposure; answered by a pair."""
+    """Make one exposure; answered with a pair of images."""
 
     ask: Literal["capture"] = "capture"
     token: Token
 
 
 class AdjustCamera(Request):
-    """Set the stated values of a camera on trial; answered by its `CameraValues`."""
+    """Set the given values of a camera on trial; answered with its `CameraValues`."""
 
     ask: Literal["adjust"] = "adjust"
     token: Token
@@ -78,7 +78,7 @@ class AdjustCamera(Request):
 
 
 class ReadLimits(Request):
-    """Answered by the `CameraLimits` of a camera."""
+    """Read the limits of a camera; answered with its `CameraLimits`."""
 
     ask: Literal["limits"] = "limits"
     token: Token
@@ -94,9 +94,9 @@ class TryCameras(Request):
 
 
 class InstallRelease(Request):
-    """Run by other files: those of the archive that comes with it as sealed memory (`edged.link.memory`).
+    """Use other files: those of the archive that comes with it as sealed memory (`edged.link.memory`).
 
-    token : of the lease, where somebody has the cell. author, note : whose it is, and why.
+    token : of the lease, if the cell is taken for SETUP. author, note : who installs it and why, for the log.
     """
 
     ask: Literal["install"] = "install"
@@ -106,21 +106,21 @@ class InstallRelease(Request):
 
 
 class TakeJob(Request):
-    """Measure by the job with a number, where no PLC owns the right to write."""
+    """Make the job with this number the active one, if no PLC holds the right to write."""
 
     ask: Literal["take_job"] = "take_job"
     number: Annotated[int, Field(ge=1, le=65535)]
 
 
 class KeepGolden(Request):
-    """Measure, and keep where the part of a job lies, where no PLC owns the right to write."""
+    """Measure, and store the part of a job as its golden part, if no PLC holds the right to write."""
 
     ask: Literal["keep_golden"] = "keep_golden"
     number: Annotated[int, Field(ge=1, le=65535)]
 
 
 class KeepBeside(Request):
-    """Have another file beside the rig, which comes with it as sealed memory: marks, or an acceptance."""
+    """Replace a file beside the rig, which comes with it as sealed memory: marks, or an acceptance test."""
 
     ask: Literal["keep_beside"] = "keep_beside"
     token: Token
@@ -128,40 +128,40 @@ class KeepBeside(Request):
 
 
 class AskRegisters(Request):
-    """Answered by the address and value of each register."""
+    """Read the registers; answered with the address and value of each."""
 
     ask: Literal["registers"] = "registers"
 
 
 class AskExchanges(Request):
-    """Answered by the last `Exchange`s of a PLC."""
+    """Read the last exchanges with a PLC; answered with `Exchange`s."""
 
     ask: Literal["exchanges"] = "exchanges"
 
 
 class AskMetrics(Request):
-    """Answered by Prometheus' text."""
+    """Read the metrics; answered with text for Prometheus."""
 
     ask: Literal["metrics"] = "metrics"
 
 
 class Examine(Request):
-    """Examine the machine; answered by a list of findings, as `edged doctor --json` has them."""
+    """Examine the machine; answered with a list of findings, as in `edged doctor --json`."""
 
     ask: Literal["examine"] = "examine"
 
 
 class Mend(Request):
-    """Do what a finding needs: read the files again, or take those with secrets from other users."""
+    """Fix a finding: reload the files, or make those with secrets inaccessible to other users."""
 
     ask: Literal["mend"] = "mend"
     what: Literal["reload", "secrets"]
 
 
 class OnStage(Request):
-    """A request to the stage before virtual cameras. route : of its handler; body : of it.
+    """Request to the stage in front of virtual cameras. route : of its handler; body : of the request.
 
-    Answered by `answer`, a document, or `problem`: its status, code and detail.
+    Answered with `answer`, a document, or `problem`: its status, code and detail.
     """
 
     ask: Literal["stage"] = "stage"
@@ -192,20 +192,20 @@ Asked = (
 
 
 class Envelope(Request):
-    """A request with its number, by which it is answered."""
+    """Request with its number, which its answer repeats."""
 
     number: Annotated[int, Field(ge=1, lt=2**53)]
     request: Annotated[Asked, Field(discriminator="ask")]
 
 
 class Greeting(Request):
-    """The first message of either end."""
+    """First message of either end."""
 
     edged: Annotated[str, StringConstraints(max_length=64)]
     schema_id: Annotated[str, StringConstraints(max_length=64)]
 
     def check(self, who: str) -> None:
-        """Raises `LinkError` that names a version other than this one's. who : the other end."""
+        """Raise `LinkError`, with both versions, if they differ. who : the other end, for the message."""
         if self != GREETING:
             raise LinkError(
                 f"{who} is edged {self.edged} (schema {self.schema_id}), this is edged {GREETING.edged} "
@@ -217,17 +217,17 @@ GREETING = Greeting(edged=__version__, schema_id=schema_of(Envelope))
 
 
 def encoded(message: Envelope | Greeting) -> bytes:
-    """A page's message."""
+    """Encode a message."""
     return encode_cbor(message.model_dump(mode="json"))
 
 
 def envelope_of(data: bytes) -> Envelope:
-    """A page's request. Raises `LinkError` for anything else."""
+    """Decode a page's request. Raises `LinkError` for anything else."""
     return _read(Envelope, data)
 
 
 def greeting_of(data: bytes) -> Greeting:
-    """The first message. Raises `LinkError`."""
+    """Decode the first message. Raises `LinkError`."""
     return _read(Greeting, data)
 
 

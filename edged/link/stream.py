@@ -1,4 +1,4 @@
-"""Messages over a Unix socket: a length of four bytes, high byte first, then CBOR."""
+"""Messages over a Unix socket: a length in four bytes, high byte first, then CBOR."""
 
 from __future__ import annotations
 
@@ -12,23 +12,23 @@ HEAD_BYTES = 4
 
 
 def framed(data: bytes) -> bytes:
-    """A message as it is sent."""
+    """Message with its length in front, as it is sent."""
     return len(data).to_bytes(HEAD_BYTES, "big") + data
 
 
 class Frames:
-    """Puts messages together from what arrives. most_bytes : of one message."""
+    """Splits received bytes into messages. most_bytes : maximum length of one message."""
 
     def __init__(self, most_bytes: int) -> None:
         self._most_bytes = most_bytes
         self._waiting = bytearray()
 
     def feed(self, data: bytes) -> None:
-        """Add what has arrived."""
+        """Add received bytes."""
         self._waiting += data
 
     def has_next(self) -> bool:
-        """Whether a message is whole. Raises `LinkError` for one that is too long."""
+        """Whether a complete message is there. Raises `LinkError` for one that is too long."""
         if len(self._waiting) < HEAD_BYTES:
             return False
         length = int.from_bytes(self._waiting[:HEAD_BYTES], "big")
@@ -37,7 +37,7 @@ class Frames:
         return len(self._waiting) >= HEAD_BYTES + length
 
     def next(self) -> bytes:
-        """Take the next message, which is whole."""
+        """Take the next message; `has_next` must be true."""
         end = HEAD_BYTES + int.from_bytes(self._waiting[:HEAD_BYTES], "big")
         message = bytes(self._waiting[HEAD_BYTES:end])
         del self._waiting[:end]
@@ -45,9 +45,9 @@ class Frames:
 
 
 def send_within(connection: socket.socket, data: bytes, descriptors: list[int], limit_s: float) -> None:
-    """Send all of it from a thread, descriptors with the first byte, whether or not the socket blocks.
+    """Send a whole message from a thread, descriptors with its first byte; the socket may be non-blocking.
 
-    Raises `LinkError` when the other end does not read within that time, `OSError`.
+    Raises `LinkError` if the other end reads nothing for `limit_s`, `OSError`.
     """
     poll = select.poll()
     poll.register(connection, select.POLLOUT)

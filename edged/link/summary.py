@@ -1,4 +1,4 @@
-"""The cell as its page sees it, besides events: what holds at one moment."""
+"""State of the cell as its page sees it at one moment, in addition to events."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from edged.domain.overview import Overview, Use
 
 @dataclass(frozen=True, slots=True)
 class PlcNow:
-    """The Modbus server. convention : of A, B, C, by its name in the configuration. refused : addresses."""
+    """State of the Modbus server. convention : of A, B, C, as in the configuration. refused : addresses."""
 
     host: str
     port: int
@@ -30,7 +30,7 @@ class PlcNow:
 
 @dataclass(frozen=True, slots=True)
 class OpenCamera:
-    """A camera that the cell has open. packet_bytes : None where it sends no packets.
+    """Camera that the cell has open. packet_bytes : None if it sends no packets.
 
     resent, lost : packets since it was opened; None: not counted.
     """
@@ -43,12 +43,12 @@ class OpenCamera:
 
 @dataclass(frozen=True, slots=True)
 class CellSummary:
-    """State of a cell that no event tells.
+    """State of a cell that is not contained in events.
 
     facts : groups of name to value, as the status page shows them. jobs : number and name. holder : of the
     lease, "" without one. is_locked : the plant forbids SETUP. camera_changes : on trial, by side.
     cameras : those that are open.
-    uses : of each job by its number; active_job : the number of the job in use, 0: none. plc : None without
+    uses : use of each job by its number; active_job : number of the active job, 0: none. plc : None without
     a Modbus server.
     """
 
@@ -66,10 +66,10 @@ class CellSummary:
 
 @dataclass(frozen=True, slots=True)
 class FilesInUse:
-    """The files that the cell runs by. config : JSON of the configuration. contents : as in a recording.
+    """The files that the cell uses. config : JSON of the configuration. contents : as in a recording.
 
-    lacks : name of the `SetupSource` that says what is missing first; "" of a cell that is complete.
-    missing : a line for each file that is not there.
+    lacks : name of the `SetupSource` for what is missing first; "" for a complete cell.
+    missing : a line for each file that does not exist.
     """
 
     config: str
@@ -81,7 +81,7 @@ class FilesInUse:
 
 @dataclass(frozen=True, slots=True)
 class PageTask:
-    """What a page process serves. path : of the configuration.
+    """Task of a page process. path : of the configuration.
 
     addresses : of virtual cameras, left and right; None without. is_staged : the stage is set up, too.
     """
@@ -94,7 +94,7 @@ class PageTask:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ProgramStep:
-    """A step of a registration by a robot's program, for the draft that people see grow.
+    """Step of a registration by a robot's program, to show it as a draft on the page.
 
     step : "begun" with mount, kind, board and limit_mm; "posed" with pair and pose (4, 4); "touched" with
     pair, pose, job and point_mm (3,); or "activated".

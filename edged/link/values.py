@@ -1,6 +1,6 @@
-"""The cell's values that may cross the link to its page, and no others.
+"""Closed list of the cell's types that may cross the link to its page.
 
-A page trusts the cell; what a page asks is read by `requests`, which trusts nobody.
+A page trusts the cell; the requests of a page are validated by `requests`, which trusts nothing.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from edged.link import summary
 from edged.plc.ladder import Exchange, Rung
 
 MOST_BYTES = 256 << 20
-"""A message's size: the largest are the files of many jobs."""
+"""Maximum size of a message: the largest hold the files of many jobs."""
 TYPES: tuple[type, ...] = (
     acceptance.Acceptance,
     acceptance.AcceptanceState,
@@ -101,7 +101,7 @@ CODEC = Codec.of("a cell", TYPES, CborBounds(MOST_BYTES, 1_000_000, 64))
 
 
 def schema_of(*models: type[BaseModel]) -> str:
-    """Digest (16 hex digits) of all that crosses the link: types with their fields, and what is asked."""
+    """Digest (16 hex digits) of all that crosses the link: types with their fields, and requests."""
     digest = hashlib.sha256(f"format {FORMAT}".encode())
     for kind in TYPES:
         digest.update(f"{kind.__name__}{_shape(kind)}".encode())

@@ -1,1 +1,1 @@
-"""Pictures for people: what was measured, what was not, and why."""
+"""Pictures for people that show what was measured, what was not, and why."""

@@ -1,4 +1,4 @@
-"""A result in words and numbers, for its pictures."""
+"""Text and numbers of a result, for its pictures."""
 
 from __future__ import annotations
 
@@ -39,15 +39,15 @@ REMEDIES = {
     Reject.LEFT_RIGHT_MISMATCH: "do both cameras see it, sharp, and is the rig theirs?",
     Reject.OUT_OF_VOLUME: "does it lie within depth_min_mm and depth_max_mm of the job?",
 }
-"""Remedies for what keeps a match from being measured."""
+"""Remedies for the reasons that keep a match from being measured."""
 
 MAX_REASONS = 3
-"""Reasons in the headline; all of them stand with their part."""
+"""Most reasons in the headline; all of them are listed with their part."""
 
 
 @dataclass(frozen=True, slots=True)
 class FeatureLine:
-    """One feature as a row of a table: what it is, its size, the edges it stands on."""
+    """One feature as a row of a table: name, size, residuals and share of edges seen."""
 
     name: str
     size: str
@@ -56,12 +56,12 @@ class FeatureLine:
 
 
 def reasons(reject: Reject) -> list[str]:
-    """Every reason of a rejection in words."""
+    """All reasons of a rejection in words."""
     return [words for bit, words in REASONS.items() if reject & bit]
 
 
 def why_nothing(dismissed: Sequence[NotMeasured], nearest: NearMiss | None) -> list[str]:
-    """Why there is no target, a line for each place that was seen, and what to try."""
+    """Why there is no target: a line for each match, and what to try."""
     lines = []
     for missed in dismissed:
         remedies = [words for bit, words in REMEDIES.items() if missed.reject & bit]
@@ -91,7 +91,7 @@ def headline(
     dismissed: Sequence[NotMeasured],
     nearest: NearMiss | None = None,
 ) -> str:
-    """One line about the whole picture: the part, how many, score and place, or why there is none."""
+    """One line about the whole picture: parts, scores and position, or why there is no part."""
     targets = [part.target for part in measured]
     good = [target for target in targets if not target.reject]
     if not targets and not dismissed:
@@ -116,7 +116,7 @@ def headline(
 
 
 def pose_lines(target: Target) -> list[tuple[str, str, str]]:
-    """Name, value and sigma of the six coordinates that people ask for; angles in degrees."""
+    """Name, value and sigma of x, y, z, tilt and turn; angles in degrees."""
     lines = [
         (name, f"{value:.4f}", f"{sigma:.4f} mm")
         for name, value, sigma in zip("xyz", target.position_mm, target.sigma_mm, strict=True)
@@ -127,7 +127,7 @@ def pose_lines(target: Target) -> list[tuple[str, str, str]]:
     tilt = math.degrees(math.acos(min(1.0, abs(float(normal[2])))))
     lines.append(("tilt", f"{tilt:.3f}", f"{_degrees(_across(spread, normal)):.3f}°"))
     if target.free_axis is None:
-        # part x against the rig's x axis as drawn on the face: 0 as it was taught
+        # angle of the part's x axis to the rig's x axis projected onto the face: 0 as taught
         turn = math.degrees(math.atan2(-float(rotation[0, 1]), float(rotation[0, 0])))
         lines.append(("turn", f"{turn:.3f}", f"{_degrees(float(normal @ spread @ normal)):.3f}°"))
     else:
@@ -136,7 +136,7 @@ def pose_lines(target: Target) -> list[tuple[str, str, str]]:
 
 
 def size_lines(measurements: Sequence[Measurement]) -> list[tuple[str, str, bool | None]]:
-    """Name, what was measured against what is wanted, and whether it is in its tolerance."""
+    """Name, measured and nominal value, and whether it is within its tolerance."""
     lines = []
     for measurement in measurements:
         text = (
@@ -151,7 +151,7 @@ def size_lines(measurements: Sequence[Measurement]) -> list[tuple[str, str, bool
 
 
 def feature_lines(job: Job, measured: MeasuredPart) -> list[FeatureLine]:
-    """Every feature: circles first, as the job orders them; those that were not measured last."""
+    """Rows of all features: circles, slots, edges, in the job's order; those not measured last."""
     target = measured.target
     fits = {fit.name: fit for fit in measured.fits}
     sizes = {
@@ -171,13 +171,13 @@ def feature_lines(job: Job, measured: MeasuredPart) -> list[FeatureLine]:
 
 
 def measured_names(target: Target) -> set[str]:
-    """Names of all features but corners, which follow from edges."""
+    """Names of all measured features except corners, which derive from edges."""
     names = [circle.name for circle in target.circles] + [slot.name for slot in target.slots]
     return {*names, *(edge.name for edge in target.edges)}
 
 
 def reference_name(target: Target) -> str:
-    """The feature whose place is the reported position; empty where it was not measured itself."""
+    """Name of the feature at the reported position; empty if that feature was not measured."""
     places = [(circle.name, circle.centre_mm) for circle in target.circles]
     places += [(slot.name, slot.centre_mm) for slot in target.slots]
     places += [(corner.name, corner.position_mm) for corner in target.corners]
@@ -191,7 +191,7 @@ def _seen(left: float, right: float) -> str:
 
 
 def _across(spread: FloatArray, normal: FloatArray) -> float:
-    """Largest variance of a rotation about an axis in the face."""
+    """Largest variance of a rotation about any axis in the face."""
     rest = np.eye(3) - np.outer(normal, normal)
     return float(np.linalg.eigvalsh(rest @ spread @ rest)[-1])
 

@@ -1,4 +1,4 @@
-"""Detects before which camera a hand is waved."""
+"""Detect in front of which camera a hand is waved."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ from edged.domain.arrays import FloatArray, Image
 Key = TypeVar("Key")
 
 COLUMNS = 24
-"""A hand is large: so many fields across a picture show it; what trembles within one, and noise, do not."""
+"""Fields across a picture: enough to show a hand, while small movements within a field, and noise, vanish."""
 LEAST_GREY, LEAST_SHARE_OF_GREY = 6.0, 0.1
-"""A field has changed by more than both, after what all have in common (light that flickers) is taken out."""
+"""A changed field differs by more than both, after removing the change common to all (flickering light)."""
 LEAST_SHARE = 0.04
-"""Share of the fields: a hand covers more."""
+"""Smallest share of changed fields; a hand covers more."""
 CLEARLY = 3.0
-"""One picture changed so much more than the next."""
+"""Factor by which one picture must have changed more than any other."""
 
 
 def changed_share(before: Image, after: Image) -> float:
-    """The share of a picture that changed, ignoring global brightness; 0 to 1.
+    """Share of a picture that changed, apart from global brightness; 0 to 1.
 
-    before, after : (H, W) uint8, of one size.
+    before, after : (H, W) uint8, of the same size.
     """
     first, second = _small(before), _small(after)
     seen = (first > LEAST_GREY) & (first < 250.0)
@@ -35,7 +35,7 @@ def changed_share(before: Image, after: Image) -> float:
 
 
 def changed_most(shares: Mapping[Key, float]) -> Key | None:
-    """Whose picture changed, and no other's nearly as much; None where that is not clear."""
+    """Key of the picture that clearly changed more than all others; None if there is none."""
     ranked = sorted(shares, key=lambda key: shares[key], reverse=True)
     if not ranked or shares[ranked[0]] < LEAST_SHARE:
         return None

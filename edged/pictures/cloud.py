@@ -1,4 +1,4 @@
-"""A point cloud as a picture: an oblique view, and the face from above with its heights in colours."""
+"""Picture of a point cloud: an oblique view, and the face from above with heights as colours."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ TEXT_PX = 18
 
 
 def cloud_picture(cloud: PointCloud, rig_from_part: FloatArray | None) -> Canvas:
-    """(H, 2 H, 3) BGR.  rig_from_part (4, 4) : of the part whose face is the zero of heights."""
+    """Draw a cloud, (H, 2 H, 3) BGR.  rig_from_part (4, 4) : of the part whose face is height zero."""
     pose = np.eye(4) if rig_from_part is None else rig_from_part
     local = (cloud.points_mm - pose[:3, 3]) @ pose[:3, :3]
-    # a part's z points away from the cameras and y down its picture: turned so that up is up
+    # a part's z points away from the cameras and y down: flipped so that up is up
     upright = local * (1.0, -1.0, -1.0)
     return np.hstack([_oblique(upright, cloud), _heights(upright, cloud)])
 
@@ -37,7 +37,7 @@ def _oblique(points: FloatArray, cloud: PointCloud) -> Canvas:
         return canvas
     flat = points @ view.T
     place = _placing(flat)
-    lift = (points[:, 0] * -sa + points[:, 1] * ca) * ce  # farther ones first
+    lift = (points[:, 0] * -sa + points[:, 1] * ca) * ce  # distance, to draw farther points first
     for n in np.argsort(-lift):
         _dot(canvas, place(flat[n : n + 1])[0], COLOURS[int(cloud.kinds[n])])
     corner = points.min(axis=0)
@@ -59,7 +59,7 @@ def _heights(points: FloatArray, cloud: PointCloud) -> Canvas:
     flat = points[:, :2]
     place = _placing(flat)
     face = points[:, 2][cloud.kinds == FACE]
-    # the part's own face, not what lies behind its holes, shall span the colours
+    # the range of colours follows the part's face, not what is seen through its holes
     reach = max(4.0 * float(np.median(np.abs(face))) if len(face) else 0.0, 0.005)
     shades = np.clip(127.5 * (1 + points[:, 2] / reach), 0, 255).astype(np.uint8)
     colours = cv2.applyColorMap(shades[:, None], cv2.COLORMAP_VIRIDIS)[:, 0]
@@ -80,20 +80,20 @@ def _panel(title: str) -> Canvas:
 
 
 def _placing(flat: FloatArray) -> Callable[[FloatArray], FloatArray]:
-    """From view points (N, 2), y upwards, to pixels (N, 2), so that all of these fit the panel."""
+    """Mapping from view points (N, 2), y upwards, to pixels (N, 2) that fits all points into the panel."""
     middle = 0.5 * (flat.min(axis=0) + flat.max(axis=0))
     scale = (SIDE_PX - 2 * BORDER_PX) / max(float(np.ptp(flat, axis=0).max()), 1e-6)
     return lambda points: np.asarray(SIDE_PX / 2 + (points - middle) * (scale, -scale))
 
 
 def _round_length(length: float) -> float:
-    """The next of 1, 2, 5, 10 ... below a length."""
+    """Largest of 1, 2, 5, 10 ... that does not exceed a length."""
     decade = 10.0 ** np.floor(np.log10(max(length, 1e-6)))
     return float(decade * max(step for step in (1, 2, 5) if step * decade <= length))
 
 
 def _counts(cloud: PointCloud) -> tuple[str, str]:
-    """Number of points, and of those that were refused by reason."""
+    """Text with the numbers of points, and of refused points by reason."""
     most = sorted(cloud.refused.items(), key=lambda item: (-item[1], item[0]))[:4]
     counts = ", ".join(f"{count} {name.lower()}" for name, count in most)
     faces = int(np.count_nonzero(cloud.kinds == FACE))

@@ -1,4 +1,4 @@
-"""Images as JPEG for people to look at, and as PNG that keeps every grey value."""
+"""Encode images as JPEG for viewing, and as lossless PNG."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from edged.domain.arrays import Image
 
 
 def shrunk(image: Image, width_px: int) -> Image:
-    """An image (H, W) uint8, so wide at most."""
+    """Shrink an image (H, W) uint8 to at most this width."""
     height, width = image.shape
     if width <= width_px:
         return image
@@ -18,13 +18,13 @@ def shrunk(image: Image, width_px: int) -> Image:
 
 
 def jpeg(image: Image, quality: int, width_px: int | None = None) -> bytes:
-    """A JPEG of an image (H, W) uint8. quality : per cent. width_px : at most; None: as wide as it is."""
+    """Encode an image (H, W) uint8 as JPEG. quality : per cent. width_px : largest width; None: any."""
     image = image if width_px is None else shrunk(image, width_px)
     return _encoded(".jpg", image, cv2.IMWRITE_JPEG_QUALITY, quality)
 
 
 def png(image: Image) -> bytes:
-    """A PNG of an image (H, W) uint8, compressed little: in a tenth of the time of the default."""
+    """Encode an image (H, W) uint8 as PNG with low compression, in a tenth of the default's time."""
     return _encoded(".png", image, cv2.IMWRITE_PNG_COMPRESSION, 1)
 
 

@@ -1,4 +1,4 @@
-"""The evidence of a measured part in one camera's picture: fitted curves, edges, residuals, names."""
+"""Draw the evidence of a measured part in one camera's picture: fitted curves, edges, residuals, names."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ WHITE: Colour = (255, 255, 255)
 FRACTION_BITS = 4  # cv2 draws with 1/16 px
 OUTLINE_POINTS = 1440
 USED_WEIGHT = 0.1
-"""An edge of less weight hardly counts: it does not agree with its curve, or it is saturated."""
+"""Smallest weight of an edge that counts as used; below, it does not agree with its curve or is saturated."""
 WHISKER_SPACING_PX = 3.0
 LONGEST_WHISKER_PX = 24.0
 ARROW_HEAD_PX = 18.0
@@ -41,10 +41,10 @@ CHART_LEFT_PX, CHART_TEXT_PX = 110, 22
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FeatureEvidence:
-    """A fitted outline and the edges it was fitted to.
+    """A fitted outline, and the edges it was fitted to.
 
-    outline_mm (N, 3) : rig frame.  edges_px : (M, 2) raw px of the left and of the right image, NaN where
-    there is none.  weights : (M,) in [0, 1] of both.
+    outline_mm (N, 3) : rig frame.  edges_px : (M, 2) raw px in the left and the right image, NaN where
+    there is no edge.  weights : (M,) in [0, 1], likewise.
     """
 
     name: str
@@ -57,10 +57,10 @@ class FeatureEvidence:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Residuals:
-    """Edges of one feature in one image. feet (N, 2) : nearest points of the fitted curve, normals (N, 2).
+    """Residuals of a feature's edges in one image. feet, normals (N, 2) : nearest points of the fitted curve.
 
-    across_px (N,) : edge minus curve along the normal.  used (N,) : whether it counts.
-    share (N,) : of the outline, from its first point.
+    across_px (N,) : edge minus curve along the normal.  used (N,) : whether the edge counts.
+    share (N,) : position along the outline, from 0 at its first point to 1.
     """
 
     feet: FloatArray
@@ -71,9 +71,9 @@ class Residuals:
 
 
 def outlines_of(target: Target) -> list[tuple[str, FloatArray, bool]]:
-    """Name, outline (N, 3) in the rig frame, and whether it is closed, of all that was measured of a part.
+    """Name, outline (N, 3) in the rig frame, and whether it is closed, of all measured features of a part.
 
-    A circle's begins at the part's x and goes to its y.
+    A circle's outline starts at the part's x direction and runs towards its y.
     """
     axes = target.rig_from_part[:3, :3].T
     outlines = [
@@ -95,7 +95,7 @@ def outlines_of(target: Target) -> list[tuple[str, FloatArray, bool]]:
 
 
 def features_of(measured: MeasuredPart) -> list[FeatureEvidence]:
-    """All outlines of a part, as they are reported, with the edges that they stand on."""
+    """All outlines of a part, as reported, with the edges they were fitted to."""
     seen = {
         fit.name: ((fit.points[0], fit.points[1]), (fit.weights[0], fit.weights[1])) for fit in measured.fits
     }
@@ -120,7 +120,7 @@ def missing_outlines(job: Job, target: Target) -> dict[str, FloatArray]:
 
 
 def taught_outlines(job: Job) -> dict[str, FloatArray]:
-    """Name and outline (N, 3) of every feature but corners, in the job's own coordinates."""
+    """Name and outline (N, 3) of every feature except corners, in the part frame of the job."""
     axes = np.eye(3)
     outlines = {
         circle.name: circle_outline(circle.centre_mm, circle.radius_mm, axes) for circle in job.circles
@@ -135,7 +135,7 @@ def taught_outlines(job: Job) -> dict[str, FloatArray]:
 
 
 def circle_outline(centre: FloatArray, radius: float, axes: FloatArray) -> FloatArray:
-    """(N, 3) points of a circle in the plane of the first two axes (K, 3), from the first to the second."""
+    """Points (N, 3) of a circle in the plane of the first two axes (K, 3), from the first to the second."""
     phase = np.linspace(0, 2 * np.pi, OUTLINE_POINTS, endpoint=False)
     ring = radius * np.column_stack([np.cos(phase), np.sin(phase)])
     return np.asarray(centre + ring @ axes[:2])
@@ -144,10 +144,10 @@ def circle_outline(centre: FloatArray, radius: float, axes: FloatArray) -> Float
 def slot_outline(
     centre: FloatArray, size: tuple[float, float], along: FloatArray, normal: FloatArray
 ) -> FloatArray:
-    """(N, 3) even points of a slot. size : length over all and width, mm; along, normal (3,) unit."""
+    """Evenly spaced points (N, 3) of a slot. size : overall length and width, mm; along, normal (3,) unit."""
     straight, radius = size[0] - size[1], size[1] / 2
     whole = 2 * (straight + math.pi * radius)
-    # once around from the middle of one side: half a side, an end, a side, the other end, half a side
+    # starting at the middle of one side: half a side, an end, a side, the other end, half a side
     s = np.linspace(0, whole, OUTLINE_POINTS, endpoint=False)
     half = np.mod(s, whole / 2)
     angle = np.clip((half - straight / 2) / max(radius, 1e-9), 0, math.pi)
@@ -158,7 +158,7 @@ def slot_outline(
 
 
 def residuals(view: PictureView, feature: FeatureEvidence, side: int) -> Residuals:
-    """Residuals of the edges of one image (side 0: left, 1: right) to the fitted curve."""
+    """Residuals of the edges in one image (side 0: left, 1: right) from the fitted curve."""
     curve = view.raw(feature.outline_mm)
     ahead, behind = np.roll(curve, -1, axis=0), np.roll(curve, 1, axis=0)
     if not feature.closed:
@@ -178,7 +178,7 @@ def residuals(view: PictureView, feature: FeatureEvidence, side: int) -> Residua
 
 
 def _nearest(curve: FloatArray, points: FloatArray) -> I64:
-    """Indices (M,) of the points of a curve (N, 2) next to points (M, 2)."""
+    """Indices (M,) of the points of a curve (N, 2) nearest to points (M, 2)."""
     squares = np.sum(curve**2, axis=1)
     parts = [
         np.argmin(squares - 2 * points[start : start + CHUNK] @ curve.T, axis=1)
@@ -188,7 +188,7 @@ def _nearest(curve: FloatArray, points: FloatArray) -> I64:
 
 
 def magnification(found: Sequence[Residuals], scale: float) -> float:
-    """The factor of 1, 2, 5, 10 ... by which 19 of 20 residuals stay short enough to be drawn."""
+    """Largest factor of 1, 2, 5, 10 ... with which 95 % of the residuals are short enough to draw."""
     used = [np.abs(residual.across_px[residual.used]) for residual in found if residual.used.any()]
     if not used:
         return 1.0
@@ -198,7 +198,7 @@ def magnification(found: Sequence[Residuals], scale: float) -> float:
 
 
 def draw_feature(view: PictureView, feature: FeatureEvidence, found: Residuals, factor: float) -> None:
-    """The fitted curve, magnified residuals across it, and in red, in place, the edges that hardly count."""
+    """Draw the fitted curve, magnified residuals across it, and in red, at their places, unused edges."""
     curve = view.place(view.raw(feature.outline_mm))
     _polyline(view.canvas, curve, feature.closed, RIM, 5)
     _polyline(view.canvas, curve, feature.closed, GOLD if feature.is_reference else GREEN, 2)
@@ -216,7 +216,7 @@ def draw_feature(view: PictureView, feature: FeatureEvidence, found: Residuals, 
 
 
 def draw_missing(view: PictureView, outline_mm: FloatArray) -> FloatArray:
-    """A dashed line where a taught feature (N, 3) was not measured; returns it in canvas px."""
+    """Draw a taught feature (N, 3) that was not measured as a dashed line; returns it in canvas px."""
     outline = view.place(view.raw(outline_mm))
     length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(outline, axis=0), axis=1))])
     dash = (length // DASH_PX).astype(np.int64)
@@ -227,7 +227,7 @@ def draw_missing(view: PictureView, outline_mm: FloatArray) -> FloatArray:
 
 
 def draw_pose(view: PictureView, target: Target, size_mm: float, colour: Colour) -> None:
-    """The reference point, and the part's x and y axis where its rotation is known."""
+    """Draw the reference point, and the part's x and y axis if its rotation is known."""
     corners = np.vstack([np.zeros(3), size_mm * target.rig_from_part[:3, :2].T])
     start, *tips = view.place(view.raw(target.position_mm + corners))
     if target.free_axis is None:
@@ -244,7 +244,7 @@ def draw_pose(view: PictureView, target: Target, size_mm: float, colour: Colour)
 
 
 def keep_free(view: PictureView, line: FloatArray) -> None:
-    """No name shall cover a line (N, 2, canvas px)."""
+    """Reserve the area of a line (N, 2, canvas px), so that no name covers it."""
     half = LINE_ROOM_PX // 2
     for x, y in np.rint(_thinned(line, LINE_ROOM_PX)).astype(np.int64).tolist():
         view.taken.append((x - half, y - half, LINE_ROOM_PX, LINE_ROOM_PX))
@@ -253,9 +253,9 @@ def keep_free(view: PictureView, line: FloatArray) -> None:
 def draw_name(
     view: PictureView, text: str, outline: FloatArray, colour: Colour, away_from: FloatArray
 ) -> None:
-    """A feature's name beside its outline (N, 2, canvas px), where it covers nothing, or else no other name.
+    """Write a feature's name beside its outline (N, 2, canvas px) where it covers nothing, or else no name.
 
-    away_from (2,) : the middle of the part; places on the far side of it come first.
+    away_from (2,) : middle of the part; positions on the side away from it are preferred.
     """
     boxes = _boxes_beside(view, outline, width_of(text, NAME_PX), away_from)
     for obstacles in (view.names + view.taken, view.names):
@@ -270,7 +270,7 @@ def draw_name(
 
 
 def _boxes_beside(view: PictureView, outline: FloatArray, long: int, away_from: FloatArray) -> list[Box]:
-    """Places for a name of this length inside the canvas, best first: eight directions, three distances."""
+    """Boxes for a name of this length inside the canvas, best first: eight directions, three distances."""
     height, width = view.canvas.shape[:2]
     out = outline.mean(axis=0) - away_from
     first = math.atan2(out[1], out[0]) if np.linalg.norm(out) > 4 else -math.pi / 4
@@ -286,7 +286,7 @@ def _boxes_beside(view: PictureView, outline: FloatArray, long: int, away_from: 
 
 
 def draw_number(view: PictureView, number: int, outline: FloatArray, colour: Colour) -> None:
-    """A part's number in a disc, to the upper left of its outline (N, 2, canvas px)."""
+    """Draw a part's number in a disc, to the upper left of its outline (N, 2, canvas px)."""
     x, y = (max(18, round(float(value)) - 16) for value in outline.min(axis=0))
     cv2.circle(view.canvas, (x, y), 17, RIM, -1, cv2.LINE_AA)
     cv2.circle(view.canvas, (x, y), 15, colour, -1, cv2.LINE_AA)
@@ -296,14 +296,14 @@ def draw_number(view: PictureView, number: int, outline: FloatArray, colour: Col
 
 
 def draw_missed(view: PictureView, raw_px: FloatArray) -> None:
-    """A cross where something was found and could not be measured."""
+    """Draw a cross where something was found that could not be measured."""
     place = _whole(view.place(raw_px))
     for line, width in ((RIM, 7), (RED, 3)):
         cv2.drawMarker(view.canvas, place, line, cv2.MARKER_TILTED_CROSS, 44, width, cv2.LINE_AA)
 
 
 def draw_unrolled(canvas: Canvas, feature: FeatureEvidence, found: Sequence[Residuals]) -> None:
-    """Residuals of one feature along its outline: the left image's above the right one's, on bare paper."""
+    """Chart one feature's residuals along its outline, left image above right, on an empty canvas."""
     height, width = canvas.shape[:2]
     used = np.concatenate([np.abs(residual.across_px[residual.used]) for residual in found])
     if not len(used):
@@ -335,7 +335,7 @@ def _polyline(canvas: Canvas, points: FloatArray, closed: bool, colour: Colour, 
 
 
 def _thinned(line: FloatArray, spacing_px: float) -> FloatArray:
-    """The ends of a line (N, 2), and points about this far apart between them."""
+    """Thin out a line (N, 2) to its ends and points about this far apart."""
     length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))])
     kept = np.diff(length // spacing_px, prepend=-1.0) > 0
     kept[-1] = True
@@ -343,7 +343,7 @@ def _thinned(line: FloatArray, spacing_px: float) -> FloatArray:
 
 
 def _overlaps(box: Box, others: I64) -> bool:
-    """Whether a box has a pixel in common with any of others (K, 4)."""
+    """Whether a box overlaps any of others (K, 4)."""
     x, y, width, height = box
     beside = (others[:, 0] >= x + width) | (others[:, 0] + others[:, 2] <= x)
     above = (others[:, 1] >= y + height) | (others[:, 1] + others[:, 3] <= y)

@@ -1,4 +1,4 @@
-"""Text in pictures: OpenCV's own TrueType face, so that σ, ± and ° look like themselves."""
+"""Text in pictures with OpenCV's own TrueType font, which has σ, ± and °."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ Colour = tuple[int, int, int]
 
 NORMAL, BOLD = 400, 650
 RIM: Colour = (16, 16, 16)
-_LARGEST = 100_000  # px; getTextSize clips at the size it is told
+_LARGEST = 100_000  # px; getTextSize clips at the given size
 
 
 def width_of(text: str, size_px: int, weight: int = NORMAL) -> int:
@@ -22,7 +22,7 @@ def width_of(text: str, size_px: int, weight: int = NORMAL) -> int:
 
 
 def shortened(text: str, width_px: int, size_px: int) -> str:
-    """The text, or as much of its beginning as is no wider than this, with an ellipsis."""
+    """The text, cut off with an ellipsis if it is wider than width_px."""
     if width_of(text, size_px) <= width_px:
         return text
     while text and width_of(f"{text}…", size_px) > width_px:
@@ -33,12 +33,12 @@ def shortened(text: str, width_px: int, size_px: int) -> str:
 def write(
     canvas: Canvas, text: str, place: tuple[int, int], colour: Colour, size_px: int, weight: int = NORMAL
 ) -> None:
-    """Write one line; place : left end of its base line, px."""
+    """Write one line; place : left end of its baseline, px."""
     cv2.putText(canvas, text, place, colour, _face(), size_px, weight)
 
 
 def write_rimmed(canvas: Canvas, text: str, place: tuple[int, int], colour: Colour, size_px: int) -> None:
-    """Write with a dark rim, legible on any picture."""
+    """Write with a dark outline, legible on any picture."""
     x, y = place
     for dx, dy in ((-2, 0), (2, 0), (0, -2), (0, 2), (-1, -1), (1, -1), (-1, 1), (1, 1)):
         write(canvas, text, (x + dx, y + dy), RIM, size_px)

@@ -1,4 +1,4 @@
-"""Exposure of a picture: clipped, dark, noisy, and the exposure time that would be better."""
+"""Exposure of a picture: clipping, darkness, noise, and a better exposure time."""
 
 from __future__ import annotations
 
@@ -12,22 +12,22 @@ from edged.domain.arrays import Image
 
 WHITE_GREY = 255
 DARK_GREY = 12
-"""Here a camera's black level and read noise are most of what is seen."""
+"""Grey value at and below which black level and read noise of a camera dominate."""
 MOST_CLIPPED = 0.002
-"""Share of a picture that glints may have; a clipped edge lies elsewhere."""
+"""Share of a picture that may be clipped by glints; clipping displaces edges."""
 BRIGHT_PERCENT = 99.5
 TARGET_GREY, LEAST_GREY = 200.0, 130.0
-"""What the bright parts of a picture should have, and where advice begins."""
+"""Grey value wanted in the bright parts of a picture, and the one below which more light is advised."""
 LOUD_SHARE = 0.02
-"""Noise of so much of the contrast costs more than light would."""
+"""Noise over contrast above which more light instead of gain is advised."""
 BLOCK_PX = 32
 QUIET_PERCENT = 25.0
-"""Share of the blocks of a picture that have no edges or texture."""
+"""Percentage of a picture's blocks that are assumed to have no edges or texture."""
 ROUNDING_GREY = 12.0**-0.5
 
 
 class Advice(StrEnum):
-    """Advice, as a code; the page has the words."""
+    """Advice as a code; the page has the text."""
 
     GOOD = "good"
     LESS_LIGHT = "less_light"
@@ -37,10 +37,10 @@ class Advice(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class LightFigures:
-    """Figures of one picture.
+    """Exposure figures of one picture.
 
-    clipped_share, dark_share : of its pixels, 0 to 1. noise_grey : standard deviation of one pixel, median
-    brightness. contrast_grey : between its dark and its bright parts. bright_grey : of the bright parts.
+    clipped_share, dark_share : of its pixels, 0 to 1. noise_grey : standard deviation of one pixel.
+    contrast_grey : between its dark and its bright parts. bright_grey : of the bright parts.
     """
 
     clipped_share: float
@@ -50,9 +50,9 @@ class LightFigures:
     bright_grey: float
 
     def advice(self, gain_db: float | None = None) -> tuple[Advice, float]:
-        """Advice, and the factor for the exposure time; 1 where it is good."""
+        """Advice, and the factor for the exposure time; 1 if the exposure is good."""
         if self.clipped_share > MOST_CLIPPED:
-            # how bright it is cannot be seen: take a third off, and look again
+            # the true brightness is unknown: reduce the exposure by a third or more, and try again
             return Advice.LESS_LIGHT, 0.7 if self.clipped_share < 0.1 else 0.4
         if self.bright_grey < LEAST_GREY:
             return Advice.MORE_LIGHT, min(10.0, TARGET_GREY / max(self.bright_grey, 1.0))
@@ -62,7 +62,7 @@ class LightFigures:
 
 
 def light_of(image: Image) -> LightFigures:
-    """The figures of a picture (H, W) uint8."""
+    """Compute the figures of a picture (H, W) uint8."""
     counts = np.bincount(image.ravel(), minlength=256)
     shares = np.cumsum(counts) / image.size
     dark, bright = (float(np.searchsorted(shares, percent / 100)) for percent in (5.0, BRIGHT_PERCENT))
@@ -76,10 +76,10 @@ def light_of(image: Image) -> LightFigures:
 
 
 def noise_of(image: Image) -> float:
-    """Standard deviation of one pixel of a picture (H, W) uint8, grey values; at least that of rounding.
+    """Noise: standard deviation of one pixel of a picture (H, W) uint8, at least that of rounding.
 
-    By the difference of two Laplacians, which sees neither brightness nor its slope nor its bend, in those
-    fields of the picture that have least of it.
+    From the difference of two Laplacians, which does not respond to brightness, gradient or curvature, in
+    the blocks of the picture with the smallest response.
     Source: J. Immerkær, "Fast noise variance estimation", 1996.
     """
     mask = np.array([[1, -2, 1], [-2, 4, -2], [1, -2, 1]], np.float32) / 6.0

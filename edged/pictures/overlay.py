@@ -1,4 +1,4 @@
-"""Pictures for people: a stereo pair with what was measured in it, what was not, and why."""
+"""Pictures for people: a stereo pair with what was measured in it, what was not, and why not."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ from edged.vision.part.job import Job
 from edged.vision.part.measured import MeasuredPart
 
 WIDTH_PX = 1280
-"""Width of either image in the picture, so that text has one size on all of them."""
+"""Width of either image in the picture, so that text has the same size on all pictures."""
 PAPER: Colour = (34, 30, 28)
 BADGES: dict[Status, tuple[str, Colour]] = {
     Status.OK: ("OK", (60, 150, 40)),
@@ -51,9 +51,9 @@ BADGES: dict[Status, tuple[str, Colour]] = {
 TITLE_PX, TEXT_PX, LINE_PX, MARGIN_PX = 32, 22, 31, 28
 TITLE_HEIGHT_PX, LEGEND_HEIGHT_PX, COLUMN_PX = 72, 44, 530
 MAX_BLOCKS, MAX_FEATURES = 6, 9
-"""Parts, and features of one, that are written about; more are counted."""
+"""Parts, and features of a part, that are listed; the number of further ones is stated."""
 AXES_SHARE = 0.4
-"""Length of the part's axes, of the way to its farthest feature."""
+"""Length of the part's axes over the distance to its farthest feature point."""
 
 
 def draw_pair(
@@ -66,12 +66,12 @@ def draw_pair(
     status: Status = Status.OK,
     nearest: NearMiss | None = None,
 ) -> Canvas:
-    """(H, 2 * WIDTH_PX, 3) BGR: a title, both images with the evidence, and the numbers of every part.
+    """Draw a title, both images with the evidence, and the figures of each part; (H, 2 * WIDTH_PX, 3) BGR.
 
-    Good parts come first and have the lower numbers. Fitted curves are green, that of the reference gold;
-    across them, in magenta and magnified by a factor that is stated, edge minus curve; edges that do not
-    agree are red and where they are. Features that were not measured are dashed. A single part has its
-    reference's residuals as a chart, too.
+    Good parts come first and have the lower numbers. Fitted curves are green, that of the reference gold.
+    Across them, edge minus curve is drawn in magenta, magnified by a factor stated in the legend; edges that
+    do not agree are red, at their actual places. Features that were not measured are dashed. For a single
+    part the reference's residuals are also shown as a chart.
     """
     parts = sorted(measured, key=lambda part: (bool(part.target.reject), -part.target.match.score))
     features = [features_of(part) for part in parts]
@@ -108,9 +108,9 @@ def _views(
     outlines_mm: Sequence[FloatArray],
     dismissed: Sequence[NotMeasured],
 ) -> tuple[PictureView, PictureView]:
-    """Both pictures, cut to what there is to see where that is small.
+    """Views of both pictures, cropped to the parts if these are small.
 
-    Where the right camera would see what only the left one found is not known: then they are whole.
+    Not cropped if a match was not measured, as its place in the right picture is unknown.
     """
     sides = list(zip(images, (rig.left, rig.right), (np.eye(4), rig.right_from_left), strict=True))
     sizes = [(image.shape[1], image.shape[0]) for image in images]
@@ -125,7 +125,7 @@ def _views(
 
 
 def _side_by_side(views: tuple[PictureView, PictureView]) -> Canvas:
-    """Both canvases with the cameras' names."""
+    """Both canvases side by side, labelled with the cameras' names."""
     for view, name in zip(views, SIDES, strict=True):
         words = f"{name} image" if view.scale == 1 else f"{name} image, magnified {view.scale:.2g}×"
         write_rimmed(view.canvas, words, (MARGIN_PX, view.canvas.shape[0] - 18), WHITE, TEXT_PX)
@@ -143,7 +143,7 @@ def _draw_parts(
     found: Sequence[Sequence[Sequence[Residuals]]],
     factor: float,
 ) -> None:
-    """Draw all evidence, then what is written beside it. found : of each side, part and feature."""
+    """Draw all evidence, then all labels. found : residuals by side, part and feature."""
     for view, of_parts in zip(views, found, strict=True):
         for some, of_part in zip(features, of_parts, strict=True):
             for feature, residual in zip(some, of_part, strict=True):
@@ -155,7 +155,7 @@ def _draw_parts(
 def _draw_names(
     view: PictureView, job: Job, target: Target, features: Sequence[FeatureEvidence], number: int | None
 ) -> None:
-    """Pose, number and names of one part."""
+    """Draw pose, number and feature names of one part."""
     missing = missing_outlines(job, target)
     outlines = [view.place(view.raw(feature.outline_mm)) for feature in features]
     dashed = [draw_missing(view, outline) for outline in missing.values()]
@@ -182,9 +182,9 @@ def _draw_names(
 
 
 def _title(text: str, status: Status, factor: float | None, scale: float) -> Canvas:
-    """The verdict, and where anything was measured what the colours mean: beside it, or in a line below.
+    """Title with the verdict and, if anything was measured, the legend beside it or below.
 
-    factor, scale : residuals are drawn factor times as long as they are, on images scaled by `scale`.
+    factor, scale : residuals are magnified by `factor`, on images scaled by `scale`.
     """
     canvas = _paper(TITLE_HEIGHT_PX)
     badge, colour = BADGES[status]
@@ -204,7 +204,7 @@ def _title(text: str, status: Status, factor: float | None, scale: float) -> Can
 
 
 def _legend(factor: float, scale: float) -> Canvas:
-    """The legend: colours, and a bar as long as a stated residual is drawn."""
+    """Legend of the colours, with a scale bar for the residuals."""
     lengths = [step * decade for decade in (0.001, 0.01, 0.1, 1.0) for step in (1, 2, 5)]
     bar_px = max(length for length in lengths if length * factor * scale <= 40)
     entries = [
@@ -230,7 +230,7 @@ def _legend(factor: float, scale: float) -> Canvas:
 
 
 def _in_rows(blocks: Sequence[Canvas]) -> Canvas:
-    """Blocks below the images, two in a row; what is too much is counted."""
+    """Blocks below the images, two in a row; the number of those left out is stated."""
     rows = []
     for start in range(0, min(len(blocks), MAX_BLOCKS), 2):
         pair = blocks[start : start + 2]
@@ -245,7 +245,7 @@ def _in_rows(blocks: Sequence[Canvas]) -> Canvas:
 
 
 def _part_block(number: int, job: Job, part: MeasuredPart) -> Canvas:
-    """One part: verdict and reasons, its pose, its features, and the sizes that the job asks for."""
+    """Block of one part: verdict and reasons, pose, features, and the job's measurements."""
     target = part.target
     why = reasons(target.reject)
     head = _paper(LINE_PX + 10, WIDTH_PX)
@@ -274,7 +274,7 @@ def _part_block(number: int, job: Job, part: MeasuredPart) -> Canvas:
 
 
 def _feature_rows(job: Job, part: MeasuredPart) -> list[Canvas]:
-    """A table of the part's features."""
+    """Rows of the table of the part's features."""
     lines = feature_lines(job, part)
     reference = reference_name(part.target)
     columns = 0, 150, 440, 550
@@ -294,7 +294,7 @@ def _feature_rows(job: Job, part: MeasuredPart) -> list[Canvas]:
 
 
 def _size_rows(target: Target) -> tuple[list[Canvas], list[Canvas]]:
-    """The sizes that the job asks for: narrow rows of those without a tolerance; others with a verdict."""
+    """Rows of the job's measurements: narrow ones for those without a tolerance, others with a verdict."""
     plain, judged = [], []
     for whole, text, ok in size_lines(target.measurements):
         name = shortened(whole, 180, TEXT_PX)
@@ -310,7 +310,7 @@ def _size_rows(target: Target) -> tuple[list[Canvas], list[Canvas]]:
 
 
 def _row(*entries: tuple[str, int, Colour], width: int = WIDTH_PX) -> Canvas:
-    """One line of a table: words, where they begin, and their colour."""
+    """One line of a table. entries : text, x of its start, and colour."""
     canvas = _paper(LINE_PX, width)
     for words, x, colour in entries:
         _put(canvas, words, x, LINE_PX - 8, colour)
@@ -318,7 +318,7 @@ def _row(*entries: tuple[str, int, Colour], width: int = WIDTH_PX) -> Canvas:
 
 
 def _missed_block(number: int, missed: NotMeasured) -> Canvas:
-    """A match that could not be measured."""
+    """Block of a match that could not be measured."""
     canvas = _paper(2 * LINE_PX + 16, WIDTH_PX)
     x = MARGIN_PX + _put(canvas, f"{number}", MARGIN_PX, LINE_PX, WHITE, BOLD) + 16
     text = f"score {missed.match.score:.2f}, not measured: {', '.join(reasons(missed.reject))}"
@@ -327,7 +327,7 @@ def _missed_block(number: int, missed: NotMeasured) -> Canvas:
 
 
 def _put(canvas: Canvas, text: str, x: int, y: int, colour: Colour, weight: int = NORMAL) -> int:
-    """Write; returns the width."""
+    """Write text; returns its width."""
     write(canvas, text, (x, y), colour, TEXT_PX, weight)
     return width_of(text, TEXT_PX, weight)
 
@@ -337,5 +337,5 @@ def _paper(height: int, width: int = 2 * WIDTH_PX) -> Canvas:
 
 
 def _filled(canvas: Canvas, height: int) -> Canvas:
-    """The canvas on paper of this height."""
+    """The canvas extended with background to this height."""
     return np.vstack([canvas, _paper(height - canvas.shape[0], canvas.shape[1])])

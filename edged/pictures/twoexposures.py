@@ -1,10 +1,10 @@
-"""Two exposures of one scene as one picture: a long one for what is dark, a short one for what glints.
+"""Merge two exposures of a scene into one picture: a long one for dark parts, a short one for glints.
 
-Each pixel's light is the mean of both, weighted by shot noise; where the long one comes near white it fades
-out, so that nowhere one picture is beside the other. Up to there the result is half the long exposure: edges
-lie where they lay, and a calibration holds. Above, grey values grow with the logarithm of the light. By how
-much both differ, in light and black level, is taken from the pixels that both show well; so the flicker of
-lamps leaves no seam. A part that moved meanwhile shows as edges that lie elsewhere in the short one.
+Each pixel's light is the mean of both, weighted by shot noise; near white the long one fades out gradually,
+so that there is no seam between them. Below that the result is half the long exposure: edges keep their
+positions, and a calibration stays valid. Above, grey values grow with the logarithm of the light. Gain and
+black level between the exposures are fitted to the pixels that both show well, so that flickering lamps cause
+no seam either. A part that moved in between is detected by the displacement of its edges in the short one.
 
 Source for the weights: M. A. Robertson, S. Borman, R. L. Stevenson, "Estimation-theoretic approach to dynamic
 range enhancement using multiple exposures", J. Electron. Imaging 12(2), 2003; for shot noise the exposures
@@ -23,33 +23,35 @@ import numpy.typing as npt
 from edged.domain.arrays import F32, FloatArray, Image
 
 WHITE = 254
-"""Grey value from which a pixel may be any brighter."""
+"""Grey value at and above which a pixel may be clipped."""
 FADES, GONE = 190.0, 245.0
-"""Grey values of the long exposure between which it fades out: sensors bend in their last tenth."""
+"""Grey values of the long exposure between which it fades out: sensors are nonlinear in their last tenth."""
 DARK, SURE = 16, 200
-"""Grey values of the long exposure by which both are compared: above black, below where they bend."""
+"""Range of grey values of the long exposure used to compare both: above black, below the nonlinearity."""
 LEAST_PIXELS, LEAST_SPREAD = 2000, 10.0
-"""Pixels, and their standard deviation in grey values, that a comparison needs; else the ratio counts."""
+"""Fewest pixels, and their least standard deviation in grey values, for a comparison; otherwise the nominal
+ratio is used."""
 TILE_PX, HALF, SMOOTH_PX, NEAR_PX = 64, 2, 1.2, 5
-"""Movement is looked for in tiles, at half the resolution and smoothed so much (px of that), and not so near
-to what the long exposure does not show."""
+"""Movement detection: tile size, reduction of the resolution, smoothing in reduced px, and margin around
+pixels that are too bright in the long exposure."""
 LEAST_TILE, SURELY = 100, 40.0
-"""Pixels of a tile that are seen by both, and χ² (2 degrees of freedom) that noise has once in 5e8 tiles."""
+"""Fewest pixels of a tile seen by both; χ² (2 degrees of freedom) that noise exceeds once in 5e8 tiles."""
 OTHER_GREY = 25.0
-"""Difference, rms over a tile, of a picture that shows something else: noise has a fifth of it."""
+"""Rms difference over a tile above which the pictures show different scenes: noise has a fifth of it."""
 STEEP = 0.5
-"""Slope by which edges are told from the short exposure's own steps: of one step, at half the resolution."""
+"""Smallest slope of an edge, as a share of the short exposure's quantisation step per px at half the
+resolution, below which steps would look like movement."""
 FLOOR_GREY2 = 0.1
-"""Variance of a difference that rounding leaves at least."""
+"""Smallest variance of a difference, that of rounding."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MergedExposures:
     """A merged picture.
 
-    image : (H, W) uint8; 255 where the short exposure, too, is white. ratio : of light, long to short, as
-    both show it, NaN where too little is seen by both. moved_px : about how far something moved between them,
-    0 where nothing did for sure, infinite where what is seen is another.
+    image : (H, W) uint8; 255 where the short exposure is white, too. ratio : measured ratio of light, long to
+    short; NaN if too little is seen by both. moved_px : approximate movement between the exposures, 0 if none
+    is certain, infinite if they show different scenes.
     """
 
     image: Image
@@ -60,7 +62,7 @@ class MergedExposures:
 def merge_exposures(long: Image, short: Image, ratio: float) -> MergedExposures:
     """Merge two exposures (H, W) uint8 of one camera.
 
-    ratio : of their exposure times, 2 or more.
+    ratio : of the exposure times, long to short, 2 or more.
     """
     index = long.astype(np.uint16) << 8 | short
     seen = np.bincount(index.ravel(), minlength=1 << 16).reshape(256, 256)
@@ -71,10 +73,10 @@ def merge_exposures(long: Image, short: Image, ratio: float) -> MergedExposures:
 
 
 def _related(seen: npt.NDArray[np.intp], ratio: float) -> tuple[float, float, float]:
-    """Gain and offset of long = offset + gain short, and the ratio that was measured.
+    """Gain and offset of long = offset + gain short, and the measured ratio.
 
-    seen : (256, 256) how many pixels have these grey values, long and short. The line is fitted to the short
-    ones: the long ones' noise is small against their spread.
+    seen : (256, 256) number of pixels with these grey values, long and short. The short values are regressed
+    on the long ones, whose noise is small compared with their spread.
     """
     grey = np.arange(256.0)
     counts = seen[DARK : SURE + 1].sum(axis=1).astype(float)
@@ -92,11 +94,11 @@ def _related(seen: npt.NDArray[np.intp], ratio: float) -> tuple[float, float, fl
 
 
 def _table(gain: float, offset: float) -> Image:
-    """(65536,) grey value for each pair of them, long * 256 + short."""
+    """Lookup table (65536,): merged grey value for each pair long * 256 + short."""
     long, short = np.arange(256.0)[:, None], np.arange(256.0)[None, :]
     fade = np.clip((GONE - long) / (GONE - FADES), 0.0, 1.0)
     weight = fade * fade * (3.0 - 2.0 * fade)
-    # shot noise: the short exposure has 1 / gain of the light, and so much of the weight
+    # shot noise: the short exposure has 1 / gain of the light, and so 1 / gain of the weight
     other = np.where((short >= WHITE) & (weight > 0), 0.0, 1.0 / gain)
     light = (weight * long + other * (offset + gain * short)) / (weight + other)
     full = offset + gain * WHITE
@@ -105,7 +107,7 @@ def _table(gain: float, offset: float) -> Image:
 
 
 def _compressed(light: FloatArray, full: float) -> FloatArray:
-    """Half the light up to `FADES`; above its logarithm, as steep there, so that `full` is `WHITE`."""
+    """Half the light up to `FADES`; above, a logarithm of equal slope there that maps `full` to `WHITE`."""
     left, above = WHITE - FADES / 2.0, full - FADES
     low, high = 1.0, 1e6
     for _ in range(60):
@@ -117,7 +119,7 @@ def _compressed(light: FloatArray, full: float) -> FloatArray:
 
 
 def _moved(long: Image, short: Image, gain: float, offset: float) -> float:
-    """By how many px a tile of the picture moved between both exposures, the farthest one."""
+    """Largest movement of a tile between both exposures, px; infinite if they show different scenes."""
     height, width = (side // TILE_PX for side in long.shape)
     if not height or not width:
         return 0.0
@@ -128,7 +130,7 @@ def _moved(long: Image, short: Image, gain: float, offset: float) -> float:
     first = _halved(np.minimum(grey, SURE), long[area])
     apart = first - _halved(np.minimum(offset + gain * grey, SURE), short[area])
     along_y, along_x = np.gradient(first)
-    # one grey value of the short exposure is `gain` of the long one: where it is flatter, steps look moved
+    # one grey value of the short exposure is `gain` in the long one: on flatter slopes it looks like movement
     known *= along_x * along_x + along_y * along_y > (STEEP * gain) ** 2
 
     def summed(values: Any) -> FloatArray:
@@ -145,7 +147,7 @@ def _moved(long: Image, short: Image, gain: float, offset: float) -> float:
     )
     xd, yd = summed(along_x * apart) - x * d / n, summed(along_y * apart) - y * d / n
     dd = summed(apart * apart) - d * d / n
-    # along a straight edge nothing is known: the shortest shift that explains it
+    # a straight edge does not determine the shift along it: regularise, to get the shortest shift
     ridge = 1e-3 * (xx + yy) + 1.0
     det = (xx + ridge) * (yy + ridge) - xy * xy
     shift_x, shift_y = ((yy + ridge) * xd - xy * yd) / det, ((xx + ridge) * yd - xy * xd) / det
@@ -159,7 +161,7 @@ def _moved(long: Image, short: Image, gain: float, offset: float) -> float:
 
 
 def _halved(light: FloatArray, image: Image) -> F32:
-    """(H / 2, W / 2) light of grey values, so smooth that a difference of neighbours is a slope."""
+    """Light (H / 2, W / 2) of an image by a table (256,), smoothed so that differences are slopes."""
     full = cv2.LUT(image, light.astype(np.float32))
     small = cv2.resize(full, None, fx=1 / HALF, fy=1 / HALF, interpolation=cv2.INTER_AREA)
     return np.asarray(cv2.GaussianBlur(small, (0, 0), SMOOTH_PX), np.float32)

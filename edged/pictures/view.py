@@ -1,4 +1,4 @@
-"""One camera's picture to draw on: dimmed, in colour, and no larger a part of it than is worth looking at."""
+"""One camera's picture to draw on: dimmed, in colour, and cropped to the part of interest."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from edged.vision.geometry.camera import CameraModel
 from edged.vision.geometry.rigid import apply
 
 DIMMED = 0.8
-"""Share of the picture's brightness, so that colours stand out on a bright part, too."""
+"""Factor on the picture's brightness, so that colours stand out on bright parts, too."""
 ROOM = 1.35
-"""Size of what is shown, of the parts in it."""
+"""Size of the visible area over that of the parts in it."""
 MAX_ZOOM, MIN_ZOOM = 4.0, 1.25
 INSET_SHARE = 0.16
 OUTSIDE_PX = 1e5
@@ -29,10 +29,10 @@ Box = tuple[int, int, int, int]
 
 @dataclass(slots=True, eq=False)
 class PictureView:
-    """A camera and its picture, or a box of it.
+    """A camera and its picture, or a cropped box of it.
 
-    camera_from_rig (4, 4).  box : raw px, what is shown; scale : canvas px per raw px.
-    taken : boxes of the canvas that hold something which no name may cover.  names : boxes of names.
+    camera_from_rig (4, 4).  box : visible area, raw px; scale : canvas px per raw px.
+    taken : boxes of the canvas that no name may cover.  names : boxes of names.
     """
 
     canvas: Canvas
@@ -44,20 +44,20 @@ class PictureView:
     names: list[Box] = field(default_factory=list)
 
     def raw(self, points_mm: FloatArray) -> FloatArray:
-        """Raw px (N, 2) of points (N, 3) of the rig frame; far outside the image for what no lens shows."""
+        """Raw px (N, 2) of points (N, 3) in the rig frame; far outside the image if not projectable."""
         with np.errstate(divide="ignore", invalid="ignore"):
             pixels = self.camera.project(apply(self.camera_from_rig, points_mm))
         return np.clip(np.nan_to_num(pixels, nan=OUTSIDE_PX), -OUTSIDE_PX, OUTSIDE_PX)
 
     def place(self, raw_px: FloatArray) -> FloatArray:
-        """Canvas px (N, 2) of raw px; an integer is the middle of a pixel in both."""
+        """Canvas px (N, 2) of raw px; integers are pixel centres in both."""
         return np.asarray((raw_px - self.box[:2] + 0.5) * self.scale - 0.5)
 
 
 def view_of(
     image: Image, camera: CameraModel, camera_from_rig: FloatArray, box: Box, width_px: int
 ) -> PictureView:
-    """A box of an image (H, W), width_px wide, with the whole of it small in the corner where that helps."""
+    """View of a box of an image (H, W), width_px wide; if cropped, with the whole image as an inset."""
     x, y, width, height = box
     scale = width_px / width
     size = width_px, round(height * scale)
@@ -70,9 +70,9 @@ def view_of(
 
 
 def zoom_for(sizes: Sequence[tuple[int, int]], extents: Sequence[FloatArray]) -> float:
-    """Factor by which parts can be shown larger than in the whole pictures; 1 where it is not worth it.
+    """Factor by which parts can be magnified by cropping; 1 if it is not worth it.
 
-    sizes : (width, height) of each image.  extents : raw px (N, 2) in each that should be seen.
+    sizes : (width, height) of each image.  extents : raw px (N, 2) in each that should be visible.
     """
     wanted = [
         float(np.min(np.array(size) / (ROOM * np.ptp(np.clip(points, 0, size), axis=0) + 1)))
@@ -84,7 +84,7 @@ def zoom_for(sizes: Sequence[tuple[int, int]], extents: Sequence[FloatArray]) ->
 
 
 def box_around(size: tuple[int, int], points: FloatArray, zoom: float) -> Box:
-    """The box of an image of this size (width, height) that shows raw px (N, 2) in its middle, if it can."""
+    """Box of an image of this size (width, height) centred on raw px (N, 2), as far as the borders permit."""
     width, height = (round(length / zoom) for length in size)
     if not len(points):
         return 0, 0, *size
@@ -101,7 +101,7 @@ def _dimmed(image: Image, size: tuple[int, int]) -> Canvas:
 
 
 def _draw_inset(view: PictureView, image: Image) -> None:
-    """The whole image in the lower right corner, with a frame round the box."""
+    """Draw the whole image in the lower right corner, with a frame around the box."""
     rows, columns = view.canvas.shape[:2]
     width = round(INSET_SHARE * columns)
     share = width / image.shape[1]

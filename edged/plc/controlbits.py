@@ -1,11 +1,11 @@
-"""Commands by a start bit, for PLC programs that are written by hand: a second face of the `handshake`.
+"""Commands by a start bit, for PLC programs that are written by hand: a second interface to the `handshake`.
 
-Four steps, as of any station: START up, DONE up, START down, DONE down. A rising edge of START is a command
-under a sequence that the cell chooses; its falling edge acknowledges the result, or takes the command back
-where it has not ended. Pure, as the handshake: words in, actions out. Not responsible for which commands may
-run, for how long a result is valid, nor for who holds the right to write: that is the handshake's.
+Four steps, as with any station: START up, DONE up, START down, DONE down. A rising edge of START is a command
+under a sequence that the cell chooses; its falling edge acknowledges the result, or cancels the command if
+it has not ended. Pure, like the handshake: words in, actions out. Which commands may run, how long a result
+is valid and which client may write is decided by the handshake.
 
-A START that is up when a client writes for the first time runs nothing: it may be of before a restart.
+A START that is up when a client writes for the first time runs nothing: it may date from before a restart.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ JOB_SHIFT = 8
 
 @dataclass(frozen=True, slots=True)
 class StartCommand:
-    """Command under a sequence. gives_next : NEXT_PART, else LOCATE. job : 0 is the active one."""
+    """Command with its sequence. gives_next : NEXT_PART, else LOCATE. job : 0 is the active one."""
 
     sequence: int
     job: int
@@ -32,7 +32,7 @@ class StartCommand:
 
 
 class EndOfUse(enum.Enum):
-    """What a falling START means for the command that it had begun."""
+    """Meaning of a falling START for the command that it had begun."""
 
     ACKNOWLEDGE = enum.auto()
     TAKE_BACK = enum.auto()
@@ -40,10 +40,10 @@ class EndOfUse(enum.Enum):
 
 @dataclass(frozen=True, slots=True)
 class StartBit:
-    """What is known of the client that writes CONTROL.
+    """State of the client that writes CONTROL.
 
-    client : None before the first one. is_armed : its START was seen down since, and may rise.
-    ticket : of its command, until START falls; 0: none. allows_simulated : OK also of a virtual cell.
+    client : None before the first one. is_armed : its START has been seen down since, and may rise.
+    ticket : of its command, until START falls; 0: none. allows_simulated : OK also for a virtual cell.
     """
 
     client: int | None = None
@@ -55,7 +55,7 @@ class StartBit:
 def control_written(
     state: StartBit, client: int, word: int, shake: hs.Handshake[Any]
 ) -> tuple[StartBit, StartCommand | EndOfUse | None]:
-    """Take a CONTROL that a client wrote. A command is then known by `begun`."""
+    """Process a CONTROL word that a client wrote. Report a command that was then submitted with `begun`."""
     if client != state.client:
         state = StartBit(client)
     state = replace(state, allows_simulated=bool(word & ControlBit.ALLOW_SIMULATED))
@@ -72,17 +72,17 @@ def control_written(
 
 
 def begun(state: StartBit, ticket: int) -> StartBit:
-    """The command of the last edge has this ticket; START must fall before it may rise again."""
+    """Note the ticket of the command of the last edge; START must fall before it may rise again."""
     return replace(state, is_armed=False, ticket=ticket)
 
 
 def cell_bits(
     state: StartBit, shake: hs.Handshake[Any], *, is_ready: bool, is_usable: bool, is_simulated: bool
 ) -> tuple[CellBit, NackReason]:
-    """The bits that answer, and why DONE is without OK where the command was not carried out.
+    """Bits that answer CONTROL, and the NACK reason of a command that was not carried out.
 
-    is_ready : the cell would take a command. is_usable : a robot may use the coordinates on display, but for
-    is_simulated : they are of a virtual cell.
+    is_ready : the cell would accept a command. is_usable : a robot may use the coordinates on display, unless
+    is_simulated : they come from a virtual cell.
     """
     if not state.ticket:
         return (CellBit.READY if is_ready and state.is_armed else CellBit(0)), NackReason.NONE

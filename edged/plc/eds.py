@@ -1,4 +1,4 @@
-"""The electronic data sheet of the EtherNet/IP adapter: what engineering tools learn the device from.
+"""Electronic data sheet (EDS) of the EtherNet/IP adapter, from which engineering tools learn the device.
 
 Source: ODVA, "Common Industrial Protocol" (volume 1), electronic data sheets: sections, entries, fields.
 """
@@ -12,21 +12,21 @@ from edged.plc.processimage import FROM_CELL, FROM_CELL_BYTES, TO_CELL, TO_CELL_
 from edged.plc.registers import Kind, Register
 
 MADE = "11-28-2026", "12:00:00"
-"""Date and time of the file's first and present form; changed with `device.REVISION`."""
+"""Date and time stamp of the file, for creation and modification; to be changed with `device.REVISION`."""
 TYPES = {Kind.U16: 0xC7, Kind.I32: 0xC4, Kind.U32: 0xC8, Kind.F32: 0xCA}
-"""Numbers of UINT, DINT, UDINT, REAL (volume 1, C-6.1)."""
+"""CIP data type codes of UINT, DINT, UDINT, REAL (volume 1, C-6.1)."""
 WORD = 0xD2
 MOST_UNITS = 16
 CYCLIC_CLASS_1 = 0x00010002
 """Trigger and transport: bit 1 class 1, bit 16 cyclic; the client opens it (bit 31)."""
 INPUT_ONLY, EXCLUSIVE_OWNER = 1 << 25, 1 << 26
 OWNERS, READERS = 0x44440405, 0x44440305
-"""Both fixed in size (bits 0, 2), header of run and idle (bits 8 to 10: 4) or heartbeat (3) to the cell, pure
-data from it, point to point (bits 18, 22), scheduled (bits 26, 30)."""
+"""Connection parameters: fixed size both ways (bits 0, 2), run/idle header (bits 8 to 10: 4) or heartbeat (3)
+to the cell, pure data from it, point to point (bits 18, 22), scheduled (bits 26, 30)."""
 
 
 def eds() -> str:
-    """The whole file."""
+    """Text of the whole file."""
     date, time = MADE
     major, minor = device.REVISION
     stamps = "".join(
@@ -89,13 +89,16 @@ def eds() -> str:
 
 
 def _entry(name: str, fields: Iterable[str]) -> str:
-    """A line for each field."""
+    """EDS entry with one line per field."""
     indent = "\n                "
     return f"        {name} ={indent}{f',{indent}'.join(fields)};\n"
 
 
 def _param(number: int, name: str, kind: int, size: int, units: str, limits: str) -> str:
-    """Reserved, link path, descriptor, type, size, name, units, help, limits, scaling, links, places."""
+    """Param entry.
+
+    Reserved, link path, descriptor, type, size, name, units, help, limits, scaling, links, places.
+    """
     fields = ["0", ",", "0x0000", f"0x{kind:02X}", str(size), f'"{name}"', f'"{units}"', '""', limits]
     return _entry(f"Param{number}", [*fields, ",,,", ",,,", ""])
 
@@ -106,7 +109,7 @@ def _interval() -> str:
 
 
 def _params(side: str, registers: Iterable[Register], first: int) -> Iterator[str]:
-    """One for each value, so that tools name it. side : "To" or "From", as both images have a CONTROL."""
+    """One Param per value, so that tools name it. side : "To" or "From", as both images have a CONTROL."""
     for number, register in enumerate(registers, first):
         kind = WORD if register.unit == "bits" else TYPES[register.kind]
         units = "" if register.unit == "bits" else register.unit.replace("µ", "u").replace("°", " deg")
@@ -115,7 +118,7 @@ def _params(side: str, registers: Iterable[Register], first: int) -> Iterator[st
 
 
 def _assembly(instance: int, name: str, registers: tuple[Register, ...], size: int, first: int) -> str:
-    """Name, path, bytes, descriptor, two reserved, then bits and parameter of each member."""
+    """Assembly entry: name, path, bytes, descriptor, two reserved, then bits and parameter of each member."""
     members = [f"{16 * register.kind.words},Param{first + i}" for i, register in enumerate(registers)]
     rest = 8 * size - sum(16 * register.kind.words for register in registers)
     if rest:
@@ -125,7 +128,10 @@ def _assembly(instance: int, name: str, registers: tuple[Register, ...], size: i
 
 
 def _connection(number: int, name: str, kind: int, parameters: int, consumer: int) -> str:
-    """Transport, parameters, interval, bytes and format each way, configuration twice, name, help, path."""
+    """Connection entry.
+
+    Transport, parameters, interval, bytes and format each way, configuration twice, name, help, path.
+    """
     size = device.ASSEMBLIES[consumer]
     there = f"Param1,{size},Assem{consumer}" if size else "Param1,0,"
     points = f"2C {consumer:02X} 2C {device.FROM_CELL_ASSEMBLY:02X}"

@@ -1,9 +1,9 @@
-"""Binary frames of fixed length: the requests and answers of `lines` for robots that prefer them.
+"""Binary frames of fixed length: the requests and answers of `lines` for robots that prefer binary data.
 
-A frame begins with two bytes that begin no line, states its length, and ends with a CRC-32 (of zlib and
-Ethernet) over all bytes before it, so that torn, shifted or foreign frames are rejected. An answer names the
-brand of its pose and repeats the sequence of its request, so that an old one, or one for another robot, is
-not taken for it. Numbers are big-endian, floats IEEE 754 with 32 bits.
+A frame begins with two bytes with which no line begins, states its length, and ends with a CRC-32 (as in zlib
+and Ethernet) over all bytes before it, so that torn, shifted or foreign frames are rejected. An answer names
+the brand of its pose and repeats the sequence of its request, so that an old answer, or one for another
+robot, is not mistaken for it. Numbers are big-endian, floats IEEE 754 with 32 bits.
 """
 
 from __future__ import annotations
@@ -20,11 +20,11 @@ from edged.robot.orientations import Brand
 MAGIC = b"\xed\x46"
 VERSION = 1
 FLANGE, ALL_JOBS = 1, 2
-"""Flags of a request: FLANGE is given; every job is tried."""
+"""Flags of a request: FLANGE is given; try every job."""
 BOX_SHIFT = 4
-"""The upper half of FLAGS is the box that alone counts."""
+"""Shift of the upper half of FLAGS: number of the only box that applies, 0 for all."""
 POSE_SIZE = 7
-"""Numbers of the longest pose, ABB's."""
+"""Count of numbers in the longest pose, ABB's."""
 REQUEST_ROWS = (
     ("MAGIC", "2s"),
     ("VERSION", "B"),
@@ -50,7 +50,7 @@ ANSWER_ROWS = (
     ("AGE", "f"),
     ("CRC", "I"),
 )
-"""Names and types (as `struct` writes them), in their order."""
+"""Names and `struct` types of the fields, in their order."""
 REQUEST = struct.Struct(">" + "".join(kind for _, kind in REQUEST_ROWS))
 ANSWER = struct.Struct(">" + "".join(kind for _, kind in ANSWER_ROWS))
 _ONLY_HERE = (
@@ -59,7 +59,7 @@ _ONLY_HERE = (
 )
 QUERIES = {name: number for number, name in enumerate(_ONLY_HERE, 100)}
 COMMANDS = {**{kind.name: int(kind) for kind in CommandKind}, **QUERIES}
-"""Values of COMMAND: commands of the registers, and what only lines and frames have."""
+"""Values of COMMAND: commands of the registers, and those that exist only in lines and frames."""
 BRANDS = {brand: number for number, brand in enumerate(Brand, 1)}
 AS_CONFIGURED = 0
 """BRAND of a request without a brand; in older frames this byte was the upper half of COMMAND."""
@@ -67,7 +67,7 @@ AS_CONFIGURED = 0
 
 @dataclass(frozen=True, slots=True)
 class FrameRequest:
-    """Request of a frame. flange : its numbers in the brand's convention, () if not given.
+    """Request in a frame. flange : its numbers in the brand's convention, () if not given.
 
     brand : of the robot; None: the configured one. box : 0 to 15, as in `edged.adapters.modbus.lines`.
     """
@@ -81,7 +81,7 @@ class FrameRequest:
     box: int = 0
 
     def frame(self) -> bytes:
-        """The bytes to send."""
+        """Encode the request as the bytes to send."""
         flags = (FLANGE if self.flange else 0) | (ALL_JOBS if self.tries_all else 0) | self.box << BOX_SHIFT
         flange = self.flange + (0.0,) * (POSE_SIZE - len(self.flange))
         brand = BRANDS[self.brand] if self.brand is not None else AS_CONFIGURED
@@ -111,7 +111,7 @@ def read_request(frame: bytes, configured: Brand) -> FrameRequest:
 
 
 def answer_frame(answer: LineAnswer, brand: Brand) -> bytes:
-    """The bytes to send."""
+    """Encode an answer as the bytes to send."""
     pose = answer.pose + (0.0,) * (POSE_SIZE - len(answer.pose))
     head = (MAGIC, VERSION, BRANDS[brand], ANSWER.size, answer.sequence, int(answer.status))
     numbers = (*pose, *answer.sigma, answer.age_s)
@@ -119,9 +119,9 @@ def answer_frame(answer: LineAnswer, brand: Brand) -> bytes:
 
 
 def read_answer(frame: bytes, brand: Brand, sequence: int) -> LineAnswer:
-    """Decode the answer to the request of that sequence. Raises ValueError for any other frame.
+    """Decode the answer to the request with this sequence. Raises ValueError for any other frame.
 
-    An answer of sequence 0 says that the request was invalid.
+    An answer with sequence 0 means that the request was invalid.
     """
     written_for, answered, status, remaining, *numbers = _opened(frame, ANSWER)
     if written_for != BRANDS[brand]:

@@ -1,9 +1,9 @@
 """The handshake between a PLC and the cell, as a pure state machine.
 
 `step(state, event, now_s) -> (state, effects)`: no I/O, no clock; time is passed in, in seconds of
-any monotonic clock. Responsible for: which command is accepted, how it ends, which client may write, and
-whether the result on display is valid. Not responsible for registers (`registers`) nor for the content of
-a result: it is an opaque payload here.
+any monotonic clock. It decides which command is accepted, how it ends, which client may write, and whether
+the result on display is valid. It knows neither registers (`registers`) nor the content of a result, which
+is an opaque payload here.
 
 The rules:
 
@@ -14,32 +14,33 @@ The rules:
   turn. PLCs write the same registers cyclically: a command from before a restart, or before another client's
   turn, must not run again. A client that writes a command only once says so (`SequenceWritten.once`).
 - Each accepted command ends in exactly one `Answered`: ACK when it was carried out (even if nothing was
-  found), NACK when it was refused, failed or took longer than its time-out. What comes later is ignored.
+  found), NACK when it was refused, failed or took longer than its time-out. A later result is ignored.
 - The answer of the newest command stays on display until the next one is written.
 - While CMD_SEQ is not 0 only the result of the newest command is shown; with 0, the newest result of a
   free-running cell.
 - A result stays valid until ACK_SEQ equals its sequence, until it is older than the validity
   time-out (counted from the exposure), until the next command, until the client is lost, or until its
   basis is exchanged. It never becomes valid again.
-- The *basis* numbers what a result is based on (rig, registration, jobs, limits, cameras). A result of an
-  older basis is EXCHANGED: its sequence stays on display, without content. A command that is open when the
-  basis changes ends in NACK, RELOADED: it would be answered on another basis than it was asked on. A
-  registration is not affected: it measures nothing, and ends by an exchange.
+- The *basis* is a number for the state that a result is based on (rig, registration, jobs, limits, cameras).
+  A result of an older basis is EXCHANGED: its sequence stays on display, without content. A command that is
+  open when the basis changes ends in NACK, RELOADED: it would be answered on another basis than it was given
+  on. A registration is not affected: it measures nothing, and itself ends by changing the basis.
 - A measurement that finds several good parts leaves a list of the others. NEXT_PART shows the next one under
   its own sequence, without an exposure, and ends at once: a part is shown once, by one command. The list is
-  as old as its exposure; it is gone with any other command (accepted or refused, 0 too), with its connection,
-  a client that is lost, the validity time-out, another basis and SETUP. Without one NEXT_PART is a NACK.
-- NEXT_GRASP shows the part on display anew, to the client that asked for it, with another way to take it, as
-  long as it is valid: without a picture, no younger, and the list stays. Without another way it is a NACK.
+  as old as its exposure. It is dropped at any other command (accepted, refused or 0), when its connection
+  ends or its client is lost, at the validity time-out, at a new basis and at SETUP. Without a list NEXT_PART
+  ends in NACK.
+- NEXT_GRASP shows the part on display again, with another grasp, to the client that requested it and while it
+  is valid: no picture is taken, its age counts on, and the list stays. Without another grasp it ends in NACK.
 - During SETUP (`Suspended` to `Resumed`) nothing is open, shown or valid: open and new commands end in NACK,
-  SETUP. Only while a robot's program registers the rig, the commands of the registration run; they never show
-  a result.
+  SETUP. Only while a robot's program registers the rig do the commands of the registration run; they never
+  show a result.
 - At most `HandshakeLimits.queue` commands are open; a further one is refused and sets OVERRUN.
 - One client writes at a time. It keeps that right while it writes, or while commands are open.
 
-Sequences are 16 bit and wrap, and a client may use one again. A *ticket* is the sequence unwrapped:
-it grows with each command, its low 16 bits are CMD_SEQ. So a late result of an old command can never
-be taken for the result of a new one with the same CMD_SEQ.
+Sequences have 16 bits and wrap, and a client may reuse one. A *ticket* is the unwrapped sequence: it grows
+with each command, and its low 16 bits are CMD_SEQ. So a late result of an old command can never be mistaken
+for the result of a new one with the same CMD_SEQ.
 """
 
 from __future__ import annotations
@@ -83,7 +84,7 @@ class HandshakeLimits:
     validity_s : a result older than this, counted from its exposure, is not valid.
     heartbeat_s : a client is lost when its heartbeat, once begun, stops for this long.
     owner_s : the right to write lapses after this long without writes and open commands.
-    queue : open commands.
+    queue : maximum number of open commands.
     """
 
     validity_s: float = 2.0
@@ -94,7 +95,7 @@ class HandshakeLimits:
 
 @dataclass(frozen=True, slots=True)
 class OpenCommand:
-    """A command that was accepted and has not ended."""
+    """Command that was accepted and has not ended."""
 
     ticket: int
     deadline_s: float
@@ -129,12 +130,12 @@ class PartList(Generic[Payload]):
 
 @dataclass(frozen=True, slots=True)
 class Handshake(Generic[Payload]):
-    """State of the handshake; built with the limits only, it is the state after the start.
+    """State of the handshake; with the limits only, the state after the start.
 
     parts : None without a list, or at its end.
-    synchronised : the client whose CMD_SEQ is known, so that a change is a command; None: no client's is.
+    synchronised : the client whose CMD_SEQ is known, so that a change is a command; None: none is known.
     suspended : SETUP. registers : a robot's program registers the rig, and its commands run.
-    basis : number of the present basis.
+    basis : number of the current basis.
     """
 
     limits: HandshakeLimits
@@ -160,7 +161,7 @@ class Handshake(Generic[Payload]):
     owner_until_s: float = 0.0
 
 
-# --- what may be read from a state -----------------------------------------------------------
+# --- queries on a state ----------------------------------------------------------------------
 
 
 def is_valid(state: Handshake[Payload], now_s: float) -> bool:
@@ -169,7 +170,7 @@ def is_valid(state: Handshake[Payload], now_s: float) -> bool:
 
 
 def is_fresh(state: Handshake[Payload], now_s: float) -> bool:
-    """Whether the result on display is not acknowledged, not too old, and its client is not lost."""
+    """Whether the result on display is unacknowledged, not too old, and its client is not lost."""
     result = state.result
     return (
         result is not None
@@ -192,12 +193,12 @@ def _is_young(state: Handshake[Payload], exposed_s: float, now_s: float) -> bool
 
 
 def remaining(state: Handshake[Payload]) -> int:
-    """How many parts NEXT_PART can still give."""
+    """Number of parts that NEXT_PART can still give."""
     return len(state.parts.rest) if state.parts is not None else 0
 
 
 def valid_until_s(state: Handshake[Payload], now_s: float) -> float | None:
-    """When the valid coordinates on display expire; None without valid coordinates."""
+    """Time at which the valid coordinates on display expire; None without valid coordinates."""
     if state.result is None or not is_valid(state, now_s):
         return None
     expired_s = state.result.exposed_s + state.limits.validity_s
@@ -214,13 +215,13 @@ def free_sequence(cycle: int) -> int:
     return (cycle - 1) % SEQUENCE_MASK + 1
 
 
-# --- the machine -----------------------------------------------------------------------------
+# --- the state machine -----------------------------------------------------------------------
 
 
 def step(
     state: Handshake[Payload], event: Event[Payload], now_s: float
 ) -> tuple[Handshake[Payload], tuple[Effect, ...]]:
-    """Let time pass up to now_s, then take the event."""
+    """Let time pass up to now_s, then apply the event."""
     state, expired = _expire(state, now_s)
     state, effects = _take(state, event, now_s)
     return state, expired + effects
@@ -255,7 +256,7 @@ def _take(
         case Released():
             return _release(state, event), ()
         case Barred(client):
-            # a value it still writes when its turn comes may be a command it has given up meanwhile
+            # a value that it still writes when its turn comes may be a command that it has given up meanwhile
             return (replace(state, synchronised=None) if state.synchronised == client else state), ()
         case Exchanged(basis):
             return _exchange(state, basis)
@@ -329,7 +330,7 @@ def _command(
     shown = state.result if event.client == state.synchronised and is_valid(state, now_s) else None
     is_baseline = event.client != state.synchronised and not event.once
     state = replace(state, synchronised=event.client)
-    # an answer to another connection under the same number does not answer this one
+    # the answer to another connection's command with the same number does not answer this one
     if event.sequence == state.command_sequence and not (is_baseline and event.sequence):
         return state, ()
     parts = state.parts
@@ -370,7 +371,7 @@ def _refuse(state: Handshake[Payload], reason: NackReason) -> tuple[Handshake[Pa
 def _next_part(
     state: Handshake[Payload], parts: PartList[Payload] | None, event: SequenceWritten[Payload]
 ) -> tuple[Handshake[Payload], tuple[Effect, ...]]:
-    """Show the next part of the previous list; the command is never open."""
+    """Show the next part of the list; the command is never open."""
     if parts is None or parts.client != event.client or event.next_of not in (0, parts.job):
         return _refuse(state, NackReason.NO_LIST)
     rest = replace(parts, rest=parts.rest[1:]) if len(parts.rest) > 1 else None
@@ -380,7 +381,7 @@ def _next_part(
 def _next_way(
     state: Handshake[Payload], shown: ShownResult[Payload] | None, event: SequenceWritten[Payload]
 ) -> tuple[Handshake[Payload], tuple[Effect, ...]]:
-    """Show the part that was on display with another way to take it; the command is never open."""
+    """Show the part that was on display with its next grasp; the command is never open."""
     if shown is None or event.way is None:
         return _refuse(state, NackReason.NO_LIST)
     return _show_at_once(state, event.sequence, shown.exposed_s, event.way)
@@ -440,7 +441,7 @@ def _finish(
         shown = ShownResult(sequence, event.verdict, event.exposed_s, event.payload)
         # a result without a fault proves an exposure, even if its `Exposed` was lost
         state = replace(state, result=shown, exposure_done=state.exposure_done or not is_fault)
-        # no list for a client that is gone by now
+        # no list for a client that has gone meanwhile
         if event.verdict is ResultVerdict.GOOD and event.rest and state.synchronised is not None:
             parts = PartList(state.synchronised, event.job, event.exposed_s, event.rest)
             state = replace(state, parts=parts)

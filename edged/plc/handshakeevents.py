@@ -17,9 +17,9 @@ class SequenceWritten(Generic[Payload]):
     """CMD_SEQ was written. known : the command register holds a command that exists.
 
     client : the writer. once : written once, not cyclically: it runs as a client's first command, too.
-    timeout_s : for this command; None: without limit. next_of : NEXT_PART from a list of this job (0: any);
-    None: another command. registers : a registration command. asks_way : NEXT_GRASP; way : what it shows,
-    of the part on display; None: there is no other.
+    timeout_s : for this command; None: no limit. next_of : NEXT_PART from a list of this job (0: any);
+    None: another command. registers : a registration command. asks_way : NEXT_GRASP; way : the part on
+    display with its next grasp; None: it has no other.
     """
 
     sequence: int
@@ -49,7 +49,7 @@ class HeartbeatWritten:
 
 @dataclass(frozen=True, slots=True)
 class Declined:
-    """The cycle refused the submitted command."""
+    """The measuring cycle refused the submitted command."""
 
     ticket: int
     reason: NackReason = NackReason.REFUSED
@@ -117,7 +117,7 @@ class Barred:
 
 @dataclass(frozen=True, slots=True)
 class Exchanged:
-    """The basis of results has been exchanged: rig, registration, jobs, limits or cameras.
+    """The basis of results has been replaced: rig, registration, jobs, limits or cameras.
 
     basis : number of the new basis; results of another basis are void.
     """
@@ -127,7 +127,7 @@ class Exchanged:
 
 @dataclass(frozen=True, slots=True)
 class OtherJob:
-    """Another source than the client has changed the active job."""
+    """The active job was changed, but not by the client."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,7 +147,7 @@ class Resumed:
 
 @dataclass(frozen=True, slots=True)
 class Tick:
-    """Only time has passed."""
+    """Nothing but time has passed."""
 
 
 Event = (
@@ -175,7 +175,7 @@ Event = (
 
 @dataclass(frozen=True, slots=True)
 class Submit:
-    """Submit this command to the cycle; step with `Declined` if it refuses."""
+    """Submit this command to the measuring cycle; step with `Declined` if it is refused."""
 
     ticket: int
 

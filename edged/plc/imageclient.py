@@ -1,8 +1,8 @@
-"""A client of the cell's registers that exchanges process images, on the event loop.
+"""Client of the cell's registers that exchanges process images, on the event loop.
 
-The registers and their handshake are the cell's, held by the Modbus server: whoever exchanges images with it
-is one more of its clients, which writes its command block whenever its image is another one. Each connection
-is a client of its own, so what stood in an image before it runs nothing.
+The Modbus server holds the cell's registers and their handshake. A fieldbus that exchanges images is one more
+of its clients: it writes the command block whenever the image has changed. Each connection counts as a new
+client, so the content of an earlier image runs nothing.
 """
 
 from __future__ import annotations
@@ -24,15 +24,15 @@ WRITTEN = {
     "sequence": NAMES[: NAMES.index("CONTROL")],
     "start-bit": NAMES[NAMES.index("CLIENT_HEARTBEAT") :],
 }
-"""Words of the command block that follow each other, by what begins a command: the other stays unwritten."""
+"""Consecutive words of the command block to write, by kind of handshake; CMD_SEQ or CONTROL is left out."""
 
 
 class ImageClient:
-    """The present image from the cell, and the newest one to it.
+    """Sends the current image from the cell, and takes the newest one to the cell.
 
-    registers : served now, None while they are exchanged. show : takes each image from the cell; both are
+    registers : those served now, None during a reload. show : receives each image from the cell; both are
     called on the event loop. handshake : key of `WRITTEN`. first : number of its first client, so high that
-    no other server's counts to it. is_little : the low byte of a value comes first.
+    no other server's numbers reach it. is_little : the low byte of a value comes first.
     """
 
     def __init__(
@@ -60,12 +60,12 @@ class ImageClient:
         return self._watch.loop is not None
 
     def start(self) -> None:
-        """Show from now on."""
+        """Start to send images."""
         self._watch.start()
         self._show()
 
     def close(self) -> None:
-        """Show no more, and give up the right to write."""
+        """Stop sending images, and give up the right to write."""
         self._watch.close()
         if self._next_show is not None:
             self._next_show.cancel()
@@ -73,7 +73,7 @@ class ImageClient:
             self._watch.source.leave(self._client)
 
     def take(self, image: bytes) -> None:
-        """An image to the cell."""
+        """Take an image that was sent to the cell."""
         if self._watch.is_closed:
             return
         self._image = image
@@ -81,7 +81,7 @@ class ImageClient:
             self._write()
 
     def leave(self) -> None:
-        """Nobody writes the image any more: the next one is another client's."""
+        """End the current client, as its connection has ended; the next image belongs to a new client."""
         if self._watch.is_closed:
             return
         self._image = None
@@ -90,7 +90,7 @@ class ImageClient:
         self._client = next(self._numbers)
 
     def _show(self) -> None:
-        """Hand out the present image; again at the next tick, or when the coordinates expire."""
+        """Send the current image; again at the next tick, or when the coordinates expire."""
         if self._watch.is_closed or self._watch.loop is None:
             return
         source, next_s = self._source(), TICK_S
@@ -113,9 +113,9 @@ class ImageClient:
         return self._watch.source
 
     def _write(self) -> None:
-        """Write the command block as the image has it; during another client's turn again at each tick.
+        """Write the command block from the image; during another client's turn, try again at each tick.
 
-        So does a PLC that writes its registers for ever; what the handshake makes of it is the same.
+        A PLC that writes its registers cyclically does the same, and the handshake treats both alike.
         """
         self._is_refused = False
         if self._image is None or self._watch.source is None:

@@ -1,4 +1,4 @@
-"""The latest dialogue of PLC and cell, command by command, for people; it has no effect."""
+"""Record of the latest exchanges between PLC and cell, command by command, for display only."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from edged.plc.registers import UINT16_MAX, RegisterResult
 
 KEPT = 50
 MOST_RUNGS = 16
-"""Most rungs kept of one command."""
+"""Maximum number of rungs kept per command."""
 FARTHEST_MM = 20_000.0
-"""No robot's flange is farther from its base."""
+"""Upper bound of the distance of any robot's flange from its base."""
 
 
 @dataclass(frozen=True, slots=True)
 class Rung:
-    """One step of a dialogue. after_s : since the command. what : a code. detail : text, may be "".
+    """One step of an exchange. after_s : time since the command. what : a code. detail : text, may be "".
 
     what : by the PLC "command", "acknowledged", "taken_down"; by the cell "exposure", "result" (detail: its
     code), "reloaded" (the result is void), "ack", "nack" (detail: the reason), "barred" (not its turn).
@@ -36,9 +36,9 @@ class Rung:
 
 @dataclass(slots=True, eq=False)
 class Exchange:
-    """One command and its outcome. began_ns : UTC. code : of the COMMAND register.
+    """One command and its outcome. began_ns : UTC. code : value of the COMMAND register.
 
-    hint : "bytes" or "words" that look swapped in the written registers, or "". times : in a row.
+    hint : "bytes" or "words" if these look swapped in the written registers, or "". times : count in a row.
     """
 
     number: int
@@ -60,7 +60,7 @@ class Exchange:
 class Ladder:
     """Records the last exchanges from the steps of the handshake.
 
-    addresses : of the clients that have one, by their numbers.
+    addresses : addresses of the clients, where known, by client number.
     """
 
     def __init__(self, addresses: Mapping[int, str]) -> None:
@@ -68,15 +68,15 @@ class Ladder:
         self._kept: deque[Exchange] = deque(maxlen=KEPT)
         self._by_ticket: dict[int, tuple[Exchange, float]] = {}
         self._count = 0
-        self._next = (0, 0, "")  # command, job and hint of what is written now
+        self._next = (0, 0, "")  # command, job and hint of the values written last
 
     @property
     def exchanges(self) -> list[Exchange]:
-        """The newest first."""
+        """Recorded exchanges, the newest first."""
         return list(reversed(self._kept))
 
     def writes(self, code: int, job: int, flange_mm: tuple[float, ...]) -> None:
-        """Note the command block before its CMD_SEQ is stepped. flange_mm : () if not written."""
+        """Note the command block before its CMD_SEQ is processed. flange_mm : () if not written."""
         self._next = code, job, _hint(code, flange_mm)
 
     def took(
@@ -152,7 +152,7 @@ class Ladder:
 
 
 def _hint(code: int, flange_mm: tuple[float, ...]) -> str:
-    """What a client swaps: "bytes" or "words" if its values make sense only the other way round, else "".
+    """Return "bytes" or "words" if the values make sense only with these swapped, else "".
 
     >>> _hint(0x0100, ())
     'bytes'
@@ -167,7 +167,7 @@ def _hint(code: int, flange_mm: tuple[float, ...]) -> str:
 
 
 def _turned(mm: float) -> float:
-    """The value after swapping the words of its register (µm)."""
+    """Value after swapping the two words of its register (µm)."""
     value = round(mm * 1000) & 0xFFFFFFFF
     other = (value & UINT16_MAX) << 16 | value >> 16
     return (other - (1 << 32) if other >> 31 else other) / 1000

@@ -1,12 +1,12 @@
-"""The process image: what a PLC that speaks no Modbus exchanges with the cell, in its own memory.
+"""Process image that a PLC without Modbus exchanges with the cell, in the PLC's own memory.
 
-64 bytes to the cell are the command block of the map, 128 bytes from it the words of the map that a program
-needs for one part. The registers and the handshake behind them are the cell's; here are places alone. Values
-of 32 bits lie at multiples of four bytes, so that no compiler of a structure puts a gap before them.
+The 64 bytes to the cell are the command block of the map, the 128 bytes from it the words of the map that a
+program needs for one part. This module only defines the layout; registers and handshake are the cell's.
+Values of 32 bits lie at multiples of four bytes, so that no compiler pads a structure before them.
 
 A copy of the image is whole when SEQ_HEAD = SEQ_TAIL: BITS and SEQ_HEAD are near its beginning, SEQ_TAIL is
-its last word. When a result appears the three change; when it falls BITS and SEQ_TAIL do. So in whichever
-direction a copy is torn, one of them is not yet, or no longer, what it must be.
+its last word. When a result appears, all three change; when it is withdrawn, BITS and SEQ_TAIL do. So in
+whichever direction a copy is torn, one of them does not match.
 """
 
 from __future__ import annotations
@@ -28,11 +28,11 @@ _SHOWN = """
     G_X G_Y G_Z G_A G_B G_C G_APPROACH_X G_APPROACH_Y G_APPROACH_Z G_RETREAT
     GRASP G_FLAGS SIGMA_X SIGMA_Y SIGMA_Z CONVENTION CONTROL SEQ_TAIL
 """
-"""Names of the map, in the order of the image from the cell. CONTROL is what the cell has taken."""
+"""Register names in the order of the image from the cell. CONTROL is the value that the cell has read."""
 
 
 def _placed(registers: Iterable[Register]) -> tuple[Register, ...]:
-    """The registers one behind the other; address : of the first word, from 0."""
+    """The registers placed one after the other; each address counts words from 0."""
     placed, end = list[Register](), 0
     for register in registers:
         placed.append(replace(register, address=end))
@@ -41,25 +41,25 @@ def _placed(registers: Iterable[Register]) -> tuple[Register, ...]:
 
 
 _MAP = {register.name: (register, block) for block in BLOCKS for register in block.registers}
-"""JOB stands in two blocks: that of the result comes later, and counts."""
+"""Register and block by name. JOB occurs in two blocks; the later one, of the result, counts."""
 TO_CELL = _placed(COMMAND.registers)
-"""Written by the PLC; the words behind it are 0."""
+"""Registers that the PLC writes; the words after them are 0."""
 FROM_CELL = _placed(_MAP[name][0] for name in _SHOWN.split())
-"""Written by the cell."""
+"""Registers that the cell writes."""
 SHOWN_BLOCKS = tuple(block for block in BLOCKS if block in {_MAP[name][1] for name in _SHOWN.split()})
 """Blocks of the map that the image from the cell is made of, in the order of the map."""
 
 
 def image_from_cell(values: Mapping[str, Number], *, little: bool) -> bytes:
-    """128 bytes. values : of `SHOWN_BLOCKS` by name. little : the PLC's low byte comes first."""
+    """Encode the 128 bytes. values : of `SHOWN_BLOCKS` by name. little : the PLC's low byte comes first."""
     return _form(FROM_CELL, little).pack(*(values[register.name] for register in FROM_CELL))
 
 
 def values_to_cell(image: bytes, *, little: bool) -> dict[str, Number]:
-    """Values of the command block by name; image : 64 bytes.
+    """Decode the values of the command block by name; image : 64 bytes.
 
-    Of OPTIONS, ALL_JOBS, SKIP and BELT alone: an image stays in the PLC's memory, so ONCE would run an old
-    command after each start, and RELEASE give up the right to write with every read.
+    Only ALL_JOBS, SKIP and BELT of OPTIONS are kept: an image stays in the PLC's memory, so ONCE would run an
+    old command after each start, and RELEASE would give up the right to write with every read.
     """
     form = _form(TO_CELL, little)
     values: dict[str, Number] = {
@@ -69,7 +69,7 @@ def values_to_cell(image: bytes, *, little: bool) -> dict[str, Number]:
 
 
 NO_IMAGE = bytes(FROM_CELL_BYTES)
-"""From a cell that does not run: no bit is up, and there is no result."""
+"""Image from a cell that does not run: no bit is set, and there is no result."""
 
 
 @functools.cache

@@ -1,4 +1,4 @@
-"""How another server of the cell follows its registers: on the event loop, shown once for each turn of it."""
+"""Following the cell's registers from another server: on the event loop, shown once per iteration of it."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from edged.plc.registersource import RegisterSource
 
 
 class RegisterWatch:
-    """The registers that are served now, watched; each change of them is shown soon.
+    """Watches the registers that are served now; calls `show` soon after each change.
 
-    served : the registers; None while they are exchanged. show : called on the event loop. source : the
-    registers as of the last look. loop : None before the start. is_closed : nothing is shown any more.
+    served : returns the registers; None during a reload. show : called on the event loop. source : the
+    registers at the last `look`. loop : None before the start. is_closed : nothing is shown any more.
     """
 
     def __init__(self, served: Callable[[], RegisterSource | None], show: Callable[[], None]) -> None:
@@ -23,11 +23,11 @@ class RegisterWatch:
         self.is_closed = False
 
     def start(self) -> None:
-        """Follow them from now on."""
+        """Start watching, on the running event loop."""
         self.loop = asyncio.get_running_loop()
 
     def look(self) -> bool:
-        """Whether a reload has exchanged the registers since the last look, and ended their clients."""
+        """Fetch the served registers. True if a reload has replaced them since, which ends their clients."""
         source = self._served()
         if source is self.source:
             return False
@@ -37,7 +37,7 @@ class RegisterWatch:
         return True
 
     def show_soon(self) -> None:
-        """Show in the next turn of the loop, when every publisher knows of the event."""
+        """Show in the next iteration of the loop, when every publisher knows of the event."""
         if self.loop is not None and not self._is_due and not self.is_closed:
             self._is_due = True
             self.loop.call_soon(self._show_now)
@@ -48,13 +48,13 @@ class RegisterWatch:
             self._show()
 
     def from_thread(self, work: Callable[[], None]) -> None:
-        """Do this on the event loop, if it still runs; may be called on any thread."""
+        """Run work on the event loop, if it still runs; may be called from any thread."""
         loop = self.loop
         if loop is not None and not loop.is_closed():
             loop.call_soon_threadsafe(work)
 
     def close(self) -> None:
-        """Follow them no longer."""
+        """Stop watching."""
         self.is_closed = True
         if self.source is not None:
             self.source.unwatch(self.show_soon)

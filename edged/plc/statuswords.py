@@ -1,4 +1,4 @@
-"""Handshake and state of the cell as the numbers of the block status."""
+"""Values of the status block from the handshake and the state of the cell."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def status_values(
     valid: bool,
     simulated: bool,
 ) -> dict[str, reg.Number]:
-    """Values of the block status by name, except the server's own: CLIENTS, START_EPOCH, CONVENTION.
+    """Values of the status block by name, except those of the server: CLIENTS, START_EPOCH, CONVENTION.
 
     cell : None before its first state. valid : the coordinates on display may be used. simulated : the last
     result came from a virtual cell.

@@ -1,1 +1,1 @@
-"""HTML reports: calibration and teaching."""
+"""HTML reports: calibration, teaching, acceptance test and week."""

@@ -1,4 +1,4 @@
-"""The page of an acceptance test or a study, to be archived, printed and signed by hand."""
+"""Report page of an acceptance test or a study, to be archived, printed and signed by hand."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from edged.report.page import HtmlTable, render
 A4_MM = (210.0, 297.0)
 LEFT_MM, TOP_MM, STEP_MM, LETTER_MM = 18.0, 22.0, 5.0, 3.4
 WIDE = 100
-"""Letters of a line on the page."""
+"""Number of letters per line on the page."""
 
 
 @dataclass(frozen=True, slots=True)
 class ReportedTest:
-    """verdict : a word. why : what is wrong, or nothing. figures : by name."""
+    """One test in the report. verdict : a word. why : the reason if it failed, else "". figures : by name."""
 
     name: str
     verdict: str
@@ -25,7 +25,7 @@ class ReportedTest:
 
 
 def acceptance_page(title: str, verdict: str, about: Mapping[str, str], tests: Sequence[ReportedTest]) -> str:
-    """The HTML page. about : lines for its head: of which cell, until when."""
+    """Render the HTML page. about : lines for its head, such as the cell and the due date."""
     return render(
         "acceptance.html",
         title=title,
@@ -46,7 +46,7 @@ def acceptance_page(title: str, verdict: str, about: Mapping[str, str], tests: S
 def acceptance_pdf(
     title: str, verdict: str, about: Mapping[str, str], tests: Sequence[ReportedTest]
 ) -> bytes:
-    """One page A4 of what the HTML has; what is longer is cut."""
+    """Render one A4 page with the content of the HTML page; whatever does not fit is cut off."""
     lines: list[tuple[float, str]] = [(1.5, title), (1.2, verdict), (1.0, "")]
     lines += [(1.0, f"{name}: {value}") for name, value in about.items()]
     for test in tests:
@@ -62,7 +62,7 @@ def acceptance_pdf(
 
 
 def _wrapped(text: str) -> list[str]:
-    """A text in lines of the page."""
+    """Wrap a text into lines of the page."""
     lines = [""]
     for word in text.split():
         if len(lines[-1]) + len(word) >= WIDE:

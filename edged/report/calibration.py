@@ -1,4 +1,4 @@
-"""The calibration report: one self-contained HTML page that can be archived, printed and signed."""
+"""Calibration report: one self-contained HTML page that can be archived, printed and signed."""
 
 from __future__ import annotations
 
@@ -30,11 +30,11 @@ from edged.vision.geometry.uncertainty import calibration_covariance, shift_by_p
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ReportExtras:
-    """What the page of a calibration may tell besides.
+    """Optional content of a calibration report.
 
-    about : lines for its head (date, folder, software).  plain : OpenCV on the same marks.  found : what the
-    boards' edges say of the cameras.  verdict : as the command prints it.  thumbnails : both pictures of each
-    view, small.
+    about : lines for its head (date, folder, software).  plain : OpenCV on the same marks.  found : findings
+    about the cameras from the boards' edges.  verdict : as the command prints it.  thumbnails : both pictures
+    of each view, small.
     """
 
     about: Mapping[str, str] = field(default_factory=dict)
@@ -51,7 +51,7 @@ def calibration_report(
     quality: Mapping[str, Any],
     also: ReportExtras | None = None,
 ) -> str:
-    """The page. held : views measured without themselves.  views : all that were offered, used or not."""
+    """Render the page. held : held-out measurements of the views.  views : all, whether used or not."""
     also = also or ReportExtras()
     rig, rectification = calibration.rig, make_rectification(calibration.rig)
     internal, lenses = _internal(rig, rectification)
@@ -121,7 +121,7 @@ def _about(calibration: Calibration, quality: Mapping[str, Any], about: Mapping[
 
 
 def _lens(calibration: Calibration) -> str:
-    """As it was stated, or how it was chosen."""
+    """Lens model, and how it was chosen if it was not given."""
     if not calibration.lenses:
         return calibration.rig.left.model
     return choice_in_words(calibration.lenses).removeprefix("lens model ")
@@ -172,7 +172,7 @@ def _volume(calibration: Calibration) -> HtmlTable:
 
 
 def _internal(rig: StereoRig, rectification: Rectification) -> tuple[HtmlTable, HtmlTable]:
-    """The form of the paper's Table 1, in pixels; with sigma. The lens beside it."""
+    """Tables of the intrinsics in px with sigma, in the form of the paper's Table 1, and of the lenses."""
     sigma = _sigmas(rig)
     rows, lenses = [], []
     for side, camera in (("left", rig.left), ("right", rig.right)):
@@ -194,7 +194,7 @@ def _internal(rig: StereoRig, rectification: Rectification) -> tuple[HtmlTable, 
 
 
 def _external(rig: StereoRig, rectification: Rectification) -> HtmlTable:
-    """The form of the paper's Table 2: the right camera's place and turn against the left, both ways."""
+    """Position and rotation between the cameras, both ways, in the form of the paper's Table 2."""
     sigma = _sigmas(rig)
     turn = np.degrees(rotation_vector(rig.right_from_left[:3, :3]))
     before = [
@@ -223,12 +223,12 @@ def _sigmas(rig: StereoRig) -> dict[str, float]:
 
 
 def _weakest(calibration: Calibration) -> HtmlTable:
-    """Parameters by what their uncertainty would do to a point."""
+    """Table of the parameters whose uncertainty has the largest effect on a point."""
     rig = calibration.rig
     sigma = _sigmas(rig)
     shift = shift_by_parameters(rig, volume_points(calibration))
     names = list(rig.parameter_names)
-    # fx and fy as one unknown move together
+    # fx and fy that are one unknown move together
     for side, camera in (("left", rig.left), ("right", rig.right)):
         if camera.fx == camera.fy:
             x, y = names.index(f"{side}.fx"), names.index(f"{side}.fy")
@@ -250,7 +250,7 @@ def _sigma_text(name: str, sigma: float) -> str:
 
 
 def _comparison(calibration: Calibration, plain: PlainCalibration) -> HtmlTable:
-    """cv2.stereoCalibrate on the same marks."""
+    """Comparison with cv2.stereoCalibrate on the same marks."""
     rows = []
     for name, rig, rms, rows_px in (
         ("edged", calibration.rig, calibration.rms_px, calibration.epipolar_rms_px),

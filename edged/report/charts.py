@@ -1,4 +1,4 @@
-"""Charts as inline SVG: what a calibration report needs, readable on paper and in black and white."""
+"""Charts as inline SVG for reports, readable on paper and in black and white."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from markupsafe import Markup
 
 from edged.domain.arrays import FloatArray
 
-_LEFT, _RIGHT, _TOP, _BOTTOM = 58.0, 14.0, 12.0, 40.0  # room for axes, px; at the left at least so much
-_TITLE, _LETTER = 24.0, 6.6  # of the upright title, and of a digit of the size of report.css, px
-_HALF = 480.0  # two of these stand side by side, on screen and on A4
+_LEFT, _RIGHT, _TOP, _BOTTOM = 58.0, 14.0, 12.0, 40.0  # space for the axes, px; _LEFT is a minimum
+_TITLE, _LETTER = 24.0, 6.6  # width of the upright title, and of a digit in the size of report.css, px
+_HALF = 480.0  # two charts of this width fit side by side, on screen and on A4
 _MAX_NAMES, _MAX_LETTERS = 12, 10  # along an axis
 # from light to dark, even steps of lightness: reads in grey, too (after ColorBrewer's "Blues")
 _RAMP = ("#f0f6fc", "#cfe2f3", "#a6cbe6", "#73aed6", "#418bc3", "#1f66a8", "#0b3f78")
@@ -22,10 +22,10 @@ INK, GREY, ACCENT, WARN = "#1b1f24", "#424a53", "#1f66a8", "#b3541e"
 
 @dataclass(slots=True)
 class Chart:
-    """A picture with two axes in the data's units; y grows downwards if its range is (high, low).
+    """Chart with two axes in the data's units; y grows downwards if its range is (high, low).
 
     x, y : (from, to) of the data.  equal : same scale on both axes, as for images.
-    names : of the unit steps along x, in place of numbers.
+    names : names of the unit steps along x, in place of numbers.
     """
 
     x: tuple[float, float]
@@ -47,22 +47,22 @@ class Chart:
             self.height = inner * abs(self.y[1] - self.y[0]) / abs(self.x[1] - self.x[0]) + _TOP + _BOTTOM
 
     def to_x(self, value: float) -> float:
-        """Place on the paper."""
+        """Convert x of the data to px in the chart."""
         inner = self.width - self._left - _RIGHT
         return self._left + (value - self.x[0]) / (self.x[1] - self.x[0]) * inner
 
     def to_y(self, value: float) -> float:
-        """Place on the paper."""
+        """Convert y of the data to px in the chart."""
         bottom = self.height - _BOTTOM
         return bottom + (value - self.y[0]) / (self.y[1] - self.y[0]) * (_TOP - bottom)
 
     def points(self, xy: FloatArray, colour: str = ACCENT, radius: float = 2.0) -> None:
-        """Small circles at (N, 2)."""
+        """Draw small circles at (N, 2)."""
         mark = Markup('<circle cx="{:.1f}" cy="{:.1f}" r="{}" fill="{}" stroke="none" fill-opacity="0.75"/>')
         self._marks += [mark.format(self.to_x(u), self.to_y(v), radius, colour) for u, v in xy]
 
     def strokes(self, starts: FloatArray, ends: FloatArray, width: float = 0.8) -> None:
-        """Short lines from (N, 2) to (N, 2), as one path."""
+        """Draw short lines from (N, 2) to (N, 2), as one path."""
         path = "".join(
             f"M{self.to_x(a):.1f} {self.to_y(b):.1f}L{self.to_x(c):.1f} {self.to_y(d):.1f}"
             for (a, b), (c, d) in zip(starts, ends, strict=True)
@@ -71,7 +71,7 @@ class Chart:
         self._marks.append(mark.format(path, ACCENT, width))
 
     def line(self, xy: FloatArray, colour: str = INK, dashed: bool = False) -> None:
-        """A polyline through (N, 2)."""
+        """Draw a polyline through (N, 2)."""
         path = " ".join(f"{self.to_x(u):.1f},{self.to_y(v):.1f}" for u, v in xy)
         mark = Markup(
             '<polyline points="{}" fill="none" stroke="{}" stroke-width="1.2" stroke-dasharray="{}"/>'
@@ -79,17 +79,17 @@ class Chart:
         self._marks.append(mark.format(path, colour, "5 4" if dashed else "none"))
 
     def rectangle(self, x: tuple[float, float], y: tuple[float, float], colour: str) -> None:
-        """A filled box."""
+        """Draw a filled box."""
         (u, w), (v, z) = sorted(map(self.to_x, x)), sorted(map(self.to_y, y))
         mark = Markup('<rect x="{:.1f}" y="{:.1f}" width="{:.1f}" height="{:.1f}" fill="{}"/>')
         self._marks.append(mark.format(u, v, w - u, z - v, colour))
 
     def text(self, x: float, y: float, words: str, colour: str = INK) -> None:
-        """Words centred at a place of the data."""
+        """Write text centred at a place of the data."""
         self._marks.append(_words(self.to_x(x), self.to_y(y) + 3.5, words, colour=colour))
 
     def figure(self, caption: str) -> Markup:
-        """The chart with axes, as HTML."""
+        """Render the chart with axes as HTML."""
         page = Markup(
             '<figure class="{kind}"><svg xmlns="http://www.w3.org/2000/svg" '
             'viewBox="0 0 {width:.0f} {height:.0f}" width="{width:.0f}" height="{height:.0f}" role="img">'
@@ -130,7 +130,7 @@ def _words(x: float, y: float, text: str, anchor: str = "middle", colour: str = 
 
 
 def ticks(start: float, end: float, about: int = 5) -> list[float]:
-    """Round values (1, 2 or 5 times a power of ten apart) between two ends, in either order."""
+    """Round tick values (1, 2 or 5 times a power of ten apart) between two ends, in either order."""
     low, high = min(start, end), max(start, end)
     if not high > low:
         return [low]
@@ -142,12 +142,12 @@ def ticks(start: float, end: float, about: int = 5) -> list[float]:
 
 
 def label(value: float) -> str:
-    """A tick's number without noise digits."""
+    """Number of a tick as text, without rounding noise."""
     return f"{value:.6g}".replace("-", "−")
 
 
 def symmetric_limit(values: FloatArray) -> float:
-    """A round limit that holds all values and their negatives."""
+    """Round limit whose range from -limit to limit contains all values."""
     largest = float(np.max(np.abs(values), initial=0.0))
     if not largest > 0:
         return 1.0
@@ -163,7 +163,7 @@ def colour(share: float) -> str:
 def field_map(
     chart: Chart, x_edges: FloatArray, y_edges: FloatArray, values: FloatArray, text: Callable[[float], str]
 ) -> None:
-    """A map of values (rows, columns) with their numbers; NaN stays empty."""
+    """Draw a map of values (rows, columns) with their numbers; NaN stays empty."""
     known = values[np.isfinite(values)]
     low, span = (float(known.min()), float(np.ptp(known))) if known.size else (0.0, 0.0)
     for row, y in enumerate(pairwise(y_edges)):
@@ -176,7 +176,7 @@ def field_map(
 
 
 def bars(names: Sequence[str], values: FloatArray, axis: str, parts: FloatArray | None = None) -> Chart:
-    """Vertical bars with their names. parts (N,) : a line across each bar, for a second value."""
+    """Chart of vertical bars with their names. parts (N,) : a second value, as a line across each bar."""
     highest = values if parts is None else np.concatenate([values, parts])
     top = 1.05 * float(max(highest.max(), 1e-12))
     chart = Chart((0.0, float(len(names))), (0.0, top), "view", axis, 940.0, 230.0, names=names)

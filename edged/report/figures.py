@@ -1,4 +1,4 @@
-"""The charts of a calibration report."""
+"""Charts of a calibration report."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ from edged.vision.geometry.triangulation import raw_covariance
 _NOISE_PX = 0.05
 _MAP_COLUMNS, _MAP_ROWS = 8, 6
 _RADIAL_BINS = 10
-_VECTOR_SHARE = 0.015  # of the image's width: a residual of the rms' length
-_THUMBNAIL_QUALITY = 65  # of JPEG: about 4 kB a picture
+_VECTOR_SHARE = 0.015  # length at which a residual equal to the rms is drawn, as a share of the image's width
+_THUMBNAIL_QUALITY = 65  # of JPEG: about 4 kB per picture
 _NOT_REACHED, _NOT_COMMON = "#f7d4bf", "#e4e7eb"
 _FOUND, _FIRST = "#23d96c", "#ff8f3a"
 
 
 def lengths(held: Sequence[HeldOutView]) -> Markup:
-    """Measured - true over the true length, every single distance."""
+    """Length error over true length, for every single distance."""
     values = np.concatenate([view.lengths_mm for view in held])
     errors_um = 1000 * (values[:, 1] - values[:, 0])
     limit = symmetric_limit(errors_um)
@@ -48,7 +48,7 @@ def lengths(held: Sequence[HeldOutView]) -> Markup:
 
 
 def coverage(calibration: Calibration, side: Side, camera: CameraModel) -> Markup:
-    """The marks in an image with their residuals, and the fields without any."""
+    """Marks in an image with their residuals, and the fields without any mark."""
     pixels, residuals = _marks(calibration, side)
     rms = calibration.rms_left_px if side == "left" else calibration.rms_right_px
     exaggeration = _VECTOR_SHARE * camera.width / max(rms, 1e-9)
@@ -72,9 +72,9 @@ def coverage(calibration: Calibration, side: Side, camera: CameraModel) -> Marku
 
 
 def thumbnail(view: StereoView, side: Side, small: Image, size: tuple[int, int]) -> Markup:
-    """A picture with the marks that were found in it, the first of them as a ring.
+    """Picture with the marks that were found in it, the first one as a ring.
 
-    small (h, w) uint8.  size (W, H) : of the image that the marks were measured in.
+    small (h, w) uint8.  size (W, H) : of the image in which the marks were measured.
     """
     found = view.left if side == "left" else view.right
     path, ring = "", Markup()
@@ -175,7 +175,7 @@ def _sigma_map(calibration: Calibration, depth_mm: float, what: str) -> Markup:
 
 
 def view_bars(calibration: Calibration, held: Sequence[HeldOutView]) -> Markup:
-    """The rms of each view, and what it was with the calibration of the others."""
+    """Rms of each view, and its rms with the calibration of the other views."""
     names = [fit.name for fit in calibration.views]
     without = {view.name: view.reprojection_rms_px for view in held}
     second = np.array([without[name] for name in names]) if held else None

@@ -1,4 +1,4 @@
-"""HTML from templates: one skeleton for the reports and the status page. The engine escapes every value."""
+"""HTML from templates, with a common skeleton for the reports and the status page. All values are escaped."""
 
 from __future__ import annotations
 
@@ -11,17 +11,17 @@ from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
 
 @dataclass(frozen=True, slots=True)
 class HtmlTable:
-    """Rows of cells of text below their head, which may be empty."""
+    """Table of text cells: rows below a head, which may be empty."""
 
     rows: Sequence[Sequence[str]]
     head: Sequence[str] = ()
 
 
 def render(template: str, package: str = "edged.report", **values: object) -> str:
-    """A page. template : a file in the package's templates, which may extend those of the reports.
+    """Render a page. template : file in the package's templates, which may extend those of the reports.
 
-    A text among the values comes out as it is, whatever it contains; `markupsafe.Markup` is HTML already.
-    Raises `jinja2.UndefinedError` for a value that the template needs and does not get.
+    Text among the values is shown literally, whatever it contains; `markupsafe.Markup` is taken as HTML.
+    Raises `jinja2.UndefinedError` if a value that the template needs is missing.
     """
     return _environment(package).get_template(template).render(values)
 

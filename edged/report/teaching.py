@@ -1,4 +1,4 @@
-"""The teaching report: what was learnt of a part, for the eye and the archive. One self-contained page."""
+"""Teaching report: what was learnt about a part, as one self-contained page to look at and archive."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _MARGIN_PX = 12
 
 @dataclass(frozen=True, slots=True)
 class _Level:
-    """png : of one level with the model's points, base64."""
+    """Picture of a pyramid level. png : with the model's points, base64."""
 
     png: str
     caption: str
@@ -38,11 +38,11 @@ class _Level:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Taught:
-    """The pictures and region that a job was learnt from.
+    """Picture and region that a job was learnt from.
 
-    rectified_left (h, w) uint8 : the picture, real or painted from a drawing.
-    region (h, w) uint8 : where in it the part is; None: anywhere.  cuts : what of the part goes on outside.
-    settled : what came of its CAD model and further pairs, or is open without, a line each.
+    rectified_left (h, w) uint8 : the picture, real or rendered from a drawing.
+    region (h, w) uint8 : place of the part in it; None: anywhere.  cuts : its edges that the region cuts.
+    settled : findings from its CAD model and further pairs, or what is open without them, a line each.
     """
 
     rectified_left: Image
@@ -54,7 +54,7 @@ class Taught:
 def teaching_report(
     job: Job, taught: Taught, inspection: ModelInspection, about: Mapping[str, str] | None = None
 ) -> str:
-    """The page. about : lines for its head: by which rig, from which pictures."""
+    """Render the page. about : lines for its head, such as the rig and the pictures."""
     title = f"Job {job.number}: {job.name}"
     return render(
         "teaching.html",
@@ -79,7 +79,7 @@ def teaching_report(
 
 
 def inspection_to_json(job: Job, inspection: ModelInspection) -> Json:
-    """The inspection as JSON."""
+    """Convert the inspection to JSON."""
 
     return {
         "job": job.name,
@@ -106,7 +106,7 @@ def inspection_to_json(job: Job, inspection: ModelInspection) -> Json:
 
 
 def _where(job: Job, taught: Taught) -> str:
-    """The picture, base64 PNG, with the region (yellow), what was learnt (green) and what is cut (red)."""
+    """Picture as base64 PNG with the region (yellow), the learnt points (green) and the cuts (red)."""
     height, width = taught.rectified_left.shape
     zoom = _WIDTH_PX / width
     size = (_WIDTH_PX, round(height * zoom))
@@ -131,7 +131,7 @@ def _where(job: Job, taught: Taught) -> str:
 
 
 def _level(job: Job, picture: Image, index: int) -> _Level:
-    """The model's points of one level on the picture of that level."""
+    """Draw the model's points of one pyramid level on the picture of that level."""
     level, shape = job.shape.levels[index], job.shape
     for _ in range(index):
         height, width = picture.shape
@@ -178,7 +178,7 @@ def _facts(job: Job, inspection: ModelInspection) -> HtmlTable:
 
 
 def _rivals(inspection: ModelInspection) -> HtmlTable:
-    """Turns at which the shape is much like itself."""
+    """Table of the rotations at which the shape resembles itself."""
     rows = [
         (f"{np.degrees(angle):.1f}°", f"{100 * similarity:.1f} %") for angle, similarity in inspection.rivals
     ]
@@ -186,7 +186,7 @@ def _rivals(inspection: ModelInspection) -> HtmlTable:
 
 
 def _drawing(job: Job) -> Markup:
-    """The features with their names, to scale, as they lay at teaching; the reference blue."""
+    """Drawing to scale of the features with their names, as they lay at teaching; the reference is blue."""
     outlines = {name: points[:, :2] for name, points in taught_outlines(job).items()}
     if not outlines:
         return Markup()

@@ -1,4 +1,4 @@
-"""The page of a week: what each cell did by day, what was not good and why, and which cell differs."""
+"""Weekly report page: figures of each cell by day, reasons of bad results, and cells that differ."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def week_page(
     reasons: Mapping[str, Sequence[tuple[str, int]]],
     comparisons: Sequence[Comparison],
 ) -> str:
-    """The HTML page. span : first and last day. days : by cell, then by day."""
+    """Render the HTML page. span : first and last day. days : sorted by cell, then by day."""
     by_cell = {cell: [*rows] for cell, rows in groupby(days, lambda row: row.cell)}
     title = f"{span[0]} to {span[1]}: {len(by_cell)} cells, {sum(row.cycles for row in days)} cycles"
     return render(
@@ -53,7 +53,7 @@ def week_page(
 
 
 def differing_line(found: Comparison, cell: Differing) -> str:
-    """A cell that differs, in a sentence."""
+    """Describe a cell that differs in a sentence."""
     unit = f" {found.unit}" if found.unit else ""
     return (
         f"{cell.cell}: {found.figure} of {found.job} is {cell.value:.4g}{unit}; the median of "
@@ -80,7 +80,7 @@ def _summary(cell: str, rows: Sequence[DayFigures]) -> list[str]:
 def _chart(
     rows: Sequence[DayFigures], axis: str, figure: Callable[[DayFigures], float], top: float = 0.0
 ) -> Markup:
-    """A figure by day."""
+    """Bar chart of a figure by day."""
     values = np.array([figure(row) for row in rows], float)
     known = values[np.isfinite(values)]
     top = max(top, 1.1 * float(known.max(initial=1e-9)))

@@ -1,1 +1,1 @@
-"""The rig in the robot's frame, and orientations as controllers write them."""
+"""The rig in the robot's frame, picking rules, and orientations as controllers write them."""

@@ -1,7 +1,7 @@
-"""Parts on a conveyor belt: where it is at the exposure, blur, and which part is the same. Pure functions.
+"""Parts on a conveyor belt: position of the belt at the exposure, motion blur, and tracking. Pure functions.
 
-The belt's frame has x along its travel, z as near to that of the published coordinates as may be, and its
-origin where the board lay at the first count. A part that was at x then is at x + step (count - its count).
+The belt's frame has x along its travel, z as near as possible to z of the published frame, and its origin
+where the board lay at the first count. A part seen at x is later at x + step (count - count when seen).
 """
 
 from __future__ import annotations
@@ -20,19 +20,19 @@ from edged.robot.covariance import robot_covariance, rotate_covariance
 from edged.vision.geometry.rigid import invert, transform
 
 MOST_BLUR_PX = 1.0
-"""An edge that is smeared further lies where it was at no moment."""
+"""Largest accepted blur; an edge that is smeared further has no well-defined place."""
 MEMORY_MM = 3000.0
-"""A part that has gone so far is beyond every picture."""
+"""Travel after which a part is forgotten: it is beyond every picture."""
 MOST_TURN_RAD = math.radians(0.2)
-"""A board that turned further between both counts was touched, or the belt does not go straight."""
+"""Largest accepted turn of the board between both counts: more, and it was touched or the belt curves."""
 NUMBERS = 0xFFFF
 
 
 def moment_of(belt: Belt, pair: FramePair, reading: BeltReading | None) -> BeltMoment | None:
-    """The belt in the middle of an exposure; None: nobody said where it was.
+    """Count and speed of the belt in the middle of an exposure; None without a count.
 
-    A camera's count is that of the exposure's begin. A client's is older: the belt went on meanwhile, at the
-    speed that it said.
+    A camera's count is taken at the start of the exposure. A client's is older: since then the belt has moved
+    on at the speed that the client gave.
     """
     middle_s = 0.5 * belt.exposure_s
     step_mm = float(np.linalg.norm(belt.step_mm))
@@ -52,7 +52,7 @@ def moment_of(belt: Belt, pair: FramePair, reading: BeltReading | None) -> BeltM
 
 
 def blur_px(belt: Belt, moment: BeltMoment, target: Target) -> float:
-    """How far a part moves in the picture while the cameras expose, at most: as if square to their axes."""
+    """Upper bound of a part's motion in the picture during the exposure: as if square to the optical axes."""
     depth_mm = float(target.position_mm[2])
     if not depth_mm > 0.0:
         return math.inf
@@ -66,9 +66,10 @@ def on_belt(
     robot_from_rig: FloatArray | None,
     seen: PartsSeen,
 ) -> tuple[Outcome, PartsSeen]:
-    """The outcome with what is blurred refused, and the number and the belt's pose of every part.
+    """Reject blurred parts, and give each part its number and its pose on the belt.
 
-    robot_from_rig (4, 4) : of the published frame; None: the rig's own. Returns what is remembered, too.
+    Without a moment all parts are rejected. robot_from_rig (4, 4) : to the published frame; None: the rig's
+    own. Also returns the updated memory of parts.
     """
     if moment is None:
         refused = tuple(replace(target, reject=target.reject | Reject.NO_COUNT) for target in outcome.targets)
@@ -111,7 +112,7 @@ def belt_frame(belt: Belt) -> FloatArray:
 
 
 def _axes(step_mm: tuple[float, float, float]) -> FloatArray:
-    """(3, 3) whose columns are x, y, z of the belt; of a steep one z is near to -x."""
+    """(3, 3) with the belt's x, y, z as columns; for a steep belt z is near to -x of the published frame."""
     x = _unit(step_mm)
     up = np.array([0.0, 0.0, 1.0]) if abs(x[2]) < 0.9 else np.array([-1.0, 0.0, 0.0])
     z = up - (up @ x) * x
@@ -124,7 +125,7 @@ def _unit(step_mm: tuple[float, float, float]) -> FloatArray:
 
 
 def travelled(belt: Belt, since: float, count: float) -> float:
-    """Counts from one to another, the shorter way round."""
+    """Signed counts from `since` to `count`, the shorter way round the counter."""
     half = belt.counts / 2
     return (count - since + half) % belt.counts - half
 
@@ -132,7 +133,7 @@ def travelled(belt: Belt, since: float, count: float) -> float:
 def _numbered(
     places: list[FloatArray], belt: Belt, moment: BeltMoment, seen: PartsSeen
 ) -> tuple[list[int], PartsSeen]:
-    """A number for each place: that of the part which must be there now, nearest first, or a new one."""
+    """Number for each place: that of the known part expected there, nearest pairs first, or a new one."""
     step = np.array(belt.step_mm)
     far = MEMORY_MM / float(np.linalg.norm(step))
     known = [part for part in seen.parts if abs(travelled(belt, part.count, moment.count)) <= far]
@@ -162,9 +163,9 @@ def _numbered(
 
 
 def step_between(first: FloatArray, second: FloatArray, counts: int) -> tuple[float, float, float]:
-    """By how much a belt goes on with one count, from two poses (4, 4) of a board that it carries.
+    """Travel of the belt per count, in mm, from two poses (4, 4) of a board that it carries.
 
-    counts : from the first to the second. Raises `CalibrationError` where the board turned, or hardly moved.
+    counts : from the first to the second. Raises `CalibrationError` if the board turned, or hardly moved.
     """
     turned = second[:3, :3] @ first[:3, :3].T
     angle_rad = math.acos(min(1.0, max(-1.0, 0.5 * (float(np.trace(turned)) - 1.0))))

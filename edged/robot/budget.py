@@ -1,4 +1,4 @@
-"""Where the uncertainty of a pose comes from: terms that add up to what is published, to the last bit."""
+"""Uncertainty budget of a pose: terms that add up to the published variance, to the last bit."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from edged.robot.covariance import robot_covariance, rotate_covariance
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Budget:
-    """Variances (6,), each at least 0, in the frame that the pose is published in.
+    """Variances (6,), each at least 0, in the frame in which the pose is published.
 
-    Of X, Y, Z in mm², then of the rotation about these axes in rad².
+    X, Y, Z in mm², then the rotation about these axes in rad².
 
-    edges : noise, blur and shape of what was measured. calibration : of the rig's own parameters.
-    registration : of the rig in the robot's frame, of the map of the robot's error, and of where a belt is.
-    doubt : of what contradicts the rig (`Target.doubt_mm`).
-    marks : of the correction by reference marks; None where there is none.
+    edges : noise, blur and shape of the measured edges. calibration : parameters of the rig.
+    registration : of the rig in the robot's frame, the map of the robot's error, and the position of a belt.
+    doubt : contradictions between the measurement and the rig (`Target.doubt_mm`).
+    marks : correction by reference marks; None without one.
     Their exact sum, rounded once (`math.fsum`), is the published variance, bit by bit.
     """
 
@@ -41,7 +41,7 @@ class Budget:
 def budget_of(
     target: Target, robot_from_rig: FloatArray | None, registration: FloatArray | None
 ) -> Budget | None:
-    """The budget of a pose as it is published; None where the edges' part is not known, or not finite."""
+    """Budget of a pose as published; None if the edges' share is not known, or a term is not finite."""
     if target.by_edges is None:
         return None
     own = whole = target.covariance
@@ -58,7 +58,7 @@ def budget_of(
     found = [edges, rest, total - np.diag(own), doubt]
     if target.by_marks is not None:
         found = [edges, rest - marks, total - np.diag(own), doubt, marks]
-    terms = np.stack(found)  # differences are as exact as their sums: what is below 0 is rounding
+    terms = np.stack(found)  # differences are as exact as their sums: a negative value is rounding
     if not (np.isfinite(terms).all() and np.isfinite(total).all()):
         return None
     terms = np.maximum(terms, 0.0)
@@ -68,10 +68,10 @@ def budget_of(
 
 
 def _settle(terms: FloatArray, total: float) -> None:
-    """Take up what rounding has left, in place: in the largest term.
+    """Correct rounding errors in place, so that the terms add up to total: in the largest term.
 
-    What is left then is at most half a unit in the total's last place; where it is just that, and the tie is
-    broken the wrong way, a smaller term is moved by its own last place.
+    The remaining difference is at most half a unit in the total's last place; where it is exactly that, and
+    the tie is broken the wrong way, a smaller term is moved by its own last place.
     """
     first, *others = np.argsort(-terms)
     terms[first] += math.fsum([total, *-terms])

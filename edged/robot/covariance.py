@@ -1,4 +1,4 @@
-"""Pose covariances from the rig's frame to the robot's."""
+"""Pose covariances, transformed from the rig's frame to the robot's."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from edged.vision.geometry.rigid import skew
 def robot_covariance(
     target: Target, robot_from_rig: FloatArray, registration: FloatArray | None
 ) -> FloatArray:
-    """(6, 6) of a target's pose in the robot's frame, with the registration uncertainty.
+    """Covariance (6, 6) of a target's pose in the robot's frame, with the registration uncertainty.
 
-    registration (6, 6) : of a small motion that follows robot_from_rig; None: taken as exact. Its rotation w
-    moves a point p by w x p, and turns every part by w. Places of a map were fitted beside that registration:
-    its error is in the map's own.
+    registration (6, 6) : of a small motion applied after robot_from_rig; None: taken as exact. Its rotation w
+    moves a point p by w x p, and turns every part by w. A map of the robot's error was fitted on top of that
+    registration: the variance of its shift includes the registration's error of place.
     """
     covariance = rotate_covariance(rig_covariance(target), robot_from_rig)
     jacobian = np.eye(6)
@@ -33,24 +33,24 @@ def robot_covariance(
 
 
 def rig_covariance(target: Target) -> FloatArray:
-    """(6, 6) of a target's pose in the rig's frame, with what is not known of the belt that carries it."""
+    """Covariance (6, 6) of a target's pose in the rig's frame, with that of the belt that carries it."""
     return target.covariance if target.belt is None else target.covariance + target.belt.covariance
 
 
 def robot_pose(target: Target, robot_from_rig: FloatArray) -> FloatArray:
-    """(4, 4) of a target in the robot's frame, by the map of the robot's error where there is one."""
+    """Pose (4, 4) of a target in the robot's frame, corrected by the map of the robot's error, if any."""
     pose = np.asarray(robot_from_rig @ target.rig_from_part)
     return pose if target.robot_shift is None else target.robot_shift.moved(pose)
 
 
 def moved_frame(registration: FloatArray, robot_from_flange: FloatArray) -> FloatArray:
-    """(6, 6) of robot_from_rig, from that of flange_from_rig; the flange's own pose is taken as exact."""
+    """Covariance (6, 6) of robot_from_rig from that of flange_from_rig; the flange's pose counts as exact."""
     moved = adjoint(robot_from_flange)
     return np.asarray(moved @ registration @ moved.T)
 
 
 def adjoint(to_from_source: FloatArray) -> FloatArray:
-    """(6, 6): small motions about the source's origin as motions about the other frame's.
+    """Adjoint (6, 6): maps small motions about the source's origin to motions about the other frame's.
 
     (shift v, rotation w) becomes (R v + t x R w, R w).
     """
@@ -62,7 +62,7 @@ def adjoint(to_from_source: FloatArray) -> FloatArray:
 
 
 def rotate_covariance(covariance: FloatArray, to_from_source: FloatArray) -> FloatArray:
-    """The (6, 6) covariance of a pose, seen in another frame.
+    """Covariance (6, 6) of a pose, expressed in another frame.
 
     covariance : of (translation, rotation vector applied on the left), axes of the old frame.
     to_from_source : (4, 4) rigid transform. With new = T old, a small rotation w of the old axes is
@@ -71,5 +71,5 @@ def rotate_covariance(covariance: FloatArray, to_from_source: FloatArray) -> Flo
     """
     jacobian = np.zeros((6, 6))
     jacobian[:3, :3] = jacobian[3:, 3:] = to_from_source[:3, :3]
-    with np.errstate(invalid="ignore", over="ignore"):  # what is not known stays NaN, and becomes null
+    with np.errstate(invalid="ignore", over="ignore"):  # unknown values stay NaN, and are published as null
         return np.asarray(jacobian @ covariance @ jacobian.T, dtype=np.float64)

@@ -1,12 +1,13 @@
-"""A map of the robot's error: a low-order field over the places that its tip touched.
+"""Map of the robot's error: a low-order polynomial field over the places that its tip touched.
 
-A robot repeats itself to 0.02 to 0.05 mm and is off by 0.1 to 0.5 mm, by lengths and offsets of its axes that
-are not as its controller has them: smooth over its reach. With e the place that the registration gives and s
-what the robot shows there, s - e = f(e) + noise, f a polynomial in each coordinate. The map is part of the
-registration that it was fitted beside: it takes up what that one's few points left wrong, too.
+A robot repeats itself to 0.02 to 0.05 mm but is off by 0.1 to 0.5 mm, because lengths and offsets of its axes
+differ from those in its controller; this error is smooth over its reach. With e the place that the
+registration gives and s what the robot shows there, s - e = f(e) + noise, f a polynomial for each coordinate.
+The map belongs to the registration that it was fitted to: it also absorbs the error left by that one's few
+points.
 
-The degree is the one of least BIC (G. Schwarz, "Estimating the Dimension of a Model", 1978), none among them,
-and it must foretell points that were left out better than the registration alone does.
+The degree is chosen by the lowest BIC (G. Schwarz, "Estimating the Dimension of a Model", 1978), with no map
+as one candidate, and the map must predict left-out points better than the registration alone does.
 """
 
 from __future__ import annotations
@@ -28,20 +29,20 @@ LEAST_POINTS = 12
 MOST_POINTS = 100
 DEGREES = (1, 2, 3)
 POINTS_PER_TERM = 2
-"""Half of what was touched is left to tell the noise."""
+"""Least number of points per polynomial term: half of the data is left to estimate the noise."""
 GROWN = 0.05
-"""Share of its length by which the hull counts as larger: parts lie in the plane of the touched ones."""
-SHAKEN = 1e-6  # of the places' length
+"""Share of its length by which the hull is enlarged: parts may lie in the plane of the touched points."""
+SHAKEN = 1e-6  # jitter, as a share of the places' length
 THIN = 1e-4
-"""Size of triangles, of the square of the places' length, below which their neighbours' planes stand for
-them: shaking turns those of thin ones."""
+"""Triangles smaller than this share of the squared length of the places are left out, and the planes of their
+neighbours bound the hull there: jitter tilts the planes of thin triangles."""
 FLAT = 0.05
-"""Least thickness of the touched places, of their length: across it nothing would be known."""
+"""Least thickness of the touched places, as a share of their length: a thinner set says nothing across."""
 
 
 @dataclass(frozen=True, slots=True)
 class MapTrial:
-    """How well a degree does; 0: the registration alone. held_out_mm : rms over points that were left out."""
+    """Quality of one degree; 0: the registration alone. held_out_mm : rms over points that were left out."""
 
     degree: int
     held_out_mm: float
@@ -49,7 +50,7 @@ class MapTrial:
 
 
 class ErrorMap:
-    """A map that is ready to be asked. Raises `CalibrationError` for points that determine none."""
+    """Fitted map of the robot's error. Raises `CalibrationError` for points that do not determine one."""
 
     def __init__(self, made: RobotMap) -> None:
         places = np.asarray(made.expected_mm, np.float64)
@@ -71,7 +72,7 @@ class ErrorMap:
         kept = 1.0 - np.sum(orthogonal**2, axis=1)
         self.held_out_mm = np.asarray(np.linalg.norm(left, axis=1) / kept)
         freedom = 3 * (len(places) - rows.shape[1])
-        # what is left of a point is less by what it drew the map to itself; few points: Student's t
+        # a point's residual is too small by its own pull on the fit (leverage); few points: Student's t
         variance = float(np.mean(np.sum(left**2, axis=1) / kept)) / 3.0
         self.noise_mm = math.sqrt(variance * freedom / (freedom - 2))
         self.trial = MapTrial(
@@ -79,7 +80,7 @@ class ErrorMap:
         )
 
     def at(self, place_mm: FloatArray) -> RobotShift | None:
-        """The shift at a place (3,) by the registration; None beyond the touched ones."""
+        """Shift at a place (3,) that the registration gives; None outside of the touched region."""
         if not bool(np.all(self._normals @ place_mm <= self._reach)):
             return None
         row = self._rows(place_mm[None])[0]
@@ -87,7 +88,7 @@ class ErrorMap:
 
     @cached_property
     def figures(self) -> MapFigures:
-        """How it does."""
+        """Quality figures of the map."""
         places = self._made.expected_mm
         alone = register_points(places, self._made.shown_mm).held_out_mm
         return MapFigures(
@@ -101,7 +102,7 @@ class ErrorMap:
         )
 
     def _rows(self, places: FloatArray) -> FloatArray:
-        """(N, M) products of coordinates up to the degree."""
+        """Polynomial terms (N, M): products of normalised coordinates up to the degree."""
         own = (places - self._middle) / self._scale
         columns = [np.ones(len(own))]
         for degree in range(1, self._degree + 1):
@@ -110,18 +111,18 @@ class ErrorMap:
         return np.column_stack(columns)
 
 
-@lru_cache(maxsize=4)  # by identity: a map is asked for each part
+@lru_cache(maxsize=4)  # by identity: a map is evaluated for each part
 def error_map(made: RobotMap) -> ErrorMap:
-    """The map, ready to be asked. Raises `CalibrationError`."""
+    """Fit the map, or return the cached one. Raises `CalibrationError`."""
     return ErrorMap(made)
 
 
 def map_of(
     expected_mm: FloatArray, shown_mm: FloatArray, alone_mm: FloatArray
 ) -> tuple[RobotMap | None, tuple[MapTrial, ...]]:
-    """The map that earns its place, if one does, and how each degree did, the registration alone first.
+    """Best map, None if none improves on the registration alone, and all trials, the one without a map first.
 
-    alone_mm (N,) : how far points are from the registration of all others. Raises `CalibrationError`.
+    alone_mm (N,) : distance of each point from the registration by all others. Raises `CalibrationError`.
     """
     count = len(expected_mm)
     if not LEAST_POINTS <= count <= MOST_POINTS:
@@ -146,16 +147,16 @@ def _rms(lengths_mm: FloatArray) -> float:
 
 
 def _bic(squares: float, numbers: int, parameters: int) -> float:
-    # exact points leave nothing; a nanometre keeps the logarithm
+    # exact points leave no residual; a nanometre keeps the logarithm finite
     return numbers * math.log(squares / numbers + 1e-12) + parameters * math.log(numbers)
 
 
 def hull_of(places: FloatArray) -> I64:
-    """Triangles around all places (N, 3), as of `RobotMap`. Raises `Undetermined` for places in one plane.
+    """Triangles of the convex hull of places (N, 3), as in `RobotMap`. Raises `Undetermined` if coplanar.
 
-    Place by place: the triangles that see it give way to others, from their rim to it. Places are shaken by a
-    millionth of their length, so that no four lie in one plane (C. B. Barber et al., "The Quickhull Algorithm
-    for Convex Hulls", 1996: joggled input).
+    Incremental: for each new place, the triangles that face it are replaced by ones from their rim to it.
+    Places are jittered by a millionth of their length, so that no four lie in one plane (C. B. Barber et al.,
+    "The Quickhull Algorithm for Convex Hulls", 1996: joggled input).
     """
     shaken = places + SHAKEN * _length(places) * np.random.default_rng(0).uniform(-1, 1, places.shape)
     first, second, third = 0, 1, 2
@@ -174,7 +175,7 @@ def hull_of(places: FloatArray) -> I64:
 
 
 def _length(places: FloatArray) -> float:
-    """The diagonal of the places. Raises `Undetermined` where they lie in one plane."""
+    """Diagonal of the bounding box of the places. Raises `Undetermined` if they lie in one plane."""
     length = float(np.linalg.norm(np.ptp(places, axis=0)))
     spread = np.linalg.svd(places - places.mean(axis=0), compute_uv=False)
     if spread[2] < FLAT * spread[0] or not length:
@@ -187,16 +188,16 @@ def _edges(corners: tuple[int, ...]) -> Iterator[tuple[int, int]]:
 
 
 def _normals(places: FloatArray, hull: I64) -> tuple[FloatArray, FloatArray]:
-    """Normals (F, 3) of triangles, outwards, twice as long as each is large, and a corner of each."""
+    """Outward normals (F, 3) of triangles, with length twice the area, and one corner of each."""
     first, second, third = places[hull].transpose(1, 0, 2)
     return np.cross(second - first, third - first), first
 
 
 def _planes(places: FloatArray, hull: I64) -> tuple[FloatArray, FloatArray]:
-    """Planes of a hull, grown by `GROWN`: normals (F, 3) outwards, and how far along them; mm.
+    """Planes of a hull, enlarged by `GROWN`: outward normals (F, 3), and distances along them in mm.
 
-    Each plane touches the places from outside; that they enclose them all around is asked for: each side of a
-    triangle once in either sense, and no triangle within. Raises `Undetermined`.
+    Each plane touches the places from outside. The hull must be closed: each edge occurs once in either
+    direction, and no triangle lies inside. Raises `Undetermined`.
     """
     length = _length(places)
     edges = [edge for corners in hull.tolist() for edge in _edges(tuple(corners))]

@@ -1,18 +1,18 @@
-"""Offsets from a golden part: what is kept of it, whether it still holds, and how sure an offset is.
+"""Offsets from a golden part: its stored data, whether it still applies, and the covariance of an offset.
 
 With X = robot_from_rig, A = rig_from_part, T = X A, and g for golden, the offset is D = T T_g^-1. Errors are
 twists (v, w) on the left, about the frame's origin: T becomes exp(z) T. Then
 
     D becomes exp(z) D exp(-z_g), so its own twist is d = z - Ad(D) z_g, to first order.
 
-A pose has three errors. The registration's is one twist r at the rig, X exp(r), the same in both poses, also
-of a rig that the robot carries: z = Ad(X) r. The calibration's is one vector p of the rig's parameters, which
-moves the part by J p. What the exposure alone adds is e, its own in each:
+A pose has three errors. That of the registration is a twist r at the rig, X exp(r), the same in both poses,
+also for a rig that the robot carries: z = Ad(X) r. That of the calibration is a vector p of the rig's
+parameters, which moves the part by J p. That of the exposure is e, independent in each:
 
     d = (Ad(X) - Ad(D) Ad(X_g)) r + (Ad(X) J - Ad(D) Ad(X_g) J_g) p + Ad(X) e - Ad(D) Ad(X_g) e_g
 
-A map of the robot's error shifts both places, T becomes S T, and adds its own noise m, a shift of the robot's
-frame: m - D m_g, of which what the map alone has wrong is common to both, and what it does not tell is not.
+A map of the robot's error shifts both places, T becomes S T, and adds its own noise m, a shift in the robot's
+frame: m - D m_g. The error of the map's coefficients is common to both; the residual noise is independent.
 
 Where X = X_g, the first bracket is (1 - Ad(D)) Ad(X): of first order in the displacement, 0 for a part that
 lies where the golden one did; the second likewise. In the golden part's own frame, T_g^-1 T, the twist is
@@ -44,11 +44,11 @@ from edged.vision.part.points import points_of
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GoldenPart:
-    """The golden part of one job, or why it gives no offset.
+    """The golden part of one job, or the reason why it gives no offset.
 
-    golden : None unless `GoldenState.HELD`. rig : by which both are measured. moved (6, P) : by which its
-    parameters move the golden part. shift : by the map of the robot's error; None without one.
-    why : for people.
+    golden : None unless `GoldenState.HELD`. rig : the one that measures both parts. moved (6, P) : motion of
+    the golden part by each parameter of the rig. shift : of the golden part by the map of the robot's error;
+    None without one. why : text for people.
     """
 
     state: GoldenState
@@ -60,13 +60,13 @@ class GoldenPart:
 
     @property
     def exposed_ns(self) -> int:
-        """When the golden part was exposed; 0 unless it holds."""
+        """Time at which the golden part was exposed; 0 unless it applies."""
         return 0 if self.golden is None else self.golden.exposed_ns
 
     def applied(
         self, outcome: Outcome, robot_from_rig: FloatArray | None, registration: FloatArray | None
     ) -> Outcome:
-        """The outcome with the offset of each good target. About 1 ms for each."""
+        """Add the offset of each good target to the outcome. Takes about 1 ms per target."""
         golden, rig, moved = self.golden, self.rig, self.moved
         if golden is None or rig is None or moved is None or robot_from_rig is None:
             return outcome
@@ -84,7 +84,7 @@ class GoldenPart:
 
 
 def golden_target(snapshot: Snapshot) -> Target | str:
-    """The one part of a snapshot that may become the golden one, or why there is none."""
+    """The only good part of a snapshot, to become the golden one, or text that says why there is none."""
     good = [target for target in snapshot.targets if target.reject is Reject.NONE]
     if snapshot.status is not Status.OK or not good:
         return f"no good part: {snapshot.status}"
@@ -98,16 +98,16 @@ def golden_target(snapshot: Snapshot) -> Target | str:
 
 
 def _is_finite(target: Target) -> bool:
-    """Whether all that an offset is made of is; no such result gets this far, and none may end the daemon."""
+    """Whether all inputs of an offset are finite; others should not get here, but must not end the daemon."""
     own, points_mm = own_and_points(target)
     numbers = (target.rig_from_part, target.covariance, own, points_mm)
     return all(bool(np.isfinite(array).all()) for array in numbers)
 
 
 def golden_of(snapshot: Snapshot, target: Target, job: Job, rig: StereoRig) -> Golden:
-    """What is kept of a target in the robot's frame."""
+    """Data of a target to store as golden part. Only for a target that `golden_target` returned."""
     robot = snapshot.robot_from_rig
-    assert robot is not None  # `golden_target` was asked
+    assert robot is not None  # checked by `golden_target`
     own, points_mm = own_and_points(target)
     return Golden(
         number=job.number,
@@ -126,7 +126,7 @@ def golden_of(snapshot: Snapshot, target: Target, job: Job, rig: StereoRig) -> G
 
 
 def golden_part(golden: Golden, job: Job, rig: StereoRig) -> GoldenPart:
-    """The golden part of a job, if the job and the rig are still those that it was kept with."""
+    """Golden part of a job; it gives offsets only if job and rig are unchanged since it was stored."""
     if golden.calibration_id != rig.calibration_id:
         why = f"kept with the calibration {golden.calibration_id}, the rig has {rig.calibration_id}"
         return GoldenPart(GoldenState.OTHER_CALIBRATION, why=why)
@@ -140,20 +140,20 @@ def golden_part(golden: Golden, job: Job, rig: StereoRig) -> GoldenPart:
 
 
 def held(golden: Golden, rig: StereoRig) -> GoldenPart:
-    """A golden part that holds."""
+    """Golden part that applies to this rig."""
     shift = frame_of(rig).shift(golden.rig_from_part[:3, 3])
     return GoldenPart(GoldenState.HELD, golden, rig, motion_by_parameters(rig, golden), shift)
 
 
 def registration_digest(rig: StereoRig) -> str:
-    """Digest (16 hex digits) of how a rig stands to the robot; its covariance moves nothing."""
+    """Digest (16 hex digits) of a rig's registration to the robot, without its covariance."""
     made = rig.robot_map
     mapped = () if made is None else (made.expected_mm, made.shown_mm, np.array(float(made.degree)))
     return _digest((rig.robot_from_rig, rig.flange_from_rig, *mapped))
 
 
 def part_digest(job: Job) -> str:
-    """Digest (16 hex digits) of what fixes the frame of a job's poses: neither its name nor its limits."""
+    """Digest (16 hex digits) of the data that fix the frame of a job's poses: neither name nor limits."""
     features = [np.array([*circle.centre_mm, circle.radius_mm]) for circle in job.circles]
     features += [np.concatenate([edge.start_mm, edge.end_mm]) for edge in job.edges]
     features += [np.array([*slot.centre_mm, slot.angle_rad, slot.length_mm]) for slot in job.slots]
@@ -177,11 +177,11 @@ def offset_of(
     was_moved: FloatArray,
     was_shifted: RobotShift | None = None,
 ) -> Offset:
-    """How a target lies against the golden part; see the top for its covariance.
+    """Offset of a target from the golden part; its covariance is derived in the module docstring.
 
-    registration (6, 6) : as for `robot_covariance`; None: taken as exact. was_moved (6, P) : by the rig's
-    parameters, the golden part; was_shifted : that one, by the map of the robot's error. Of a part that looks
-    the same from all sides the turn about its axis is the one that turns the robot's path least, and counts
+    registration (6, 6) : as for `robot_covariance`; None: taken as exact. was_moved (6, P) : motion of the
+    golden part by the rig's parameters; was_shifted : its shift by the map of the robot's error. For a part
+    with rotational symmetry, the turn about its axis is the one that turns the robot's path least, and counts
     as exact.
     """
     own, points_mm = own_and_points(target)
@@ -228,9 +228,9 @@ def _spread_by_map(
     registration: FloatArray | None,
     shifts: tuple[RobotShift, RobotShift],
 ) -> FloatArray:
-    """Covariance (6, 6) of back z - forth z_g by the map of the robot's error and its registration.
+    """Covariance (6, 6) of back z - forth z_g due to the map of the robot's error and its registration.
 
-    The map tells both places, so that the registration only turns the parts about them.
+    The map determines both places, so the registration's error only turns the parts about them.
     """
     now, then = shifts
     back_shift, forth_shift = back[:, :3], forth[:, :3]
@@ -245,17 +245,17 @@ def _spread_by_map(
 
 
 def motion_by_parameters(rig: StereoRig, golden: Golden) -> FloatArray:
-    """(6, P): the twist, about the rig's origin, by which each of its parameters moves a golden part."""
+    """(6, P): twist, about the rig's origin, by which each parameter of the rig moves a golden part."""
     motion = motion_of_points(rig, golden.points_mm)
     return _without_turn_of(golden.free_axis, golden.rig_from_part, motion)
 
 
 def own_and_points(target: Target) -> tuple[FloatArray, FloatArray]:
-    """Covariance of what another exposure does not share, and points for what it shares.
+    """Covariance of the errors of this exposure alone, and points for those that it shares with others.
 
-    The doubt is drawn from this exposure's own rows and sizes, and reference marks were seen anew. Where the
-    part of the edges is not known, all of the covariance counts as the exposure's own: too much, never too
-    little.
+    The doubt is drawn from this exposure's own rows and sizes, and reference marks are seen anew in each.
+    Where the edges' share is not known, the whole covariance counts as the exposure's own: too much, never
+    too little.
     """
     points_mm = points_of(target)
     if target.by_edges is None or len(points_mm) < 3:
@@ -265,9 +265,9 @@ def own_and_points(target: Target) -> tuple[FloatArray, FloatArray]:
 
 
 def motion_of_points(rig: StereoRig, points_mm: FloatArray) -> FloatArray:
-    """(6, P): the twist, about the rig's origin, by which each of the rig's parameters moves a part.
+    """(6, P): twist, about the rig's origin, by which each of the rig's parameters moves a part.
 
-    That of the rigid motion nearest to how its points move; 0 without points.
+    It is the least-squares rigid motion of the part's points; 0 without points.
     """
     if not len(points_mm):
         return np.zeros((6, len(rig.parameter_names)))
@@ -279,7 +279,7 @@ def motion_of_points(rig: StereoRig, points_mm: FloatArray) -> FloatArray:
 
 
 def _least_turned(target: Target, golden: Golden, robot_from_rig: FloatArray) -> FloatArray:
-    """rig_from_part, of a part with a free axis turned about it so that the offset turns least.
+    """rig_from_part, turned about the free axis of a part that has one so that the offset turns least.
 
     With Q = R_g^T R, of the part in the robot's frame, the trace of Q Rot(a, t) is
     (tr Q - a Q a) cos t + tr(Q [a]x) sin t + a Q a; the angle of a rotation is least where it is largest.
@@ -294,13 +294,13 @@ def _least_turned(target: Target, golden: Golden, robot_from_rig: FloatArray) ->
 
 
 def _without_turn(covariance: FloatArray, axis: FloatArray | None) -> FloatArray:
-    """The covariance (6, 6) of a pose without what turns it about an axis through its origin."""
+    """Covariance (6, 6) of a pose without its rotation about an axis through the pose's origin."""
     kept = _no_turn(axis)
     return np.asarray(kept @ covariance @ kept.T)
 
 
 def _without_turn_of(axis: FloatArray | None, pose: FloatArray, motion: FloatArray) -> FloatArray:
-    """Motions (6, P), about the rig's origin, without what turns the pose about an axis through its own."""
+    """Motions (6, P), about the rig's origin, without rotation about an axis through the pose's origin."""
     to_pose = transform(np.eye(3), -pose[:3, 3])
     return np.asarray(adjoint(invert(to_pose)) @ _no_turn(axis) @ adjoint(to_pose) @ motion)
 
@@ -313,12 +313,12 @@ def _no_turn(axis: FloatArray | None) -> FloatArray:
 
 
 def _about_origin(covariance: FloatArray, pose: FloatArray) -> FloatArray:
-    """(6, 6) of a twist about the frame's origin, from that of (place, rotation) of a pose in it."""
+    """Covariance (6, 6) of a twist about the frame's origin, from that of (place, rotation) of a pose."""
     return _at(-pose[:3, 3], covariance)
 
 
 def _at(point_mm: FloatArray, covariance: FloatArray) -> FloatArray:
-    """(6, 6) of (motion of a point, rotation), from that of a twist about the origin: v + w x point."""
+    """Covariance (6, 6) of (motion of a point, rotation), from a twist's about the origin: v + w x point."""
     jacobian = np.eye(6)
     jacobian[:3, 3:] = -skew(point_mm)
     return np.asarray(jacobian @ covariance @ jacobian.T)

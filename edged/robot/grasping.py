@@ -1,7 +1,7 @@
-"""Where a tool takes a located part: pure functions of its pose and the taught grasps.
+"""Grasp poses for a located part: pure functions of its pose and the taught grasps.
 
-A symmetric part may be taken in several ways; of the allowed ones, the tool gets the one nearest to how it
-stands now, or, where that is not known, to its taught orientation.
+A symmetric part may be taken in several ways; of the allowed ones, the tool gets the one nearest to its
+current orientation, or to the taught one where the current is not known.
 """
 
 from __future__ import annotations
@@ -20,11 +20,11 @@ from edged.robot.orientations import about
 from edged.vision.geometry.rigid import invert, rotation_vector, skew, transform
 
 MAX_WAYS = 8
-"""Ways to take one part that are kept: who cannot reach so many gives up the part."""
+"""Maximum number of ways kept to take one part: a robot that can reach none of them gives up the part."""
 TURNS_OF_ANY = 8
-"""Turns that are tried of a part that may be taken after any: half of the least one frees a finger of 45°."""
+"""Number of turns tried for a part that may be taken at any angle: half a step clears a finger of 45°."""
 ALONG_Z = 0.999
-"""Least cosine between a part's axis of symmetry and its z for the two to be taken as one."""
+"""Least cosine between a part's axis of symmetry and its z for the two to count as the same."""
 
 
 def allowed_grasps(
@@ -35,7 +35,7 @@ def allowed_grasps(
 ) -> tuple[GraspPose, ...]:
     """The first `MAX_WAYS` allowed alternatives of the grasps, in the order of the job.
 
-    rig_from_tip (4, 4) : how the tool stands now; None: not known.
+    rig_from_tip (4, 4) : current pose of the tool's tip; None: not known.
     """
     if not (np.isfinite(target.rig_from_part).all() and np.isfinite(target.covariance).all()):
         return ()
@@ -50,7 +50,7 @@ def allowed_grasps(
 def alternatives(
     target: Target, grasp: Grasp, number: int, rig_from_tip: FloatArray | None = None
 ) -> Iterator[GraspPose]:
-    """Every way to take the part by this grasp, the least turn of the tool first: from how it stands now."""
+    """All ways to take the part by this grasp, those that turn the tool least from its current pose first."""
     before = grasp.rig_from_tcp if rig_from_tip is None else rig_from_tip
     is_any = grasp.symmetry == 0 or _looks_the_same(target)
     first_rad = _least_turn_rad(target.rig_from_part, grasp, before) if is_any else 0.0
@@ -71,9 +71,9 @@ def alternatives(
 
 
 def lever_covariance(target: Target, rig_from_tcp: FloatArray, *, is_any: bool) -> FloatArray:
-    """(6, 6) of the tool's pose: a rotation w of the part moves a point r away from its origin by w x r.
+    """Covariance (6, 6) of the tool's pose: a rotation w of the part moves a point at r by w x r.
 
-    is_any : the part may be taken in any rotation about its z, so that an error about it moves nothing.
+    is_any : the part may be taken in any rotation about its z, so that an error about z moves nothing.
     """
     arm = rig_from_tcp[:3, 3] - target.rig_from_part[:3, 3]
     jacobian = np.eye(6)
@@ -85,7 +85,7 @@ def lever_covariance(target: Target, rig_from_tcp: FloatArray, *, is_any: bool) 
 
 
 def held(target: Target, grasp: GraspPose) -> Target:
-    """The target with the tool's tip in place of its own pose."""
+    """Target with the pose of the tool's tip in place of its own."""
     return replace(
         target,
         rig_from_part=grasp.rig_from_tcp,
@@ -95,17 +95,17 @@ def held(target: Target, grasp: GraspPose) -> Target:
 
 
 def placing(robot_offset: FloatArray, robot_from_tool: FloatArray) -> FloatArray:
-    """By what (4, 4) to multiply a taught place from the right, for a part that the gripper holds askew.
+    """Matrix (4, 4) to multiply a taught place by from the right, for a part that the gripper holds askew.
 
     robot_offset : robot_now robot_golden^-1 of the part, both seen with the tool at robot_from_tool. The part
-    lies at tool_from_now, and lay at tool_from_golden: the tool goes to
+    is at tool_from_now in the tool, the golden one was at tool_from_golden: the tool must go to
     place tool_from_golden tool_from_now^-1.
     """
     return np.asarray(invert(robot_from_tool) @ invert(robot_offset) @ robot_from_tool)
 
 
 def _looks_the_same(target: Target) -> bool:
-    """Whether the part's rotation about its z is not known, as of a disc."""
+    """Whether the part's rotation about its z is undetermined, as for a disc."""
     axis = target.free_axis
     return axis is not None and abs(float(axis @ target.rig_from_part[:3, 2])) > ALONG_Z
 
@@ -120,7 +120,7 @@ def _turned_rad(rig_from_tcp: FloatArray, before: FloatArray) -> float:
 
 
 def _least_turn_rad(rig_from_part: FloatArray, grasp: Grasp, before: FloatArray) -> float:
-    """The turn about the part's z that brings the tool nearest to an orientation.
+    """Turn about the part's z that brings the tool nearest to the orientation `before`.
 
     The angle of a rotation is least where its trace is largest; with M = part_from_tcp before^T rig_from_part
     the trace of M Rz(t) is (M00 + M11) cos t + (M01 - M10) sin t + M22.

@@ -1,6 +1,6 @@
-"""The body of a tool against zones and other parts: pure functions of boxes that may lie askew.
+"""Collision tests of a tool's body with zones and other parts: pure functions of oriented boxes.
 
-Of another part only what was measured is known: its body is the box around that, in its own frame.
+For another part only the measured features are known: its body is the box around them, in its own frame.
 """
 
 from __future__ import annotations
@@ -23,37 +23,37 @@ PARALLEL = 1e-9
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Solid:
-    """A box anywhere. centre_mm (3,); axes (3, 3) : unit, in columns; half_mm (3,) : along each of them."""
+    """Oriented box. centre_mm (3,); axes (3, 3) : unit, in columns; half_mm (3,) : half-size along each."""
 
     centre_mm: FloatArray
     axes: FloatArray
     half_mm: FloatArray
 
     def moved(self, pose: FloatArray) -> Solid:
-        """Move the box by pose (4, 4)."""
+        """Return the box moved by pose (4, 4)."""
         return Solid(pose[:3, :3] @ self.centre_mm + pose[:3, 3], pose[:3, :3] @ self.axes, self.half_mm)
 
 
 def solid_of(box: Box) -> Solid:
-    """The box along the axes of its frame."""
+    """Convert a box along the axes of its frame to a `Solid`."""
     low, high = np.array(box.min_mm), np.array(box.max_mm)
     return Solid((low + high) / 2, np.eye(3), (high - low) / 2)
 
 
 def flange_from_tip(gripper: Gripper) -> FloatArray:
-    """(4, 4) of the tool's tip."""
+    """Pose (4, 4) of the tool's tip on the flange."""
     return transform(matrix_fixed_xyz(*gripper.tip_rad), np.array(gripper.tip_mm))
 
 
 def swept(gripper: Gripper, along_mm: float) -> Iterator[Solid]:
-    """Boxes of the body, in the tip's frame, drawn out over the straight way along -z."""
+    """Boxes of the body in the tip's frame, extended along -z over the straight approach and retreat."""
     for box in gripper.boxes:
         x_mm, y_mm, z_mm = box.min_mm
         yield solid_of(Box(box.name, (x_mm, y_mm, z_mm - along_mm), box.max_mm))
 
 
 def any_meet(some: Iterable[Solid], others: Sequence[Solid]) -> bool:
-    """Whether one of these boxes has a point in common with one of those: no axis separates them.
+    """Whether any of the first boxes intersects any of the others: no axis separates them.
 
     Source: S. Gottschalk, M. C. Lin, D. Manocha, "OBBTree", SIGGRAPH 1996, section 5 (15 axes).
     """
@@ -76,7 +76,7 @@ def any_meet(some: Iterable[Solid], others: Sequence[Solid]) -> bool:
 
 
 def _reach(axes: FloatArray, own: FloatArray, half_mm: FloatArray) -> FloatArray:
-    """Half of the shadow of each box on each axis."""
+    """Half the extent of each box, projected on each axis."""
     return np.asarray(
         np.einsum(
             "mnak,mnk->mna",
@@ -87,7 +87,7 @@ def _reach(axes: FloatArray, own: FloatArray, half_mm: FloatArray) -> FloatArray
 
 
 def body_of(target: Target) -> Solid | None:
-    """The box around what was measured of a part, rig frame; None where nothing is known."""
+    """Box around the measured features of a part, rig frame; None if there are none."""
     pose = target.rig_from_part
     points = [point for point in _outermost(target) if np.isfinite(point).all()]
     if not points or not np.isfinite(pose).all():
@@ -110,14 +110,14 @@ def _outermost(target: Target) -> Iterator[FloatArray]:
 
 
 def _around_circle(circle: Circle3D, rig_from_part: FloatArray) -> Iterator[FloatArray]:
-    """Its ends along the part's axes."""
+    """Ends of the circle's diameters along the part's x and y."""
     for axis in rig_from_part[:3, :2].T:
         yield circle.centre_mm + circle.radius_mm * axis
         yield circle.centre_mm - circle.radius_mm * axis
 
 
 def _around_slot(slot: Slot3D, rig_from_part: FloatArray) -> Iterator[FloatArray]:
-    """Corners of the rectangle around it."""
+    """Corners of the rectangle around the slot."""
     across = np.cross(rig_from_part[:3, 2], slot.direction)
     for along, aside in itertools.product((-0.5, 0.5), repeat=2):
         yield slot.centre_mm + along * slot.length_mm * slot.direction + aside * slot.width_mm * across

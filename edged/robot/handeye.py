@@ -1,4 +1,4 @@
-"""Where the rig stands to the robot: from touched points, or from robot poses with views of a board.
+"""Hand-eye calibration: the rig's place relative to the robot, from robot poses with views of a board.
 
 Transforms are rigid (4, 4), lengths mm, rotations rad. "Flange" is the frame whose pose the robot reports.
 """
@@ -30,12 +30,12 @@ MIN_TURN_RAD = np.radians(5.0)
 MIN_AXES_SPREAD = 0.05
 """Least spread of the rotation axes: second singular value over the first; below it they are parallel."""
 OUTLIER = 6.0
-"""Outlier limit in median residuals: a mistyped pose, or a board that was moved."""
+"""Outlier limit in units of the median residual: a mistyped pose, or a board that was moved."""
 MIN_KEPT = 0.6
-"""Least share of poses in agreement; below it no outlier can be identified, and all poses are kept."""
+"""Least share of poses that agree; below it no outlier can be identified, and all poses are kept."""
 REWEIGHTED = 12
 LEAST_KEPT = 1e-3
-"""Least share of a pose's error that its residuals count as having kept: below it the pose alone decides."""
+"""Lower bound of the share of a pose's error left in its residuals: below it the pose alone decides."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -44,10 +44,10 @@ class HandEye:
 
     rig : robot_from_rig (eye-to-hand) or flange_from_rig (eye-in-hand).
     board : flange_from_board (eye-to-hand) or robot_from_board (eye-in-hand).
-    covariance (6, 6) : of a small motion (shift mm, rotation rad) that follows `rig`, from the scatter
+    covariance (6, 6) : of a small motion (shift mm, rotation rad) applied after `rig`, from the scatter
     of the poses.
     used (N,) bool : poses that were not rejected as outliers.
-    held_out_mm, held_out_rad (N,) : how far each pose is off for a fit of all others; NaN for a lost one.
+    held_out_mm, held_out_rad (N,) : error of each pose by a fit of all others; NaN if these are too few.
     """
 
     mount: Mount
@@ -71,10 +71,10 @@ def hand_eye(
     """Solve A Y = X B over poses: robot_from_flange flange_from_board = robot_from_rig rig_from_board.
 
     For eye-in-hand A is flange_from_robot, and X is flange_from_rig. board_mm (M, 3) : marks over which the
-    mismatch is counted, so that angles weigh by what they move. hold_out : also without each pose in turn.
-    Start: F. Park and B. Martin, "Robot sensor calibration: solving AX = XB on the Euclidean group", 1994,
-    doi:10.1109/70.326576; then one least squares over both unknowns without outliers.
-    Raises `CalibrationError` for too few poses and for motions that leave something open.
+    residuals are taken, so that angles are weighted by what they move. hold_out : also fit without each pose
+    in turn. Start: F. Park and B. Martin, "Robot sensor calibration: solving AX = XB on the Euclidean group",
+    1994, doi:10.1109/70.326576; then least squares over both unknowns at once, without outliers.
+    Raises `CalibrationError` for too few poses and for motions that do not determine the result.
     """
     A = np.array(robot_from_flange, np.float64)
     B = np.array(rig_from_board, np.float64)
@@ -115,7 +115,7 @@ class FlangeTurns:
 
 
 def turns_of(poses: Sequence[FloatArray]) -> FlangeTurns:
-    """Rotations between poses (4, 4), two or more."""
+    """Rotations of two or more poses (4, 4) since the first."""
     vectors = np.array([rotation_vector(poses[0][:3, :3].T @ pose[:3, :3]) for pose in poses[1:]])
     angles = np.linalg.norm(vectors, axis=1)
     turned = vectors[angles > 0.3 * MIN_TURN_RAD]
@@ -126,7 +126,7 @@ def turns_of(poses: Sequence[FloatArray]) -> FlangeTurns:
 
 
 def _check_motion(A: FloatArray) -> None:
-    """Rotations about two different axes are needed; a shift alone says nothing about the board's place."""
+    """Raise `Undetermined` unless it turned about two axes; a shift alone leaves the board's place open."""
     turns = turns_of(list(A))
     if turns.largest_rad < MIN_TURN_RAD:
         raise Undetermined(
@@ -160,7 +160,7 @@ def _start(A: FloatArray, B: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def _hull(points: FloatArray) -> FloatArray:
-    """Indices of the marks farthest out in eight directions: they carry all that a flat board can say."""
+    """Indices of the marks farthest out in eight directions: they hold all information of a flat board."""
     directions = np.array([[np.cos(t), np.sin(t), 0.0] for t in np.arange(8) * np.pi / 4])
     return np.unique(np.argmax(points @ directions.T, axis=0))
 
@@ -168,7 +168,7 @@ def _hull(points: FloatArray) -> FloatArray:
 def _mismatch(
     A: FloatArray, B: FloatArray, X: FloatArray, Y: FloatArray, marks: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Residuals (N, M, 3) A Y m - X B m, and their Jacobian (N, M, 3, 12) by small motions after X and Y."""
+    """Residuals (N, M, 3) A Y m - X B m, and their Jacobian (N, M, 3, 12) for small motions after X and Y."""
     on_flange, seen = apply(Y, marks), np.stack([apply(pose, marks) for pose in B])
     expected = np.stack([apply(pose, on_flange) for pose in A])
     measured = apply(X, seen)
@@ -189,7 +189,7 @@ def _refine(
     weights: FloatArray | None = None,
     steps: int = 15,
 ) -> tuple[FloatArray, FloatArray]:
-    """Gauss-Newton over both; weights (N,) : of the poses."""
+    """Refine X and Y by Gauss-Newton; weights (N,) : of the poses."""
     root = np.sqrt(np.ones(len(A)) if weights is None else weights)[:, None, None]
     for _ in range(steps):
         residuals, jacobian = _mismatch(A, B, X, Y, marks)
@@ -218,7 +218,7 @@ def _without_outliers(
 
 
 def _nudged(pose: FloatArray, step: FloatArray) -> FloatArray:
-    """exp(step) on the left: translation, then rotation about the frame's origin."""
+    """Apply a small step on the left. step (6,) : shift, then rotation vector about the frame's origin."""
     turn = rotation_matrix(step[3:])
     return transform(nearest_rotation(turn @ pose[:3, :3]), turn @ pose[:3, 3] + step[:3])
 
@@ -229,10 +229,11 @@ def _errors_mm(A: FloatArray, B: FloatArray, X: FloatArray, Y: FloatArray, marks
 
 
 def _covariance(A: FloatArray, B: FloatArray, X: FloatArray, Y: FloatArray, marks: FloatArray) -> FloatArray:
-    """From the scatter between poses: the marks of one pose share its error (cluster-robust sandwich).
+    """Covariance (6, 6) of X from the scatter between poses (cluster-robust sandwich).
 
-    Each pose pulls the fit towards itself, the more the fewer there are: its residuals are grown by as much,
-    or sigma is too small, by a factor of 2 for six poses.
+    The marks of one pose share its error. Each pose pulls the fit towards itself, the more so the fewer there
+    are: its residuals are enlarged to make up for it, or sigma would be too small, by a factor of 2 for six
+    poses.
     Source: R. Bell and D. McCaffrey, "Bias reduction in standard errors for linear regression with
     multi-stage samples", Survey Methodology 28, 2002.
     """

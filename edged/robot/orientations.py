@@ -29,7 +29,7 @@ SINGULAR = 1e-9
 
 
 class Convention(enum.IntEnum):
-    """Meaning of A, B, C; the value of a register."""
+    """Meaning of A, B, C; value of a register."""
 
     FIXED_XYZ = 1
     """FANUC W, P, R; Yaskawa Rx, Ry, Rz: about fixed X, then Y, then Z."""
@@ -59,7 +59,7 @@ def fixed_xyz(R: FloatArray) -> tuple[float, float, float]:
 def zyx(R: FloatArray) -> tuple[float, float, float]:
     """(A, B, C) of KUKA: about z, then the new y, then the new x: R = Rz(A) Ry(B) Rx(C).
 
-    Also what ABB's `OrientZYX(A, B, C)` takes. In the singular position A is 0.
+    ABB's `OrientZYX(A, B, C)` takes the same angles. In the singular position A is 0.
     """
     roll, pitch, yaw = fixed_xyz(R)
     return yaw, pitch, roll
@@ -107,14 +107,14 @@ ANGLES_DEG: dict[Convention, Callable[[FloatArray], tuple[float, float, float]]]
     Convention.KAWASAKI_OAT: oat,
     Convention.ABB_ZYX: zyx,
 }
-"""A, B, C in degrees of each convention."""
+"""Functions that give A, B, C in degrees, by convention."""
 
 
 def sigma_angles_deg(R: FloatArray, covariance: FloatArray, convention: Convention) -> FloatArray:
     """(3,) one sigma of A, B, C in degrees.
 
     covariance (3, 3) : of a small rotation vector in rad applied on the left of R. Near a singular
-    position the sigmas grow without bound: that is the truth about those angles.
+    position the sigmas grow without bound, as those angles are then undetermined.
     """
     angles = ANGLES_DEG[convention]
     step_rad = 1e-6  # central difference: error ~ step² = 1e-12, rounding ~ 1e-16 / step = 1e-10
@@ -170,7 +170,7 @@ POSE_FIELDS: dict[Brand, str] = {
     Brand.DENSO: "X Y Z in mm, RX RY RZ in degrees",
     Brand.TECHMAN: "X Y Z in mm, Rx Ry Rz in degrees",
 }
-"""Numbers of a pose, for messages."""
+"""Description of the numbers of a pose, for messages."""
 
 
 def matrix_fixed_xyz(w_rad: float, p_rad: float, r_rad: float) -> FloatArray:
@@ -199,7 +199,7 @@ def matrix_rotation_vector(x_rad: float, y_rad: float, z_rad: float) -> FloatArr
 
 
 def matrix_quaternion(q1: float, q2: float, q3: float, q4: float) -> FloatArray:
-    """(3, 3) of ABB's `orient` and of other quaternions; scalar first, any length but 0."""
+    """(3, 3) from a quaternion, as ABB's `orient`; scalar first, any length but 0."""
     q = np.array([q1, q2, q3, q4]) / math.sqrt(q1 * q1 + q2 * q2 + q3 * q3 + q4 * q4)
     w, v = q[0], q[1:]
     K = skew(v)
@@ -207,7 +207,7 @@ def matrix_quaternion(q1: float, q2: float, q3: float, q4: float) -> FloatArray:
 
 
 def rotation_of(convention: Convention, a_deg: float, b_deg: float, c_deg: float) -> FloatArray:
-    """(3, 3) of A, B, C as the registers hold them: inverse of `ANGLES_DEG`."""
+    """(3, 3) from A, B, C as in the registers: inverse of `ANGLES_DEG`."""
     return _ROTATIONS[convention](math.radians(a_deg), math.radians(b_deg), math.radians(c_deg))
 
 
@@ -232,15 +232,15 @@ CONVENTIONS = {
     Brand.DENSO: Convention.FIXED_XYZ,
     Brand.TECHMAN: Convention.FIXED_XYZ,
 }
-"""Angles of the brands that write three."""
+"""Conventions of the brands that write three angles."""
 
 
 def transform_of(brand: Brand, numbers: tuple[float, ...]) -> FloatArray:
-    """robot_from_flange (4, 4) in mm of a pose as the controller shows it.
+    """robot_from_flange (4, 4) in mm from a pose as the controller shows it.
 
-    Raises ValueError that says what was expected: a wrong count, an impossible quaternion.
+    Raises ValueError that says what was expected: for a wrong count or an impossible quaternion.
 
-    A KUKA flange, 500 mm up, turned by 90° about z (its A); KUKA tells X, Y, Z, A, B, C.
+    A KUKA flange, 500 mm up, turned by 90° about z (its A); KUKA shows X, Y, Z, A, B, C.
 
     >>> transform_of(Brand.KUKA, (0.0, 0.0, 500.0, 90.0, 0.0, 0.0)).round(6).tolist()[1]
     [1.0, 0.0, 0.0, 0.0]
@@ -267,7 +267,7 @@ def _units(brand: Brand) -> tuple[float, float]:
 
 
 def pose_of(brand: Brand, robot_from_part: FloatArray) -> tuple[float, ...]:
-    """The numbers that the controller would show for a pose (4, 4) in mm: inverse of `transform_of`.
+    """Numbers that the controller would show for a pose (4, 4) in mm: inverse of `transform_of`.
 
     >>> pose_of(Brand.UR, transform_of(Brand.UR, (0.1, 0.2, 0.3, 0.0, 0.0, 1.5)))[2]
     0.3
@@ -297,7 +297,7 @@ READINGS: dict[str, tuple[int, Callable[..., FloatArray]]] = {
     "quaternion, scalar first (ABB)": (4, matrix_quaternion),
     "quaternion, scalar last (ROS)": (4, lambda x, y, z, w: matrix_quaternion(w, x, y, z)),
 }
-"""Every way to read the orientation of a pose that is met in practice: numbers it takes, and the reader."""
+"""Ways to read an orientation that are met in practice: how many numbers each takes, and its reader."""
 REGISTER_CONVENTIONS = {Brand.ABB: Convention.ABB_ZYX, **CONVENTIONS}
-"""What A, B, C of the registers are to be for a robot of a brand."""
+"""Convention of A, B, C in the registers that suits each brand."""
 LENGTH_UNITS_MM = {"mm": 1.0, "m": 1000.0, "inch": 25.4}

@@ -17,8 +17,8 @@ from edged.vision.geometry.rigid import transform
 class Pendant:
     """Format of a pose on a pendant. labels : of position and orientation, in order.
 
-    length : "mm" or "m". angle : "deg", "rad", or "" of a quaternion. shape : a pose in the maker's language,
-    with %s for each number.
+    length : "mm" or "m". angle : "deg", "rad", or "" for a quaternion. shape : template of a pose in the
+    maker's language, with %s for each number.
     """
 
     labels: tuple[str, ...]
@@ -32,13 +32,13 @@ class Pendant:
         return (self.length,) * 3 + (self.angle,) * (len(self.labels) - 3)
 
     def rounded(self, numbers: tuple[float, ...]) -> list[str]:
-        """The numbers as it shows them: 0.01 mm, 0.001°."""
+        """Numbers rounded as the pendant shows them: to 0.01 mm and 0.001°."""
         digits = {"mm": 2, "m": 5, "deg": 3, "rad": 5, "": 6}
         units = self.units[: len(numbers)]
         return [f"{number:.{digits[unit]}f}" for number, unit in zip(numbers, units, strict=True)]
 
     def text(self, numbers: tuple[float, ...]) -> str:
-        """A pose or position, to read or copy."""
+        """Format a pose or position, to read or copy."""
         shown = self.rounded(numbers)
         if self.shape and len(numbers) == len(self.labels):
             return self.shape % tuple(shown)
@@ -74,20 +74,20 @@ _LONGEST = 2000
 _SIGNED = r"(?<![A-Za-z0-9_.,])[-+]?"
 _TAIL = r"(?:[eE][-+]?[0-9]+)?"
 _END = r"(?![0-9_])"
-"""A number that goes on with an underscore is none, not what is before it."""
+"""A number followed by an underscore does not count; the digits here prevent matching a part of it."""
 _POINT = re.compile(rf"{_SIGNED}(?:[0-9]+\.?[0-9]*|\.[0-9]+){_TAIL}{_END}")
 _POINT_OR_COMMA = re.compile(rf"{_SIGNED}(?:[0-9]+(?:[.,][0-9]+)?|[.,][0-9]+){_TAIL}{_END}")
 _BEYOND = re.compile(r"\)\s*\(|[,\s]S\s*:?\s*[0-9]+\s*,?\s*T\b")
-"""Where configuration and turns begin: MELFA's second bracket, KUKA's S and T."""
+"""Begin of configuration and turns after the pose: MELFA's second bracket, KUKA's S and T."""
 _NEXT_GROUP = re.compile(r"\]\s*,\s*\[")
-"""Between the groups of a robtarget: position and orientation are the first two."""
+"""Separator of the groups of a robtarget, of which the first two are position and orientation."""
 
 
 def numbers_in(text: str, counts: tuple[int, ...]) -> tuple[float, ...]:
-    """The numbers of one pose or point, however they are separated and named.
+    """Extract the numbers of one pose or point from text, however they are separated and labelled.
 
-    counts : how many are allowed. Labels, brackets, degree signs, units and text behind a pose are ignored; a
-    comma is the decimal sign where something else separates, or where only that gives an allowed count.
+    counts : allowed counts. Labels, brackets, degree signs, units and text after a pose are ignored; a comma
+    is the decimal sign where something else separates, or where only that gives an allowed count.
     Raises `UserError`.
 
     >>> numbers_in("X 512,03  Y -88,12  Z 35,40", (3,))
@@ -142,7 +142,7 @@ READING_CODES: dict[str, str] = dict(
         strict=True,
     )
 )
-"""Codes of `READINGS`, for programs and for the page, which translates them."""
+"""Codes of the `READINGS`, for programs and for the web page, which translates them."""
 
 
 def brands_of(orientation: str, length_unit: str) -> tuple[Brand, ...]:

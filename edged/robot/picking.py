@@ -1,8 +1,8 @@
 """Picking rules applied to an outcome: pure functions.
 
-Boxes and keep-out zones lie in the frame of the published coordinates: the robot's, or the rig's as long as
-the rig is not registered. A rig on the flange is registered; without the pose of the flange the robot's frame
-is unknown, and every part of a job or cell with bounds is refused.
+Boxes and keep-out zones are given in the frame of the published coordinates: the robot's, or the rig's as
+long as the rig is not registered. A rig on the flange is registered, but without the pose of the flange the
+robot's frame is unknown, and every part of a job or cell with bounds is rejected.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from edged.vision.geometry.camera import StereoRig
 from edged.vision.geometry.rigid import invert
 
 SAME_PLACE_MM = 30.0
-"""A part that a gripper missed has been pushed by less."""
+"""Upper bound of how far a gripper pushes a part that it missed."""
 NOWHERE = Box("nowhere", (math.inf,) * 3, (-math.inf,) * 3)
 
 
@@ -33,8 +33,8 @@ NOWHERE = Box("nowhere", (math.inf,) * 3, (-math.inf,) * 3)
 class RobotFrame:
     """Frame of the published coordinates. robot_from_rig (4, 4) : None for the rig's own frame.
 
-    is_known : False for a rig on the flange without the flange's pose. robot_from_flange (4, 4) : where the
-    robot said that its flange was; None: it did not. error_map : of the robot; None: there is none.
+    is_known : False for a rig on the flange without the flange's pose. robot_from_flange (4, 4) : pose of the
+    flange that the robot reported; None: none reported. error_map : of the robot; None without one.
     """
 
     robot_from_rig: FloatArray | None = None
@@ -43,17 +43,17 @@ class RobotFrame:
     error_map: ErrorMap | None = None
 
     def shift(self, rig_mm: FloatArray) -> RobotShift | None:
-        """By the map of the robot's error, of a point (3,) of the rig; None without one, and beyond it."""
+        """Shift of a point (3,) in the rig's frame by the error map; None without a map or outside of it."""
         if self.error_map is None or self.robot_from_rig is None or not np.isfinite(rig_mm).all():
             return None
         return self.error_map.at(self.robot_from_rig[:3, :3] @ rig_mm + self.robot_from_rig[:3, 3])
 
     def is_mapped(self, rig_mm: FloatArray) -> bool:
-        """Whether the map knows how wrong the robot is at a point (3,) of the rig; True without a map."""
+        """Whether the robot's error map covers a point (3,) in the rig's frame; True without a map."""
         return self.error_map is None or self.shift(rig_mm) is not None
 
     def rig_from_tip(self, gripper: Gripper | None) -> FloatArray | None:
-        """(4, 4) of the tool's tip at the exposure; None: not known."""
+        """Pose (4, 4) of the tool's tip at the exposure; None if unknown."""
         if gripper is None or self.robot_from_flange is None or self.robot_from_rig is None:
             return None
         robot_from_tip = self.robot_from_flange @ flange_from_tip(gripper)
@@ -61,25 +61,25 @@ class RobotFrame:
 
 
 def frame_of(rig: StereoRig) -> RobotFrame:
-    """The frame of a rig, without a pose of the flange."""
+    """Published frame of a rig, without a pose of the flange."""
     known = None if rig.robot_map is None else error_map(rig.robot_map)
     return RobotFrame(rig.robot_from_rig, rig.flange_from_rig is None, error_map=known)
 
 
 def within(picking: Picking, bounds: Bounds) -> Picking:
-    """The job's picking rules with the cell's bounds added."""
+    """Add the cell's bounds to the job's picking rules."""
     return replace(picking, bounds=(bounds, *picking.bounds)) if bounds != Bounds() else picking
 
 
 def narrowed(bounds: Bounds, box: int) -> Bounds:
-    """The bounds with a single box, counted from 1; 0: with all. A missing box admits nothing."""
+    """Restrict the bounds to a single box, counted from 1; 0: keep all. A missing box admits nothing."""
     return replace(bounds, boxes=bounds.boxes[box - 1 : box] or (NOWHERE,)) if box else bounds
 
 
 def picked(outcome: Outcome, picking: Picking, frame: RobotFrame) -> Outcome:
-    """The outcome with parts out of bounds rejected, and the good parts first, in the order of the job.
+    """Reject parts out of bounds, and sort the good parts to the front, in the job's picking order.
 
-    Each part has its reported pose: only publishing may follow. Equal parts keep their order, by score.
+    Each part gets its reported pose: only publishing may follow. Ties keep their order, by score.
     """
     key = _KEYS[picking.order]
     pockets = 0 if picking.tray is None else picking.tray.pockets
@@ -100,7 +100,7 @@ def picked(outcome: Outcome, picking: Picking, frame: RobotFrame) -> Outcome:
 
 
 def _mapped(target: Target, frame: RobotFrame) -> Target:
-    """The target with what the map of the robot's error says of it and of its grasp."""
+    """Target with the shifts of the robot's error map, for itself and its grasps."""
     shift = frame.shift(target.position_mm)
     if shift is None:
         return target
@@ -112,14 +112,14 @@ def _mapped(target: Target, frame: RobotFrame) -> Target:
 
 
 def _taken(target: Target, ways: tuple[GraspPose, ...]) -> Target:
-    """The target with the ways to take it, the first one first."""
+    """Target with its grasps set to `ways`: the first as the grasp, the rest as alternatives."""
     return replace(target, grasp=ways[0] if ways else None, other_grasps=ways[1:])
 
 
 def _skipped(
     targets: Sequence[Target], place_mm: tuple[float, float, float] | None, frame: RobotFrame
 ) -> Target | None:
-    """The good part nearest to where one could not be picked; None: there is none so near."""
+    """Good part nearest to the place where one could not be picked; None if none is near enough."""
     if place_mm is None:
         return None
     good = [target for target in targets if target.reject == Reject.NONE]
@@ -131,9 +131,9 @@ def _skipped(
 
 
 def allowed(target: Target, picking: Picking, frame: RobotFrame, found: Iterable[Target] = ()) -> Target:
-    """The target with its grasp, rejected where the robot must not go.
+    """Add the allowed grasps to a target, and reject it where the robot must not go.
 
-    found : all parts of the picture, good and bad, this one among them: the gripper keeps clear of others.
+    found : all parts of the picture, good and bad, including this one: the gripper keeps clear of the others.
     """
     place_mm = target.as_reported.position_mm
     reject = target.reject | _refusal(place_mm, picking.bounds, frame)
@@ -165,7 +165,7 @@ def allowed(target: Target, picking: Picking, frame: RobotFrame, found: Iterable
 
 
 def _is_free(grasp: GraspPose, bounds: Sequence[Bounds], frame: RobotFrame) -> bool:
-    """Whether the tool may go there, without a keep-out zone on its straight approach and retreat."""
+    """Whether the tool's tip may go to the grasp, and meets no keep-out zone on approach and retreat."""
     if _refusal(grasp.rig_from_tcp[:3, 3], bounds, frame) or not frame.is_mapped(grasp.rig_from_tcp[:3, 3]):
         return False
     tip_mm = _in_frame(grasp.rig_from_tcp[:3, 3], frame)
@@ -177,7 +177,7 @@ def _is_free(grasp: GraspPose, bounds: Sequence[Bounds], frame: RobotFrame) -> b
 def _is_clear(
     grasp: GraspPose, gripper: Gripper, bounds: Sequence[Bounds], frame: RobotFrame, others: Sequence[Solid]
 ) -> bool:
-    """Whether the gripper's body meets no other part and no keep-out zone, there and on its straight ways."""
+    """Whether the gripper's body hits no part or zone, at the grasp and on its approach and retreat."""
     along_mm = max(grasp.approach_mm, grasp.retreat_mm)
     body = [solid.moved(grasp.rig_from_tcp) for solid in swept(gripper, along_mm)]
     zones = [solid_of(box) for each in bounds for box in each.keep_out]
@@ -187,7 +187,7 @@ def _is_clear(
 
 
 def _meets(box: Box, start_mm: FloatArray, end_mm: FloatArray) -> bool:
-    """Whether a straight line has a point in a box: the part of it that lies between all six planes.
+    """Whether a line segment intersects a box: some of it lies between all three pairs of planes.
 
     Source: T. L. Kay, J. T. Kajiya, "Ray Tracing Complex Scenes", SIGGRAPH 1986 (slabs).
     """
@@ -218,14 +218,14 @@ def _refusal(rig_mm: FloatArray, bounds: Sequence[Bounds], frame: RobotFrame) ->
 
 
 def _in_frame(rig_mm: FloatArray, frame: RobotFrame) -> FloatArray:
-    """A point (3,) of the rig's frame in the published frame."""
+    """Point (3,) of the rig's frame, transformed to the published frame."""
     robot, shift = frame.robot_from_rig, frame.shift(rig_mm)
     place_mm = rig_mm if robot is None else np.asarray(robot[:3, :3] @ rig_mm + robot[:3, 3])
     return place_mm if shift is None else place_mm + shift.shift_mm
 
 
 def _holds(box: Box, point_mm: FloatArray) -> bool:
-    """Whether a point is in a box or on its surface."""
+    """Whether a point is inside a box or on its surface."""
     return all(low <= x <= high for low, x, high in zip(box.min_mm, point_mm, box.max_mm, strict=True))
 
 

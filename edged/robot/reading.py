@@ -1,4 +1,4 @@
-"""A located part in the units of a PLC: position and A, B, C, in the robot's frame if there is one."""
+"""Position and A, B, C of a located part, in the robot's frame if there is one."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from edged.robot.orientations import ANGLES_DEG, Convention, sigma_angles_deg
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PartReading:
-    """position_mm (3,), angles_deg A, B, C (3,), and one sigma of each."""
+    """Pose of a part: position_mm (3,), angles_deg A, B, C (3,), and one sigma of each."""
 
     position_mm: FloatArray
     sigma_mm: FloatArray
@@ -30,7 +30,7 @@ def frame_name(robot_from_rig: FloatArray | None) -> str:
 def reading_of(
     target: Target, robot_from_rig: FloatArray | None, registration: FloatArray | None, convention: Convention
 ) -> PartReading:
-    """A target in the frame of `frame_name`.
+    """Pose of a target in the frame of `frame_name`.
 
     registration (6, 6) : as for `robot_covariance`. The pose and its covariance must be finite.
     """

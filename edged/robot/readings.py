@@ -1,4 +1,4 @@
-"""Readings of a robot's poses, ranked by their agreement with the cameras."""
+"""Ways to read a robot's poses, ranked by their agreement with the cameras."""
 
 from __future__ import annotations
 
@@ -32,11 +32,11 @@ def rank_readings(
     orientations: Mapping[str, tuple[int, Callable[..., FloatArray]]],
     units_mm: Mapping[str, float],
 ) -> list[PoseReading]:
-    """All computable readings, best first.
+    """Rank all readings that can be computed, best first.
 
     numbers : poses as the controller shows them, x y z and three or four numbers of orientation.
     orientations : name to (count, reader to a rotation matrix).  units_mm : name to length in mm.
-    Raises `CalibrationError` when no reading gives a hand-eye at all.
+    Raises `CalibrationError` when no reading gives a hand-eye calibration at all.
     """
     found: list[PoseReading] = []
     reasons: list[str] = []
@@ -52,7 +52,7 @@ def rank_readings(
                 transform(rotation, factor * np.array(pose[:3], np.float64))
                 for rotation, pose in zip(rotations, numbers, strict=True)
             ]
-            # a pose that is read inversely fits as the other mount
+            # an inverted pose fits the other mount, so both are tried
             for mount in MOUNTS:
                 try:
                     rms = hand_eye(poses, rig_from_board, board_mm, mount, hold_out=False).rms_mm

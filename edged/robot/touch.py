@@ -1,4 +1,4 @@
-"""The rig in the robot's frame from touched points."""
+"""Registration of the rig in the robot's frame from touched points."""
 
 from __future__ import annotations
 
@@ -11,37 +11,38 @@ from edged.errors import CalibrationError, Undetermined
 from edged.vision.geometry.rigid import RigidFit, apply, fit_rigid, skew
 
 TWIN_SHARE = 0.005
-"""Points nearer to each other than this share of the spread count as repeated."""
+"""Points nearer to each other than this share of the largest distance count as repeated."""
 
 
 FLAT_SHARE = 0.01
-"""Less extent across the longest direction than this share: points on one line."""
+"""Points whose extent across the longest direction is below this share of it count as lying on one line."""
 
 
 MIRROR_GAIN = 20.0
-"""A mirror image that fits so many times better is no chance."""
+"""Factor by which the mirror image must fit better, so that it is not by chance."""
 
 
 STUDENT_LIMITS = ((3, 11.9), (6, 4.87), (9, 3.73), (12, 3.29), (18, 2.91), (30, 2.66))
-"""Degrees of freedom of the others' fit, and the root of the 0.999 quantile of F(3, them): a studentised
-error beyond it is no chance (R. Cook and S. Weisberg, "Residuals and Influence in Regression", 1982, 2.2)."""
+"""Degrees of freedom of the fit to the other points, and the square root of the 0.999 quantile of F(3, them):
+a studentised error beyond it is significant (R. Cook and S. Weisberg, "Residuals and Influence in
+Regression", 1982, 2.2)."""
 STANDS_OUT = 2.0
-"""Times the next largest studentised error: with less, the points cannot tell which of two is wrong."""
+"""Least ratio to the next largest studentised error; below it nothing tells which of two is wrong."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PointRegistration:
     """robot_from_rig from points that the robot touched.
 
-    covariance (6, 6) : of a small motion (shift mm, rotation rad) about the robot's origin that follows it,
-    from the residuals.
+    covariance (6, 6) : of a small motion (shift mm, rotation rad) about the robot's origin, applied after
+    robot_from_rig; from the residuals.
     residuals_mm, held_out_mm (N,) : distance of each point from the fit of all, and of all others.
     others_rms_mm (N,) : rms of the fit without each point.
-    studentised (N,) : held-out errors in units of what the others' fit lets expect.
-    culprit : index of the only point that is wrong beyond chance; None without one, or when ambiguous.
-    All of these are NaN, and None, where the others do not determine a fit, as of three points.
+    studentised (N,) : held-out errors in units of those expected from the fit of the others.
+    culprit : index of the only point that is significantly wrong; None without one, or when ambiguous.
+    These are NaN, or None, where the other points do not determine a fit, as with three points.
     lengths_mm : largest difference between the distances of two points in both frames.
-    scale : best scale of the robot's over the rig's lengths; it should be 1. sigma_scale : of it.
+    scale : best ratio of the robot's to the rig's lengths; it should be 1. sigma_scale : its sigma.
     """
 
     robot_from_rig: FloatArray
@@ -64,8 +65,8 @@ class PointRegistration:
 def register_points(rig_mm: FloatArray, robot_mm: FloatArray) -> PointRegistration:
     """Fit robot = T rig over corresponding points (N, 3), N >= 3.
 
-    Raises `CalibrationError` for too few, repeated or collinear points, for points in other units and for
-    mirrored ones: with the reason.
+    Raises `CalibrationError`, with the reason, for too few, repeated or collinear points, for points in other
+    units and for mirrored ones.
     """
     rig, robot = np.asarray(rig_mm, np.float64), np.asarray(robot_mm, np.float64)
     if rig.ndim != 2 or rig.shape[1:] != (3,) or rig.shape != robot.shape or len(rig) < 3:
@@ -83,10 +84,10 @@ def register_points(rig_mm: FloatArray, robot_mm: FloatArray) -> PointRegistrati
     held_out, others_rms, studentised = _held_out(rig, robot)
     freedom = 3 * len(rig) - 6
     extent = float(np.sqrt(np.sum((rig - rig.mean(axis=0)) ** 2)))
-    # a fit states the shift of the rig's origin; as a motion of the whole frame it is that of the robot's
+    # the fit gives the shift of the rig's origin; convert it to a motion about the robot's origin
     frame = np.eye(6)
     frame[:3, 3:] = skew(fit.to_from_source[:3, 3])
-    # the variance is estimated from few residuals: errors follow Student's t, which is that much wider
+    # the variance is estimated from few residuals: errors follow Student's t, which is wider by this factor
     covariance = fit.covariance * (freedom / (freedom - 2))
     return PointRegistration(
         fit.to_from_source,
@@ -103,10 +104,10 @@ def register_points(rig_mm: FloatArray, robot_mm: FloatArray) -> PointRegistrati
 
 
 def _held_out(rig: FloatArray, robot: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """For each point its error (N,) by the fit of the others, that fit's rms, and the error studentised.
+    """Error (N,) of each point by the fit of the others, rms of that fit, and the studentised error.
 
-    A point far from the others has a large error by their fit also when it is right and one of them is
-    wrong: only in units of what that fit lets expect can errors of different points be compared.
+    A point far from the others has a large error by their fit even when it is right and one of them is
+    wrong: errors of different points can only be compared in units of the expected error.
     """
     held_out, rms, studentised = (np.full(len(rig), np.nan) for _ in range(3))
     if len(rig) < 4:
@@ -119,7 +120,7 @@ def _held_out(rig: FloatArray, robot: FloatArray) -> tuple[FloatArray, FloatArra
             continue
         error = robot[k] - apply(fit.to_from_source, rig[k])
         arm = np.concatenate([np.eye(3), -skew(fit.to_from_source[:3, :3] @ rig[k])], axis=1)
-        # exact points leave nothing; a nanometre keeps the division
+        # exact points leave no residual; a nanometre keeps the matrix invertible
         expected = arm @ fit.covariance @ arm.T + (fit.sigma_mm**2 + 1e-12) * np.eye(3)
         held_out[k] = float(np.linalg.norm(error))
         rms[k] = float(np.sqrt(np.mean(np.sum(fit.residuals_mm**2, axis=1))))
@@ -128,7 +129,7 @@ def _held_out(rig: FloatArray, robot: FloatArray) -> tuple[FloatArray, FloatArra
 
 
 def _culprit(studentised: FloatArray) -> int | None:
-    """Index of the single point that is wrong beyond chance."""
+    """Index of the only point that is significantly wrong; None without one, or when ambiguous."""
     known = np.flatnonzero(np.isfinite(studentised))
     if len(known) < 2:
         return None
@@ -140,7 +141,7 @@ def _culprit(studentised: FloatArray) -> int | None:
 
 
 def _distances(points: FloatArray) -> FloatArray:
-    """(N, N) between all points."""
+    """Distances (N, N) between all points."""
     return np.asarray(np.linalg.norm(points[:, None] - points, axis=2))
 
 
@@ -172,7 +173,7 @@ def _check_units(scale: float) -> None:
 
 
 def _check_hand(rig: FloatArray, robot: FloatArray) -> None:
-    """A left-handed frame fits its mirror image; flat sets of points look the same in a mirror."""
+    """Raise `CalibrationError` if the mirrored points fit far better; flat sets look the same mirrored."""
     if np.linalg.svd(rig - rig.mean(axis=0), compute_uv=False)[2] < 1e-3 * np.ptp(rig):
         return
     straight = fit_rigid(rig, robot).residuals_mm

@@ -1,4 +1,4 @@
-"""Trays and pallets: in which pocket a part lies. Pure functions of the layout."""
+"""Trays and pallets: the pocket in which a part lies. Pure functions of the layout."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from edged.domain.picking import Tray
 
 
 def centres_mm(tray: Tray) -> FloatArray:
-    """Middles of all pockets (N, 3), in the order of their numbers."""
+    """Centres of all pockets (N, 3), in the order of their numbers."""
     first, places = np.array(tray.first_mm), np.zeros((1, 3))
     for end_mm, count in zip(tray.ends_mm, tray.counts, strict=True):
         steps = np.linspace(0.0, 1.0, count)[:, np.newaxis, np.newaxis] * (np.array(end_mm) - first)
@@ -25,7 +25,7 @@ def pocket_of(tray: Tray, place_mm: FloatArray) -> int:
 
 
 def step_mm(tray: Tray) -> float:
-    """Distance of the two pockets that are nearest to each other; inf with one alone."""
+    """Distance between the two nearest pockets; inf for a single pocket."""
     centres = centres_mm(tray)
     apart_mm = np.linalg.norm(centres[:, np.newaxis] - centres, axis=2)
     np.fill_diagonal(apart_mm, np.inf)

@@ -1,1 +1,1 @@
-"""Programs for the other end, in the languages of robots, PLCs and PCs, rendered from `templates`."""
+"""Client programs in the languages of robots, PLCs and PCs, rendered from `templates`."""

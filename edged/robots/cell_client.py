@@ -1,4 +1,4 @@
-"""An edged cell over Modbus/TCP: the whole handshake, for PCs. Needs Python 3.10 and pymodbus 3.8 to 3.16.
+"""Client of an edged cell over Modbus/TCP, with the whole handshake. Python 3.10, pymodbus 3.8 to 3.16.
 
     with EdgedCell("192.168.10.20") as cell:
         result = cell.locate()
@@ -8,7 +8,7 @@
         for part in cell.parts():  # every good part of one picture, in the order of the job
             print(part.values["X"], part.values["REMAINING"])
 
-Whatever goes wrong is a `CellError`. Not thread safe: one object for one thread.
+Every failure is a `CellError`. Not thread safe: use one object per thread.
 """
 
 from __future__ import annotations
@@ -52,14 +52,14 @@ JOB_ROWS, JOB_WORDS = 16, 16
 _NAMES = inspect.signature(ModbusTcpClient.read_holding_registers).parameters
 UNIT = "device_id" if "device_id" in _NAMES else "slave"
 WORDS = {"H": 1, "i": 2, "I": 2, "Q": 4, "f": 2}
-# some versions of pymodbus let OSError through; a number that no register holds is a struct.error
+# some versions of pymodbus let OSError through; a number that does not fit a register is a struct.error
 FAILURES = (ModbusException, OSError, struct.error)
 
 
 class CellError(Exception):
     """The cell cannot be used: not reachable, another device, another map, a refused request.
 
-    The root of all that is raised here; what pymodbus or the system said is its cause.
+    Base class of all exceptions raised here; the one from pymodbus or the system is its cause.
     """
 
 
@@ -72,19 +72,19 @@ class CommandNacked(CellError):
 
 
 class NoAnswer(CellError):
-    """The command did not end in the time, or the cell was restarted, or another client took its place."""
+    """The command did not end in time, or the cell was restarted, or another client took its place."""
 
 
 @dataclass(frozen=True)
 class Result:
-    """What the cell says about one exposure.
+    """Result of one exposure.
 
     code : a name of `RESULTS`. ok : a robot may use the coordinates: VALID at the time of reading, in the
-    robot's frame and of real cameras, unless `EdgedCell` was told that others will do.
+    robot's frame and from real cameras, unless `EdgedCell` was created to allow others.
     values : every register of the block `result`; lengths in um, angles in 0.001 degrees.
     targets : the rows of the target table, without the prefix of their names.
-    grasp : where a tool takes the part that is shown: the block `grasp`, without the prefix of its names;
-    None where the part has none, or is not `ok`.
+    grasp : the block `grasp` of the part that is shown, without the prefix of its names; None if the part
+    has no grasp, or is not `ok`.
     """
 
     sequence: int
@@ -134,7 +134,7 @@ class EdgedCell:
         self.close()
 
     def connect(self) -> None:
-        """Connect and check that it is an edged cell, the map is this one and the word order is right."""
+        """Connect, and check that it is an edged cell with this map and word order."""
         try:
             is_connected = self._client.connect()  # type: ignore[no-untyped-call]  # pymodbus says no type
         except FAILURES as error:
@@ -156,7 +156,7 @@ class EdgedCell:
             raise CellError("32-bit values come in the other word order")
 
     def close(self) -> None:
-        """Give the right to write to others and hang up. Never raises: it often follows another error."""
+        """Give up the right to write, and disconnect. Never raises: it often follows another error."""
         if self._client.connected:
             with contextlib.suppress(CellError):
                 self._write(ADDRESS["OPTIONS"], [OPTIONS["RELEASE"]])
@@ -165,7 +165,7 @@ class EdgedCell:
     # --- commands ------------------------------------------------------------------------------
 
     def narrow(self, box: int) -> None:
-        """From now on this box alone of the cell's limits counts, from 1; 0: each of them."""
+        """Apply only this box of the cell's limits from now on, counted from 1; 0: all of them."""
         self._write(ADDRESS["BOX"], [box])
 
     def locate(
@@ -173,8 +173,8 @@ class EdgedCell:
     ) -> Result:
         """Measure now. Raises `CommandNacked` for a NACK (a dead camera too), `NoAnswer`.
 
-        all_jobs : every job is tried; the register JOB of the result is the one whose part agrees best.
-        skip : the part of the result before could not be picked: it comes last.
+        all_jobs : try every job; the register JOB of the result is the one whose part agrees best.
+        skip : the part of the previous result could not be picked: it comes last.
         """
         options = (OPTIONS["ALL_JOBS"] if all_jobs else 0) | (OPTIONS["SKIP"] if skip else 0)
         return self._measure("LOCATE", job, timeout_s, options)
@@ -185,20 +185,20 @@ class EdgedCell:
         return {int(row["J0_NUMBER"]): _text(row) for row in rows if row["J0_NUMBER"]}
 
     def next_part(self, job: int = 0, timeout_s: float = 5.0) -> Result:
-        """The next good part of the picture that the last `locate` took; job : of it, 0 for whatever it was.
+        """Get the next good part of the picture that the last `locate` took; job : its job, 0 for any.
 
         The register REMAINING says whether there is one; without one `CommandNacked` says NO_LIST.
         """
         return self._measure("NEXT_PART", job, timeout_s)
 
     def next_grasp(self, timeout_s: float = 5.0) -> Result:
-        """Another way to take the part that is on display; without one `CommandNacked` says NO_LIST."""
+        """Get another way to take the part that is on display; without one `CommandNacked` says NO_LIST."""
         return self._measure("NEXT_GRASP", 0, timeout_s)
 
     def parts(self, job: int = 0, timeout_s: float = 5.0) -> Iterator[Result]:
-        """Every good part of one picture, each acknowledged when the next one is asked for.
+        """Yield every good part of one picture; each is acknowledged when the next one is requested.
 
-        Raises as `locate`, also when the picture has grown too old on the way.
+        Raises as `locate`, also when the picture has become too old meanwhile.
         """
         part = self.locate(job, timeout_s)
         while part.ok:
@@ -209,15 +209,15 @@ class EdgedCell:
             part = self.next_part(0, timeout_s)
 
     def verify(self, job: int = 0, timeout_s: float = 5.0) -> Result:
-        """Measure without asking for coordinates: the code is VERIFIED when the part is good."""
+        """Measure without coordinates for a robot: the code is VERIFIED when the part is good."""
         return self._measure("VERIFY", job, timeout_s)
 
     def golden(self, job: int = 0, timeout_s: float = 5.0) -> Result:
-        """Keep where the one good part lies: the code is KEPT, and later results have an offset from it."""
+        """Store the pose of the only good part: the code is KEPT, later results have an offset from it."""
         return self._measure("GOLDEN", job, timeout_s)
 
     def offset(self, result: Result) -> dict[str, float] | None:
-        """The block `offset` of a result that is still on display; None: it has none, or another is shown."""
+        """Read the block `offset` of a result; None if it has none, or is no longer on display."""
         offset = self.read("offset")
         ours = (result.sequence, result.values["SEQ_TAIL"], result.values["START_EPOCH"])
         is_ours = ours == tuple(offset[f"O_{name}"] for name in ("SEQ_HEAD", "SEQ_TAIL", "START_EPOCH"))
@@ -235,10 +235,10 @@ class EdgedCell:
     def register(
         self, command: str, flange: tuple[int, ...] = (), timeout_s: float = 15.0
     ) -> dict[str, float]:
-        """A step of a registration: HAND_EYE_START, TOUCH_START, REGISTER_ADD or REGISTER_SOLVE.
+        """Run a step of a registration: HAND_EYE_START, TOUCH_START, REGISTER_ADD or REGISTER_SOLVE.
 
         flange : X Y Z in um, A B C in 0.001 degrees, for REGISTER_ADD. Returns the block `registration`.
-        Raises as `locate`; what adds or solves nothing is a `CommandNacked`.
+        Raises as `locate`; a step that adds or solves nothing raises `CommandNacked`.
         """
         if flange:
             words = list(struct.unpack(">12H", struct.pack(">6i", *flange)))
@@ -249,23 +249,23 @@ class EdgedCell:
         return self.read("registration")
 
     def acknowledge(self, result: Result) -> None:
-        """The result was used: RESULT_VALID goes down."""
+        """Acknowledge that the result was used: RESULT_VALID drops."""
         self._write(ADDRESS["ACK_SEQ"], [result.sequence])
 
     def beat(self) -> None:
-        """Count the heartbeat; once begun, call it more often than the cell's `heartbeat_s`."""
+        """Send a heartbeat; once begun, call this more often than every `heartbeat_s` of the cell."""
         self._beat = self._beat % 0xFFFF + 1
         self._write(ADDRESS["CLIENT_HEARTBEAT"], [self._beat])
 
     # --- reading -------------------------------------------------------------------------------
 
     def status(self) -> dict[str, Any]:
-        """The block `status`, and `bits`: the names of the status bits that are up."""
+        """Read the block `status`; with `bits`, the names of the status bits that are set."""
         values = self.read("status")
         return {**values, "bits": _names(STATUS_BITS, int(values["STATUS_BITS"]))}
 
     def latest(self) -> Result:
-        """What is on display now (of a free-running cell: the newest cycle)."""
+        """Read the result on display (in a free-running cell: that of the newest cycle)."""
         values = self.read("result")
         flags = _names(FLAGS, int(values["FLAGS"]))
         codes = {number: name for name, number in RESULTS.items()}
@@ -281,7 +281,7 @@ class EdgedCell:
         )
 
     def read(self, block: str, shift: int = 0) -> dict[str, float]:
-        """One block by name, in one request."""
+        """Read one block by name, in one request."""
         address, registers = BLOCKS[block]
         count = sum(WORDS[kind] for _, kind in registers)
         unit: dict[str, Any] = {UNIT: self._unit_id}
@@ -308,11 +308,11 @@ class EdgedCell:
     def _run(self, command: str, job: int, timeout_s: float, option: int = 0) -> tuple[int, int]:
         """Write a command and wait for its end; returns its sequence and the cell's START_EPOCH."""
         before = self.read("status")
-        # one more than the cell has seen: a client that was started anew never repeats a sequence
+        # one more than the cell has seen: a restarted client never repeats a sequence
         sequence, epoch = int(before["CMD_SEQ_ECHO"]) % 0xFFFF + 1, int(before["START_EPOCH"])
         self._write(ADDRESS["TIMEOUT"], [min(max(round(timeout_s * 1000), 1), 0xFFFF)])
-        # COMMAND, JOB, CMD_SEQ, ACK_SEQ, CLIENT_HEARTBEAT, OPTIONS: on purpose and once, so that it runs as
-        # the first command of a connection, too
+        # COMMAND, JOB, CMD_SEQ, ACK_SEQ, CLIENT_HEARTBEAT, OPTIONS: marked as written once, to run even as
+        # the first command of a connection
         options = OPTIONS["ONCE"] | option
         self._write(ADDRESS["COMMAND"], [COMMANDS[command], job, sequence, 0, self._beat, options])
         reasons = {number: name for name, number in NACK_REASONS.items()}
@@ -334,7 +334,7 @@ class EdgedCell:
         for index in range(min(int(values["COUNT"]), 16)):
             row = self.read("target 0", ROW_WORDS * index)
             if row["T0_SEQ"] != values["SEQ_HEAD"]:
-                break  # the next result has come in between
+                break  # the next result has appeared meanwhile
             rows.append({name.removeprefix("T0_"): value for name, value in row.items()})
         return tuple(rows)
 
@@ -358,7 +358,7 @@ class EdgedCell:
             raise CellError(f"writing {address}: {answer} ({reason})")
 
     def _forget(self) -> None:
-        """Hang up so that what was not sent is dropped: it must not arrive when the link returns."""
+        """Disconnect and drop unsent data: it must not arrive when the link returns."""
         line = self._client.socket
         if line is not None:
             with contextlib.suppress(OSError):
@@ -381,7 +381,7 @@ def _decode(registers: tuple[tuple[str, str], ...], words: list[int], low_first:
 
 
 def _text(row: dict[str, float]) -> str:
-    """The name in a row of the list of jobs."""
+    """Name of the job in a row of the list of jobs."""
     words = [int(word) for name, word in row.items() if "_NAME_" in name]
     return struct.pack(f">{len(words)}H", *words).rstrip(b"\0").decode("ascii", "replace")
 

@@ -1,4 +1,4 @@
-"""Every format of `edged registers`: the register map, and the programs for robots, PLCs and PCs."""
+"""All formats of `edged registers`: the register map, and the programs for robots, PLCs and PCs."""
 
 from __future__ import annotations
 
@@ -20,16 +20,16 @@ from edged.robots.robotlines import line_values
 from edged.robots.templating import rendered
 
 JOB = re.compile("[0-9]{1,5} [A-Za-z0-9_. -]+")
-"""Number and name of a job that no language takes for the end of a comment."""
+"""Number and name of a job, in characters that do not end a comment in any language."""
 
 
 @dataclass(frozen=True, slots=True)
 class ProgramCell:
-    """The cell that a program talks to. name : takes the place of "edged" in all names; "": stays.
+    """The cell that a program talks to. name : replaces "edged" in all names; "": keep it.
 
-    address : IPv4. line_port : of lines of text. convention : number of what A, B, C mean.
-    jobs : number and name of each, which stand in comments. Raises `ValueError` for an address or a job
-    with anything that might end a comment or a text.
+    address : IPv4. line_port : port for lines of text. convention : number of the convention of A, B, C.
+    jobs : number and name of each, for comments. Raises `ValueError` for an address or a job with characters
+    that might end a comment or a string.
     """
 
     address: str = "192.168.10.20"
@@ -48,21 +48,21 @@ class ProgramCell:
 
     @property
     def octets(self) -> list[int]:
-        """The four numbers of the address."""
+        """Four numbers of the address."""
         return [int(number) for number in self.address.split(".")]
 
     @property
     def low_word_first(self) -> str:
-        """As a word of IEC 61131-3."""
+        """The flag `is_low_first` as a literal of IEC 61131-3."""
         return "TRUE" if self.is_low_first else "FALSE"
 
     @property
     def more_jobs(self) -> str:
-        """The jobs behind others in a comment."""
+        """The jobs, to continue a list in a comment."""
         return "".join(f", {job}" for job in self.jobs)
 
     def named(self, text: str) -> str:
-        """A file's text, or its name, with this cell's name. `edged registers` stays as it is."""
+        """Put this cell's name into a file's text or name. `edged registers` stays as it is."""
         if not self.name:
             return text
         small = re.sub(r"\bed_", f"{self.name[:2]}_", text)
@@ -76,7 +76,7 @@ class ProgramCell:
 NAME = re.compile("[a-z]{2,5}")
 """At most as long as "edged", so that every name stays within its language's limit."""
 RENAMED = ("rapid", "krl", "krl6", "drl", "val3", "as", "spel", "pacscript", "scl", "s7db", "urscript")
-"""Formats of which two may be in one controller under different names."""
+"""Formats of which one controller may hold two programs under different names."""
 
 
 FANUC_LISTINGS = ("edgepick.ls", "edgedreg.ls", "edgebelt.ls", "edgetrk.ls")
@@ -92,11 +92,11 @@ VAL3_PROGRAMS = (
 
 @dataclass(frozen=True, slots=True)
 class Format:
-    """What `edged registers --format NAME` writes, from the templates in the folder of that name.
+    """Output of `edged registers --format NAME`, from the templates in the folder of that name.
 
-    files : language of each file by its name: a table of `grammars`, or "" for none. brand : the maker whose
-    poses a program reads in lines of text; None for Modbus. first : index of an array's first element.
-    archive : the file that the page offers where there are several; "": it offers the one file.
+    files : language of each file by its name: a table of `grammars`, or "" for none. brand : robot brand
+    whose poses a program reads in lines of text; None for Modbus. first : index of an array's first element.
+    archive : name of the archive that the page offers for several files; "": it offers the single file.
     """
 
     files: Mapping[str, str]
@@ -156,20 +156,20 @@ FORMATS = {
     "python": Format({"edged_cell.py": ""}),
     "csv": Format({"edged.csv": ""}),
 }
-"""In the order in which the page offers them."""
+"""All formats by name, in the order in which the page offers them."""
 DOWNLOADS = {
     name: form.archive or next(iter(form.files))
     for name, form in FORMATS.items()
-    if name not in ("md", "json")  # the manual has the map for people, and the API for programs
+    if name not in ("md", "json")  # the manual has the map for people, and the API has it for programs
 }
-"""What can be fetched from the page, by the name of its format, and the file that it becomes."""
+"""Formats that the page offers for download, with the name of the downloaded file."""
 
 
 def written(fmt: str, cell: ProgramCell | None = None) -> dict[str, str]:
-    """Files of a format by name. cell : that the program talks to; None: an example.
+    """Generate the files of a format, by name. cell : the one that the program talks to; None: an example.
 
-    Raises `UserError` for an unknown format or a name that cannot be, `ValueError` for a program that its
-    controller would not read.
+    Raises `UserError` for an unknown format or an invalid name, `ValueError` for a program that its
+    controller would not accept.
     """
     cell = cell or ProgramCell()
     if fmt not in FORMATS:
@@ -188,14 +188,14 @@ def written(fmt: str, cell: ProgramCell | None = None) -> dict[str, str]:
 
 
 def render(fmt: str) -> str:
-    """Text of a format that is one file. Raises as `written`."""
+    """Text of a format that has a single file. Raises as `written`."""
     (text,) = written(fmt).values()
     return text
 
 
 def _text(fmt: str, file: str, values: Mapping[str, object], cell: ProgramCell) -> str:
     if fmt == "python":
-        # read, not imported: printing it takes no pymodbus
+        # read, not imported: printing it does not need pymodbus
         source = files("edged.robots").joinpath("cell_client.py").read_text(encoding="utf-8")
         head, _, rest = source.partition("# <map>\n")
         return head + rendered(fmt, "map.py", values) + rest.partition("# </map>\n")[2]

@@ -1,8 +1,8 @@
-"""Reserved words of the makers' languages, and how long names, lines and texts may be: `grammars/*.toml`.
+"""Reserved words and limits on names, lines and strings of the makers' languages, from `grammars/*.toml`.
 
-One table for each language, with its source beside it. Every program is checked against it when it is
-written; the interpreters of the tests check what they read against the same table, and find the names in
-their own way.
+There is one table for each language, with its source. Every program is checked against it when it is
+generated; the interpreters in the tests check programs against the same table, but find the names in their
+own way.
 """
 
 from __future__ import annotations
@@ -17,11 +17,11 @@ from importlib.resources import files
 
 @dataclass(frozen=True, slots=True)
 class Grammar:
-    """Names, lines and texts that a language allows; a program that breaks these rules is a bug of ours.
+    """Names, lines and strings that a language allows; a generated program that breaks these rules is a bug.
 
     words : reserved, or predefined and not to be declared again; in capitals where case is ignored.
     shape : of a name. longest : characters of a "name", a "line", a "text"; a missing one has no known limit.
-    declared : patterns of declarations. refused : patterns that no controller reads, and why.
+    declared : patterns of declarations. refused : patterns that controllers reject, and why.
     """
 
     language: str
@@ -37,7 +37,7 @@ class Grammar:
     line_end: str
 
     def allow(self, name: str) -> str:
-        """Return a name that a program may declare. Raises `ValueError` for any other."""
+        """Return the name if a program may declare it. Raises `ValueError` otherwise."""
         if (name.upper() if self.ignores_case else name) in self.words:
             raise ValueError(f"{self.language}: {name} is a word of the language")
         if not self.shape.fullmatch(name):
@@ -45,7 +45,7 @@ class Grammar:
         return self.fits("name", name)
 
     def fits(self, kind: str, text: str) -> str:
-        """Return a name, a line or a text. Raises `ValueError` if it is too long."""
+        """Return the name, line or string. Raises `ValueError` if it is too long."""
         limit = self.longest.get(kind)
         if limit is not None and len(text) > limit:
             raise ValueError(
@@ -54,9 +54,9 @@ class Grammar:
         return text
 
     def checked(self, source: str) -> str:
-        """Return a program with its language's line ends.
+        """Return the program with its language's line ends.
 
-        Raises `ValueError` for a name, a line, a text or a pattern that its controller would not read.
+        Raises `ValueError` for a name, line, string or pattern that its controller would not accept.
         """
         for line in source.splitlines():
             self.fits("line", line)
@@ -79,7 +79,7 @@ class Grammar:
 
 @cache
 def grammar(language: str) -> Grammar:
-    """Read the table of a language."""
+    """Load the table of a language."""
     text = files("edged.robots").joinpath(f"grammars/{language}.toml").read_text(encoding="utf-8")
     table = tomllib.loads(text)
     ignores_case = table["ignores_case"]

@@ -1,4 +1,4 @@
-"""Values for the templates from the schema of the registers."""
+"""Template values from the schema of the registers."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ TITLES = {TABLE[0]: f"target table, {len(TABLE)} rows", JOBS[0]: f"jobs, {len(JO
 
 @dataclass(frozen=True, slots=True)
 class Area:
-    """A block, or the first of several alike. end : address behind the last. at : a register's offset."""
+    """A block, or the first of several alike. end : address after the last. at : offset of each register."""
 
     name: str
     title: str
@@ -60,7 +60,7 @@ class Area:
 
 @dataclass(frozen=True, slots=True)
 class Variable:
-    """A register, or half of one, in structured text. conversion : from the words of its block."""
+    """A register, or half of one, in structured text. conversion : expression on the words of its block."""
 
     name: str
     type: str
@@ -70,7 +70,7 @@ class Variable:
 
 @dataclass(frozen=True, slots=True)
 class ImageField:
-    """A register in a PLC's own memory. type : of IEC 61131-3. byte : its first one of 192."""
+    """A register in a PLC's own memory. type : of IEC 61131-3. byte : number of its first one of 192."""
 
     name: str
     type: str
@@ -80,7 +80,7 @@ class ImageField:
 
 @dataclass(frozen=True, slots=True)
 class ImageFields:
-    """Both images. bit, number : value and number of each of BITS. unused_words : behind TO_CELL."""
+    """Both process images. bit, number : value and number of each of BITS. unused_words : after TO_CELL."""
 
     to_cell: tuple[ImageField, ...]
     from_cell: tuple[ImageField, ...]
@@ -113,12 +113,12 @@ def _fields(registers: Iterable[Register], start: int) -> tuple[ImageField, ...]
 
 
 def _plain(text: str) -> str:
-    """In ASCII: compilers differ in their encodings."""
+    """Text in ASCII, as compilers differ in their encodings."""
     return text.replace("µ", "u").replace("°", " degrees").strip()
 
 
 def register_values() -> dict[str, object]:
-    """Values that every template has: numbers by name, blocks, and the poses of a registration."""
+    """Values for all templates: numbers by name, blocks, and the poses of a registration."""
     used = {"STATUS": STATUS, "RESULT": RESULT, "GRASP": GRASP, "COMMAND": COMMAND, "UR": UR}
     used |= {"TRAY": TRAY, "PLACE": PLACE, "BELT": BELT}
     numbers = {
@@ -190,9 +190,10 @@ def _area(block: Block) -> Area:
 
 
 def _variables(block: Block, place: str, read_as: str = "", first: int = 0) -> Iterator[Variable]:
-    """Declared and converted registers of a block; 64 bits become two UDINT, lengths and angles a REAL, too.
+    """Variables of a block's registers; 64 bits become two UDINT, lengths and angles get a REAL in addition.
 
-    place : "st" and this is its structure. read_as : "aw" and this, or that, are its words, from `first` on.
+    place : its structure is named "st" + place. read_as : its words are the array "aw" + read_as, or "aw" +
+    place, from index `first`.
     """
     low_first, words = "xLowWordFirst := xLowWordFirst", f"aw{read_as or place}"
     for register in block.registers:
@@ -206,7 +207,7 @@ def _variables(block: Block, place: str, read_as: str = "", first: int = 0) -> I
             yield Variable(f"ui{name}", "UINT", f"WORD_TO_UINT({words}[{at}])", comment)
         elif register.kind is Kind.I32:
             yield Variable(f"di{name}", "DINT", f"DWORD_TO_DINT({joined})", comment)
-            # 24 bits: exact to 16 m; what is not known is -2147483.6, as far away as its DINT
+            # 24 bits: exact to 16 m; an unknown value is -2147483.6, as far out as its DINT
             unit = "mm" if register.unit == "µm" else "degrees"
             thousandth = f"DINT_TO_REAL(st{place}.di{name}) / 1000.0"
             yield Variable(f"r{name}", "REAL", thousandth, f"{unit}: di{name}")
@@ -225,14 +226,14 @@ def _crc_of_4_bits(bits: int) -> int:
     return bits
 
 
-# ten poses for a registration, about the one where the robot stands, the same for every robot: turned about
-# two axes across the tool by more than a hand-eye calibration needs, and about its own; shifted so that the
-# board is seen in other parts of both pictures
+# ten poses for a registration, relative to the robot's current one and the same for every robot: turned about
+# two axes across the tool by more than a hand-eye calibration needs, and about the tool's axis; shifted so
+# that the board is seen in other parts of both pictures
 TURNS_DEG = ((0, 0, 0), (14, 0, 0), (-14, 0, 5), (0, 14, 0), (0, -14, -5),
              (8, 3, 20), (-10, 10, -20), (10, -10, 30), (-10, -10, -30), (0, 0, 40))  # fmt: skip
-"""About x, y, z of the tool."""
+"""Turns about x, y, z of the tool."""
 SHIFTS_MM = ((0, 0, 0), (8, 4, 5), (-8, 4, -5), (8, -4, 5), (-8, -4, -5),
              (0, 6, 8), (0, -6, -8), (10, 0, 0), (-10, 0, 0), (0, 0, 10))  # fmt: skip
-"""Along x, y, z of the tool."""
+"""Shifts along x, y, z of the tool."""
 SETTLE_S = 0.5
-"""At each pose, before the picture: the arm comes to rest after it has arrived."""
+"""Wait at each pose before the picture, until the arm has come to rest."""

@@ -1,4 +1,4 @@
-"""Values for the programs that talk in lines of text: the place of each field, and what can go wrong."""
+"""Template values for the programs that talk in lines of text: index of each field, and error numbers."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from edged.robot.orientations import Brand
 
 
 class Failure(enum.IntEnum):
-    """What a program reports beside the cell's own `LineStatus`."""
+    """Errors that a program reports in addition to the cell's own `LineStatus`."""
 
     LATE = 200
     """No answer in time."""
     NO_LINK = 201
-    """The cell is not reached, or the link was lost."""
+    """The cell cannot be reached, or the link was lost."""
     NO_ANSWER = 202
-    """Not an answer: another number of fields, a field that is no number, a line nobody asked for."""
+    """Not an answer: wrong number of fields, a field that is no number, or an unrequested line."""
     OTHERS = 203
     """An answer to another request."""
 
@@ -49,11 +49,11 @@ MEANINGS = {
 }
 """Texts of the error numbers; the NACK reasons, 1 to 99, have their own."""
 TRAY_FIELDS = ("POCKET", "TAKEN", "EMPTY", "POCKETS", "IS_TAKEN")
-"""What the answer to TRAY has in place of a pose, in its order."""
+"""Fields of the answer to TRAY in place of a pose, in their order."""
 
 
 BELT_FIELDS = ("COUNT_HIGH", "COUNT_LOW", "SPEED", "PART")
-"""What the answer to COUNT has in place of a pose, in its order."""
+"""Fields of the answer to COUNT in place of a pose, in their order."""
 
 
 def line_values(brand: Brand, first: int, jobs: Iterable[str] = ()) -> dict[str, object]:

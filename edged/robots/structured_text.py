@@ -1,4 +1,4 @@
-"""Structured text taken apart: the same types, functions and blocks go into the files of several makers."""
+"""Parser of structured text: the same types, functions and blocks go into the files of several makers."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _ARRAY = re.compile(r"ARRAY\[([0-9]+)\.\.([0-9]+)\] OF (\w+)")
 
 @dataclass(frozen=True, slots=True)
 class DeclaredVariable:
-    """One declaration. bounds : of an array, whose elements are of `type`; None for anything else."""
+    """One declaration. bounds : of an array, whose elements are of `type`; None if it is not an array."""
 
     name: str
     type: str
@@ -39,7 +39,7 @@ class Structure:
 
 @dataclass(frozen=True, slots=True)
 class Code:
-    """A function, or a function block (returns is ""); declaration : its source without comment and body."""
+    """Function, or function block (returns is ""). declaration : its source without comment and body."""
 
     keyword: str
     name: str
@@ -51,12 +51,12 @@ class Code:
 
 
 def structures(source: str) -> tuple[Structure, ...]:
-    """Every data type of a source."""
+    """All data types in a source."""
     return tuple(Structure(found["name"], _variables(found["fields"])) for found in _TYPE.finditer(source))
 
 
 def codes(source: str) -> tuple[Code, ...]:
-    """Every function and function block of a source."""
+    """All functions and function blocks in a source."""
     return tuple(
         Code(
             keyword=found["keyword"],

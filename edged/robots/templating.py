@@ -1,4 +1,4 @@
-"""Programs rendered from templates, each a file in the language of its controller.
+"""Rendering of programs from templates, each a file in the language of its controller.
 
 `templates/FORMAT/FILE.j2` is the template of a file; `any.TcPOU.j2` serves every file with that suffix. A
 value is `@{...}`, because some languages index with braces; statements are `{% ... %}`. The comment
@@ -20,11 +20,11 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from edged.robots.structured_text import COMMENT, Code, codes, structures
 
 NAMESPACE = uuid.UUID("6b1f1c1e-4f0b-5f5e-9a53-edf6e4444544")
-"""For the ids of TwinCAT's objects: a name has the same id in every print, so a file can be replaced."""
+"""Namespace for ids of TwinCAT objects: a name has the same id in every output, so a file can be replaced."""
 
 
 def rendered(fmt: str, file: str, values: Mapping[str, object]) -> str:
-    """Text of one file of a format. Raises `jinja2.UndefinedError` for a value that its template misses."""
+    """Text of one file of a format. Raises `jinja2.UndefinedError` if its template lacks a value."""
     names = [f"{fmt}/{file}.j2", f"{fmt}/any{Path(file).suffix}.j2"]
     return _environment().select_template(names).render({"name": Path(file).stem, **values})
 
@@ -56,7 +56,7 @@ def _environment() -> Environment:
 
 
 def _numbered(text: str, form: str) -> str:
-    """Each line behind its number, from 1."""
+    """Prefix each line with its number, from 1."""
     return "".join(f"{form % number}{line}\n" for number, line in enumerate(text.splitlines(), 1))
 
 
@@ -66,7 +66,7 @@ FUNCTION = re.compile(r"F_EDGED_\w+")
 
 
 def scl_body(code: Code) -> str:
-    """The statements of a block: its own names with #, functions in quotes, named parameters for shifts."""
+    """Statements of a block in SCL: own names with #, functions in quotes, named parameters for shifts."""
     own = {variable.name for _, variables in code.sections for variable in variables} | {code.name}
     parts, end = [], 0
     for comment in COMMENT.finditer(code.body):

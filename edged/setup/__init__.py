@@ -1,1 +1,1 @@
-"""Setting a cell up: what people and pages do before, and beside, its measuring."""
+"""Setting up a cell: everything that users and pages do before and besides measuring."""

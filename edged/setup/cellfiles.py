@@ -1,7 +1,7 @@
-"""A cell as files: its configuration, and the rig and the jobs that it names.
+"""Files of a cell: its configuration, and the rig and the jobs that it names.
 
-`read_cell` finds every mistake in all of them; `read_any_cell` takes a cell without rig or jobs, too. Neither
-needs cameras nor compiled code, so that a check is quick.
+`read_cell` reports every mistake in all of them; `read_any_cell` also accepts a cell without rig or jobs.
+Neither needs cameras or compiled code, so that a check is quick.
 """
 
 from __future__ import annotations
@@ -42,21 +42,21 @@ if TYPE_CHECKING:  # as in `files.marks`
     from edged.vision.marks.taught import TaughtMarks
 
 USUAL_BASELINE_MM = (10.0, 800.0)
-"""Between two cameras on one mount: outside of it a board was mostly stated ten times too large or small. The
-rig cannot tell; a ruler can."""
+"""Usual distance of two cameras on one mount: outside this range, the board's size was probably stated ten
+times too large or too small. The rig cannot show that; a ruler can."""
 HIDDEN_HASH = "$argon2id$v=19$m=8,t=1,p=1$aGlkZGVuLi4$aGlkZGVuaGlkZGVuaGlkZGVu"
-"""In the place of a password's hash that the other process need not know; nothing is compared with it."""
+"""Placeholder for a password's hash that the other process need not know; nothing is compared with it."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CellFiles:
-    """What a cell's files say.
+    """Content of a cell's files.
 
-    fingerprint : changes with anything that a result stands on.
-    contents : of each file that a result stands on, by its name in a recording; without secrets.
-    golden : golden parts, by the number of the job; beside all that, as no pose stands on them.
-    marks : reference marks as taught; None where there are none, and in the process of the page.
-    other_marks : there are some, taught with another calibration.
+    fingerprint : changes with anything that affects results.
+    contents : of each file that affects results, by its name in a recording; without secrets.
+    golden : golden parts, by the number of the job; not in `contents`, as no pose depends on them.
+    marks : reference marks as taught; None if there are none, and in the page's process.
+    other_marks : there are some, but taught with another calibration.
     """
 
     config: Config
@@ -75,7 +75,7 @@ class CellFiles:
 class UnfinishedCell:
     """A cell without a rig, or without any job: it runs in SETUP. Otherwise as `CellFiles`.
 
-    rig : None where there is none. lacks : what it needs first. missing : a line for each that is not there.
+    rig : None if there is none. lacks : what it needs first. missing : a line for each missing file.
     """
 
     config: Config
@@ -89,7 +89,7 @@ class UnfinishedCell:
 def read_cell(path: Path, *, elsewhere: bool = False) -> CellFiles:
     """Read configuration, rig and all jobs. Raises `ConfigError` with every mistake in them.
 
-    elsewhere : on a machine that it need not run on; certificates and keys may be missing.
+    elsewhere : on a machine where it need not run, so that certificates and keys may be missing.
     """
     cell = read_any_cell(path, elsewhere=elsewhere)
     if isinstance(cell, UnfinishedCell):
@@ -99,7 +99,7 @@ def read_cell(path: Path, *, elsewhere: bool = False) -> CellFiles:
 
 def read_any_cell(path: Path, *, elsewhere: bool = False) -> CellFiles | UnfinishedCell:
     """Read a cell as `read_cell`; a missing rig file, or no job at all, is no mistake."""
-    # each file is read once: what is recorded is what is measured by, even if a file is replaced meanwhile
+    # each file is read once: recorded files are those measured with, even if one is replaced meanwhile
     text = read(path)
     try:
         config, chosen = config_and_choice(text, path)
@@ -115,7 +115,7 @@ def read_any_cell(path: Path, *, elsewhere: bool = False) -> CellFiles | Unfinis
     lacks_jobs = _is_missing(config.cell.jobs) or _is_empty(config.cell.jobs)
     lacks = (lacks_rig, SetupSource.NO_CALIBRATION), (lacks_jobs, SetupSource.NO_JOB)
     lacking = [source for is_missing, source in lacks if is_missing]
-    # a rig or a job that is there and cannot be used is a mistake as any other
+    # a rig or a job that exists but cannot be used is a mistake like any other
     wrong_rig, wrong_jobs = of_rig > others and not lacks_rig, len(problems) > of_rig and not lacks_jobs
     identity = fingerprint(config, files)
     contents = {**files, "cell.toml": without_secrets(text)}
@@ -133,7 +133,7 @@ def read_any_cell(path: Path, *, elsewhere: bool = False) -> CellFiles | Unfinis
 
 
 def acceptance_of(path: Path, rig: StereoRig) -> Acceptance:
-    """The last acceptance test beside a rig; a file that cannot be read keeps no cell from measuring."""
+    """The last acceptance test beside a rig; an unreadable file does not keep a cell from measuring."""
     try:
         return load_acceptance(acceptance_file(path), rig.calibration_id, registration_digest(rig))
     except FileFormatError:
@@ -141,8 +141,8 @@ def acceptance_of(path: Path, rig: StereoRig) -> Acceptance:
 
 
 def files_in_use(cell: CellFiles | UnfinishedCell) -> FilesInUse:
-    """A cell as another process gets it; of secrets only the page's own password hashes go with it."""
-    # what is left out stays so: some keys must not be stated with others
+    """A cell for another process; the only secrets that go with it are the page's own password hashes."""
+    # unset keys stay unset: some keys must not be stated together with others
     settings = cell.config.model_dump(mode="json", by_alias=True, exclude_unset=True)
     if cell.config.web is not None:
         for place, hashed in cell.config.password_hashes().items():
@@ -161,7 +161,7 @@ def files_in_use(cell: CellFiles | UnfinishedCell) -> FilesInUse:
 
 
 def cell_of(files: FilesInUse) -> CellFiles | UnfinishedCell:
-    """The cell again. Raises `EdgedError`, `ValueError`."""
+    """Restore a cell from `files_in_use`. Raises `EdgedError`, `ValueError`."""
     config = Config.model_validate_json(files.config)
     content = files.contents.get("rig.json")
     rig = None if content is None else rig_of(content, config.cell.rig)
@@ -179,7 +179,7 @@ def cell_of(files: FilesInUse) -> CellFiles | UnfinishedCell:
 
 
 def golden_parts(place: Path, rig: StereoRig, jobs: Iterable[Job]) -> dict[int, GoldenPart]:
-    """The golden part of each job that has one, also where it no longer holds. place : of the rig's file."""
+    """The golden part of each job that has one, even if no longer valid. place : path of the rig file."""
     found = dict[int, GoldenPart]()
     for job in jobs:
         path = golden_file(place, job.number)
@@ -193,7 +193,7 @@ def golden_parts(place: Path, rig: StereoRig, jobs: Iterable[Job]) -> dict[int, 
 
 
 def _is_missing(path: Path) -> bool:
-    """Whether nothing is there; False where that cannot be told."""
+    """Whether a path does not exist; False if that cannot be determined."""
     try:
         return not path.exists()
     except OSError:
@@ -201,7 +201,7 @@ def _is_missing(path: Path) -> bool:
 
 
 def _is_empty(folder: Path) -> bool:
-    """Whether it holds no job, good or bad; False where that cannot be told, and for what is no folder."""
+    """Whether a folder holds no job, good or bad; False if undetermined, or if it is not a folder."""
     try:
         return folder.is_dir() and not job_folders(folder)
     except OSError:
@@ -210,9 +210,9 @@ def _is_empty(folder: Path) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class ExposedSecret:
-    """A file that every user of this machine may read, and the secret in it. remedy : a command.
+    """A secret in a file that every user of this machine may read. place : its option. remedy : a command.
 
-    can_be_closed : by this very process.
+    can_be_closed : this process can restrict access to the file.
     """
 
     place: str
@@ -221,7 +221,7 @@ class ExposedSecret:
     can_be_closed: bool
 
     def __str__(self) -> str:
-        """One line."""
+        """Message of one line."""
         return f"{self.place}: every user of this machine may read {self.file}: {self.remedy}"
 
 
@@ -231,11 +231,11 @@ UNACCEPTED = {
     AcceptanceState.OTHER_RIG: "the rig was calibrated or registered anew since the cell was tested",
     AcceptanceState.DAMAGED: "it cannot be read, so nothing is known of the last test",
 }
-"""What is to be done about a last acceptance test."""
+"""Remarks on states of the last acceptance test in which the cell does not count as accepted."""
 
 
 def doubts(cell: CellFiles) -> list[str]:
-    """What a person should look at before results are trusted; none of it keeps a cell from measuring."""
+    """Remarks that a person should check before trusting results; none keeps the cell from measuring."""
     rig, remarks = cell.rig, []
     try:
         verdict = json_of(cell.contents["rig.json"])["quality"]["verdict"]
@@ -265,13 +265,13 @@ def doubts(cell: CellFiles) -> list[str]:
 
 
 def exposed_secrets(path: Path, config: Config) -> list[ExposedSecret]:
-    """What others may read of the password's hash and the private keys; path : of the configuration."""
+    """Files with password hashes and private keys that others may read. path : of the configuration."""
     secrets = [*config.secret_files().items()]
     secrets += [(place, path) for place in config.password_hashes()]
     if config.zenoh.enabled and config.zenoh.config_file is not None:
         from edged.adapters.zenoh.session import secret_files  # a check without such a file is quicker
 
-        with contextlib.suppress(ConfigError):  # `read_cell` says so
+        with contextlib.suppress(ConfigError):  # reported by `read_cell`
             secrets += [("zenoh.config_file", file) for file in secret_files(config.zenoh.config_file)]
     return [
         ExposedSecret(place, file, closing(file), can_close(file))
@@ -281,7 +281,7 @@ def exposed_secrets(path: Path, config: Config) -> list[ExposedSecret]:
 
 
 def _unguarded(config: Config) -> list[str]:
-    """What is wrong with Zenoh's own file: it cannot be read, or lets everybody command the cell."""
+    """Problems of Zenoh's own file: it cannot be read, or lets everybody command the cell."""
     zenoh = config.zenoh
     if not zenoh.enabled or zenoh.config_file is None or not zenoh.config_file.is_file():
         return []
@@ -297,7 +297,7 @@ def _unguarded(config: Config) -> list[str]:
 
 
 def _unshared(config: Config) -> list[str]:
-    """What is wrong with the key that messages over Zenoh are signed with."""
+    """Problems of the key that messages over Zenoh are signed with."""
     file = config.zenoh.shared_key
     if not config.zenoh.enabled or file is None or not file.is_file():
         return []
@@ -339,7 +339,7 @@ def _load_rig(
 def _load_marks(
     path: Path, rig: StereoRig | None, files: dict[str, bytes], problems: list[str]
 ) -> tuple[TaughtMarks | None, bool]:
-    """The reference marks beside a rig, and whether they are of another calibration of it."""
+    """The reference marks beside a rig, and whether there are some of another calibration instead."""
     if rig is None or _is_missing(path):
         return None, False
     try:
@@ -398,15 +398,15 @@ def _load_jobs(folder: Path, active: str | None, files: dict[str, bytes], proble
 
 
 def fingerprint(config: Config, files: Mapping[str, bytes]) -> str:
-    """Short digest (8 hex digits) of the configuration and of the rig and job files it stands on.
+    """Short digest (8 hex digits) of the configuration and of its rig and job files.
 
-    Of a path only its name counts: a cell that was restored elsewhere is the same cell. So it is with another
-    password, and what is published tells nothing of it.
+    Only the name of a path counts, so that a cell restored elsewhere has the same one. Passwords do not count
+    either, so that published data reveals nothing about them.
     """
-    stated = config.model_dump(exclude={"fleet"})  # where releases come from measures nothing
+    stated = config.model_dump(exclude={"fleet"})  # the source of releases affects no measurement
     if config.marks == MarksSection():
-        del stated["marks"]  # nothing was stated: the cell is what it was before there were such keys
-    del stated["history"]  # no result stands on what is written down of it
+        del stated["marks"]  # default: keeps the fingerprint that the cell had before these keys existed
+    del stated["history"]  # the history of results affects no result
     settings = json.dumps(stated, default=_identity, sort_keys=True)
     digest = hashlib.sha256(settings.encode())
     for name in sorted(files):
@@ -415,5 +415,5 @@ def fingerprint(config: Config, files: Mapping[str, bytes]) -> str:
 
 
 def _identity(value: object) -> str:
-    """Identity of values that JSON lacks: the name of a path; nothing of a secret."""
+    """JSON form of other values: the name of a path; "" for a secret."""
     return value.name if isinstance(value, Path) else ""

@@ -1,4 +1,4 @@
-"""Settings of the configuration, chosen on the page as a draft, and what becomes of that draft."""
+"""Settings of the configuration that can be chosen on the page, in a draft to be activated or discarded."""
 
 from __future__ import annotations
 
@@ -52,15 +52,15 @@ NOT_HERE: Mapping[str, str] = {
     "registration": "bounds",
     "marks": "bounds",
 }
-"""What only who writes the configuration may change, and the page's reason for it (`settings-not-...`)."""
+"""Options that can only be changed in the configuration file, with the page's reason (`settings-not-...`)."""
 
 
 class Setting(Answer):
-    """One that can be chosen. value : in force. configured : in the file, else its default; null: left out.
+    """A setting that can be chosen. value : in force. configured : in the file, or default; null if unset.
 
-    chosen, wanted : whether it is other than configured, in the draft if there is one, and its value there.
-    low, high : bounds that are known. can_be_left_out : null is a value. modes : of the trigger that it
-    belongs to; empty: all. help : in English, as the manual has it.
+    chosen : it is chosen on the page, in the draft if there is one. wanted : its value then. low,
+    high : known bounds. can_be_left_out : null is allowed. modes : trigger modes that it belongs to; empty
+    for all. help : in English, as in the manual.
     """
 
     name: str
@@ -78,7 +78,7 @@ class Setting(Answer):
 
 
 class SettingsNow(Answer):
-    """All of them, in the order of the configuration; why others are not among them; the draft, if any."""
+    """All settings, in the order of the configuration; options not offered, by reason; the draft, if any."""
 
     settings: list[Setting]
     not_here: dict[str, list[str]]
@@ -86,9 +86,9 @@ class SettingsNow(Answer):
 
 
 class Choosing(Body):
-    """All that is chosen, by dotted names; what is not named is as configured. null: left out.
+    """All chosen settings, by dotted names; others are as configured. null : unset.
 
-    revision : of the draft as it was seen; 0: none.
+    revision : of the draft as it was seen; 0 for none.
     """
 
     revision: Revision
@@ -99,14 +99,14 @@ class Choosing(Body):
 
 
 class ActivatingSettings(Body):
-    """Why; and the token, while somebody has the cell."""
+    """Request to activate: the reason, and the token while there is a lease."""
 
     token: Token | None = None
     note: Reason
 
 
 class SettingsRoutes:
-    """The routes."""
+    """Routes of settings."""
 
     def __init__(self, cell: CellInUse, activation: Activation, draft: SettingsDraft) -> None:
         self._cell = cell
@@ -210,7 +210,7 @@ def _form(whole: Mapping[str, Any], name: str) -> dict[str, Any]:
 
 
 def _resolved(whole: Mapping[str, Any], form: Mapping[str, Any]) -> Mapping[str, Any]:
-    """A section's schema, where it stands. One that may be left out is either that, or null."""
+    """Resolve the reference to a section's schema, also of an optional section (that schema or null)."""
     for part in (form, *form.get("anyOf", ())):
         if "$ref" in part:
             return dict(whole["$defs"][part["$ref"].rpartition("/")[2]])
@@ -218,7 +218,7 @@ def _resolved(whole: Mapping[str, Any], form: Mapping[str, Any]) -> Mapping[str,
 
 
 def _kind(form: Mapping[str, Any]) -> dict[str, Any]:
-    """What can be entered."""
+    """Fields of a `Setting` that describe its allowed values."""
     value = next((part for part in form.get("anyOf", ()) if part.get("type") != "null"), form)
     kinds = {"boolean": "yes_no", "integer": "whole", "number": "number"}
     return {

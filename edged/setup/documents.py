@@ -1,4 +1,4 @@
-"""What several topics of setting up send: heads of drafts, what is in the way, pictures, poses, sigmas."""
+"""Documents shared by several setup topics: heads of drafts, problems, pictures, poses, sigmas."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ log = logging.getLogger(__name__)
 
 
 class Frozen(BaseModel):
-    """A model that does not change; made of values, or of the attributes of something that has the same."""
+    """An immutable model; can be made from values, or from an object with attributes of the same names."""
 
     model_config = ConfigDict(
         frozen=True, from_attributes=True, json_schema_serialization_defaults_required=True
@@ -25,18 +25,18 @@ class Frozen(BaseModel):
 
 
 def now_text() -> str:
-    """The time, UTC, to the second, as documents have it."""
+    """The current time, UTC, to the second, in the form of documents."""
     return datetime.now(UTC).isoformat(timespec="seconds")
 
 
 Message = Annotated[str, AfterValidator(without_folders)]
-"""Text of an error: a page names files, and not where they lie on this machine."""
+"""Text of an error for pages, with the names of files but not their folders on this machine."""
 M = TypeVar("M", bound=Frozen)
 B = TypeVar("B", bound=BaseModel)
 
 
 def read_model(file: Path, model: type[B], what: str) -> B:
-    """What a file of JSON holds. what : it is, for messages. Raises `FileFormatError`."""
+    """Read a model from a JSON file. what : description for messages. Raises `FileFormatError`."""
     try:
         return model.model_validate_json(read_bytes(file, what))
     except ValidationError as error:
@@ -44,7 +44,7 @@ def read_model(file: Path, model: type[B], what: str) -> B:
 
 
 class LastDocument(Generic[M]):
-    """The last outcome of something, in a file of its own. what : it is, for the log."""
+    """The last outcome of something, in its own file. what : description for the log."""
 
     def __init__(self, file: Path, model: type[M], what: str) -> None:
         self._file = file
@@ -52,12 +52,12 @@ class LastDocument(Generic[M]):
         self._what = what
 
     def write(self, document: M) -> None:
-        """Keep it instead of the one before. Raises `OSError`."""
+        """Replace the former document. Raises `OSError`."""
         make_folders(self._file.parent)
         write_atomically(self._file, document.model_dump_json(indent=1).encode())
 
     def read(self) -> M | None:
-        """The one that is kept; None where there is none, or it cannot be read."""
+        """Read the document; None if there is none, or it cannot be read."""
         try:
             return self._model.model_validate_json(self._file.read_bytes())
         except FileNotFoundError:
@@ -68,7 +68,7 @@ class LastDocument(Generic[M]):
 
 
 class Trouble(Frozen):
-    """What keeps something from being done. code, params : as of a problem.  text : in English."""
+    """Reason why something cannot be done. code, params : as of a problem.  text : in English."""
 
     code: str
     text: Message
@@ -76,14 +76,14 @@ class Trouble(Frozen):
 
 
 class PicturePaths(Frozen):
-    """Where the pictures of a pair are."""
+    """API paths of a pair's pictures."""
 
     left: str
     right: str
 
     @classmethod
     def below(cls, place: str) -> Self:
-        """As JPEGs of a folder of the API."""
+        """Paths of the JPEGs below a path of the API."""
         return cls(left=f"{place}/left.jpg", right=f"{place}/right.jpg")
 
 
@@ -107,7 +107,7 @@ class SigmaXyz(Frozen):
 
 
 class SigmaAbc(Frozen):
-    """One sigma of three angles, degrees; null for what is not known: the turn of a round part."""
+    """One sigma of three angles, degrees; null where not known, such as the rotation of a round part."""
 
     a: float | None
     b: float | None
@@ -115,7 +115,7 @@ class SigmaAbc(Frozen):
 
 
 class DraftHead(Frozen):
-    """What the documents of all drafts have in common. active : the cell runs by what came of it."""
+    """Common fields of all drafts' documents. active : the cell uses the draft's result."""
 
     id: str
     revision: int

@@ -1,4 +1,4 @@
-"""HTTP of drafts: what the routes of all topics have in common."""
+"""Routes that the drafts of all topics have in common."""
 
 from __future__ import annotations
 
@@ -22,38 +22,38 @@ T = TypeVar("T")
 B = TypeVar("B")
 
 REPORT_POLICY = "default-src 'none'; style-src 'unsafe-inline'; img-src data:; sandbox"
-"""Content security policy of reports: they hold their own style and pictures, and run nothing."""
+"""Content security policy of reports: style and pictures are embedded, and no scripts run."""
 
 
 def report_answer(page: bytes) -> web.Response:
-    """A report, as a page."""
+    """Response with a report page."""
     headers = {"Content-Security-Policy": REPORT_POLICY}
     return web.Response(body=page, content_type="text/html", charset="utf-8", headers=headers)
 
 
 class Nothing(Body):
-    """All that is to be said is in the path."""
+    """Empty body: the path says everything."""
 
 
 class Revised(Body):
-    """A change of a draft as it was seen; where it is another by now, the answer is 412 with that."""
+    """Change of a draft as it was seen; if it has changed since, the answer is 412 with the newer one."""
 
     revision: Revision | None = None
 
 
 class Begun(Answer):
-    """Long work: ask for it by its id."""
+    """Id of the started task, to ask for its progress."""
 
     task: str
 
 
 def unknown() -> Problem:
-    """The answer about something that there is not."""
+    """Problem for something that does not exist."""
     return Problem(404, "unknown", "there is no such thing, or not any more")
 
 
 async def known(asked: Awaitable[T]) -> T:
-    """Await an answer; raises `Problem` for a `KeyError`, and for a draft that was changed since."""
+    """Await an answer; raises `Problem` for a `KeyError`, and for a draft that has changed meanwhile."""
     try:
         return await asked
     except KeyError:
@@ -65,9 +65,9 @@ async def known(asked: Awaitable[T]) -> T:
 
 
 class DraftRoutes:
-    """The routes of one topic's drafts, below a path.
+    """Routes of one topic's drafts, below a path.
 
-    answer : what most of them answer.  body : of undo, redo and discarding.
+    answer : answer of most of them.  body : of undo, redo and discard.
     """
 
     def __init__(
@@ -93,7 +93,7 @@ class DraftRoutes:
         body: type[B] | None = None,
         **more: Any,
     ) -> None:
-        """A route of a draft, as `RouteTable.route` has it; the handler is given the draft's id, too."""
+        """Add a route of a draft, as `RouteTable.route` does; the handler also gets the draft's id."""
 
         async def handle(call: Call[B]) -> Given:
             return await known(handler(call.part("id"), call))
@@ -110,9 +110,10 @@ class DraftRoutes:
         words: Mapping[str, str],
         about: Callable[[], Mapping[str, Any]] = dict,
     ) -> None:
-        """List, see, discard, undo, redo. field : of the list.  words : by "GET all", "GET", "DELETE".
+        """Add routes to list, get, discard, undo and redo drafts.
 
-        about : other fields of the list.
+        field : of the list with the drafts.  words : descriptions for "GET all", "GET", "DELETE".
+        about : returns other fields of the list.
         """
 
         async def listing(_call: Call[None]) -> Given:
@@ -137,7 +138,7 @@ class DraftRoutes:
         body: type[B],
         **more: Any,
     ) -> None:
-        """A route that changes a draft's files. change : in a thread, with the draft."""
+        """Add a route that changes a draft's files. change : called in a thread, with the draft."""
 
         def handle(identity: str, call: Call[B]) -> Awaitable[DraftHead]:
             revision = getattr(call.body, "revision", None)
@@ -146,7 +147,7 @@ class DraftRoutes:
         self.add(method, path, handle, what, body, **more)
 
     def add_begin(self, begin: Callable[[Call[B]], Awaitable[DraftHead]], what: str, body: type[B]) -> None:
-        """The route that begins a draft."""
+        """Add the route that begins a draft."""
 
         async def handle(call: Call[B]) -> DraftHead:
             draft = await known(begin(call))
@@ -164,7 +165,7 @@ class DraftRoutes:
         what: str,
         headers: Mapping[str, str] | None = None,
     ) -> None:
-        """The route of a JPEG. file : of the draft; None: there is none."""
+        """Add the route of a JPEG. file : returns its path for a draft; None if there is none."""
 
         async def handle(identity: str, call: Call[None]) -> web.Response:
             found = file((await self._drafts.get(identity)).draft, call)

@@ -1,7 +1,7 @@
-"""Drafts of one topic in a running cell: opened when they are asked for, sent to every page when they change.
+"""Drafts of one topic in a running cell: opened on demand, and sent to every page when they change.
 
-A topic (calibrations, registrations, jobs to teach) has an open-draft type of its own, which holds what is
-known of a draft beyond its files, and says by `Topic` how that is computed and sent.
+A topic (calibrations, registrations, teaching of jobs) has its own type of open drafts, which holds the state
+of a draft beyond its files, and defines by `Topic` how that state is computed and sent.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ R = TypeVar("R")
 
 
 class OpenDraft(Protocol):
-    """A draft that is worked on. is_gone : it was discarded.  is_busy : something is under way for it."""
+    """An open draft. is_gone : it was discarded.  is_busy : work for it is under way."""
 
     is_gone: bool
 
@@ -36,29 +36,29 @@ class OpenDraft(Protocol):
 
     @property
     def is_busy(self) -> bool:
-        """Described above."""
+        """Whether work for it is under way."""
 
 
 O = TypeVar("O", bound=OpenDraft)  # noqa: E741  (an open draft)
 
 
 class Topic(Protocol[S_contra, D_contra, O]):
-    """What is different from topic to topic."""
+    """Operations that differ from topic to topic."""
 
     def opened(self, draft: D_contra) -> O:
-        """Work on a draft; called in a thread."""
+        """Open a draft for work; called in a thread."""
 
     def refresh(self, opened: O) -> None:
-        """Compute again what depends on what has changed."""
+        """Start to recompute results whose inputs have changed."""
 
     def document(self, opened: O) -> DraftHead:
-        """All that is known of a draft."""
+        """Full document of a draft."""
 
     def summary(self, state: S_contra) -> Mapping[str, object]:
         """Fields of a draft in a list, besides id, created and author."""
 
     async def stop(self, opened: O) -> None:
-        """End what is under way for a draft."""
+        """Stop all work under way for a draft."""
 
 
 class StaleDraft(Exception):
@@ -70,7 +70,7 @@ class StaleDraft(Exception):
 
 
 class OpenDrafts(Generic[S, D, O]):
-    """Used on the event loop only. kind : of the notices.  current : the draft that was worked on last."""
+    """Open drafts of one topic; used on the event loop only. kind : of notices.  current : the last used."""
 
     def __init__(
         self, kind: str, notices: Notices, folders: DraftFolders[S, D], topic: Topic[S, D, O]
@@ -84,12 +84,12 @@ class OpenDrafts(Generic[S, D, O]):
         self._changing = asyncio.Lock()
 
     async def close(self) -> None:
-        """End what is under way; drafts are on disc."""
+        """Stop all work under way; drafts are on disc."""
         for opened in list(self.open.values()):
             await self._topic.stop(opened)
 
     async def summaries(self) -> list[dict[str, object]]:
-        """All drafts, the youngest first, as `DraftSummary` has them; or why one cannot be read."""
+        """Fields of a `DraftSummary` of each draft, newest first; or why it cannot be read."""
         return [
             {"id": identity, "trouble": str(state)}
             if isinstance(state, FileFormatError)
@@ -106,19 +106,19 @@ class OpenDrafts(Generic[S, D, O]):
         """Open a draft. Raises `KeyError`, and `FileFormatError` for one that cannot be read."""
         if identity not in self.open:
             found = await asyncio.to_thread(lambda: self._topic.opened(self._folders.load(identity)))
-            self.open.setdefault(identity, found)  # unless somebody was quicker
+            self.open.setdefault(identity, found)  # unless opened meanwhile
         opened = self.open[identity]
         self._topic.refresh(opened)
         return opened
 
     async def document(self, identity: str) -> DraftHead:
-        """All that is known of a draft. Raises as `get`."""
+        """Full document of a draft. Raises as `get`."""
         opened = await self.get(identity)
         self.current = self.current or identity
         return self._topic.document(opened)
 
     async def begin(self, create: Callable[[], D]) -> O:
-        """Open a new draft; those for which nothing is under way are closed. Raises what `create` raises."""
+        """Create and open a draft, and close all that are not busy. Raises what `create` raises."""
         async with self._changing:
             opened = await asyncio.to_thread(lambda: self._topic.opened(create()))
         self.current = opened.draft.state.id
@@ -129,7 +129,7 @@ class OpenDrafts(Generic[S, D, O]):
     async def change(
         self, identity: str, change: Callable[[D], object], revision: int | None = None
     ) -> DraftHead:
-        """Change a draft's files. revision : that was seen; None: any.
+        """Change a draft's files. revision : that was seen; None for any.
 
         Raises what `change` raises, `StaleDraft`, and as `get`.
         """
@@ -141,21 +141,21 @@ class OpenDrafts(Generic[S, D, O]):
 
     @asynccontextmanager
     async def changing(self, opened: O, revision: int | None = None) -> AsyncIterator[None]:
-        """While files of a draft change: nobody else changes any. Raises as `check`."""
+        """Context for changing a draft's files; no other draft is changed meanwhile. Raises as `check`."""
         async with self._changing:
             self.check(opened, revision)
             yield
         self._topic.refresh(opened)
 
     def check(self, opened: O, revision: int | None) -> None:
-        """Raises `KeyError` for a draft that was discarded, `StaleDraft` for another revision."""
+        """Check a draft. Raises `KeyError` if it was discarded, `StaleDraft` for another revision."""
         if opened.is_gone:
             raise KeyError(opened.draft.state.id)
         if revision is not None and revision != opened.draft.state.revision:
             raise StaleDraft(self._topic.document(opened))
 
     async def remove(self, identity: str, revision: int | None = None) -> None:
-        """Discard a draft, and end what is under way for it. Raises `KeyError`, `StaleDraft`."""
+        """Discard a draft, and stop all work for it. Raises `KeyError`, `StaleDraft`."""
         opened = self.open.get(identity) if revision is None else await self.get(identity)
         async with self._changing:
             if opened is not None:
@@ -177,14 +177,15 @@ class OpenDrafts(Generic[S, D, O]):
         return document
 
     async def tell_again(self, identity: str) -> None:
-        """Send a draft of which something has changed that its files do not tell. Raises as `get`."""
+        """Send a draft after a change outside its files. Raises as `get`."""
         self.tell(await self.get(identity))
 
 
 class Latest(Generic[R]):
-    """A result that is computed in the background, and again while its inputs have changed meanwhile.
+    """A result that is computed in the background, and again if its inputs have changed meanwhile.
 
-    inputs : what it depends on, compared by ==.  compute : raises nothing.  ended : called after.
+    inputs : returns what it depends on, compared by ==.  compute : raises nothing.  ended : called
+    afterwards.
     """
 
     def __init__(
@@ -208,15 +209,15 @@ class Latest(Generic[R]):
 
     @property
     def is_current(self) -> bool:
-        """Whether the result is that of the inputs as they are."""
+        """Whether the result is of the present inputs."""
         return self._made_of == self._inputs()
 
     def set(self, value: R) -> None:
-        """Let this be the result for the inputs as they are."""
+        """Set the result for the present inputs."""
         self.value, self._made_of = value, self._inputs()
 
     def refresh(self) -> None:
-        """Compute it again if it is not current."""
+        """Start to compute it again if it is not current."""
         if self._running is None and not self.is_current:
             self._running = asyncio.create_task(self._run(), name="refresh")
 
@@ -230,19 +231,19 @@ class Latest(Generic[R]):
             self._ended()
 
     async def wait(self) -> None:
-        """Compute it if it is not current, and wait for that."""
+        """Compute it if it is not current, and wait for the result."""
         self.refresh()
         if self._running is not None:
             await asyncio.shield(self._running)
 
     async def stop(self) -> None:
-        """Compute it no more."""
+        """Stop computing."""
         if self._running is not None:
             await cancel_and_await(self._running)
 
 
 def trouble_in(error: Exception | None) -> Trouble | None:
-    """The document of an error; without a code where it is not one of edged's."""
+    """Document of an error, None without one; the code is "" if it is not an `EdgedError`."""
     if error is None:
         return None
     params = dict(error.params) if isinstance(error, UserError) else {}

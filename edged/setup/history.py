@@ -1,4 +1,4 @@
-"""Drafts on disc: a folder with a state of counted revisions, operations that can be undone, and pictures."""
+"""Drafts on disc: folders with pictures and a state, which has a revision and undoable operations."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from edged.setup.documents import read_model
 MOST_OPERATIONS = 2000
 _STATE = "state.json"
 BEGINNING_S = 3600.0
-"""Longer than it takes to write the first files of a draft."""
+"""Age from which on a draft folder without a state was abandoned while it was being created."""
 _IDENTITY = re.compile(r"[0-9]{8}-[0-9]{6}-[0-9a-f]{4}")
 DraftId = Annotated[str, Field(pattern=f"^{_IDENTITY.pattern}$")]
 Digest = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
@@ -32,7 +32,7 @@ Text = Annotated[str, Field(max_length=2000)]
 
 
 class Kept(BaseModel):
-    """Frozen, without keys that are not known, and every number finite."""
+    """Model of a file: frozen, without unknown keys, and with finite numbers only."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
 
@@ -41,8 +41,8 @@ O = TypeVar("O", bound=Kept)  # noqa: E741  (an operation)
 
 
 class History(Kept, Generic[O]):
-    """A draft's state. revision : counts every change.  operations : `done` of them hold, the others were
-    undone.  outcome : fields of what came of the operations that hold: None after each step.
+    """A draft's state. revision : counts every change.  operations : the first `done` hold, the others were
+    undone.  outcome : names of fields with results of the operations; reset to None by each step.
     """
 
     outcome: ClassVar[tuple[str, ...]] = ()
@@ -66,27 +66,27 @@ class History(Kept, Generic[O]):
 
     @property
     def head(self) -> dict[str, Any]:
-        """The fields of a `DraftHead` that the state alone tells."""
+        """Fields of a `DraftHead` that follow from the state alone."""
         fields = {name: getattr(self, name) for name in ("id", "revision", "created", "author")}
         return {**fields, "can_undo": self.done > 0, "can_redo": self.done < len(self.operations)}
 
     def changed(self, **changes: Any) -> Self:
-        """With these fields, checked, one revision later."""
+        """Copy with these fields changed and validated, and the next revision."""
         fields = {name: getattr(self, name) for name in type(self).model_fields}
         return type(self)(**{**fields, **changes, "revision": self.revision + 1})
 
     def without_outcome(self, **changes: Any) -> Self:
-        """With these fields, and nothing that came of the state before."""
+        """Copy with these fields changed, and without the outcome."""
         return self.changed(**dict.fromkeys(self.outcome), **changes)
 
     def operated(self, operation: O, **changes: Any) -> Self:
-        """With one operation more; what was undone is forgotten."""
+        """Copy with one more operation; undone ones are dropped."""
         done = (*self.holding, operation)
         return self.without_outcome(operations=done, done=len(done), **changes)
 
 
 def beginning(author: str, now: datetime) -> dict[str, Any]:
-    """The first fields of a new draft's state; ids are in the order of time."""
+    """Initial fields of a new draft's state; ids sort by time."""
     identity = f"{now:%Y%m%d-%H%M%S}-{secrets.token_hex(2)}"
     return {"id": identity, "created": now.isoformat(timespec="seconds"), "author": author}
 
@@ -95,8 +95,9 @@ S = TypeVar("S", bound=History[Any])
 
 
 class DraftFile(Generic[S]):
-    """A draft's folder and state. Each change is on disc when its method returns; it raises `OSError` where
-    that refuses. error : raised for a step that cannot be taken.
+    """A draft's folder and state. Each change is on disc when its method returns, or it raises `OSError`.
+
+    error : raised for a step that cannot be taken.
     """
 
     error: ClassVar[type[UserError]] = CalibrationError
@@ -125,11 +126,11 @@ class DraftFile(Generic[S]):
         self._state = state
 
     def undo(self) -> None:
-        """Take the last operation back. Raises `error` when there is none."""
+        """Undo the last operation. Raises `error` if there is none."""
         self._step(-1, "undo")
 
     def redo(self) -> None:
-        """Do again what was taken back last. Raises `error` when there is nothing."""
+        """Redo the operation that was undone last. Raises `error` if there is none."""
         self._step(1, "do again")
 
     def _step(self, by: Literal[-1, 1], what: str) -> None:
@@ -145,9 +146,9 @@ D = TypeVar("D", bound=DraftFile[Any])
 class DraftFolders(Generic[S, D]):
     """Drafts of one kind, in a folder.
 
-    model, draft : the types of their states and files.  places : folders inside each.  most : drafts; with
-    one more the oldest goes.  pictures : by the state, the files in "pictures" without which a draft cannot
-    be read.
+    model, draft : the types of their states and files.  places : folders inside each.  most : number of
+    drafts kept; beyond it, the oldest are deleted.  pictures : returns for a state the names of the files in
+    "pictures" that a draft needs.
     """
 
     def __init__(
@@ -167,13 +168,13 @@ class DraftFolders(Generic[S, D]):
         self._pictures = pictures
 
     def place(self, identity: str) -> Path:
-        """The folder of a draft, with those inside it. Raises `OSError`."""
+        """Make the folder of a draft with its subfolders, and return it. Raises `OSError`."""
         for place in self._places:
             make_folders(self._folder / identity / place)
         return self._folder / identity
 
     def add(self, state: S) -> D:
-        """Begin a draft, whose other files are in its `place` already; the oldest beyond `most` go."""
+        """Add a draft whose other files are in its `place` already; the oldest beyond `most` are deleted."""
         draft = self._draft(self.place(state.id), state)
         draft.write(state)
         for old in self.names()[self._most :]:
@@ -182,9 +183,9 @@ class DraftFolders(Generic[S, D]):
         return draft
 
     def _sweep(self) -> None:
-        """Remove drafts that were cut off while they began."""
+        """Remove drafts whose creation was interrupted."""
         for entry in self._folder.iterdir():
-            with contextlib.suppress(OSError):  # somebody else has removed it
+            with contextlib.suppress(OSError):  # removed meanwhile
                 is_old = time.time() - entry.stat().st_mtime > BEGINNING_S
                 if is_old and _IDENTITY.fullmatch(entry.name) and not (entry / _STATE).exists():
                     shutil.rmtree(entry, ignore_errors=True)
@@ -196,19 +197,19 @@ class DraftFolders(Generic[S, D]):
         self.clear(identity)
 
     def clear(self, identity: str) -> None:
-        """Leave nothing of a draft, begun or not: without its state, which goes first, it is none."""
+        """Delete a draft's folder, complete or not; its state goes first, so that it is no draft any more."""
         (self._folder / identity / _STATE).unlink(missing_ok=True)
         shutil.rmtree(self._folder / identity, ignore_errors=True)
 
     def names(self) -> list[str]:
-        """Ids of all drafts, the youngest first."""
+        """Ids of all drafts, newest first."""
         try:
             return sorted((file.parent.name for file in self._folder.glob(f"*/{_STATE}")), reverse=True)
         except OSError:
             return []
 
     def load(self, identity: str) -> D:
-        """Read a draft. Raises `KeyError` when there is none, `FileFormatError` that says what is wrong."""
+        """Read a draft. Raises `KeyError` if there is none, `FileFormatError` if it is damaged."""
         if identity not in self.names():
             raise KeyError(identity)
         file = self._folder / identity / _STATE
@@ -222,7 +223,7 @@ class DraftFolders(Generic[S, D]):
         return self._draft(file.parent, state)
 
     def states(self) -> list[tuple[str, S | FileFormatError]]:
-        """All drafts, the youngest first: the id, and the state or what is wrong with it."""
+        """All drafts, newest first: the id, and the state or what is wrong with it."""
         found: list[tuple[str, S | FileFormatError]] = []
         for identity in self.names():
             try:
@@ -234,16 +235,16 @@ class DraftFolders(Generic[S, D]):
         return found
 
 
-# --- rigs that came of drafts ----------------------------------------------------------------------
+# --- rigs that drafts were solved to ---------------------------------------------------------------
 
 
 def solved_file(folder: Path, pattern: str, digest: str) -> Path:
-    """Where a file lies that came of a draft. pattern : as "rig-*.json".  digest : SHA-256 of the rig."""
+    """Path of a file of a draft's solution. pattern : such as "rig-*.json".  digest : SHA-256 of the rig."""
     return folder / pattern.replace("*", digest[:16])
 
 
 def write_solved(draft: DraftFile[S], state: S, digest: str, files: Mapping[str, bytes]) -> None:
-    """Keep what came of a draft, by the patterns of `solved_file`, then its state; what came before goes."""
+    """Write a draft's solution, by patterns of `solved_file`, then its state; delete the former solution."""
     for pattern, content in files.items():
         write_atomically(solved_file(draft.folder, pattern, digest), content)
     draft.write(state)
@@ -254,9 +255,10 @@ def write_solved(draft: DraftFile[S], state: S, digest: str, files: Mapping[str,
 
 
 def solved_rig(folder: Path, digest: str | None, counted: str) -> bytes:
-    """The rig that came of a draft. digest : by its state.  counted : what it was solved from, in words.
+    """Content of the rig file that a draft was solved to.
 
-    Raises `CalibrationError` if none has, `FileFormatError` if it was changed.
+    digest : in the draft's state.  counted : name of its inputs, for messages. Raises `CalibrationError` if
+    it is not solved, `FileFormatError` if the file was changed.
     """
     if digest is None:
         raise CalibrationError(f"it is not solved, or its {counted} have changed since: solve it first")

@@ -1,4 +1,4 @@
-"""What setting up uses of the running cell: the rig and jobs that it measures by, its cameras, its worker."""
+"""The running cell as setup services use it: its rig and jobs, its cameras, its worker."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ BRANDS = {angles: brand for brand, angles in reversed(REGISTER_CONVENTIONS.items
 
 @dataclass(frozen=True, slots=True)
 class RigInUse:
-    """A rig as the cell has read it. content, path : of its file."""
+    """The rig as the cell has read it. content, path : of its file."""
 
     calibration_id: str
     content: bytes
@@ -43,13 +43,13 @@ class RigInUse:
 
     @property
     def boards(self) -> list[str]:
-        """Boards that it was calibrated with; empty where its file does not say so."""
+        """Boards that it was calibrated with; empty if its file does not state them."""
         quality = json.loads(self.content).get("quality")
         board = quality.get("board") if isinstance(quality, dict) else None
         return board.split(",") if isinstance(board, str) and board else []
 
     def stereo(self) -> StereoRig:
-        """The rig. Raises `FileFormatError`."""
+        """Parse the rig. Raises `FileFormatError`."""
         return _stereo(self)
 
 
@@ -59,7 +59,7 @@ def _stereo(rig: RigInUse) -> StereoRig:
 
 
 class CellSession(Commissioner, Protocol):
-    """The lease of a cell, and its cameras in SETUP; who asks for pictures and cameras names the lease."""
+    """The lease of a cell, and its cameras in SETUP; requests for pictures and cameras need its token."""
 
     @property
     def holder(self) -> str:
@@ -74,17 +74,17 @@ class CellSession(Commissioner, Protocol):
         """How the cameras in use differ from the configured ones, by side."""
 
     async def adjust(self, token: str, side: Side, values: CameraValues) -> CameraValues:
-        """Set the stated values until SETUP ends; returns all as read back. Raises also `CaptureError`."""
+        """Set the stated values until SETUP ends; return all as read back. Raises also `CaptureError`."""
 
     async def limits(self, token: str, side: Side) -> CameraLimits:
-        """What a camera can be set to now. Raises also `CaptureError`."""
+        """Present limits of a camera's settings. Raises also `CaptureError`."""
 
     async def try_cameras(self, token: str, changes: Mapping[Side, ChosenCamera]) -> None:
         """Use other cameras than the configured ones until SETUP ends. Raises also `CaptureError`."""
 
 
 class RunningCell(Protocol):
-    """The cell that the daemon runs, as its page sees it; a reload exchanges `files`."""
+    """The cell that the daemon runs, as its page sees it; a reload replaces `files`."""
 
     @property
     def path(self) -> Path:
@@ -92,7 +92,7 @@ class RunningCell(Protocol):
 
     @property
     def files(self) -> CellFiles | UnfinishedCell:
-        """The files that it runs by."""
+        """The files that it runs with."""
 
     @property
     def session(self) -> CellSession:
@@ -100,34 +100,34 @@ class RunningCell(Protocol):
 
     @property
     def summary(self) -> CellSummary:
-        """What no event tells of it."""
+        """Its state beyond what events report."""
 
     async def keep_beside(self, what: BesideRig, content: bytes, token: str) -> None:
-        """Have other marks, or an acceptance. Raises `EdgedError`, `OSError`; then the former ones stay."""
+        """Replace the marks or the acceptance. Raises `EdgedError`, `OSError`; then the former ones stay."""
 
     async def install(self, archive: bytes, token: str | None, author: str, note: str) -> None:
-        """Run by the files of an archive (`edged.setup.releases.archive`). token : of the lease, if any.
+        """Run with the files of an archive (`edged.setup.releases.archive`). token : of the lease, if any.
 
-        Raises `EdgedError`, `OSError`; then it runs by the former ones. After a `LinkError` its fingerprint
-        tells by which.
+        Raises `EdgedError`, `OSError`; then it keeps the former ones. After a `LinkError`, its fingerprint
+        shows which ones it runs with.
         """
 
     async def take_job(self, number: int) -> None:
-        """Measure by a job. Raises `SetupRefused` where a PLC owns the right to write, `CommandRefused`."""
+        """Switch to a job. Raises `SetupRefused` if a PLC has the right to write, `CommandRefused`."""
 
     async def keep_golden(self, number: int) -> None:
-        """Measure, and keep where the part of a job lies. Raises as `take_job`; then nothing is kept."""
+        """Measure, and keep the pose of a job's part. Raises as `take_job`; then nothing is kept."""
 
     async def examine(self) -> Sequence[Mapping[str, str]]:
-        """What `edged doctor` finds on the machine, check by check. Raises `CommandRefused`."""
+        """Findings of `edged doctor` on the machine, check by check. Raises `CommandRefused`."""
 
     async def mend(self, what: Literal["reload", "secrets"]) -> None:
-        """Do what a finding needs. Raises `SetupRefused`, `CommandRefused`, `UserError`."""
+        """Carry out the repair of a finding. Raises `SetupRefused`, `CommandRefused`, `UserError`."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CellInUse:
-    """The running cell, as services of setting up use it: each fact is read anew, as a reload changes it."""
+    """The running cell, as setup services use it: nothing is cached, as a reload may change everything."""
 
     running: RunningCell
     worker: Worker
@@ -141,12 +141,12 @@ class CellInUse:
 
     @property
     def folder(self) -> Path:
-        """The folder for what services keep on disc."""
+        """Folder for the files of setup services."""
         return page_folder(self.path)
 
     @property
     def files(self) -> CellFiles | UnfinishedCell:
-        """The files that the cell runs by."""
+        """The files that the cell runs with."""
         return self.running.files
 
     @property
@@ -165,7 +165,7 @@ class CellInUse:
         return "" if self.files.rig is None else self.files.rig.calibration_id
 
     def rig(self) -> RigInUse | None:
-        """The rig; None without."""
+        """The rig; None without one."""
         content = self.files.contents.get("rig.json")
         return None if content is None else RigInUse(self.calibration_id, content, self.files.config.cell.rig)
 
@@ -192,7 +192,7 @@ class CellInUse:
 
     @property
     def convention(self) -> Convention:
-        """How A, B, C state an orientation in the registers."""
+        """Convention of A, B, C in the registers."""
         return Convention[self.files.config.modbus.convention.upper()]
 
     @property
@@ -203,6 +203,6 @@ class CellInUse:
 
     @property
     def recordings(self) -> Path | None:
-        """The folder in which cycles are recorded; None where they are not."""
+        """Folder in which cycles are recorded; None if they are not."""
         recorder = self.files.config.recorder
         return None if recorder is None else recorder.folder

@@ -1,4 +1,4 @@
-"""Reference marks of a cell at work: from a pair of pictures to the rig that it is measured by."""
+"""Reference marks in a running cell: from a pair of pictures to the corrected rig for measuring it."""
 
 from __future__ import annotations
 
@@ -31,8 +31,8 @@ from edged.vision.part.job import Job
 class RigMarks:
     """The reference marks of a rig.
 
-    prepared : the rig as calibrated. jobs : by number. digest : of the marks and what is stated of them; a
-    track goes on with other marks of the same digest.
+    prepared : the rig as calibrated. jobs : by number. digest : of the marks and their settings; a track can
+    be continued with marks of the same digest.
     """
 
     def __init__(
@@ -42,16 +42,16 @@ class RigMarks:
         self.digest = digest
 
     def begin(self) -> MarksTrack:
-        """Before the first exposure."""
+        """Initial track, before the first exposure."""
         return self._filter.begin()
 
     def see(self, track: MarksTrack, pair: FramePair) -> tuple[MarksTrack, MarksReport]:
-        """What the marks of a pair say after a track."""
+        """Update a track with the marks in a pair."""
         images = linear_pair(self._prepared.rig, *pair.images)
         return self._filter.step(track, *images, pair.exposed_ns)
 
     def rig(self, track: MarksTrack) -> PreparedRig:
-        """The rig as it is after an exposure."""
+        """The rig as corrected by a track."""
         base = self._prepared
         if track.maps.any():
             rectification = _turned(self._prepared.rectification, track.maps.tobytes())
@@ -59,7 +59,7 @@ class RigMarks:
         return corrected(base, correction_of(track))
 
     def then(self, track: MarksTrack, pair: FramePair) -> tuple[PreparedRig, MarksReport]:
-        """The rig in a pair that came after a track, and what the marks say in it.
+        """The corrected rig for the pair that follows a track, and the report of its marks.
 
         Raises `FileFormatError` for a track of other marks.
         """
@@ -71,14 +71,14 @@ class RigMarks:
         return self.rig(after), report
 
     def locate(self, number: int, pair: FramePair, track: MarksTrack, lap: Callable[[str], None]) -> Outcome:
-        """Locate a job's part by the rig as it is."""
+        """Locate a job's part with the corrected rig."""
         return locate(pair, self._jobs[number], self.rig(track), lap)
 
 
 def rig_marks(
     prepared: PreparedRig, taught: TaughtMarks, stated: MarksSection, jobs: Mapping[int, Job] | None = None
 ) -> RigMarks:
-    """The marks of a rig as a cell's files have them."""
+    """The marks of a rig from a cell's files."""
     settings = MarksSettings(stated.material, stated.range_k, stated.on_knock == "heal")
     numbers = (taught.pixels, taught.sigma_px, taught.placed.places_mm, taught.residual_px)
     whole = hashlib.sha256(repr((settings, taught.codes, taught.rig.calibration_id)).encode())
@@ -88,7 +88,7 @@ def rig_marks(
 
 
 def taught_in(folder: Path, rig: StereoRig, progress: Progress = silent) -> TaughtMarks:
-    """The marks that all pairs of a folder show. Raises `UserError`."""
+    """Teach the marks that all pairs of a folder show. Raises `UserError`."""
     if rig.flange_from_rig is not None:
         raise UserError("the robot carries the cameras: marks hold those that stand still")
     pairs = find_pairs(folder)
@@ -102,7 +102,7 @@ def taught_in(folder: Path, rig: StereoRig, progress: Progress = silent) -> Taug
             progress("measure the marks", number, len(pairs))
             yield load_pair(rig, pair.left, pair.right)
 
-    newest_ns = max(pair.left.stat().st_mtime_ns for pair in pairs)  # pictures say nothing of their own time
+    newest_ns = max(pair.left.stat().st_mtime_ns for pair in pairs)  # pictures contain no time
     try:
         return teach_marks(pictures(), rig, newest_ns)
     except CalibrationError as error:
@@ -110,9 +110,9 @@ def taught_in(folder: Path, rig: StereoRig, progress: Progress = silent) -> Taug
 
 
 def sigma_um(taught: TaughtMarks, settings: MarksSettings) -> FloatArray:
-    """(3,) sigma of X, Y, Z that the correction by one exposure leaves in the marks' middle, µm.
+    """Sigma (3,) of X, Y, Z in the middle of the marks after correction by one exposure, µm.
 
-    Of dots that lie elsewhere in their pixels than at the teaching, as after some warmth.
+    For dots at other subpixel positions than at teaching, as after some thermal drift.
     """
     marks = MarksFilter(taught, settings)
     noise = taught.sigma_px * np.sqrt(taught.exposures) / taught.noise
@@ -130,15 +130,15 @@ def noise_px(taught: TaughtMarks) -> float:
 def first_look(
     taught: TaughtMarks, settings: MarksSettings, images: tuple[Image, Image], exposed_ns: int
 ) -> tuple[DotsInPair, MarksTrack, MarksReport]:
-    """What a pair says, as the first exposure after a start would. images : as the cameras gave them."""
+    """Evaluate a pair like the first exposure after a start. images : as captured."""
     marks = MarksFilter(taught, settings)
     before = marks.predicted(marks.begin(), exposed_ns)
     dots, before = marks.look(before, *linear_pair(taught.rig, *images))
     return dots, *marks.updated(before, dots)
 
 
-@lru_cache(maxsize=2)  # cameras are knocked now and then; its maps are as large as eight pictures
+@lru_cache(maxsize=2)  # cameras are rarely knocked, and the maps are as large as eight pictures
 def _turned(rectification: Rectification, displacement: bytes) -> Rectification:
-    """The rectification for cameras that were moved."""
+    """The rectification for displaced cameras."""
     vector: FloatArray = np.frombuffer(displacement)
     return make_rectification(RigCorrection(vector, np.empty((0, 0))).applied(rectification.rig))

@@ -13,17 +13,17 @@ from edged.vision.geometry.rigid import Plane, apply
 from edged.vision.part.job import Job
 
 OUTLINE_POINTS = 96
-"""Points of an outline on a page: a circle of 200 px is then round to 0.1 px."""
+"""Most points of an outline on a page: a circle of 200 px is then accurate to 0.1 px."""
 EDGE_POINTS = 9
 CONTOUR_GAP = 4.0
-"""Times the usual distance between neighbours: beyond it another contour begins."""
+"""A gap of more than this many usual distances between neighbours begins another contour."""
 
 Line = tuple[tuple[float, float], ...]
-"""Raw px."""
+"""Points of a line in raw px."""
 
 
 def line(points: FloatArray) -> Line:
-    """Points (N, 2), raw px, for a page; those that no lens shows are left out."""
+    """Points (N, 2), raw px, as a line for a page; points that are not finite are left out."""
     return tuple((round(float(x), 1), round(float(y), 1)) for x, y in points if math.isfinite(x + y))
 
 
@@ -35,7 +35,7 @@ def on_face(job: Job, rig: StereoRig, left_px: FloatArray) -> FloatArray:
 
 
 def seen_at(point_mm: FloatArray, rig: StereoRig) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Where a point (3,) of the rig's frame is in both raw pictures."""
+    """Position of a point (3,) of the rig's frame in both raw pictures."""
     left, right = (line(points)[0] for points in seen_by(point_mm[None], rig))
     return left, right
 
@@ -46,7 +46,7 @@ def seen_by(points_mm: FloatArray, rig: StereoRig) -> tuple[FloatArray, FloatArr
 
 
 def thinned(outline: FloatArray, count: int) -> FloatArray:
-    """About so many points of an outline (N, 3), its ends among them."""
+    """At most `count` points of an outline (N, 3), including its ends."""
     if len(outline) <= count:
         return outline
     return np.asarray(outline[np.unique(np.linspace(0, len(outline) - 1, count).astype(np.int64))])
@@ -55,9 +55,9 @@ def thinned(outline: FloatArray, count: int) -> FloatArray:
 def contours_of(
     job: Job, rectification: Rectification, moved: FloatArray | None = None
 ) -> tuple[tuple[Line, ...], tuple[Line, ...]]:
-    """The model's points as lines, in both raw pictures; in the right one as far as they lie in the face.
+    """The model's points as lines in both raw pictures; for the right one, they are assumed on the face.
 
-    moved : (4, 4) in the rig's frame, from where the part was taught to where it lies; None: it lies there.
+    moved : (4, 4) in the rig's frame, from where the part was taught to where it lies; None if not moved.
     """
     rig = rectification.rig
     left_px = rectification.raw_points("left", job.shape.origin_px + job.shape.levels[0].points)
@@ -71,7 +71,7 @@ def contours_of(
 
 
 def _chains(points: FloatArray) -> list[list[int]]:
-    """Indices of points (N, 2) in lines, each from neighbour to neighbour."""
+    """Chain points (N, 2) from neighbour to neighbour; return the indices of each line."""
     apart = np.linalg.norm(points[:, None] - points[None], axis=2)
     np.fill_diagonal(apart, np.inf)
     gap = CONTOUR_GAP * float(np.median(apart.min(axis=1)))
@@ -82,7 +82,7 @@ def _chains(points: FloatArray) -> list[list[int]]:
             continue
         free[start] = False
         chain = [start]
-        for _ in range(2):  # forth, and back from where it began
+        for _ in range(2):  # in both directions from the start
             while True:
                 reach = np.where(free, apart[chain[-1]], np.inf)
                 ahead = int(np.argmin(reach))
@@ -97,7 +97,7 @@ def _chains(points: FloatArray) -> list[list[int]]:
 
 
 def taught_sizes(job: Job) -> dict[str, dict[str, float]]:
-    """Sizes of every feature, mm, by its name; the first tells most."""
+    """Sizes of every feature, mm, by its name; the most important one is first."""
     found = {circle.name: {"diameter_mm": 2 * circle.radius_mm} for circle in job.circles}
     found |= {slot.name: {"length_mm": slot.length_mm, "width_mm": slot.width_mm} for slot in job.slots}
     found |= {edge.name: {"length_mm": edge.length_mm} for edge in job.edges}

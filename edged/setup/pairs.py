@@ -1,4 +1,4 @@
-"""Stereo pairs to work on: a picture is read when it is needed, and two are worked on at a time."""
+"""Stereo pairs for processing: pictures are read when needed, and two are processed at a time."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ from edged.vision.geometry.camera import StereoRig
 from edged.vision.geometry.rectification import check_size
 
 THUMBNAIL_QUALITY = 95
-"""Per cent, of JPEG."""
+"""JPEG quality of small pictures."""
 _WORKERS = 2  # OpenCV and the corner kernel release the GIL; a cell PC has at least two cores
 T = TypeVar("T")
 
 
 def load_pair(rig: StereoRig, left: Path, right: Path) -> tuple[Image, Image]:
-    """Both pictures. Raises `ImageError` that names the file, for one of another size than the rig's, too."""
+    """Load both pictures. Raises `ImageError` that names the file, also if its size is not the rig's."""
     images = load_image(left), load_image(right)
     for path, image, side in zip((left, right), images, SIDES, strict=True):
         try:
@@ -37,19 +37,19 @@ def load_pair(rig: StereoRig, left: Path, right: Path) -> tuple[Image, Image]:
 
 
 class Progress(Protocol):
-    """Told how far the work is, from the thread that asked for it; what it raises ends the work."""
+    """Callback for progress, called in the thread that requested the work; an exception ends the work."""
 
     def __call__(self, stage: str, done: int, total: int) -> None:
-        """stage : in words, for people. done of total pieces; total 0: it is one piece, and has begun."""
+        """Report progress. stage : in words. done of total pieces; total 0 for one piece that has begun."""
 
 
 def silent(stage: str, done: int, total: int) -> None:
-    """Progress that nobody asked for."""
+    """Progress callback that does nothing."""
 
 
 @dataclass(frozen=True, slots=True)
 class Picture:
-    """label : what messages call it. read : its pixels; raises `ImageError`."""
+    """A picture. label : its name in messages. read : returns its pixels; raises `ImageError`."""
 
     label: str
     read: Callable[[], Image]
@@ -65,13 +65,13 @@ class Pair:
 
     @classmethod
     def of_files(cls, pair: ImagePair) -> Self:
-        """Pictures that stay on the disc: each is read again whenever it is needed."""
+        """Pair of pictures on disc, read again each time they are needed."""
         left, right = (Picture(path.name, partial(load_image, path)) for path in (pair.left, pair.right))
         return cls(pair.name, left, right)
 
     @classmethod
     def of_images(cls, name: str, left: Image, right: Image) -> Self:
-        """Pictures in memory. left, right : (H, W) uint8, not to be changed any more."""
+        """Pair of pictures in memory. left, right : (H, W) uint8, not to be changed any more."""
         return cls(name, Picture(f"{name}_left", lambda: left), Picture(f"{name}_right", lambda: right))
 
     def side(self, side: Side) -> Picture:
@@ -82,7 +82,7 @@ class Pair:
 def work_on(tasks: Sequence[Callable[[], T]], stage: str, progress: Progress) -> list[T]:
     """Results of all tasks, in their order; two run at a time.
 
-    The first error in that order ends the work: what has not begun by then never does.
+    The first error in that order ends the work; tasks that have not begun are dropped.
     """
     with _pool() as pool:
         futures = [pool.submit(task) for task in tasks]
@@ -96,7 +96,7 @@ def work_on(tasks: Sequence[Callable[[], T]], stage: str, progress: Progress) ->
 
 @contextmanager
 def _pool() -> Iterator[ThreadPoolExecutor]:
-    """Workers that drop what has not begun when an error or ctrl-C ends the block."""
+    """Thread pool that drops tasks not begun when an error or ctrl-C ends the block."""
     pool = ThreadPoolExecutor(_WORKERS, thread_name_prefix="board")
     try:
         yield pool
@@ -107,7 +107,7 @@ def _pool() -> Iterator[ThreadPoolExecutor]:
 def write_sides(
     folder: Path, name: str, images: tuple[Image, Image], encode: Callable[[Image], bytes] = png
 ) -> None:
-    """Write both pictures; the left one, which comes last, makes them a pair. name : with {side} in it.
+    """Write both pictures; the left one is last, as its file makes them a pair. name : with {side} in it.
 
     Raises `OSError`.
     """
@@ -116,9 +116,9 @@ def write_sides(
 
 
 def write_pair(folder: Path, name: str, images: tuple[Image, Image], small: tuple[Image, Image]) -> None:
-    """Write a pair to a draft's folder, every grey value, and small JPEGs of it.
+    """Write a pair to a draft's folder, lossless, and small JPEGs of it.
 
-    Raises `CalibrationError` for a disc that refuses.
+    Raises `CalibrationError` if it cannot be written.
     """
     with translated(CalibrationError, f"{folder}: the pair cannot be kept"):
         write_sides(folder / "pictures", f"{name}_{{side}}.png", images)

@@ -1,4 +1,4 @@
-"""The routes of the PLC: its exchanges with the cell, and sources of clients."""
+"""Routes of the PLC: its exchanges with the cell, and the source code of clients."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ from edged.robots.formats import DOWNLOADS, written
 from edged.setup.draftroutes import unknown
 
 EPOCH = (2026, 1, 1, 0, 0, 0)
-"""In archives: the same source is the same file."""
+"""Fixed time of files in archives, so that the same source gives the same archive."""
 
 
 class RungDocument(Answer):
-    """One thing that was said; see `edged.plc.ladder.Rung`. by : "plc" or "cell"."""
+    """One step of an exchange; see `edged.plc.ladder.Rung`. by : "plc" or "cell"."""
 
     after_ms: float
     by: str
@@ -35,7 +35,7 @@ class RungDocument(Answer):
 
 
 class ExchangeDocument(Answer):
-    """A command and what became of it. hint : "bytes" or "words" of the client look exchanged, or null."""
+    """A command and its outcome. hint : "bytes" or "words" if the client seems to swap them, or null."""
 
     number: int
     at: str
@@ -50,13 +50,13 @@ class ExchangeDocument(Answer):
 
 
 class Exchanges(Answer):
-    """The youngest first."""
+    """Exchanges, newest first."""
 
     exchanges: list[ExchangeDocument]
 
 
 class ProbeDocument(Answer):
-    """A register whose value is known. address : as the client has to ask, base address included."""
+    """A register with a known value. address : to be used by the client, including the base address."""
 
     name: str
     address: int
@@ -64,14 +64,14 @@ class ProbeDocument(Answer):
 
 
 class ClientDocument(Answer):
-    """A source to fetch."""
+    """Source code of a client that can be downloaded."""
 
     kind: str
     file: str
 
 
 class PlcDocument(Answer):
-    """How PLCs reach the cell. listening : Modbus is on; else nothing of it is known."""
+    """How PLCs reach the cell. listening : Modbus is on; otherwise its other fields are unset."""
 
     listening: bool
     host: str | None = None
@@ -88,7 +88,7 @@ class PlcDocument(Answer):
 
 
 class PlcSide(Protocol):
-    """The cell, as far as PLCs reach it."""
+    """The cell's side of the connection to PLCs."""
 
     @property
     def summary(self) -> CellSummary:
@@ -99,7 +99,7 @@ class PlcSide(Protocol):
 
 
 class PlcRoutes:
-    """The routes."""
+    """Routes of the PLC."""
 
     def __init__(self, cell: PlcSide) -> None:
         self._cell = cell

@@ -1,4 +1,4 @@
-"""How PLCs and robots connect: chosen on the page, in the draft of settings."""
+"""Connections of PLCs and robots, chosen on the page in the draft of settings."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ ConventionName = Literal[
 
 
 class TlsChoice(Body):
-    """Modbus/TCP Security. Files lie beside the configuration."""
+    """Modbus/TCP Security. Files are beside the configuration."""
 
     certificate: Text
     key: Text
@@ -37,7 +37,7 @@ class TlsChoice(Body):
 
 
 class SocketChoice(Body):
-    """Lines of text for robots."""
+    """The text socket for robots."""
 
     port: PortNumber
     brand: Brand
@@ -45,7 +45,7 @@ class SocketChoice(Body):
 
 
 class ModbusChoice(Body):
-    """Keys of `[modbus]`; tls, socket : null: without."""
+    """Keys of `[modbus]`. tls, socket : null for none."""
 
     enabled: bool
     host: Text
@@ -61,7 +61,7 @@ class ModbusChoice(Body):
 
 
 class OpcUaChoice(Body):
-    """Keys of `[opcua]`. password : a new one; null: as before."""
+    """Keys of `[opcua]`. password : a new one; null to keep the present one."""
 
     host: Text
     port: PortNumber
@@ -75,7 +75,7 @@ class OpcUaChoice(Body):
 
 
 class PlcChoice(Body):
-    """All of it. opcua : null: no such server. revision : of the draft as it was seen; 0: none."""
+    """All connections. opcua : null for no server. revision : of the draft as it was seen; 0 for none."""
 
     revision: Revision
     modbus: ModbusChoice
@@ -83,10 +83,10 @@ class PlcChoice(Body):
 
 
 class PlcSettings(Answer):
-    """What is chosen, in the draft if there is one. is_chosen : on this page; else it is the configuration's.
+    """Chosen connections, in the draft if there is one. is_chosen : chosen on the page, not as configured.
 
-    opcua_password : whether there is one. draft : of all settings; null: none. conventions : of A, B, C, by
-    the brand of a robot.
+    opcua_password : whether there is one. draft : of all settings; null for none. conventions : of A, B, C,
+    by the brand of a robot.
     """
 
     modbus: ModbusChoice
@@ -98,7 +98,7 @@ class PlcSettings(Answer):
 
 
 class PlcSettingsRoutes:
-    """The routes."""
+    """Routes of the connections of PLCs and robots."""
 
     def __init__(self, cell: CellInUse, draft: SettingsDraft) -> None:
         self._cell = cell
@@ -131,7 +131,7 @@ class PlcSettingsRoutes:
         return await asyncio.to_thread(self._now)
 
     def _chosen(self, wanted: PlcChoice, before: ChosenConnections) -> ChosenConnections:
-        """The choice. Raises `UserError` for a file elsewhere than beside the configuration."""
+        """The choice to store. Raises `UserError` for a file that is not beside the configuration."""
         chosen: dict[str, Any] = wanted.model_dump(mode="json", exclude={"revision"})
         now = self._now()
         for section, known in ((wanted.modbus.tls, now.modbus.tls), (wanted.opcua, now.opcua)):
@@ -168,7 +168,7 @@ class PlcSettingsRoutes:
 
 
 def _shown(section: dict[str, Any], model: type[Body], folder: Path) -> dict[str, Any]:
-    """Keys of a section that the page knows; files by their names beside the configuration."""
+    """Keys of a section that the page knows; files as paths relative to the configuration."""
     shown: dict[str, Any] = {}
     for name, value in section.items():
         if name == "tls" and value is not None:

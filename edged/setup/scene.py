@@ -1,6 +1,6 @@
-"""The cell in space, for people to turn: cameras, depths of its jobs, boards that were taken, the robot.
+"""3D scene of the cell for the page: cameras, depths of its jobs, boards that were taken, the robot.
 
-Everything in mm in the rig's frame: the left camera's centre is its origin, x right, y down, z forward.
+Everything is in mm in the rig's frame: the left camera's centre is its origin, x right, y down, z forward.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ Point = list[float]
 
 
 class SceneCamera(Answer):
-    """A camera. corners : of its picture, at a depth of 1 mm before it, from its centre."""
+    """A camera. corners : of its picture at a depth of 1 mm, relative to its centre."""
 
     side: Side
     centre: Point
@@ -29,7 +29,7 @@ class SceneCamera(Answer):
 
 
 class SceneBoard(Answer):
-    """A board of the youngest calibration that has any, where both cameras saw it. corners : four."""
+    """A board that both cameras saw, of the newest calibration draft with any. corners : four."""
 
     name: str
     used: bool
@@ -37,9 +37,9 @@ class SceneBoard(Answer):
 
 
 class SceneDocument(Answer):
-    """The cell in space. depth_mm : nearest and farthest that a job allows. robot : rig_from_robot, 4x4.
+    """3D scene of the cell. depth_mm : nearest and farthest that any job allows. robot : rig_from_robot, 4x4.
 
-    cameras : none without a calibration. robot : null where the rig is not registered, or is carried.
+    cameras : empty without a calibration. robot : null if the rig is not registered, or is carried.
     """
 
     rig: str | None = None
@@ -51,7 +51,7 @@ class SceneDocument(Answer):
 
 
 class SceneRoutes:
-    """The route."""
+    """Route of the 3D scene."""
 
     def __init__(self, cell: CellInUse, calibrations: Calibrations) -> None:
         self._cell = cell

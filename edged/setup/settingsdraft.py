@@ -1,6 +1,7 @@
-"""Settings that are chosen and not in force yet: a draft beside what is, checked, then released or discarded.
+"""The draft of settings that are chosen but not in force yet: checked, then activated or discarded.
 
-One draft for all of a cell's settings, connections of PLCs and robots included, in a file of the page's own.
+There is one draft for all of a cell's settings, including connections of PLCs and robots, in a file of the
+page.
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ PASSWORD = "opcua.password_hash"
 
 
 class Drafted(Kept):
-    """The file. chosen : as `rig.connections.json` would have it."""
+    """File of the draft. chosen : as it would be in `rig.connections.json`."""
 
     format: Literal["edged-settings-draft"] = "edged-settings-draft"
     version: Literal[1] = 1
@@ -42,14 +43,14 @@ class Drafted(Kept):
 
 
 class WrongSetting(Frozen):
-    """Why the cell cannot run with a draft. name : of the setting or the section; "" where none is known."""
+    """Why the cell cannot run with a draft. name : of the setting or the section; "" if not known."""
 
     name: str
     text: str
 
 
 class SettingsDraftDocument(Frozen):
-    """What is chosen and not in force. changes : from what is in force. problems : none where it is good."""
+    """The draft of settings. changes : against settings in force. problems : empty if it is valid."""
 
     revision: int
     created: str
@@ -59,7 +60,7 @@ class SettingsDraftDocument(Frozen):
 
 
 class SettingsDraft:
-    """The draft of a cell; methods that are no coroutines read files, and are called in a thread."""
+    """The settings draft of a cell; methods that are not coroutines read files: call them in a thread."""
 
     def __init__(self, cell: CellInUse, activation: Activation) -> None:
         self._cell = cell
@@ -76,12 +77,12 @@ class SettingsDraft:
         return self._cell.folder / FILE
 
     def chosen(self) -> ChosenConnections:
-        """All that is chosen: by the draft, or what is in force without one. Raises `UserError`."""
+        """All choices in the draft, or those in force if there is no draft. Raises `UserError`."""
         drafted = self._drafted()
         return self._in_force() if drafted is None else self._chosen_in(drafted)
 
     def configured(self) -> Config:
-        """The configuration without what is chosen for settings and connections. Raises `ConfigError`."""
+        """The configuration without any chosen settings and connections. Raises `ConfigError`."""
         return config_with(read(self._cell.path), self._cell.path, None)
 
     def document(self) -> SettingsDraftDocument | None:
@@ -113,10 +114,10 @@ class SettingsDraft:
         author: str,
         revision: int | None = None,
     ) -> None:
-        """Change the draft, or begin it; one that is what is in force is none any more.
+        """Change the draft, or begin it; it is deleted if it equals the settings in force.
 
-        change : of all that is chosen, in a thread. revision : that was seen, 0 for none; None: any. Raises
-        `Problem` for another, `UserError`, `OSError`.
+        change : makes the new choices from the present ones, in a thread. revision : that was seen, 0 for no
+        draft, None for any. Raises `Problem` for another, `UserError`, `OSError`.
         """
         async with self._turn:
             await asyncio.to_thread(self._change, change, author, revision)
@@ -142,13 +143,13 @@ class SettingsDraft:
         write_atomically(self._file, made.model_dump_json(indent=1).encode(), mode=0o600)
 
     async def discard(self) -> None:
-        """Leave all as it is in force, also where the draft cannot be read. Raises `OSError`."""
+        """Discard the draft, even if it cannot be read. Raises `OSError`."""
         async with self._turn:
             await asyncio.to_thread(self._file.unlink, missing_ok=True)
         self._cell.notices.publish("settings", {"id": "settings"})
 
     async def activate(self, by: Mandate) -> None:
-        """Let the cell run by it, as a release. Raises `UserError` for what is wrong, else as `activate`."""
+        """Activate the draft as a release. Raises `UserError` if it is invalid, otherwise as `Activation`."""
         async with self._turn:
             found = await asyncio.to_thread(self.document)
             if found is None:
@@ -164,7 +165,7 @@ class SettingsDraft:
         return chosen_connections(self._cell.files.config.cell.rig)
 
     def _drafted(self) -> Drafted | None:
-        """The file. Raises `FileFormatError`."""
+        """Read the draft's file; None without one. Raises `FileFormatError`."""
         if not self._file.is_file():
             return None
         try:
@@ -187,6 +188,6 @@ def _password(chosen: ChosenConnections) -> object:
 
 
 def _wrong(problem: str) -> WrongSetting:
-    """A line of `ConfigError`."""
+    """Split a line of `ConfigError` into the setting's name and the text."""
     name, colon, _ = problem.partition(": ")
     return WrongSetting(name=name if colon and " " not in name else "", text=problem)

@@ -1,1 +1,1 @@
-"""The virtual cell: cameras, scenes and their exact truth."""
+"""The virtual cell: simulated cameras and scenes with exactly known truth."""

@@ -1,7 +1,8 @@
-"""A robot's arm that is not as its controller has it: offsets, lengths, droop and backlash of its axes.
+"""A robot arm that deviates from its controller's model: offsets, lengths, droop and backlash of its axes.
 
-Three axes carry the wrist: they turn about the vertical, then twice in the plane through it. Where the wrist
-really is, for what the controller shows, is computed from that chain, not from any polynomial.
+Three axes carry the wrist: the first turns about the vertical, the other two in the vertical plane through
+the arm. The true position of the wrist for a position shown by the controller is computed from that chain,
+not from any polynomial.
 """
 
 from __future__ import annotations
@@ -15,16 +16,16 @@ from edged.domain.arrays import FloatArray
 from edged.vision.geometry.rigid import rotation_matrix, transform
 
 BASE_MM, UPPER_MM, FORE_MM = 400.0, 450.0, 480.0
-"""Lengths of a robot with a reach of 0.9 m."""
+"""Link lengths of a robot with a reach of 0.9 m."""
 ROUNDS = 8
-"""The error moves by a thousandth of a step: three would do."""
+"""Fixed-point iterations; the error changes by a thousandth of each step, so that three would do."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ErringArm:
-    """Errors of the axes. offsets_rad, gears_rad, droop_rad, backlash_rad (3,): alike at all places, twice a
-    turn, by the pull of gravity at full reach, and half of the play. lengths_mm (3,). lean_rad (2,): of the
-    first axis."""
+    """Errors of the axes. offsets_rad (3,): constant; gears_rad (3,): twice per turn; droop_rad (3,): by
+    gravity at full reach; backlash_rad (3,): half of the play. lengths_mm (3,): of the links. lean_rad (2,):
+    of the first axis."""
 
     offsets_rad: FloatArray
     gears_rad: FloatArray
@@ -35,9 +36,9 @@ class ErringArm:
 
     @classmethod
     def drawn(cls, seed: int, size: float = 1.0, backlash_mm: float = 0.0) -> ErringArm:
-        """A robot as it comes from its maker: of size 1 it is off by about 0.5 mm at half a metre.
+        """Draw a random robot as delivered: with size 1 it is off by about 0.5 mm at half a metre.
 
-        backlash_mm : half of the play of each axis, at half a metre from it.
+        backlash_mm : half of the play of each axis, at half a metre from the axis.
         """
         rng = np.random.default_rng((seed, 77))
 
@@ -48,7 +49,7 @@ class ErringArm:
         return cls(some(5e-4), some(1.5e-4), np.abs(some(3e-4)), play, some(0.2), some(2e-4, 2))
 
     def reached(self, shown_mm: FloatArray, before_mm: FloatArray) -> FloatArray:
-        """(3,) where the wrist is when the controller shows a place, having come from another one."""
+        """True position (3,) of the wrist when the controller shows a position reached from another one."""
         turn, shoulder, elbow = self._true_axes(shown_mm, before_mm)
         base, upper, fore = np.array([BASE_MM, UPPER_MM, FORE_MM]) + self.lengths_mm
         out = upper * math.cos(shoulder) + fore * math.cos(shoulder + elbow)
@@ -58,9 +59,9 @@ class ErringArm:
         return np.array([x + lean_y * up, y - lean_x * up, up + lean_x * y - lean_y * x])
 
     def flange(self, shown: FloatArray, before: FloatArray) -> FloatArray:
-        """robot_from_flange (4, 4) when the controller shows `shown`, having come from `before`.
+        """True robot_from_flange (4, 4) when the controller shows `shown`, reached from `before`.
 
-        The flange sits in the wrist, whose own axes have no error: it turns by what the arm's axes turn.
+        The flange is at the wrist, whose own axes have no error: its rotation error is that of the arm.
         """
         place_mm, before_mm = shown[:3, 3], before[:3, 3]
         lean = rotation_matrix(np.array([*self.lean_rad, 0.0]))
@@ -75,7 +76,7 @@ class ErringArm:
         return np.asarray(true + self.backlash_rad * np.sign(before - axes))
 
     def shown(self, place_mm: FloatArray, before_mm: FloatArray) -> FloatArray:
-        """(3,) what the controller shows with the wrist at a place."""
+        """Position (3,) that the controller shows when the wrist is truly at a position."""
         found = np.array(place_mm, np.float64)
         for _ in range(ROUNDS):
             found = found + place_mm - self.reached(found, before_mm)
@@ -83,7 +84,7 @@ class ErringArm:
 
 
 def _fore_arm(axes: FloatArray) -> FloatArray:
-    """(3, 3) the rotation of the link that carries the wrist."""
+    """Rotation (3, 3) of the link that carries the wrist."""
     turn, shoulder, elbow = axes
     return np.asarray(
         rotation_matrix(np.array([0.0, 0.0, turn])) @ rotation_matrix(np.array([0.0, -shoulder - elbow, 0.0]))
@@ -91,7 +92,7 @@ def _fore_arm(axes: FloatArray) -> FloatArray:
 
 
 def _axes(place_mm: FloatArray) -> FloatArray:
-    """(3,) rad: turn, shoulder and elbow of a place, by the lengths that the controller has."""
+    """Inverse kinematics of the controller: turn, shoulder and elbow (3,) in rad for a position."""
     x, y, z = (float(value) for value in place_mm)
     out, up = math.hypot(x, y), z - BASE_MM
     far2 = out * out + up * up

@@ -1,10 +1,9 @@
-"""A virtual cell: a part that lies elsewhere at every trigger, two cameras, and the truth.
+"""A virtual cell: a part at a new pose for every trigger, two cameras, and the ground truth.
 
-Which exposures belong together: real cameras share nothing but time, and their frame ids start
-again after a restart. So do these: a scene is born with the first exposure, the other
-camera's exposure within `PAIR_WINDOW_NS` sees the same one, and a camera never sees one twice.
-A lost trigger or a restarted camera costs one pair and nothing after it, as long as triggers are
-further apart than the window.
+Exposures are paired by time, as with real cameras, whose frame ids restart after a reboot: the first
+exposure creates a scene, the other camera's exposure within `PAIR_WINDOW_NS` sees the same one, and
+no camera sees a scene twice. A lost trigger or a restarted camera costs a single pair, as long as
+triggers are further apart than the window.
 """
 
 from __future__ import annotations
@@ -44,24 +43,24 @@ from edged.vision.kernels.jit import load_called
 from edged.vision.marks.frame import MarkFrame
 
 PAIR_WINDOW_NS = 50_000_000
-"""Longer than two software triggers in a row on a busy PC, shorter than any cycle."""
+"""Longer than two consecutive software triggers on a busy PC, shorter than any cycle."""
 
 HISTORY = 1024
-"""Scenes whose truth is remembered: minutes of cycles, a megabyte."""
+"""Number of scenes whose truth is kept: minutes of cycles, a megabyte."""
 
 BORDER_PX = 12.0
-"""A part stays this far inside both images: room for the edge operator."""
+"""Distance of a part from the borders of both images, needed by the edge operator."""
 
 ABOVE_TABLE_MM = 1.0
 """Thickness of a plate of reference marks."""
 
 ATTEMPTS = 300
-"""Random poses that are tried before a part counts as too large for the common view."""
+"""Random poses tried before a part counts as too large for the common view."""
 
 
 @dataclass(frozen=True, slots=True)
 class PartMotion:
-    """Range of the part's poses, each coordinate uniformly distributed and independent.
+    """Range of the part's poses, with independent, uniformly distributed coordinates.
 
     centre_mm : in the rig frame. shift_mm : half width in x and y. depth_mm : half width in z.
     tilt_rad : largest angle between the part's z and the rig's z. turn_rad : half range of the
@@ -90,7 +89,8 @@ class Truth:
     """The true scene of an exposure.
 
     number : counts scenes from 0. exposed_ns : of the first exposure of the pair.
-    rig_from_part : (4, 4) of what was shown, the board's too; of nothing, where the part would lie.
+    rig_from_part : (4, 4) of the thing shown, also if it is a board; if nothing is shown, where the part
+    would lie.
     """
 
     number: int
@@ -109,13 +109,13 @@ class _Moment:
 
 
 class VirtualCell:
-    """Scenes, their pictures and their truth; every one follows from the seed and its number.
+    """Scenes, their pictures and their truth; each is determined by the seed and its number.
 
-    board : what `show` may hold before the cameras. weather : moves the cameras, from the first exposure on,
-    `pace` times as fast as time; the rig is what it is then, and poses stay in its frame. marks : lie on the
-    table around the middle, those of the codes `covered` without their dots. Thread-safe: cameras expose from
-    threads of their own, and what is shown may change at any time; both pictures of a pair show one moment.
-    Raises ValueError where the part fits nowhere into the view of both cameras.
+    board : may be held in front of the cameras by `show`. weather : moves the cameras from the first exposure
+    on, at `pace` times real time; `rig` is the state at that moment, and poses stay in its frame. marks : lie
+    on the table around the middle; those with codes in `covered` have no dots. Thread-safe: cameras expose
+    from their own threads, and the thing shown may change at any time; both pictures of a pair show the same
+    moment. Raises ValueError if the part fits nowhere into the view of both cameras.
     """
 
     def __init__(
@@ -143,12 +143,12 @@ class VirtualCell:
         self._moments: deque[_Moment] = deque(maxlen=HISTORY)
         self._born = 0
         self._lock = threading.Lock()
-        self.pose(0)  # a part that cannot be placed must show now, not at the first trigger
+        self.pose(0)  # fail here, not at the first trigger, if the part cannot be placed
 
     def exposure(self, camera: str, other: RenderedView | None = None) -> Callable[[ExposureRequest], Image]:
-        """The function that a virtual camera, "left" or "right", calls for its images.
+        """Image function for a virtual camera, "left" or "right".
 
-        other : a camera that may stand in for the one of that side; None: that one.
+        other : view of another camera on that side; None: the rig's own.
         """
         _load_kernels()
 
@@ -169,7 +169,7 @@ class VirtualCell:
         return expose
 
     def _in_weather(self, camera: str, cameras: TrueCameras, sensor: Sensor) -> RenderedView:
-        """A camera where it is; the view of its exposure before while nothing moves it."""
+        """View of a camera moved by the weather; reuses the last one if nothing has changed."""
         model, pose = cameras.camera("left" if camera == "left" else "right")
         view = self._moved.get(camera)
         if (
@@ -180,11 +180,11 @@ class VirtualCell:
             view = self._moved[camera] = RenderedView(model, pose, sensor)
         return view
 
-    # --- what is shown, from the next exposure on ----------------------------------------------
+    # --- things shown from the next exposure on ------------------------------------------------
 
     @property
     def middle_mm(self) -> FloatArray:
-        """(3,) the middle of where the part may lie, in the rig frame."""
+        """Centre (3,) of the range of part positions, in the rig frame."""
         return np.array(self._motion.centre_mm)
 
     @property
@@ -193,11 +193,11 @@ class VirtualCell:
         return self._showing
 
     def show(self, thing: Thing | str, pose: Pose | None = None, *, covered: bool = False) -> None:
-        """Lay or hold something before the cameras.
+        """Put something in front of the cameras.
 
-        pose : where, or where at which time; None: the part anywhere, elsewhere at every exposure.
+        pose : fixed, or a function of time; None: random poses of the part, new at every exposure.
         covered : fingers cover a corner of the board.
-        Raises ValueError for a thing that there is not, and for a board that is nowhere.
+        Raises ValueError for an unknown thing, and for a board that the cell lacks or without a pose.
         """
         thing = Thing(thing)
         if thing is Thing.BOARD and (self.board is None or pose is None):
@@ -206,28 +206,28 @@ class VirtualCell:
             self._showing = replace(self._showing, thing=thing, pose=pose, covered=covered)
 
     def wave(self, side: Side | None) -> None:
-        """A hand waves before this camera; None: no longer."""
+        """Wave a hand in front of this camera; None: stop."""
         with self._lock:
             self._showing = replace(self._showing, waving=side)
 
     def focus(self, side: Side, psf_sigma_px: float) -> None:
-        """Turn a lens's ring: its blur from now on."""
+        """Change the blur of a camera's lens, as by turning its focus ring."""
         view = self._views[side]
         sensor = replace(view.sensor, psf_sigma_px=psf_sigma_px)
         self._views[side] = RenderedView(view.camera, view.camera_from_rig, sensor)
 
     def view(self, side: Side) -> RenderedView:
-        """A camera as it is."""
+        """Current view of a camera."""
         return self._views[side]
 
     def stand_in(self, side: Side, view: RenderedView) -> None:
-        """Another camera looks from this side now: hands go by what it sees."""
+        """Replace the camera of a side; hands are placed by the new camera's view."""
         self._views[side] = view
 
     # --- the truth -----------------------------------------------------------------------------
 
     def truth(self, exposed_ns: int, tolerance_ns: int = PAIR_WINDOW_NS) -> Truth | None:
-        """The scene exposed nearest to a time; None where there was none, or where it is forgotten."""
+        """The scene exposed nearest to a time; None if there was none, or it is no longer kept."""
         with self._lock:
             truths = [moment.truth for moment in self._moments]
         nearest = min(truths, key=lambda truth: abs(truth.exposed_ns - exposed_ns), default=None)
@@ -236,7 +236,7 @@ class VirtualCell:
         return nearest
 
     def truth_of_frame(self, camera: str, frame_id: int) -> Truth | None:
-        """The scene of a camera's latest frame of that id; ids start again when a camera restarts."""
+        """The scene of a camera's latest frame with that id; ids restart with the camera."""
         with self._lock:
             for moment in reversed(self._moments):
                 if camera in moment.seen and moment.seen[camera][0] == frame_id:
@@ -244,8 +244,7 @@ class VirtualCell:
         return None
 
     def teach_pair(self) -> tuple[Image, Image, Truth]:
-        """Left and right image of the part square to the left camera, its axes along the rig's, and
-        the truth (number -1)."""
+        """Left and right image of the part with its axes parallel to the rig's, and the truth (number -1)."""
         rig_from_part = np.eye(4)
         rig_from_part[:3, 3] = self._motion.centre_mm
         scene = self.scene(rig_from_part)
@@ -256,12 +255,12 @@ class VirtualCell:
         return left, right, self._truth(-1, 0, rig_from_part)
 
     def scene(self, rig_from_part: FloatArray) -> Scene:
-        """The cell with the part at a pose."""
+        """Scene of the cell with the part at a pose."""
         return Scene(self._floor(), (PlacedPart(self.part, rig_from_part),), self._light)
 
     def _floor(self) -> Table:
         rig_from_table = np.eye(4)
-        # below the lowest point that a tilted part can have
+        # below the lowest possible point of a tilted part
         rig_from_table[:3, 3] = self._motion.centre_mm
         rig_from_table[2, 3] += self._motion.depth_mm + extent_mm(self.part.outline) * math.sin(
             self._motion.tilt_rad
@@ -269,7 +268,7 @@ class VirtualCell:
         return Table(self._table, rig_from_table)
 
     def moment(self, camera: str, request: ExposureRequest) -> Truth:
-        """The scene of this exposure; a new one where none is left to share."""
+        """The scene of this exposure; a new one if there is none to share."""
         return self._moment(camera, request).truth
 
     def _moment(self, camera: str, request: ExposureRequest) -> _Moment:
@@ -287,7 +286,7 @@ class VirtualCell:
             return moment
 
     def _next(self, exposed_ns: int) -> _Moment:
-        """The scene of the next number, at this time."""
+        """Create the next scene, at this time."""
         self._begun_ns = self._begun_ns or exposed_ns
         cameras = (
             None
@@ -317,13 +316,13 @@ class VirtualCell:
 
     @property
     def rig_from_marks(self) -> FloatArray:
-        """(4, 4) the frame of the reference marks, just above the table."""
+        """Pose (4, 4) of the reference marks, just above the table."""
         pose = self._floor().rig_from_table.copy()
         pose[2, 3] -= ABOVE_TABLE_MM
         return pose
 
     def pose(self, number: int) -> FloatArray:
-        """(4, 4) rig_from_part of the scene of this number; in view of both cameras."""
+        """rig_from_part (4, 4) of the scene with this number, in view of both cameras."""
         motion = self._motion
         rng = np.random.default_rng((self._seed, 0, number))
         for _ in range(ATTEMPTS):
@@ -357,7 +356,7 @@ class VirtualCell:
 
 @cache
 def _load_kernels() -> None:
-    """Once: else the first picture takes four times as long as any other, or comes late."""
+    """Load the kernels once; otherwise the first picture takes four times as long, or comes late."""
     load_called("edged.sim")
 
 
@@ -370,7 +369,7 @@ def stereo_views(rig: StereoRig, sensor: Sensor | None = None) -> dict[str, Rend
 
 
 def _pose(origin_mm: FloatArray, tilt_rad: float, azimuth_rad: float, turn_rad: float) -> FloatArray:
-    """A pose turned about its own z, then tilted about a horizontal axis."""
+    """Pose turned about its own z, then tilted about a horizontal axis."""
     axis = np.array([math.cos(azimuth_rad), math.sin(azimuth_rad), 0.0])
     cross = np.array([[0.0, -axis[2], axis[1]], [axis[2], 0.0, -axis[0]], [-axis[1], axis[0], 0.0]])
     tilt = np.eye(3) + math.sin(tilt_rad) * cross + (1.0 - math.cos(tilt_rad)) * cross @ cross
@@ -382,7 +381,7 @@ def _pose(origin_mm: FloatArray, tilt_rad: float, azimuth_rad: float, turn_rad: 
 
 
 def _is_inside(views: dict[str, RenderedView], rig_from_part: FloatArray, radius_mm: float) -> bool:
-    """Whether both cameras see a whole disc around the part's origin."""
+    """Whether both cameras see a disc of this radius around the part's origin completely."""
     angles = np.linspace(0.0, 2.0 * math.pi, 48, endpoint=False)
     rim = np.stack([np.cos(angles), np.sin(angles), np.zeros(48)], axis=-1) * radius_mm
     points = rim @ rig_from_part[:3, :3].T + rig_from_part[:3, 3]
@@ -392,7 +391,7 @@ def _is_inside(views: dict[str, RenderedView], rig_from_part: FloatArray, radius
 def _sees(view: RenderedView, points_mm: FloatArray) -> bool:
     try:
         pixels = view.project(points_mm)
-    except ValueError:  # so far out that the lens has no image of it
+    except ValueError:  # so far out that the lens does not image it
         return False
     last = (view.camera.width - 1, view.camera.height - 1)
     return bool((pixels >= BORDER_PX).all() and (pixels <= np.array(last) - BORDER_PX).all())
@@ -413,10 +412,10 @@ class CalibrationView:
 def calibration_views(
     rig: StereoRig, plate: Plate, count: int, *, seed: int = 0
 ) -> Iterator[CalibrationView]:
-    """Pictures of a plate as a careful person takes them: tilted up to 20° every way, at several
-    depths, all over the common field, never cut.
+    """Pictures of a plate as a careful person takes them: tilted by up to 20° in all directions, at
+    several depths, all over the common field of view, never cut off.
 
-    Raises ValueError where the plate does not fit into the view of both cameras.
+    Raises ValueError if the plate does not fit into the view of both cameras.
     """
     views = stereo_views(rig)
     table_pose = np.eye(4)
@@ -433,7 +432,7 @@ def calibration_views(
 
 
 def calibration_poses(rig: StereoRig, plate: Plate, count: int, *, seed: int = 0) -> Iterator[FloatArray]:
-    """Pose of a carefully held plate: (4, 4) rig_from_plate. Raises as `calibration_views`."""
+    """Poses rig_from_plate (4, 4) of a carefully held plate. Raises as `calibration_views`."""
     views, points = stereo_views(rig), plate.points_mm
     centre = np.append(0.5 * (points.min(axis=0) + points.max(axis=0))[:2], 0.0)
     margin_mm = 1.5 * float(np.linalg.norm(points[1] - points[0]))
@@ -450,7 +449,7 @@ def _plate_pose(
 ) -> FloatArray:
     reach_mm = 0.12 * meeting_mm[2]
     for attempt in range(ATTEMPTS):
-        reach = reach_mm * (1.0 - attempt / ATTEMPTS)  # a large plate has little room
+        reach = reach_mm * (1.0 - attempt / ATTEMPTS)  # a large plate leaves little space
         shift = rng.uniform(-1.0, 1.0, 3) * (reach, reach, 0.04 * meeting_mm[2])
         tilt, azimuth = math.radians(20.0) * math.sqrt(rng.random()), rng.uniform(0.0, 2.0 * math.pi)
         pose = _pose(meeting_mm + shift, tilt, azimuth, rng.uniform(-0.3, 0.3))
@@ -465,7 +464,7 @@ def _rectangle(low: FloatArray, high: FloatArray) -> FloatArray:
 
 
 def _meeting_point(rig: StereoRig) -> FloatArray:
-    """The point where both optical axes come closest; for nearly parallel ones, 2 baselines ahead."""
+    """Point where both optical axes come closest; 2 baselines ahead if they are nearly parallel."""
     right_axis = rig.right_from_left[:3, :3].T @ (0.0, 0.0, 1.0)
     right_centre = -rig.right_from_left[:3, :3].T @ rig.right_from_left[:3, 3]
     # left (0, 0, a) and right c + b r: least squares for a, b
@@ -480,11 +479,11 @@ def _meeting_point(rig: StereoRig) -> FloatArray:
 
 
 def demo_rig() -> StereoRig:
-    """A rig as in the paper's Table 2: f 14.8 mm on 4.65 µm pixels, baseline 110 mm, vergence 24°;
+    """Rig as in the paper's Table 2: f 14.8 mm on 4.65 µm pixels, baseline 110 mm, vergence 24°;
     the left camera looks straight down."""
     centre, target = np.array([109.3, 1.4, -12.2]), np.array([14.0, 1.0, 205.0])
     ahead = (target - centre) / np.linalg.norm(target - centre)
-    down = np.array([0.006, 1.0, 0.0])  # 0.3° of roll, as it is after bolting a camera down
+    down = np.array([0.006, 1.0, 0.0])  # 0.3° of roll, as remains after bolting a camera down
     right = np.cross(down, ahead)
     right /= np.linalg.norm(right)
     right_from_left = np.eye(4)
@@ -509,14 +508,14 @@ def demo_rig() -> StereoRig:
 
 
 def inside(marks: MarkFrame) -> PartMotion:
-    """Where the demo's part may lie without covering marks; their middle is where both cameras see most."""
+    """Range of the demo's part in which it does not cover marks, centred where both cameras see most."""
     reach_mm = extent_mm(demo_part().outline) + marks.diameter_mm
     free = [max(0.0, 0.5 * size_mm - reach_mm) for size_mm in (marks.width_mm, marks.height_mm)]
     return PartMotion(centre_mm=(7.0, 0.0, 205.0), shift_mm=(free[0], free[1]))
 
 
 def demo_part() -> Part:
-    """A flange: disc of radius 14 mm, bore with keyway, five bolt holes of which one is smaller."""
+    """A flange: disc of radius 14 mm, bore with keyway, and five bolt holes, one of them smaller."""
     bolts = tuple(
         Hole(f"bolt{k}", Disc(10.2 * math.cos(angle), 10.2 * math.sin(angle), 0.9 if k == 4 else 1.6))
         for k, angle in enumerate(2.0 * math.pi * np.arange(5) / 5 + 0.35)

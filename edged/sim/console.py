@@ -1,4 +1,4 @@
-"""What a person or a script tells running virtual cameras, a line at a time."""
+"""Line-based command console for running virtual cameras, for people and scripts."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ SHARES = ("packet_loss", "reordering", "duplication", "answer_loss")
 
 
 def set_fault(faults: Faults, name: str, text: str) -> None:
-    """Set a fault from text. Raises `UserError` that says what was expected."""
+    """Set a fault from text. Raises `UserError` that states what was expected."""
     known = {field.name: getattr(Faults(), field.name) for field in fields(Faults)}
     if name not in known:
         raise UserError(f"no fault {name!r}; expected one of {', '.join(known)}")
@@ -50,7 +50,7 @@ def set_fault(faults: Faults, name: str, text: str) -> None:
 
 
 def number(what: str, text: str, low: float, high: float) -> float:
-    """A number within limits. Raises `UserError`."""
+    """Parse a number within limits. Raises `UserError`."""
     try:
         value = decimal(text.strip())
     except ValueError:
@@ -61,7 +61,7 @@ def number(what: str, text: str, low: float, high: float) -> float:
 
 
 class SimConsole:
-    """Commands for cameras by their names."""
+    """Executes commands for named cameras."""
 
     def __init__(self, cameras: Mapping[str, GigeCamera]) -> None:
         self._cameras = cameras
@@ -81,11 +81,11 @@ class SimConsole:
 
     @property
     def verbs(self) -> tuple[str, ...]:
-        """The commands that name cameras."""
+        """Commands that take the name of a camera."""
         return tuple(self._commands)
 
     def execute(self, line: str) -> str:
-        """Carry out one line; what there is to say. Raises `UserError` for one that cannot be."""
+        """Execute one line and return the reply. Raises `UserError` if it is invalid or fails."""
         verb, *words = line.split() or [""]
         if verb == "":
             return ""
@@ -115,7 +115,7 @@ class SimConsole:
 
 
 def describe(name: str, camera: GigeCamera) -> str:
-    """One line: who, where, under whose control, how many exposures, and what is wrong."""
+    """Status line: name, serial, address, whether controlled, number of exposures, and active faults."""
     wrong = [
         f"{field.name}={getattr(camera.faults, field.name)}"
         for field in fields(Faults)

@@ -1,4 +1,4 @@
-"""Dirt on a plate of reference marks: swarf that lies on it, and a film of oil."""
+"""Dirt on a plate of reference marks: swarf, and films of oil."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from edged.sim.render.scene import Part, PlacedPart, RoundedBox, Surface
 from edged.vision.geometry.rigid import rotation_matrix, transform
 
 SWARF_MM = (0.4, 3.0), (0.1, 0.5)
-"""Length and width of a chip of steel."""
+"""Ranges of length and width of a steel chip."""
 ABOVE_MM = 0.2
 OIL_DARK, OIL_BLUR_PX = 0.4, 2.0
-"""Share of the light that a film takes in its middle, and how it smears what is below."""
+"""Share of the light that a film absorbs in its middle, and the blur of what is below it."""
 
 
 def swarf(rng: np.random.Generator, rig_from_plate: FloatArray, near_mm: FloatArray) -> list[PlacedPart]:
-    """A chip, dark or bright, about half a millimetre from each place (N, 3) of the plate."""
+    """A dark or bright chip about half a millimetre from each point (N, 3) of the plate."""
     chips = []
     for place in near_mm:
         long_mm, wide_mm = (float(rng.uniform(*limits)) for limits in SWARF_MM)
@@ -30,7 +30,7 @@ def swarf(rng: np.random.Generator, rig_from_plate: FloatArray, near_mm: FloatAr
 
 
 def oiled(image: Image, places_px: FloatArray, radius_px: float) -> Image:
-    """The picture (H, W) with a drop of oil on each place (N, 2): darker, and smeared, with a soft edge."""
+    """The picture (H, W) with a drop of oil at each point (N, 2): darker and blurred, with a soft edge."""
     y, x = np.mgrid[: image.shape[0], : image.shape[1]]
     film = np.zeros(image.shape)
     for place in places_px:

@@ -1,4 +1,4 @@
-"""The request of a virtual camera for a rendered image."""
+"""Request of a virtual camera for a rendered image."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ class ExposureRequest:
     """One exposure of a virtual camera.
 
     frame_id : the camera's counter, from 1.
-    exposed_ns : host UTC ns when the exposure began.
+    exposed_ns : start of the exposure, host UTC, ns.
     device_ns : the same instant on the camera's own clock.
-    exposure_us, gain_db : as the camera is set.
+    exposure_us, gain_db : settings of the camera.
     width, height : of the image to render, (height, width) uint8.
     """
 

@@ -1,8 +1,9 @@
-"""A person's hand that holds a board before the cameras: smooth, never quite still, never quite in place.
+"""A simulated hand that holds a board in front of the cameras, with smooth movements, tremor and misses.
 
-Movements follow minimum jerk (T. Flash, N. Hogan, "The coordination of arm movements", 1985); a hand that is
-sent elsewhere on its way adds the new movement to the one that it is in (T. Flash, E. Henis, "Arm trajectory
-modifications during reaching towards visual targets", 1991), so that position and speed never jump.
+Movements follow minimum jerk (T. Flash, N. Hogan, "The coordination of arm movements", 1985). If the target
+changes during a movement, the new movement is superposed on the current one (T. Flash, E. Henis, "Arm
+trajectory modifications during reaching towards visual targets", 1991), so that position and speed never
+jump.
 """
 
 from __future__ import annotations
@@ -17,30 +18,30 @@ from edged.domain.arrays import FloatArray
 from edged.vision.geometry.rigid import rotation_matrix, rotation_vector, transform
 
 REACTION_S = 0.25
-"""From being asked to the first move."""
+"""Time from a request to the start of the movement."""
 SHORTEST_S = 0.4
-"""No movement is quicker, however short."""
+"""Shortest duration of a movement."""
 MEAN_MM_S, MEAN_RAD_S = 120.0, math.radians(60.0)
 REMEMBERED_S = 60.0
-"""Movements that ended longer ago are one pose: nobody asks for times before."""
+"""Movements that ended longer ago are merged into the base pose; earlier times are never queried."""
 SAME_MM, SAME_RAD = 10.0, math.radians(6.0)
-"""A place that differs by less is the same one, drawn a little better."""
+"""A requested pose that differs by less counts as a repeated request."""
 CALMING_S = 0.3
-"""A hand that is laid down shakes less and less for so long."""
+"""Time over which the tremor fades when the hand is laid down."""
 WAVES = 4
-"""Sines that tremor is made of, in each of six directions."""
+"""Number of sines that make up the tremor in each of six directions."""
 TREMOR_HZ = (5.0, 11.0)
-"""Physiological tremor of a hand."""
+"""Frequency range of a hand's physiological tremor."""
 
 
 @dataclass(frozen=True, slots=True)
 class Skill:
-    """Errors of a hand: tremor, and misses of the asked pose.
+    """Errors of a hand: tremor, and misses of the requested pose.
 
-    tremor_mm : standard deviation of its place along each axis; tremor_rad : about each axis.
-    miss_mm, miss_rad : it ends up to so far away, in a random direction; uniform in the ball.
-    corrected : the share of its misses that remains each time it is asked for nearly the same place again: a
-    person sees where the board is and where it should be.
+    tremor_mm : standard deviation of the position along each axis; tremor_rad : about each axis.
+    miss_mm, miss_rad : largest deviation from the requested pose, uniformly distributed in a ball.
+    corrected : share of the miss that remains each time nearly the same pose is requested again: a person
+    sees where the board is and where it should be.
     """
 
     tremor_mm: float = 0.05
@@ -52,7 +53,7 @@ class Skill:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Movement:
-    """From nothing at begin_ns to the whole shift and turn at end_ns."""
+    """A movement, from no shift and turn at begin_ns to the whole shift and turn at end_ns."""
 
     begin_ns: int
     end_ns: int
@@ -64,9 +65,9 @@ class _Movement:
 
 
 class Hand:
-    """A hand; every pose follows from the seed and from what it was asked when. Thread-safe.
+    """A hand; every pose is determined by the seed and the timed requests. Thread-safe.
 
-    rig_from_hand : (4, 4) where it is at first. Times are UTC ns, as those of exposures.
+    rig_from_hand : (4, 4) initial pose. Times are UTC ns, as those of exposures.
     """
 
     def __init__(self, rig_from_hand: FloatArray, *, seed: int = 0, skill: Skill | None = None) -> None:
@@ -76,14 +77,14 @@ class Hand:
         self._goal: FloatArray | None = None
         self._base = np.array(rig_from_hand, dtype=np.float64)
         self._movements: list[_Movement] = []
-        self._calm: tuple[int, float, float] = (0, 1.0, 1.0)  # since, tremor's share before and after
+        self._calm: tuple[int, float, float] = (0, 1.0, 1.0)  # time of change, tremor before and after
         rng = np.random.default_rng((seed, 7))
         self._hz = rng.uniform(*TREMOR_HZ, (6, WAVES))
         self._phase = rng.uniform(0.0, 2.0 * math.pi, (6, WAVES))
         self._lock = threading.Lock()
 
     def move(self, rig_from_hand: FloatArray, at_ns: int) -> None:
-        """Ask it to go there; it sets out a moment later, and misses."""
+        """Request a movement to a pose; it starts after the reaction time and misses."""
         with self._lock:
             self._asked += 1
             rng = np.random.default_rng((self._seed, 8, self._asked))
@@ -106,7 +107,7 @@ class Hand:
             self._movements.append(_Movement(begin_ns, end_ns, shift_mm, turn_rad))
 
     def lay(self, rig_from_hand: FloatArray, at_ns: int) -> None:
-        """Be there at once, exactly, and lie still."""
+        """Put the hand exactly at a pose at once, without tremor."""
         with self._lock:
             self._base = np.array(rig_from_hand, dtype=np.float64)
             self._movements.clear()
@@ -114,22 +115,22 @@ class Hand:
             self._calm = (at_ns - round(CALMING_S * 1e9), 0.0, 0.0)
 
     def rest(self, still: bool, at_ns: int) -> None:
-        """Lay down what it holds: no tremor any more; or take it up again."""
+        """Lay the held thing down, which ends the tremor, or take it up again."""
         with self._lock:
             self._calm = (at_ns, self._tremor_share(at_ns), 0.0 if still else 1.0)
 
     @property
     def still(self) -> bool:
-        """Whether what it holds was laid down."""
+        """Whether the held thing was laid down."""
         return self._calm[2] == 0.0
 
     def moving(self, at_ns: int) -> bool:
-        """Whether it is on its way, or about to set out."""
+        """Whether it is moving or about to move."""
         with self._lock:
             return any(at_ns < movement.end_ns for movement in self._movements)
 
     def pose(self, at_ns: int) -> FloatArray:
-        """(4, 4) rig_from_hand."""
+        """Pose rig_from_hand (4, 4) at a time."""
         with self._lock:
             steady, share = self._steady(at_ns), self._tremor_share(at_ns)
         waves = np.sin(2.0 * math.pi * self._hz * (at_ns * 1e-9 % 1e6) + self._phase)
@@ -138,14 +139,14 @@ class Hand:
         return transform(shaken, steady[:3, 3] + self.skill.tremor_mm * tremor[:3])
 
     def _is_same(self, goal: FloatArray) -> bool:
-        """Whether nearly this was asked for before."""
+        """Whether nearly the same pose was requested last."""
         if self._goal is None:
             return False
         turn = float(np.linalg.norm(rotation_vector(goal[:3, :3] @ self._goal[:3, :3].T)))
         return bool(np.linalg.norm(goal[:3, 3] - self._goal[:3, 3]) < SAME_MM and turn < SAME_RAD)
 
     def _steady(self, at_ns: int | None) -> FloatArray:
-        """Without tremor; None: where all movements end."""
+        """Pose without tremor at a time; None: when all movements have ended."""
         pose = self._base.copy()
         for movement in self._movements:
             share = 1.0 if at_ns is None else movement.share(at_ns)
@@ -154,7 +155,7 @@ class Hand:
         return pose
 
     def _forget(self, at_ns: int) -> None:
-        """Only the oldest: a turn applies to those before it."""
+        """Merge old movements into the base pose, oldest first only, as each turn acts on those before it."""
         while self._movements and self._movements[0].end_ns < at_ns - REMEMBERED_S * 1e9:
             old = self._movements.pop(0)
             self._base[:3, 3] += old.shift_mm
@@ -166,7 +167,7 @@ class Hand:
 
 
 def minimum_jerk(share_of_time: float) -> float:
-    """Share of the way after a share of the time, both 0 before the movement and 1 after it.
+    """Share of the way after a share of the time; 0 before the movement and 1 after it.
 
     >>> [round(minimum_jerk(t), 6) for t in (-1.0, 0.0, 0.25, 0.5, 1.0, 2.0)]
     [0.0, 0.0, 0.103516, 0.5, 1.0, 1.0]
@@ -176,6 +177,6 @@ def minimum_jerk(share_of_time: float) -> float:
 
 
 def _in_ball(rng: np.random.Generator) -> FloatArray:
-    """A point (3,) of the unit ball."""
+    """A random point (3,), uniform in the unit ball."""
     direction = rng.standard_normal(3)
     return np.asarray(direction / np.linalg.norm(direction) * rng.random() ** (1.0 / 3.0))

@@ -1,7 +1,7 @@
-"""A camera in this process, behind the same port as a real one.
+"""A camera in this process, with the same interface as a real one.
 
 For unit tests, and for a virtual cell on a machine without Aravis: no sockets, no driver. It yields to
-the event loop and renders in a thread, as a real camera would keep the loop free.
+the event loop and renders in a thread, so that the loop stays free as with a real camera.
 """
 
 from __future__ import annotations
@@ -20,22 +20,22 @@ from edged.errors import CameraSetupError, CameraUnreachable, CaptureError, Fram
 from edged.sim.exposure import ExposureRequest
 
 LIMITS = CameraLimits((10.0, 1_000_000.0), (0.0, 24.0))
-"""As of the virtual GigE Vision cameras."""
+"""The same as those of the virtual GigE Vision cameras."""
 
 
 @dataclass(slots=True)
 class InProcessFaults:
-    """Faults from now on; a test may change them at any time.
+    """Injected faults; a test may change them at any time.
 
     open_error, trigger_error : raised by every `open` or `trigger` while set.
     fail_next_trigger : raised once.
-    stall : triggers are taken and no image ever comes.
-    drop_next : this many next exposures give no image.
-    incomplete_next : this many next exposures arrive damaged.
-    delay_s : the image comes later; the exposure does not.
-    skew_s : the exposure itself is late, by host and by device time.
+    stall : triggers are accepted but no image ever comes.
+    drop_next : number of following exposures that give no image.
+    incomplete_next : number of following exposures whose image arrives damaged.
+    delay_s : delay of the image, but not of the exposure.
+    skew_s : delay of the exposure itself, in host and device time.
     frozen : the image (not the frame id) of the last exposure is sent again.
-    repeat_id : the frame counter stands still.
+    repeat_id : the frame counter does not change.
     """
 
     open_error: CaptureError | None = None
@@ -53,9 +53,9 @@ class InProcessFaults:
 class InProcessCamera:
     """A camera whose images are computed when it is triggered.
 
-    exposure : called in a worker thread; (height, width) uint8 as the sensor saw it. count : of a belt's
-    encoder, which comes with the image.
-    Opening, triggering and closing are counted for tests.
+    exposure : called in a worker thread; returns the (height, width) uint8 image. count : returns the count
+    of a belt's encoder, delivered with the image.
+    opened, closed : numbers of openings and closings, for tests.
     """
 
     def __init__(
@@ -89,7 +89,7 @@ class InProcessCamera:
         return self._name
 
     async def open(self) -> None:
-        """Start counting frames and time from zero; an open camera only says that it is well."""
+        """Open the camera and reset frame counter and device time; for an open camera only a check."""
         await asyncio.sleep(0)
         if self.faults.open_error is not None:
             raise self.faults.open_error
@@ -152,17 +152,17 @@ class InProcessCamera:
         return LIMITS
 
     async def restore(self) -> None:
-        """Undo what was adjusted."""
+        """Restore the configured exposure time and gain."""
         self._values = self._configured
 
     async def close(self) -> None:
-        """Drop what is being exposed; safe to call twice and on a camera that never opened."""
+        """Cancel a pending exposure and close; safe to call twice and on a camera that never opened."""
         await self._drop_pending()
         self.closed += self.is_open
         self.is_open = False
 
     async def _expose(self, request: ExposureRequest) -> Frame | None:
-        """Render; None for an image that arrives damaged."""
+        """Render the image; None for one that arrives damaged."""
         faults = self.faults
         if faults.stall or faults.drop_next > 0:
             faults.drop_next = max(0, faults.drop_next - 1)
@@ -192,4 +192,4 @@ class InProcessCamera:
             pending.cancel()
             await asyncio.wait({pending})
             if not pending.cancelled():
-                pending.exception()  # nobody wants that image any more, nor why there is none
+                pending.exception()  # retrieve it, so that asyncio does not report it as never retrieved

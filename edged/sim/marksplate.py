@@ -15,13 +15,13 @@ from edged.sim.render.scene import (
 from edged.vision.marks.frame import MarkFrame, frame_artwork
 
 MARGIN = 0.75
-"""White around all ink, in diameters of a dot: as much as between a dot and its code."""
+"""White margin around all ink, in diameters of a dot: the same as between a dot and its code."""
 
 
 def marks_plate(frame: MarkFrame, scale: float = 1.0, without: tuple[int, ...] = ()) -> Part:
-    """The plate; its frame is that of the marks, z away from the cameras.
+    """Make a plate whose frame is that of the marks, z away from the cameras.
 
-    scale : by which it has grown. without : codes of marks whose dots are covered.
+    scale : factor of its thermal expansion. without : codes of marks whose dots are covered.
     """
     drawn, d = frame_artwork(frame), frame.diameter_mm
     marks = []

@@ -1,4 +1,4 @@
-"""Pictures of a folder as two virtual cameras show them: both halves of a pair at one exposure."""
+"""Recorded picture pairs played back by two virtual cameras, with both halves of a pair in one exposure."""
 
 from __future__ import annotations
 
@@ -20,10 +20,11 @@ class _Moment:
 
 
 class PairReel:
-    """The pairs in turn, again and again. shown : pictures by side, as many of each.
+    """Plays pairs in turn, in an endless loop. shown : pictures by side, the same number of each.
 
-    Not by a camera's own frame number: that begins anew where one was switched off, and left and right would
-    show different pairs from then on. Thread-safe: cameras expose from threads of their own.
+    Pairs are matched by time, not by the cameras' frame ids: these restart when a camera is switched off, and
+    left and right would show different pairs from then on. Thread-safe: cameras expose from their own
+    threads.
     """
 
     def __init__(self, shown: Mapping[Side, Sequence[Image]]) -> None:
@@ -33,7 +34,7 @@ class PairReel:
         self._lock = threading.Lock()
 
     def exposure(self, side: Side) -> Callable[[ExposureRequest], Image]:
-        """The function that a virtual camera calls for its images."""
+        """Image function for a virtual camera."""
         images = self._shown[side]
 
         def expose(request: ExposureRequest) -> Image:
@@ -43,7 +44,7 @@ class PairReel:
         return expose
 
     def _number(self, side: str, request: ExposureRequest) -> int:
-        """Which pair this exposure sees: that of the other side's exposure at this time, or the next one."""
+        """Number of the pair for this exposure: that of the other side's at this time, or the next."""
         frame = (request.frame_id, request.exposed_ns)
         with self._lock:
             for moment in reversed(self._moments):

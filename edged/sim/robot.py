@@ -1,4 +1,4 @@
-"""A virtual robot beside a stage: it holds the board, or the cameras, and touches what the cameras see."""
+"""A virtual robot beside a stage: it holds the board or the cameras, and touches points they see."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from edged.vision.geometry.rigid import invert, rotation_matrix, transform
 
 Carried = Literal["board", "cameras"]
 LEVER_MM = 100.0
-"""A rotation is off by as much as the noise at this distance."""
+"""Distance at which the noise of a rotation equals that of a position."""
 WALK_DEG = (
     (0, 0, 0),
     (14, 0, 20),
@@ -27,7 +27,7 @@ WALK_DEG = (
     (-10, -10, -10),
     (12, 5, 35),
 )
-"""About x, y and z of what it carries: ten poses as a robot's program walks them."""
+"""Rotations about x, y and z of the carried thing, for the ten poses of a robot's program."""
 SHIFT_MM = 6.0
 
 
@@ -42,16 +42,16 @@ def _rotated(degrees: tuple[float, float, float], shift_mm: tuple[float, float, 
 
 
 FLANGE_FROM_BOARD = _rotated((3.0, 178.0, 40.0), (12.0, -30.0, 85.0))
-"""The board in the robot's hand."""
+"""Pose of the board in the robot's gripper."""
 FLANGE_FROM_RIG = _rotated((2.0, -4.0, 95.0), (60.0, -20.0, 110.0))
-"""The cameras on the flange."""
+"""Pose of the cameras on the flange."""
 ROBOT_FROM_BOARD = _rotated((0.5, 1.0, 20.0), (520.0, -80.0, 15.0))
-"""The board's place while the robot carries the cameras."""
+"""Pose of the board while the robot carries the cameras."""
 
 
 class VirtualRobot:
-    """What its controller shows is what is true on the stage, with noise. Raises ValueError where the cell's
-    own rig does not know where the robot is."""
+    """A robot whose controller shows the true state of the stage, with noise. Raises ValueError if the
+    cell's own rig is not registered to a robot."""
 
     def __init__(self, stage: Stage) -> None:
         if stage.cell.rig.robot_from_rig is None:
@@ -62,7 +62,7 @@ class VirtualRobot:
         self._steps = 0
 
     def walk(self) -> int:
-        """Carry the board, or the cameras over it, to the next of ten poses; its number from 1."""
+        """Carry the board, or the cameras over it, to the next of ten poses; returns its number, from 1."""
         turn = WALK_DEG[self._steps % len(WALK_DEG)]
         place = np.eye(4)
         place[:3, 3] = self._stage.cell.middle_mm
@@ -86,10 +86,10 @@ class VirtualRobot:
         return transform(turn @ pose[:3, :3], pose[:3, 3] + shift)
 
     def tip(self, carries: Carried, left_px: tuple[float, float], noise_um: float = 0.0) -> FloatArray | None:
-        """(3,) mm in the robot's frame, with its tip on what is nearest to there in the left picture.
+        """Tip position (3,) mm, robot frame, on the feature nearest to a point of the left picture.
 
-        Of the part the middle of a circle, of the board a mark; None while nothing is shown. Whatever carried
-        cameras see lies where the board lies.
+        Features are the centres of the part's circles, or the board's marks; None while nothing is shown.
+        If the robot carries the cameras, the thing shown lies at the board's pose.
         """
         shown = self._stage.shown()
         if shown is None:

@@ -1,4 +1,4 @@
-"""What lies or is held before the cameras of a virtual cell, and the hands around it."""
+"""Things shown to the cameras of a virtual cell, and hands in front of them."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ from edged.domain.arrays import FloatArray, Side
 from edged.sim.render.scene import Part, PlacedPart, Plate, RenderedView, RoundedBox, Surface
 
 Pose = FloatArray | Callable[[int], FloatArray]
-"""(4, 4) rig_from_thing, or what it is at a time (UTC ns)."""
+"""rig_from_thing (4, 4), or a function that gives it for a time (UTC ns)."""
 
 SKIN = Surface(albedo=0.38, contrast=0.12, feature_mm=1.5, seed=3)
 GRIP_MM = 3.0
-"""Fingers lie so far before the board that they hold."""
+"""Distance of the fingers in front of the board that they hold."""
 WAVE_MM, WAVE_HZ = 14.0, 1.3
-"""Half way and rate of a hand that waves."""
+"""Amplitude and frequency of a waving hand."""
 BEFORE_LENS_MM = 55.0
-"""A hand that waves before one camera: so near that the other does not see it."""
+"""Distance of a waving hand from its camera: so near that the other camera does not see it."""
 
 
 class Thing(StrEnum):
-    """The thing on the table."""
+    """Things that can be shown to the cameras."""
 
     PART = "part"
     BOARD = "board"
@@ -36,8 +36,8 @@ class Thing(StrEnum):
 class ShownNow:
     """The thing shown, and its pose.
 
-    pose : None: the part lies elsewhere at every exposure. covered : fingers cover a corner of the board.
-    waving : a hand moves before this camera.
+    pose : None: the part has a new random pose at every exposure. covered : fingers cover a corner of the
+    board. waving : camera in front of which a hand is waved.
     """
 
     thing: Thing = Thing.PART
@@ -46,7 +46,7 @@ class ShownNow:
     waving: Side | None = None
 
     def pose_at(self, at_ns: int) -> FloatArray | None:
-        """(4, 4) rig_from_thing; None where it lies anywhere."""
+        """rig_from_thing (4, 4) at a time; None for random poses."""
         return self.pose(at_ns) if callable(self.pose) else self.pose
 
 
@@ -62,7 +62,7 @@ def fingers(plate: Plate, rig_from_plate: FloatArray) -> PlacedPart:
 
 
 def waving_hand(view: RenderedView, at_ns: int) -> PlacedPart:
-    """A hand before one camera, on its way from side to side."""
+    """A hand in front of one camera, waving from side to side."""
     camera_from_hand = np.eye(4)
     camera_from_hand[0, 3] = WAVE_MM * math.sin(2.0 * math.pi * WAVE_HZ * (at_ns * 1e-9 % 1e6))
     camera_from_hand[2, 3] = BEFORE_LENS_MM
@@ -71,7 +71,7 @@ def waving_hand(view: RenderedView, at_ns: int) -> PlacedPart:
 
 
 def centre_of(plate: Plate) -> FloatArray:
-    """(4, 4) plate_from_hand: the hand holds a board by its middle."""
+    """plate_from_hand (4, 4): the hand holds a board at its centre."""
     points = plate.points_mm
     plate_from_hand = np.eye(4)
     plate_from_hand[:3, 3] = 0.5 * (points.min(axis=0) + points.max(axis=0))

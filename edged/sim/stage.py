@@ -1,4 +1,4 @@
-"""A stage: a virtual cell with a simulated hand. The board follows what a screen shows."""
+"""A stage: a virtual cell with a simulated hand, whose board follows the outlines drawn on a screen."""
 
 from __future__ import annotations
 
@@ -18,26 +18,26 @@ from edged.sim.showing import Thing, centre_of
 from edged.vision.geometry.rigid import invert, rotation_matrix, transform
 
 BOARD = (11, 8, 4.0)
-"""Inner corners and squares (mm) of the board that fits the demo's view, and lies there at first."""
+"""Inner corners and square size (mm) of the initial board, which fits the demo's view."""
 SHARPEST_PX, TURN_PX = 0.6, 3.0
-"""Blur of a lens in focus, and what a quarter turn of its ring adds (in quadrature)."""
+"""Blur of a lens in focus, and that added (in quadrature) by a quarter turn of its focus ring."""
 STEPS = 12
-"""Gauss-Newton steps until the board lies on the outline: it starts within a few pixels."""
+"""Gauss-Newton steps to fit the board to the outline, starting within a few pixels."""
 LAID = 1 << 30
-"""Numbers of poses that are no scenes of a running cell."""
+"""Start of pose numbers that are never used for scenes of a running cell."""
 CORNERS = ((0, 0), (1, 0), (1, 1), (0, 1))
 """Corners of the grid of marks, in the order of a board's outline."""
 
 
 def stage_board() -> Plate:
-    """The board of the stage."""
+    """Make the stage's initial board."""
     return chessboard_plate(*BOARD)
 
 
 class Stage:
-    """Board, part and hand of a virtual cell that has a board. Thread-safe as these are.
+    """Board, part and hand of a virtual cell that has a board. As thread-safe as these.
 
-    clock : UTC ns, the cameras' own.
+    clock : returns UTC ns, the same as for the cameras.
     Raises ValueError for a cell without a board.
     """
 
@@ -61,10 +61,10 @@ class Stage:
         self._rings: dict[Side, float] = dict.fromkeys(SIDES, 0.0)
         cell.show(Thing.NOTHING)
 
-    # --- what there is to see ------------------------------------------------------------------
+    # --- things shown --------------------------------------------------------------------------
 
     def show(self, thing: Thing, *, covered: bool = False) -> None:
-        """The board in the hand, the part on the table, or nothing."""
+        """Show the board in the hand, the part on the table, or nothing."""
         if thing is Thing.BOARD:
             self.cell.show(thing, self._board_at, covered=covered)
         elif thing is Thing.PART:
@@ -73,18 +73,18 @@ class Stage:
             self.cell.show(thing)
 
     def lay(self) -> None:
-        """The part somewhere else, where it stays."""
+        """Lay the part at a new random pose, where it stays."""
         self._laid += 1
         self.cell.show(Thing.PART, self.cell.pose(LAID + self._laid))
 
     def take_board(self, columns: int, rows: int, square_mm: float) -> None:
-        """Another chessboard into the hand: inner corners, and its squares."""
+        """Take another chessboard into the hand. columns, rows : inner corners."""
         self.grid = columns, rows, square_mm
         self.cell.board = self._plate = chessboard_plate(columns, rows, square_mm)
         self._plate_from_hand = centre_of(self._plate)
 
     def turn_ring(self, side: Side, turn: float) -> None:
-        """Focus a lens: -1 to 1 quarter turns, 0 is sharp. Raises ValueError outside."""
+        """Turn a lens's focus ring: -1 to 1 quarter turns, 0 is sharp. Raises ValueError outside."""
         if not -1.0 <= turn <= 1.0:
             raise ValueError(f"a ring turns from -1 to 1, not to {turn:g}")
         self._rings[side] = turn
@@ -92,31 +92,31 @@ class Stage:
 
     @property
     def rings(self) -> Mapping[Side, float]:
-        """Turn of each lens from sharp."""
+        """Turn of each lens's focus ring, 0 for sharp."""
         return dict(self._rings)
 
     # --- the hand ------------------------------------------------------------------------------
 
     def hold(self, rig_from_board: FloatArray | None = None) -> None:
-        """Move the board there, more or less; None: to the middle of what both cameras see."""
+        """Move the board approximately to a pose; None: to the middle of the common field of view."""
         goal = self._middle() if rig_from_board is None else rig_from_board @ self._plate_from_hand
         self.hand.move(goal, self._clock())
 
     def shown(self) -> tuple[Thing, FloatArray] | None:
-        """What is before the cameras now, and where: rig_from_thing (4, 4); None for nothing."""
+        """The thing shown now and its rig_from_thing (4, 4); None for nothing, or for random poses."""
         showing = self.cell.showing
         pose = showing.pose_at(self._clock())
         return None if showing.thing is Thing.NOTHING or pose is None else (showing.thing, pose)
 
     def carry(self, rig_from_middle: FloatArray) -> None:
-        """Let a robot hold the board's middle there: it neither misses nor trembles."""
+        """Put the board's middle exactly at a pose, as held by a robot, without misses and tremor."""
         self.hand.lay(rig_from_middle, self._clock())
 
     def follow(self, outlines: Mapping[Side, FloatArray]) -> None:
-        """Move the board to where a screen draws it, more or less.
+        """Move the board approximately to the outline drawn on a screen.
 
-        outlines : (4, 2) px of both pictures, or of the left one: the outermost marks (x_min, y_min),
-        (x_max, y_min), (x_max, y_max), (x_min, y_max). Raises ValueError for what no board looks like.
+        outlines : (4, 2) px in both pictures, or in the left one: the outermost marks (x_min, y_min),
+        (x_max, y_min), (x_max, y_max), (x_min, y_max). Raises ValueError if no board can look like this.
         """
         self.hold(self.pose_of(outlines))
 
@@ -125,14 +125,14 @@ class Stage:
         self.hand.rest(still, self._clock())
 
     def moving(self) -> bool:
-        """Whether the hand is on its way."""
+        """Whether the hand is moving or about to move."""
         return self.hand.moving(self._clock())
 
     def pose_of(self, outlines: Mapping[Side, FloatArray]) -> FloatArray:
-        """(4, 4) rig_from_board of outlines as `follow` takes them: least squares in both pictures.
+        """rig_from_board (4, 4) of outlines as in `follow`, by least squares in both pictures.
 
-        A person lays the board onto both drawings by eye; drawings of a rig that is not known well yet do not
-        fit each other, and the board lies between.
+        A person aligns the board with both drawings by eye; while the rig is not well known, the drawings are
+        inconsistent, and the board ends up in between.
         """
         sides = [side for side in SIDES if side in outlines]
         views = {side: self.cell.view(side) for side in sides}
@@ -167,12 +167,12 @@ class Stage:
         return self.hand.pose(at_ns) @ invert(self._plate_from_hand)
 
     def _middle(self) -> FloatArray:
-        """Square to the left camera, in the middle of where the part may lie."""
+        """Pose perpendicular to the left camera's axis, in the centre of the part's range."""
         rig_from_hand = np.eye(4)
         rig_from_hand[:3, 3] = self.cell.middle_mm
         return rig_from_hand
 
 
 def _moved(pose: FloatArray, step: FloatArray) -> FloatArray:
-    """step (6,) : mm, and rad about the board's own origin."""
+    """Change a pose by step (6,) : mm, and rad about the board's own origin."""
     return transform(rotation_matrix(step[3:]) @ pose[:3, :3], pose[:3, 3] + step[:3])

@@ -1,9 +1,9 @@
-"""Weather in a virtual cell: what temperatures and knocks do to its cameras, exactly, at any time.
+"""Effects of temperature and knocks on the cameras of a virtual cell, exactly known at any time.
 
-Each thing follows the temperature around it with a time constant of its own. The bar between the cameras
-grows, the stand moves both, lenses and sensors sit elsewhere in their seats, lenses change their focal
-length, the plate of the reference marks grows. How large these effects are is in `Sensitivity`; their
-directions follow from the seed. World coordinates are those of the rig as it was at the beginning.
+Each component follows the ambient temperature with its own time constant. The bar between the cameras
+expands, the stand moves both cameras, lenses and sensors shift in their seats, focal lengths change, and the
+plate of the reference marks expands. The size of these effects is in `Sensitivity`; their directions are
+determined by the seed. World coordinates are those of the rig at the beginning.
 """
 
 from __future__ import annotations
@@ -23,12 +23,12 @@ from edged.vision.geometry.rigid import invert, rotation_matrix, transform
 
 DAY_S = 86_400.0
 STEPS_OF_A_DAY = 96
-"""Straight pieces of a day's sine: off it by 0.05 % of the swing."""
+"""Straight segments of a day's sine: they deviate by 0.05 % of the swing."""
 
 
 @dataclass(frozen=True, slots=True)
 class Schedule:
-    """Temperature around the cell against that of the beginning: straight lines between points (s, K).
+    """Ambient temperature relative to the beginning: linear between points (s, K).
 
     Constant before the first point and after the last one.
     """
@@ -37,20 +37,20 @@ class Schedule:
 
     @classmethod
     def days(cls, swing_k: float, days: float = 1.0, day_s: float = DAY_S) -> Schedule:
-        """A sine of +- swing_k over each day."""
+        """Schedule of a sine of +- swing_k over each day."""
         count = math.ceil(STEPS_OF_A_DAY * days)
         times = [day_s * k / STEPS_OF_A_DAY for k in range(count + 1)]
         return cls(tuple((t, swing_k * math.sin(2.0 * math.pi * t / day_s)) for t in times))
 
     def around_k(self, at_s: float) -> float:
-        """The temperature around."""
+        """Ambient temperature at a time."""
         times, kelvins = zip(*self.points, strict=True)
         return float(np.interp(at_s, times, kelvins))
 
     def of_thing_k(self, at_s: float, lag_s: float) -> float:
-        """The temperature of a thing whose own follows with a time constant, by the exact solution.
+        """Temperature of a component that follows the ambient one with a time constant, by exact solution.
 
-        On a line a + b t from T0 it is a + b (t - lag) + (T0 - a + b lag) exp(-t / lag).
+        On a line a + b t, starting at T0: a + b (t - lag) + (T0 - a + b lag) exp(-t / lag).
         """
         first_s, own_k = self.points[0]
         if at_s <= first_s:
@@ -68,11 +68,11 @@ class Schedule:
 
 @dataclass(frozen=True, slots=True)
 class Sensitivity:
-    """What a kelvin does, and how long each thing takes to get warm.
+    """Effects of a kelvin, and thermal time constants of the components.
 
-    Material constants are those of handbooks: aluminium 23.1, steel 11.5 per million and kelvin. A seat of
-    0.1 µm, a turn of 10 µrad and a focal length of 10 per million for each kelvin are, over 10 K, the
-    displacements of which `docs/how-to/marks.md` says what they do; time constants are those of blocks of
+    Material constants are those of handbooks: aluminium 23.1, steel 11.5 per million and kelvin. A seat shift
+    of 0.1 µm, a turn of 10 µrad and a focal length change of 10 per million for each kelvin give, over 10 K,
+    the displacements whose effects `docs/how-to/marks.md` describes. Time constants are those of blocks of
     metal of 0.2 to 3 kg in still air (10 W/(m² K)).
     """
 
@@ -91,9 +91,9 @@ class Sensitivity:
 
 @dataclass(frozen=True, slots=True)
 class Knock:
-    """Something hits a camera, or the whole rig, and it stays where it was pushed.
+    """A lasting displacement of a camera, or of the whole rig, by a knock.
 
-    shift_mm, turn_rad (3,) : in the axes of that camera, about its centre; of the rig about the left one.
+    shift_mm, turn_rad (3,) : in that camera's axes, about its centre; for the rig those of the left camera.
     """
 
     at_s: float
@@ -103,15 +103,15 @@ class Knock:
 
     @property
     def moved(self) -> FloatArray:
-        """(4, 4) new place from old place."""
+        """Motion (4, 4): new pose from old pose."""
         return transform(rotation_matrix(np.array(self.turn_rad)), np.array(self.shift_mm))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TrueCameras:
-    """The cameras at one moment.
+    """True state of the cameras at one moment.
 
-    left_from_world, right_from_world (4, 4).  plate_scale : by which the plate of the marks has grown.
+    left_from_world, right_from_world (4, 4).  plate_scale : expansion factor of the plate of the marks.
     """
 
     left: CameraModel
@@ -121,19 +121,19 @@ class TrueCameras:
     plate_scale: float
 
     def camera(self, side: Side) -> tuple[CameraModel, FloatArray]:
-        """One camera, and where it is: camera_from_world (4, 4)."""
+        """One camera and its pose camera_from_world (4, 4)."""
         return (self.left, self.left_from_world) if side == "left" else (self.right, self.right_from_world)
 
     @property
     def rig(self) -> StereoRig:
-        """The rig that a perfect calibration would find now."""
+        """The rig that a perfect calibration would find at this moment."""
         right_from_left = self.right_from_world @ invert(self.left_from_world)
         return StereoRig(self.left, self.right, right_from_left, "weather")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Weather:
-    """A rig through the days. rig : as it is at the beginning; seed : directions of what moves."""
+    """A rig under changing conditions. rig : its initial state; seed : determines directions of movements."""
 
     rig: StereoRig
     schedule: Schedule
@@ -142,7 +142,7 @@ class Weather:
     does: Sensitivity = field(default_factory=Sensitivity)
 
     def at(self, at_s: float) -> TrueCameras:
-        """The cameras at a time after the beginning."""
+        """State of the cameras at a time after the beginning."""
         does, schedule = self.does, self.schedule
         bar_k = schedule.of_thing_k(at_s, does.bar_lag_s)
         stand_k = schedule.of_thing_k(at_s, does.stand_lag_s)
@@ -173,7 +173,7 @@ class Weather:
         return TrueCameras(left, right, in_left, in_right, 1.0 + does.plate_per_k * plate_k)
 
     def _warm(self, side: Side, own_k: float, rng: np.random.Generator) -> CameraModel:
-        """A camera with its lens and its sensor where they are now."""
+        """A camera with the present focal length and principal point."""
         camera, does = self.rig.camera(side), self.does
         seat_px = does.seat_mm_per_k * own_k / does.pixel_mm * _direction(rng)
         grown = 1.0 + does.focal_per_k * own_k * rng.choice((-1.0, 1.0))
@@ -187,6 +187,6 @@ class Weather:
 
 
 def _direction(rng: np.random.Generator) -> FloatArray:
-    """A unit vector (3,)."""
+    """A random unit vector (3,)."""
     vector = rng.standard_normal(3)
     return np.asarray(vector / np.linalg.norm(vector))

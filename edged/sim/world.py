@@ -1,4 +1,4 @@
-"""A running virtual cell: the scenes, and two cameras that look at them."""
+"""A running virtual cell: scenes, and two cameras that image them."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from edged.vision.geometry.camera import StereoRig
 
 ADDRESSES = ("127.0.0.1", "127.0.0.2")
 FLASH_US = 2000.0
-"""An exposure as bright as the flash over a belt."""
+"""Exposure time equivalent to the flash over a belt."""
 SERIALS = ("EDGED-VIRTUAL-L", "EDGED-VIRTUAL-R")
 
 
 def cross_wire(left: GigeCamera, right: GigeCamera) -> None:
-    """Line2 (output) of each to Line1 (input) of the other: either can trigger the other."""
+    """Connect Line2 (output) of each camera to Line1 (input) of the other: either can trigger the other."""
     left.line("Line2").feeds(right.line("Line1"))
     right.line("Line2").feeds(left.line("Line1"))
 
@@ -31,10 +31,10 @@ def cross_wire(left: GigeCamera, right: GigeCamera) -> None:
 class VirtualWorld:
     """Two virtual cameras on one virtual cell; a context manager.
 
-    rig : as it truly is, and how large its pictures are; None: the demo's.
-    addresses : (left, right) of the GigE Vision cameras, None for cameras inside this process.
-    stage : where somebody shows board and part; None: the part lies elsewhere at every exposure.
-    belt : carries the parts; None: they lie still.
+    rig : the true rig, including the size of its pictures; None: the demo's.
+    addresses : (left, right) of the GigE Vision cameras; None for cameras inside this process.
+    stage : for showing board and part interactively; None: the part has a new random pose at every exposure.
+    belt : carries the parts; None without a belt.
     """
 
     def __init__(
@@ -48,12 +48,12 @@ class VirtualWorld:
         self.belt: VirtualBelt | None = None
 
     def carry(self, belt: VirtualBelt) -> None:
-        """Parts come on a belt, under a flash; the left camera tells its count."""
+        """Let parts pass on a belt, under a flash; the left camera reports the belt's count."""
         self.belt = belt
         self.cell.show(Thing.PART, belt.pose)
 
     def __enter__(self) -> VirtualWorld:
-        """Start the GigE Vision cameras. Raises `ListenError` when their port is taken."""
+        """Start the GigE Vision cameras. Raises `ListenError` if their port is taken."""
         try:
             for address, serial, side in zip(self.addresses or (), SERIALS, SIDES, strict=False):
                 width, height = self._size(side)
@@ -79,11 +79,11 @@ class VirtualWorld:
 
     @property
     def devices(self) -> tuple[GigeCamera, ...]:
-        """The GigE Vision cameras that run."""
+        """The running GigE Vision cameras."""
         return tuple(self._devices)
 
     def in_process_cameras(self) -> tuple[InProcessCamera, InProcessCamera]:
-        """Cameras that need neither Aravis nor a network."""
+        """Make cameras that need neither Aravis nor a network."""
         left, right = (
             InProcessCamera(
                 side,
@@ -102,7 +102,7 @@ class VirtualWorld:
         return lambda request: expose(replace(request, exposure_us=FLASH_US))
 
     def _count(self, request: ExposureRequest) -> int:
-        """The belt's count at the moment that both pictures of the pair show."""
+        """The belt's count at the moment shown by both pictures of the pair."""
         assert self.belt is not None
         return self.belt.count(self.cell.moment("left", request).exposed_ns)
 

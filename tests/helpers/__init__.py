@@ -1,1 +1,1 @@
-"""What several tests share: cells, robots, parts, interpreters of robot languages, clients."""
+"""Code shared by several tests: cells, robots, parts, interpreters of robot languages, clients."""

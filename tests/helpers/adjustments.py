@@ -1,4 +1,4 @@
-"""Small least-squares problems of curves with known answers."""
+"""Small least-squares problems over curves, with known solutions."""
 
 from __future__ import annotations
 
@@ -24,7 +24,8 @@ def ring(count: int) -> FloatArray:
 
 
 COUNTS = ((120, 120), (48,), (110, 110, 40), (300,))
-"""Samples of the parts of each curve; where there are two or three, the first two are paired."""
+"""Number of samples in each part of each curve; where there are two or three parts, the first two are paired.
+"""
 
 
 def smooth(count: int, rng: np.random.Generator) -> FloatArray:
@@ -37,7 +38,7 @@ def smooth(count: int, rng: np.random.Generator) -> FloatArray:
 def problem(
     seed: int, bias: float = 0.0, noise: float = 0.1, wrong: float = 0.0
 ) -> tuple[Samples, FloatArray]:
-    """Four curves, unknowns of which curves 0, 2 and curves 1, 3 share their own, and the true step.
+    """Make four curves (0 and 2 share own unknowns, as do 1 and 3), and the true step.
 
     Unknowns: 3 common ones, one for each pair, and 5 shared systematic shifts of the curves 1 and 3.
     """
@@ -78,7 +79,7 @@ def problem(
 
 
 def solve(samples: Samples, unknowns: int, priors: int) -> JointSolution | None:
-    """The step that all samples want; None where they do not determine it."""
+    """Least-squares step for all samples; None where they do not determine it."""
     count = len(samples.values)
     solution = JointSolution(
         np.zeros(unknowns),
@@ -95,7 +96,7 @@ def solve(samples: Samples, unknowns: int, priors: int) -> JointSolution | None:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ChosenEdges:
-    """The edges of K curves at the width that suits each.
+    """Edges of K curves, each measured at the operator width that suits it.
 
     offset_px (N,) : NaN where there is no edge; base (N,) : prior weights.
     bias_px (K,) : one sigma of each of the systematic shifts; blur2_px2 (K,) : variance of the image's
@@ -109,7 +110,7 @@ class ChosenEdges:
 
 
 def choose_widths(seen: EdgeSamples, starts: I64, waves: FloatArray, min_slope: float) -> ChosenEdges:
-    """Choose for each curve; with one width there is nothing to choose, bias and blur are 0.
+    """Choose a width for each curve; with only one width there is no choice, and bias and blur are 0.
 
     starts (K + 1,) : where the samples of each curve begin.  waves (N, M) : systematic shifts.
     min_slope : grey values per px below which there is no edge.

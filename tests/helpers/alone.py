@@ -1,4 +1,4 @@
-"""A pytest plugin: tests of times that a busy machine cannot keep get the marker `alone`.
+"""A pytest plugin: marks tests whose time limits a busy machine cannot keep with `alone`.
 
 `tools/test` runs them after all others, in a process of their own.
 """
@@ -15,11 +15,11 @@ REASONS = {
     "tests/wire/test_opcua_hostile.py::test_ten_thousand_*": "a good client waits for 5 s at most",
     "tests/wire/test_floods.py::*": "a PLC is answered within 5 s beside what floods the cell",
 }
-"""Test ids (shell patterns) to the time that is promised."""
+"""Test ids (shell patterns), each with the time limit that makes it sensitive."""
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Mark them."""
+    """Add the marker to the tests listed in `REASONS`."""
     for item in items:
         for test, reason in REASONS.items():
             if fnmatchcase(item.nodeid, test):

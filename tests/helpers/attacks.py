@@ -1,4 +1,4 @@
-"""What somebody does to a repository of releases who has some of its keys, or none."""
+"""Attacks on a release repository by someone who holds some of its keys, or none."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from helpers.releases import PASSPHRASE, Releases
 
 
 def newest(releases: Releases) -> Path:
-    """What the plant has signed last."""
+    """The plant's most recently signed metadata file."""
     files = (releases.repository / "metadata").glob("*.north.json")
     return max(files, key=lambda file: int(file.name.split(".")[0]))
 
 
 def tampered_target(releases: Releases) -> None:
-    """One byte of each release."""
+    """Flip one bit of each release file."""
     for file in (releases.repository / "targets" / "north").iterdir():
         data = bytearray(file.read_bytes())
         data[len(data) // 2] ^= 1
@@ -28,13 +28,13 @@ def tampered_target(releases: Releases) -> None:
 
 
 def tampered_ring(releases: Releases) -> None:
-    """The ring of a release, which no key has signed."""
+    """Change the ring of a release without signing the change."""
     file = newest(releases)
     file.write_text(file.read_text().replace('"ring":4', '"ring":3'))
 
 
 def of_another_plant(releases: Releases) -> None:
-    """The plant signs what belongs to another one, with its own, valid key."""
+    """The plant signs a release of another plant, with its own valid key."""
     file = newest(releases)
     signed: Metadata[Targets] = Metadata.from_file(str(file))
     target = TargetFile.from_data("south/evil.jobs.tar.gz", b"evil")
@@ -44,13 +44,13 @@ def of_another_plant(releases: Releases) -> None:
 
 
 def by_another_plant(releases: Releases) -> None:
-    """The key of another plant signs this one's releases."""
+    """Another plant's key signs this plant's releases."""
     file = newest(releases)
     resigned(file, Metadata.from_file(str(file)), releases, "south")
 
 
 def expired(releases: Releases) -> None:
-    """A timestamp that its publisher has let expire: news are held back."""
+    """Let the timestamp expire, as when newer metadata is withheld."""
     file = releases.repository / "metadata" / "timestamp.json"
     stamp = Metadata[Any].from_file(str(file))
     stamp.signed.expires = datetime.now(UTC).replace(microsecond=0) - timedelta(seconds=1)
@@ -58,7 +58,7 @@ def expired(releases: Releases) -> None:
 
 
 def by_one_root(releases: Releases) -> None:
-    """A new root that names another key for publishing, signed by one of the two that it takes."""
+    """A new root that names another publishing key, signed by only one of the two keys it requires."""
     file = releases.repository / "metadata" / "1.root.json"
     root = Metadata[Any].from_file(str(file))
     root.signed.version = 2
@@ -66,7 +66,7 @@ def by_one_root(releases: Releases) -> None:
 
 
 def resigned(file: Path, signed: Metadata[Any], releases: Releases, key: str) -> None:
-    """Sign with a key, anew."""
+    """Sign again with the given key."""
     signer: CryptoSigner = signer_of(releases.private(key), PASSPHRASE)
     signed.sign(signer)
     signed.to_file(str(file))

@@ -1,4 +1,4 @@
-"""A plate with a boss on it, taught once: a part of two heights."""
+"""A plate with a boss on it, taught once: a part with faces at two heights."""
 
 from __future__ import annotations
 
@@ -37,33 +37,33 @@ DARK = Surface(albedo=0.2, contrast=0.1, feature_mm=0.5, seed=3)
 
 
 def block(where: FloatArray, wall: Surface = DARK, boss: Part = BOSS) -> Scene:
-    """A plate 6 mm thick with a boss on it, bored through."""
+    """A 6 mm plate with a boss on it and a hole through both."""
     layers = [*stacked(PLATE, where, 6.0, wall), *stacked(boss, where @ up(STEP_MM), STEP_MM, wall)]
     return Scene(table(), tuple(layers))
 
 
 def up(height_mm: float) -> FloatArray:
-    """(4, 4) from a face of the part to one that lies so much nearer to the cameras."""
+    """(4, 4) from a face of the part to one that lies `height_mm` closer to the cameras."""
     moved = np.eye(4)
     moved[2, 3] = -height_mm
     return moved
 
 
 def table() -> Table:
-    """Below every tilted part."""
+    """The table, below every tilted part."""
     return Table(TEXTURED, pose((8.0, 0.0, 205.0 + BELOW_MM)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TaughtBlock:
-    """The block as it was taught."""
+    """The taught block."""
 
     rig: PreparedRig
     job: Job
     part_from_job: FloatArray
 
     def see(self, world: Scene, seed: int = 7) -> Outcome:
-        """What comes of a scene."""
+        """Locate the block in a rendered scene."""
         job = replace(self.job, tilt_rad=math.radians(45.0))
         left, right = pictures(self.rig.rig, world, seed)
         return locate(frame_pair(left, right), job, self.rig)
@@ -71,7 +71,7 @@ class TaughtBlock:
 
 @functools.cache
 def taught() -> TaughtBlock:
-    """One job for all tests of a process."""
+    """The block's job, taught once for all tests of a process."""
     rig = prepare(small_rig())
     where = lying(rig.rig, 0.0, 0.0, 0.0)
     job = teach(*pair_of_block(rig, block(where)), rig.rectification, None, "block")
@@ -79,5 +79,5 @@ def taught() -> TaughtBlock:
 
 
 def pair_of_block(rig: PreparedRig, world: Scene) -> tuple[Image, Image]:
-    """What a rig sees of a scene."""
+    """The rig's pair of pictures of a scene."""
     return pictures(rig.rig, world, 1)

@@ -1,4 +1,4 @@
-"""A daemon without rig and jobs before drawn boards, and a browser that sets it up."""
+"""A daemon without rig and jobs whose cameras see drawn boards, and a browser session that sets it up."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from helpers.webcell import HASH
 
 
 class BoardWorld:
-    """Cameras that see a drawn pair; in its corner is the exposure's number, as noise would differ."""
+    """Cameras that see a drawn pair; the exposure's number is drawn in the corner so that pictures differ."""
 
     addresses = None
     stage = None
@@ -36,7 +36,7 @@ class BoardWorld:
         self.shown = pairs(6)[0]
 
     def in_process_cameras(self) -> tuple[InProcessCamera, ...]:
-        """As the daemon asks for them."""
+        """Both cameras, in the form that the daemon expects."""
         return tuple(
             InProcessCamera(side, self._exposure(index), width=640, height=480)
             for index, side in enumerate(SIDES)
@@ -52,7 +52,7 @@ class BoardWorld:
 
 
 class BoardCell:
-    """The daemon's files, its world, and how the page asks it. pages : of a daemon that has them here."""
+    """The daemon's files, its world, and requests as the page makes them. pages : served in this process."""
 
     def __init__(self, folder: Path) -> None:
         self.world = BoardWorld()
@@ -74,11 +74,11 @@ class BoardCell:
         self.daemon: Daemon
 
     async def ask(self, method: str, path: str, document: Any = None) -> tuple[int, Any]:
-        """Status and answer below /api/v1, as the page asks."""
+        """Status and answer of a request below /api/v1, made as the page makes it."""
         return await BrowserSession(self.session).ask(method, f"/api/v1{path}", document)
 
     async def done(self, task: str) -> dict[str, Any]:
-        """How a task ended."""
+        """Wait for a task to end and return its document."""
         while True:
             _, document = await self.ask("GET", f"/tasks/{task}")
             if document["state"] != "running":
@@ -86,7 +86,7 @@ class BoardCell:
             await asyncio.sleep(0.05)
 
     async def until(self, path: str, condition: Callable[[Any], object]) -> Any:
-        """The first answer that fulfils a condition."""
+        """Poll until the answer fulfils the condition, and return it."""
         async with asyncio.timeout(WHOLE_S):
             while True:
                 _, document = await self.ask("GET", path)
@@ -95,7 +95,7 @@ class BoardCell:
                 await asyncio.sleep(0.05)
 
     def run(self, test: Callable[[Self], Awaitable[None]]) -> Self:
-        """A test's coroutine beside the running daemon, bounded; returns the cell."""
+        """Run a test's coroutine beside the daemon, with a time limit; returns the cell."""
 
         async def bounded() -> None:
             async with asyncio.timeout(WHOLE_S), self.running():
@@ -106,7 +106,8 @@ class BoardCell:
 
     @asynccontextmanager
     async def running(self, *, page_is_here: bool = True) -> AsyncIterator[Self]:
-        """The daemon, and a browser that has logged in. page_is_here : in this process, not in its own."""
+        """The running daemon with a logged-in browser session. page_is_here : in this process, not in its
+        own."""
         with in_this_process() if page_is_here else nullcontext(list[Page]()) as self.pages:
             async with self._running():
                 yield self
@@ -127,7 +128,7 @@ class BoardCell:
 
 
 async def with_views(cell: BoardCell, count: int) -> tuple[str, str]:
-    """Path of a draft with that many views, and the token."""
+    """Create a draft with this many views; returns its path and the token."""
     _, entered = await cell.ask("POST", "/setup", {"name": "Anna"})
     token = {"token": entered["token"]}
     status, draft = await cell.ask(

@@ -1,4 +1,4 @@
-"""Pairs of a board drawn through a small rig: quick to find, and the truth is known."""
+"""Pairs of pictures of a board drawn through a small rig: quick to detect, with known truth."""
 
 from __future__ import annotations
 
@@ -24,5 +24,5 @@ def drawn(pose: FloatArray, seed: int = 0) -> tuple[Image, Image]:
 
 @cache
 def pairs(count: int = 6) -> tuple[tuple[Image, Image], ...]:
-    """That many, each with the board elsewhere; not to be changed."""
+    """This many pairs, each with the board in another place; read-only."""
     return tuple(drawn(pose, seed) for seed, pose in enumerate(board_poses(RIG, BOARD, count, seed=3)))

@@ -30,7 +30,7 @@ def draw_board(
     seed: int = 0,
     blur_mm: float = 0.08,
 ) -> Image:
-    """The picture (H, W) uint8 a camera takes of a board. blur_mm : edge spread (sigma) on the board."""
+    """Picture (H, W) uint8 that a camera takes of a board. blur_mm : edge spread (sigma) on the board."""
     rays = _rays(camera)
     normal, offset = camera_from_board[:3, 2], camera_from_board[:3, 3]
     with np.errstate(divide="ignore"):
@@ -51,7 +51,7 @@ def _rays(camera: CameraModel) -> FloatArray:
 
 
 def _step(distance_mm: FloatArray, blur_mm: float) -> FloatArray:
-    """0 for far below zero, 1 far above."""
+    """Smooth step: 0 far below zero, 1 far above."""
     return np.asarray(0.5 + 0.5 * erf(distance_mm / (np.sqrt(2) * blur_mm)))
 
 
@@ -107,7 +107,7 @@ def _circles(board: CircleGrid, x: FloatArray, y: FloatArray, blur_mm: float) ->
 
 
 def board_poses(rig: StereoRig, board: Board, n: int, seed: int, tilt_deg: float = 25.0) -> list[FloatArray]:
-    """Poses left_from_board (4, 4) that both cameras see completely, tilted differently."""
+    """Poses left_from_board (4, 4), tilted differently, in which both cameras see the whole board."""
     rng = np.random.default_rng(seed)
     points = board.points_mm
     centre, margin = points.mean(axis=0), 1.2 * board.pitch_mm
@@ -206,16 +206,16 @@ def parameter_error(found: StereoRig, true: StereoRig) -> FloatArray:
     )
 
 
-# --- as cameras make pictures ------------------------------------------------------------------------
+# --- pictures as real cameras make them ---------------------------------------------------------------
 
 _SUBPIXELS = 5
 
 
 @cache
 def sharp_board(board: Board, camera: CameraModel, tilts_rad: tuple[float, float, float]) -> FloatArray:
-    """The picture (H, W) of a board by a lens so good that only a pixel's own width blurs its edges.
+    """Picture (H, W) of a board through a perfect lens, so that only a pixel's own width blurs its edges.
 
-    tilts_rad : about x, y and the line of sight.  The board's marks: `board_in_the_middle`.
+    tilts_rad : about x, y and the optical axis.  The board's marks: `board_in_the_middle`.
     """
     n = _SUBPIXELS
     fine = replace(
@@ -228,7 +228,7 @@ def sharp_board(board: Board, camera: CameraModel, tilts_rad: tuple[float, float
         cy=n * (camera.cy + 0.5) - 0.5,
     )
     pose = board_in_the_middle(board, camera, tilts_rad)
-    # half a subpixel of blur keeps the subpixels from sampling the edges, and hardly adds to the pixel's
+    # half a subpixel of blur prevents aliasing at the edges and hardly adds to the pixel's own
     image = draw_board(board, fine, pose, blur_mm=0.5 * pose[2, 3] / fine.fx)
     light = image.reshape(camera.height, n, camera.width, n).mean(axis=(1, 3))
     return np.asarray(60.0 + (light - BLACK) * (120.0 / (WHITE - BLACK)))  # with room for halos
@@ -258,7 +258,7 @@ def processed(
     jpeg: int = 0,
     seed: int = 0,
 ) -> Image:
-    """What electronics make of light (H, W): clipped, bent, sharpened by an unsharp mask, JPEG.
+    """Picture that a camera's electronics make of light (H, W): clipping, gamma, unsharp mask, JPEG.
 
     sharpening : 0.3 makes halos of 5 %, 0.6 of 9 %, 1.0 of 14 % of a step that one pixel blurs.
     """

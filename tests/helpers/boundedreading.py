@@ -1,5 +1,4 @@
-"""Files, each read in a process that may take little more memory and time: how it ends, a line of JSON each.
-
+"""Read files, each in a process with limited memory and CPU time; prints each outcome as a line of JSON.
 python boundedreading.py READER FILE [READER FILE ...]
 """
 
@@ -25,7 +24,7 @@ from edged.files.tables import read_table
 from edged.setup.releases import archive
 
 ROOM_BYTES = 300 << 20
-"""Of addresses, more than the process has when it begins to read."""
+"""Address space that a reader may use beyond what the process already has."""
 SECONDS = 20
 READERS: dict[str, Callable[[Path], object]] = {
     "archive": archive.read,
@@ -44,7 +43,7 @@ READERS: dict[str, Callable[[Path], object]] = {
 
 
 def main() -> None:
-    """Read one after the other, each by a process of its own."""
+    """Read the files one after the other, each in a process of its own."""
     for reader, path in zip(sys.argv[1::2], sys.argv[2::2], strict=True):
         child = os.fork()
         if child == 0:
@@ -59,7 +58,7 @@ def main() -> None:
 
 
 def read(reader: Callable[[Path], object], path: Path) -> None:
-    """Read, and say what came of it."""
+    """Read under the limits and report the outcome."""
     pages = int(Path("/proc/self/statm").read_text().split()[0])
     most = pages * resource.getpagesize() + ROOM_BYTES
     resource.setrlimit(resource.RLIMIT_AS, (most, most))

@@ -1,4 +1,4 @@
-"""A daemon whose disk fills and becomes read-only and whose clock is set; to be run in a mount name space.
+"""A daemon whose disk fills up, then is read-only, and whose clock is set; needs its own mount namespace.
 
 unshare --mount python -m helpers.brokencell FOLDER; prints what the PLC and the log said as JSON.
 """
@@ -19,18 +19,18 @@ from helpers.smallcell import DaemonProcess, SmallCell
 
 
 def says(daemon: DaemonProcess, word: str, other: str) -> bool:
-    """Whether the last line of the log with one of both has the first."""
+    """Whether the last log line that contains either word contains the first one."""
     return next((word in line for line in reversed(daemon.log) if word in line or other in line), False)
 
 
 def newest(disk: Path) -> datetime:
-    """When the newest recording was made, by the clock of the cell."""
+    """Time of the newest recording, by the cell's clock."""
     entries = recording.entries(disk / "recordings")
     return max((entry.recorded for entry in entries), default=datetime.min.replace(tzinfo=UTC))
 
 
 def main(folder: Path) -> None:
-    """Live through all three."""
+    """Run the daemon through all three faults."""
     with tmpfs(folder / "disk", mib=4) as disk:
         cell = SmallCell(folder / "cell", recordings=disk / "recordings")
         clock = FakeClock(folder / "clock")

@@ -1,4 +1,4 @@
-"""Flat parts with broken rims: between face and wall a ring as bright as light and point of view make it."""
+"""Flat parts with broken rims: a ring between face and wall, as bright as light and viewpoint make it."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ WALL = Surface(albedo=DARK)
 
 
 def half_disc(x_mm: float, y_mm: float, radius_mm: float, side_rad: float) -> PolygonShape:
-    """Half of a circle, on the side that lies in this direction."""
+    """Half of a circle, on the side that faces the direction `side_rad`."""
     phase = side_rad + np.linspace(-0.5 * math.pi, 0.5 * math.pi, 90)
     return PolygonShape(
         tuple((x_mm + radius_mm * math.cos(a), y_mm + radius_mm * math.sin(a)) for a in phase)
@@ -29,7 +29,7 @@ def half_disc(x_mm: float, y_mm: float, radius_mm: float, side_rad: float) -> Po
 def parts(break_mm: float, light: FloatArray, side_rad: float) -> tuple[Part, Part]:
     """Body and face of a disc with three holes.
 
-    light (2,) : albedo of its breaks on the side that lies in a direction, and of the others.
+    light (2,) : albedo of the breaks on the side that faces `side_rad`, and of the others.
     """
     body = Part(
         "body",
@@ -39,7 +39,7 @@ def parts(break_mm: float, light: FloatArray, side_rad: float) -> tuple[Part, Pa
     )
     rings: list[PaintedMark] = []
     for _, x, y, radius in HOLES:
-        # of a hole the other side is turned to the light
+        # in a hole, the opposite side faces the light
         rings.append(PaintedMark(Disc(x, y, radius + break_mm), float(light[0])))
         rings.append(PaintedMark(half_disc(x, y, radius + break_mm, side_rad), float(light[1])))
     holes = tuple(Hole(name, Disc(x, y, radius), 0.1) for name, x, y, radius in HOLES)
@@ -54,7 +54,7 @@ def pair_of(
     side_rad: float = 0.0,
     seed: int = 7,
 ) -> tuple[Image, Image]:
-    """Both pictures of the part.  lights (2, 2) : of the left and the right camera, as `parts` has them."""
+    """Both pictures of the part.  lights (2, 2) : for the left and the right camera, each as in `parts`."""
     lower = where.copy()
     lower[:3, 3] += break_mm * where[:3, 2]
     seen = []

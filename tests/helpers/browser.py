@@ -34,7 +34,7 @@ GUARD = """(at) => {
   aim.end = () => EVENTS.forEach((type) => removeEventListener(type, check, true));
   EVENTS.forEach((type) => addEventListener(type, check, true));
 }""".replace("EVENTS", '["pointerdown", "mousedown", "pointerup", "mouseup", "click"]')
-"""Until `aim.end()` only the element that was aimed at gets a press: the page may move it away meanwhile."""
+"""Until `aim.end()`, only the targeted element receives a press, as the page may move it away meanwhile."""
 MISSED = """(() => {
   if (!window.aim) return false;  // the press led to another page
   const { at, missed, clicked, end } = aim;
@@ -44,14 +44,14 @@ MISSED = """(() => {
 
 
 class Gone(Exception):
-    """What was asked belonged to a page that has been left meanwhile."""
+    """The request belonged to a page that has been left meanwhile."""
 
 
 class Browser:
     """One page.
 
-    complaints : what its console said: errors, and what the security policy forbade. clicks : made so far.
-    on_click : told of each before it is made, with its place in the window.
+    complaints : console errors and security policy violations so far. clicks : made so far.
+    on_click : called before each click with its place in the window.
     """
 
     def __init__(self, devtools: aiohttp.ClientWebSocketResponse) -> None:
@@ -62,7 +62,7 @@ class Browser:
         self.on_click: Callable[[float, float], Awaitable[None]] | None = None
 
     async def ask(self, method: str, **parameters: Any) -> dict[str, Any]:
-        """One command of the protocol, and its result. Raises TimeoutError where none comes."""
+        """Send one command of the protocol and return its result. Raises TimeoutError if none arrives."""
         async with bounded(f"{method} {parameters}"):
             return await self._ask(method, parameters)
 
@@ -82,7 +82,7 @@ class Browser:
                 return dict(message["result"])
 
     async def resize(self, width: int, height: int, zoom: float = 1.0) -> None:
-        """The window, in CSS pixels as the page has them at this zoom."""
+        """Set the window's size, in CSS pixels at this zoom."""
         await self.ask(
             "Emulation.setDeviceMetricsOverride",
             width=round(width / zoom),
@@ -100,7 +100,7 @@ class Browser:
         await self.ask("Page.navigate", url=url)
 
     async def value(self, expression: str) -> Any:
-        """Of an expression in the page; promises are awaited."""
+        """Evaluate an expression in the page; promises are awaited."""
         answer = await self.ask(
             "Runtime.evaluate", expression=expression, awaitPromise=True, returnByValue=True
         )
@@ -109,7 +109,7 @@ class Browser:
         return answer["result"].get("value")
 
     async def until(self, expression: str) -> None:
-        """Wait for something in the page to be true, or in the one that it leads to."""
+        """Wait until an expression is true in this page, or in the one that it leads to."""
         while True:
             with contextlib.suppress(Gone):
                 await self.value(
@@ -127,17 +127,17 @@ class Browser:
                 return
 
     async def press(self, key: str) -> None:
-        """A key, as a person would."""
+        """Press and release a key, as a person would."""
         text = {"text": key} if len(key) == 1 else {}
         await self.ask("Input.dispatchKeyEvent", type="keyDown", key=key, **text)
         await self.ask("Input.dispatchKeyEvent", type="keyUp", key=key)
 
     async def click(self, selector: str) -> None:
-        """The middle of an element, as a person would: what covers it gets the click."""
+        """Click the middle of an element, as a person would: whatever covers it receives the click."""
         await self.click_on(f"document.querySelector({json.dumps(selector)})")
 
     async def click_on(self, element: str) -> None:
-        """The same for an expression; once more where the page moved it away under the pointer."""
+        """Click an element given as an expression; repeated if the page moved it away under the pointer."""
         self.clicks += 1
         if self.on_click is not None:
             await self.on_click(*await self._middle(element))
@@ -156,7 +156,7 @@ class Browser:
                     return
 
     async def tap(self, selector: str) -> None:
-        """The same with a finger."""
+        """Tap the middle of an element with one finger."""
         x, y = await self.middle(selector)
         await self.ask("Input.dispatchTouchEvent", type="touchStart", touchPoints=[{"x": x, "y": y}])
         await self.ask("Input.dispatchTouchEvent", type="touchEnd", touchPoints=[])
@@ -167,7 +167,7 @@ class Browser:
         await self.ask("Input.dispatchMouseEvent", type="mouseWheel", x=x, y=y, deltaX=0, deltaY=delta)
 
     async def pinch(self, selector: str, apart_px: tuple[float, float]) -> None:
-        """Two fingers beside the middle of an element, from one distance to another."""
+        """Pinch with two fingers around the middle of an element, from one distance to another."""
         x, y = await self.middle(selector)
         await self.ask("Emulation.setTouchEmulationEnabled", enabled=True, maxTouchPoints=2)
         for kind, apart in (("touchStart", apart_px[0]), ("touchMove", apart_px[1])):
@@ -177,7 +177,7 @@ class Browser:
         await self.ask("Emulation.setTouchEmulationEnabled", enabled=False)
 
     async def middle(self, selector: str) -> tuple[float, float]:
-        """Of an element, scrolled into view, when what is around it has come to rest."""
+        """Middle of an element, scrolled into view, once the layout around it has come to rest."""
         return await self._middle(f"document.querySelector({json.dumps(selector)})")
 
     async def _middle(self, element: str) -> tuple[float, float]:
@@ -200,14 +200,14 @@ class Browser:
         return float(x), float(y)
 
     async def type(self, selector: str, text: str) -> None:
-        """Into a field, as a person would, and leave it."""
+        """Type into a field, as a person would, and leave it."""
         await self.click(selector)
         await self.value(f"document.querySelector({json.dumps(selector)}).select()")
         await self.ask("Input.insertText", text=text)
         await self.value(f"document.querySelector({json.dumps(selector)}).blur()")
 
     async def choose(self, selector: str, value: str) -> None:
-        """An entry of a list, as if it was clicked."""
+        """Choose an entry of a list, as a click would."""
         await self.value(
             f"""{{ const list = document.querySelector({json.dumps(selector)});
             list.value = {json.dumps(value)};
@@ -215,7 +215,7 @@ class Browser:
         )
 
     async def violations(self) -> list[str]:
-        """What axe-core finds wrong for people who see, hear or move otherwise: rule and place of each."""
+        """Accessibility violations that axe-core finds: rule and place of each."""
         if not await self.value("Boolean(window.axe)"):
             await self.ask("Runtime.evaluate", expression=AXE.read_text())
         return list(
@@ -227,13 +227,13 @@ class Browser:
         )
 
     async def picture(self) -> bytes:
-        """What it looks like, PNG."""
+        """Screenshot, PNG."""
         return base64.b64decode((await self.ask("Page.captureScreenshot", format="png"))["data"])
 
 
 @cache
 def _chromium() -> Path:
-    """Where a new Chromium says how to reach it: one for all tests of a process, and ended with that."""
+    """Start one Chromium for all tests of a process, ended with it; returns the file with its address."""
     profile = Path(tempfile.mkdtemp(prefix="edged-chromium-"))
     process = subprocess.Popen(
         [
@@ -258,7 +258,7 @@ def _chromium() -> Path:
 
 @asynccontextmanager
 async def browser() -> AsyncIterator[Browser]:
-    """An empty page with cookies, storage and a cache of its own, which end with it."""
+    """An empty page with its own cookies, storage and cache, which are discarded at the end."""
     told = _chromium()
     await until(lambda: told.exists() and len(told.read_text().split()) == 2)
     port, path = told.read_text().split()
@@ -270,6 +270,6 @@ async def browser() -> AsyncIterator[Browser]:
         target = (await chromium.ask("Target.createTarget", url="about:blank", **size, **person))["targetId"]
         async with session.ws_connect(f"{origin}/devtools/page/{target}", max_msg_size=0) as devtools:
             page = Browser(devtools)
-            await page.ask("Emulation.setFocusEmulationEnabled", enabled=True)  # of several, too
+            await page.ask("Emulation.setFocusEmulationEnabled", enabled=True)  # if several pages
             yield page
         await chromium.ask("Target.disposeBrowserContext", **person)

@@ -1,4 +1,4 @@
-"""A virtual GigE Vision camera of a motionless cell as a process of its own, to be killed by tests.
+"""A virtual GigE Vision camera of a motionless cell, in a process of its own that tests can kill.
 
 python tests/helpers/camera_process.py ADDRESS SERIAL left|right
 """

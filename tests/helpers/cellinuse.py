@@ -1,4 +1,4 @@
-"""A cell in use without a daemon: its files, and a session that does nothing by itself."""
+"""A cell in use without a daemon: its files, and a passive session."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from edged.setup.releases.installing import Installation, note_installed
 
 @dataclass
 class StillSession:
-    """A session whose token is "theirs"; every capture gives the same pair."""
+    """A session whose valid token is "theirs"; every capture gives the same pair."""
 
     camera_changes: Mapping[Side, ChosenCamera] = field(default_factory=dict)
     holder: str = ""
@@ -29,19 +29,19 @@ class StillSession:
     pair: FramePair | None = None
 
     async def renew_setup(self, token: str) -> None:
-        """Raises `SetupRefused` for another token."""
+        """Accept the token "theirs". Raises `SetupRefused` for any other."""
         if token != "theirs":
             raise SetupRefused("SETUP has ended")
 
     async def capture(self, token: str) -> FramePair:
-        """The pair. Raises as `renew_setup`."""
+        """Return the fixed pair. Raises as `renew_setup`."""
         await self.renew_setup(token)
         assert self.pair is not None
         return self.pair
 
 
 class StillCell:
-    """A cell that runs by its files; what is installed is read again, unless `refuses` says why not."""
+    """A cell that runs from its files; installing reloads them, unless `refuses` holds a reason not to."""
 
     def __init__(self, config: Path) -> None:
         self.path, self.state = config, state_folder(config)
@@ -50,7 +50,7 @@ class StillCell:
         self.refuses = ""
 
     async def install(self, archive: bytes, token: str | None, author: str, note: str) -> None:
-        """As the cell's own process does, in this one. Raises `EdgedError`, `OSError`."""
+        """Install as the cell's own process does, but in this one. Raises `EdgedError`, `OSError`."""
         assert author
         assert note
         if token is not None:
@@ -64,6 +64,6 @@ class StillCell:
         note_installed(self.state)
 
     def in_use(self, worker: Any = None) -> CellInUse:
-        """What services use of it. worker : None for those that ask none."""
+        """The view of the cell that services use. worker : None for services that need none."""
         notices = Notices()
         return CellInUse(self, worker, Tasks(notices), notices)

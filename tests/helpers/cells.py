@@ -1,4 +1,4 @@
-"""Small scenes with exact truth for tests: the demo's rig at half its resolution, and whole cells on disc."""
+"""Small scenes with exact truth for tests: the demo's rig at half its resolution, and whole cells on disk."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from edged.vision.geometry.rigid import rotation_matrix
 from edged.vision.teaching.region import Region
 
 PLACE_MM = (8.0, 0.0, 205.0)
-"""Where both cameras of the demo's rig look."""
+"""Point that both cameras of the demo's rig look at."""
 TEXTURED = Surface(albedo=0.16, contrast=0.25, feature_mm=0.8, seed=2)
 
 
 def shrunk(rig: StereoRig, by: int) -> StereoRig:
-    """A rig whose pixels have this many times the size: it sees the same in smaller pictures."""
+    """The rig with pixels `by` times as large: the same field of view in smaller pictures."""
 
     def camera(whole: CameraModel) -> CameraModel:
         return replace(
@@ -45,7 +45,7 @@ def small_rig() -> StereoRig:
 
 
 def patient(text: str) -> str:
-    """A cell's configuration for a machine that does much else: nothing moves, pictures may come late."""
+    """A cell's configuration with limits for a busy machine: nothing moves, pictures may be late."""
     for setting in ("timeout_s = 10.0", "max_skew_ms = 1000.0"):
         text, count = re.subn(rf"^{setting.partition(' ')[0]} = [\d.]+", setting, text, flags=re.MULTILINE)
         assert 1 == count, setting
@@ -80,7 +80,7 @@ def pictures(rig: StereoRig, world: Scene, seed: int = 0) -> tuple[Image, Image]
 
 
 def clean_greys(rig: StereoRig, world: Scene) -> tuple[FloatArray, FloatArray]:
-    """Left and right picture without noise, before rounding: for many draws of one scene."""
+    """Left and right picture before noise and rounding, so that one scene can be given noise many times."""
     views = stereo_views(rig)
     left, right = (
         view.sensor.black + view.sensor.white * view.radiance(world).astype(np.float64)
@@ -95,12 +95,12 @@ def noisy(grey: FloatArray, noise: float, rng: np.random.Generator) -> Image:
 
 
 def frame_pair(left: Image, right: Image) -> FramePair:
-    """Two images as one exposure."""
+    """Two images as the frames of one exposure."""
     return FramePair(Frame("left", 1, left, 0, 0), Frame("right", 1, right, 0, 0))
 
 
 def region_around(rig: StereoRig, centre_mm: FloatArray, radius_mm: float) -> Region:
-    """The square of the left image that holds a disc with some room."""
+    """Square of the left image that holds a disc with some margin."""
     x, y = rig.left.project(centre_mm[None])[0]
     half = 1.12 * radius_mm * rig.left.fx / centre_mm[2]
     return Region(float(x - half), float(y - half), float(2 * half), float(2 * half))
@@ -108,7 +108,7 @@ def region_around(rig: StereoRig, centre_mm: FloatArray, radius_mm: float) -> Re
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Flange:
-    """The demo's flange as it lies for teaching on the small rig."""
+    """The demo's flange, placed for teaching on the small rig."""
 
     rig: StereoRig
     part: Part
@@ -118,13 +118,13 @@ class Flange:
 
     @property
     def region(self) -> Region:
-        """Around the whole part."""
+        """Region around the whole part."""
         return region_around(self.rig, self.rig_from_part[:3, 3], 14.0)
 
 
 @functools.cache
 def flange() -> Flange:
-    """One pair for all tests of a process; nobody writes into it."""
+    """One pair shared by all tests of a process; read-only."""
     rig, part, where = small_rig(), demo_part(), pose()
     left, right = pictures(rig, scene((part, where)))
     for image in (left, right):

@@ -14,7 +14,7 @@ def openssl(folder: Path, *arguments: str) -> None:
 
 
 def make_certificates(folder: Path) -> None:
-    """An authority; a server for 127.0.0.1; clients with the roles operator and viewer."""
+    """Make a CA, a server certificate for 127.0.0.1, and clients with the roles operator and viewer."""
     new = ["req", "-x509", "-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:P-256", "-nodes", "-days", "2"]
     openssl(folder, *new, "-keyout", "ca.key", "-out", "ca.pem", "-subj", "/CN=cell")
     role = "1.3.6.1.4.1.50316.802.1=ASN1:UTF8String:"

@@ -1,4 +1,4 @@
-"""`edged`, as it is typed, in the process of a test."""
+"""Runs the `edged` command line in the test's own process."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from edged.__main__ import main
 
 
 def exit_code(*arguments: object) -> int:
-    """Run `edged ARGUMENTS` to its end."""
+    """Run `edged ARGUMENTS` and return its exit code."""
     with mock.patch.object(sys, "argv", ["edged", *map(str, arguments)]), pytest.raises(SystemExit) as ended:
         main()
     return int(ended.value.code or 0)
 
 
 def printed(capsys: pytest.CaptureFixture[str]) -> str:
-    """All that was printed, on one line."""
+    """Everything printed so far, joined on one line."""
     captured = capsys.readouterr()
     return " ".join((captured.out + captured.err).split())

@@ -1,6 +1,6 @@
-"""A pytest plugin: a test that is a coroutine is run on an event loop of its own, and bounded.
+"""A pytest plugin: runs each coroutine test on an event loop of its own, with a time limit.
 
-A fixture that several tests share, and that lives on a loop, has it as its `runner`: they run there, too.
+A fixture shared by several tests that lives on a loop offers it as `runner`: its tests run there, too.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from helpers.waiting import WHOLE_S
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_pyfunc_call(pyfuncitem: pytest.Function) -> bool | None:
-    """Run it with its fixtures."""
+    """Run a coroutine test with its fixtures."""
     test = pyfuncitem.obj
     if not inspect.iscoroutinefunction(test):
         return None

@@ -1,7 +1,7 @@
 """A stub of hawkBit's Direct Device Integration API, written after its public description, for one tenant.
 
 hawkBit itself is Java and in no package index that the tests use. The stub refuses what the description does
-not allow: another token, a feedback with other words than DDI's, one of an action that is closed.
+not allow: a wrong token, feedback with words that DDI does not know, feedback for a closed action.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ PLACE = re.compile(
 
 
 class DdiStub:
-    """What the server knows: assignments by action, those that are taken back, and the feedback that came."""
+    """The server's state: assignments by action, cancelled actions, and the feedback received."""
 
     def __init__(self, token: str) -> None:
         self.token = token
@@ -39,18 +39,18 @@ class DdiStub:
         self.fed: list[tuple[str, str, str, str, str]] = []
 
     def assign(self, action: str, file: Path, name: str, sha256: str) -> None:
-        """A distribution set with one software module of one file."""
+        """Assign a distribution set with one software module of one file."""
         assert file.is_file()
         self.files[action] = (name, sha256)
 
     @property
     def open_actions(self) -> list[str]:
-        """In order."""
+        """Actions without closing feedback, in order of assignment."""
         closed = {action for _, action, execution, _, _ in self.fed if execution in ("closed", "canceled")}
         return [action for action in self.files if action not in closed]
 
     def get(self, host: str, place: re.Match[str]) -> tuple[int, Any]:
-        """Status and document."""
+        """Status and document of a GET request."""
         base = f"https://{host}/{place['tenant']}/controller/v1/{place['cell']}"
         if place["kind"] is None:
             links = {"configData": {"href": f"{base}/configData"}}
@@ -80,7 +80,7 @@ class DdiStub:
         }
 
     def post(self, place: re.Match[str], body: Any) -> int:
-        """Status of a feedback."""
+        """Status of the reply to a feedback."""
         status, details = body["status"], body["status"]["details"]
         execution, finished = status["execution"], status["result"]["finished"]
         if not (body.keys() <= {"timestamp", "status"} and isinstance(body.get("timestamp"), int)):
@@ -95,7 +95,7 @@ class DdiStub:
         return 200
 
     def handler(self) -> type[http.server.BaseHTTPRequestHandler]:
-        """For a server."""
+        """Request handler class for an HTTP server."""
         stub = self
 
         class Handler(http.server.BaseHTTPRequestHandler):
@@ -120,6 +120,6 @@ class DdiStub:
                 self.wfile.write(data)
 
             def log_message(self, format: str, *arguments: object) -> None:
-                """Say nothing."""
+                """Suppress the log."""
 
         return Handler

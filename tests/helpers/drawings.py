@@ -56,7 +56,7 @@ def draw(
 
 
 def _coverage(polygon: FloatArray, width: int, height: int, n: int = 16) -> FloatArray:
-    """Share of each pixel inside: exact along x, n scan lines per row along y."""
+    """Share of each pixel inside the polygon: exact along x, n scan lines per row along y."""
     lines = (np.arange(height * n) + 0.5) / n - 0.5
     ahead = np.roll(polygon, -1, axis=0)
     cover = np.zeros((height * n, width))
@@ -66,6 +66,6 @@ def _coverage(polygon: FloatArray, width: int, height: int, n: int = 16) -> Floa
             continue
         rows = np.flatnonzero((lines >= min(ay, by)) & (lines < max(ay, by)))
         at = ax + (lines[rows] - ay) / (by - ay) * (bx - ax)
-        # to the right of the crossing counts +1 or -1: what is between two crossings remains
+        # to the right of a crossing counts +1 or -1, so that only the span between two crossings remains
         cover[rows] += math.copysign(1, by - ay) * np.clip(columns + 0.5 - at[:, None], 0, 1)
     return np.abs(cover.reshape(height, n, width).mean(axis=1))

@@ -1,4 +1,4 @@
-"""Pairs of drawn machined parts, square to the cameras as one teaches them, and tilted, with known truth."""
+"""Pairs of drawn machined parts with known truth, square to the cameras as for teaching, and tilted."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ from helpers.tilted import lying
 
 @functools.cache
 def rig() -> PreparedRig:
-    """Of the drawn world."""
+    """Rig of the drawn world."""
     return prepare(world_rig())
 
 
 def place(tilt_deg: float) -> FloatArray:
-    """Where the part lies."""
+    """Pose of the part."""
     return lying(world_rig(), tilt_deg, 70.0, 160.0 * (tilt_deg > 0))
 
 
 @functools.cache
 def pair(design: int, tilt_deg: float = 0.0) -> tuple[Image, Image]:
-    """Of a drawn part, on a table as one teaches on; tilted by 0 as it is taught."""
+    """Pair of a drawn part on a teaching table; a tilt of 0 is the pose it is taught in."""
     rng = np.random.default_rng((5, design, round(tilt_deg)))
     return drawn(random_design(design), place(tilt_deg), rng, teaching=True)[0]

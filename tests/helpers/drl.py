@@ -1,4 +1,4 @@
-"""DRL's functions of sockets and of the flange, as the "Doosan Robotics Programming Manual" tells them.
+"""DRL's socket and flange functions, as the "Doosan Robotics Programming Manual" describes them.
 
 DRL is Python.
 """
@@ -15,30 +15,30 @@ from helpers.robotwords import Declared
 
 
 class Controller:
-    """Sockets, of which the program has one at a time."""
+    """The socket functions; a program has one connection at a time."""
 
     def __init__(self, link: Link) -> None:
         self.link = link
 
     def client_socket_open(self, ip: str, port: int) -> Link:
-        """Tries until it is connected; the test's listener is there."""
+        """Connect; the real one retries until it succeeds, and the test's listener is there."""
         assert ("192.168.10.20", 1503) == (ip, port)
         assert self.link.open()
         return self.link
 
     def client_socket_close(self, link: Link) -> int:
-        """Of an open one."""
+        """Close an open socket."""
         assert link.is_open
         link.close()
         return 0
 
     def client_socket_write(self, link: Link, data: bytes) -> int:
-        """-2: an error of the socket."""
+        """Send; -2 is a socket error."""
         assert isinstance(data, bytes) and link.is_open
         return 0 if link.send(data) else -2
 
     def client_socket_read(self, link: Link, length: int, timeout: float) -> tuple[int, bytes | None]:
-        """What has come; -1 hung up, -3 nothing in time."""
+        """Length and received bytes; -1: the peer has closed, -3: nothing in time."""
         assert length == -1 and timeout > 0 and link.is_open
         data = link.receive(timeout)
         if data is None:
@@ -46,7 +46,7 @@ class Controller:
         return (len(data), data) if data else (-1, None)
 
     def get_current_tool_flange_posx(self, ref: str) -> list[float]:
-        """The flange, whatever tool is active."""
+        """Flange pose, independent of the active tool."""
         assert ref == "base"
         return list(pose_of(Brand.DOOSAN, self.link.arm.flange))
 
@@ -56,7 +56,7 @@ class Controller:
 
 
 def declared(tree: ast.AST, language: str) -> Declared:
-    """Functions, their parameters, and whatever is assigned to; URScript, too, is read as Python."""
+    """Names of functions, parameters and assigned variables; also used for URScript, parsed as Python."""
     names = Declared(language)
     for node in ast.walk(tree):
         if isinstance(node, ast.FunctionDef):
@@ -69,7 +69,7 @@ def declared(tree: ast.AST, language: str) -> Declared:
 
 
 def load(source: str, controller: Controller) -> dict[str, Any]:
-    """Names that the script defines; it imports nothing, and has no syntax beyond Python 3.2."""
+    """Names that the script defines; it must not import and must not use syntax newer than Python 3.2."""
     tree = ast.parse(source, feature_version=(3, 7))
     banned = (ast.Import, ast.ImportFrom, ast.JoinedStr, ast.NamedExpr, ast.AnnAssign)
     assert not any(isinstance(node, banned) for node in ast.walk(tree))

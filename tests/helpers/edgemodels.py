@@ -1,4 +1,4 @@
-"""Edge models of parts in `tests/data/cad`, and what the small rig's cameras see of them."""
+"""Edge models of parts in `tests/data/cad`, and their visible samples in the small rig's cameras."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ CAD = Path(__file__).parents[1] / "data" / "cad"
 
 @functools.cache
 def model(name: str = "D3", break_mm: float = 0.0) -> EdgeModel:
-    """Of a file, its outer edges broken by so much."""
+    """Edge model of a STEP file, its outer edges broken by `break_mm`."""
     body = body_of(read_step(CAD / f"{name}.step"), np.eye(4))
     assert body is not None
     plain = model_of(body)
@@ -28,5 +28,5 @@ def model(name: str = "D3", break_mm: float = 0.0) -> EdgeModel:
 
 
 def seen(part: EdgeModel, where: FloatArray, camera: int) -> VisibleSamples:
-    """Samples half a millimetre apart, in a picture of 640 x 480."""
+    """Visible samples, half a millimetre apart, in a picture of 640 x 480."""
     return see(part, sampled(part, 0.5), Cameras.of(small_rig(), 0).view(camera, part, where), 384)

@@ -1,4 +1,4 @@
-"""A cell behind its EtherNet/IP adapter, and a scanner of other authors (`ethernetip`, MIT) as its PLC."""
+"""A cell behind its EtherNet/IP adapter, and an independent scanner (`ethernetip`, MIT) as its PLC."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _serials = itertools.count(1)
 
 
 def own_address() -> str:
-    """An address of this machine that no other test listens on: ports of EtherNet/IP are fixed."""
+    """A loopback address unique to this test, as the ports of EtherNet/IP are fixed."""
     process = os.getpid()
     return f"127.{process >> 8 & 0x7F | 0x80}.{process & 0xFF}.{next(_addresses) % 250 + 2}"
 
@@ -34,7 +34,7 @@ def own_address() -> str:
 def adapter_of(
     cell: LiveCell, host: str, handshake: str = "start-bit", scanners: tuple[Any, ...] = LOOPBACK
 ) -> Iterator[EnipPublisher]:
-    """The running cell as an adapter, until the end."""
+    """Serve the running cell as an EtherNet/IP adapter within the context."""
 
     async def start() -> EnipPublisher:
         publisher = EnipPublisher(EnipSettings(host, scanners), lambda: cell.server, handshake)
@@ -53,7 +53,7 @@ def adapter_of(
 class Scanner:
     """A scanner whose inputs and outputs a `Program` reads and writes, as a controller's tags.
 
-    rpi_ms : both ways. multiplier : 0 is 4 times, 1 is 8 times, ...
+    rpi_ms : in both directions. multiplier : 0 is 4 times, 1 is 8 times, ...
     """
 
     order = "<"
@@ -75,7 +75,7 @@ class Scanner:
         size: tuple[int, int] = (128, 64),
         **named: Any,
     ) -> int:
-        """0, or the extended status. size : of inputs and outputs."""
+        """Forward_Open; returns 0 or the extended status. size : of inputs and outputs."""
         asked = {"torpi": self.rpi_ms, "otrpi": self.rpi_ms, "multiplier": self.multiplier}
         return int(
             self.line.sendFwdOpenReq(
@@ -89,13 +89,13 @@ class Scanner:
         )
 
     def run(self) -> Program:
-        """Open as the exclusive owner and produce; what the controller's program then does."""
+        """Open as the exclusive owner and start producing; returns the controller's program."""
         assert self.open() == 0
         self.line.produce()
         return Program(self)
 
     def get(self, start: int, size: int) -> bytes:
-        """Bytes of both images, one behind the other, as in a PLC's own memory."""
+        """Bytes from both images, concatenated as in a PLC's own memory."""
         if start < 64:
             return bytes(self._image[start : start + size])
         bits = self._inputs[8 * (start - 64) : 8 * (start - 64 + size)]
@@ -104,23 +104,23 @@ class Scanner:
         )
 
     def put(self, start: int, data: bytes) -> None:
-        """In one scan: outputs are sent as they stood before or after."""
+        """Write outputs in one scan: a packet holds either all of them or none."""
         self._image[start : start + len(data)] = data
         self.line.outAssem = [bool(byte >> i & 1) for byte in self._image for i in range(8)]
 
     def pause(self) -> None:
-        """Send no more outputs, as one that has lost its power; what it has received stays."""
+        """Stop sending outputs, as after a power loss; received inputs stay."""
         self.line.stopProduce()
         thread = self.line.prod_thread
         if thread is not None:
             thread.join(5.0)
 
     def close_connection(self) -> None:
-        """Forward_Close."""
+        """Send Forward_Close."""
         assert self.line.sendFwdCloseReq(INPUTS, OUTPUTS, CONFIGURATION) == 0
 
     def stop(self) -> None:
-        """Off."""
+        """Switch off."""
         self.pause()
         self._io.stopIO()
         self._io.udpthread.join(5.0)
@@ -130,7 +130,7 @@ class Scanner:
 
 @contextlib.contextmanager
 def scanner_at(host: str, rpi_ms: int = 20, multiplier: int = 2) -> Iterator[Scanner]:
-    """One that is switched off at the end."""
+    """A scanner that is switched off at the end."""
     scanner = Scanner(host, rpi_ms, multiplier)
     try:
         yield scanner
@@ -139,7 +139,7 @@ def scanner_at(host: str, rpi_ms: int = 20, multiplier: int = 2) -> Iterator[Sca
 
 
 class RawOriginator:
-    """What no scanner does: messages byte by byte, over TCP and UDP. source : its address."""
+    """Sends arbitrary messages over TCP and UDP, also those that no scanner sends. source : its address."""
 
     def __init__(self, host: str, source: str = "127.0.0.1") -> None:
         self._host = host
@@ -150,7 +150,7 @@ class RawOriginator:
         self.session = 0
 
     def ask(self, command: int, data: bytes = b"", session: int | None = None) -> tuple[int, bytes]:
-        """Status, and data of the answer."""
+        """Status and data of the answer to an encapsulated command."""
         number = self.session if session is None else session
         head = struct.pack("<HHII8sI", command, len(data), number, 0, b"ABCDEFGH", 0)
         self.line.sendall(head + data)
@@ -162,7 +162,7 @@ class RawOriginator:
         return status, file.read(length)
 
     def is_open(self) -> bool:
-        """Whether the adapter has not hung up."""
+        """Whether the adapter still keeps the connection."""
         self.line.setblocking(False)
         try:
             return bool(self.line.recv(1))
@@ -179,12 +179,12 @@ class RawOriginator:
         return answer[16:]
 
     def outputs(self, number: int, sequence: int, body: bytes) -> None:
-        """A datagram of class 1."""
+        """Send a class 1 datagram of outputs."""
         head = struct.pack("<HHHIIHH", 2, 0x8002, 8, number, sequence, 0xB1, len(body))
         self.data.sendto(head + body, (self._host, DATA))
 
     def inputs(self) -> bytes:
-        """The newest datagram that has come."""
+        """Payload of the newest datagram received."""
         self.data.settimeout(5.0)
         datagram = self.data.recv(1024)
         self.data.setblocking(False)
@@ -214,14 +214,14 @@ class RawOriginator:
         return reply[2], int.from_bytes(reply[4:6], "little") if reply[3] else 0, reply[4 + 2 * reply[3] :]
 
     def close(self) -> None:
-        """Hang up."""
+        """Close both sockets."""
         self.line.close()
         self.data.close()
 
 
 @contextlib.contextmanager
 def originator_at(host: str, source: str = "127.0.0.1") -> Iterator[RawOriginator]:
-    """One with a session, until the end."""
+    """A raw originator with a registered session."""
     raw = RawOriginator(host, source)
     try:
         assert raw.ask(0x65, bytes((1, 0, 0, 0)))[0] == 0

@@ -1,4 +1,4 @@
-"""Every route of a cell, asked by everybody: what its own document says of it must be so."""
+"""Request every route of a cell in every role and compare with what its OpenAPI document states."""
 
 from __future__ import annotations
 
@@ -16,18 +16,19 @@ from helpers.browsersession import PASSWORD, BrowserSession
 ROLES = ("viewer", "operator", "engineer")
 BASIC = "Basic " + base64.b64encode(f"edged:{PASSWORD}".encode()).decode()
 FITTING = ("1", "left", "nobody", "0" * 12, "20260101-120000-0000", "view_001", "pose_001", "x")
-"""What stands for a parameter of a path: the first that fits its pattern, and names nothing that there is."""
+"""Values for path parameters: the first that fits the pattern is used, and none names anything that exists.
+"""
 
 
 async def document_of(browser: BrowserSession) -> dict[str, Any]:
-    """As the cell gives it."""
+    """OpenAPI document, as the cell serves it."""
     async with browser.session.get("/api/v1/openapi.json", headers={"Authorization": BASIC}) as answer:
         assert 200 == answer.status
         return dict(await answer.json())
 
 
 def operations(document: dict[str, Any]) -> list[tuple[str, str, dict[str, Any]]]:
-    """Method, a path that fits, and what the document says of it."""
+    """Method, a matching path, and the document's entry for each operation."""
     found = []
     for path, methods in document["paths"].items():
         for method, operation in methods.items():
@@ -43,7 +44,7 @@ def operations(document: dict[str, Any]) -> list[tuple[str, str, dict[str, Any]]
 
 
 async def check_document(browser: BrowserSession) -> dict[str, Any]:
-    """It is OpenAPI 3.1, every reference leads somewhere, no id comes twice, and no address holds a token."""
+    """Check that it is valid OpenAPI 3.1, operation ids are unique, and no address holds a token."""
     document = await document_of(browser)
     OpenAPIV31SpecValidator(document).validate()
     names = [operation["operationId"] for _, _, operation in operations(document)]
@@ -56,7 +57,7 @@ async def check_document(browser: BrowserSession) -> dict[str, Any]:
 
 
 async def check_roles(browser: BrowserSession, users: Mapping[str, str]) -> None:
-    """By the role that the document says; with too little of it, nothing else about the route is told."""
+    """Check each route against its stated role; with too low a role, the answer reveals nothing else."""
     document = await document_of(browser)
     for name, role in users.items():
         await browser.log_in(name)
@@ -74,7 +75,7 @@ async def check_roles(browser: BrowserSession, users: Mapping[str, str]) -> None
 
 
 async def check_questions(browser: BrowserSession) -> int:
-    """Of every route in this order: who are you, from where, in what, how much; then a lease.
+    """Check the order of checks on every route: authentication, origin, type, size; then the lease.
 
     Returns how many routes were asked.
     """
@@ -100,7 +101,7 @@ async def check_questions(browser: BrowserSession) -> int:
 
 
 async def refuse_bodies(browser: BrowserSession, method: str, path: str, limit_bytes: int) -> None:
-    """Of another type; too large, whether that is told before or not; of no JSON; of what is not known."""
+    """Check that bad bodies are refused: wrong type, too large (announced or not), no JSON, unknown field."""
     own = {"Origin": browser.origin}
     async with browser.session.request(method, path, data={"a": "b"}, headers=own) as answer:
         assert 415 == answer.status, path
@@ -113,13 +114,13 @@ async def refuse_bodies(browser: BrowserSession, method: str, path: str, limit_b
 
 
 async def coded(browser: BrowserSession, method: str, path: str, **headers: str) -> tuple[int, str]:
-    """Status and code of the problem."""
+    """Status and error code of the problem."""
     status, problem = await browser.ask(method, path, {}, **headers)
     return status, problem["code"]
 
 
 async def pieces(data: bytes) -> Any:
-    """A body whose length is not told before."""
+    """A body in chunks, without a Content-Length."""
     for start in range(0, len(data), 1000):
         yield data[start : start + 1000]
         await asyncio.sleep(0)

@@ -1,4 +1,4 @@
-"""Kinds of values that a kind of value may hold, however deep."""
+"""Collects the types that values of a type may contain, at any depth."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from pydantic import BaseModel
 
 
 def reachable(kind: Any, found: set[type]) -> None:
-    """Every class that a value of a type may hold."""
+    """Add every class that a value of a type may contain to `found`."""
     for part in typing.get_args(kind):
         if not isinstance(part, str | int):
             reachable(part, found)

@@ -1,4 +1,4 @@
-"""Firefox for tests, over WebDriver BiDi: it takes the commands of Chromium's protocol that tests send."""
+"""Firefox for tests, over WebDriver BiDi: it accepts the commands of Chromium's protocol that tests send."""
 
 from __future__ import annotations
 
@@ -20,26 +20,26 @@ from helpers.waiting import WHOLE_S
 
 PROGRAM = "firefox-esr"
 LEFT = re.compile(r"The connection to \S+ was interrupted while the page was loading\.")
-"""Firefox's own word for a socket or a stream of events that ends with its page: no error of the page."""
+"""Firefox's message for a socket or event stream that ends with its page: not an error of the page."""
 AT = re.compile(rb"WebDriver BiDi listening on (ws://\S+)")
 
 
 class Firefox(Browser):
-    """One page of a Firefox."""
+    """One Firefox page."""
 
     def __init__(self, socket: aiohttp.ClientWebSocketResponse) -> None:
         super().__init__(socket)
         self._socket, self._count, self._context = socket, 0, ""
 
     async def begin(self) -> None:
-        """A session, with what its console says."""
+        """Open a session and subscribe to its console."""
         await self._command("session.new", capabilities={})
         tree = await self._command("browsingContext.getTree")
         self._context = tree["contexts"][0]["context"]
         await self._command("session.subscribe", events=["log.entryAdded"])
 
     async def _ask(self, method: str, parameters: dict[str, Any]) -> dict[str, Any]:
-        """A command of Chromium's protocol, by those of BiDi. Raises `KeyError` for any other."""
+        """Translate a command of Chromium's protocol to BiDi. Raises `KeyError` for any other."""
         context = {"context": self._context}
         match method:
             case "Log.enable" | "Runtime.enable" | "Page.enable":
@@ -98,7 +98,7 @@ class Firefox(Browser):
 
 
 def _plain(told: dict[str, Any]) -> Any:
-    """A value of the page as JSON has it; None for what JSON has not."""
+    """A value of the page as JSON; None if JSON cannot express it."""
     match told["type"]:
         case "array":
             return [_plain(item) for item in told["value"]]
@@ -142,4 +142,4 @@ BROWSERS = [
     pytest.param(opened, id=name, marks=pytest.mark.skipif(shutil.which(name) is None, reason=f"no {name}"))
     for name, opened in (("chromium", browser), (PROGRAM, firefox))
 ]
-"""Of tests that hold in both."""
+"""Parameters for tests that must hold in both browsers."""

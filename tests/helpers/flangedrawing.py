@@ -11,9 +11,9 @@ from edged.sim.cell import demo_part
 
 
 def flange_drawing(folder: Path, *, units: int = 4, scale: float = 1.0, is_open: bool = False) -> Path:
-    """Its face, y up, so that what the image shows below is drawn below.
+    """Draw its face, y up, so that what is below in the image is drawn below.
 
-    units : $INSUNITS. is_open : with a line from (30, 5) to (40, 5) that leads nowhere.
+    units : $INSUNITS. is_open : adds a loose line from (30, 5) to (40, 5).
     """
     document = ezdxf.new(units=units)
     space = document.modelspace()

@@ -1,4 +1,4 @@
-"""A plate and a disc, taught once, and what tests ask of them."""
+"""A plate and a disc, taught once, and checks that tests share."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ DISC = Part("disc", Disc(0, 0, 13), METAL, HOLES)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Cell:
-    """A taught part, and the same part lying elsewhere."""
+    """A taught part that can be rendered in other poses."""
 
     rig: PreparedRig
     job: Job
@@ -42,17 +42,17 @@ class Cell:
     part_from_job: FloatArray
 
     def see(self, where: FloatArray, seed: int = 7) -> tuple[Image, Image]:
-        """The pair that shows the part there."""
+        """Pair that shows the part in this pose."""
         return pictures(self.rig.rig, scene((self.part, where)), seed)
 
     def true_pose(self, where: FloatArray) -> FloatArray:
-        """Where the job's own frame then is."""
+        """True pose of the job's frame when the part is there."""
         return where @ self.part_from_job
 
 
 @functools.cache
 def cell(name: str) -> Cell:
-    """One of both parts, taught once for all tests of a process."""
+    """One of the parts, taught once for all tests of a process."""
     part = {"plate": PLATE, "disc": DISC, "round": Part("round", Disc(0, 0, 12), METAL)}[name]
     rig = small_rig()
     prepared = prepare(rig)
@@ -62,16 +62,17 @@ def cell(name: str) -> Cell:
 
 
 def only(outcome: Outcome) -> Target:
-    """Its single target."""
+    """The outcome's single target."""
     (target,) = outcome.targets
     return target
 
 
 HONEST = 25.0
-"""Squared error in units of sigma, three degrees of freedom: exceeded by chance in one of 65,000 cases."""
+"""Bound on the squared error in sigma, three degrees of freedom: exceeded by chance in one of 65,000 cases.
+"""
 
 
 def chi2(target: Target, truth_mm: FloatArray) -> float:
-    """Of its position."""
+    """Squared error of the target's position in units of its covariance."""
     error = target.position_mm - truth_mm
     return float(error @ np.linalg.solve(target.covariance[:3, :3], error))

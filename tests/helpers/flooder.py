@@ -2,9 +2,9 @@
 
 python flooder.py PORT KIND CONNECTIONS COOKIE...
 
-KIND : what it sends, see `KINDS`. COOKIE : of a session; of several in turn. Reads what comes back, so that
-only the other side can hold it up. Says "flooding" when all connections are through; after the end of its
-input, how many of them were closed.
+KIND : what it sends, see `KINDS`. COOKIE : of a session; several are used in turn. Reads all answers, so that
+only the other side can slow it down. Prints "flooding" once all connections have been made; after the end of
+its input, how many of them were closed.
 """
 
 from __future__ import annotations
@@ -33,11 +33,11 @@ KINDS = {
     "fragments": frame(0, last=False),
     "requests": b"GET /status.json HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n",
 }
-"""Each of them again and again."""
+"""Data that a flood of each kind repeats."""
 
 
 class Flood:
-    """One connection that floods. is_closed : the other side has had enough."""
+    """One flooding connection. is_closed : the other side has closed it."""
 
     def __init__(self, port: int, kind: str, cookie: str) -> None:
         self.is_closed = False
@@ -80,7 +80,7 @@ class Flood:
 
 
 def main(port: int, kind: str, connections: int, *cookies: str) -> None:
-    """Flood until the input has ended, and all are closed or have had the time for it."""
+    """Flood until the input ends; then wait a limited time for all connections to be closed."""
     floods = [Flood(port, kind, cookies[n % len(cookies)]) for n in range(connections)]
     for flood in floods:
         flood.start()

@@ -1,6 +1,6 @@
-"""PLCs that run the function blocks of S7 and TwinCAT, each with its maker's Modbus blocks.
+"""Simulated PLCs that run the function blocks for S7 and TwinCAT, each with its maker's Modbus blocks.
 
-MB_CLIENT, FB_MBReadRegs and FB_MBWriteRegs do what their manuals say, over a real connection.
+MB_CLIENT, FB_MBReadRegs and FB_MBWriteRegs behave as their manuals say, over a real connection.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ DONE, BUSY, ERROR = "DONE", "BUSY", "ERROR"
 
 
 class Line:
-    """The way to the cell, shared by the blocks. linked : it can be reached."""
+    """The connection to the cell, shared by the blocks. linked : the network is up."""
 
     def __init__(self, port: int) -> None:
         self.port = port
@@ -30,7 +30,7 @@ class Line:
         self._client: ModbusTcpClient | None = None
 
     def client(self) -> ModbusTcpClient:
-        """Connected, or OSError."""
+        """Connected client. Raises `OSError` without a link."""
         if not self.linked:
             self.close()
             raise OSError("no link")
@@ -41,14 +41,14 @@ class Line:
         return self._client
 
     def close(self) -> None:
-        """The connection ends."""
+        """Close the connection."""
         if self._client is not None:
             self._client.close()
         self._client = None
 
 
 class MbClient:
-    """MB_CLIENT (S7-1200 System Manual V4.2, 13.5): begins with REQ, its parameters stay until the end.
+    """MB_CLIENT (S7-1200 System Manual V4.2, 13.5): starts with REQ, its parameters are held until the end.
 
     A request that does not reach the cell ends with an error, and the connection is made anew.
     """
@@ -69,7 +69,7 @@ class MbClient:
         self.fields["STATUS"] = (status, "WORD")
 
     def call(self, given: Mapping[str, tuple[Any, Any]]) -> None:
-        """One cycle of the PLC."""
+        """Run one cycle of the PLC."""
         values = {name: value for name, (value, _) in given.items()}
         self._check(values)
         requested = values.pop("REQ")
@@ -127,7 +127,7 @@ class MbClient:
 
 
 class S7(structured_text.Driven):
-    """A PLC with `FB_EDGED_S7` in its OB1. lost : what a request without a link says."""
+    """A PLC with `FB_EDGED_S7` in its OB1. lost : status of a request without a link."""
 
     lost = ("wStatus", 0x80C8)
 
@@ -161,7 +161,7 @@ class S7(structured_text.Driven):
 
 
 class Request:
-    """FB_MBReadRegs, FB_MBWriteRegs (TF6250): begins with the edge of bExecute, bBusy until the end."""
+    """FB_MBReadRegs, FB_MBWriteRegs (TF6250): starts at the edge of bExecute, bBusy until the end."""
 
     def __init__(self, line: Line, pointer: str) -> None:
         self.fields: dict[str, tuple[Any, str]] = {}
@@ -177,7 +177,7 @@ class Request:
         self.fields = {"bBusy": (busy, "BOOL"), "bError": (error > 0, "BOOL"), "nErrId": (error, "UDINT")}
 
     def call(self, given: Mapping[str, tuple[Any, Any]]) -> None:
-        """One cycle; inputs that are not given keep their values."""
+        """Run one cycle; inputs that are not given keep their values."""
         was_executed = self._inputs["bExecute"]
         self._inputs |= {name: value for name, (value, _) in given.items()}
         if self._left:
@@ -208,7 +208,7 @@ class Request:
 
 
 def twincat_source() -> str:
-    """Structured text of all files."""
+    """Structured text of all generated files."""
     parts = []
     for text in written("twincat").values():
         (element,) = ET.fromstring(text)
@@ -220,7 +220,7 @@ def twincat_source() -> str:
 
 
 class TwinCat(structured_text.Driven):
-    """A PLC with `FB_EDGED_TC` in its task. lost : what a request without a link says."""
+    """A PLC with `FB_EDGED_TC` in its task. lost : status of a request without a link."""
 
     lost = ("udErrorId", 1861)
 

@@ -1,4 +1,4 @@
-"""A cell on disc with its gate, as light as it gets: no daemon, no cameras, and recordings of its own."""
+"""A minimal cell on disk with its release gate: no daemon, no cameras, but recordings of its own."""
 
 from __future__ import annotations
 
@@ -41,10 +41,10 @@ NIGHT, NOON = datetime(2026, 2, 1, 23, tzinfo=UTC), datetime(2026, 2, 1, 12, tzi
 
 
 class SameProcess:
-    """A worker that measures in this process."""
+    """A worker that runs its tasks in this process."""
 
     async def run(self, name: str, *arguments: Any) -> Any:
-        """What the worker's process does."""
+        """Run a task, as the worker's process does."""
         return await asyncio.to_thread(getattr(work, name), *arguments)
 
 
@@ -58,7 +58,7 @@ class GatedCell:
     worker: SameProcess = field(default_factory=SameProcess)
 
     def __post_init__(self) -> None:
-        """As after each start of the daemon."""
+        """Build the services, as each start of the daemon does."""
         self.config = self.folder / "cell.toml"
         finish_installation(self.config)
         self.running = StillCell(self.config)
@@ -69,17 +69,17 @@ class GatedCell:
 
     @property
     def fingerprint(self) -> str:
-        """What the cell runs by."""
+        """Fingerprint of the cell's current configuration."""
         return self.running.files.fingerprint
 
     def stage(self, jobs: Mapping[str, bytes], name: str = "r1", **stated: Any) -> None:
-        """As `edged release pull` leaves it."""
+        """Stage a release of jobs, as `edged release pull` does."""
         self.stage_data("jobs", packed_jobs(jobs), name, f"north/{name}.jobs.tar.gz", **stated)
 
     def stage_data(
         self, kind: Literal["jobs", "software"], data: bytes, name: str, path: str, **stated: Any
     ) -> None:
-        """A release of any kind."""
+        """Stage a release of either kind."""
         offer = Offer(kind=kind, name=name, number=1, ring=4, created="2026-02-01", **stated)
         digest = hashlib.sha256(data).hexdigest()
         staged = Staged(offer=offer, path=path, sha256=digest, repository="/stick")
@@ -89,13 +89,13 @@ class GatedCell:
         write_atomically(place / STAGED, staged.model_dump_json().encode())
 
     async def step(self) -> GateNote:
-        """One step."""
+        """Take one step of the gate."""
         note = await self.gate.step()
         assert note is not None
         return note
 
     async def reach(self, *steps: str) -> GateNote:
-        """Step until one of these."""
+        """Step until the gate reaches one of these steps."""
         for _ in range(12):
             note = await self.step()
             if note.step in steps:
@@ -103,7 +103,8 @@ class GatedCell:
         raise AssertionError(f"{note.step}: {note.why}")
 
     def measure(self, number: int, *, bad: int = 0, **changed: float) -> None:
-        """Record so many cycles by what the cell runs by now, the last ones bad. changed : see `again`."""
+        """Record this many cycles with the current configuration, the last `bad` ones bad. changed : see
+        `again`."""
         assert isinstance(self.running.files, CellFiles)
         folder = self.cell.recordings
         assert folder is not None
@@ -115,7 +116,7 @@ class GatedCell:
 
 
 def gated_cell(folder: Path) -> GatedCell:
-    """The demo's flange, six good cycles, and a window at night."""
+    """The demo's flange, six good cycles, and a maintenance window at night."""
     virtual = VirtualCell(small_rig(), demo_part())
     config = prepare_cell(folder, virtual, DemoOptions(), gige=False)
     stated = '\n[recorder]\nfolder = "recordings"\nmin_free_mib = 0\n'
@@ -145,7 +146,7 @@ def again(
     slower: float = 1.0,
     left_mm: float = 0.0,
 ) -> None:
-    """One cycle once more, without its pictures; bad: nothing was found.
+    """Record one cycle again, without its pictures; bad: nothing was found.
 
     larger, rows, slower : factors of sigma, row difference and duration. left_mm : of a camera, by the marks.
     """
@@ -169,7 +170,7 @@ def again(
 
 
 def edited(folder: Path, change: Callable[[str], str]) -> dict[str, bytes]:
-    """The jobs of a cell's folder with another text."""
+    """The jobs of a cell's folder, with the flange job's text changed."""
     jobs = jobs_in(folder / "jobs")
     place = f"flange/{TEXT}"
     text = change(jobs[place].decode())
@@ -178,12 +179,12 @@ def edited(folder: Path, change: Callable[[str], str]) -> dict[str, bytes]:
 
 
 def better(text: str) -> str:
-    """A job that measures the same, under a limit that is a little wider."""
+    """A job that measures the same with a slightly wider limit."""
     return text.replace("max_sigma_mm = 0.2", "max_sigma_mm = 0.21")
 
 
 def turned(text: str) -> str:
-    """The part's frame turned by 180 degrees: all is found, measured, good, and the other way round."""
+    """The part's frame turned by 180 degrees: every part is found and good, but the other way round."""
 
     def half_turn(found: re.Match[str]) -> str:
         x, y, z = (float(number) for number in found[1].split(","))

@@ -1,4 +1,4 @@
-"""Simulated GigE Vision cameras for tests of the adapter, and how it is driven."""
+"""Simulated GigE Vision cameras for tests of the camera adapter, and helpers that drive it."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class Sensor:
         return image
 
     def saw(self, image: Image) -> int:
-        """The frame id of a picture; fails for one that was never shown."""
+        """Frame id of a picture; fails if it was never shown."""
         known = list(self.shown.items())  # a free-running camera goes on exposing meanwhile
         return next(number for number, shown in known if np.array_equal(shown, image))
 
@@ -46,12 +46,12 @@ class Sensor:
 def gige_camera(
     address: str, serial: str, sensor: Sensor, width: int = WIDTH, height: int = HEIGHT, **options: Any
 ) -> GigeCamera:
-    """A simulated GigE Vision camera, to be entered."""
+    """A simulated GigE Vision camera, to be entered as a context."""
     return GigeCamera(address, serial, sensor, size=(width, height), **options)
 
 
 class Cell:
-    """Two simulated cameras, and what an adapter needs to reach them. options : of the left one."""
+    """Two simulated cameras. options : of the left one."""
 
     def __init__(self, **options: Any) -> None:
         self.left_sensor, self.right_sensor = Sensor(1), Sensor(2)
@@ -72,13 +72,13 @@ def left_camera(device: str = LEFT, **settings: Any) -> AravisCamera:
 
 
 class Closes(Protocol):
-    """A camera, or a head."""
+    """Anything that opens and closes: a camera or a head."""
 
     async def open(self) -> None:
         """Connect."""
 
     async def close(self) -> None:
-        """Let go of it."""
+        """Release it."""
 
 
 C = TypeVar("C", bound=Closes)
@@ -86,7 +86,7 @@ C = TypeVar("C", bound=Closes)
 
 @asynccontextmanager
 async def closing(camera: C) -> AsyncIterator[C]:
-    """A camera (or a head) that is closed afterwards."""
+    """A camera (or head) that is closed afterwards."""
     try:
         yield camera
     finally:
@@ -95,20 +95,20 @@ async def closing(camera: C) -> AsyncIterator[C]:
 
 @asynccontextmanager
 async def opened(camera: C) -> AsyncIterator[C]:
-    """A camera (or a head) that is open, and closed afterwards."""
+    """An open camera (or head) that is closed afterwards."""
     async with closing(camera):
         await camera.open()
         yield camera
 
 
 async def opens(camera: Closes) -> None:
-    """Open it, and close it."""
+    """Open it and close it again."""
     async with opened(camera):
         pass
 
 
 async def shoot(camera: AravisCamera) -> Frame:
-    """One exposure."""
+    """Trigger one exposure and return its frame."""
     await camera.trigger()
     return await camera.frame()
 
@@ -116,7 +116,7 @@ async def shoot(camera: AravisCamera) -> Frame:
 async def settles(
     camera: AravisCamera | StereoHead, action: Callable[[], Awaitable[Any]], limit_s: float
 ) -> Any:
-    """The first result without a `CaptureError`; any other exception fails the test."""
+    """First result without a `CaptureError`; any other exception fails the test."""
     deadline_s = time.monotonic() + limit_s
     while True:
         try:

@@ -1,4 +1,4 @@
-"""A GigE Vision client by hand: commands and stream packets as datagrams, nothing hidden."""
+"""A hand-written GigE Vision client that exposes commands and stream packets as plain datagrams."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ LOOPBACK = int.from_bytes(socket.inet_aton("127.0.0.1"), "big")
 
 
 class Client:
-    """GVCP by hand."""
+    """Speaks GVCP, one datagram per command."""
 
     def __init__(self, address: str) -> None:
         self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
@@ -26,7 +26,7 @@ class Client:
         self.request = 0
 
     def send(self, command: int, body: bytes, request: int | None = None) -> None:
-        """One command; a new request number unless one is given."""
+        """Send one command; a new request number unless one is given."""
         self.request = request if request is not None else self.request + 1
         self.socket.send(struct.pack(">BBHHH", 0x42, 1, command, len(body), self.request) + body)
 
@@ -52,7 +52,7 @@ class Client:
         return float(struct.unpack(">f", self.read(address)[1].to_bytes(4, "big"))[0])
 
     def set(self, **values: float) -> None:
-        """Write registers by their names in `genicam`; floats as floats. Every one must be accepted."""
+        """Write registers by their names in `genicam`; floats as floats. Each write must be accepted."""
         for name, value in values.items():
             word = int.from_bytes(struct.pack(">f", value), "big") if isinstance(value, float) else value
             assert self.write(getattr(g, name), word) == SUCCESS, name
@@ -65,9 +65,9 @@ class Client:
 
 @dataclass(frozen=True, slots=True)
 class Image:
-    """A block as it came.
+    """A received block.
 
-    numbers : of its packets in the order they came. data : of the payload packets, by number.
+    numbers : of its packets in order of arrival. data : of the payload packets, by number.
     """
 
     block_id: int
@@ -104,7 +104,7 @@ class Stream:
         return block_id, word >> 24, word & 0xFFFFFF, packet[8:]
 
     def image(self) -> Image:
-        """Everything up to the next trailer; a block that is left out stays out."""
+        """Collect everything up to the next trailer; lost blocks are skipped."""
         numbers, parts, head = [], {}, b""
         while True:
             block_id, kind, number, body = self.packet()
@@ -119,7 +119,7 @@ class Stream:
                 return Image(block_id, payload_type, high << 32 | low, pixel_format, tuple(numbers), data)
 
     def silent(self, seconds: float = 0.15) -> bool:
-        """Whether nothing comes for so long."""
+        """Whether nothing arrives for this long."""
         self.socket.settimeout(seconds)
         try:
             self.socket.recv(65536)
@@ -132,7 +132,7 @@ class Stream:
 
 @contextmanager
 def acquiring(address: str, **values: float) -> Iterator[Stream]:
-    """A stream of a camera that is set up so and acquires."""
+    """Stream of a camera that has these settings and acquires."""
     with Stream(Client(address)) as stream:
         stream.client.set(**values)
         stream.client.set(ACQUISITION_START=1)

@@ -17,7 +17,7 @@ from helpers.rigs import make_rig
 
 
 class MemoryKeeper:
-    """A `GoldenKeeper` of a live cell. kept : how often. cannot : why nothing can be kept; ""."""
+    """A `GoldenKeeper` of a live cell. kept : number kept. cannot : reason to refuse, or ""."""
 
     def __init__(self, cell: LiveCell) -> None:
         self.cell = cell
@@ -52,7 +52,7 @@ class MemoryKeeper:
 
 
 def golden_cell(cell: LiveCell) -> MemoryKeeper:
-    """Before it starts: lets a live cell keep golden parts."""
+    """Give a live cell a keeper of golden parts, before it starts."""
     keeper = MemoryKeeper(cell)
     cell.keeper = keeper
     return keeper

@@ -1,4 +1,4 @@
-"""Folders of cells' histories: random figures, of which those of one cell may drift."""
+"""Folders of cell histories with random figures, in which one cell may drift."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ def make_fleet(
     days: int = DAYS,
     spread: float = 0.03,
 ) -> None:
-    """Cells with one job; each a little other than the rest (`spread`), and noise in each measurement.
+    """Make cells with one job, each slightly different (`spread`), with noise in each measurement.
 
-    drifting : "sigma", "rows", "rate" or "size": what of the last cell grows from day to day.
+    drifting : "sigma", "rows", "rate" or "size": what grows from day to day in the last cell.
     """
     rng = np.random.default_rng(seed)
     for cell in range(cells):

@@ -1,4 +1,4 @@
-"""A registrar for cells without files: it takes what it can, and never saves."""
+"""A registrar for cells without files: it accepts poses but never saves."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from helpers.rigs import make_rig
 
 
 def registrar_of(cell: LiveCell) -> CellRegistrar:
-    """The product's own, for what this cell measures by."""
+    """The product's registrar, for this cell's setup."""
     section = RegistrationSection(board="chessboard:9x6:4.0")
     config = SimpleNamespace(registration=section, cell=SimpleNamespace(rig=Path(__file__)))
     loaded: Any = SimpleNamespace(

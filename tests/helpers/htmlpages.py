@@ -1,11 +1,11 @@
-"""Reads a page as a browser would, for tests: whether it is well formed, its text, and what it refers to."""
+"""Parses a page for tests: whether it is well formed, its text, and the addresses it refers to."""
 
 from __future__ import annotations
 
 from html.parser import HTMLParser
 
 VOID = {"meta", "link", "img", "input", "path", "rect", "circle", "polyline"}
-"""Elements without an end: HTML's own, and those that our SVG closes by itself."""
+"""Elements without an end tag: HTML's own, and those that our SVG closes by itself."""
 
 
 class HtmlPage(HTMLParser):
@@ -22,16 +22,16 @@ class HtmlPage(HTMLParser):
         self.feed(page)
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        """Opens an element."""
+        """Record an element as open."""
         if tag not in VOID:
             self.open.append(tag)
         self.outside += [value or "" for name, value in attrs if name in ("src", "href")]
 
     def handle_endtag(self, tag: str) -> None:
-        """Closes the innermost one."""
+        """Close the innermost element."""
         if tag not in VOID:
             assert self.open.pop() == tag
 
     def handle_data(self, data: str) -> None:
-        """Text, with entities resolved."""
+        """Collect text, with entities resolved."""
         self.text += data

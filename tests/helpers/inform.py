@@ -2,7 +2,7 @@
 
 The job is interpreted after the form of public jobs and from memory of "INFORM II" (`SET`, `INC`, `JUMP ...
 IF`, `TIMER`, `GETS`, `SETE`; I of 16 bits, D of 32, positions in 0.001 mm and 0.0001 degrees). The task is
-translated by the machine's C compiler, with the header and the controller in `tests/motoplus`, and runs as a
+compiled by the machine's C compiler, with the header and the controller in `tests/motoplus`, and runs as a
 process of its own.
 """
 
@@ -34,7 +34,7 @@ STRICT = (
 
 
 def translate(source: str, folder: Path) -> Path:
-    """The task and its controller as a program. Raises what the compiler says."""
+    """Compile the task and its controller into a program. Fails with the compiler's output."""
     (folder / "edged.c").write_text(source, "ascii")
     made = folder / "controller"
     files = [str(folder / "edged.c"), str(HERE / "controller.c")]
@@ -45,7 +45,7 @@ def translate(source: str, folder: Path) -> Path:
 
 
 class Controller:
-    """Variables, the task beside them, and one job."""
+    """Variables, the running task, and one job."""
 
     def __init__(self, program: Path, memory: Path, job: str, link: Link) -> None:
         self.link = link
@@ -73,7 +73,7 @@ class Controller:
         return lines
 
     def _switch_on(self) -> subprocess.Popen[bytes]:
-        """The task has looked at the request that is there; its first accesses failed."""
+        """Start the task; returns after its first look at the pending request; its first accesses fail."""
         self.memory[[WAITS, FAILS, READS]] = 0, 7, 0
         task = subprocess.Popen(self.command, stdin=subprocess.PIPE)
         deadline_s = time.monotonic() + LIMIT_S
@@ -83,7 +83,7 @@ class Controller:
         return task
 
     def number(self, name: str) -> int:
-        """A variable, or a number."""
+        """Value of a variable or a literal."""
         if name.lstrip("-").isdigit():
             return int(name)
         found = re.fullmatch(r"([ID])(\d{3})", name)
@@ -91,7 +91,7 @@ class Controller:
         return int(self.memory[int(found[2]) + 100 * (found[1] == "D")])
 
     def put(self, name: str, value: int) -> None:
-        """Into an I variable."""
+        """Write an I variable."""
         assert re.fullmatch(r"I0\d\d", name) and -32768 <= value < 32768, name
         self.memory[int(name[1:])] = value
 
@@ -105,7 +105,7 @@ class Controller:
         self.run(self.lines)
 
     def run(self, lines: list[str]) -> None:
-        """Instructions up to END."""
+        """Execute instructions up to END."""
         at = 0
         while (line := lines[at]) != "END":
             at += 1
@@ -145,7 +145,7 @@ class Controller:
         return {"=": one == other, "<": one < other, ">=": one >= other, "<>": one != other}[mark]
 
     def _pause(self, duration_s: float) -> None:
-        """As that of `Link`, whose socket is the task's here."""
+        """Wait as `Link` does, whose socket belongs to the task here."""
         assert self.task and self.task.poll() is None, "the task has ended"
         end_s = self.link.now_s() + duration_s
         while self.link.now_s() < end_s and not self._holds("I086", "=", "I085") and not self._is_silent():
@@ -153,14 +153,14 @@ class Controller:
         self.link.jump(end_s)
 
     def _is_silent(self) -> bool:
-        """Whether the task has looked for what comes since the other end has nothing more to say."""
+        """Whether the task has looked for data since the other end finished sending."""
         sent, waited = int(self.memory[SENT]), int(self.memory[WAITS])
         if sent == self._sent or not self.link.is_done(sent):
             self._waited = None
             return False
         if self._waited is None:
             self._waited = waited
-        return waited >= self._waited + 2  # one look may have begun before
+        return waited >= self._waited + 2  # one of these looks may have begun earlier
 
     def close(self) -> None:
         """Power off."""

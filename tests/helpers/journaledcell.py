@@ -1,4 +1,4 @@
-"""An audit beside a journald of its own: what `edged audit --against journal` says, after each deed.
+"""An audit with a journald of its own: outcome of `edged audit --against journal` after each action.
 
 unshare --mount python -m helpers.journaledcell FOLDER; prints one JSON object: by step [exit code, output].
 """
@@ -32,12 +32,12 @@ JOURNALD = Path("/usr/lib/systemd/systemd-journald")
 CELL = "[cell]\nname = 'c'\nrig = 'rig.json'\njobs = 'jobs'\njob = 'a'\n[cameras]\nsource = 'virtual'\n"
 DEED = AuditEntry("Anna", "engineer", "10.0.0.7", "POST", "setup", "ok")
 DEEDS = 25
-"""More than are logged at a time of lines that say the same."""
+"""More than the limit on identical lines logged at a time."""
 STRANGER = 65534
 
 
 def main(folder: Path) -> None:
-    """Run journald, the deeds and the command."""
+    """Run journald, the actions and the command."""
     for place in ("/run", "/var/log"):
         subprocess.run(["mount", "-t", "tmpfs", "none", place], check=True)
     settings = Path("/run/systemd/journald.conf.d/test.conf")
@@ -95,7 +95,7 @@ def _steps(folder: Path) -> dict[str, tuple[int, str]]:
 
 
 def _done_on_a_full_disc(state: Path) -> None:
-    """One deed is kept, then two are not, then there is room again."""
+    """Record one entry, lose two on a full disk, then record again once there is space."""
     auditor = Auditor(AuditFile(state))
     for fills in (False, True, True, False):
         if fills:
@@ -116,14 +116,14 @@ def _done(state: Path) -> None:
 
 
 def _another(state: Path) -> None:
-    """A chain that holds, as long as the first one."""
+    """A different chain that is valid and as long as the first one."""
     shutil.rmtree(state)
     for _ in range(DEEDS):
         AuditFile(state).add(AuditEntry("Ben", "engineer", "10.0.0.8", "POST", "setup", "ok"))
 
 
 def _lie() -> None:
-    """Another user of the machine says what the cell did."""
+    """Another user of the machine forges a journal entry of the cell."""
     entry = {"SYSLOG_IDENTIFIER": "edged", "EDGED_CELL": "c", "EDGED_AUDIT": 3, "EDGED_AUDIT_HASH": "0" * 64}
     child = os.fork()
     if child == 0:

@@ -20,7 +20,7 @@ NAME = r"[A-Za-z]\w*"
 
 
 class Uninitialised:
-    """What a variable holds that was given nothing."""
+    """Value of a variable that has not been assigned."""
 
 
 UNINIT = Uninitialised()
@@ -81,7 +81,7 @@ HEAD = re.compile(rf"ROUTINE (?P<name>{NAME})(?:\((?P<parameters>.*)\))?(?: : (?
 
 
 class _Syntax(Syntax):
-    """KAREL's statements, one a line."""
+    """KAREL's statements, one per line."""
 
     FOR = rf"FOR ({NAME}) = (.+) TO (.+) DO$"
 
@@ -104,7 +104,7 @@ class _Syntax(Syntax):
 
 
 def load(source: str, controller: Controller) -> Program:
-    """The program, with its routines; `RUN` is its body."""
+    """Load the program and its routines; `RUN` is its body."""
     assert source.isascii()
     program = _Karel("karel", TYPES, "=", "[]")
     lines = [line.partition("--")[0].strip() for line in program.declared.lines(source)]
@@ -142,16 +142,16 @@ def load(source: str, controller: Controller) -> Program:
 
 
 class _Karel(Program):
-    """KAREL: nothing uninitialised is read; a routine is declared before it is used."""
+    """KAREL: uninitialised values must not be read; routines are declared before use."""
 
     def evaluate(self, text: str) -> Any:
-        """A value."""
+        """Value of an expression."""
         value = super().evaluate(text)
         assert value.get() is not UNINIT, f"{text} is uninitialised"
         return value
 
     def place(self, text: str) -> Any:
-        """A variable, perhaps uninitialised."""
+        """A variable, possibly uninitialised."""
         return super().evaluate(text)
 
 
@@ -210,47 +210,47 @@ class Controller:
         self.positions: dict[int, Record] = {}
 
     def activate(self, tool: int, frame: int = 0) -> None:
-        """UTOOL_NUM and UFRAME_NUM of the TP program."""
+        """Set UTOOL_NUM and UFRAME_NUM, as the TP program does."""
         for array, number in zip(self.numbers.values(), (tool, frame), strict=True):
             array.element(1).set(number)
 
     def _where(self) -> tuple[float, ...]:
-        """In user frame 0."""
+        """Pose in user frame 0."""
         tool = self.numbers["$MNUTOOLNUM"].element(1).get()
         return pose_of(Brand.FANUC, self.link.arm.tip if tool else self.link.arm.flange)
 
     def cnv_int_str(self, number: Any, width: Any, base: Any, target: Any) -> None:
-        """With a blank before it."""
+        """Convert to digits, with a leading blank."""
         assert (1, 0) == (width.get(), base.get())
         target.set(f" {number.get()}")
 
     def chr(self, code: Any) -> str:
-        """A character."""
+        """Character with this code."""
         return chr(code.get())
 
     def ord(self, text: Any, index: Any) -> int:
-        """The code of the index-th character, from 1."""
+        """Code of the index-th character, counted from 1."""
         assert 1 <= index.get() <= len(text.get())
         return ord(text.get()[index.get() - 1])
 
     def str_len(self, text: Any) -> int:
-        """Characters."""
+        """Number of characters."""
         return len(text.get())
 
     def round(self, value: Any) -> int:
-        """To the next whole number."""
+        """Round to the nearest integer."""
         return round(float(value.get()))
 
     def uninit(self, place: Any) -> bool:
-        """Whether it was given nothing."""
+        """Whether the variable is uninitialised."""
         return place.get() is UNINIT
 
     def io_status(self, _file: Any) -> int:
-        """Of the last operation."""
+        """Status of the last operation."""
         return self.status
 
     def set_file_atr(self, _file: Any, attribute: Any, value: Any = None) -> None:
-        """Interactive, or how many times 128 bytes are read ahead."""
+        """Set interactive mode, or the read-ahead in units of 128 bytes."""
         assert not self.is_open
         if attribute.get() == "ATR_READAHD":
             self.ahead = value.get() * 128
@@ -263,35 +263,35 @@ class Controller:
         status.set(0 if self.link.open() else 67)
 
     def msg_disco(self, tag: Any, status: Any) -> None:
-        """Hang up; of a tag that is not connected: a status, no error."""
+        """Disconnect; a tag that is not connected gives a status, not an error."""
         assert tag.get() == "C3:"
         status.set(0 if self.link.is_open else 1)
         self.link.close()
 
     def open_file(self, _file: Any, _tag: Any) -> None:
-        """Of a connected tag."""
+        """Open the file of a connected tag."""
         assert self.link.is_open
         self.is_open, self.status = True, 0
 
     def close_file(self, _file: Any) -> None:
-        """It must be open."""
+        """Close the file, which must be open."""
         assert self.is_open
         self.is_open = False
 
     def write_file(self, _file: Any, text: Any) -> None:
-        """At once (ATR_IA)."""
+        """Write without buffering (ATR_IA)."""
         assert self.is_open and self.link.is_open
         if not self.link.send(text.get().encode("ascii")):
             self.status = 2
 
     def bytes_ahead(self, _file: Any, count: Any, status: Any) -> None:
-        """What has arrived; of a link that is gone nothing comes any more."""
+        """Number of bytes that have arrived; a lost link delivers none."""
         assert self.is_open and self.link.is_open
         status.set(0)
         count.set(min(len(self.link.peek()), self.ahead))
 
     def read_file(self, _file: Any, target: Any, count: Any) -> None:
-        """So many characters, or up to the end of a line, which is taken and not given."""
+        """Read this many characters, or up to the end of a line, which is consumed but not returned."""
         assert self.is_open
         data = self.link.peek()[: count.get()]
         assert len(data) == count.get(), "it would wait for ever"
@@ -306,37 +306,37 @@ class Controller:
         self.link.pause(milliseconds.get() / 1000)
 
     def curpos(self, _limits: Any, _axes: Any) -> Record:
-        """Where the robot stands in the active frames, with a configuration."""
+        """Pose of the robot in the active frames, with a configuration."""
         record: Record = TYPES.initial("XYZWPR")
         for name, value in zip(record.fields, (*self.position(), "NUT000"), strict=True):
             record.fields[name].set(value)
         return record
 
     def set_pos_reg(self, number: Any, pose: Any, status: Any) -> None:
-        """PR 1 to 100."""
+        """Set PR 1 to 100."""
         status.set(0 if 1 <= number.get() <= 100 else 17)
         self.positions[number.get()] = TYPES.copied(pose.get())
 
     def set_int_reg(self, number: Any, value: Any, status: Any) -> None:
-        """A whole number."""
+        """Set a register to an integer."""
         assert isinstance(value.get(), int)
         self.registers[number.get()] = value.get()
         status.set(0)
 
     def set_real_reg(self, number: Any, value: Any, status: Any) -> None:
-        """A number."""
+        """Set a register to a real."""
         self.registers[number.get()] = value.get()
         status.set(0)
 
     def get_reg(self, number: Any, is_real: Any, whole: Any, real: Any, status: Any) -> None:
-        """What a register holds, in the one that fits it; the other one stays as it was."""
+        """Read a register into the variable of its type; the other one stays unchanged."""
         value = self.registers.get(number.get(), 0)
         is_real.set(isinstance(value, float))
         (real if isinstance(value, float) else whole).set(value)
         status.set(0)
 
     def get_tpe_prm(self, number: Any, kind: Any, whole: Any, _real: Any, _text: Any, status: Any) -> None:
-        """Type 1: a whole number."""
+        """Argument of the TP program; type 1 is an integer."""
         given = number.get() <= len(self.arguments)
         status.set(0 if given else 17042)
         if given:

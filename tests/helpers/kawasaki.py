@@ -23,7 +23,7 @@ GONE = -34025
 
 
 class Undefined:
-    """What a variable holds that was given nothing."""
+    """Value of a variable that has not been assigned."""
 
 
 UNDEFINED = Undefined()
@@ -60,7 +60,7 @@ TYPES = Types(
 
 
 class _Syntax(Syntax):
-    """AS's statements, one a line; END of a block was given its name."""
+    """AS's statements, one per line; each END has been replaced by the name of its block."""
 
     def simple(self, line: str) -> Any:
         if found := re.match(rf"CALL ({NAME})(?:\((.*)\))?$", line):
@@ -83,21 +83,21 @@ class _Syntax(Syntax):
 
 
 class _As(Program):
-    """AS: what is undefined is not read."""
+    """AS: undefined values must not be read."""
 
     def evaluate(self, text: str) -> Any:
-        """A value."""
+        """Value of an expression."""
         value = super().evaluate(text)
         assert value.get() is not UNDEFINED, f"{text} is undefined"
         return value
 
     def place(self, text: str) -> Any:
-        """A variable, perhaps undefined."""
+        """A variable, possibly undefined."""
         return super().evaluate(text)
 
 
 def _clean(source: str) -> list[str]:
-    """Without comments; ends of blocks by their names, local variables and timers in words of their own."""
+    """Strip comments; name the ends of blocks, and rename local variables and timers to plain identifiers."""
     lines: list[str] = []
     opened: list[str] = []
     for raw in source.splitlines():
@@ -116,7 +116,7 @@ def _clean(source: str) -> list[str]:
 
 
 def load(source: str, controller: Controller) -> Program:
-    """The file, its programs ready to be called."""
+    """Load the file, its programs ready to be called."""
     assert source.isascii()
     program = _As("as", TYPES, "==", "[]")
     program.declared.lines(source)
@@ -181,7 +181,7 @@ def _write(place: Any, pose: FloatArray) -> None:
 
 
 class Controller:
-    """One socket. gone : what TCP_RECV says of a lost link."""
+    """Controller with one socket. gone : status of TCP_RECV after the link is lost."""
 
     def __init__(self, link: Link, gone: int = GONE) -> None:
         self.link = link
@@ -190,14 +190,14 @@ class Controller:
         self.places = {name: TYPES.variable("trans") for name in ("HERE", "TOOL")}
 
     def encode(self, form: Any, value: Any) -> str:
-        """In so many characters."""
+        """Format a number with a fixed width."""
         if form.get() == "/F12.4":
             return f"{value.get():12.4f}"
         assert "/I6" == form.get() and float(value.get()).is_integer()
         return f"{int(value.get()):6d}"
 
     def subtract(self, target: Any, one: Any, other: Any) -> None:
-        """One with the inverse of the other behind it; HERE is the tip of TOOL."""
+        """Compound one pose with the inverse of the other; HERE is the tip of TOOL."""
         for place, pose in zip(
             self.places.values(), (self.link.arm.tip, self.link.arm.flange_from_tip), strict=True
         ):
@@ -206,25 +206,25 @@ class Controller:
         _write(target, next(matrices) @ invert(next(matrices)))
 
     def decompose(self, array: Any, pose: Any) -> None:
-        """Its six numbers, into the elements from 1 on."""
+        """Write the pose's six numbers into the elements from 1 on."""
         for index, number in enumerate(pose.get().plain().values(), 1):
             array.element(index).set(number)
 
     def chr(self, code: Any) -> str:
-        """A character."""
+        """Character with this code."""
         return chr(int(code.get()))
 
     def asc(self, text: Any, position: Any) -> int:
-        """The code of a character, from 1."""
+        """Code of a character, counted from 1."""
         assert 1 <= position.get() <= len(text.get())
         return ord(text.get()[int(position.get()) - 1])
 
     def len(self, text: Any) -> int:
-        """Characters."""
+        """Number of characters."""
         return len(text.get())
 
     def trans(self, *numbers: Any) -> Record:
-        """X, Y, Z, O, A, T."""
+        """Pose from X, Y, Z, O, A, T."""
         made: Record = TYPES.initial("trans")
         for one, number in zip(made.fields.values(), numbers, strict=True):
             one.set(number.get())
@@ -235,33 +235,33 @@ class Controller:
         self.link.pause(seconds.get())
 
     def set_utimer(self, name: Any, seconds: Any) -> None:
-        """It runs from there."""
+        """Restart the timer."""
         assert ("ed_clock", 0) == (name.get(), seconds.get())
         self.set_s = self.link.now_s()
 
     def utimer(self, name: Any) -> float:
-        """Seconds."""
+        """Seconds since the timer was set."""
         assert "ed_clock" == name.get()
         return self.link.now_s() - self.set_s
 
     def tcp_connect(self, number: Any, port: Any, address: Any, timeout: Any) -> None:
-        """A socket's number, or an error."""
+        """Connect; gives a socket number or an error."""
         assert (1503, 192) == (port.get(), address.get()) and timeout.get() >= 1
         number.set(1 if self.link.open() else GONE)
 
     def tcp_close(self, status: Any, number: Any) -> None:
-        """Of one that is not open: an error."""
+        """Close; an error if the socket is not open."""
         assert number.get() == 1
         status.set(0 if self.link.is_open else GONE)
         self.close()
 
     def tcp_send(self, status: Any, number: Any, text: Any, count: Any, timeout: Any) -> None:
-        """One string."""
+        """Send one string."""
         assert (1, 1) == (number.get(), count.get()) and timeout.get() >= 1 and self.link.is_open
         status.set(0 if self.link.send(text.get().encode("latin-1")) else GONE)
 
     def tcp_recv(self, status: Any, number: Any, text: Any, count: Any, timeout: Any, length: Any) -> None:
-        """What has come, in strings of that length; the first is all that the test's programs look at."""
+        """Received data in strings of that length; the test's programs look only at the first."""
         assert (1, 255) == (number.get(), length.get()) and self.link.is_open
         assert timeout.get() >= 1 and float(timeout.get()).is_integer()
         data = self.link.receive(float(timeout.get()))

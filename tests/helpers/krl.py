@@ -1,8 +1,8 @@
 """KRL as KUKA's controllers run it, as far as `edged registers --format krl` uses it, with EthernetKRL.
 
 After "KUKA System Software 8.x: Operating and Programming Instructions for System Integrators" (declarations
-before statements, arrays handed over as OUT, quotients of INT are whole, REAL rounded to INT where it is
-assigned) and "KUKA.EthernetKRL 2.2" (6.1 the configuration, 6.2 the functions).
+before statements, arrays passed as OUT, division of INT truncates, REAL is rounded when assigned to INT)
+and "KUKA.EthernetKRL 2.2" (6.1 the configuration, 6.2 the functions).
 """
 
 from __future__ import annotations
@@ -71,7 +71,7 @@ DATA = re.compile(
 
 
 class _Syntax(Syntax):
-    """KRL's statements, one a line; it has no ELSEIF."""
+    """KRL's statements, one per line; it has no ELSEIF."""
 
     WHILE = r"WHILE (.+)$"
     FOR = rf"FOR ({NAME})=(.+) TO (.+)$"
@@ -99,10 +99,10 @@ class _Syntax(Syntax):
 
 
 class _Krl(Program):
-    """KRL: `TEXT[]` is the whole array, and a string is written into it."""
+    """KRL: `TEXT[]` is the whole array, and a string can be assigned to it."""
 
     def statement(self, one: Any) -> None:
-        """Strings are assigned as a whole; everything else as in the other languages."""
+        """Assign strings as a whole; handle everything else as in the other languages."""
         if isinstance(one, Assign) and one.target.endswith("[]"):
             array, text = self.place(one.target), self.evaluate(one.value).get()
             assert len(text) <= len(array.elements), one
@@ -113,7 +113,7 @@ class _Krl(Program):
 
 
 def load(files: dict[str, str], controller: Controller) -> Program:
-    """The module of `edged.src` and `edged.dat`."""
+    """Load the module of `edged.src` and `edged.dat`."""
     program = _Krl("krl", TYPES, "==", "[]")
     calls = {name: getattr(controller, name.lower(), None) for name in BUILTINS}
     program.builtins = {name: call for name, call in calls.items() if call is not None}
@@ -188,7 +188,7 @@ def _write(frame: Any, pose: FloatArray) -> None:
 
 
 class Controller:
-    """One channel of EthernetKRL, as the configuration file says, and the flags."""
+    """One channel of EthernetKRL, as configured by its file, and the flags."""
 
     def __init__(self, configuration: str, link: Link, arm: RobotArm | None = None) -> None:
         self.arm = arm or link.arm
@@ -222,7 +222,7 @@ class Controller:
         return record
 
     def _receive(self) -> None:
-        """What has come; the flag falls with the link."""
+        """Collect received data; the flag falls when the link is lost."""
         while self.link.is_open and (more := self.link.receive(0.0)) is not None:
             self.data += more
             if not more:
@@ -233,13 +233,13 @@ class Controller:
         self.flags.element(self.flag).set(False)
 
     def eki_init(self, channel: Any) -> Record:
-        """Of a channel that is initialised: an error (EKI00023)."""
+        """Initialise the channel; one that is already initialised is an error (EKI00023)."""
         assert channel.get() == "edged" and not self.is_initialised
         self.is_initialised = True
         return self._status()
 
     def eki_open(self, _channel: Any) -> Record:
-        """Waits for the link at most as long as the configuration says."""
+        """Wait for the connection, at most as long as the configuration says."""
         assert self.is_initialised
         if not self.link.open():
             return self._status(4)
@@ -247,30 +247,30 @@ class Controller:
         return self._status()
 
     def eki_close(self, _channel: Any) -> Record:
-        """Of a link that is there; otherwise a message stops the program (EKI00009)."""
+        """Close the connection; without one, a message would stop the program (EKI00009)."""
         assert self.link.is_open
         self._hang_up()
         return self._status()
 
     def eki_clear(self, _channel: Any) -> Record:
-        """The channel and its memory are gone."""
+        """Delete the channel and its memory."""
         assert self.is_initialised
         self._hang_up()
         self.is_initialised, self.data = False, b""
         return self._status()
 
     def eki_send(self, _channel: Any, text: Any, length: Any) -> Record:
-        """So many characters, but not beyond the first zero, and the end string."""
+        """Send this many characters, up to the first zero, and the end string."""
         said = "".join(one.get() for one in text.elements)[: length.get()].partition("\0")[0]
         return self._status(0 if self.link.send(said.encode("ascii") + self.ends["SEND"]) else 9)
 
     def eki_checkbuffer(self, _channel: Any, tag: Any) -> Record:
-        """How many lines wait."""
+        """Number of lines waiting."""
         assert tag.get() == "Line"
         return self._status()
 
     def eki_getstring(self, _channel: Any, tag: Any, target: Any) -> Record:
-        """The oldest line, without its end, into a string that is long enough."""
+        """Take the oldest line, without its end, into a string that must be long enough."""
         assert tag.get() == "Line" and isinstance(target, Array)
         line, _, self.data = self.data.partition(self.ends["RECEIVE"])
         assert len(line) <= len(target.elements)
@@ -279,39 +279,39 @@ class Controller:
         return self._status()
 
     def strlen(self, text: Any) -> int:
-        """Characters of the string: up to the first zero, or all."""
+        """Length of the string: up to the first zero, or all."""
         whole = "".join(one.get() for one in text.elements)
         return len(whole.partition("\0")[0])
 
     def wait_sec(self, seconds: Any) -> None:
-        """Wait; what is read then is where the robot stands (advance run)."""
+        """Wait; the position is updated only then (advance run)."""
         self.link.pause(seconds.get())
         self.arm.rests()
         _write(self.position, self.arm.tip)
 
     def lin(self, place: Any) -> None:
-        """Along a line, with what $TOOL and $BASE are."""
+        """Move along a line, in the current $TOOL and $BASE."""
         self.arm.move(_matrix(place))
 
     def geometric(self, target: Any, place: Any, *numbers: Any) -> None:
-        """A place, and a frame in it."""
+        """Place multiplied by a frame given as numbers."""
         frame = transform_of(Brand.KUKA, tuple(number.get() for number in numbers))
         _write(target, _matrix(place) @ frame)
 
     def geometric_product(self, target: Any, place: Any, frame: Any) -> None:
-        """A frame in another one."""
+        """Place multiplied by a frame."""
         _write(target, _matrix(place) @ _matrix(frame))
 
     def geometric_inverse(self, target: Any, place: Any, frame: Any) -> None:
-        """A place, and the inverse of a frame in it."""
+        """Place multiplied by the inverse of a frame."""
         _write(target, _matrix(place) @ invert(_matrix(frame)))
 
 
 class Controller6(Controller):
     """iiQKA with EthernetKRL 6, as Roboception's public program for it uses it (KUKA-EKI6/GRI_CLIENT).
 
-    Every call gives an INT, 0 when it went well. clears : a text that is read ends with a zero; otherwise
-    what was behind it stays.
+    Every call returns an INT, 0 on success. clears : a text that is read ends with a zero; otherwise the
+    target keeps its old characters behind it.
     """
 
     eki_init = eki_clear = eki_checkbuffer = None  # type: ignore[assignment]  # calls of other versions
@@ -338,7 +338,7 @@ class Controller6(Controller):
         self.form = root.findtext("Send/Message") or ""
 
     def eki_load(self, channel: Any) -> int:
-        """Read the configuration."""
+        """Load the configuration."""
         assert channel.get() == "edged" and not self.is_initialised
         self.is_initialised = True
         return 0
@@ -354,26 +354,26 @@ class Controller6(Controller):
         return 0
 
     def eki_unload(self, _channel: Any) -> int:
-        """The channel and its memory are gone."""
+        """Delete the channel and its memory."""
         self.link.close()
         self.is_initialised, self.data, self.message = False, b"", b""
         return 0
 
     def eki_setstring(self, _channel: Any, name: Any, text: Any, length: Any) -> int:
-        """So many characters of a value that is sent."""
+        """Set the first `length` characters as the value to send."""
         assert name.get() == "Request"
         self.said = "".join(one.get() for one in text.elements)[: length.get()]
         return 0
 
     def eki_send(self, _channel: Any, message: Any, _length: Any = None) -> Any:
-        """The message of that number."""
+        """Send the message with this number."""
         assert 0 == message.get()
         sent = self.form.replace("$$Request:String$$", self.said)
         assert sent != self.form
         return 0 if self.link.send(sent.encode("ascii")) else 1
 
     def eki_readnext(self, _channel: Any, message: Any) -> int:
-        """0: a message was there, and has been taken."""
+        """0 if a message was waiting, which is then taken."""
         while self.link.is_open and (more := self.link.receive(0.0)) is not None:
             self.data += more
             if not more:
@@ -386,7 +386,7 @@ class Controller6(Controller):
         return 0
 
     def eki_getstring(self, _channel: Any, name: Any, target: Any) -> Any:
-        """The value of the message that was read."""
+        """Value in the message that was read."""
         found = self.rule.match(self.message)
         if name.get() != "Line" or found is None or len(found[1]) > len(target.elements):
             return 1

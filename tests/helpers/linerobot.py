@@ -1,4 +1,4 @@
-"""A robot that talks in lines of text to a live cell."""
+"""A robot that sends lines of text to a live cell."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ class Robot:
         self.file = self.socket.makefile("rb")
 
     def ask(self, line: str) -> tuple[int, int, int, list[float]]:
-        """Sequence, status, remaining, and the rest."""
+        """Sequence, status, remaining, and the other fields of the answer."""
         self.socket.sendall(line.encode() + b"\n")
         fields = self.file.readline().decode().rstrip("\n").split(",")
         sequence, status, remaining = map(int, fields[:3])
         return sequence, status, remaining, [float(field) for field in fields[3:]]
 
     def ended(self) -> bool:
-        """Whether the cell has hung up."""
+        """Whether the cell has closed the connection."""
         try:
             return self.file.readline() == b""
         except ConnectionResetError:
@@ -34,7 +34,7 @@ class Robot:
 
 @contextmanager
 def connected(cell: LiveCell) -> Iterator[Robot]:
-    """A robot on the cell's socket."""
+    """A robot connected to the cell's socket."""
     robot = Robot(cell.server.line_port)
     try:
         yield robot
@@ -44,5 +44,5 @@ def connected(cell: LiveCell) -> Iterator[Robot]:
 
 
 def ready(cell: LiveCell) -> None:
-    """Wait until commands are carried out."""
+    """Wait until the cell is READY."""
     wait_until(lambda: cell.call(lambda: {r.name: v for r, v in cell.server.values()}["STATUS_BITS"]) & 1)

@@ -1,4 +1,4 @@
-"""What a page may ask the cell: one request of each kind."""
+"""One example of each request that a page may send to the cell."""
 
 from __future__ import annotations
 

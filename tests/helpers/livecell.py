@@ -26,7 +26,7 @@ from helpers.waiting import LIMIT_S
 T = TypeVar("T")
 PART_FROM_TCP = make_transform((0.4, 0.0, -1.0), (30.0, -10.0, 5.0))
 GRASPS = Picking(grasps=(Grasp("rim", PART_FROM_TCP, PART_FROM_TCP, 50.0, 80.0),))
-"""One way to take the part of `make_target`."""
+"""A single grasp for the part of `make_target`."""
 
 
 class Head:
@@ -58,7 +58,7 @@ class Head:
 
 
 class LiveCell:
-    """Two jobs; every capture shows `targets`, `slow_s` later, when it `may_end`. Use it as a context."""
+    """A cell with two jobs, as a context; captures give `targets` after `slow_s`, once `may_end` is set."""
 
     def __init__(self, settings: ModbusSettings | None = None, period_s: float | None = None) -> None:
         self.settings = settings or ModbusSettings(port=0, validity_s=30.0)
@@ -75,7 +75,7 @@ class LiveCell:
         self._thread = threading.Thread(target=lambda: asyncio.run(self._run()))
 
     def pick(self, picking: Picking) -> LiveCell:
-        """Before it starts: what its jobs say of picking."""
+        """Set the picking of all jobs, before the cell starts."""
         jobs = {number: replace(job, picking=picking) for number, job in self.setup.jobs.items()}
         self.setup = replace(self.setup, jobs=jobs)
         return self
@@ -98,7 +98,7 @@ class LiveCell:
         return self.server.port
 
     def call(self, work: Callable[[], T]) -> T:
-        """Do something on the cell's event loop."""
+        """Call a function on the cell's event loop."""
 
         async def run() -> T:
             return work()
@@ -106,11 +106,11 @@ class LiveCell:
         return self.run(run())
 
     def run(self, work: Coroutine[Any, Any, T]) -> T:
-        """Await something on the cell's event loop."""
+        """Await a coroutine on the cell's event loop."""
         return asyncio.run_coroutine_threadsafe(work, self.loop).result(LIMIT_S)
 
     def reload(self, **changes: object) -> None:
-        """As a reload that changed these fields of the setup; returns when it is in force."""
+        """Reload with these setup fields changed; returns once the change is in force."""
         self.setup = replace(self.setup, **changes)
         self.call(lambda: self.cycle.exchange(self.setup))
         cell = vars(self.cycle)["_cell"]

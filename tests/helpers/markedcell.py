@@ -1,4 +1,4 @@
-"""A virtual cell with reference marks and weather, and its files as a person has them."""
+"""A virtual cell with reference marks and weather, and its files on disk."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from edged.vision.marks.taught import TaughtMarks, teach_marks
 STILL = Schedule(((0.0, 0.0),))
 S = 10**9
 DEMO_MARKS = MarkFrame(60.0, 52.0, 8, 2.0)
-"""Around the pick area of the demo, as wide as both its cameras see."""
+"""Marks around the demo's pick area, as wide as both its cameras see."""
 
 
 def marked_cell(*knocks: Knock, schedule: Schedule = STILL, seed: int = 3) -> VirtualCell:
@@ -35,7 +35,7 @@ def marked_cell(*knocks: Knock, schedule: Schedule = STILL, seed: int = 3) -> Vi
 
 
 def pair_at(cell: VirtualCell, second: int) -> FramePair:
-    """Both frames of an exposure, at a time after 1970."""
+    """Both frames of one exposure, `second` seconds after the first."""
     frames = []
     for index, side in enumerate(SIDES):
         at_ns = S * (1 + second) + 1000 * index
@@ -53,7 +53,7 @@ class MarkedFiles:
 
 
 def prepared(folder: Path, more: str = "") -> MarkedFiles:
-    """Rig, job and configuration of the demo's cell, without marks yet. more : of the configuration."""
+    """Rig, job and configuration of the demo's cell, without marks yet. more : configuration to append."""
     cell = VirtualCell(demo_rig(), demo_part(), seed=3)
     prepare_cell(folder, cell, DemoOptions(), gige=False)
     config = folder / "cell.toml"
@@ -63,13 +63,13 @@ def prepared(folder: Path, more: str = "") -> MarkedFiles:
 
 @functools.cache
 def still_pairs(exposures: int) -> tuple[tuple[Image, Image], ...]:
-    """What a still cell shows, for all tests of a process: to draw it takes half a second a pair."""
+    """Pairs of a still cell, shared by all tests of a process: rendering takes half a second a pair."""
     cell = marked_cell()
     return tuple(pair_at(cell, second).images for second in range(exposures))
 
 
 def teach(files: MarkedFiles, exposures: int = 8) -> TaughtMarks:
-    """Teach the marks of a still cell beside the rig."""
+    """Teach the marks of a still cell and save them beside the rig."""
     from edged.files.rig import load_rig
 
     taught = teach_marks(still_pairs(exposures), load_rig(files.rig), 5, least=exposures)
@@ -78,7 +78,7 @@ def teach(files: MarkedFiles, exposures: int = 8) -> TaughtMarks:
 
 
 def write_pairs(folder: Path, pairs: list[FramePair]) -> None:
-    """Pictures as `edged grab` names them."""
+    """Write pictures named as `edged grab` names them."""
     folder.mkdir(exist_ok=True)
     for number, pair in enumerate(pairs):
         for side in SIDES:

@@ -1,4 +1,4 @@
-"""A virtual cell with reference marks through the days: dots are computed, no picture is drawn."""
+"""A virtual cell with reference marks over several days: dots are computed, no picture is rendered."""
 
 from __future__ import annotations
 
@@ -29,14 +29,14 @@ SWING_K = 10.0
 
 
 def rim_mm() -> FloatArray:
-    """(8, 3) of a part of 28 mm."""
+    """(8, 3) points on the rim of a part of 28 mm."""
     angles = np.arange(8) * np.pi / 4
     return 14.0 * np.column_stack([np.cos(angles), np.sin(angles), 0 * angles])
 
 
 @dataclass(eq=False)
 class MarkedDay:
-    """One virtual cell with marks, from its teaching on."""
+    """One virtual cell with marks, starting at its teaching."""
 
     weather: Weather
     seed: int
@@ -74,18 +74,18 @@ class MarkedDay:
         self.exposures = 0
 
     def dots(self, cameras: TrueCameras, moved: FloatArray | None = None) -> FloatArray:
-        """(2, N, 2) where dots are measured. moved (N, 3) : of marks, mm."""
+        """(2, N, 2) measured positions of the dots. moved (N, 3) : displacement of the marks, mm."""
         places = self.places if moved is None else self.places + moved
         space = MIDDLE + cameras.plate_scale * places
         seen = np.stack([project(*cameras.camera(side), space) for side in SIDES])
-        # a wave over each pixel, as large as the bias that the filter expects
+        # a wave over each pixel, as large as the bias that the filter assumes
         grid = np.sqrt(2.0) * self.grid_px * np.sin(2 * np.pi * (seen + self.phases))
         return seen + grid + self.rng.normal(0.0, NOISE_PX, seen.shape)
 
     def expose(
         self, at_s: float, hidden: Sequence[int] = (), moved: FloatArray | None = None
     ) -> tuple[TrueCameras, MarksReport]:
-        """One exposure."""
+        """Make one exposure; returns the true cameras and the marks' report."""
         cameras = self.weather.at(at_s)
         pixels = self.dots(cameras, moved)
         pixels[:, list(hidden)] = np.nan
@@ -96,7 +96,7 @@ class MarkedDay:
         return cameras, report
 
     def part(self, cameras: TrueCameras) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Error of a part somewhere, mm, with marks (3,) and without, and the stated covariance (3, 3)."""
+        """Error of a part at a random place, mm, with marks (3,) and without, and stated covariance."""
         place = MIDDLE + self.rng.uniform(-1, 1, 3) * (30.0, 22.5, 15.0) - (0.0, 0.0, 10.0)
         points = place + rim_mm() @ rotation_matrix(self.rng.normal(0, 0.05, 3)).T
         left, right = (project(*cameras.camera(side), points) for side in SIDES)
@@ -111,7 +111,7 @@ class MarkedDay:
 def new_day(
     seed: int, *knocks: Knock, swing_k: float = SWING_K, material: str = "steel", **more: bool
 ) -> MarkedDay:
-    """A cell on its first day. It was taught at the mean temperature."""
+    """A cell on its first day, taught at the mean temperature."""
     schedule = Schedule.days(swing_k, 2.0) if swing_k else Schedule(((0.0, 0.0),))
     weather = Weather(demo_rig(), schedule, knocks, seed)
     settings = MarksSettings(material, max(swing_k, 1.0), **more)
@@ -119,5 +119,5 @@ def new_day(
 
 
 def chi2(error: FloatArray, covariance: FloatArray) -> float:
-    """Squared error over what is stated, per coordinate."""
+    """Squared error in units of the stated covariance, per coordinate."""
     return float(error @ np.linalg.solve(covariance, error)) / 3

@@ -1,4 +1,4 @@
-"""Drawn pictures of a plate of reference marks, and what was taught of it."""
+"""Rendered pictures of a plate of reference marks, and the marks taught from them."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ VIEWS = stereo_views(demo_rig())
 def pair(
     at: FloatArray, noise: int, *more: PlacedPart, first: int = 40, instead: PlacedPart | None = None
 ) -> tuple[Image, Image]:
-    """Both pictures of a plate at a pose, or of another one instead."""
+    """Both pictures of a plate in this pose, or of another part instead."""
     table = Table(
         Surface(albedo=0.16, contrast=0.25, feature_mm=0.6, seed=2), transform(np.eye(3), MIDDLE + 1)
     )
@@ -38,5 +38,5 @@ def pair(
 
 @cache
 def taught() -> TaughtMarks:
-    """Marks that were taught with ten exposures."""
+    """Marks taught with ten exposures."""
     return teach_marks((pair(AT, noise) for noise in range(10)), demo_rig(), 7, least=10)

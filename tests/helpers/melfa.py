@@ -26,7 +26,7 @@ NAME = r"[MCP][A-Za-z0-9_]*[%$]?"
 
 
 class Stopped(Exception):
-    """An error of the program: its slot stops."""
+    """A runtime error that stops the program's slot."""
 
 
 def _whole(value: Any) -> int:
@@ -47,7 +47,7 @@ TYPES = Types(
 
 
 def matrix(position: Record) -> FloatArray:
-    """Angles of positions are in radians here."""
+    """Transform of a position, whose angles are in radians."""
     *lengths_mm, a, b, c = list(position.plain().values())[:6]
     return transform_of(Brand.MITSUBISHI, (*lengths_mm, *np.degrees((a, b, c)).tolist()))
 
@@ -59,7 +59,7 @@ def _write(position: Record, pose: FloatArray) -> None:
 
 
 class TaskSlot:
-    """A task slot: what it runs, its own variables, and why it waits."""
+    """A task slot: its program, its own variables, and its wait time."""
 
     equals = "="
     index = "[]"
@@ -84,7 +84,7 @@ class TaskSlot:
         self.runs = True
 
     def named(self, name: str) -> Any:
-        """A variable, by its first letter and its last; those with _ are the controller's."""
+        """Variable by name, typed by its first and last letters; names with _ belong to the controller."""
         name, written = name.upper(), name
         if name in self.controller.shared:
             return self.controller.shared[name]
@@ -98,15 +98,15 @@ class TaskSlot:
         return self.variables[name]
 
     def invoke(self, name: str, arguments: list[Any]) -> Any:
-        """A function."""
+        """Call a built-in function."""
         return self.controller.functions[name](*(one.get() for one in arguments))
 
     def evaluate(self, text: str) -> Any:
-        """A value, or a variable."""
+        """Value of an expression, or a variable."""
         return Compiler(text, self).expression()()
 
     def step(self) -> bool:
-        """One line. False: it waits."""
+        """Execute one line; False while it waits."""
         if self.controller.link.now_s() < self.waits_until_s:
             return False
         assert self.at < len(self.lines), "behind the last line"
@@ -175,7 +175,7 @@ class TaskSlot:
             place.set(value)
 
     def _input(self, names: list[str]) -> None:
-        """What stands between the commas; what there is beyond the variables is ignored."""
+        """Read comma-separated values; those beyond the given variables are ignored."""
         assert len(names) <= 16
         parts = self.controller.take_line().split(",")
         for name, part in zip(names, parts, strict=False):
@@ -185,7 +185,7 @@ class TaskSlot:
 
 
 class Controller:
-    """Two task slots, the link, timers, and variables known to all.
+    """Two task slots, the link, timers, and variables shared by all slots.
 
     short_waits : whether `Input` waits for more of a line that has too few numbers; otherwise the variables
     stay as they are. end : what `Print #` sends at the end of a line, and `Input #` waits for.
@@ -223,7 +223,7 @@ class Controller:
         }
 
     def run(self, source: str, **known: FloatArray) -> None:
-        """A program that calls EDGED. known : poses of its positions."""
+        """Run a program that calls EDGED. known : poses of its positions."""
         slot = TaskSlot(self, source)
         for name, pose in known.items():
             _write(slot.named(name).get(), pose)
@@ -231,7 +231,7 @@ class Controller:
             assert slot.step()
 
     def call(self, *arguments: float) -> None:
-        """CallP "EDGED"."""
+        """Execute CallP "EDGED"."""
         self.arguments = arguments
         for name, pose in (("P_CURR", self.link.arm.tip), ("P_TOOL", self.link.arm.flange_from_tip)):
             _write(self.shared[name].get(), pose)
@@ -248,7 +248,7 @@ class Controller:
         assert 2 not in self.slots, "the slot is still taken"
 
     def slot_do(self, what: str, program: str | None) -> None:
-        """A task slot is run, stopped, reset, given free: in this order."""
+        """Run, stop, reset or clear a task slot, in this order."""
         if what == "XRun":
             assert program is not None and 2 not in self.slots
             self.slots[2] = TaskSlot(self, self.files[f"{program[1:-1]}.prg"])
@@ -263,24 +263,24 @@ class Controller:
             assert not self.slots.pop(2).runs
 
     def open(self) -> None:
-        """It tries to connect."""
+        """Try to connect."""
         assert not self.is_open
         self.is_open = True
         self.link.open()
 
     def close(self) -> None:
-        """Of one that is not open: nothing."""
+        """Close; does nothing if not open."""
         self.is_open = False
         self.heard = b""
         self.link.close()
 
     def print(self, text: str) -> None:
-        """With an end of line."""
+        """Send text with an end of line."""
         if not self.link.send(text.encode("ascii") + self.end):
             raise Stopped("the link is lost")
 
     def has_line(self) -> bool:
-        """Whether a whole line has come."""
+        """Whether a whole line has arrived."""
         assert self.is_open
         while self.link.is_open and self.end not in self.heard and (data := self.link.receive(0.0)):
             self.heard += data
@@ -290,6 +290,6 @@ class Controller:
         return self.end in self.heard
 
     def take_line(self) -> str:
-        """The oldest."""
+        """Take the oldest line."""
         line, _, self.heard = self.heard.partition(self.end)
         return line.decode("latin-1")

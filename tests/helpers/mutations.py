@@ -1,4 +1,4 @@
-"""Messages that somebody has changed."""
+"""Corrupted messages for fuzz tests."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import random
 
 
 def mutated(message: bytes, chance: random.Random) -> bytes:
-    """A few of its bytes are others, missing, or there twice."""
+    """Change, drop or duplicate a few of its bytes."""
     data = bytearray(message)
     for _ in range(chance.randint(1, 4)):
         at = chance.randrange(len(data))

@@ -1,4 +1,4 @@
-"""A live cell that is served over OPC UA, and certificates for it and its clients."""
+"""A live cell served over OPC UA, and certificates for it and its clients."""
 
 from __future__ import annotations
 
@@ -30,17 +30,17 @@ from helpers.waiting import LIMIT_S
 
 PASSWORD = "a password for tests"
 PASSWORD_HASH = PasswordHasher(time_cost=1, memory_cost=512, parallelism=1).hash(PASSWORD)
-"""Cheap to check."""
+"""Hashed with cheap parameters."""
 JOBS = [(1, "job1"), (2, "job2")]
 
 
 def client_of(url: str) -> Client:
-    """As patient as these tests: a client of asyncua hangs up where a busy machine is silent for a second."""
+    """A patient client: asyncua's own closes the connection when a busy machine is silent for a second."""
     return Client(url, timeout=LIMIT_S, watchdog_intervall=LIMIT_S)
 
 
 def make_certificate(folder: Path, name: str, uri: str, *, days: int = 2) -> None:
-    """`name`.pem, .der, .key and .key.der: an application's certificate, as OPC 10000-6, 6.2.2 wants it."""
+    """Write `name`.pem, .der, .key and .key.der: an application certificate as OPC 10000-6, 6.2.2 asks."""
     key = rsa.generate_private_key(65537, 2048)
     subject = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, name)])
     now = datetime.datetime.now(datetime.UTC)
@@ -106,7 +106,7 @@ def secure_settings(folder: Path, *, anonymous: bool = False) -> OpcUaSettings:
 
 @cache
 def remember_standard_nodes() -> None:
-    """From now on asyncua makes the 6,000 nodes of the standard once, in three quarters of a second.
+    """Make asyncua build the 6,000 nodes of the standard only once; it takes three quarters of a second.
 
     And those of the companion specification that each cell adds to them.
     """
@@ -141,8 +141,8 @@ def remember_standard_nodes() -> None:
 
 
 def loaded(pickled: bytes) -> Any:
-    """What was pickled."""
-    gc.disable()  # a reader that looks for garbage takes longer than making them
+    """Unpickle without garbage collection."""
+    gc.disable()  # the garbage collector would take longer than building the nodes
     try:
         return pickle.loads(pickled)
     finally:
@@ -163,7 +163,7 @@ class OpcUaCell(LiveCell):
     def __enter__(self) -> OpcUaCell:
         super().__enter__()
         asyncio.run_coroutine_threadsafe(self.publisher.start(), self.loop).result(LIMIT_S)
-        # before Modbus, though it shows what Modbus has taken note of: the order must not matter
+        # before Modbus, though it shows what Modbus recorded: the order must not matter
         self.call(lambda: self.cycle.set_publishers([self.publisher, self.server]))
         return self
 
@@ -172,7 +172,7 @@ class OpcUaCell(LiveCell):
     ) -> None:
         server = vars(self.publisher)["_server"]
         asyncio.run_coroutine_threadsafe(self.publisher.close(), self.loop).result(LIMIT_S)
-        # else they are garbage of a cycle, and to find and free that takes ten times as long
+        # otherwise they form a garbage cycle, which takes ten times as long to find and free
         vars(vars(vars(server)["_space"])["_nodes"])["_server"].aspace.clear()
         super().__exit__(kind, error, trace)
 

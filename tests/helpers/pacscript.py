@@ -1,6 +1,6 @@
 """PacScript as Denso's controllers run it, as far as `edged registers --format pacscript` uses it.
 
-After the public program that the template names: functions that give what was assigned to their name,
+After the public program that the template names: functions return what was assigned to their name,
 `On Error GoTo`, Variants that hold bytes, and the methods of `Comm` on a line whose data are binary.
 """
 
@@ -33,21 +33,21 @@ AXES = ("x", "y", "z", "rx", "ry", "rz")
 
 
 class PacError(Exception):
-    """An error that On Error may catch."""
+    """An error that On Error can catch."""
 
 
 class Variant(Variable):
-    """Bytes, each of which has a place."""
+    """An array of bytes, each of which is a variable."""
 
     def element(self, index: Any) -> Variable:
-        """From 0."""
+        """Element, counted from 0."""
         found: Variable = self.value[int(index)]
         return found
 
 
 class _Types(Types):
     def variable(self, kind: str, value: Any = None) -> Variable:
-        """A Variant has elements."""
+        """A variable; a Variant has elements."""
         if kind == "Variant":
             return Variant(kind, [], self)
         return super().variable(kind, value)
@@ -74,7 +74,7 @@ TYPES = _Types(
 
 
 class _Syntax(Syntax):
-    """PacScript's statements, one a line."""
+    """PacScript's statements, one per line."""
 
     IF = r"If (.+) Then$"
     WHILE = r"Do While (.+)$"
@@ -97,7 +97,7 @@ class _Syntax(Syntax):
 
 
 class _Pac(LabelledProgram):
-    """PacScript: a function gives the variable of its name."""
+    """PacScript: a function returns the variable with its name."""
 
     def _guarded(self, routine: Routine) -> None:
         assert isinstance(routine, Function) and routine.labels is not None
@@ -114,7 +114,7 @@ class _Pac(LabelledProgram):
 
 
 def load(source: str, controller: Controller) -> Program:
-    """The file, its routines ready to be called."""
+    """Load the file, its routines ready to be called."""
     assert source.isascii()
     program = _Pac("pacscript", TYPES, "=", "[]")
     program.builtins = {name.upper(): getattr(controller, method) for name, method in BUILTINS.items()}
@@ -189,7 +189,7 @@ BUILTINS = {
 
 
 class Controller:
-    """Line 8. is_left_open : another task left it open, with what had come for that."""
+    """Controller with line 8. is_left_open : another task left it open, with data that task had received."""
 
     def __init__(self, link: Link, *, is_left_open: bool = False) -> None:
         self.link = link
@@ -211,42 +211,42 @@ class Controller:
         return pose_of(Brand.DENSO, arm.tip if self.tool.get() else arm.flange)[index]
 
     def str(self, value: Any) -> str:
-        """A number's digits."""
+        """Digits of a number."""
         return f"{value.get():.10g}"
 
     def mid(self, text: Any, start: Any, count: Any) -> str:
-        """From 1."""
+        """Substring, counted from 1."""
         first = int(start.get()) - 1
         assert 0 <= first < len(text.get())
         return text.get()[first : first + int(count.get())]
 
     def asc(self, text: Any) -> int:
-        """The code of the first character."""
+        """Code of the first character."""
         return ord(text.get()[0])
 
     def len(self, text: Any) -> int:
-        """Of a text."""
+        """Length of a text."""
         return len(text.get())
 
     def position(self, *numbers: Any) -> Record:
-        """X, Y, Z, RX, RY, RZ and the figure."""
+        """Position from X, Y, Z, RX, RY, RZ and the figure."""
         made: Record = TYPES.initial("Position")
         for one, number in zip(made.fields.values(), numbers, strict=True):
             one.set(number.get())
         return made
 
     def create_array(self, size: Any) -> list[Variable]:
-        """Of bytes."""
+        """Array of bytes."""
         return [TYPES.variable("byte") for _ in range(size.get())]
 
     def write_byte_array(self, value: Any, target: Any, offset: Any) -> None:
-        """It grows as it is written."""
+        """Write one byte; the array grows as it is written."""
         assert isinstance(target, Variant) and value.type == "byte"
         assert offset.get() == len(target.value), "a gap"
         target.value = [*target.value, TYPES.variable("byte", value.get())]
 
     def open(self, line: Any) -> None:
-        """Connect; a line that another task left open is the same again."""
+        """Connect; a line left open by another task is reused."""
         assert 8 == line.get()
         if self.is_left_open:
             self.is_left_open, self.heard = False, b"7,0,0,1.000000\n"
@@ -257,7 +257,7 @@ class Controller:
             raise PacError
 
     def close_line(self, line: Any) -> None:
-        """An error for a line that this task has not opened."""
+        """Close; an error for a line that this task has not opened."""
         assert 8 == line.get()
         if self.is_left_open:
             raise PacError
@@ -265,7 +265,7 @@ class Controller:
         self.link.close()
 
     def output(self, line: Any, data: Any, timeout: Any, size: Any) -> None:
-        """All of it."""
+        """Send all of the data."""
         assert (8, -1) == (line.get(), timeout.get())
         sent = bytes(one.get() for one in data.get())
         assert len(sent) == size.get()
@@ -273,7 +273,7 @@ class Controller:
             raise PacError
 
     def count(self, line: Any) -> int:
-        """Bytes that have come; an error of a link that is lost."""
+        """Number of received bytes; an error if the link is lost."""
         assert 8 == line.get()
         if not self.heard and (data := self.link.receive(0.0)) is not None:
             if not data:
@@ -282,7 +282,7 @@ class Controller:
         return len(self.heard)
 
     def input(self, line: Any, timeout: Any, size: Any) -> list[Variable]:
-        """So many bytes, which must be there."""
+        """Read this many bytes, which must have arrived."""
         assert (8, -1) == (line.get(), timeout.get())
         length = int(size.get())
         assert 1 <= length <= len(self.heard), "it would wait"

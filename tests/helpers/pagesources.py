@@ -1,4 +1,4 @@
-"""What a page asks for besides events, each as a function of a test."""
+"""The sources of a page besides events, each replaceable by a test's function."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from edged.vision.geometry.rectification import Rectification
 
 @dataclass(frozen=True)
 class FixedSources:
-    """`edged.adapters.web.PageSources`."""
+    """`edged.adapters.web.PageSources` with fixed answers."""
 
     rectification: Callable[[], Rectification]
     jobs: Callable[[], Sequence[tuple[int, str]]] = tuple

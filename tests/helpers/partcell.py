@@ -1,4 +1,4 @@
-"""A daemon with a rig and no jobs before a drawn part, and a browser that teaches it."""
+"""A daemon with a rig and no jobs whose cameras see a drawn part, and a browser session that teaches it."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from helpers.cells import flange, pictures, pose, scene
 
 @functools.cache
 def turned(turn_deg: float) -> tuple[Image, Image]:
-    """The flange elsewhere, turned by so much; not to be changed."""
+    """Pair of the flange in another place, turned by this angle; read-only."""
     return pictures(flange().rig, scene((demo_part(), pose((4.0, 3.0, 205.0), turn_deg))), seed=5)
 
 
 class PartCell(BoardCell):
-    """The flange lies before its cameras."""
+    """A cell with the flange before its cameras."""
 
     def __init__(self, folder: Path) -> None:
         super().__init__(folder)
@@ -29,22 +29,22 @@ class PartCell(BoardCell):
         self.world.shown = flange().left, flange().right
 
     async def take(self) -> dict[str, str]:
-        """The token of who has the cell."""
+        """Enter setup and return the lease's token."""
         _, entered = await self.ask("POST", "/setup", {"name": "Anna"})
         return {"token": entered["token"]}
 
     async def begun(self, **how: Any) -> dict[str, Any]:
-        """A new draft whose proposal is there."""
+        """Create a draft and wait for its proposal."""
         status, draft = await self.ask("POST", "/teachings", how)
         assert 201 == status, draft
         return await self.learnt(draft["id"])
 
     async def learnt(self, identity: str) -> dict[str, Any]:
-        """A draft that nothing is learnt for any more."""
+        """Wait until a draft is no longer being learnt, and return it."""
         return dict(await self.until(f"/teachings/{identity}", lambda draft: draft["proposing"] is None))
 
     async def change(self, method: str, draft: dict[str, Any], path: str, body: Any) -> dict[str, Any]:
-        """The draft after a change that is taken, once that is looked at."""
+        """Make a change that must be accepted, and return the draft once it has been processed."""
         status, answer = await self.ask(method, f"/teachings/{draft['id']}{path}", body)
         assert 200 == status, answer
         return await self.learnt(draft["id"])

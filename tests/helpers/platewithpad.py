@@ -1,4 +1,4 @@
-"""An L-shaped plate with a pad: its STEP file, and what the renderer makes it of."""
+"""An L-shaped plate with a pad: its STEP file, and the same part for the renderer."""
 
 from __future__ import annotations
 
@@ -32,6 +32,6 @@ def square() -> FloatArray:
 
 
 def settled(job: Job, pair: tuple[Image, Image]) -> Settled:
-    """A job with the file, from the pair that taught it."""
+    """The job with the model file, fitted to the pair that taught it."""
     images = StereoImages.of(prepare(small_rig()).rectification, *pair)
     return settle(job, read_model(STEP, "-z")[1].curves, images, "D3.step")

@@ -1,6 +1,6 @@
-"""Controllers whose memory the cell reads and writes: servers of those protocols by other authors, in tests.
+"""Controllers whose memory the cell reads and writes: independent servers of those protocols, run in tests.
 
-Places in the image are numbers here, as an electrician reads them in the manual.
+Offsets in the image are literal numbers here, as an electrician reads them in the manual.
 """
 
 from __future__ import annotations
@@ -35,27 +35,27 @@ from helpers.waiting import LIMIT_S, wait_until
 
 T = TypeVar("T")
 CMD, JOB, CMD_SEQ, ACK_SEQ, FLANGE_X, CONTROL = 0, 2, 4, 6, 12, 42
-"""First bytes of words to the cell."""
+"""Byte offsets of words to the cell."""
 MAGIC, HEARTBEAT, BITS, REASON, DONE_SEQ, SEQ_HEAD, FLAGS, F_X, SEQ_TAIL = 0, 4, 6, 8, 18, 32, 46, 48, 126
-"""First bytes of words from the cell."""
+"""Byte offsets of words from the cell."""
 READY, DONE, OK, NOK, EXPOSED, BUSY = 1, 8, 16, 32, 4, 2
-"""BITS."""
+"""Bits of the word BITS."""
 
 
 class Controller(Protocol):
-    """A PLC: its 192 bytes, and how its values are written."""
+    """A PLC: its 192 bytes, and its byte order."""
 
     order: str
     section: PlcSection
 
     def get(self, start: int, size: int) -> bytes:
-        """Bytes of the 192."""
+        """Bytes of the 192-byte image."""
 
     def put(self, start: int, data: bytes) -> None:
-        """Write as the program of the PLC does, while it is asked."""
+        """Write as the PLC's program does, while the cell accesses the memory."""
 
     def stop(self) -> None:
-        """Off."""
+        """Switch off."""
 
 
 class S7Controller:
@@ -87,21 +87,21 @@ class S7Controller:
 
 
 class Program:
-    """What a program does in its controller's memory."""
+    """The PLC program's view of its controller's memory."""
 
     def __init__(self, controller: Controller) -> None:
         self.controller = controller
 
     def write(self, start: int, value: int, kind: str = "H") -> None:
-        """A word to the cell, or two."""
+        """Write one value to the cell: a word, or two."""
         self.controller.put(start, struct.pack(self.controller.order + kind, value))
 
     def word(self, start: int) -> int:
-        """A word from the cell."""
+        """Read a word from the cell."""
         return int(struct.unpack(self.controller.order + "H", self.controller.get(64 + start, 2))[0])
 
     def scan(self) -> tuple[int, int, float]:
-        """BITS, REASON and F_X of one copy that is whole, as its words are compared."""
+        """BITS, REASON and F_X of one consistent copy, whose sequence words match."""
         while True:
             image = self.controller.get(64, 128)
             bits, reason = struct.unpack_from(self.controller.order + "2H", image, BITS)
@@ -113,13 +113,13 @@ class Program:
                 return bits, reason, x_mm
 
     def locate(self) -> None:
-        """Ask for a part once the cell is READY, until it is OK."""
+        """Ask for a part once the cell is READY, and wait until it is OK."""
         self.until(lambda bits: bits & READY)
         self.write(CONTROL, 1)
         self.until(lambda bits: bits & OK)
 
     def until(self, condition: Callable[[int], object]) -> tuple[int, int, float]:
-        """Scans until BITS are so."""
+        """Scan until BITS fulfil a condition."""
         end_s = time.monotonic() + LIMIT_S
         while not condition((scanned := self.scan())[0]):
             assert time.monotonic() < end_s, scanned
@@ -129,7 +129,7 @@ class Program:
 
 @contextlib.contextmanager
 def memory_of(cell: LiveCell, section: PlcSection) -> Iterator[PlcMemoryPublisher]:
-    """The running cell writes into a PLC, until the end."""
+    """Serve the running cell by writing into a PLC, within the context."""
 
     async def start() -> PlcMemoryPublisher:
         publisher = PlcMemoryPublisher(section, lambda: cell.server, make_memory(section))
@@ -146,7 +146,7 @@ def memory_of(cell: LiveCell, section: PlcSection) -> Iterator[PlcMemoryPublishe
 
 
 class BadServer:
-    """A TCP server that answers what it likes. answer : of a connection, called on a thread."""
+    """A TCP server with arbitrary answers. answer : handles a connection, on a thread."""
 
     def __init__(self, answer: Callable[[socket.socket], None], port: int = 0) -> None:
         self._listener = socket.create_server(("127.0.0.1", port))
@@ -200,7 +200,7 @@ class S7Program(structured_text.Driven):
         self.values = self.block.values
 
     def scan(self) -> None:
-        """One cycle: the data block is the controller's memory."""
+        """Run one cycle; the data block is the controller's memory."""
         block = self.program.shared["DB_EDGED_CELL"]
         to_cell, from_cell = block["stToCell"], block["stFromCell"]
         values = struct.unpack(FORMAT_FROM, self._controller.get(64, 128))
@@ -212,11 +212,11 @@ class S7Program(structured_text.Driven):
 
 FORMAT_TO = ">6H6i4H2I6H"
 FORMAT_FROM = ">14HI8H6f6i3iiHHHHHHHH"
-"""By their types in the source: 64 and 128 bytes, as TIA lays out a structure with standard access."""
+"""Layout from the types in the source: 64 and 128 bytes, as TIA lays out a structure with standard access."""
 
 
 def is_open(port: int) -> bool:
-    """Whether somebody listens."""
+    """Whether something listens on this port."""
     try:
         socket.create_connection(("127.0.0.1", port)).close()
     except OSError:
@@ -225,7 +225,7 @@ def is_open(port: int) -> bool:
 
 
 class LogixController:
-    """A process of cpppo with two arrays of INT as the members of a tag; the PLC's program is pylogix."""
+    """A cpppo process with two arrays of INT as the members of a tag; the PLC's program is pylogix."""
 
     order = "<"
 
@@ -260,15 +260,15 @@ class LogixController:
 
     def stop(self) -> None:
         self._program.Close()
-        self._program.conn.msg_socket.close()  # its own, for messages to it, which it never closes
+        self._program.conn.msg_socket.close()  # its own connection, which it never closes
         self._process.kill()
         self._process.wait(LIMIT_S)
 
 
 class UdtController:
-    """A Logix controller with a structure, after 1756-PM020: cpppo serves arrays only from its command line.
+    """A Logix controller with a structure, after 1756-PM020: cpppo serves only arrays from its command line.
 
-    By the author of the client: its bytes are those of the manual's examples. kind : of both members.
+    Written by the author of the client: its bytes are those of the manual's examples. kind : of both members.
     """
 
     order = "<"
@@ -327,11 +327,11 @@ class UdtController:
 
 
 L5X_TYPES = {"INT": ("h", 2), "DINT": ("i", 4), "REAL": ("f", 4)}
-"""Format and alignment of members (1756-PM020, "Structures")."""
+"""Format and alignment of member types (1756-PM020, "Structures")."""
 
 
 def l5x_structures(text: str) -> dict[str, list[tuple[str, str, int]]]:
-    """Members of each structure: name, type and how many; nothing that a controller refuses."""
+    """Members of each structure: name, type and count; fails on what a controller would refuse."""
     found = {}
     for structure in ET.fromstring(text.encode()).iter("DataType"):
         members = []
@@ -347,7 +347,7 @@ def l5x_structures(text: str) -> dict[str, list[tuple[str, str, int]]]:
 class LogixProgram(structured_text.Driven):
     """A controller that executes the add-on instruction of the L5X file on its tag.
 
-    What Logix alone has is turned into IEC 61131-3: bits of an INT, CPS and COP, TONR, 1 and 0 as BOOL.
+    Constructs specific to Logix become IEC 61131-3: bits of an INT, CPS and COP, TONR, 1 and 0 as BOOL.
     """
 
     def __init__(self, controller: UdtController) -> None:
@@ -372,7 +372,7 @@ class LogixProgram(structured_text.Driven):
         self.values = self.block.values
 
     def scan(self) -> None:
-        """One scan: the tag is the controller's memory."""
+        """Run one scan; the tag is the controller's memory."""
         cell = self.program.shared["Cell"]
         start, size, names = 64, 128, self._layout["EDGED_FROM_CELL"]
         form = "".join(L5X_TYPES[kind][0] for _, kind, _ in names)
@@ -388,13 +388,13 @@ class LogixProgram(structured_text.Driven):
 
 
 def kind_of(field: str, kind: str, many: int) -> str:
-    """A member's type in IEC 61131-3; whose bits are asked for is a WORD."""
+    """A member's type in IEC 61131-3; a member whose bits are read is a WORD."""
     kind = "WORD" if field == "BITS" else kind
     return f"ARRAY[0..{many - 1}] OF {kind}" if many else kind
 
 
 def iec(logic: str) -> str:
-    """Logix' structured text as that of IEC 61131-3."""
+    """Translate Logix structured text to IEC 61131-3."""
     logic = re.sub(r"//.*", "", logic)
     logic = re.sub(r"\b(?:CPS|COP)\(([\w.]+), (\w+), 1\);", r"\2 := \1;", logic)
     logic = re.sub(r"\bWatch\.(PRE|TimerEnable|Reset) := .*;", "", logic)
@@ -449,13 +449,13 @@ class MelsecController:
         self._loop.close()
 
     async def _end(self) -> None:
-        """Also connections that came while the simulator ended, which it never closes."""
+        """End also the connections made while the simulator was closing, which it never closes."""
         await self.simulator.aclose()
         rest = asyncio.all_tasks() - {asyncio.current_task()}
         for task in rest:
             task.cancel()
         await asyncio.gather(*rest, return_exceptions=True)
-        await asyncio.sleep(0)  # a closed transport ends in the turn after that
+        await asyncio.sleep(0)  # a closed transport ends one loop iteration later
 
     async def _read(self, word: int, count: int) -> tuple[int, ...]:
         return self.simulator.memory.read_words("D", 1000 + word, count)
@@ -468,9 +468,9 @@ class MelsecController:
 
 
 class Mangler:
-    """Between the cell and a controller: of what the controller answers, some is changed, cut or sent twice.
+    """A proxy between cell and controller that corrupts, cuts or duplicates some of the controller's answers.
 
-    rate : of the parts that are mangled; 0: none.
+    rate : share of the answers that are mangled; 0: none.
     """
 
     def __init__(self, port: int, seed: int) -> None:
@@ -487,7 +487,7 @@ class Mangler:
 
     @property
     def connections(self) -> int:
-        """So far."""
+        """Number of connections so far."""
         return self._server.connections
 
     def _pass(self, line: socket.socket) -> None:

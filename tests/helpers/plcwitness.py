@@ -1,7 +1,7 @@
-"""A PLC that writes down what it sees of a cell, and says what it should never have seen.
+"""A PLC that records what it sees of a cell and reports what it should never have seen.
 
 It polls status and result over Modbus/TCP from a process of its own, as pymodbus does it, through restarts of
-the cell. Nothing of edged decides here but the map and its CRC: what is wrong is judged by the witness's own
+the cell. It uses nothing of edged but the register map and its CRC: faults are judged by the witness's own
 memory and clock.
 """
 
@@ -24,12 +24,12 @@ from helpers.waiting import LIMIT_S
 
 RESULT_CODES = {1: "OK", 2: "NO_TARGET", 3: "LOW_QUALITY", 4: "CAPTURE_FAULT"}
 SLACK_S = 0.25
-"""A witness on a busy PC may look this much later than it meant to."""
+"""A witness on a busy PC may poll this much later than planned."""
 
 
 @dataclass(frozen=True, slots=True)
 class Sight:
-    """One poll. at_s : monotonic, of the question.  answer_s : of the slower one of both requests.
+    """One poll. at_s : monotonic time of the request.  answer_s : duration of the slower of both requests.
 
     exposed_ns : 0 when no result is on display.  valid : the result's own flag.
     """
@@ -45,21 +45,21 @@ class Sight:
 
 @dataclass(slots=True)
 class Report:
-    """What was seen, and each thing that must not be, once with the first example."""
+    """All polls, and each kind of fault once, with its first example."""
 
     sights: list[Sight] = field(default_factory=list)
     wrong: dict[str, str] = field(default_factory=dict)
     connections: int = 0
 
     def between(self, start_s: float, end_s: float) -> list[Sight]:
-        """The polls of a time."""
+        """Polls within a period."""
         return [sight for sight in self.sights if start_s <= sight.at_s < end_s]
 
 
 class _Judge:
-    """The witness's memory.
+    """The witness's memory and its checks.
 
-    validity_s : as configured in the cell.  An exposure is known by its time stamp: no two have the same.
+    validity_s : as configured in the cell.  An exposure is identified by its time stamp, which is unique.
     """
 
     def __init__(self, validity_s: float, report: Report) -> None:
@@ -71,11 +71,11 @@ class _Judge:
         self._life_began = True
 
     def restarted(self) -> None:
-        """The connection is a new one: the cell may have been started anew."""
+        """Note a new connection: the cell may have been restarted."""
         self._life_began = True
 
     def look(self, answered_s: float, words: list[int], sight: Sight) -> None:
-        """Compare one poll with everything that was seen before. answered_s : monotonic."""
+        """Compare one poll with all earlier ones. answered_s : monotonic."""
         result = decode(RESULT, words)
         data = struct.pack(">46H", *words[:46])
         withdrawn = result["SEQ_TAIL"] == 0 and not sight.valid
@@ -101,7 +101,7 @@ class _Judge:
                 self._wrong("repeated", f"exposure {exposed_ns} came back after a restart")
             self._shown, self._cycle, self._life_began = exposed_ns, sight.cycle, False
             self._first_seen_s.setdefault(exposed_ns, answered_s)
-        # at least: from the answer that had it first to the question that has it still
+        # lower bound on its age: from the first answer that had it to the last request that still gets it
         age_s = sight.at_s - self._first_seen_s[exposed_ns]
         if sight.valid and age_s > self._validity_s + SLACK_S:
             self._wrong("stale", f"VALID {age_s:.2f} s after it was first seen, allowed {self._validity_s:g}")
@@ -118,9 +118,9 @@ def watch(
     stop: Event,
     reports: Queue[Report],
 ) -> None:
-    """The witness's process."""
+    """Main function of the witness's process."""
     up.set()
-    logging.getLogger("pymodbus").setLevel(logging.CRITICAL)  # a cell that is not there is no news here
+    logging.getLogger("pymodbus").setLevel(logging.CRITICAL)  # an absent cell is expected here
     report = Report()
     judge = _Judge(validity_s, report)
     while not stop.is_set():
@@ -130,7 +130,7 @@ def watch(
                 report.connections += 1
                 judge.restarted()
                 _poll(client, period_s, judge, report, stop)
-        except (ModbusException, OSError):  # the cell has gone: it was killed
+        except (ModbusException, OSError):  # the cell was killed
             pass
         finally:
             client.close()
@@ -165,7 +165,7 @@ def _poll(client: ModbusTcpClient, period_s: float, judge: _Judge, report: Repor
 
 
 class Witness:
-    """A witness beside the test; a context manager. `report` is there after it has ended."""
+    """A witness process beside the test; a context manager. `report` exists after it has ended."""
 
     def __init__(self, port: int, *, period_s: float = 0.02, validity_s: float = 2.0) -> None:
         context = mp.get_context("spawn")
@@ -179,7 +179,7 @@ class Witness:
         self.report = Report()
 
     def __enter__(self) -> Witness:
-        """Begin to poll; the cell need not be there yet."""
+        """Begin to poll; the cell need not be running yet."""
         self._process.start()
         assert self._up.wait(60), "the witness's process did not start within 60 s"
         return self

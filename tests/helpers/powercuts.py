@@ -1,10 +1,10 @@
-"""Power cuts: what writers did to a folder is recorded call by call, and any disk that may be left is drawn.
+"""Power cuts: a writer's calls on a folder are recorded, and a possible remaining disk is drawn at random.
 
-A disk may keep what was done in any order, except for what POSIX promises and every journal keeps:
-- what a folder's fsync followed is kept, and so are content and mode of a file or folder after its own;
-- one call is kept as a whole or not at all (a rename, an exchange of two names);
+A disk may keep operations in any order, except for what POSIX promises and every journal guarantees:
+- names are kept once an fsync of their folder followed, as are content and mode once their own fsync has;
+- each call is kept as a whole or not at all (a rename, an exchange of two names);
 - of two calls that touch the same name the later is kept only with the earlier one.
-Whatever else was done may be lost: names, modes, and content from any byte on.
+Everything else may be lost: names, modes, and content from any byte on.
 """
 
 from __future__ import annotations
@@ -30,14 +30,14 @@ Key = tuple[int, str]
 
 @dataclass(frozen=True, slots=True)
 class Named:
-    """Names that one call gave another meaning; None: they mean nothing any more."""
+    """Names reassigned by one call; None: the name no longer exists."""
 
     names: dict[Key, int | None]
 
 
 @dataclass(frozen=True, slots=True)
 class Changed:
-    """Content or mode of a file or folder: the one that is not None."""
+    """New content or mode of a file or folder, whichever is not None."""
 
     thing: int
     content: bytes | None = None
@@ -56,7 +56,7 @@ Call = Named | Changed | Synced
 
 @dataclass
 class Disk:
-    """Names, contents and modes; the folders are those things that have no content."""
+    """Names, contents and modes; a folder is a thing without content."""
 
     names: dict[Key, int] = field(default_factory=dict)
     contents: dict[int, bytes] = field(default_factory=dict)
@@ -79,7 +79,7 @@ class Disk:
                 pass
 
     def find(self, path: Path) -> int | None:
-        """What a relative path means."""
+        """File or folder at a relative path, or None."""
         thing = ROOT
         for part in path.parts:
             found = self.names.get((thing, part))
@@ -89,7 +89,7 @@ class Disk:
         return thing
 
     def write(self, folder: Path) -> None:
-        """Make it real, in a new folder."""
+        """Write this disk into a new folder."""
         todo = [(ROOT, folder)]
         inside: dict[int, list[tuple[str, int]]] = {}
         for (parent, name), thing in self.names.items():
@@ -105,7 +105,7 @@ class Disk:
                 path.chmod(self.modes[thing] | 0o700)  # the test may have to remove it
 
     def tree(self) -> dict[str, tuple[int, bytes | None]]:
-        """Mode, and content of a file, by relative path."""
+        """Mode and content of each file or folder by relative path; content None for folders."""
         paths = {ROOT: ""}
         found: dict[str, tuple[int, bytes | None]] = {}
         todo = [ROOT]
@@ -122,7 +122,7 @@ class Disk:
 
 
 def read_disk(folder: Path) -> dict[str, tuple[int, bytes | None]]:
-    """The same of a real folder."""
+    """Mode and content of everything in a real folder, as `Disk.tree`."""
     return {
         path.relative_to(folder).as_posix(): (
             path.stat().st_mode & 0o777,
@@ -133,7 +133,7 @@ def read_disk(folder: Path) -> dict[str, tuple[int, bytes | None]]:
 
 
 class Record:
-    """Every change of what is below a folder, from an empty one on."""
+    """Every change below a folder that starts empty."""
 
     def __init__(self, root: Path) -> None:
         self.root = root
@@ -145,7 +145,7 @@ class Record:
         self._is_inside = False
 
     def place(self, path: Any, dir_fd: int | None = None) -> Path | None:
-        """Relative to the folder; None for what lies elsewhere."""
+        """Path relative to the folder; None if it lies elsewhere."""
         if isinstance(path, int):
             path = Path(f"/proc/self/fd/{path}").readlink()
         path = Path(os.fsdecode(path))
@@ -161,13 +161,13 @@ class Record:
         return folder, path.name
 
     def note(self, *calls: Call) -> None:
-        """Append, after the content that files have by now."""
+        """Append calls, after any content written before them."""
         for call in [*self._look(), *calls]:
             self.calls.append(call)
             self.now.do(call)
 
     def _look(self) -> list[Call]:
-        """What was written since the last call."""
+        """Content changes since the last call."""
         news: list[Call] = []
         for thing, handle in self._unsynced.items():
             content = os.pread(handle, os.fstat(handle).st_size, 0)
@@ -178,7 +178,7 @@ class Record:
     # --- the calls -------------------------------------------------------------------------------
 
     def made(self, path: Path, mode: int, *, is_file: bool) -> None:
-        """A new file or folder."""
+        """Note a new file or folder."""
         self._things += 1
         thing = self._things
         if is_file:
@@ -189,31 +189,31 @@ class Record:
         self.note(Named({self.key(path): thing}))
 
     def moved(self, source: Path, target: Path) -> None:
-        """A rename."""
+        """Note a rename."""
         thing = self.now.find(source)
         self.note(Named({self.key(source): None, self.key(target): thing}))
 
     def exchanged(self, one: Path, other: Path) -> None:
-        """Two names for each other."""
+        """Note that two names were exchanged."""
         first, second = self.now.find(one), self.now.find(other)
         self.note(Named({self.key(one): second, self.key(other): first}))
 
     def linked(self, source: Path, target: Path) -> None:
-        """A second name."""
+        """Note a second name."""
         self.note(Named({self.key(target): self.now.find(source)}))
 
     def removed(self, path: Path) -> None:
-        """A name less."""
+        """Note a removed name."""
         self.note(Named({self.key(path): None}))
 
     def changed_mode(self, path: Path, mode: int) -> None:
-        """Mode of a file or folder."""
+        """Note a changed mode."""
         thing = self.now.find(path)
         assert thing is not None
         self.note(Changed(thing, None, mode))
 
     def synced(self, path: Path) -> None:
-        """Fsync has returned."""
+        """Note that an fsync has returned."""
         thing = self.now.find(path)
         assert thing is not None
         self.note(Synced(thing))
@@ -308,7 +308,7 @@ class Record:
 
 
 def cut(calls: Sequence[Call], dice: random.Random) -> Disk:
-    """A disk that may be left when the power goes after these calls."""
+    """A disk that may remain when the power is cut after these calls."""
     earlier = _earlier(calls)
     sure = _sure(calls, earlier)
     order = dice.choice(("in order", "any", "any", "nothing", "all"))
@@ -329,7 +329,7 @@ def cut(calls: Sequence[Call], dice: random.Random) -> Disk:
 
 
 def _earlier(calls: Sequence[Call]) -> list[set[int]]:
-    """Of each call, the last ones before it that touch the same names."""
+    """For each call, the indices of the last earlier calls that touch the same names."""
     last: dict[Key, int] = {}
     found: list[set[int]] = []
     for number, call in enumerate(calls):
@@ -340,7 +340,7 @@ def _earlier(calls: Sequence[Call]) -> list[set[int]]:
 
 
 def _sure(calls: Sequence[Call], earlier: list[set[int]]) -> set[int]:
-    """What no power cut takes back."""
+    """Indices of calls that no power cut can undo."""
     sure: set[int] = set()
     pending: dict[int, list[int]] = {}
     for number, call in enumerate(calls):
@@ -357,7 +357,7 @@ def _sure(calls: Sequence[Call], earlier: list[set[int]]) -> set[int]:
 
 
 def _keep(number: int, earlier: list[set[int]], kept: set[int]) -> None:
-    """Add a call, and those before it without which it cannot be kept."""
+    """Add a call, and the earlier ones that it depends on."""
     todo = [number]
     while todo:
         number = todo.pop()

@@ -1,4 +1,4 @@
-"""Power that fails at a chosen write of this process: nothing is written any more."""
+"""Power that fails at a chosen write of this process, after which nothing is written."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ class PowerCut(BaseException):
 
 @dataclass
 class Cut:
-    """at : so many writes are made; -1: all, and none is counted. count : writes so far."""
+    """at : number of writes that succeed; -1: all, without counting. count : writes so far."""
 
     at: int = -1
     count: int = 0
 
 
 def failing_writes(monkeypatch: pytest.MonkeyPatch) -> Cut:
-    """Let the writes of this process fail as the cut says."""
+    """Make the writes of this process fail as the returned cut says."""
     cut = Cut()
 
     def failing(name: str, real: Callable[..., Any]) -> Callable[..., Any]:

@@ -1,4 +1,4 @@
-"""Prometheus and Alertmanager as Debian packs them, in processes of their own, by the plant's example."""
+"""Prometheus and Alertmanager as Debian packages them, as separate processes, with the plant's example."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ PLACES = f"{Path(sys.executable).parent}:{os.environ['PATH']}"
 
 
 def program(name: str) -> str:
-    """Where a program is; "" where it is not."""
+    """Path of a program; "" if it is not installed."""
     return shutil.which(name, path=PLACES) or ""
 
 
@@ -36,9 +36,9 @@ def plant_config(
     alerts_to: int | None = None,
     writes_to: int | None = None,
 ) -> Path:
-    """`config/prometheus-plant.yml` with these cells, and its rules; times of rules are as long as shipped.
+    """`config/prometheus-plant.yml` with these cells, and its rules, whose durations stay as shipped.
 
-    alerts_to, writes_to : ports of an Alertmanager, and of a Prometheus that takes what is written to it.
+    alerts_to, writes_to : ports of an Alertmanager, and of a Prometheus that accepts remote writes.
     """
     shutil.copy(CONFIG / "prometheus-alerts.yml", folder)
     config = yaml.safe_load((CONFIG / "prometheus-plant.yml").read_text())
@@ -59,7 +59,7 @@ def plant_config(
 
 
 class Engine:
-    """A server; it is killed, and started again on what it has kept. options : of its command line."""
+    """A server that can be killed and restarted on the data it has kept. options : of its command line."""
 
     def __init__(self, name: str, folder: Path, *options: str) -> None:
         self.port, self._folder = free_port(), folder
@@ -73,25 +73,25 @@ class Engine:
         self._process: subprocess.Popen[bytes] | None = None
 
     def start(self) -> None:
-        """Begin; it answers some time later."""
+        """Start; it answers some time later."""
         with (self._folder / "log").open("ab") as log:
             self._process = subprocess.Popen(self._command, cwd=self._folder, stdout=log, stderr=log)
 
     def kill(self) -> None:
-        """As a cut of power."""
+        """Kill it, as a power cut does."""
         if self._process is not None:
             self._process.kill()
             self._process.wait(LIMIT_S)
             self._process = None
 
     def asked(self, path: str, **arguments: str) -> Any:
-        """The answer to a question, as JSON. Raises `OSError` while nobody answers."""
+        """Answer to a request, as JSON. Raises `OSError` while the server is not reachable."""
         question = urllib.parse.urlencode(arguments)
         with urllib.request.urlopen(f"http://127.0.0.1:{self.port}{path}?{question}", timeout=10) as answer:
             return json.load(answer)
 
     def query(self, expression: str) -> list[dict[str, Any]]:
-        """The result of a question in PromQL, of Prometheus alone."""
+        """Result of a PromQL query; only Prometheus answers this."""
         try:
             return list(self.asked("/api/v1/query", query=expression)["data"]["result"])
         except OSError:

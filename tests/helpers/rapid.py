@@ -27,14 +27,14 @@ NAME = r"[A-Za-z_]\w*"
 
 
 class RapidError(Exception):
-    """ERRNO; the instruction's documented name."""
+    """An error with its ERRNO, given as the documented name."""
 
 
 _text = text_up_to(MAX_TEXT)
 
 
 def _literal(value: str) -> str:
-    r"""Two hexadecimal digits after a backslash are a character ("string", "Limitations")."""
+    r"""Text of a literal; a backslash and two hex digits are one character ("string", "Limitations")."""
     assert value[0] == '"', value
     return _text(re.sub(r"\\([0-9A-F]{2})", lambda found: chr(int(found[1], 16)), value[1:-1]))
 
@@ -58,7 +58,7 @@ def _bool(value: Any) -> bool:
 
 
 def _dnum(value: Any) -> float:
-    """64 bits, of which 52 are the number's; what is whole stays so."""
+    """A 64-bit number, of which 52 bits are the mantissa; integers stay integers."""
     if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
         raise TypeError(f"{value!r} is no dnum")
     return value
@@ -96,7 +96,7 @@ PARAMETER = re.compile(rf"(?P<inout>INOUT |PERS )?(?P<type>\w+) (?P<name>{NAME})
 
 
 class _Syntax(Syntax):
-    """RAPID's statements: simple ones end with a semicolon, the words of blocks do not."""
+    """RAPID's statements: simple ones end with a semicolon, the keywords of blocks do not."""
 
     ELSE_IF = r"ELSEIF (.+) THEN$"
     FOR = rf"FOR ({NAME}) FROM (.+) TO (.+) DO$"
@@ -114,14 +114,14 @@ class _Syntax(Syntax):
 
 
 def lines_of(source: str) -> list[str]:
-    """Without comments (outside of strings, which hold no "!" here) and empty lines."""
+    """Lines without comments (outside of strings, which hold no "!" here) and empty lines."""
     assert source.isascii()
     lines = [line.partition("!")[0].strip() for line in source.splitlines()]
     return [line for line in lines if line]
 
 
 def load(source: str, sockets: Sockets) -> Program:
-    """The module, ready to be called."""
+    """Load the module, ready to be called."""
     program = Program("rapid", TYPES, "=", "{}")
     lines = lines_of(source)
     head = re.match(rf"MODULE ({NAME})$", lines[0])
@@ -213,7 +213,7 @@ def _options(arguments: tuple[Any, ...]) -> dict[str, Any]:
 
 
 def robtarget(robot_from_tip: FloatArray) -> Record:
-    """A robtarget."""
+    """Robtarget at this pose."""
     record: Record = TYPES.initial("robtarget")
     numbers = pose_of(Brand.ABB, robot_from_tip)
     for name, of in (("trans", numbers[:3]), ("rot", numbers[3:])):
@@ -248,30 +248,30 @@ class Sockets:
         raise RapidError(name)
 
     def socket_close(self, device: Any) -> None:
-        """Of a socket that is closed: nothing."""
+        """Close; does nothing for a closed socket."""
         self.link.close()
         device.value = None
 
     def socket_create(self, device: Any) -> None:
-        """Raises for a socket that was created and not closed ("SocketCreate", "Error handling")."""
+        """Create a socket; fails if it was created and not closed ("SocketCreate", "Error handling")."""
         assert device.get() is None, "ERR_SOCK_..: created twice"
         device.value = self.link
 
     def socket_connect(self, device: Any, address: Any, port: Any, time_: Any) -> None:
-        """In \\Time seconds, 60 unless given; the program's address is the cell of this test."""
+        """Connect within \\Time seconds, 60 unless given; the program's address is the cell of this test."""
         assert re.fullmatch(r"\d+\.\d+\.\d+\.\d+", address.get()) and port.get() == 1503
         assert time_[1].get() > 0
         if not device.get().open():
             self._raise("ERR_SOCK_CLOSED")
 
     def socket_send(self, device: Any, *options: Any) -> None:
-        """\\Str."""
+        """Send \\Str."""
         text = _text(_options(options)["str"].get())
         if device.get() is None or not device.get().send(text.encode("latin-1")):
             self._raise("ERR_SOCK_CLOSED")
 
     def socket_receive(self, device: Any, *options: Any) -> None:
-        """\\Data, \\NoRecBytes, \\Time."""
+        """Receive into \\Data, with \\NoRecBytes and \\Time."""
         given = _options(options)
         assert {"data", "norecbytes", "time"} == set(given) and given["time"].get() > 0
         if device.get() is None:
@@ -286,18 +286,18 @@ class Sockets:
         given["norecbytes"].set(len(data))
 
     def clk_stop(self, clock: Any) -> None:
-        """It stands."""
+        """Stop the clock."""
         if self.started_s is not None:
             self.passed_s += self.link.now_s() - self.started_s
             self.started_s = None
 
     def clk_reset(self, clock: Any) -> None:
-        """Only a clock that stands is certainly set to 0 ("ClkReset")."""
+        """Reset a clock; only a stopped clock is certainly set to 0 ("ClkReset")."""
         assert self.started_s is None
         self.passed_s = 0.0
 
     def clk_start(self, clock: Any) -> None:
-        """It runs."""
+        """Start the clock."""
         self.started_s = self.link.now_s()
 
     def clk_read(self, clock: Any) -> float:
@@ -306,42 +306,42 @@ class Sockets:
         return round(self.passed_s + running, 3)
 
     def num_to_str(self, value: Any, decimals: Any) -> str:
-        """With so many decimals."""
+        """Number with this many decimals."""
         return _text(f"{_num(value.get()):.{int(decimals.get())}f}")
 
     def num_to_dnum(self, value: Any) -> float:
-        """The same number; a whole one is calculated with as such."""
+        """The same number; an integer stays one."""
         number = _num(value.get())
         return int(number) if number.is_integer() else number
 
     def dnum_to_str(self, value: Any, decimals: Any) -> str:
-        """With so many decimals."""
+        """Number with this many decimals."""
         return _text(f"{_dnum(value.get()):.{int(decimals.get())}f}")
 
     def str_to_val(self, text: Any, place: Any) -> bool:
-        """FALSE, and the place is as it was, for a text that is no num."""
+        """Parse a num; FALSE, with the variable unchanged, for any other text."""
         if not re.fullmatch(r"-?\d+(\.\d+)?([eE][-+]?\d+)?", text.get()):
             return False
         place.set(float(text.get()))
         return True
 
     def str_len(self, text: Any) -> int:
-        """Characters."""
+        """Number of characters."""
         return len(text.get())
 
     def byte_to_str(self, byte: Any, *options: Any) -> str:
-        """\\Char: the character of that code."""
+        """Character with this code (\\Char)."""
         assert ("char", None) in options
         return chr(_byte(byte.get()))
 
     def c_rob_t(self, *options: Any) -> Record:
-        """\\Tool, \\WObj."""
+        """Current pose for \\Tool and \\WObj."""
         given = {name: value.get() for name, value in _options(options).items()}
         assert "wobj0" == given["wobj"]
         return robtarget(self.arm.flange if given["tool"] == "tool0" else self.arm.tip)
 
     def rel_tool(self, target: Any, x: Any, y: Any, z: Any, *options: Any) -> Record:
-        """\\Rx, \\Ry, \\Rz: about x, the new y, the new z; without them 0. Of a robtarget, not of a pose."""
+        """Displace a robtarget by \\Rx, \\Ry, \\Rz (default 0): about x, the new y, the new z. Not a pose."""
         assert "robtarget" == target.get().type
         given = dict.fromkeys(("rx", "ry", "rz"), 0.0)
         given |= {name: value.get() for name, value in _options(options).items()}
@@ -349,18 +349,18 @@ class Sockets:
         return robtarget(pose(target) @ transform(turn, np.array([x.get(), y.get(), z.get()], float)))
 
     def move_l(self, target: Any, speed: Any, zone: Any, tool: Any, *options: Any) -> None:
-        """To the point itself (fine)."""
+        """Move to the point itself (fine)."""
         assert ("v100", "fine") == (speed.get(), zone.get()) and tool.get() != "tool0"
         assert "wobj0" == _options(options)["wobj"].get()
         self.arm.move(pose(target))
 
     def wait_time(self, *options: Any) -> None:
-        """\\InPos."""
+        """Wait until in position (\\InPos)."""
         assert ("inpos", None) in options and options[-1].get() > 0
         self.arm.rests()
 
     def n_orient(self, rotation: Any) -> Record:
-        """Of length 1; what is far from it is an error ("NOrient": rounding only)."""
+        """Normalise a quaternion; one far from length 1 is an error ("NOrient": rounding only)."""
         record: Record = TYPES.copied(rotation.get())
         length = math.sqrt(sum(one.value**2 for one in record.fields.values()))
         assert abs(length - 1) < 1e-4, length

@@ -1,4 +1,4 @@
-"""Recordings of a small cell, written as its recorder would, from pictures that were rendered once."""
+"""Recordings of a small cell, written as its recorder would, from pictures rendered once."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ START = datetime(2026, 1, 31, 12, tzinfo=UTC)
 
 
 def exposures(cell: VirtualCell, number: int) -> list[FramePair]:
-    """Pairs of the part as it moves."""
+    """Pairs of the moving part."""
     pairs = []
     for one in range(number):
         at_ns = one * 10**9
@@ -46,7 +46,7 @@ def exposures(cell: VirtualCell, number: int) -> list[FramePair]:
 
 
 def record(folder: Path, files: CellFiles, pairs: Sequence[FramePair | None]) -> list[recording.Entry]:
-    """Measure pairs by a cell's first job and record them, one a second; None: the cameras gave none."""
+    """Measure pairs with a cell's first job and record one a second; None: the cameras delivered none."""
     rig, job = PreparedRig(files.rig, files.rectification), files.jobs[0]
     recording.save_setup(folder, files.fingerprint, files.contents)
     written = []
@@ -76,7 +76,7 @@ def record(folder: Path, files: CellFiles, pairs: Sequence[FramePair | None]) ->
 
 
 class RecordingCell(BoardCell):
-    """A complete cell that has recorded before, with its page, and Anna in a browser.
+    """A complete cell with earlier recordings and its page; Anna's browser session is logged in.
 
     template : folder of a cell; its configuration's servers get ports of their own. pairs : what it sees.
     """

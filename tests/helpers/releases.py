@@ -1,4 +1,4 @@
-"""A repository of signed releases, made by the commands; and a static HTTPS server before it."""
+"""A repository of signed releases, made with the commands, and a static HTTPS server for it."""
 
 from __future__ import annotations
 
@@ -26,30 +26,30 @@ root = "{root}"
 
 
 class Releases:
-    """Folders `keys` and `repository` below a folder; the passphrase stands in EDGED_PASSPHRASE."""
+    """Folders `keys` and `repository` below a folder; the passphrase is in EDGED_PASSPHRASE."""
 
     def __init__(self, folder: Path) -> None:
         self.keys, self.repository = folder / "keys", folder / "repository"
 
     def private(self, name: str) -> Path:
-        """A private key."""
+        """Path of a private key."""
         return self.keys / f"{name}.key"
 
     def public(self, name: str) -> Path:
-        """The public half."""
+        """Path of its public key."""
         return self.keys / f"{name}.pub"
 
     @property
     def root(self) -> Path:
-        """The root of trust."""
+        """Path of the root of trust."""
         return self.repository / "metadata" / "1.root.json"
 
     def run(self, verb: str, *arguments: object, key: str) -> int:
-        """A command of a key's owner."""
+        """Run a release command with the given key."""
         return exit_code("release", verb, self.repository, *arguments, "--key", self.private(key))
 
     def make(self) -> None:
-        """Two of three root keys sign; both plants have a key; nothing is signed by them."""
+        """Create the repository: two of three root keys sign; both plants have a key but nothing signed."""
         self.keys.mkdir(parents=True)
         assert [0] * len(KEYS) == [exit_code("release", "key", self.private(name)) for name in KEYS]
         roots = [self.private("root1"), self.public("root2"), self.public("root3")]
@@ -64,29 +64,29 @@ class Releases:
         return self.run("sign", plant, name, *arguments, key=key)
 
     def publish(self, *arguments: object) -> int:
-        """Let cells see it."""
+        """Publish, so that cells see the release."""
         return self.run("publish", *arguments, key="online")
 
     def section(self, place: object | None = None) -> str:
-        """`[fleet]` of a cell."""
+        """The `[fleet]` section of a cell."""
         return SECTION.format(place=self.repository if place is None else place, root=self.root)
 
 
 class _Quiet(http.server.SimpleHTTPRequestHandler):
     def log_message(self, format: str, *arguments: object) -> None:
-        """Say nothing."""
+        """Suppress the log."""
 
 
 @contextmanager
 def served(folder: Path, certificates: Path, port: int = 0) -> Iterator[str]:
-    """A folder at https://127.0.0.1:PORT; its authority is `ca.pem` among the certificates."""
+    """Serve a folder at https://127.0.0.1:PORT; its CA is `ca.pem` among the certificates."""
     with over_tls(functools.partial(_Quiet, directory=str(folder)), certificates, port) as url:
         yield url
 
 
 @contextmanager
 def over_tls(handler: Callable[..., BaseRequestHandler], certificates: Path, port: int = 0) -> Iterator[str]:
-    """A server at https://127.0.0.1:PORT; its authority is `ca.pem` among the certificates."""
+    """Run a server at https://127.0.0.1:PORT; its CA is `ca.pem` among the certificates."""
     if not certificates.exists():
         certificates.mkdir()
         make_certificates(certificates)

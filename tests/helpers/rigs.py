@@ -1,4 +1,4 @@
-"""Rigs for tests: both lens models, parallel and strongly verged."""
+"""Rigs for tests: both lens models, parallel and strongly converging."""
 
 from __future__ import annotations
 
@@ -28,9 +28,9 @@ def make_rig(
     tilt_deg: float = 1.0,
     left_share: float = 0.5,
 ) -> StereoRig:
-    """A rig whose cameras turn towards each other by vergence_deg, slightly twisted against each other.
+    """A rig whose cameras turn towards each other by vergence_deg, with a slight relative twist.
 
-    left_share : the part of the vergence that the left camera takes; negative when it looks outwards.
+    left_share : share of the vergence that the left camera takes; negative when it looks outwards.
     """
     vergence, tilt = np.radians(vergence_deg), np.radians(tilt_deg)
     right_from_left = rotation_matrix(np.array([tilt, vergence, -tilt / 2]))
@@ -59,7 +59,7 @@ rigs = st.builds(
 
 
 def random_points(rig: StereoRig, n: int, seed: int) -> FloatArray:
-    """Points (n, 3) that both cameras of the rig see, around where their axes come together."""
+    """Points (n, 3) that both cameras of the rig see, near the point where their axes converge."""
     rng = np.random.default_rng(seed)
     found: list[FloatArray] = []
     vergence = np.arccos(np.clip(rig.right_from_left[2, 2], -1, 1))
@@ -71,7 +71,7 @@ def random_points(rig: StereoRig, n: int, seed: int) -> FloatArray:
         in_right = apply(rig.right_from_left, points)
         with np.errstate(invalid="ignore"):
             seen = rig.right.project(in_right)
-            # Brown's polynomial folds far points back into the image: the round trip tells them.
+            # Brown's polynomial folds far points back into the image: the round trip reveals them.
             ideal = in_right[:, :2] / in_right[:, 2:]
             genuine = np.abs(rig.right.normalise(seen) - ideal).max(axis=1) < 1e-9
             inside = (

@@ -1,4 +1,4 @@
-"""The arm of a virtual robot, for the interpreters of the robots' languages: it goes where it is told."""
+"""The arm of a virtual robot, for the interpreters of robot languages: it goes to commanded poses at once."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from edged.vision.geometry.rigid import invert
 
 
 class RobotArm:
-    """flange : robot_from_flange now. flange_from_tip : of the active tool. places : where it stood still.
+    """flange : robot_from_flange now. flange_from_tip : of the active tool. places : where it stopped.
 
-    moved : told of the new flange.
+    moved : called with each new flange pose.
     """
 
     def __init__(
@@ -28,11 +28,11 @@ class RobotArm:
         return np.asarray(self.flange @ self.flange_from_tip)
 
     def move(self, robot_from_tip: FloatArray) -> None:
-        """With the tool's tip."""
+        """Move the tool's tip to a pose."""
         self.flange = np.asarray(robot_from_tip @ invert(self.flange_from_tip))
         self._moved(self.flange)
 
     def rests(self) -> None:
-        """It has arrived and stands still."""
+        """Note that it has arrived and stands still."""
         if not self.places or self.places[-1] is not self.flange:
             self.places.append(self.flange)

@@ -1,6 +1,6 @@
-"""The examples of the page of robots, each run as it stands there beside the program that it calls.
+"""The examples on the documentation page of robots, each run as printed with the program that it calls.
 
-What a robot is told to move to is worked out as its maker's manual says it: robot_from_tip, in mm.
+Poses that a robot moves to are computed as its maker's manual defines them: robot_from_tip, in mm.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ PAGE = DOCS / "robots.md"
 
 
 class Example(NamedTuple):
-    """Of a brand: the title of its section, and what runs it; it gives the poses that the tip is moved to."""
+    """A brand's example: its section title, and a function that runs it and returns the tip's poses."""
 
     brand: Brand
     section: str
@@ -36,7 +36,7 @@ class Example(NamedTuple):
 
 
 def text_of(section: str, page: Path = PAGE) -> str:
-    """The last block of code of a section."""
+    """Last code block of a section."""
     found = re.search(rf"^##+ {section}\n(.*?)(?=^## |\Z)", page.read_text(), re.MULTILINE | re.DOTALL)
     assert found is not None, section
     blocks = re.findall(r"^```\w*\n(.*?)^```", found[1], re.MULTILINE | re.DOTALL)
@@ -74,7 +74,7 @@ def _abb(text: str, link: Link) -> list[FloatArray]:
 
 
 def _fanuc(_text: str, link: Link) -> list[FloatArray]:
-    """The teach pendant's program that comes with the KAREL program; PR[80] is what its remark says."""
+    """The teach pendant program shipped with the KAREL program; PR[80] is set as its remark says."""
     files = written("karel")
     controller = karel.Controller(link)
     program = karel.load(files["edged.kl"], controller)
@@ -103,7 +103,7 @@ def _fanuc(_text: str, link: Link) -> list[FloatArray]:
 def run_pendant(
     lines: list[str], program: Program, controller: karel.Controller, also: dict[str, Callable[..., None]]
 ) -> None:
-    """Run lines of a teach pendant. also : what a line of another pattern does with its groups."""
+    """Run lines of a teach pendant. also : handlers by line pattern, called with the pattern's groups."""
     at = 0
     while at < len(lines) and (line := lines[at]) != "END":
         at += 1
@@ -138,7 +138,7 @@ def _doosan(text: str, link: Link) -> list[FloatArray]:
     def trans(
         pos: tuple[float, ...], delta: tuple[float, ...], ref: str = "base", ref_out: str = "base"
     ) -> tuple[float, ...]:
-        """In the frame of the tool the result is in that of pos, whatever ref_out (manual 3.5, "trans")."""
+        """In the tool's frame the result is in the frame of pos, whatever ref_out (manual 3.5, "trans")."""
         pose, moved = transform_of(Brand.DOOSAN, pos), transform_of(Brand.DOOSAN, delta)
         assert "base" == ref_out and ref in ("base", "tool")
         if ref == "tool":
@@ -158,7 +158,7 @@ def _doosan(text: str, link: Link) -> list[FloatArray]:
 
 
 def with_val3_example(code: str) -> dict[str, str]:
-    """The files of the VAL 3 application, and a program `example` of this code among them."""
+    """Files of the VAL 3 application, with a program `example` made of this code."""
     files = written("val3")
     files["example.pgx"] = re.sub(
         r"begin.*?end\]",
@@ -172,7 +172,7 @@ def with_val3_example(code: str) -> dict[str, str]:
 
 
 def _staubli(text: str, link: Link) -> list[FloatArray]:
-    """A transformation is written as its six numbers in braces."""
+    """Run the example, in which a transformation is six numbers in braces."""
     val3.TYPES.records["pointRx"] = {"trsf": "trsf", "config": "num"}
     lines = text.replace("edged:", "").replace('"edged: "', '"edged"')
     code = re.sub(r"\{([-\d,]+)\}", r"braces(\1)", lines).replace('" "+', '"edged"+')
@@ -182,7 +182,7 @@ def _staubli(text: str, link: Link) -> list[FloatArray]:
     program.globals |= {name: val3.TYPES.variable("num") for name in ("TTOOL", "MSLOW")}
 
     def appro(point: Any, trsf: Any) -> FloatArray:
-        """The point, and the transformation in its frame ("appro")."""
+        """The point with the transformation applied in its frame ("appro")."""
         pose = transform_of(Brand.STAUBLI, _numbers(point.get().fields["trsf"].get()))
         return np.asarray(pose @ transform_of(Brand.STAUBLI, trsf.get()))
 
@@ -200,7 +200,7 @@ def _staubli(text: str, link: Link) -> list[FloatArray]:
 
 
 def _kawasaki(text: str, link: Link) -> list[FloatArray]:
-    """LAPPRO: so far away along the tool's Z, backwards ("LAPPRO")."""
+    """Run the example; LAPPRO moves this far back along the tool's Z ("LAPPRO")."""
     source = render("as").replace(".REALS\n", f"{text}.REALS\n")
     program = kawasaki.load(source, kawasaki.Controller(link))
     moves: list[FloatArray] = []
@@ -214,7 +214,7 @@ def _kawasaki(text: str, link: Link) -> list[FloatArray]:
 
 
 def _epson(text: str, link: Link) -> list[FloatArray]:
-    """+Z shifts along the frame's axis, +TLZ along the tool's."""
+    """Run the example; +Z shifts along the frame's axis, +TLZ along the tool's."""
     names = ("x", "y", "z", "u", "v", "w")
     spel.TYPES.records["point"] = dict.fromkeys(names, "Double")
     program = spel.load(f"{render('spel')}\n{text}", spel.Controller(link))
@@ -237,7 +237,7 @@ def _epson(text: str, link: Link) -> list[FloatArray]:
 
 
 def _denso(text: str, link: Link) -> list[FloatArray]:
-    """Approach: so far before the pose, along the tool's Z."""
+    """Run the example; Approach stops this far before the pose, along the tool's Z."""
     program = pacscript.load(f"{render('pacscript')}\n{text}", pacscript.Controller(link))
     moves: list[FloatArray] = []
 
@@ -251,7 +251,7 @@ def _denso(text: str, link: Link) -> list[FloatArray]:
 
 
 def _mitsubishi(text: str, link: Link) -> list[FloatArray]:
-    """The number behind a position is a way along the hand's Z ("Mov")."""
+    """Run the example; the number after a position is a distance along the hand's Z ("Mov")."""
     side = sides.Mitsubishi(link)
     side.controller.run(text)
     return [melfa.matrix(pose) @ _shift(z_mm=ahead_mm) for pose, ahead_mm in side.controller.moves]

@@ -1,6 +1,6 @@
-"""Expressions of the robots' languages, read once and evaluated as often as their statement runs.
+"""Expressions of the robots' languages, compiled once and evaluated each time their statement runs.
 
-Where the languages rank operators differently, the subset wants parentheses.
+Where the languages rank operators differently, the subset requires parentheses.
 """
 
 from __future__ import annotations
@@ -27,11 +27,11 @@ COMPARED: dict[str, Callable[[Any, Any], bool]] = {
     "!=": lambda a, b: a != b,
 }
 Code = Callable[[], Any]
-"""What gives a value, or a place, each time that it is asked."""
+"""Compiled code: returns a value, or a place, on each call."""
 
 
 class Compiler:
-    """Reads an expression once; what it makes is evaluated as often as the statement runs."""
+    """Compiles an expression once; the result is evaluated as often as the statement runs."""
 
     def __init__(self, text: str, program: Program) -> None:
         self.tokens: list[tuple[str, str]] = []
@@ -46,29 +46,29 @@ class Compiler:
         self.text = text
 
     def expression(self) -> Code:
-        """The whole text."""
+        """Compile the whole text as one expression."""
         made = self.condition()
         assert self.at_end(), f"what follows {self.text}"
         return made
 
     def arguments(self) -> list[Code]:
-        """The whole text."""
+        """Compile the whole text as an argument list."""
         made = [] if self.at_end() else self.list_of_values()
         assert self.at_end(), self.text
         return made
 
     def at_end(self) -> bool:
-        """Nothing follows."""
+        """Whether all tokens are consumed."""
         return self.at == len(self.tokens)
 
     def peek(self) -> str:
-        """The next token, upper case, or "" for a text literal."""
+        """Next token, upper case, or "" for a text literal."""
         if self.at_end() or self.tokens[self.at][0] == "text":
             return ""
         return self.tokens[self.at][1].upper()
 
     def take(self, *expected: str) -> str:
-        """The next token, one of the expected."""
+        """Consume the next token, which must be one of the expected."""
         assert self.peek() in expected, f"expected {expected} in {self.text}"
         self.at += 1
         return self.tokens[self.at - 1][1].upper()
@@ -93,7 +93,7 @@ class Compiler:
             values.append(self.condition())
 
     def condition(self) -> Code:
-        """Comparisons by one of AND and OR: the languages rank them differently."""
+        """Comparisons joined by AND only or OR only, which the languages rank differently."""
         left = self.negation()
         word = self.peek()
         while self.peek() in ("AND", "OR"):
@@ -110,7 +110,7 @@ class Compiler:
         return run
 
     def negation(self) -> Code:
-        """NOT of a name or of parentheses."""
+        """NOT applied to a name or to parentheses."""
         if self.peek() != "NOT":
             return self.comparison()
         self.take("NOT")
@@ -124,7 +124,7 @@ class Compiler:
         return run
 
     def comparison(self) -> Code:
-        """At most one."""
+        """At most one comparison."""
         left = self.sum()
         mark = self.peek()
         if mark not in (*COMPARED, self.program.equals):
@@ -142,14 +142,14 @@ class Compiler:
         return run
 
     def sum(self) -> Code:
-        """Terms."""
+        """Terms joined by + or -."""
         left = self.term()
         while self.peek() in ("+", "-"):
             left = self._computed(left, self.take("+", "-"), self.term())
         return left
 
     def term(self) -> Code:
-        """Factors."""
+        """Factors joined by *, /, DIV or MOD."""
         left = self.factor()
         while self.peek() in ("*", "/", "DIV", "MOD"):
             left = self._computed(left, self.take("*", "/", "DIV", "MOD"), self.factor())
@@ -159,7 +159,7 @@ class Compiler:
         return lambda: self.computed(left().get(), mark, right().get())
 
     def computed(self, a: Any, mark: str, b: Any) -> Value:
-        """Texts are joined, whole numbers stay whole, others are rounded to 32 bits."""
+        """Result of an operator: texts are joined, integers stay integers, others are rounded to 32 bits."""
         if isinstance(a, str) and isinstance(b, str) and mark == "+":
             return Value("text", self.program.types.fitted("text", a + b))
         assert not isinstance(a, (bool, str)) and not isinstance(b, (bool, str)), self.text
@@ -167,7 +167,7 @@ class Compiler:
             assert float(a).is_integer() and float(b).is_integer() and a >= 0 and b > 0, self.text
             return Value("", a // b if mark == "DIV" else a % b)
         if isinstance(a, int) and isinstance(b, int):
-            if mark == "/":  # KRL: of whole numbers a whole one; KAREL has DIV for that
+            if mark == "/":  # KRL: an integer for integers; KAREL has DIV for that
                 assert self.program.equals == "==", f"/ of whole numbers: {self.text}"
                 return Value("", int(a / b))
             result = a + b if mark == "+" else a - b if mark == "-" else a * b
@@ -178,7 +178,7 @@ class Compiler:
         return Value("", single(a + b if mark == "+" else a - b if mark == "-" else a * b))
 
     def factor(self) -> Code:
-        """A sign and a primary."""
+        """Optional sign and a primary."""
         if self.peek() != "-":
             return self.primary()
         self.take("-")

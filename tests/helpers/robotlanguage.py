@@ -1,8 +1,8 @@
-"""What the interpreters of robot languages share: statements, routines, and how they run.
+"""Common parts of the interpreters of robot languages: statements, routines, and how they run.
 
 RAPID, KRL, KAREL, VAL 3, AS and SPEL+ have the same statements in other words. Each of `rapid`, `krl`,
 `karel`, `val3`, `kawasaki` and `spel` turns the lines of a generated program into the statements below and
-brings its types and built-in routines. As strict as a compiler: unknown names and statements are errors, as
+adds its types and built-in routines. As strict as a compiler: unknown names and statements are errors, as
 are those of `robotvalues` and `robotexpressions`.
 """
 
@@ -19,34 +19,34 @@ from helpers.robotwords import Declared
 
 
 class Assign(NamedTuple):
-    """target := value."""
+    """Assignment: target := value."""
 
     target: str
     value: str
 
 
 class Call(NamedTuple):
-    """A routine by its name; the arguments are one text."""
+    """Call of a routine by name; the arguments are one text."""
 
     name: str
     arguments: str
 
 
 class If(NamedTuple):
-    """branches : conditions and what they guard; the condition of an ELSE is ""."""
+    """branches : conditions and the statements they guard; the condition of an ELSE is ""."""
 
     branches: list[tuple[str, list[Any]]]
 
 
 class While(NamedTuple):
-    """While the condition holds."""
+    """Loop that runs while the condition holds."""
 
     condition: str
     body: list[Any]
 
 
 class For(NamedTuple):
-    """The name counts from first to last."""
+    """Loop whose counter runs from first to last."""
 
     name: str
     first: str
@@ -55,7 +55,7 @@ class For(NamedTuple):
 
 
 class Return(NamedTuple):
-    """Of a routine; "" without a value."""
+    """Return from a routine; "" without a value."""
 
     value: str
 
@@ -80,7 +80,7 @@ class Parameter:
 
 @dataclass
 class Routine:
-    """What was declared."""
+    """A declared routine."""
 
     name: str
     parameters: list[Parameter]
@@ -91,26 +91,26 @@ class Routine:
 
 
 class Leave(NamedTuple):
-    """A routine is left early: Exit Function, Exit Sub."""
+    """Early exit from a routine: Exit Function, Exit Sub."""
 
 
 class OnError(NamedTuple):
-    """Where errors of this routine go from now on; "" is nowhere."""
+    """Label to which errors of this routine go from now on; "" for none."""
 
     label: str
 
 
 @dataclass
 class Function(Routine):
-    """A routine whose errors go to labels: its lines from each label on."""
+    """A routine with error labels: its lines from each label on."""
 
     labels: dict[str, list[Any]] | None = None
 
 
 class Syntax:
-    """How a language writes statements, one a line: patterns of how blocks begin, "" where it has none.
+    """How a language writes statements, one per line: patterns that begin blocks, "" where it has none.
 
-    The words of their ends are ELSE, ENDIF, ENDWHILE and ENDFOR, in either case.
+    Blocks end with ELSE, ENDIF, ENDWHILE and ENDFOR, in either case.
     """
 
     IF = r"IF (.+) THEN$"
@@ -119,24 +119,24 @@ class Syntax:
     FOR = ""
 
     def opens_if(self, line: str) -> str | None:
-        """The condition."""
+        """Condition of an IF, or None."""
         return _first(self.IF, line)
 
     def opens_else_if(self, line: str) -> str | None:
-        """The condition."""
+        """Condition of an ELSE IF, or None."""
         return _first(self.ELSE_IF, line)
 
     def opens_while(self, line: str) -> str | None:
-        """The condition."""
+        """Condition of a WHILE, or None."""
         return _first(self.WHILE, line)
 
     def opens_for(self, line: str) -> tuple[str, str, str] | None:
-        """The counter, its first and its last value."""
+        """Counter, first and last value of a FOR, or None."""
         found = re.match(self.FOR, line) if self.FOR else None
         return (found[1], found[2], found[3]) if found else None
 
     def simple(self, line: str) -> Any:
-        """Any other statement."""
+        """Parse any other statement."""
         raise NotImplementedError
 
 
@@ -146,7 +146,7 @@ def _first(pattern: str, line: str) -> str | None:
 
 
 def block(lines: Sequence[str], start: int, syntax: Syntax, ends: set[str]) -> tuple[list[Any], int]:
-    """Statements up to a line of `ends`, and where that line is."""
+    """Statements up to a line in `ends`, and the index of that line."""
     body: list[Any] = []
     at = start
     while lines[at].upper() not in ends and syntax.opens_else_if(lines[at]) is None:
@@ -175,7 +175,7 @@ def block(lines: Sequence[str], start: int, syntax: Syntax, ends: set[str]) -> t
 class Program:
     """A program that can be called.
 
-    language : whose words no name may be. equals : how it writes equality; index : its brackets.
+    language : whose reserved words no name may be. equals : its equality operator; index : its brackets.
     """
 
     def __init__(self, language: str, types: Types, equals: str, index: str) -> None:
@@ -193,7 +193,7 @@ class Program:
         self._lists: dict[str, list[Code]] = {}
 
     def call(self, name: str, *arguments: Any) -> Any:
-        """Call a routine with values, or with variables for what it writes."""
+        """Call a routine with values, or with variables for its output parameters."""
         return self.run(self.routines[name.upper()], [self._place(one) for one in arguments])
 
     def _place(self, value: Any) -> Any:
@@ -202,7 +202,7 @@ class Program:
         return Value("", value)
 
     def run(self, routine: Routine, arguments: list[Any]) -> Any:
-        """One call; what it returns, fitted to its type."""
+        """Execute one call; returns its value, fitted to its type."""
         assert len(routine.parameters) == len(arguments), f"{routine.name}: {len(arguments)} arguments"
         frame: dict[str, Any] = {}
         for parameter, given in zip(routine.parameters, arguments, strict=True):
@@ -243,12 +243,12 @@ class Program:
             raise
 
     def execute(self, body: list[Any]) -> None:
-        """Statements, one after the other."""
+        """Execute statements in order."""
         for one in body:
             self.statement(one)
 
     def statement(self, one: Any) -> None:
-        """One of them."""
+        """Execute one statement."""
         if isinstance(one, Assign):
             self.place(one.target).set(self.evaluate(one.value).get())
         elif isinstance(one, If):
@@ -286,7 +286,7 @@ class Program:
         return value
 
     def invoke(self, name: str, arguments: list[Any], *, is_statement: bool = False) -> Any:
-        """A routine of the program, or one that is built in."""
+        """Call a routine of the program, or a built-in one."""
         routine = self.routines.get(name.upper())
         if routine is not None:
             assert is_statement != bool(routine.returns), f"{name}: a function is no instruction"
@@ -301,19 +301,19 @@ class Program:
         return [one() for one in self._lists[text]]
 
     def evaluate(self, text: str) -> Any:
-        """A value, or the variable that the text names."""
+        """Value of an expression, or the variable that the text names."""
         if text not in self._expressions:
             self._expressions[text] = Compiler(text, self).expression()
         return self._expressions[text]()
 
     def place(self, text: str) -> Any:
-        """A variable."""
+        """Variable that the text names."""
         value = self.evaluate(text)
         assert isinstance(value, (Variable, Array)), f"{text} is no variable"
         return value
 
     def named(self, name: str) -> Any:
-        """A variable by its name."""
+        """Variable by its name."""
         name = name.upper()
         found = self._frames[-1].get(name) if self._frames else None
         found = self.globals.get(name) if found is None else found
@@ -323,14 +323,14 @@ class Program:
 
 
 class LabelledProgram(Program):
-    """A program whose routines may be left early, and each have a place for their errors: a label."""
+    """A program whose routines may be left early, and each have a label for their errors."""
 
     def __init__(self, language: str, types: Types, equals: str, index: str) -> None:
         super().__init__(language, types, equals, index)
         self.places: list[str] = []
 
     def run(self, routine: Routine, arguments: list[Any]) -> Any:
-        """One call, whose errors go nowhere until it says so."""
+        """Execute one call, with no error label until the routine sets one."""
         self.places.append("")
         try:
             return super().run(routine, arguments)
@@ -338,7 +338,7 @@ class LabelledProgram(Program):
             self.places.pop()
 
     def statement(self, one: Any) -> None:
-        """One of them."""
+        """Execute one statement."""
         if isinstance(one, Leave):
             raise Returned(None)
         if isinstance(one, OnError):
@@ -348,7 +348,7 @@ class LabelledProgram(Program):
 
 
 class _Counter(Types):
-    """Of a loop: any whole number."""
+    """Type of a loop counter: any integer."""
 
     def fitted(self, kind: str, value: Any) -> Any:
         return value

@@ -1,7 +1,7 @@
 """A robot's socket and its clock, for the interpreters of the robots' languages.
 
-The clock runs as ours does while something can still come, and jumps where nothing can: to the end of a
-pause, and of a time-out when the other end has said all that it will. A program meets every time-out that it
+The clock runs in real time while data can still arrive, and jumps when none can: to the end of a
+pause, or of a time-out when the other end has nothing more to send. A program meets every time-out that it
 would meet on its controller, and no test waits for one.
 """
 
@@ -19,11 +19,11 @@ from edged.vision.geometry.rigid import transform
 from helpers.robotarm import RobotArm
 
 SETTLED_S = 0.02
-"""What was sent on this machine has come by then."""
+"""By then, data sent on this machine has arrived."""
 
 
 def standing() -> RobotArm:
-    """An arm that stands somewhere, and has a tool."""
+    """An arm at a fixed pose, with a tool."""
     flange = transform(matrix_zyx(0.2, 0.1, 3.0), np.array([600.0, -150.0, 700.0]))
     tool = transform(matrix_zyx(0.4, -0.7, 1.1), np.array([15.0, -40.0, 180.0]))
     return RobotArm(flange, tool, lambda _: None)
@@ -32,8 +32,8 @@ def standing() -> RobotArm:
 class Link:
     """One connection at a time.
 
-    port : of the cell. piece : bytes that the network brings at a time. is_done : whether the other end,
-    which was sent so many messages, has nothing more to say. arm : the robot's.
+    port : of the cell. piece : bytes that the network delivers at a time. is_done : whether the other end,
+    after this many messages, has nothing more to send. arm : the robot's.
     """
 
     def __init__(self, port: int, piece: int = 1024) -> None:
@@ -48,11 +48,11 @@ class Link:
 
     @property
     def is_open(self) -> bool:
-        """Until it is closed at this end."""
+        """Whether it has not been closed at this end."""
         return self._socket is not None
 
     def open(self) -> bool:
-        """Whether somebody listens."""
+        """Connect; whether something listens."""
         assert self._socket is None
         try:
             self._socket = socket.create_connection(("127.0.0.1", self.port), timeout=5)
@@ -61,13 +61,13 @@ class Link:
         return True
 
     def close(self) -> None:
-        """Of one that is closed: nothing."""
+        """Close; does nothing if closed."""
         if self._socket is not None:
             self._socket.close()
         self._socket = None
 
     def send(self, data: bytes) -> bool:
-        """Whether it went out."""
+        """Send; whether it succeeded."""
         self.sent += 1
         if self._socket is None:
             return False
@@ -78,7 +78,7 @@ class Link:
         return True
 
     def receive(self, timeout_s: float, size: int = 1 << 16) -> bytes | None:
-        """What has come, at most a piece; b"" of a link that is lost, None where nothing came in time."""
+        """Received data, at most one piece; b"" if the link is lost, None if nothing arrives in time."""
         if self._socket is None:
             return b""
         if not self.has_come(timeout_s):
@@ -89,7 +89,7 @@ class Link:
             return b""
 
     def peek(self) -> bytes:
-        """What has come, and stays; b"" also of a link that is lost."""
+        """Received data, left in the buffer; b"" also if the link is lost."""
         if self._socket is None or not self.has_come(0.0):
             return b""
         try:
@@ -98,7 +98,7 @@ class Link:
             return b""
 
     def has_come(self, timeout_s: float) -> bool:
-        """Whether something comes in that time, or the link is lost."""
+        """Whether data arrives in that time, or the link is lost."""
         end_s = self.now_s() + timeout_s
         while not self._is_ready(0.0):
             left_s = end_s - self.now_s()
@@ -115,13 +115,13 @@ class Link:
         return time.monotonic() + self._ahead_s
 
     def pause(self, duration_s: float) -> None:
-        """Until something comes; then as much of it as is left has passed as well."""
+        """Wait until data arrives; the robot's clock then skips the rest of the pause."""
         end_s = self.now_s() + duration_s
         self.has_come(duration_s)
         self.jump(end_s)
 
     def jump(self, to_s: float) -> None:
-        """It is later now."""
+        """Advance the clock to this time."""
         self._ahead_s += max(0.0, to_s - self.now_s())
 
     def _is_ready(self, timeout_s: float) -> bool:

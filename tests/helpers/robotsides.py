@@ -1,7 +1,7 @@
 """The robots of every maker, each with its generated program in an interpreter of its language.
 
-`LIES` are answers that none of them may move by; `excuses` of a side are those that its language hears in
-another way.
+`LIES` are answers on which no robot may move; `excuses` of a side are those that its language receives
+differently.
 """
 
 from __future__ import annotations
@@ -28,13 +28,13 @@ from helpers.robotlanguage import Program
 from helpers.robotlink import Link
 
 Lie = tuple[Callable[[Brand, str], bytes], int]
-"""What is answered to the request of that sequence, and what the robot says of it."""
+"""False answer to the request with that sequence, and the failure that the robot reports."""
 Taken = tuple[tuple[float, ...], ...]
-"""Poses of a part, of the tool that takes it, and of the tool before."""
+"""Poses of a part, of the tool at the grasp, and of the tool at the approach."""
 
 
 def honest(brand: Brand, sequence: str, **changes: str) -> str:
-    """An answer of the cell with some fields changed, without its end."""
+    """A correct answer of the cell with some fields changed, without its end of line."""
     values = dict.fromkeys(answer_fields(brand), "0.000000") | {"SEQUENCE": sequence, "STATUS": "0"}
     values |= {"REMAINING": "0", "X": "400.000000", "AGE": "0.100000"}
     values |= {"Q1": "1.000000"} if brand is Brand.ABB else {}
@@ -68,7 +68,7 @@ TRAY = ("pocket", "taken", "empty", "pockets", "is_taken")
 
 
 class Side(Protocol):
-    """A robot that runs its program. Each request gives the pose's numbers, or None: do not move."""
+    """A robot that runs its program. Each request returns the pose's numbers, or None: do not move."""
 
     brand: Brand
     link: Link
@@ -158,7 +158,7 @@ class Fanuc:
 
     brand = Brand.FANUC
     keeps_ends = False
-    excuses: ClassVar[dict[str, Lie]] = {  # READ ends at the line feed and does not show it
+    excuses: ClassVar[dict[str, Lie]] = {  # READ ends at the line feed and does not return it
         "an empty line": (lambda *_: b"\n", Failure.LATE),
         "one field less": (lambda b, s: f"{honest(b, s).rpartition(',')[0]}\n".encode(), Failure.LATE),
         "two lines": (lambda b, s: f"{honest(b, s)[:-3]}\n{honest(b, s)}\n".encode(), Failure.NO_ANSWER),
@@ -209,7 +209,7 @@ class Fanuc:
         return tuple(self.controller.positions[71].plain().values())[:6]
 
     def beside(self) -> None:
-        """Measure beside the program that moves, which looks at R[88]."""
+        """Measure in parallel with the moving program, which watches R[88]."""
         self.controller.registers[88] = 0
         self.controller.positions.clear()
         self.controller.arguments = (0, 5000, 81, 91, 3, 0, 0, 0, 88)
@@ -246,7 +246,7 @@ class Fanuc:
 
 
 class FanucWithEnds(Fanuc):
-    """One whose READ leaves the line feed in the string."""
+    """A FANUC controller whose READ leaves the line feed in the string."""
 
     keeps_ends = True
     excuses: ClassVar[dict[str, Lie]] = {}
@@ -268,7 +268,7 @@ class Kuka:
         self.given = 0
 
     def made(self, files: dict[str, str], link: Link) -> krl.Controller:
-        """Its controller, with the configuration of the link."""
+        """Controller with the configuration of the link."""
         return krl.Controller(files["edged.xml"], link)
 
     def locate(self, job: int = 0, timeout_s: float = 5.0) -> tuple[float, ...] | None:
@@ -348,7 +348,7 @@ class Kuka:
 
 
 class Kuka6(Kuka):
-    """One with iiQKA.OS2; nothing says that its link is lost."""
+    """A KUKA controller with iiQKA.OS2, where a lost link is not reported."""
 
     fmt = "krl6"
     clears = False
@@ -358,13 +358,13 @@ class Kuka6(Kuka):
 
 
 class Kuka6ThatClears(Kuka6):
-    """One that ends a text which is read with a zero."""
+    """A KUKA controller that ends each text read with a zero."""
 
     clears = True
 
 
 class Doosan:
-    """A Doosan controller. It waits for the cell in `client_socket_open`, without end."""
+    """A Doosan controller. It waits for the cell in `client_socket_open`, without limit."""
 
     brand = Brand.DOOSAN
     excuses: ClassVar[dict[str, Lie]] = {}
@@ -432,7 +432,7 @@ class Doosan:
 
 
 class Shared:
-    """A controller whose program shares the names of its numbers and routines with others of this class."""
+    """A controller whose program shares the names of its variables and routines with others of this class."""
 
     brand: Brand
     excuses: ClassVar[dict[str, Lie]] = {}
@@ -444,11 +444,11 @@ class Shared:
         raise NotImplementedError
 
     def run(self, name: str, *arguments: Any) -> None:
-        """A routine by its shared name."""
+        """Call a routine by its shared name."""
         raise NotImplementedError
 
     def pose(self, name: str) -> tuple[float, ...]:
-        """`part`, `grasp`, `approach` or `offset`."""
+        """Pose `part`, `grasp`, `approach` or `offset`."""
         return tuple(self.named(name).plain().values())
 
     def _part(self) -> tuple[float, ...] | None:
@@ -516,7 +516,7 @@ class Staubli(Shared):
 
     brand = Brand.STAUBLI
     closes = True
-    excuses: ClassVar[dict[str, Lie]] = {  # answers to other requests are passed over
+    excuses: ClassVar[dict[str, Lie]] = {  # answers to other requests are skipped
         "of another robot": (LIES["of another robot"][0], Failure.LATE),
     }
 
@@ -542,7 +542,7 @@ class Staubli(Shared):
 
 
 class StaubliThatStays(Staubli):
-    """One whose `clearBuffer` only empties what came: all requests go over one link."""
+    """A Stäubli controller whose `clearBuffer` only discards received data: all requests share one link."""
 
     closes = False
 
@@ -568,7 +568,7 @@ class Kawasaki(Shared):
 
 
 class KawasakiThatHearsNothing(Kawasaki):
-    """One whose TCP_RECV says of a lost link that it has received nothing."""
+    """A Kawasaki controller whose TCP_RECV reports a lost link as nothing received."""
 
     gone = 0
 
@@ -643,7 +643,7 @@ class Denso(Shared):
 
 
 class DensoAfterAnotherTask(Denso):
-    """One whose line another task has left open."""
+    """A Denso controller whose line another task has left open."""
 
     is_left_open = True
 
@@ -662,7 +662,7 @@ class Mitsubishi:
             name: (LIES[name][0], Failure.LATE)
             for name in ("a sign within", "an empty line", "a line before", "a flood", "other bytes")
         },
-        # what is beyond the last number is ignored
+        # fields beyond the last number are ignored
         "one field more": (lambda b, s: f"{honest(b, s, Z='0,0.0')}\n".encode(), Failure.NO_ANSWER),
         "two lines": (lambda b, s: f"{honest(b, '4')}\n{honest(b, s)}\n".encode(), Failure.OTHERS),
     }
@@ -732,7 +732,7 @@ class Mitsubishi:
 
 
 class MitsubishiThatGoesOn(Mitsubishi):
-    """One whose `Input` goes on with fewer numbers than were asked for, and ends its lines with two bytes."""
+    """A Mitsubishi controller whose `Input` accepts too few numbers, and whose lines end with two bytes."""
 
     short_waits, end = False, b"\r\n"
     excuses: ClassVar[dict[str, Lie]] = {
@@ -743,7 +743,7 @@ class MitsubishiThatGoesOn(Mitsubishi):
 
 @cache
 def _translated(changed: str = "") -> Path:
-    """The MotoPlus task, once for all tests; changed : a line of it as who installs it writes that."""
+    """The compiled MotoPlus task, made once for all tests; changed : a line as the installer edits it."""
     if shutil.which("gcc") is None:
         pytest.skip("no C compiler")
     folder = Path(tempfile.mkdtemp(prefix="edged-motoplus-"))
@@ -826,13 +826,13 @@ class Yaskawa:
 
 
 class YaskawaThatCarries(Yaskawa):
-    """One whose program knows which tool file is empty."""
+    """A Yaskawa controller whose program knows which tool file is empty."""
 
     changed = "#define ED_FLANGE_TOOL 5"
 
 
 NUMBERS = itertools.count(1)
-"""Of controllers."""
+"""Numbers the controllers' memory files."""
 SIDES: list[type[Any]] = [Abb, Fanuc, FanucWithEnds, Kuka, Kuka6, Kuka6ThatClears]
 SIDES += [
     Doosan,

@@ -1,6 +1,6 @@
-"""What the variables of robots' languages hold: types, records, arrays, and numbers of 32 bits.
+"""Values of variables in robot languages: types, records, arrays, and numbers of 32 bits.
 
-As strict as a compiler: another type, a text that is too long, an index outside of an array are errors.
+As strict as a compiler: a wrong type, a text that is too long, an index outside of an array are errors.
 """
 
 from __future__ import annotations
@@ -12,26 +12,26 @@ from typing import Any, Protocol
 
 
 def single(value: float) -> float:
-    """Rounded to the 32 bits of a robot's number."""
+    """Round to the 32 bits of a robot's number."""
     return float(struct.unpack("<f", struct.pack("<f", value))[0])
 
 
 def real(value: Any) -> float:
-    """A number; raises TypeError for anything else."""
+    """A number. Raises `TypeError` for anything else."""
     if isinstance(value, bool) or not isinstance(value, (int, float)):
         raise TypeError(f"{value!r} is no number")
     return float(value)
 
 
 def whole(value: Any) -> int:
-    """A whole number of 32 bits; raises TypeError for anything else."""
+    """An integer of 32 bits. Raises `TypeError` for anything else."""
     if not real(value).is_integer() or abs(value) >= 2**31:
         raise TypeError(f"{value!r} is no whole number of 32 bits")
     return int(value)
 
 
 def text_up_to(longest: int) -> Callable[[Any], str]:
-    """What fits a text of so many characters; raises TypeError for anything else."""
+    """Check for a text of at most this many characters, which raises `TypeError` for anything else."""
 
     def fitted(value: Any) -> str:
         if not isinstance(value, str) or len(value) > longest:
@@ -42,7 +42,7 @@ def text_up_to(longest: int) -> Callable[[Any], str]:
 
 
 def quoted(longest: int) -> Callable[[str], str]:
-    """The text between double quotes, of so many characters at the most."""
+    """Reader of a text between double quotes, of at most this many characters."""
 
     def read(value: str) -> str:
         assert value[0] == '"', value
@@ -68,17 +68,17 @@ class Value:
     value: Any
 
     def get(self) -> Any:
-        """What it is."""
+        """The value itself."""
         return self.value
 
     def set(self, value: Any) -> None:
-        """There is nothing to write to."""
+        """Raises `TypeError`: an expression cannot be written to."""
         raise TypeError("an expression is no variable")
 
 
 @dataclass
 class Variable:
-    """A variable, an element of one, or a field of a record: `types` checks what is written."""
+    """A variable, array element, or record field; `types` checks what is written."""
 
     type: str
     value: Any
@@ -86,11 +86,11 @@ class Variable:
     is_constant: bool = False
 
     def get(self) -> Any:
-        """What it holds."""
+        """The current value."""
         return self.value
 
     def set(self, value: Any) -> None:
-        """Raises TypeError for what does not fit."""
+        """Assign a value. Raises `TypeError` if it does not fit."""
         if self.is_constant:
             raise TypeError("a constant is written to")
         self.value = self.types.fitted(self.type, value)
@@ -98,22 +98,22 @@ class Variable:
 
 @dataclass
 class Array:
-    """Elements from 1 on, or from another first."""
+    """Elements counted from 1, or from `first`."""
 
     type: str
     elements: list[Variable]
     first: int = 1
 
     def get(self) -> Any:
-        """The whole of it."""
+        """The array itself."""
         return self
 
     def set(self, value: Any) -> None:
-        """No language of these is used so."""
+        """Raises `TypeError`: no supported language assigns whole arrays."""
         raise TypeError("an array is written as a whole")
 
     def element(self, index: Any) -> Variable:
-        """Raises IndexError outside of its size."""
+        """Element by index. Raises `IndexError` outside of its size."""
         if not float(index).is_integer() or not 0 <= index - self.first < len(self.elements):
             raise IndexError(f"{index} of {len(self.elements)}")
         return self.elements[int(index) - self.first]
@@ -130,7 +130,7 @@ class Record:
         return isinstance(other, Record) and self.plain() == other.plain()
 
     def plain(self) -> dict[str, Any]:
-        """Names and values, down to numbers."""
+        """Field names and values, nested down to numbers."""
         return {
             name: one.value.plain() if isinstance(one.value, Record) else one.value
             for name, one in self.fields.items()
@@ -138,7 +138,7 @@ class Record:
 
 
 class Types:
-    """The types of a language. records : type, its fields and their types."""
+    """The types of a language. records : fields and their types for each record type."""
 
     def __init__(
         self,
@@ -149,7 +149,7 @@ class Types:
         self.records = records or {}
 
     def fitted(self, kind: str, value: Any) -> Any:
-        """The value as a variable of that type holds it; raises TypeError."""
+        """The value as a variable of that type stores it. Raises `TypeError`."""
         if kind in self.records:
             if not isinstance(value, Record) or value.type != kind:
                 raise TypeError(f"{value!r} is no {kind}")
@@ -157,7 +157,7 @@ class Types:
         return self.scalars[kind][1](value)
 
     def copied(self, record: Record) -> Record:
-        """A record of its own."""
+        """An independent copy."""
         kinds = self.records[record.type]
         return Record(
             record.type, {name: self.variable(kinds[name], one.value) for name, one in record.fields.items()}
@@ -170,7 +170,7 @@ class Types:
         return Variable(kind, self.fitted(kind, value), self)
 
     def initial(self, kind: str) -> Any:
-        """What a variable holds that was given nothing."""
+        """Value of an unassigned variable."""
         if kind in self.records:
             return Record(kind, {name: self.variable(one) for name, one in self.records[kind].items()})
         if kind not in self.scalars:
@@ -178,5 +178,5 @@ class Types:
         return self.scalars[kind][0]
 
     def array(self, kind: str, size: int) -> Array:
-        """With the type's initial values."""
+        """An array with the type's initial values."""
         return Array(kind, [self.variable(kind) for _ in range(size)])

@@ -1,6 +1,6 @@
-"""Names that an interpreter meets where a program declares them, each held against its maker's table.
+"""Names declared in a robot program, each checked against the language's table.
 
-The table is the generators' own; where a name is declared, each interpreter finds in its own way.
+The table is the generators' own; each interpreter finds the declarations in its own way.
 """
 
 from __future__ import annotations
@@ -9,9 +9,9 @@ from edged.robots.grammar import grammar
 
 
 class Declared:
-    """Refuses, as the controller does, a word of the language and a name that is none, or too long.
+    """Refuses reserved words and names that are invalid or too long, as the controller does.
 
-    names : those that were declared, as they are written.
+    names : the declared names, as written.
     """
 
     def __init__(self, language: str) -> None:
@@ -19,10 +19,10 @@ class Declared:
         self.names: set[str] = set()
 
     def __call__(self, name: str) -> str:
-        """The name, declared."""
+        """Check and record a declared name, and return it."""
         self.names.add(self.grammar.allow(name))
         return name
 
     def lines(self, source: str) -> list[str]:
-        """Lines of a source, none of which is too long."""
+        """Lines of a source, each checked for its length."""
         return [self.grammar.fits("line", line) for line in source.splitlines()]

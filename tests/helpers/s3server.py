@@ -1,4 +1,4 @@
-"""An S3 server, moto's, as a process of its own; what it keeps is gone when it ends."""
+"""An S3 server (moto) in a process of its own; its data are lost when it ends."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ BUCKET = "cells"
 
 
 class S3Server:
-    """On a port of its own, with one bucket; started, killed, started again."""
+    """A server on a port of its own, with one bucket; can be killed and started again."""
 
     def __init__(self, log: Path) -> None:
         self.port = free_port()
@@ -25,11 +25,11 @@ class S3Server:
 
     @property
     def address(self) -> str:
-        """As a configuration says it."""
+        """Address in the form that a configuration uses."""
         return f"s3://{BUCKET}/history?endpoint_override=127.0.0.1:{self.port}&scheme=http"
 
     def start(self) -> None:
-        """Until it answers, and has the bucket."""
+        """Start it, wait until it answers, and create the bucket."""
         with self._log.open("ab") as log:
             self._process = subprocess.Popen(
                 [sys.executable, "-m", "moto.server", "-H", "127.0.0.1", "-p", str(self.port)],
@@ -43,7 +43,7 @@ class S3Server:
         client.create_dir(BUCKET)
 
     def kill(self) -> None:
-        """Without a word."""
+        """Kill it without warning."""
         if self._process is not None:
             self._process.kill()
             self._process.wait()

@@ -25,7 +25,7 @@ from edged.setup.jobs.worker import Worker
 
 
 class SamePage(PageServer):
-    """A page whose process is a task. pages : all that were made, for what tests look at."""
+    """A page server whose page runs as a task. pages : all pages made, for tests to inspect."""
 
     pages: list[Page]
 
@@ -44,7 +44,7 @@ class SamePage(PageServer):
 
 
 class PassedOn(Worker):
-    """A worker whose process, idle at the end, is for the next page: it starts slower than most tasks run."""
+    """A worker that passes its idle process on to the next page: a start takes longer than most tasks."""
 
     idle: ClassVar[list[tuple[Popen[bytes], Connection]]] = []
 
@@ -58,7 +58,7 @@ class PassedOn(Worker):
         return super()._start()
 
     async def close(self) -> None:
-        """Keep the process, unless it is busy."""
+        """Keep the process for the next page, unless it is busy."""
         process, connection = self._process, self._connection
         if process is not None and connection is not None and not self.is_busy and process.poll() is None:
             self.idle.append((process, connection))
@@ -68,7 +68,7 @@ class PassedOn(Worker):
 
 @atexit.register
 def end_idle_workers() -> None:
-    """With the tests."""
+    """End the kept processes when the tests end."""
     for process, connection in PassedOn.idle:
         connection.close()
         process.kill()
@@ -76,7 +76,7 @@ def end_idle_workers() -> None:
 
 
 def worker_of(pages: list[Page]) -> Worker:
-    """The worker of the page that was made last: nobody else knows its process, nor what it can do."""
+    """The worker of the most recent page."""
     setup = pages[-1].setup
     assert setup is not None
     return setup.cell.worker
@@ -84,9 +84,9 @@ def worker_of(pages: list[Page]) -> Worker:
 
 @contextmanager
 def in_this_process() -> Iterator[list[Page]]:
-    """Let daemons that run meanwhile have such pages; the list is where they come to.
+    """Make daemons in this context run their pages in this process; yields the list that collects the pages.
 
-    Where the process itself is no part of a test: it takes longer to start than most tests do.
+    For tests that do not depend on the page's process, which takes longer to start than most tests run.
     """
     pages: list[Page] = []
 

@@ -1,7 +1,7 @@
 """The part of JSON Schema that config/edged.schema.json uses, so that no test needs another package.
 
-Stricter in one point: a field that the schema does not name is a violation. Readers must ignore what
-they do not know, but edged must not publish what is not documented.
+Stricter in one point: a field that the schema does not name is a violation. Readers must ignore unknown
+fields, but edged must not publish undocumented ones.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ def load_schema() -> dict[str, Any]:
 
 
 def violations(value: Any, schema: Any, root: dict[str, Any], place: str = "$") -> list[str]:
-    """Everything about `value` that the schema does not allow; empty when it fits."""
+    """All violations of the schema by `value`; empty if it conforms."""
     if isinstance(schema, bool):
         return [] if schema else [f"{place}: not allowed"]
     unknown = schema.keys() - KNOWN

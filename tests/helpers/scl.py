@@ -1,8 +1,8 @@
-"""SCL of S7-1200 and S7-1500 read as structured text: the two differ in how names and blocks are marked.
+"""SCL of S7-1200 and S7-1500 read as structured text, which marks names and blocks differently.
 
-There is no compiler for it outside of TIA Portal. What the generated source uses is turned into what
-`structured_text` runs, and checked on the way as TIA checks it: own names have their `#`, blocks and data
-blocks their quotes, every other name is known.
+There is no compiler for it outside of TIA Portal. The constructs of the generated source are translated to
+what `structured_text` runs, and checked on the way as TIA checks them: own names have their `#`, blocks and
+data blocks their quotes, every other name is known.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ DECLARED = re.compile(r"^\s*(\w+)(?: \{[^}]*\})? : ([^;]+);", re.M)
 
 
 def structured_text_of(source: str) -> tuple[str, dict[str, str]]:
-    """Structured text of the same meaning, and the data blocks: names and types of shared variables."""
+    """Equivalent structured text, and the data blocks: names and types of shared variables."""
     assert source.isascii(), "a source without a byte order mark is ANSI"
     text = re.sub(r"\(\*.*?\*\)|//[^\n]*", "", source, flags=re.S)
     left = text
@@ -78,7 +78,7 @@ def structured_text_of(source: str) -> tuple[str, dict[str, str]]:
 
 
 def declared_in(source: str) -> Declared:
-    """Each name where it is declared."""
+    """Every declared name."""
     text = re.sub(r"\(\*.*?\*\)|//[^\n]*", "", source, flags=re.S)
     declared = Declared("scl")
     for pattern in (TYPE, DATA_BLOCK):
@@ -94,7 +94,7 @@ def declared_in(source: str) -> Declared:
 
 
 def declarations(text: str) -> str:
-    """Sections of variables: without attributes and quotes, types in capitals."""
+    """Variable sections without attributes and quotes, types in capitals."""
     text = re.sub(r" \{[^}]*\}", "", text).replace('"', "")
     return re.sub(
         r"\b\w+\b", lambda word: word[0].upper() if word[0].upper() in ELEMENTARY else word[0], text
@@ -102,7 +102,7 @@ def declarations(text: str) -> str:
 
 
 def body(text: str, own: set[str], blocks: set[str]) -> str:
-    """Statements without marks; every mark that is missing or too many is an error."""
+    """Statements without marks; every missing or superfluous mark is an error."""
     for name in re.findall(r"(?<![\w#])#([A-Za-z_]\w*)", text):
         assert name in own, f"#{name} is not declared"
     for name in re.findall(r'"(\w+)"', text):

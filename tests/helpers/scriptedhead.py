@@ -1,4 +1,4 @@
-"""A stereo head that plays what a test tells it, jobs for it, and an ear for what the cycle says."""
+"""A stereo head controlled by the test, jobs for it, and a publisher that records the cycle's events."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ class Head:
 
 
 class Ear:
-    """A publisher that remembers."""
+    """A publisher that records all events."""
 
     def __init__(self) -> None:
         self.events: list[Event] = []
@@ -71,7 +71,7 @@ class Ear:
         return [event for event in self.events if isinstance(event, Snapshot)]
 
     def state(self) -> CellPhase | None:
-        """The latest state that was told."""
+        """The latest state announced."""
         return next((event.state for event in reversed(self.events) if isinstance(event, CellState)), None)
 
     def answers(self, command: Command) -> list[Event]:
@@ -94,12 +94,12 @@ def make_setup(
 
 
 def locate_command(sequence: int, job: int = 0) -> Command:
-    """A request to measure."""
+    """A LOCATE command."""
     return Command(CommandKind.LOCATE, "test", sequence, job)
 
 
 def held() -> tuple[threading.Event, Callable[[FramePair, Callable[[str], None]], Outcome]]:
-    """A measurement that finds nothing, and only ends after the event."""
+    """A measurement that finds nothing and ends only after the event is set."""
     release = threading.Event()
 
     def slow(pair: FramePair, lap: Callable[[str], None]) -> Outcome:
@@ -111,7 +111,7 @@ def held() -> tuple[threading.Event, Callable[[FramePair, Callable[[str], None]]
 
 @asynccontextmanager
 async def running(cycle: Cycle, *publishers: Publisher) -> AsyncIterator[None]:
-    """The cycle runs, and tells these, until the block ends."""
+    """Run the cycle with these publishers within the context."""
     cycle.set_publishers(publishers)
     task = asyncio.create_task(cycle.run())
     try:

@@ -1,4 +1,4 @@
-"""A serial cable: two pseudo terminals, and a thread that carries bytes from one to the other."""
+"""A serial cable: two pseudo terminals, and a thread that copies bytes between them."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""What happens to a cell PC: the power goes, the disk fills or breaks, the clock is set.
+"""Faults of a cell PC: power loss, a full or broken disk, a clock that is set.
 
-Each is done to a real daemon process (`smallcell.DaemonProcess`) while a witness polls it;
-`tools/bench_service.py` reports what the PLC saw, the tests do it in small.
+Each is applied to a real daemon process (`smallcell.DaemonProcess`) while a witness polls it;
+`tools/bench_service.py` reports what the PLC saw, the tests run a small version.
 """
 
 from __future__ import annotations
@@ -35,10 +35,10 @@ FAKETIME = Path(f"/usr/lib/{os.uname().machine}-linux-gnu/faketime/libfaketime.s
 
 @dataclass(slots=True)
 class Killed:
-    """What many kills left behind.
+    """State left behind by many kills.
 
-    torn : unfinished files that kills left.  swept, children : of the start after the last kill, whether none
-    of them is left and which processes it has started.
+    torn : unfinished files that kills left.  swept, children : after the last start, whether none of these
+    files is left and which processes the daemon has started.
     """
 
     kills: int = 0
@@ -52,7 +52,7 @@ class Killed:
 
 
 def kill_often(cell: SmallCell, kills: int, rng: random.Random, longest_s: float = 1.5) -> Killed:
-    """Start the daemon and kill it, again and again: while it records, every fourth time while it starts."""
+    """Start the daemon and kill it repeatedly: while it records, and every fourth time while it starts."""
     folder = cell.recordings
     assert folder is not None
     found, checked = Killed(), set[str]()
@@ -91,7 +91,7 @@ def _complaints(daemon: DaemonProcess) -> list[str]:
 
 
 def comes_true(condition: Callable[[], bool], timeout_s: float = LIMIT_S) -> bool:
-    """Whether it comes true; a running recorder always has one file that is not finished yet."""
+    """Wait for a condition; a running recorder always has one file that is not finished yet."""
     deadline_s = time.monotonic() + timeout_s
     while not condition():
         if time.monotonic() > deadline_s:
@@ -105,7 +105,7 @@ def _torn(folder: Path) -> list[Path]:
 
 
 def _corrupt(folder: Path, checked: set[str]) -> list[str]:
-    """Recordings that cannot be read, and setups that are not whole, since the last look."""
+    """Unreadable recordings and incomplete setups since the last check."""
     problems = []
     for entry in recording.entries(folder):
         if entry.path.name in checked:
@@ -121,17 +121,17 @@ def _corrupt(folder: Path, checked: set[str]) -> list[str]:
 
 
 def _digests(cell: SmallCell) -> dict[str, str]:
-    """Of every file of the configuration."""
+    """Digest of every file of the configuration."""
     files = [cell.config, cell.folder / "rig.json", *(cell.folder / "jobs").rglob("*")]
     return {str(file): hashlib.sha256(file.read_bytes()).hexdigest() for file in files if file.is_file()}
 
 
-# --- what may break -------------------------------------------------------------------------------
+# --- faults ---------------------------------------------------------------------------------------
 
 
 @contextmanager
 def tmpfs(folder: Path, mib: int = 16) -> Iterator[Path]:
-    """A small disk of its own; needs a mount name space in which we are root (`unshare -rm`)."""
+    """A small disk of its own; needs a mount namespace in which we are root (`unshare -rm`)."""
     folder.mkdir(parents=True, exist_ok=True)
     subprocess.run(["mount", "-t", "tmpfs", "-o", f"size={mib}m", "tmpfs", str(folder)], check=True)
     try:
@@ -142,7 +142,7 @@ def tmpfs(folder: Path, mib: int = 16) -> Iterator[Path]:
 
 @contextmanager
 def full(disk: Path) -> Iterator[None]:
-    """Another program takes whatever is free, again and again, until the context ends."""
+    """Another program repeatedly takes all free space, until the context ends."""
     stop = threading.Event()
     ballast = disk / "ballast"
 
@@ -165,7 +165,7 @@ def full(disk: Path) -> Iterator[None]:
 
 @contextmanager
 def read_only(disk: Path) -> Iterator[None]:
-    """As a disk becomes when the kernel finds it damaged. An open file forbids it: try between two writes."""
+    """Read-only, as after the kernel found damage. An open file prevents it: try between two writes."""
 
     def remount(option: str) -> bool:
         command = ["mount", "-o", f"remount,{option}", str(disk)]
@@ -180,7 +180,7 @@ def read_only(disk: Path) -> Iterator[None]:
 
 @contextmanager
 def overloaded(factor: int = 2) -> Iterator[None]:
-    """So many busy processes on each processor."""
+    """Run this many busy processes per processor."""
     busy = [
         subprocess.Popen([sys.executable, "-c", "while True: pass"])
         for _ in range(factor * (os.cpu_count() or 1))
@@ -194,7 +194,7 @@ def overloaded(factor: int = 2) -> Iterator[None]:
 
 
 class FakeClock:
-    """UTC of a daemon process, set from outside by libfaketime; its monotonic clock stays as it is."""
+    """UTC of a daemon process, set from outside by libfaketime; its monotonic clock is unaffected."""
 
     def __init__(self, file: Path) -> None:
         self._file = file
@@ -202,7 +202,7 @@ class FakeClock:
 
     @property
     def environment(self) -> dict[str, str]:
-        """What the process needs."""
+        """Environment variables that the process needs."""
         return {
             "LD_PRELOAD": str(FAKETIME),
             "FAKETIME_TIMESTAMP_FILE": str(self._file),
@@ -211,14 +211,14 @@ class FakeClock:
         }
 
     def set(self, offset_s: int) -> None:
-        """Set the clock so far off the true time."""
+        """Set the clock to this offset from the true time."""
         draft = self._file.with_suffix(".new")
         draft.write_text(f"{offset_s:+d}s\n")
         draft.replace(self._file)
 
     @contextmanager
     def jumped(self, offset_s: int) -> Iterator[None]:
-        """Set for a time."""
+        """Offset the clock within the context."""
         self.set(offset_s)
         try:
             yield
@@ -231,7 +231,7 @@ class FakeClock:
 
 @dataclass(frozen=True, slots=True)
 class Phase:
-    """A time in which something was broken, by the witness's clock."""
+    """A period in which something was broken, by the witness's clock."""
 
     name: str
     start_s: float
@@ -239,7 +239,7 @@ class Phase:
 
 
 def live_through(faults: list[tuple[str, AbstractContextManager[None]]], each_s: float) -> list[Phase]:
-    """One after the other, with as much time to heal after each."""
+    """Apply the faults one after the other, with half that time to recover after each."""
     phases = []
     for name, fault in faults:
         start_s = time.monotonic()
@@ -268,7 +268,7 @@ class Seen:
 
 
 def seen(report: Report, phase: Phase) -> Seen:
-    """Sum up the polls of a phase."""
+    """Summarise the polls of a phase."""
     sights = report.between(phase.start_s, phase.end_s)
     news = [
         sight.at_s

@@ -1,4 +1,4 @@
-"""What tests do on the pages that set a cell up, and look for on each of them."""
+"""Actions of tests on the setup pages, and checks that apply to each page."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from edged.adapters.web.assets import read_assets
 from helpers.browser import Browser
 
 STEPS = re.findall(r"\{ id: \"(\w+)\", topic:", read_assets()["setup/steps.js"])
-"""All pages, on the way and beside it, as the table of them has it."""
+"""All pages, on the guided path and beside it, in the order of their table."""
 STATE = 'document.querySelector("#state").textContent.trim()'
 LEASE = 'document.querySelector(".lease").textContent'
 DIALOG = 'document.querySelector("dialog[open]")'
@@ -28,12 +28,12 @@ CUT_OFF = """[...document.querySelectorAll("button, a, select, input, textarea, 
     const isCut = e.matches("button, .button, summary, nav a") && e.scrollWidth > e.clientWidth + 1;
     return !isFree || isCut || left < -0.5 || right > innerWidth + 0.5;
   }).map((e) => e.outerHTML.slice(0, 90))"""
-"""What a finger cannot hit in its middle, or nobody reads to its end."""
+"""Elements whose middle a finger cannot hit, or whose text is cut off."""
 TABBED = """(() => {
   const all = "a[href], button, select, input, textarea, summary, [tabindex='0']";
   return [...document.querySelectorAll(all)].filter((e) => e.checkVisibility() && !e.disabled
     && !(e.type === "radio" && !e.checked && document.querySelector(`[name="${e.name}"]:checked`))); })()"""
-"""What the Tab key must come to: of radio buttons the one that is chosen."""
+"""Elements that the Tab key must reach; of a group of radio buttons the selected one."""
 UNTRANSLATED = """(() => {
   const texts = document.createTreeWalker(document.body, NodeFilter.SHOW_TEXT);
   const found = [];
@@ -49,20 +49,20 @@ UNTRANSLATED = """(() => {
 async def log_in(
     page: Browser, origin: str, name: str, password: str, place: str, size: tuple[int, int]
 ) -> None:
-    """By the form, to which the page leads whoever comes without; then to a place of the page."""
+    """Log in with the form, to which the page redirects visitors without a session; then open a page."""
     await page.open(f"{origin}/setup", *size)
     await page.until('document.querySelector("#password")')
     await page.type("#name", name)
     await page.type("#password", password)
     await page.click("button")
     await page.until('!document.querySelector("#password")')
-    page.complaints.clear()  # of the form: that it was typed into before it had the focus
+    page.complaints.clear()  # the form complains that it was typed into before it had the focus
     await page.open(f"{origin}{place}", *size)
     await page.until('document.querySelector("main h1")')
 
 
 async def take(page: Browser) -> None:
-    """With the button, and its question answered."""
+    """Take the cell with the button, and confirm."""
     await page.click(".lease .primary")
     await page.until(DIALOG)
     await page.click("dialog[open] .primary")
@@ -70,7 +70,7 @@ async def take(page: Browser) -> None:
 
 
 async def take_over(page: Browser) -> None:
-    """The cell, from the session that asks beside the page."""
+    """Take over the cell from the session shown by the page."""
     await press(page, "Take over")
     await page.until(DIALOG)
     await page.click("dialog[open] .primary")
@@ -78,32 +78,32 @@ async def take_over(page: Browser) -> None:
 
 
 async def go(page: Browser, step: str) -> None:
-    """To a step, by its link."""
+    """Go to a step by its link."""
     await page.value(f"""location.hash = "#/{step}" """)
     await page.until(f"""document.querySelector('main[data-page="{step}"] h1')""")
 
 
 async def press(page: Browser, text: str) -> None:
-    """A button, by what stands on it, when it can be pressed."""
+    """Press a button by its label, once it is enabled."""
     found = f"""[...document.querySelectorAll("button")].find((b) => b.textContent.trim() === {text!r})"""
     await page.until(f"{found}?.disabled === false")
     await page.click_on(found)
 
 
 def said(text: str) -> str:
-    """Whether the page says something."""
+    """Expression: whether the page shows this text."""
     return f"document.body?.innerText.includes({text!r})"
 
 
 async def put_in_force(page: Browser) -> None:
-    """A draft of settings, until the cell runs by it and the page has its answer."""
+    """Put a draft of settings in force, and wait until the page confirms it."""
     await press(page, "Use these settings")
     await press(page, "Put them in force")
     await page.until(IN_FORCE)
 
 
 async def discard(page: Browser) -> None:
-    """The first draft that can be, and its question answered."""
+    """Discard the first draft that can be, and confirm."""
     await press(page, "Discard")
     await page.until(DIALOG)
     await page.click("dialog[open] .primary")
@@ -111,25 +111,25 @@ async def discard(page: Browser) -> None:
 
 
 async def leave(page: Browser) -> None:
-    """The document, which the browser keeps for the way back.
+    """Leave the document, which the browser keeps for going back.
 
-    Only its event: Chromium keeps no page that is not to be stored, other browsers do.
+    Only the event is sent: Chromium does not keep pages with no-store, other browsers do.
     """
     await page.value("""dispatchEvent(new PageTransitionEvent("pagehide", { persisted: true })), 0""")
 
 
 async def come_back(page: Browser) -> None:
-    """To a document that was left."""
+    """Go back to a document that was left."""
     await page.value("""dispatchEvent(new PageTransitionEvent("pageshow", { persisted: true })), 0""")
 
 
 async def freeze(page: Browser) -> None:
-    """A tab that nobody looks at."""
+    """Freeze the tab, as one in the background."""
     await page.ask("Emulation.setFocusEmulationEnabled", enabled=False)
     await page.ask("Page.setWebLifecycleState", state="frozen")
 
 
 async def thaw(page: Browser) -> None:
-    """A frozen tab that is looked at again."""
+    """Resume a frozen tab."""
     await page.ask("Page.setWebLifecycleState", state="active")
     await page.ask("Emulation.setFocusEmulationEnabled", enabled=True)

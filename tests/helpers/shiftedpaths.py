@@ -1,6 +1,6 @@
-"""The manual's programs that shift a taught path, each run as it stands there beside its program.
+"""The manual's programs that shift a taught path, each run as printed with its generated program.
 
-What an instruction does to a path is written here after the makers' manuals: a program displacement, a user
+The effect of an instruction on a path is modelled after the makers' manuals: a program displacement, a user
 frame, a base, a compound transformation.
 """
 
@@ -22,11 +22,11 @@ from helpers.robotexamples import PAGE, run_pendant, with_val3_example
 from helpers.robotlink import Link
 
 Run = Callable[[str, Link, FloatArray], list[FloatArray]]
-"""Runs a text beside a link, with a taught pose; gives where the tip is moved to."""
+"""Runs a text with a link and a taught pose; returns the poses that the tip moves to."""
 
 
 def text_of(maker: str) -> str:
-    """The code of a maker in the section on shifted paths."""
+    """Code for a maker in the section on shifted paths."""
     section = PAGE.read_text().partition("## Shift a taught path")[2].partition("\n## ")[0]
     found = re.search(rf"^\*\*{maker}\*\*.*?^```\w*\n(.*?)^```", section, re.MULTILINE | re.DOTALL)
     assert found is not None, maker
@@ -43,7 +43,7 @@ def _fill(place: Any, numbers: tuple[float, ...]) -> None:
 
 
 def _abb(text: str, link: Link, taught: FloatArray) -> list[FloatArray]:
-    """PDispSet: what is moved to is in a frame that is displaced by it, until PDispOff."""
+    """Run it; PDispSet displaces the frame of all following moves, until PDispOff."""
     sockets = rapid.Sockets(link)
     program = rapid.load(render("rapid").replace("ENDMODULE", f"{text}ENDMODULE"), sockets)
     moves: list[FloatArray] = []
@@ -64,7 +64,7 @@ def _abb(text: str, link: Link, taught: FloatArray) -> list[FloatArray]:
 
 
 def _fanuc(text: str, link: Link, taught: FloatArray) -> list[FloatArray]:
-    """P[1] was taught in user frame 5 while that was the base's."""
+    """Run it; P[1] was taught in user frame 5 while that equalled the base."""
     controller = karel.Controller(link)
     program = karel.load(written("karel")["edged.kl"], controller)
     frames, active = {"0": np.eye(4)}, ["0"]
@@ -90,7 +90,7 @@ def _fanuc(text: str, link: Link, taught: FloatArray) -> list[FloatArray]:
 
 
 def _kuka(text: str, link: Link, taught: FloatArray) -> list[FloatArray]:
-    """LIN goes to a frame in $BASE. The path was taught in a base that lies anywhere."""
+    """Run it; LIN goes to a frame in $BASE. The path was taught in an arbitrary base."""
     files = written("krl")
     files["edged.src"] += f"DEF EXAMPLE()\n{text}END\n"
     program = krl.load(files, krl.Controller(files["edged.xml"], link))
@@ -112,7 +112,7 @@ def _kuka(text: str, link: Link, taught: FloatArray) -> list[FloatArray]:
 
 
 def _doosan(text: str, link: Link, taught: FloatArray) -> list[FloatArray]:
-    """A motion's numbers are in the frame that `ref` names."""
+    """Run it; a motion's numbers are in the frame that `ref` names."""
     controller = drl.Controller(link)
     names = drl.load(render("drl"), controller)
     moves: list[FloatArray] = []
@@ -134,7 +134,7 @@ def _doosan(text: str, link: Link, taught: FloatArray) -> list[FloatArray]:
 
 
 def _staubli(text: str, link: Link, taught: FloatArray) -> list[FloatArray]:
-    """A point lies in its frame; fPath lies in the world."""
+    """Run it; a point lies in its frame, and fPath in the world."""
     val3.TYPES.records |= {"pointRx": {"trsf": "trsf", "config": "num"}, "path": {"trsf": "trsf"}}
     files = with_val3_example(text.replace("edged:", ""))
     program = val3.load(files, val3.Controller(link))
@@ -154,7 +154,7 @@ def _staubli(text: str, link: Link, taught: FloatArray) -> list[FloatArray]:
 
 
 def _kawasaki(text: str, link: Link, taught: FloatArray) -> list[FloatArray]:
-    """a+b: b in the frame a."""
+    """Run it; a+b is b in the frame a."""
     program = kawasaki.load(render("as").replace(".REALS\n", f"{text}.REALS\n"), kawasaki.Controller(link))
     moves: list[FloatArray] = []
     known = kawasaki.TYPES.variable("trans")
@@ -171,7 +171,7 @@ def _kawasaki(text: str, link: Link, taught: FloatArray) -> list[FloatArray]:
 
 
 def _epson(text: str, link: Link, taught: FloatArray) -> list[FloatArray]:
-    """P11 was taught in Local 1 while that was all 0."""
+    """Run it; P11 was taught in Local 1 while that was all 0."""
     program = spel.load(f"{render('spel')}\n{text}", spel.Controller(link))
     moves: list[FloatArray] = []
     local: list[FloatArray] = []
@@ -186,7 +186,7 @@ def _epson(text: str, link: Link, taught: FloatArray) -> list[FloatArray]:
 
 
 def _denso(text: str, link: Link, taught: FloatArray) -> list[FloatArray]:
-    """pTaught was taught in Work 1 while that was all 0."""
+    """Run it; pTaught was taught in Work 1 while that was all 0."""
     program = pacscript.load(f"{render('pacscript')}\n{text}", pacscript.Controller(link))
     moves: list[FloatArray] = []
     work: list[FloatArray] = []
@@ -207,14 +207,14 @@ def _denso(text: str, link: Link, taught: FloatArray) -> list[FloatArray]:
 
 
 def _mitsubishi(text: str, link: Link, taught: FloatArray) -> list[FloatArray]:
-    """A product of positions."""
+    """Run it; the shift is a product of positions."""
     side = sides.Mitsubishi(link)
     side.controller.run(text, PTaught=taught)
     return [melfa.matrix(pose) for pose, _ in side.controller.moves]
 
 
 def _yaskawa(text: str, link: Link, taught: FloatArray) -> list[FloatArray]:
-    """A product of matrices."""
+    """Run it; the shift is a product of matrices."""
     side = sides.Yaskawa(link)
     numbers = np.array(pose_of(Brand.YASKAWA, taught))
     side.controller.positions[1] = np.rint(numbers * ([1e3] * 3 + [1e4] * 3))

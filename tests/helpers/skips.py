@@ -1,4 +1,4 @@
-"""A pytest plugin: which tests may be skipped, and why; any other skip is shown, and fails where CI=true."""
+"""A pytest plugin: lists which tests may be skipped, and why; other skips are shown, and fail if CI=true."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ ALLOWED = {
     "tests/wire/test_robot_languages.py::*Yaskawa*": "no C compiler",
     "tests/wire/test_service.py::test_a_bad_disk_*": "this kernel",
 }
-"""Test ids (shell patterns) to the reasons that the set-up can do nothing about (regular expressions)."""
+"""Test ids (shell patterns), each with the skip reasons that cannot be avoided here (regular expressions)."""
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Watch where the reports of all processes arrive."""
+    """Register where the reports of all processes arrive."""
     if not hasattr(config, "workerinput"):
         config.pluginmanager.register(Skips())
 
@@ -40,22 +40,22 @@ class Skips:
         self.unexpected: dict[str, str] = {}
 
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
-        """A test that was skipped."""
+        """Note a test that was skipped."""
         self._note(report)
 
     def pytest_collectreport(self, report: pytest.CollectReport) -> None:
-        """A whole module that was skipped."""
+        """Note a whole module that was skipped."""
         self._note(report)
 
     @pytest.hookimpl(tryfirst=True)
     def pytest_sessionfinish(self, session: pytest.Session) -> None:
-        """The verdict."""
+        """Fail the run on unexpected skips if CI=true."""
         strict = os.environ.get("CI") == "true"
         if strict and self.unexpected and session.exitstatus == pytest.ExitCode.OK:
             session.exitstatus = pytest.ExitCode.TESTS_FAILED
 
     def pytest_terminal_summary(self, terminalreporter: pytest.TerminalReporter) -> None:
-        """What was skipped although tools/test installs all that it needs."""
+        """Show tests that were skipped although tools/test installs all that they need."""
         if self.unexpected:
             terminalreporter.section("skipped, and not on the list of tests/helpers/skips.py", red=True)
             for test, reason in self.unexpected.items():

@@ -1,6 +1,6 @@
-"""A cell that costs little: pictures of 320x240 and a part with one circle, measured by the real pipeline.
+"""A cheap cell: pictures of 320x240 and a part with one circle, measured by the real pipeline.
 
-For what is about the service and not about the pictures: endurance, kill -9, broken disks.
+For tests of the service rather than the pictures: endurance, kill -9, broken disks.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ def tiny_rig() -> StereoRig:
 
 
 def pictures(cell: VirtualCell, parts: int, empty: int = 0) -> list[tuple[Image, Image]]:
-    """Pairs of the part at so many places, each followed by so many of an empty table."""
+    """Pairs of the part at this many places, each followed by `empty` pairs of an empty table."""
     pairs = []
     for number in range(parts):
         request = ExposureRequest(number + 1, number * 10**9, number * 10**9, 2000.0, 0.0, WIDTH, HEIGHT)
@@ -59,7 +59,6 @@ def pictures(cell: VirtualCell, parts: int, empty: int = 0) -> list[tuple[Image,
 
 class SmallCell:
     """Folder, ports and configuration. source : "replay" or "virtual-inprocess" (needs `SmallWorld`).
-
     recordings : where the recorder writes, None for no recorder.
     """
 
@@ -93,20 +92,20 @@ class SmallCell:
             text += f'\n[recorder]\nfolder = "{recordings}"\nkeep_good = 60\nmin_free_mib = {min_free_mib}\n'
         self.config.write_text(text)
         job = folder / "jobs" / "flange" / "job.toml"
-        # the part is never turned: the search need not look all around
+        # the part is never turned: the search need not cover all angles
         text = job.read_text().replace("angle_start_deg = -180", "angle_start_deg = -10")
         job.write_text(text.replace("angle_extent_deg = 360", "angle_extent_deg = 20"))
 
 
 class SmallWorld(VirtualWorld):
-    """Two cameras of this process that show prepared pictures again and again: rendering costs nothing."""
+    """Two cameras of this process that repeat prepared pictures: no cost for rendering."""
 
     def __init__(self, pairs: list[tuple[Image, Image]]) -> None:
         super().__init__(gige=False)
         self._pairs = pairs
 
     def in_process_cameras(self) -> tuple[InProcessCamera, InProcessCamera]:
-        """Both show the same pair at the same frame."""
+        """Cameras that show the same pair for the same frame number."""
 
         def camera(index: int) -> InProcessCamera:
             def expose(request: ExposureRequest) -> Image:
@@ -118,9 +117,9 @@ class SmallWorld(VirtualWorld):
 
 
 class DaemonProcess:
-    """`edged run` as a process, with its log and what it tells systemd.
+    """`edged run` as a process, with its log and its notifications to systemd.
 
-    environment : added to our own. options : more of the command.
+    environment : added to our own. options : further options of the command.
     """
 
     def __init__(
@@ -149,7 +148,7 @@ class DaemonProcess:
             self.log.extend(line.rstrip() for line in pipe)
 
     def _read_notices(self) -> None:
-        """As systemd does: all of them, for as long as the process lives."""
+        """Read all notifications for as long as the process lives, as systemd does."""
         self._notify.settimeout(0.1)
         while self.process.poll() is None:
             with contextlib.suppress(TimeoutError):
@@ -158,7 +157,7 @@ class DaemonProcess:
                     self._ready.set()
 
     def wait_ready(self, timeout_s: float = 60.0) -> float:
-        """Seconds from the start of the process to READY=1."""
+        """Wait for READY=1; returns the seconds since the start of the process."""
         deadline_s = time.monotonic() + timeout_s
         while not self._ready.wait(0.1):
             assert self.process.poll() is None, "\n".join(self.log)
@@ -171,11 +170,11 @@ class DaemonProcess:
         return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
     def memory_mib(self) -> float:
-        """Resident now."""
+        """Resident memory now."""
         return resident_bytes(self.process.pid) / 2**20
 
     def children(self) -> list[int]:
-        """Processes that it started and that live."""
+        """Its living child processes."""
         found: list[int] = []
         for task in Path(f"/proc/{self.process.pid}/task").iterdir():
             with suppress(OSError):  # a thread that has just ended
@@ -183,12 +182,12 @@ class DaemonProcess:
         return found
 
     def kill(self) -> None:
-        """kill -9."""
+        """Kill it with SIGKILL."""
         self.process.kill()
         self._end()
 
     def stop(self) -> float:
-        """SIGTERM; seconds until the process has ended, with code 0."""
+        """Stop it with SIGTERM; returns the seconds until it ended, which must be with code 0."""
         start_s = time.monotonic()
         self.process.terminate()
         self._end()

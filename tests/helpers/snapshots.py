@@ -1,4 +1,4 @@
-"""Results for tests of what is published: built by hand, no vision needed."""
+"""Hand-built results for tests of what is published; no vision needed."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def make_transform(turn_rad: tuple[float, float, float], shift_mm: tuple[float, 
 
 
 def make_target(reject: Reject = Reject.NONE, x_mm: float = 10.0) -> Target:
-    """A target with a covariance that is full: every axis differs, all are correlated."""
+    """A target with a full covariance: every axis differs, all are correlated."""
     factor = np.tril(np.arange(1.0, 37.0).reshape(6, 6)) * 1e-4
     circle = Circle3D(
         "c0",

@@ -1,23 +1,23 @@
 """Days of handshakes in virtual time: the real loop, handshake and registers, driven by PLCs and faults.
 
 Time does not pass, it jumps: the event loop moves its clock to the next timer as soon as nothing is left to
-do. So a day takes a minute or two, every instant in it can be looked at, and a seed repeats it exactly.
+do. So a day takes a minute or two, every instant in it can be inspected, and a seed repeats it exactly.
 
-Two PLCs, one of which writes the same registers every 20 ms for ever, a scanner with a process image as over
-EtherNet/IP, a robot that talks in lines of text and registers the rig now and then, a client of OPC UA, a
-careless third client and triggers as they come over Zenoh use the cell at once, while it is stopped, killed,
+The cell is used at once by two PLCs, one of which writes the same registers every 20 ms without end, a
+scanner with a process image as over EtherNet/IP, a robot that sends lines of text and registers the rig now
+and then, a client of OPC UA, a careless third client and triggers as from Zenoh, while it is stopped, killed,
 and reloaded section by section.
 
-Checked at every look of an independent observer, on words as they travel:
+An independent observer checks at every look, on words as they travel:
 - VALID is up only with the sequence of the newest command, head and tail and CRC agree, the coordinates are
-  those of one exposure that was made after that command was written and is not older than validity_s, and was
-  measured by the rig, jobs, limits and cameras that the cell has at the moment of the look;
+those of one exposure that was made after that command was written and is not older than validity_s, and was
+measured with the rig, jobs, limits and cameras that the cell has at the moment of the look;
 - whatever is not VALID has no coordinates, in any block;
 - never ACK and NACK at once, never more than 8 open commands.
-Checked for every command: it runs only if its client means it now; accepted ones end in exactly one ACK or
-NACK, within their time-out. Checked for every part that is picked: its exposure came after the question, by
-the cameras that belong to the calibration, and it was measured as the job that was asked for. Checked for
-every part of a list: it is shown under one command only, and no other exposure was asked for since its own.
+For every command: it runs only if its client intends it now; accepted ones end in exactly one ACK or
+NACK, within their time-out. For every part that is picked: its exposure came after the request, from
+the cameras that belong to the calibration, and it was measured with the requested job. For
+every part of a list: it is shown under one command only, and no other exposure was requested since its own.
 """
 
 from __future__ import annotations
@@ -78,7 +78,7 @@ CYCLE_S = 0.02
 IMAGE = np.zeros((2, 2), np.uint8)
 GOOD, BAD = make_target(), make_target(reject=Reject.TOLERANCE)
 PICKING = Picking(grasps=(Grasp("face", np.eye(4), np.eye(4), 50.0, 50.0),))
-"""The tool's tip stands in the part's origin."""
+"""The tip of the tool coincides with the part's origin."""
 NEVER_OPEN = (
     answers.NackReason.QUEUE_FULL,
     answers.NackReason.UNKNOWN_COMMAND,
@@ -86,19 +86,19 @@ NEVER_OPEN = (
     answers.NackReason.NO_LIST,
 )
 WORK_S, REST_S = 200.0, 100.0
-"""For so long somebody works on the configuration and reloads it more than anything else happens."""
+"""Duration of a phase in which the configuration is edited and reloaded often, and of the following pause."""
 WORKED_ON = (("cell",), ("cameras", "cell"), ("modbus",), ("zenoh",))
-"""What is worked on, each once in twenty minutes: a defect of two quick reloads shows within an hour."""
+"""Sections edited in a phase, each once in twenty minutes: a bug of two quick reloads shows in an hour."""
 STOOD_ON = ("cell", "limits", "cameras", "rig")
-"""What results stand on."""
+"""Sections that results depend on."""
 OPCUA = 1_000_000
 SCANNER = 3_000_000
-"""As the servers number their clients, from there on."""
+"""First client numbers of these servers, as they assign them."""
 RPI_S = 0.05
 OPCUA_COMMAND, OPCUA_PICTURE, OPCUA_FORGET = (
     vars(OpcUaPublisher)[name] for name in ("_command", "_picture", "_forget")
 )
-"""What its methods do on the cell's loop: there is no server thread in virtual time."""
+"""Steps of its methods on the cell's loop, called directly: there is no server thread in virtual time."""
 LUCK = ("camera", "clock", "restart", "reload", "reload", "reloads")
 SECTIONS = (
     "cell",
@@ -117,22 +117,22 @@ SECTIONS = (
 
 
 class JumpingSelector(selectors.DefaultSelector):
-    """Never waits: what would have been waited for is added to the clock."""
+    """A selector that never waits: the waiting time is added to the clock."""
 
     now_s = 1000.0
 
     def select(self, timeout: float | None = None) -> list[tuple[selectors.SelectorKey, int]]:
-        """No file of this loop ever becomes ready but its own wake-up."""
+        """Poll without waiting; only the loop's own wake-up ever becomes ready."""
         ready = super().select(0)
         if not ready:
             assert timeout is not None, "nothing will ever happen again"
-            # a timer is due when the clock has reached it, also after rounding
+            # a timer is due once the clock has reached it, also after rounding
             self.now_s += timeout + 1e-9 if timeout > 0 else 0.0
         return ready
 
 
 class VirtualLoop(asyncio.SelectorEventLoop):
-    """An event loop in virtual time; what goes to an executor takes `work_s()` of it."""
+    """An event loop in virtual time; work for an executor takes `work_s()` of it."""
 
     def __init__(self, work_s: Callable[[], float]) -> None:
         self.selector = JumpingSelector()
@@ -140,11 +140,11 @@ class VirtualLoop(asyncio.SelectorEventLoop):
         super().__init__(self.selector)
 
     def time(self) -> float:
-        """Virtual seconds."""
+        """Virtual time, s."""
         return self.selector.now_s
 
     def run_in_executor(self, executor: Any, func: Any, *args: Any) -> Any:
-        """Do it after a while, on this thread."""
+        """Run it on this thread after a virtual delay."""
         future = self.create_future()
 
         def finish() -> None:
@@ -156,25 +156,25 @@ class VirtualLoop(asyncio.SelectorEventLoop):
 
 
 class WatchedRegisters(CellRegisters):
-    """The registers of the product; every effect of the handshake is counted."""
+    """The product's registers, recording every effect of the handshake."""
 
     def __init__(self, *args: Any, world: World) -> None:
         self._world, self._writer = world, 0
         self.is_over = False
         self.written: dict[int, float] = {}
-        self._exposed_for_s = -math.inf  # when the newest command that makes an exposure was written
+        self._exposed_for_s = -math.inf  # time of the newest command that makes an exposure
         super().__init__(*args)
 
     def write(
         self, client: int, address: int, words: Sequence[int], *, shown: tuple[float, ...] = ()
     ) -> None:
-        """Note who it is that writes."""
+        """Note which client writes."""
         self._writer = client
         super().write(client, address, words, shown=shown)
 
     def _step(self, event: Any, now_s: float) -> tuple[ev.Effect, ...]:
         effects = super()._step(event, now_s)
-        if self.is_over:  # a connection of it ends: nobody is told any more
+        if self.is_over:  # one of its connections ends: no client is notified any more
             return effects
         for effect in effects:
             is_next = isinstance(event, ev.SequenceWritten) and (event.next_of is not None or event.asks_way)
@@ -193,7 +193,7 @@ class WatchedRegisters(CellRegisters):
 
 @dataclass
 class Book:
-    """What happened. until : pattern of the violation that is looked for, "" for all of them."""
+    """Record of the run. until : pattern of the violation to look for, "" for all of them."""
 
     until: str = ""
     is_found: bool = False
@@ -203,7 +203,7 @@ class Book:
     violations: list[str] = field(default_factory=list)
 
     def note(self, cell: object, event: Any, effects: tuple[ev.Effect, ...], now_s: float) -> None:
-        """Count what was accepted and how it ended; what NEXT_PART and NEXT_GRASP ask for is never open."""
+        """Record accepted commands and how they ended; NEXT_PART and NEXT_GRASP are never open."""
         is_next = isinstance(event, ev.SequenceWritten) and (event.next_of is not None or event.asks_way)
         for effect in effects:
             key = (id(cell), effect.ticket)
@@ -217,14 +217,14 @@ class Book:
                 self.counts["parts given by NEXT_PART"] += 1
             refused = effect.reason in NEVER_OPEN or is_next
             self.expect(key not in self.ended, f"a second answer for {effect}")
-            # SETUP ends what is open, and refuses what is not
+            # SETUP ends open commands and refuses others
             known = (key in self.open) != refused or effect.reason is answers.NackReason.SETUP
             self.expect(known, f"an answer without a command: {effect}")
             self.open.pop(key, None)
             self.ended.add(key)
 
     def forget(self, cell: WatchedRegisters) -> int:
-        """A server has ended: its connections are gone, nobody can be answered. How many were open."""
+        """Drop a server that has ended: its connections are gone. Returns how many commands were open."""
         cell.is_over = True
         own = [key for key in self.open if key[0] == id(cell)]
         for key in own:
@@ -232,25 +232,25 @@ class Book:
         return len(own)
 
     def expect(self, truth: bool, otherwise: str) -> None:
-        """Note a violation."""
+        """Record a violation unless the condition is true."""
         if not truth:
             self.violations.append(otherwise)
             self.is_found |= bool(self.until) and re.search(self.until, otherwise) is not None
 
 
 class Head:
-    """Two cameras; their number is in the book beside each exposure."""
+    """Two cameras, identified by a number recorded with each exposure."""
 
     def __init__(self, world: World, number: int) -> None:
         self._world, self.number = world, number
 
     async def open(self) -> None:
-        """Connect."""
+        """Open them; fails while the cameras are broken."""
         if self._world.broken:
             raise FrameTimeout("left", "unplugged")
 
     async def capture(self) -> FramePair:
-        """An exposure with a number that is in every coordinate of its result."""
+        """Make an exposure whose number is encoded in every coordinate of its result."""
         world = self._world
         number = len(world.exposures) + 1
         world.exposures[number] = (world.loop.time(), self.number)
@@ -263,7 +263,7 @@ class Head:
         return FramePair(left, right)
 
     async def listen(self) -> FramePair:
-        """Nobody else triggers these."""
+        """Not used: there are no external triggers."""
         raise NotImplementedError
 
     async def close(self) -> None:
@@ -271,31 +271,31 @@ class Head:
 
 
 class Registrar:
-    """Takes every pose; every third solution is not good."""
+    """Accepts every pose; every third solution is not good."""
 
     def __init__(self, world: World) -> None:
         self._world, self._samples = world, 0
 
     def problem(self, _kind: CommandKind) -> str:
-        """It may always begin."""
+        """No obstacle: registration may always begin."""
         return ""
 
     def begin(self, command: Command) -> Registered:
-        """From nothing."""
+        """Start with no samples."""
         self._samples = 0
         return self._told(command)
 
     def add(self, command: Command, _pair: FramePair) -> Registered:
-        """One more."""
+        """Add one sample."""
         self._samples += 1
         return self._told(command)
 
     def solve(self, command: Command) -> Registered:
-        """Good, or not."""
+        """Solve; the result is good or not at random."""
         return self._told(command, Obstacle.NOT_GOOD if self._world.dice.random() < 0.3 else None)
 
     async def activate(self) -> Setup:
-        """Where the rig is now."""
+        """Put the solution in force and return the new setup."""
         await asyncio.sleep(self._world.dice.choice((0.0, 0.01)))
         self._world.book.counts["registrations"] += 1
         self._world.versions += 1
@@ -306,7 +306,7 @@ class Registrar:
 
 
 class Trigger:
-    """Commands as they come over Zenoh, with the product's own memory of who waits for what."""
+    """Commands as from Zenoh, tracked by the product's own pending triggers."""
 
     def __init__(self, world: World) -> None:
         self._world = world
@@ -314,11 +314,11 @@ class Trigger:
 
     @property
     def waiting(self) -> int:
-        """How many wait for their answer."""
+        """Number of unanswered triggers."""
         return len(self._triggers)
 
     def ask(self, job: int, timeout_s: float) -> None:
-        """A trigger; whether its answer is its own is looked at when it comes."""
+        """Submit a trigger; its answer is checked when it comes."""
         world = self._world
         command = self._triggers.add((world.loop.time(), job), CommandKind.LOCATE, job, None)
         self._triggers.limit(command, world.loop.call_later(timeout_s, self._triggers.take, command))
@@ -328,7 +328,7 @@ class Trigger:
             self._triggers.take(command)
 
     def announce(self, event: Event) -> None:
-        """An answer, perhaps."""
+        """Check an event that answers a trigger."""
         if not isinstance(event, Snapshot | CommandFailed):
             return
         asked = self._triggers.take(event.command)
@@ -345,7 +345,7 @@ class Trigger:
         world.book.expect(job in (0, round(place_mm[1])), f"job {place_mm[1]:g} for a trigger of job {job}")
 
     def close(self) -> None:
-        """As a publisher that is exchanged: who waits is told so."""
+        """Drop all pending triggers, as a publisher that is exchanged."""
         for command in self._triggers.commands():
             self._triggers.take(command)
 
@@ -359,21 +359,21 @@ class World:
         self.wall_shift_s = 0.0
         self.exposures: dict[int, tuple[float, int]] = {}
         self.lines: dict[int, Line] = {}
-        self.kept: list[object] = []  # what is over keeps its id from being used again
+        self.kept: list[object] = []  # objects that have ended are kept so that their ids are not reused
         self.heads = self.versions = 0
-        self.measured_by: dict[int, int] = {}  # version of the files by which an exposure was measured last
+        self.measured_by: dict[int, int] = {}  # version of the files with which an exposure was last measured
         self.numbers = (1, 2)
         self.settings = ModbusSettings(port=0, validity_s=VALIDITY_S, heartbeat_s=2.0)
         self.boot()
 
     def utc_ns(self) -> int:
-        """The wall clock, which somebody may set."""
+        """Wall clock, which may be set."""
         return int((1.7e9 + self.loop.time() + self.wall_shift_s) * 1e9)
 
     # --- the cell ------------------------------------------------------------------------------
 
     def setup(self) -> Setup:
-        """Jobs as they are now, with the calibration of the cameras that are wanted now."""
+        """Current jobs, with the calibration of the current cameras."""
         head, version = self.head.number, self.versions
         jobs = {
             number: LoadedJob(
@@ -391,13 +391,13 @@ class World:
 
     @property
     def in_force(self) -> int:
-        """Version of the files by which the cell measures now."""
+        """Version of the files with which the cell measures now."""
         return int(vars(self.cycle)["_cell"].setup.fingerprint, 16)
 
     def _locate(
         self, job: int, head: int, version: int, pair: FramePair, _lap: Callable[[str], None]
     ) -> Outcome:
-        """Mostly a good part, whose X says which exposure it is, and Y which job."""
+        """Mostly a good part, whose X encodes the exposure, and Y the job."""
         _, of_head = self.exposures[pair.left.frame_id]
         self.measured_by[pair.left.frame_id] = version
         self.book.expect(of_head == head, f"cameras {of_head} under the calibration of {head}")
@@ -412,7 +412,7 @@ class World:
         return Outcome(Status.OK, self._parts(place))
 
     def _parts(self, first: np.ndarray) -> tuple[Target, ...]:
-        """One to four, bad ones among them; Z says which it is."""
+        """One to four parts, bad ones among them; Z encodes the number of the part."""
         parts = []
         for number in range(self.dice.choice((1, 1, 2, 3, 4))):
             place = first.copy()
@@ -422,7 +422,7 @@ class World:
         return tuple(parts)
 
     def new_head(self) -> Head:
-        """Other cameras."""
+        """Exchange the cameras."""
         self.heads += 1
         self.head = Head(self, self.heads)
         return self.head
@@ -440,19 +440,19 @@ class World:
         self.book.counts["starts"] += 1
 
     def serve(self) -> None:
-        """Start the Modbus server; that of OPC UA serves its registers, and stays."""
+        """Start the Modbus server; the OPC UA server serves its registers, and stays."""
         self.cell = WatchedRegisters(self.settings, self.cycle, self.loop.time, world=self)
         self.served = ModbusPublisher(self.settings, self.cycle, clock_s=self.loop.time)
         vars(self.served)["_cell"] = self.cell
         self.publish()
 
     def publish(self) -> None:
-        """Tell the cycle who publishes."""
+        """Set the cycle's publishers."""
         heard = (self.cell.take, self.trigger.announce, self.opcua.announce)
         self.cycle.set_publishers([_Announcer(announce) for announce in heard])
 
     async def reboot(self) -> None:
-        """Stop the daemon, or kill it, wait, start it again: nothing of the old one is left."""
+        """Stop or kill the daemon, wait, and start it again: nothing of the old one is left."""
         if self.dice.random() < 0.5:
             self.cycle.stop()
             await self.task
@@ -468,7 +468,7 @@ class World:
         self.boot()
 
     def reload(self, section: str) -> None:
-        """As `Daemon.reload`: servers that changed are made anew, then the cycle hears of the rest."""
+        """Reload one section as `Daemon.reload`: changed servers are made anew, the cycle gets the rest."""
         self.book.counts["sections reloaded"] += 1
         self.book.counts[f"reload {section}"] += 1
         head = None
@@ -486,24 +486,24 @@ class World:
             self.numbers = self.dice.choice(((1, 2), (1,), (2,), (2, 1)))
         elif section in ("cameras", "rig"):
             head = self.new_head()
-        self.cycle.exchange(self.setup(), head)  # "recorder", "web", "drift": nothing for who measures
+        self.cycle.exchange(self.setup(), head)  # "recorder", "web", "drift" do not affect the measurement
 
 
 class _Announcer:
-    """Something that hears events, as a publisher."""
+    """A publisher that passes events to a function."""
 
     def __init__(self, announce: Callable[[Event], None]) -> None:
         self.announce = announce
 
 
 class LinkDown(Exception):
-    """Nobody answers."""
+    """The daemon does not answer."""
 
 
 class Line:
     """A client's connection: requests and answers as bytes. It is made anew whenever the server is.
 
-    means : whether the client means a command by this number now.
+    means : whether the client intends a command with this number now.
     """
 
     def __init__(self, world: World, number: int, step: int) -> None:
@@ -514,54 +514,54 @@ class Line:
         world.lines[number] = self
 
     def means(self, sequence: int) -> bool:
-        """Once for each time it was meant."""
+        """Whether this number is intended; true once for each time it was."""
         meant = sequence in self.intent
         self.intent.discard(sequence)
         return meant
 
     def connect(self) -> None:
-        """A new connection where the server is another one. Raises `LinkDown`."""
+        """Connect again if the server was replaced. Raises `LinkDown`."""
         if self._world.is_down:
             raise LinkDown
         if self.server is not self._world.cell:
             self.renew()
 
     def renew(self) -> None:
-        """Hang up and connect again."""
+        """Disconnect and connect again."""
         self.gone()
         self.number += self._step
         self.server = self._world.cell
         self._world.lines[self.number] = self
 
     def ask(self, pdu: bytes) -> bytes:
-        """The answer of whatever daemon runs now."""
+        """Answer of the daemon that runs now."""
         self.connect()
         return respond(pdu, ClientView(self.server, self.number), may_write=True)
 
     def read(self, block: reg.Block) -> dict[str, reg.Number]:
-        """One block by name."""
+        """Read one block by register name."""
         answer = self.ask(struct.pack(">BHH", 3, block.address, block.words))
         return reg.decode(block, struct.unpack(f">{block.words}H", answer[2:]))
 
     def write(self, address: int, *words: int) -> bool:
-        """Whether it was taken."""
+        """Write; whether it was accepted."""
         head = struct.pack(">BHHB", 16, address, len(words), 2 * len(words))
         return self.ask(head + struct.pack(f">{len(words)}H", *words))[0] == 16
 
     def gone(self) -> None:
-        """The connection ends."""
+        """End the connection."""
         self.server.gone(self.number)
         self._world.lines.pop(self.number, None)
 
 
 class Any16:
-    """Every number is meant, once: NEXT has one that the cell chooses."""
+    """Contains every number: that of NEXT is chosen by the cell."""
 
     def __contains__(self, _sequence: int) -> bool:
         return True
 
     def discard(self, _sequence: int) -> None:
-        """It stays so."""
+        """Keep every number."""
 
 
 class Link:
@@ -573,7 +573,7 @@ class Link:
         self._robot = Robot(view, world.settings, LineSettings(0, Brand.KUKA), may_write=True)
 
     async def ask(self, request: str) -> LineAnswer:
-        """The answer. Raises `LinkDown` when the server is another one before it comes."""
+        """Answer to a line. Raises `LinkDown` if the server is replaced before it comes."""
         asked = asyncio.ensure_future(self._robot.answer(request.encode() + b"\n"))
         while not asked.done():
             await asyncio.wait({asked}, timeout=0.05)
@@ -585,10 +585,10 @@ class Link:
 
 
 class Soak:
-    """One run: careful, cyclic and careless clients, a trigger, an observer, and bad luck.
+    """One run: careful, cyclic and careless clients, a trigger, an observer, and random faults.
 
     block_s : for how long the generated function block takes part (a scan takes a millisecond of real time).
-    image_s : the same of the scanner.
+    image_s : for how long the scanner takes part.
     until : pattern of the violation that ends the run.
     """
 
@@ -602,7 +602,7 @@ class Soak:
         self._shown: dict[tuple[int, int], tuple[Any, ...]] = {}  # by which command a part was seen as VALID
 
     def run(self, seconds: float) -> Book:
-        """Simulate; returns what was counted and every violation."""
+        """Simulate; returns the counts and every violation."""
         try:
             self.loop.run_until_complete(self._run(seconds))
         finally:
@@ -635,7 +635,7 @@ class Soak:
         self.clients += 1
         return Line(self.world, self.clients, 10_000_000)
 
-    # --- who uses the cell -------------------------------------------------------------------
+    # --- the clients -------------------------------------------------------------------------
 
     async def _plc(self) -> None:
         """Handshakes, each register once, as docs/how-to/plc.md says; now and then its power fails."""
@@ -649,7 +649,7 @@ class Soak:
             sequence = sequence % 65535 + 1
             try:
                 if not await self._handshake(line, sequence) and self.dice.random() < 0.8:
-                    sequence -= 1  # the same number once more: it was not answered
+                    sequence -= 1  # repeat the same number: it was not answered
                     continue
                 if self.dice.random() < 0.5:
                     line.write(reg.ADDRESS["OPTIONS"], reg.Option.RELEASE)
@@ -666,7 +666,7 @@ class Soak:
         if goes_on:
             kind, job = CommandKind.NEXT_PART, self.dice.choice((0, self._listed[0], self._listed[0], job))
         timeout_ms = self.dice.choice((0, 100, 1000, 5000))
-        # the first CMD_SEQ of a connection runs nothing: 0 never does; and it ends a list
+        # the first CMD_SEQ of a connection runs nothing (0 never does) and ends a list
         if not (goes_on or line.write(reg.ADDRESS["CMD_SEQ"], 0)) or not line.write(
             reg.ADDRESS["TIMEOUT"], timeout_ms
         ):
@@ -685,7 +685,7 @@ class Soak:
             await asyncio.sleep(self.dice.choice((0.01, 0.02, 0.1)))
             status = line.read(reg.STATUS)
             if (status["CMD_SEQ_ECHO"], status["START_EPOCH"]) != (sequence, epoch):
-                return False  # somebody else, or another start
+                return False  # another client, or another start
             waited_s = self.loop.time() - written_s
             if status["DONE_SEQ"] == sequence:
                 break
@@ -704,14 +704,14 @@ class Soak:
                 return True
             status = line.read(reg.STATUS)
             up = int(status["STATUS_BITS"]) & reg.StatusBit.RESULT_VALID
-            # meanwhile it may be another client's turn, whose result this number does not acknowledge
+            # meanwhile another client's result may be shown, which this number does not acknowledge
             is_mine = (status["CMD_SEQ_ECHO"], status["START_EPOCH"]) == (sequence, epoch)
             self.book.expect(not (up and is_mine), "VALID after its acknowledgement")
             self.book.counts["acknowledged in another client's turn"] += not is_mine
         return True
 
     def _pick(self, kind: int, job: int, result: Mapping[str, reg.Number], asked_s: float) -> None:
-        """A robot moves to it."""
+        """Check a part that a robot moves to."""
         self.book.counts["parts picked"] += 1
         with_pose = (CommandKind.LOCATE, CommandKind.NEXT_PART)
         self.book.expect(kind in with_pose, f"coordinates for command {kind}")
@@ -725,7 +725,7 @@ class Soak:
         self.book.expect(measured == {job} or (job == 0 and len(measured) == 1), f"{measured} for job {job}")
 
     async def _cyclic(self) -> None:
-        """A PLC as most are: the same registers every 20 ms, for ever, whatever happens in between."""
+        """A typical PLC: writes the same registers every 20 ms without end, whatever happens in between."""
         line = self._line()
         memory = [0, 0, 0, 0]  # COMMAND, JOB, CMD_SEQ, ACK_SEQ
         asked_s, located_s, epoch, looks = -math.inf, -math.inf, 0, 0
@@ -831,7 +831,7 @@ class Soak:
         client.close()
 
     async def _robot(self) -> None:
-        """Lines of text, a link for each picture; some answers are lost on the way, and asked for again."""
+        """Lines of text, with a new link for each picture; some answers are lost, and requested again."""
         sequence = self.dice.randrange(65535)
         while self._going:
             await asyncio.sleep(self.dice.uniform(0.0, 4.0))
@@ -859,7 +859,7 @@ class Soak:
                 link.line.gone()
 
     async def _said(self, link: Link, sequence: int, request: str) -> LineAnswer:
-        """The answer; where it is asked for twice, both are of one command."""
+        """Answer to a line; if it is requested twice, both answers must belong to the same command."""
         link.line.intent = Any16() if request == "NEXT" else {sequence}
         answer = await link.ask(f"{sequence},{request}")
         self.book.counts[f"lines answered with {answer.status}"] += 1
@@ -872,7 +872,7 @@ class Soak:
         return answer
 
     async def _registers_the_rig(self, link: Link, sequence: int) -> int:
-        """Three poses, sometimes more; what the cell says of each is not looked at. The last number."""
+        """Register three poses or more, without checking the answers. Returns the last sequence number."""
         requests = ["HAND_EYE_START", *["REGISTER_ADD,0,1,2,3,0,0,0"] * self.dice.choice((3, 8))]
         for request in (*requests, "REGISTER_SOLVE", "REGISTER_SOLVE", "REGISTER_SOLVE"):
             sequence = sequence % 65535 + 1
@@ -885,7 +885,7 @@ class Soak:
         return sequence
 
     def _place_picked(self, number: int, answer: LineAnswer, job: int, asked_s: float) -> None:
-        """As `_pick`, of an answer in mm."""
+        """As `_pick`, for an answer in mm."""
         x_mm, y_mm, z_mm = answer.pose[:3]
         result = {"X": round(x_mm * 1000), "Z": round(z_mm * 1000), "Y": round(y_mm * 1000)}
         self._pick(CommandKind.LOCATE, job, {**result, "JOB": job or round(y_mm)}, asked_s)
@@ -895,7 +895,7 @@ class Soak:
         )
 
     async def _opcua(self) -> None:
-        """Methods as a client of OPC UA calls them; what is shown to it then is of its own job."""
+        """Methods as an OPC UA client calls them; the picture shown to it must be of its own job."""
         line = Line(self.world, OPCUA, 0)
         for number in itertools.count():
             await asyncio.sleep(self.dice.expovariate(1 / 15.0))
@@ -932,7 +932,7 @@ class Soak:
             OPCUA_FORGET(opcua, session)
 
     async def _careless(self) -> None:
-        """A third client: reads, tries to write, floods the queue, starts a heartbeat and forgets it."""
+        """A third client: reads, tries to write, floods the queue, starts a heartbeat and stops it."""
         while self._going:
             await asyncio.sleep(self.dice.expovariate(1 / 10.0))
             line = self._line()
@@ -952,7 +952,7 @@ class Soak:
             line.gone()
 
     async def _zenoh(self) -> None:
-        """Triggers that come beside the PLC's commands."""
+        """Triggers beside the PLC's commands."""
         while self._going:
             await asyncio.sleep(self.dice.expovariate(1.0))
             for _ in range(self.dice.choice((1, 1, 3)) if not self.world.is_down else 0):
@@ -975,7 +975,7 @@ class Soak:
             except LinkDown:
                 values["xLinkOk"] = False
             if not values["xExecute"] and values["xReady"] and self.dice.random() < 0.2:
-                # the newest result is the last scan's
+                # the newest result was read in the last scan
                 goes_on = values["stResult"]["uiREMAINING"] > 0 and self.dice.random() < 0.8
                 values |= {"xExecute": True, "uiCommand": CommandKind.LOCATE}
                 if goes_on:
@@ -1004,7 +1004,7 @@ class Soak:
             )
 
     async def _bad_luck(self) -> None:
-        """Dead cameras, a clock that is set, a daemon that is stopped or killed, reloads of every section."""
+        """Dead cameras, clock changes, a daemon that is stopped or killed, reloads of every section."""
         works_until_s = rests_until_s = self.loop.time()
         bag, sections = list[tuple[str, ...]](), SECTIONS
         while self._going:
@@ -1035,7 +1035,7 @@ class Soak:
                 await self._reload_often(SECTIONS)
 
     async def _reload_often(self, sections: Sequence[str]) -> None:
-        """Several times, one soon after the other, half of them of the same section."""
+        """Reload several times in quick succession, half of them the same section."""
         section = self.dice.choice(sections)
         for _ in range(4):
             again = self.dice.random() < 0.5
@@ -1047,7 +1047,7 @@ class Soak:
         await asyncio.sleep(self.dice.choice((0.0, 0.001, 0.1, 1.0)))
 
     async def _while_commands_wait(self, section: str) -> None:
-        """What goes wrong at a reload goes wrong for commands that were accepted before it."""
+        """Wait for open commands, as bugs of a reload affect commands that were accepted before it."""
         trigger, wanted = self.world.trigger, 1 if section in ("modbus", "zenoh") else 2
         for _ in range(self.dice.choice((0, 100, 500))):
             waiting = 0 if section == "zenoh" else len(self.book.open)
@@ -1056,7 +1056,7 @@ class Soak:
                 return
             await asyncio.sleep(0.01)
 
-    # --- who looks on --------------------------------------------------------------------------
+    # --- the observer --------------------------------------------------------------------------
 
     async def _observe(self) -> None:
         line = self._line()
@@ -1119,5 +1119,5 @@ class Soak:
         part = int(result["X"]), int(result["Z"])
         command = (result["START_EPOCH"], sequence)
         expect(self._shown.setdefault(part, command) == command, f"part {part} under two commands")
-        # the transfer of the images is not part of the age when the clock was set during the cycle
+        # the age excludes the transfer of the images when the clock was set during the cycle
         expect(now_s - exposed_s <= VALIDITY_S + 0.06, f"VALID after {now_s - exposed_s:.3f} s")

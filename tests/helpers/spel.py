@@ -32,7 +32,7 @@ NAME = r"[A-Za-z]\w*\$?"
 
 
 class SpelError(Exception):
-    """An error that OnErr may catch."""
+    """An error that OnErr can catch."""
 
 
 TYPES = Types(
@@ -47,7 +47,7 @@ TYPES = Types(
 
 
 class _Syntax(Syntax):
-    """SPEL+'s statements, one a line."""
+    """SPEL+'s statements, one per line."""
 
     IF = r"If (.+) Then$"
     WHILE = r"Do While (.+)$"
@@ -85,7 +85,7 @@ class _Syntax(Syntax):
 
 
 class _Spel(LabelledProgram):
-    """SPEL+: a handler ends in EResume, which names where it goes on."""
+    """SPEL+: a handler ends in EResume, which names where execution continues."""
 
     def _guarded(self, routine: Routine) -> None:
         assert isinstance(routine, Function)
@@ -104,7 +104,7 @@ class _Spel(LabelledProgram):
 
 
 def load(source: str, controller: Controller) -> Program:
-    """The file, its functions ready to be called."""
+    """Load the file, its functions ready to be called."""
     assert source.isascii()
     program = _Spel("spel", TYPES, "=", "[]")
     program.builtins = {name.upper(): getattr(controller, method) for name, method in BUILTINS.items()}
@@ -176,7 +176,7 @@ BUILTINS = {
 
 
 class Controller:
-    """Port 201 and a timer."""
+    """Controller with port 201 and a timer."""
 
     def __init__(self, link: Link) -> None:
         self.link = link
@@ -189,55 +189,55 @@ class Controller:
         self.here = TYPES.variable("String", "here")
 
     def str(self, value: Any) -> str:
-        """A number's digits, as few as say it."""
+        """Digits of a number, as few as needed."""
         return f"{value.get():.10g}"
 
     def keep_tool(self, place: Any) -> None:
-        """The number of the active tool."""
+        """Store the number of the active tool."""
         place.set(self.tool)
 
     def activate(self, number: Any) -> None:
-        """Another tool; 0 is the flange."""
+        """Activate another tool; 0 is the flange."""
         self.tool = int(number.get())
 
     def _coordinate(self, index: int, point: Any) -> float:
-        """Of Here, in Local 0."""
+        """Coordinate of Here, in Local 0."""
         assert "here" == point.get()
         arm = self.link.arm
         return pose_of(Brand.EPSON, arm.tip if self.tool else arm.flange)[index]
 
     def mid(self, text: Any, start: Any, count: Any) -> str:
-        """From 1."""
+        """Substring, counted from 1."""
         assert 1 <= start.get() <= len(text.get())
         first = int(start.get()) - 1
         return text.get()[first : first + int(count.get())]
 
     def asc(self, text: Any) -> int:
-        """The code of the first character."""
+        """Code of the first character."""
         return ord(text.get()[0])
 
     def set_net(self, address: Any, port: Any) -> None:
-        """Of a closed port."""
+        """Configure a closed port."""
         assert ("192.168.10.20", 1503) == (address.get(), port.get()) and not self.is_open
 
     def open_net(self) -> None:
-        """It connects by itself, sooner or later."""
+        """Open the port; it connects by itself later."""
         assert not self.is_open
         self.is_open = True
 
     def wait_net(self, timeout: Any) -> None:
-        """Until it is connected."""
+        """Wait until it is connected."""
         assert timeout.get() > 0 and self.is_open
         if not self.link.open():
             raise SpelError
 
     def close_net(self) -> None:
-        """Of an open port."""
+        """Close an open port."""
         assert self.is_open
         self.close()
 
     def chk_net(self, number: Any) -> int:
-        """Characters, or the state."""
+        """Number of received characters, or a negative state."""
         assert 201 == number.get()
         if not self.is_open:
             return -3
@@ -248,24 +248,24 @@ class Controller:
         return len(self.heard) if self.link.is_open else -1
 
     def print(self, text: Any) -> None:
-        """With the end of line."""
+        """Send text with the end of line."""
         if not self.link.send(text.get().encode("ascii") + b"\n"):
             raise SpelError
 
     def read(self, text: Any, count: Any) -> None:
-        """So many characters, which must be there."""
+        """Read this many characters, which must have arrived."""
         size = int(count.get())
         assert 1 <= size <= len(self.heard), "it would wait"
         text.set(self.heard[:size].decode("latin-1"))
         self.heard = self.heard[size:]
 
     def tm_reset(self, number: Any) -> None:
-        """It counts from there."""
+        """Restart the timer."""
         assert 0 <= number.get() <= 15
         self.set_s = self.link.now_s()
 
     def tmr(self, number: Any) -> float:
-        """Seconds."""
+        """Seconds since the timer was reset."""
         assert 0 <= number.get() <= 15
         return self.link.now_s() - self.set_s
 

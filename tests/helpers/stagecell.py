@@ -1,4 +1,4 @@
-"""A stage: the virtual cell that is to be set up, beside its daemon, and a browser's session with it."""
+"""A stage: the virtual cell to be set up, with its daemon, and a browser's session with it."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from helpers.webcell import HASH
 
 
 class Newcomer(Visitor):
-    """Somebody at a stage. pages : those of its daemon that are in this process."""
+    """A user at a stage. pages : those of its daemon that run in this process."""
 
     def __init__(
         self, browser: BrowserSession, world: VirtualWorld, daemon: Daemon, pages: list[Page]
@@ -38,7 +38,7 @@ class Newcomer(Visitor):
         self.world, self.daemon, self.pages = world, daemon, pages
 
     async def picture(self) -> dict[str, Image]:
-        """A fresh pair."""
+        """Capture a fresh pair."""
         taken = await self.ask("POST", "captures", self.token, 201)
         images = {}
         for side in SIDES:
@@ -56,7 +56,7 @@ def run(
     gige: bool = True,
     page_is_here: bool = True,
 ) -> None:
-    """A test beside a running stage, bounded. gige : cameras on the network, not inside the process."""
+    """Run a test beside a running stage, with a time limit. gige : network cameras, not in-process ones."""
 
     async def bounded() -> None:
         async with asyncio.timeout(WHOLE_S), staged(folder, gige=gige, page_is_here=page_is_here) as newcomer:
@@ -71,8 +71,8 @@ async def staged(
 ) -> AsyncIterator[Newcomer]:
     """A running stage, and a session that has logged in and taken the cell.
 
-    rig : with pictures of 640x480 if None, which take a quarter of the time of the demo's.
-    page_is_here : whether its page is in this process, and one of the newcomer's pages.
+    rig : if None, one with pictures of 640x480, which take a quarter of the time of the demo's.
+    page_is_here : whether its page runs in this process, and is one of the newcomer's pages.
     """
     ports = free_port(), free_port(), free_port()
     with (

@@ -1,4 +1,4 @@
-"""Everything that writes into the state directory, and whether a power cut left the old state or the new."""
+"""Everything that writes to the state directory, and whether a power cut leaves the old or the new state."""
 
 from __future__ import annotations
 
@@ -34,17 +34,17 @@ SETUPS: Mapping[str, Mapping[str, bytes]] = {
 }
 
 
-# --- what is written, and how it reads ------------------------------------------------------------
+# --- writing and reading --------------------------------------------------------------------------
 
 
 def recorder(folder: Path, fingerprint: str) -> Recorder:
-    """One that keeps two good cycles, so that old ones and their setups go."""
+    """A recorder that keeps two good cycles, so that older ones and their setups are deleted."""
     settings = RecorderSection(folder=folder, keep_good=2, min_free_mib=0)
     return Recorder(settings, lambda: (fingerprint, SETUPS[fingerprint]), lambda: START_NS)
 
 
 def record(folder: Path, fingerprint: str) -> None:
-    """A start of the recorder, one cycle, and its end."""
+    """Start the recorder, record one cycle, and close it."""
     image = np.zeros((4, 4), np.uint8)
     pair = FramePair(*(Frame(side, 7, image, 5, START_NS) for side in ("left", "right")))
     done: Event = replace(make_snapshot(1, Status.OK), fingerprint=fingerprint)
@@ -63,7 +63,7 @@ def record(folder: Path, fingerprint: str) -> None:
 
 
 def sweep(folder: Path) -> None:
-    """What the next start of the daemon does."""
+    """Start and close the recorder, as the next start of the daemon does."""
 
     async def live() -> None:
         keeper = recorder(folder, "0badcafe")
@@ -75,7 +75,7 @@ def sweep(folder: Path) -> None:
 
 
 def files(folder: Path) -> dict[str, bytes]:
-    """Content by relative path."""
+    """Content of each file by relative path."""
     return {
         file.relative_to(folder).as_posix(): file.read_bytes() for file in folder.rglob("*") if file.is_file()
     }
@@ -83,10 +83,10 @@ def files(folder: Path) -> dict[str, bytes]:
 
 @dataclass(frozen=True)
 class State:
-    """What programs read of the state directory.
+    """The part of the state directory that programs read.
 
     cell : the fingerprint of configuration, rig and jobs, and the modes of their files and folders.
-    backup : the fingerprint in the archive.  recordings : names of those that are whole.
+    backup : the fingerprint in the archive.  recordings : names of the complete ones.
     """
 
     cell: tuple[str, tuple[tuple[str, int], ...]]
@@ -95,9 +95,9 @@ class State:
 
 
 def read_state(root: Path, known: dict[frozenset[tuple[str, bytes]], str]) -> State:
-    """Through the functions of the product; whatever cannot be read raises.
+    """Read the state with the product's functions; whatever cannot be read raises.
 
-    known : fingerprints of cells that were read before, by all their files; of drafts the name is enough.
+    known : fingerprints of cells already read, by all their files; drafts are compared by name only.
     """
     found = files(root / "cell").items()
     content = frozenset((name, b"" if "/." in f"/{name}" else data) for name, data in found)
@@ -128,7 +128,7 @@ def read_state(root: Path, known: dict[frozenset[tuple[str, bytes]], str]) -> St
 
 
 class Writers:
-    """Everything that writes into the state directory, in turns."""
+    """Everything that writes to the state directory, in turns."""
 
     def __init__(self, root: Path, template: Path, dice: random.Random) -> None:
         self._root, self._dice = root, dice
@@ -139,7 +139,7 @@ class Writers:
         self._count = 0
 
     def first(self) -> None:
-        """A cell."""
+        """Create the cell."""
         self._cell.mkdir()
         atomic.sync(self._root)
         self.calibrate()
@@ -147,38 +147,38 @@ class Writers:
         atomic.write_atomically(self._cell / "cell.toml", self._text)
 
     def teach(self) -> None:
-        """The job once more, with another score."""
+        """Save the job again, with another score."""
         self._count += 1
         search = replace(self._job.search, min_score=0.5 + 0.001 * self._count)
         save_job(self._cell / "jobs" / "flange", replace(self._job, search=search))
 
     def calibrate(self) -> None:
-        """Another rig; the former one is kept."""
+        """Save another rig; the former one is kept."""
         self._count += 1
         keep_old_rig(self._cell / "rig.json")
         save_rig(self._cell / "rig.json", replace(self._rig, calibration_id=f"cal{self._count}"))
 
     def release(self) -> None:
-        """A backup over the one before."""
+        """Write a backup over the previous one."""
         backup(self._cell / "cell.toml", self._root / "release.tar.gz", QUIET, force=True)
 
     def go_back(self) -> None:
-        """The last backup into the cell that runs."""
+        """Restore the last backup into the running cell."""
         assert 0 == restore(self._root / "release.tar.gz", self._cell, QUIET, force=True)
 
     def record(self) -> None:
-        """A cycle of one of two setups."""
+        """Record a cycle with one of two setups."""
         record(self._root / "recordings", self._dice.choice(list(SETUPS)))
 
     def all(self, count: int) -> list[Callable[[], None]]:
-        """A cell, a backup, and then whatever comes."""
+        """Create a cell and a backup, then run `count` random writers."""
         some = [self.teach, self.calibrate, self.release, self.go_back, self.record, self.record]
         return [self.first, self.release, *(self._dice.choice(some) for _ in range(count))]
 
 
 @dataclass(frozen=True)
 class Step:
-    """What one writer did: its calls are those from `start` to `end`."""
+    """The calls of one writer: those from `start` to `end`."""
 
     name: str
     start: int
@@ -188,7 +188,7 @@ class Step:
 
 
 def watch(record: Record, work: Iterable[Callable[[], None]], copies: Path) -> list[Step]:
-    """Let writers write, one after the other; the first one only prepares."""
+    """Run the writers one after the other and record their calls; the first one only prepares."""
     copies.mkdir()
     steps: list[Step] = []
     before: State | None = None
@@ -206,7 +206,7 @@ def watch(record: Record, work: Iterable[Callable[[], None]], copies: Path) -> l
 
 
 def flaw(step: Step, found: State) -> str:
-    """How what a power cut left is neither what was before this step nor what is after it."""
+    """Describe how a state left by a power cut is neither that before the step nor that after it."""
     before, after = step.before, step.after
     if found.cell not in (before.cell, after.cell):
         return f"{step.name}: a cell that never was: {found.cell}"
@@ -218,7 +218,7 @@ def flaw(step: Step, found: State) -> str:
 
 
 def survive(template: Path, folder: Path, cuts: int, seed: int) -> list[str]:
-    """Let twenty writers write below a folder and cut the power so often; returns every flaw."""
+    """Run twenty writers below a folder and cut the power `cuts` times; returns every flaw."""
     dice = random.Random(seed)
     root = folder / "state"
     root.mkdir()
@@ -229,7 +229,7 @@ def survive(template: Path, folder: Path, cuts: int, seed: int) -> list[str]:
 
 
 def cut_often(record: Record, steps: list[Step], cuts: int, dice: random.Random, folder: Path) -> list[str]:
-    """So many power cuts; returns every flaw. A writer that has returned has its work on the disk."""
+    """Cut the power this many times; returns every flaw. A writer that has returned has its data on disk."""
     folder.mkdir()
     flaws: list[str] = []
     known: dict[frozenset[tuple[str, bytes]], str] = {}

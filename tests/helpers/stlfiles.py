@@ -1,4 +1,4 @@
-"""STL files for tests: plates with round outlines and holes, and any model's triangles."""
+"""STL files for tests: plates with round outlines and holes, and the triangles of any model."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def binary(corners: FloatArray, header: bytes = b"") -> bytes:
 
 
 def text(corners: FloatArray, digits: int = 6) -> str:
-    """The same as text."""
+    """Triangles (N, 3, 3) as a text file."""
     lines = ["solid part"]
     for triangle in corners:
         lines += ["facet normal 0 0 0", "outer loop"]
@@ -29,7 +29,7 @@ def text(corners: FloatArray, digits: int = 6) -> str:
 def ring(
     count: int, outer_mm: float, inner_mm: float, high_mm: float, turn_rad: float = 0.1, rows: int = 1
 ) -> FloatArray:
-    """Triangles (N, 3, 3) of a round plate with a hole amid it, each of so many chords; z = 0 on top.
+    """Triangles (N, 3, 3) of a round plate with a central hole, each of `count` chords; z = 0 on top.
 
     rows : of triangles of the outer wall.
     """

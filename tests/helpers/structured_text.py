@@ -1,7 +1,7 @@
 """A tree-walking interpreter for the structured text that edged writes, on the syntax tree of blark.
 
 As strict as a compiler: unknown names, values that do not fit their type and mixed types are errors, so
-that what runs here is not only well formed. It knows what `FB_EDGED` uses, not the whole of IEC 61131-3.
+that the source is checked for more than its syntax. It covers what `FB_EDGED` uses, not all of IEC 61131-3.
 """
 
 from __future__ import annotations
@@ -48,9 +48,9 @@ RANGES = {
 
 @functools.cache
 def parse(source: str) -> list[Any]:
-    """Declarations of a source; raises what blark says about a mistake.
+    """Declarations of a source. Raises what blark reports about an error.
 
-    A quarter of a minute for `FB_EDGED`, so they are kept, and in a file for the other processes.
+    Takes a quarter of a minute for `FB_EDGED`, so results are cached, and in a file for the other processes.
     """
     key = f"{version('blark')} {sys.version} {source}"
     kept = PARSED / hashlib.sha256(key.encode()).hexdigest()
@@ -76,7 +76,7 @@ class Timer:
         self.fields: dict[str, tuple[Any, str]] = {"Q": (False, "BOOL")}
 
     def call(self, given: Mapping[str, tuple[Any, Kind]]) -> None:
-        """One call: inputs with their types."""
+        """Execute one call, with inputs and their types."""
         (raised, _), (limit_ms, _) = given["IN"], given["PT"]
         if not raised:
             self._since_ms = None
@@ -97,13 +97,13 @@ class Foreign(Protocol):
 
 
 Kind = str | tuple[int, str]
-"""Name of a type; of an array its length and the type of its elements."""
+"""Name of a type; for an array its length and the type of its elements."""
 
 
 class Program:
     """Parsed source: makes instances of its function blocks.
 
-    library : makes the function blocks that are the PLC's own, by the name of their type.
+    library : makes the PLC's own function blocks, by the name of their type.
     shared : names and types of global variables.
     """
 
@@ -140,7 +140,7 @@ class Program:
         return Instance(self, self.blocks[name])
 
     def initial(self, kind: Kind) -> Any:
-        """The value a variable has before anything was assigned."""
+        """Value of a variable before any assignment."""
         if isinstance(kind, tuple):
             return [self.initial(kind[1]) for _ in range(kind[0])]
         if kind == "BOOL":
@@ -240,7 +240,7 @@ class Instance:
                 self._assign(parameter.value, *block.fields[str(parameter.name.name)])
 
     def call(self, given: Mapping[str, tuple[Any, Kind]]) -> None:
-        """Take inputs, which keep their values from call to call, and run the body."""
+        """Set inputs, which keep their values between calls, and run the body."""
         for name, (value, kind) in given.items():
             assert name in self.inputs(), f"{name} is no input"
             self.values[name] = copied(checked(value, kind, self.kinds[name], name))
@@ -256,7 +256,7 @@ class Instance:
         container[key] = copied(checked(value, kind, wanted, str(target)))
 
     def _place(self, target: Any) -> tuple[Any, Any, Kind]:
-        """What holds a variable, its key in there, and its type."""
+        """Container of a variable, its key there, and its type."""
         is_simple = isinstance(target, ast.SimpleVariable)
         name = str(target.name) if is_simple else str(target.name.name)
         container, kinds = self.values, self.kinds
@@ -286,7 +286,7 @@ class Instance:
         return int(index)
 
     def evaluate(self, expression: Any) -> tuple[Any, Any]:
-        """Value and type of an expression; a literal has the type "ANY_INT", or "ANY_HEX"."""
+        """Value and type of an expression; the type of a literal is "ANY_INT" or "ANY_HEX"."""
         match expression:
             case ast.Duration():
                 seconds = float(expression.seconds or 0) + float(expression.milliseconds or 0) / 1000
@@ -354,7 +354,7 @@ class Instance:
 class Driven:
     """A block with xExecute and xBusy, called scan by scan in real time, as a PLC's task does.
 
-    scans_to_acknowledge : after which the cell knows that the result was used.
+    scans_to_acknowledge : number of scans after which the cell knows that the result was used.
     """
 
     block: Instance
@@ -362,11 +362,11 @@ class Driven:
     scans_to_acknowledge = 40
 
     def scan(self) -> None:
-        """One cycle of the PLC."""
+        """Run one cycle of the PLC."""
         self.block.scan()
 
     def until(self, name: str, value: Any = True) -> None:
-        """Scans until a variable has a value."""
+        """Scan until a variable has a value."""
         deadline_s = time.monotonic() + LIMIT_S
         self.scan()
         while self.values[name] != value:
@@ -374,14 +374,14 @@ class Driven:
             self.scan()
 
     def run(self, **inputs: Any) -> None:
-        """A rising edge of xExecute, until the block is not busy any more."""
+        """Raise xExecute and scan until the block is no longer busy."""
         self.values |= inputs | {"xExecute": True}
         self.scan()
         assert self.values["xBusy"]
         self.until("xBusy", False)
 
     def release(self) -> None:
-        """The falling edge, until the cell knows."""
+        """Lower xExecute and scan until the cell knows."""
         self.values["xExecute"] = False
         for _ in range(self.scans_to_acknowledge):
             self.scan()
@@ -397,12 +397,12 @@ def kind_of(init: Any) -> Kind:
 
 
 def copied(value: Any) -> Any:
-    """Structures and arrays are values."""
+    """Copy of a structure or array, which are values."""
     return copy.deepcopy(value) if isinstance(value, list | dict) else value
 
 
 def checked(value: Any, kind: Kind, wanted: Kind, place: str) -> Any:
-    """The value, if a variable of the wanted type can hold it."""
+    """The value. Fails unless a variable of the wanted type can hold it."""
     assert kind == wanted or wanted in LITERALS.get(str(kind), ()), f"{place}: {wanted} := {kind}"
     if isinstance(wanted, str) and wanted in RANGES:
         low, high = RANGES[wanted]
@@ -411,7 +411,7 @@ def checked(value: Any, kind: Kind, wanted: Kind, place: str) -> Any:
 
 
 def converted(value: int, wanted: str) -> float:
-    """X_TO_Y keeps the bits that fit, as PLCs do; a REAL has 24 of them."""
+    """Convert as X_TO_Y does on PLCs, keeping the bits that fit; a REAL has 24 of them."""
     if wanted == "REAL":
         return float(np.float32(value))
     low, high = RANGES[wanted]
@@ -420,7 +420,7 @@ def converted(value: int, wanted: str) -> float:
 
 
 def operate(op: str, left: tuple[Any, str], right: tuple[Any, str]) -> tuple[Any, str]:
-    """One binary operation; both sides must be of one type (or one of them a literal)."""
+    """Apply a binary operator; both sides must have the same type (or one is a literal)."""
     (a, kind), (b, other) = left, right
     fits = kind == other or other in LITERALS.get(kind, ()) or kind in LITERALS.get(other, ())
     assert fits or {kind, other} <= LITERALS.keys(), f"{kind} {op} {other}"

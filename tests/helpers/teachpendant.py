@@ -2,7 +2,7 @@
 
 After the "R-30iA Operator's Manual" (B-82594EN): frame numbers, position registers and their elements (X, Y,
 Z, W, P, R), Tool_Offset in the frame of the active tool, CALL with arguments, IF with a jump, registers.
-Tool 0 is the flange. A negative constant stands in parentheses of its own, as the pendant lists it.
+Tool 0 is the flange. A negative constant is written in parentheses, as the pendant lists it.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ NUMBER = r"(?:\d+|\(-\d+\))"
 
 
 class Alarm(Exception):
-    """UALM."""
+    """The program raised a user alarm (UALM)."""
 
 
 def _number(text: str) -> int:
@@ -29,7 +29,7 @@ def _number(text: str) -> int:
 
 
 class TeachPendant:
-    """Runs the lines. call : of KAREL's EDGED with its arguments; registers : R."""
+    """Runs the lines. call : KAREL's EDGED, with its arguments; registers : R."""
 
     def __init__(
         self, arm: RobotArm, call: Callable[[tuple[int, ...]], None], registers: dict[int, float]
@@ -40,11 +40,11 @@ class TeachPendant:
 
     @property
     def position(self) -> FloatArray:
-        """Of the active tool in user frame 0."""
+        """Pose of the active tool in user frame 0."""
         return self._arm.flange if self.tool == 0 else self._arm.tip
 
     def run(self, source: str) -> None:
-        """To its END. Raises `Alarm`."""
+        """Run to its END. Raises `Alarm`."""
         assert source.isascii()
         head, _, rest = source.partition("/MN\n")
         named = re.match(r"/PROG  (\w+)\n/ATTR\n", head)
@@ -60,7 +60,7 @@ class TeachPendant:
             at = texts.index(f"LBL[{label}]") if label else at + 1
 
     def _execute(self, text: str) -> int:
-        """A label to jump to; 0: the next line."""
+        """Execute a line; returns a label to jump to, or 0 for the next line."""
         if found := re.match(r"UTOOL_NUM=(\d)$", text):
             self.tool = int(found[1])
         elif found := re.match(r"PR\[(\d+)\]=(?:LPOS|PR\[(\d+)\])$", text):

@@ -1,4 +1,4 @@
-"""Parts that lie tilted from the bisector of the cameras, thin and thick, with exact truth."""
+"""Parts tilted from the bisector of the cameras, thin and thick, with exact truth."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from edged.vision.geometry.rigid import about_z, cross, invert, rotation_matrix,
 from helpers.cells import PLACE_MM, TEXTURED, pose
 
 BELOW_MM = 24.0
-"""The table lies so far below PLACE_MM that no part tilted by 45° cuts into it."""
+"""Depth of the table below PLACE_MM, so that no part tilted by 45° cuts into it."""
 
 
 def lying(
@@ -24,7 +24,7 @@ def lying(
     turn_deg: float,
     place_mm: tuple[float, float, float] = PLACE_MM,
 ) -> FloatArray:
-    """rig_from_part of a face turned about its normal, and tilted to a side off the line amid the cameras."""
+    """rig_from_part of a face turned about its normal, then tilted away from the cameras' bisector."""
     place = np.array(place_mm)
     z = -unit(unit(-place) + unit(invert(rig.right_from_left)[:3, 3] - place))
     x = unit(cross(np.array([0.0, 1.0, 0.0]), z))
@@ -40,14 +40,14 @@ def thin(part: Part, where: FloatArray) -> Scene:
 
 
 def thick(part: Part, where: FloatArray, thickness_mm: float, wall: Surface, slices: int = 24) -> Scene:
-    """The part with walls of its outline and its holes."""
+    """The part with walls along its outline and its holes, over a table."""
     return Scene(_table(), tuple(stacked(part, where, thickness_mm, wall, slices)))
 
 
 def stacked(
     part: Part, where: FloatArray, thickness_mm: float, wall: Surface, slices: int = 24
 ) -> list[PlacedPart]:
-    """Thin copies of a part down its normal, lowest first: its walls, and then itself."""
+    """Thin copies of a part stacked along its normal, lowest first: its walls, then the part itself."""
     clear = tuple(replace(hole, transmission=1.0) for hole in part.holes)
     below = replace(part, surface=wall, holes=clear)
     layers = []

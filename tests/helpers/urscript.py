@@ -1,7 +1,7 @@
 """The URScript that edged writes, run as Python: the two differ in `end` and in how poses are written.
 
 There is no URScript interpreter outside the robot's controller. The translation is line by line and knows
-only what the snippet uses; a line it does not know is an error. Numbers are checked to stay in the 32-bit
+only what the snippet uses; an unknown line is an error. Numbers are checked to fit the 32-bit
 integers of the controller.
 """
 
@@ -62,11 +62,11 @@ class _Pose:
 
 
 POSE = _Pose()
-"""What a translated program calls p."""
+"""Object that stands for URScript's p[...] in a translated program."""
 
 
 def load(source: str, builtins: dict[str, Any]) -> dict[str, Any]:
-    """Names that the script defines, with the controller's functions given."""
+    """Names that the script defines, run with the given functions of the controller."""
     names: dict[str, Any] = {"pose": POSE, **builtins}
     tree = ast.parse(translate(source))
     declared(tree, "urscript")
@@ -75,10 +75,10 @@ def load(source: str, builtins: dict[str, Any]) -> dict[str, Any]:
 
 
 class Controller:
-    """The robot controller's Modbus client, as PolyScope's Script Manual tells it.
+    """The robot controller's Modbus client, as PolyScope's Script Manual describes it.
 
     Signals are read and written at their update frequency while the program sleeps, whether it asks or not,
-    and written for ever once they were set; a program sees what was read last.
+    and written repeatedly once they were set; a program sees the value read last.
     """
 
     def __init__(self, port: int) -> None:
@@ -90,13 +90,13 @@ class Controller:
         self.connect()
 
     def connect(self) -> None:
-        """A new connection, without a word to the program."""
+        """Reconnect; the program is not informed."""
         self._client = ModbusTcpClient("127.0.0.1", port=self._port, timeout=2)
         assert self._client.connect()
         self.linked = True
 
     def builtins(self) -> dict[str, Any]:
-        """What URScript calls."""
+        """Functions that URScript calls."""
         return {
             "get_actual_tool_flange_pose": lambda: pose_of(Brand.UR, self.arm.flange),
             "pose_trans": lambda first, then: pose_of(
@@ -154,5 +154,5 @@ class Controller:
         self.close()
 
     def close(self) -> None:
-        """The line ends."""
+        """Close the connection."""
         self._client.close()

@@ -33,7 +33,7 @@ TYPES = Types(
 
 
 class _Syntax(Syntax):
-    """VAL 3's statements, one a line."""
+    """VAL 3's statements, one per line."""
 
     IF = r"if (.+)$"
     WHILE = r"while (.+)$"
@@ -49,7 +49,7 @@ class _Syntax(Syntax):
 
 
 def load(files: dict[str, str], controller: Controller) -> Program:
-    """The library, its programs ready to be called."""
+    """Load the library, its programs ready to be called."""
     program = Program("val3", TYPES, "==", "[]")
     program.builtins = {name.upper(): getattr(controller, method) for name, method in BUILTINS.items()}
     project = ET.fromstring(files["edged.pjx"])
@@ -104,7 +104,7 @@ BUILTINS = {
 
 
 class Controller:
-    """One client socket. closes : whether `clearBuffer` closes it, too."""
+    """Controller with one client socket. closes : whether `clearBuffer` closes it, too."""
 
     def __init__(self, link: Link, *, closes: bool = True) -> None:
         self.link = link
@@ -113,14 +113,14 @@ class Controller:
         self.heard = b""
 
     def to_string(self, form: Any, value: Any) -> str:
-        """As many digits as it needs, or so many behind the point."""
+        """As many digits as needed, or a fixed number after the point."""
         if form.get() == ".4":
             return f"{value.get():.4f}"
         assert "" == form.get() and float(value.get()).is_integer()
         return str(int(value.get()))
 
     def here(self, tool: Any, frame: Any) -> Record:
-        """Where a tool is in a frame; `flange` is a tool, `world` a frame."""
+        """Pose of a tool in a frame; `flange` is a tool, `world` a frame."""
         assert ("flange", "world") == (tool.get(), frame.get())
         point: Record = TYPES.initial("pointRx")
         places = point.fields["trsf"].value.fields.values()
@@ -129,16 +129,16 @@ class Controller:
         return point
 
     def len(self, text: Any) -> int:
-        """Characters."""
+        """Number of characters."""
         return len(text.get())
 
     def asc(self, text: Any, position: Any) -> int:
-        """The code of a character, from 0."""
+        """Code of a character, counted from 0."""
         assert 0 <= position.get() < len(text.get())
         return ord(text.get()[int(position.get())])
 
     def clock(self) -> float:
-        """Seconds."""
+        """Time, s."""
         return self.link.now_s()
 
     def delay(self, seconds: Any) -> None:
@@ -146,13 +146,13 @@ class Controller:
         self.link.pause(seconds.get())
 
     def sio_ctrl(self, _sio: Any, parameter: Any, value: Any) -> int:
-        """Of a socket: -1 for no waiting."""
+        """Set the timeout of a socket: -1 for no waiting."""
         assert "timeout" == parameter.get()
         self.timeout_s = value.get()
         return 0
 
     def _connected(self) -> bool:
-        """With the first access."""
+        """Connect on first access; whether it is connected."""
         return self.link.is_open or self.link.open()
 
     def _lost(self) -> int:
@@ -160,7 +160,7 @@ class Controller:
         return -1
 
     def sio_set(self, _sio: Any, data: Any) -> int:
-        """How many bytes were sent; -1 for none."""
+        """Number of bytes sent; -1 for none."""
         assert isinstance(data, Array) and self.timeout_s > 0
         if not self._connected():
             return -1
@@ -169,7 +169,7 @@ class Controller:
         return len(data.elements)
 
     def sio_get(self, _sio: Any, place: Any) -> int:
-        """One byte, when there is one."""
+        """Read one byte, if one has arrived."""
         assert self.timeout_s == -1 and not isinstance(place, Array)
         if not self._connected():
             return -1
@@ -185,7 +185,7 @@ class Controller:
         return 1
 
     def clear_buffer(self, _sio: Any) -> None:
-        """What came is forgotten."""
+        """Discard received data."""
         self.heard = b""
         if self.closes:
             self.close()

@@ -1,4 +1,4 @@
-"""A folder as /opt/edged with two versions of edged, and a cell that is restarted as its links say."""
+"""A folder like /opt/edged with two versions of edged, and a cell that restarts with the linked version."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ OLD, NEW = "0.1.0", "edged-0.2.0"
 
 
 def make_versions(folder: Path, new: str, digest: str) -> None:
-    """The running version and a new one, whose programs are this one's. new : shell that ends in "$@"."""
+    """The running version and a new one, both running this checkout. new : shell script that ends in "$@"."""
     for name, script, mark in ((OLD, 'exec "$@"', ""), (NEW, new, digest)):
         place = folder / "versions" / name
         (place / "bin").mkdir(parents=True)
@@ -32,7 +32,7 @@ def make_versions(folder: Path, new: str, digest: str) -> None:
 
 @dataclass
 class VersionedCell:
-    """The cell, its versions, and who restarts it (`versions.Unit`). comes_up : the new one does."""
+    """The cell, its versions, and its restarts (`versions.Unit`). comes_up : whether the new one starts."""
 
     folder: Path
     opt: Path
@@ -46,38 +46,38 @@ class VersionedCell:
 
     @property
     def current(self) -> str:
-        """The version that the link means; it is whole."""
+        """Version that the link points to, which must be complete."""
         name = self.versions.linked(CURRENT)
         assert self.versions.digest(name) is not None
         return name
 
     def boot(self) -> None:
-        """The page's process by the current version, and one step of its gate."""
+        """Start the page's gate with the current version."""
         self.cell = GatedCell(self.folder, self.pairs)
         self.cell.gate.software.running = self.current
 
     def restart(self) -> str:
-        """See `Unit`."""
+        """Restart the cell, see `Unit`."""
         self.boot()
         if self.current == NEW and not self.comes_up:
-            return ""  # systemd has started it, and nobody hears of it again
+            return ""  # systemd has started it, but it never responds
         self.step()
         return ""
 
     def restarts(self) -> int:
-        """See `Unit`."""
+        """Number of restarts, see `Unit`."""
         return self.ended
 
     def step(self) -> GateNote:
-        """One step of the gate."""
+        """Take one step of the gate."""
         return asyncio.run(self.cell.step())
 
     def follow(self) -> Switched | None:
-        """As root's service does, started anew."""
+        """Run root's service, as if just started."""
         return follow(self.versions, self.cell.cell.folder, self, 0.2, 0.01, lambda: not self.ended)
 
     def reach(self, *steps: str) -> GateNote:
-        """Step, and let root follow, until one of these."""
+        """Step, and let root's service follow, until the gate reaches one of these steps."""
         for _ in range(20):
             note = self.step()
             if note.step in steps:
@@ -86,13 +86,13 @@ class VersionedCell:
         raise AssertionError(f"{note.step}: {note.why}")
 
     def measure(self, number: int, *, is_bad: bool, **changed: float) -> None:
-        """So many cycles more, as the first recorded one, or without a part. changed : see `again`."""
+        """Add this many cycles like the first recorded one, or without a part. changed : see `again`."""
         entry = recording.entries(self.folder / "recordings")
         for later in range(1, number + 1):
             again(entry[0], entry[-1].index - entry[0].index + later, is_bad=is_bad, **changed)
 
     def whole_way(self) -> GateNote:
-        """To the end of a release that finds nothing."""
+        """Run a release to its end, with only bad cycles."""
         note = self.reach("probation", "rolling back", *DONE)
         if note.step == "probation" and len(recording.entries(self.folder / "recordings")) < 90:
             self.measure(40, is_bad=True)
@@ -100,13 +100,13 @@ class VersionedCell:
 
 
 def canned(lines: list[dict[str, Any]], file: Path) -> str:
-    """A new version that has measured before: it says what is in a file."""
+    """A new version whose measurement is fixed: it prints the contents of a file."""
     file.write_text("".join(f"{json.dumps(line)}\n" for line in lines))
     return f'exec cat "{file}"'
 
 
 def copied(cell: VersionedCell, place: Path) -> VersionedCell:
-    """Another one, with the same files."""
+    """A copy with the same files."""
     shutil.copytree(cell.folder, place / "cell")
     shutil.copytree(cell.opt, place / "opt", symlinks=True)
     config = place / "cell" / "cell.toml"

@@ -1,4 +1,4 @@
-"""Waiting for a condition: one limit for all tests, as a limit costs nothing where the condition comes."""
+"""Waiting for a condition: one limit for all tests, as a limit costs nothing when the condition is met."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ from typing import TypeVar
 
 T = TypeVar("T")
 LIMIT_S = 60.0
-"""What a machine that does much else may need; nothing sleeps for it."""
+"""Generous limit for a busy machine; no test sleeps this long."""
 
 WHOLE_S = 5 * LIMIT_S
-"""A whole test, of many such conditions."""
+"""Limit for a whole test with many such conditions."""
 
 POLL_S = 0.002
 
 
 async def until(condition: Callable[[], T], limit_s: float = LIMIT_S) -> T:
-    """Wait for a condition on the event loop; its first true value."""
+    """Wait for a condition on the event loop; returns its first true value."""
     deadline_s = time.monotonic() + limit_s
     while not (found := condition()):
         assert time.monotonic() < deadline_s, f"not within {limit_s:g} s"
@@ -29,7 +29,7 @@ async def until(condition: Callable[[], T], limit_s: float = LIMIT_S) -> T:
 
 @asynccontextmanager
 async def bounded(what: str, limit_s: float = WHOLE_S) -> AsyncIterator[None]:
-    """Whatever takes longer than a limit is given up, and the error says what it was."""
+    """Give up whatever takes longer than a limit; the error names it."""
     try:
         async with asyncio.timeout(limit_s):
             yield
@@ -38,5 +38,5 @@ async def bounded(what: str, limit_s: float = WHOLE_S) -> AsyncIterator[None]:
 
 
 def wait_until(condition: Callable[[], T], limit_s: float = LIMIT_S) -> T:
-    """Wait for what other threads or processes do; the condition's first true value."""
+    """Wait for other threads or processes; returns the condition's first true value."""
     return asyncio.run(until(condition, limit_s))

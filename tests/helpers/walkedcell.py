@@ -1,6 +1,6 @@
-"""A daemon whose cameras see what a virtual robot does: a board on its flange, a board in the cell, a part.
+"""A daemon whose cameras see a virtual robot's surroundings: a board on its flange or in the cell, a part.
 
-The robot's place, and where rig and board are mounted, are exact; what the cameras see is rendered from them.
+The poses of the robot, rig and board are exact; the cameras' pictures are rendered from them.
 """
 
 from __future__ import annotations
@@ -37,11 +37,11 @@ from helpers.waiting import LIMIT_S, POLL_S
 BOARD = "chessboard:9x6:4.0"
 PLATE = chessboard_plate(9, 6, 4.0)
 CENTRE_MM = np.array([16.0, 10.0, 0.0])
-"""Of the board's marks, in its own frame."""
+"""Centre of the board's marks, in its own frame."""
 PLACE_MM = np.array([6.0, 0.0, 235.0])
-"""Where the cameras look."""
+"""Point that the cameras look at."""
 TAUGHT_MM = np.array([8.0, 0.0, 205.0])
-"""Where the part lay for teaching."""
+"""Place of the part when it was taught."""
 ROBOT_FROM_RIG = make_transform((2.9, 0.3, -0.2), (420.0, -60.0, 510.0))
 FLANGE_FROM_BOARD = make_transform((0.2, 0.1, -0.5), (12.0, 5.0, 80.0))
 FLANGE_FROM_RIG = make_transform((0.02, -0.03, 1.2), (55.0, -8.0, 90.0))
@@ -52,7 +52,7 @@ class Arm(VirtualWorld):
     """The robot and what the cameras see of it.
 
     flange : robot_from_flange now. carries_rig : the cameras are on the flange, and the board lies still.
-    shows : "board", "part" or "nothing". part : rig_from_part of what lies there.
+    shows : "board", "part" or "nothing". part : rig_from_part of the part in view.
     """
 
     def __init__(self, *, carries_rig: bool = False) -> None:
@@ -65,7 +65,7 @@ class Arm(VirtualWorld):
         self._views = stereo_views(self.rig)
 
     def walk(self, turns_deg: Sequence[Sequence[float]] = TURNS_DEG) -> list[FloatArray]:
-        """Poses of the flange at which the board is seen, turned about its middle."""
+        """Poses of the flange at which the board is seen, turned about its centre."""
         poses = []
         for turn_deg, shift_mm in zip(turns_deg, SHIFTS_MM, strict=False):
             board = transform(rotation_matrix(np.radians(turn_deg)), PLACE_MM + shift_mm)
@@ -84,7 +84,7 @@ class Arm(VirtualWorld):
         return np.asarray(invert(ROBOT_FROM_RIG) @ self.flange @ FLANGE_FROM_BOARD)
 
     def in_process_cameras(self) -> tuple[InProcessCamera, InProcessCamera]:
-        """Both render what is there at the exposure."""
+        """Cameras that render the scene at the exposure."""
         left, right = (
             InProcessCamera(side, self._exposure(side), width=WIDTH, height=HEIGHT) for side in SIDES
         )
@@ -106,7 +106,7 @@ class Arm(VirtualWorld):
 
 
 class WalkedCell:
-    """The daemon of such a cell. Use it as a context. registration : the section's lines, "" for none."""
+    """The daemon of such a cell, as a context. registration : the section's lines, "" for none."""
 
     def __init__(
         self,
@@ -132,7 +132,7 @@ class WalkedCell:
         self._thread = threading.Thread(target=lambda: asyncio.run(self._run()))
 
     def write(self, text: str) -> None:
-        """Another configuration; `reload` takes it."""
+        """Write another configuration, for `reload`."""
         self.config.write_text(text)
 
     def __enter__(self) -> WalkedCell:
@@ -148,23 +148,23 @@ class WalkedCell:
         assert not self._thread.is_alive()
 
     def reload(self) -> bool:
-        """As SIGHUP, until what it exchanged is in use: a command that came before that is refused."""
+        """Reload as SIGHUP does, and wait until it is in force, as earlier commands would be refused."""
         return asyncio.run_coroutine_threadsafe(self._reloaded(), self._loop).result(LIMIT_S)
 
     @property
     def rig(self) -> StereoRig:
-        """As its file is now."""
+        """The rig in its file now."""
         return load_rig(self.config.parent / "rig.json")
 
     def error_mm(self) -> float:
-        """How far the registration on the disc is off, at the place that the cameras look at."""
+        """Error of the registration on disk, at the place that the cameras look at."""
         found = self.rig.flange_from_rig if self.arm.carries_rig else self.rig.robot_from_rig
         assert found is not None
         truth = FLANGE_FROM_RIG if self.arm.carries_rig else ROBOT_FROM_RIG
         return float(np.linalg.norm(apply(found, PLACE_MM) - apply(truth, PLACE_MM)))
 
     def robot(self) -> Talk:
-        """A robot that speaks lines."""
+        """A robot that sends lines of text."""
         return Talk(self)
 
     async def _reloaded(self) -> bool:
@@ -191,7 +191,7 @@ class WalkedCell:
 
 
 class Talk:
-    """Lines to a cell, and the answers as numbers."""
+    """Sends lines to a cell, and returns the answers as numbers."""
 
     def __init__(self, cell: WalkedCell) -> None:
         self._cell = cell
@@ -207,7 +207,7 @@ class Talk:
         self._socket.close()
 
     def ask(self, request: str, pose: FloatArray | None = None, brand: Brand | None = None) -> list[float]:
-        """pose : of the flange, as this brand shows it; None: the cell's brand."""
+        """Send a request. pose : of the flange, as this brand shows it; None: the cell's brand."""
         self._sequence += 1
         numbers = () if pose is None else pose_of(brand or self._cell.brand, pose)
         line = ",".join([str(self._sequence), request, *(f"{number:.6f}" for number in numbers)])
@@ -217,6 +217,6 @@ class Talk:
         return answer[1:]
 
     def add(self, pose: FloatArray, brand: Brand | None = None) -> float:
-        """Go there and say so; the status."""
+        """Move to a pose and add it; returns the status."""
         self._cell.arm.flange = pose
         return self.ask("REGISTER_ADD,0", pose, brand)[0]

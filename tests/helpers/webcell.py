@@ -1,4 +1,4 @@
-"""A cell in memory with its page, and a browser that speaks /api/v1."""
+"""A cell in memory with its page, and a browser session that uses /api/v1."""
 
 from __future__ import annotations
 
@@ -27,9 +27,9 @@ from helpers.pagesources import FixedSources
 from helpers.scriptedhead import Ear, Head, make_setup
 
 HASH = PasswordHasher(time_cost=1, memory_cost=512, parallelism=1).hash(PASSWORD)
-"""Cheap to check: many tests log in."""
+"""Cheap to check, as many tests log in."""
 USERS: dict[str, RoleName] = {"Anna": "engineer", "Ben": "engineer", "Otto": "operator", "Vera": "viewer"}
-"""All with the same password."""
+"""Users and their roles, all with the same password."""
 
 
 class PlcBeside:
@@ -40,16 +40,16 @@ class PlcBeside:
 
     @property
     def summary(self) -> CellSummary:
-        """With the server alone."""
+        """Summary of the server alone."""
         return CellSummary(plc=plc_now(self._modbus))
 
     async def exchanges(self) -> Sequence[Exchange]:
-        """As the server has them."""
+        """Exchanges of the server."""
         return self._modbus.exchanges
 
 
 class Cell(BrowserSession):
-    """A cycle with its page, and a browser."""
+    """A cycle with its page, and a browser session."""
 
     def __init__(
         self,
@@ -69,7 +69,7 @@ class Cell(BrowserSession):
         self.runs_by = ""
 
     def sleep(self, seconds: float) -> None:
-        """Nobody does anything for so long."""
+        """Let this much time pass without activity."""
         self.asleep_s[0] += seconds
 
 
@@ -84,8 +84,8 @@ async def running(
 ) -> AsyncIterator[Cell]:
     """A cell with a head in memory, its page on a free port, and a browser's session with it.
 
-    users : None: their file cannot be used. modbus : what it also serves, with the page of it. is_open : no
-    password is asked for to look. visitor : who has logged in; "" by the page's password alone.
+    users : None: the user file is invalid. modbus : also serve Modbus, with its page. is_open : viewing needs
+    no password. visitor : logged-in user; "" with the page's password alone.
     """
     ear = Ear()
     with TemporaryDirectory() as folder:

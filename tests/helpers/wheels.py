@@ -1,4 +1,4 @@
-"""Wheels without a build: what they bring is a path file to what is there."""
+"""Wheels without a build: each contains only a path file to existing sources."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ ROOT = Path(__file__).parents[2]
 
 
 def packages_of_tests() -> list[str]:
-    """Where the packages lie that these tests have."""
+    """Folders of the packages installed for these tests."""
     return [place for place in sys.path if place.endswith("-packages")]
 
 
 def make_wheel(
     folder: Path, name: str = "edged", version: str = "0.2.0", needs: str = "", paths: Sequence[str] = ()
 ) -> Path:
-    """A wheel that brings this checkout, or what lies below other paths, by a path file."""
+    """A wheel whose path file points to this checkout, or to other paths."""
     info, is_own = f"{name}-{version}.dist-info", name == "edged"
     about = f"Metadata-Version: 2.1\nName: {name}\nVersion: {version}\nLicense: MIT\n"
     files = {

@@ -1,4 +1,4 @@
-"""What the worker process does in tests."""
+"""Tasks of the worker process in tests."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from edged.setup.pairs import Progress
 
 
 def about() -> dict[str, int]:
-    """The process: its niceness, its score where memory runs out, its processors and threads."""
+    """The process: its niceness, its OOM score, its processors and threads."""
     return {
         "pid": os.getpid(),
         "nice": os.nice(0),
@@ -30,14 +30,14 @@ def about() -> dict[str, int]:
 
 
 def count(total: int, progress: Progress) -> list[int]:
-    """Told at each step."""
+    """Count, and report progress at each step."""
     for number in range(total + 1):
         progress("counting", number, total)
     return list(range(total))
 
 
 def connect(port: int) -> str:
-    """Reach a server on this machine; the error's name, "" for none."""
+    """Reach a server on this machine; returns the error's name, "" for none."""
     try:
         with socket.create_connection(("127.0.0.1", port), timeout=5):
             return ""
@@ -46,44 +46,44 @@ def connect(port: int) -> str:
 
 
 def rights() -> dict[str, str]:
-    """Capabilities and NoNewPrivs of the process, as proc(5) has them."""
+    """Capabilities and NoNewPrivs of the process, as in proc(5)."""
     lines = Path("/proc/self/status").read_text().splitlines()
     return {name: value.strip() for name, _, value in (line.partition(":") for line in lines)}
 
 
 def answer(kind: str) -> object:
-    """Something that is no answer, or is."""
+    """Return a value that cannot be sent back, or None."""
     return {"function": answer, "lock": threading.Lock(), "object": np.array([{}], object)}.get(kind)
 
 
 def forge(data: bytes) -> None:
-    """Write to the pipe what a process that was taken over might."""
+    """Write to the pipe what a compromised process might."""
     Connection(int(sys.argv[1])).send_bytes(data)
     time.sleep(600)
 
 
 def refuse(message: str) -> None:
-    """A mistake in what it was given."""
+    """Raise an error caused by the input."""
     raise CalibrationError(message)
 
 
 def fail() -> None:
-    """A bug."""
+    """Raise an error caused by a bug."""
     raise ZeroDivisionError("that was a bug")
 
 
 def fill(mebibytes: int) -> int:
-    """Memory, as much as that."""
+    """Allocate this much memory."""
     return len(bytearray(mebibytes << 20))
 
 
 def fill_picture(side_px: int) -> int:
-    """As much as OpenCV takes for a picture."""
+    """Allocate as much as OpenCV needs for a picture."""
     return cv2.resize(np.zeros((8, 8), np.uint8), (side_px, side_px)).nbytes
 
 
 def burn(seconds: float, progress: Progress) -> float:
-    """Processor time, in one call of C after the other."""
+    """Use processor time, in a series of C calls."""
     progress("burning", 0, 0)
     end_s = time.process_time() + seconds
     block = bytes(10 << 20)
@@ -93,17 +93,17 @@ def burn(seconds: float, progress: Progress) -> float:
 
 
 def hang(progress: Progress) -> None:
-    """For ever, in a loop of Python."""
+    """Loop forever in Python."""
     progress("hanging", 0, 0)
     while True:
         time.sleep(0.01)
 
 
 def leave(code: int) -> None:
-    """As a process that the kernel ends."""
+    """Exit as if the kernel had killed the process."""
     os._exit(code)
 
 
 def vanish(*_: object) -> None:
-    """The same, whatever is asked."""
+    """Exit at once, whatever the arguments."""
     os._exit(9)

@@ -42,7 +42,7 @@ class Peer:
             self.lines.put(json.loads(line))
 
     def line(self, wanted: Callable[[dict[str, Any]], bool], timeout_s: float = LIMIT_S) -> dict[str, Any]:
-        """The next line that is wanted."""
+        """Next line that fulfils the condition."""
         deadline_s = time.monotonic() + timeout_s
         while True:
             line = self.lines.get(timeout=max(0.01, deadline_s - time.monotonic()))
@@ -67,7 +67,7 @@ class Peer:
 
 @contextlib.contextmanager
 def peer(what: str, *more: str, **config: object) -> Iterator[Peer]:
-    """A peer that is up; keys of config: "mode", "listen__endpoints", ..."""
+    """A running peer; keys of config: "mode", "listen__endpoints", ..."""
     text = json.dumps({key.replace("__", "/"): value for key, value in config.items()})
     process = Peer(what, text, *more)
     try:
@@ -79,7 +79,7 @@ def peer(what: str, *more: str, **config: object) -> Iterator[Peer]:
 
 
 async def ask(port: int, *selectors: str) -> list[dict[str, Any]]:
-    """Replies to queries of another process."""
+    """Replies to queries made from another process."""
     config = {"mode": "client", "connect__endpoints": [f"tcp/127.0.0.1:{port}"]}
 
     def run() -> list[dict[str, Any]]:
@@ -92,7 +92,7 @@ async def ask(port: int, *selectors: str) -> list[dict[str, Any]]:
 
 
 def is_message(kind: str, **fields: object) -> Callable[[dict[str, Any]], bool]:
-    """Whether a line is a message of this kind with these fields."""
+    """Condition: a line is a message of this kind with these fields."""
 
     def check(line: dict[str, Any]) -> bool:
         document = line.get("document") or {}
@@ -103,11 +103,11 @@ def is_message(kind: str, **fields: object) -> Callable[[dict[str, Any]], bool]:
 
 
 def ignore(command: Command) -> None:
-    """A command that is never carried out."""
+    """Never carry out a command."""
 
 
 class Commander:
-    """Takes commands; what happens with one is up to the test."""
+    """Accepts commands; the test decides what happens with them."""
 
     def __init__(self) -> None:
         self.react: Callable[[Command], None] = ignore
@@ -121,7 +121,7 @@ class Commander:
 
 
 class Cell:
-    """A publisher with its commander, at a port of its own."""
+    """A publisher with its commander, on a port of its own."""
 
     def __init__(self, **settings: Any) -> None:
         self.port = free_port()

@@ -1,1 +1,1 @@
-"""The plain-loop twin of each fast kernel, a module for each room."""
+"""The plain-loop twin of each fast kernel, one module per package of edged."""

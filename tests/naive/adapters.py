@@ -1,4 +1,4 @@
-"""Plain-loop twins of the kernels of `adapters`: slow, and easy to believe."""
+"""Plain-loop twins of the kernels of `adapters`: slow, but simple enough to trust."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import math
 def clock_extremes(
     gates: list[tuple[int, int, int]], drift: float, wander: float, step_ns: int
 ) -> tuple[float, float]:
-    """The least and the greatest host time at device time 0 of all lines through all gates.
+    """Least and greatest host time at device time 0 among all lines that pass all gates.
 
     gates : (device time, earliest host time, latest host time). Tries 2001 slopes within the drift.
     """

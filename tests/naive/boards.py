@@ -1,4 +1,4 @@
-"""Plain-loop twins of the kernels of `vision/boards`: slow, and easy to believe."""
+"""Plain-loop twins of the kernels of `vision/boards`: slow, but simple enough to trust."""
 
 from __future__ import annotations
 

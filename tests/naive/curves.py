@@ -1,4 +1,4 @@
-"""Plain-loop twins of the kernels of `vision/curves`: slow, and easy to believe."""
+"""Plain-loop twins of the kernels of `vision/curves`: slow, but simple enough to trust."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from naive.kernels import median_scale, tukey_weights
 
 
 def correlation_length(residuals: FloatArray, weights: FloatArray) -> float:
-    """1 + 2 x the autocorrelation of the samples of a closed curve, up to the first lag without one."""
+    """1 + 2 x the sum of autocorrelations of a closed curve's samples, up to the first lag without one."""
     good = weights > 0.05
     if not good.any() or not np.sum(residuals[good] ** 2) > 0:
         return 1.0
@@ -36,7 +36,7 @@ def correlation_length(residuals: FloatArray, weights: FloatArray) -> float:
 def solve(
     samples: Samples, unknowns: int, priors: int
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """(delta, covariance, weights, bias): every systematic shift is an unknown of its own with a prior."""
+    """(delta, covariance, weights, bias), where each systematic shift is an explicit unknown with a prior."""
     curves, many, starts = len(samples.kinds), samples.waves.shape[1], samples.starts
     parts = [slice(int(a), int(b)) for a, b in itertools.pairwise(starts)]
     shared = samples._replace(design=_in_bins(samples.design, parts), waves=_in_bins(samples.waves, parts))
@@ -95,7 +95,7 @@ def _weighed(residuals: FloatArray, base: FloatArray, round_: int) -> tuple[floa
 
 
 def _with_shifts(samples: Samples, bias: FloatArray, unknowns: int) -> FloatArray:
-    """The design with the shifts of each curve as unknowns, in units of their sigma."""
+    """The design matrix with the shifts of each curve as unknowns, in units of their sigma."""
     curves, many = len(samples.kinds), samples.waves.shape[1]
     dense = np.zeros((len(samples.design), unknowns + curves * many))
     for k in range(curves):
@@ -112,7 +112,7 @@ def _with_shifts(samples: Samples, bias: FloatArray, unknowns: int) -> FloatArra
 def _learned_bias(
     samples: Samples, bias: FloatArray, delta: FloatArray, covariance: FloatArray, unknowns: int
 ) -> FloatArray:
-    """The sigmas of the shifts from what came out for each, all of them being unknowns here."""
+    """Sigmas of the shifts, learned from the estimates of each, all of them being unknowns here."""
     variance, many = np.diag(covariance), samples.waves.shape[1]
     learned = np.zeros_like(bias)
     for kind, family in itertools.product(np.unique(samples.kinds), np.unique(samples.families)):
@@ -150,7 +150,7 @@ def edge_weights(
 def variance_of_mean(
     values: FloatArray, base: FloatArray, waves: FloatArray, rounds: int, shares: FloatArray
 ) -> tuple[float, float, FloatArray]:
-    """Variance of the mean around the waves, the mean square of the waves, and the shares of the samples."""
+    """Variance of the mean after removing the waves, mean square of the waves, and weights of the samples."""
     if (base > 0).sum() < 12:
         return math.inf, 0.0, shares
     slow = np.zeros_like(values)
@@ -216,14 +216,14 @@ def outline_samples(
         normal = np.array([tangent[1], -tangent[0]]) / np.linalg.norm(tangent)
         normal *= np.sign(normal @ by_rig @ across)
         motion = normal @ by_rig
-        # a slope of 1 along u lifts the point by x, and leans what stands on the plane against u
+        # a slope of 1 along u lifts the point by x, and tilts walls on the plane against u
         plane = [motion @ n, motion @ (x * n - height * u), motion @ (y * n - height * v)]
         rows.append(np.concatenate([pixels[0], normal, [motion @ across], plane, motion @ across * speed]))
     return np.array(rows)
 
 
 def curvatures(pixels: FloatArray, normals: FloatArray) -> FloatArray:
-    """(N,) turn of the normal from each sample's predecessor to its successor, per way, around one curve."""
+    """(N,) turn of the normal from each sample's predecessor to its successor, per length, on one curve."""
     angles = np.arctan2(normals[:, 1], normals[:, 0])
     turn = np.abs(np.angle(np.exp(1j * (np.roll(angles, -1) - np.roll(angles, 1)))))
     return turn / np.linalg.norm(np.roll(pixels, -1, axis=0) - np.roll(pixels, 1, axis=0), axis=1)
@@ -234,8 +234,8 @@ def paired_rows(
 ) -> list[list[tuple[FloatArray, FloatArray, float, float]]]:
     """Parts of each curve: lists of (row of the left image's weights, of the right one's, value, base).
 
-    The first two of (N,) are how a sample of both images makes up the row. Parts are means, differences, left
-    alone, right alone, those with too few edges left out.
+    The first two, (N,), are the weights of a sample's two images in the row. Parts are means, differences,
+    left alone, right alone, those with too few edges left out.
     """
     total, most = len(base[0]), np.abs(gain).max()
     share = np.full(total, 0.5)
@@ -260,7 +260,7 @@ def paired_rows(
 
 
 def _camera_shares(places: FloatArray, both: npt.NDArray[np.bool_], starts: FloatArray) -> FloatArray:
-    """(N,) share of the left camera: the more, the less it scatters by itself."""
+    """(N,) share of the left camera, larger the less it scatters."""
     share = np.full(len(both), 0.5)
     for first, last in itertools.pairwise(starts):
         rows = [n for n in range(first, last - 8) if both[n] and both[n + 8]]

@@ -1,4 +1,4 @@
-"""Plain-loop twins of the kernels of `vision/edges`: slow, and easy to believe."""
+"""Plain-loop twins of the kernels of `vision/edges`: slow, but simple enough to trust."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def edge_along_normal(
 
 
 def ramer(points: list[list[float]], tolerance: float) -> list[int]:
-    """Indices that the recursive subdivision of U. Ramer (1972) keeps."""
+    """Indices kept by the recursive subdivision of U. Ramer (1972)."""
 
     def between(a: int, b: int) -> list[int]:
         (ax, ay), (bx, by) = points[a], points[b]
@@ -78,7 +78,7 @@ def ramer(points: list[list[float]], tolerance: float) -> list[int]:
 
 
 def misfit(points: FloatArray) -> float:
-    """Farthest distance from the better one of the best line and the circle of I. Kåsa (1976)."""
+    """Largest distance to the better of the best line and the circle of I. Kåsa (1976)."""
     centred = points - points.mean(axis=0)
     normal = np.linalg.svd(centred)[2][1]
     line = max(abs(float(point @ normal)) for point in centred)
@@ -91,7 +91,7 @@ def misfit(points: FloatArray) -> float:
 
 
 def link(thin: npt.NDArray[np.uint8]) -> list[tuple[list[list[int]], bool]]:
-    """Chains of set pixels with whether each is closed: from their ends first, then what remains."""
+    """Chains of set pixels, each with whether it is closed: first from their ends, then the rest."""
     height, width = thin.shape
     steps = [(-1, 0), (0, -1), (0, 1), (1, 0), (-1, -1), (-1, 1), (1, -1), (1, 1)]
     used: set[tuple[int, int]] = set()
@@ -128,8 +128,9 @@ def link(thin: npt.NDArray[np.uint8]) -> list[tuple[list[list[int]], bool]]:
 def all_edges(
     profiles: FloatArray, together: int, reach: int, step_px: float
 ) -> list[list[tuple[float, float]]]:
-    """Of each sample of a closed curve, whose profiles (N, S) are given: offset and slope of every extremum
-    within so many steps, strongest first, five at most; those weaker than 0.35 of the strongest left out."""
+    """Offset and slope of every extremum within `reach` steps, for each sample of a closed curve.
+
+    profiles (N, S). Strongest first, five at most; those weaker than 0.35 of the strongest are left out."""
     count, length = profiles.shape
     radius = round(3 / step_px)
     taps = [i * step_px * math.exp(-0.5 * (i * step_px) ** 2) for i in range(-radius, radius + 1)]

@@ -1,4 +1,4 @@
-"""Plain-loop twins of the kernels of `vision/kernels`: slow, and easy to believe."""
+"""Plain-loop twins of the kernels of `vision/kernels`: slow, but simple enough to trust."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from edged.domain.arrays import FloatArray
 
 
 def median_scale(residuals: FloatArray, base: FloatArray) -> float:
-    """Sigma of normal errors from the median of the samples that count."""
+    """Sigma of normal errors from the median of the samples with positive weight."""
     kept = np.abs(residuals[base > 0])
     return 1.4826 * float(np.median(kept)) if len(kept) else 0.0
 
@@ -22,7 +22,7 @@ def tukey_weights(ratio: FloatArray) -> FloatArray:
 
 
 def pack_pixels(values: list[int], bits: int, layout: str) -> bytes:
-    """The bytes in which a camera sends these values, from the words of the standard, bit by bit."""
+    """Bytes in which a camera sends these values, bit by bit as the standard defines them."""
     if layout == "bytes":
         return bytes(values)
     if layout == "words":
@@ -61,5 +61,5 @@ def grey_of_mosaic(mosaic: npt.NDArray[np.integer]) -> npt.NDArray[np.int64]:
 
 
 def nearest_of_256(value: int, bits: int) -> int:
-    """A value of so many bits as one of 8, rounded half up, at most 255."""
+    """A value of `bits` bits converted to 8, rounded half up, at most 255."""
     return min(255, math.floor(value / 2 ** (bits - 8) + 0.5))

@@ -11,7 +11,7 @@ from edged.vision.marks.params import MARKS
 
 
 def fit_rims_naive(image: Image, start: FloatArray) -> FloatArray:
-    """`edged.vision.marks.rims.fit_rims`, with numpy's own least squares and numerical slopes."""
+    """`edged.vision.marks.rims.fit_rims`, with numpy's least squares and numerical derivatives."""
     result = np.full((len(start), 5), np.nan)
     result[:, 3:] = 0.0
     for n, (x, y, b11, b12, b22, blur, half) in enumerate(start.tolist()):

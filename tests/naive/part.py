@@ -1,4 +1,4 @@
-"""Plain-loop twins of the kernels of `vision/part`: slow, and easy to believe."""
+"""Plain-loop twins of the kernels of `vision/part`: slow, but simple enough to trust."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from edged.domain.arrays import FloatArray, Image
 def row_edges(
     image: Image, point: FloatArray, sign: float, low: float, high: float, min_slope: float
 ) -> list[tuple[float, float]]:
-    """(slope, disparity) of all edges of one sign on a point's row, strongest first; three rows together."""
+    """(slope, disparity) of all edges of one sign on a point's row, strongest first; sums three rows."""
     height, width = image.shape
     row = round(float(point[1]))
     if not 1 <= row <= height - 2:
@@ -34,7 +34,7 @@ def row_edges(
 def plane_agreement(
     points: FloatArray, rivals: FloatArray, plane: tuple[float, float, float], tolerance: float
 ) -> int:
-    """How many points have a rival within the tolerance of d = a x + b y + c."""
+    """Number of points with a rival within the tolerance of d = a x + b y + c."""
     a, b, c = plane
     return sum(
         any(abs(rival - (a * x + b * y + c)) < tolerance for rival in row if not math.isnan(rival))

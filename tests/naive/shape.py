@@ -1,4 +1,4 @@
-"""Plain-loop twins of the kernels of `vision/shape`: slow, and easy to believe."""
+"""Plain-loop twins of the kernels of `vision/shape`: slow, but simple enough to trust."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def shape_similarity(
 
 
 def shape_point(pose: np.ndarray, point: np.ndarray) -> np.ndarray:
-    """Where a pose vector puts a model point."""
+    """Image position of a model point under a pose vector."""
     return pose[:2] + pose[2:6].reshape(2, 2) @ point / (1 + pose[6:] @ point)
 
 
@@ -98,7 +98,7 @@ def shape_agreement(gx: np.ndarray, gy: np.ndarray, place: np.ndarray, sign: int
 
 
 def shape_motion(points: np.ndarray, before: np.ndarray, after: np.ndarray) -> float:
-    """How far along x or y the farthest of the points moves between two poses."""
+    """Largest displacement along x or y of any of the points between two poses."""
     return max(
         float(np.abs(shape_point(after, point) - shape_point(before, point)).max()) for point in points
     )
@@ -107,8 +107,8 @@ def shape_motion(points: np.ndarray, before: np.ndarray, after: np.ndarray) -> f
 def meets(
     place: np.ndarray, outline: np.ndarray, across: float, along: float, alike: float
 ) -> tuple[float, float]:
-    """Offset along its normal from a place (x, y, nx, ny) to the nearest point of the outline (M, 4) beside
-    it, and the cosine of their normals; NaN and 0 without one."""
+    """Offset along its normal from a place (x, y, nx, ny) to the nearest point of the outline (M, 4) within
+    reach, and the cosine of their normals; NaN and 0 without one."""
     best, found = math.inf, (math.nan, 0.0)
     for other in outline:
         dx, dy = other[:2] - place[:2]
@@ -121,7 +121,7 @@ def meets(
 
 
 def tukey_fit(design: np.ndarray, values: np.ndarray, iterations: int, floor: float) -> np.ndarray:
-    """Robust least squares with Tukey's weights by numpy's solver."""
+    """Robust least squares with Tukey's weights, by numpy's solver."""
     weights = np.ones(len(values))
     solution = np.zeros(design.shape[1])
     for _ in range(iterations):
@@ -134,5 +134,5 @@ def tukey_fit(design: np.ndarray, values: np.ndarray, iterations: int, floor: fl
 
 
 def repetition(points: FloatArray) -> float:
-    """Mean over the points of the sum of exp(-2 d^2) over all of them, at their distances d."""
+    """Mean over the points p of the sum over all points q of exp(-2 d^2), where d is their distance."""
     return sum(math.exp(-2 * math.dist(p, q) ** 2) for p in points for q in points) / len(points)

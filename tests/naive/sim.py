@@ -1,4 +1,4 @@
-"""Plain-loop twins of the kernels of `sim`: slow, and easy to believe."""
+"""Plain-loop twins of the kernels of `sim`: slow, but simple enough to trust."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def half_plane_coverage(distance: float, slope_x: float, slope_y: float, n: int 
 
 
 def shape_covers(shape: scene.Shape, u: float, v: float) -> bool:
-    """Whether a point of the plane lies in a shape, from the words that define it."""
+    """Whether a point of the plane lies in a shape, by the shape's definition."""
     match shape:
         case scene.Disc(x, y, radius):
             return (u - x) ** 2 + (v - y) ** 2 < radius**2
@@ -80,7 +80,7 @@ def radiance_at(world: scene.Scene, ray: FloatArray) -> float:
 def sensor_expose(
     radiance: FloatArray, normal: FloatArray, sensor: scene.Sensor, exposure_us: float, gain_db: float
 ) -> Image:
-    """Grey values of given radiance and standard normal noise."""
+    """Grey values for given radiance and standard normal noise."""
     image = np.empty(radiance.shape, np.uint8)
     for index in np.ndindex(radiance.shape):
         share_of_well = radiance[index] * sensor.white / 255 * exposure_us / sensor.nominal_exposure_us

@@ -1,4 +1,4 @@
-"""Plain-loop twins of the kernels of `vision/stereo`: slow, and easy to believe."""
+"""Plain-loop twins of the kernels of `vision/stereo`: slow, but simple enough to trust."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def ncc_along_row(window: FloatArray, image: Image, x: int, y: int, count: int) 
 
 
 def find_peak(scores: list[float]) -> tuple[int, float, float]:
-    """Index of the highest score, or -1 at an end; its score; the ratio of the next hill to it."""
+    """Index of the highest score, or -1 at an end; its score; ratio of the next peak to it."""
     best = scores.index(max(scores))
     if best in (0, len(scores) - 1):
         return -1, scores[best], math.nan
@@ -52,7 +52,7 @@ def smoothing_matrix(size: int, taps: FloatArray) -> FloatArray:
 
 
 def spline_value(coefficients: FloatArray, position: float) -> float:
-    """A cubic spline from its coefficients at whole positions: the sum of its bells."""
+    """A cubic spline from its coefficients at integer positions: the sum of its basis functions."""
     total = 0.0
     for k, coefficient in enumerate(coefficients):
         distance = abs(position - k)
@@ -72,7 +72,7 @@ def matching_jacobian(value: FloatArray, slope: FloatArray, gain: float) -> Floa
 
 
 def cubic_value(image: Image, x: float, y: float) -> float:
-    """Keys' cubic convolution (a = -1/2) at one place inside: the sum of the pixels under its bell."""
+    """Keys' cubic convolution (a = -1/2) at one place inside: the weighted sum of nearby pixels."""
 
     def bell(distance: float) -> float:
         d = abs(distance)

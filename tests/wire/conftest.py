@@ -1,4 +1,4 @@
-"""What holds for every test of pages and protocols."""
+"""Fixtures for every test of pages and protocols."""
 
 import pytest
 from argon2 import PasswordHasher
@@ -6,5 +6,5 @@ from argon2 import PasswordHasher
 
 @pytest.fixture(autouse=True)
 def cheap(monkeypatch):
-    """Hashes that are made here cost little: what they must cost is tested elsewhere."""
+    """Make new password hashes cheap; their required cost is tested elsewhere."""
     monkeypatch.setattr("edged.identity.passwords.HASHER", PasswordHasher(1, 512, 1))

@@ -1,4 +1,4 @@
-"""The table of /api/v1: its document, and that every route asks every visitor the same questions."""
+"""The routes of /api/v1: their OpenAPI document, and that every route checks every visitor alike."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from edged.domain.cell import CellPhase
 
 
 async def test_the_document_names_every_route_with_its_models() -> None:
-    """OpenAPI 3.1; what a body may not hold is said, too."""
+    """The document is valid OpenAPI 3.1 with the expected routes, and forbids unknown fields in bodies."""
     async with running() as cell:
         document = await check_document(cell)
         asked = {f"{method} {path}" for path, methods in document["paths"].items() for method in methods}
@@ -22,19 +22,19 @@ async def test_the_document_names_every_route_with_its_models() -> None:
 
 
 async def test_every_route_lets_in_who_may_and_nobody_else() -> None:
-    """With too little of a role, nothing else about a route is told."""
+    """Each user can use exactly their role's routes, and a refusal reveals nothing else about a route."""
     async with running() as cell:
         await check_roles(cell, {"": "viewer", **USERS})
 
 
 async def test_every_route_asks_every_visitor_the_same_questions() -> None:
-    """No session, a forged origin, another type, too much, no lease: each with its code."""
+    """A missing session, forged origin, wrong type, excess size and missing lease have codes of their own."""
     async with running() as cell:
         assert await check_questions(cell) >= 15
 
 
 async def test_who_has_the_cell_is_in_the_overview() -> None:
-    """With whether it is this very session; and what the cell is without anybody."""
+    """The overview names the lease's holder and whether it is this session, and the state without one."""
     async with running() as cell:
         await until(lambda: cell.ear.state() is CellPhase.READY)
         await cell.log_in()
@@ -54,7 +54,7 @@ async def test_who_has_the_cell_is_in_the_overview() -> None:
 
 
 def test_a_row_of_the_table_that_contradicts_itself_is_a_bug() -> None:
-    """A lease without a token; a route that is there already."""
+    """A lease route without a token in its body, and a route that exists already, raise ValueError."""
 
     async def nothing(_call: object) -> None:
         pass

@@ -1,4 +1,4 @@
-"""What the audit says of what is done over the page, and who may read it."""
+"""Audit records of actions on the page, and who may read them."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from edged.identity.audit import AuditFile
 
 @pytest.mark.slow
 async def test_what_is_done_is_noted_with_who_and_its_outcome(caplog: pytest.LogCaptureFixture) -> None:
-    """Also what is refused; with the hashes of what was changed; the same in the journal."""
+    """Actions and refusals are recorded with user and outcome, hashes of what changed, and logged alike."""
     caplog.set_level(logging.INFO, "edged.adapters.web.auditing")
     async with running() as cell:
         assert not await cell.comes_in("Anna", "guess")
@@ -63,7 +63,7 @@ async def test_what_is_done_is_noted_with_who_and_its_outcome(caplog: pytest.Log
 
 
 async def test_setup_that_the_plant_ends_is_noted() -> None:
-    """And that which a person ends is noted once, as theirs."""
+    """SETUP ended by the plant is recorded, and SETUP ended by a person is recorded once as theirs."""
     async with running(visitor="Anna") as cell:
         for ends in (lambda: cell.cycle.lock_setup(True), None):
             _, entered = await cell.ask("POST", "/api/v1/setup", {})
@@ -80,7 +80,7 @@ async def test_setup_that_the_plant_ends_is_noted() -> None:
 
 
 async def test_what_the_cell_runs_by_is_noted_however_it_was_changed() -> None:
-    """Also by a command, an editor, or while the daemon was away; once, with what was there before."""
+    """Each change of the running configuration is recorded once with the previous one, however made."""
     async with running() as cell:
 
         async def noted() -> list[tuple[str | None, str]]:
@@ -105,7 +105,7 @@ async def test_what_the_cell_runs_by_is_noted_however_it_was_changed() -> None:
 
 
 async def test_who_only_may_look_does_not_fill_the_disc() -> None:
-    """What is refused again and again is in the journal alone; what is done is noted all the same."""
+    """Repeated refusals stop being recorded after a burst, while successful actions are still recorded."""
     async with running(visitor="Vera") as cell:
         for _ in range(2 * int(REFUSED_BURST)):
             assert 403 == (await cell.ask("POST", "/api/v1/setup", {}))[0]
@@ -116,7 +116,7 @@ async def test_who_only_may_look_does_not_fill_the_disc() -> None:
 
 
 async def test_log_ins_have_a_quota_of_their_own() -> None:
-    """Logging in again and again fills nothing; how many were left out is a record, and refusals are kept."""
+    """Excess log-ins are not recorded but counted in a later record, and refusals are kept."""
     async with running() as cell:
         more = 7
         for _ in range(int(PERSON_BURST) + more):
@@ -131,7 +131,7 @@ async def test_log_ins_have_a_quota_of_their_own() -> None:
 
 
 async def test_what_was_lost_is_said_when_the_disc_takes_records_again() -> None:
-    """With how many, and why: the first record after them."""
+    """The first record after a disk failure states how many records may be missing, and why."""
     async with running() as cell:
         (cell.state / "audit.jsonl").mkdir()
         for name in ("Vera", "Otto", "Anna"):
@@ -145,7 +145,7 @@ async def test_what_was_lost_is_said_when_the_disc_takes_records_again() -> None
 
 
 async def test_an_audit_that_cannot_be_kept_is_in_the_journal(caplog: pytest.LogCaptureFixture) -> None:
-    """What was done is done, and said there with the reason."""
+    """If the audit file cannot be written, actions succeed and are logged with the reason."""
     caplog.set_level(logging.INFO, "edged.adapters.web.auditing")
     async with running() as cell:
         (cell.state / "audit.jsonl").mkdir()

@@ -1,4 +1,4 @@
-"""Parts on a virtual belt of 200 mm/s, located over real Modbus/TCP, against where they truly were."""
+"""Parts on a virtual belt at 200 mm/s, located over real Modbus/TCP and compared with their true places."""
 
 from __future__ import annotations
 
@@ -55,13 +55,13 @@ from edged.sim.stage import BOARD, stage_board
 
 EXPOSURE_S = 200e-6
 DIRECTION = np.array([1.0, 0.15, 0.0]) / np.hypot(1.0, 0.15)
-"""Across the pictures, not quite along their rows."""
+"""Across the pictures, not quite parallel to their rows."""
 MM_PER_COUNT = 0.02
 PICKING = DOCS / "picking.md"
 
 
 def passing(rig_mm: tuple[float, float, float] = (8.0, 0.0, 205.0), speed_mm_s: float = 200.0) -> VirtualBelt:
-    """A belt whose parts pass there, turned a little, 30 mm apart."""
+    """A belt whose parts pass this point, slightly turned, 30 mm apart."""
     where = np.eye(4)
     where[:2, :2] = ((np.cos(0.05), -np.sin(0.05)), (np.sin(0.05), np.cos(0.05)))
     where[:3, 3] = rig_mm
@@ -72,7 +72,7 @@ def passing(rig_mm: tuple[float, float, float] = (8.0, 0.0, 205.0), speed_mm_s: 
 class BeltHead(Head):
     """Two cameras on one trigger before a belt, with a flash as bright as an exposure of 2 ms.
 
-    at_ns : of the next exposure; 0: it is when it is. has_count : the left camera sends the encoder's.
+    at_ns : time of the next exposure; 0: now. has_count : the left camera sends the encoder's count.
     """
 
     def __init__(self, virtual: VirtualCell, belt: VirtualBelt) -> None:
@@ -104,13 +104,13 @@ class BeltCell(LiveCell):
         self.sequence = 0
 
     def until_a_part_comes(self) -> None:
-        """Until one is almost in the middle of the pictures: farther out, at 9 mm, one in ten is missed."""
+        """Wait until a part is near the middle of the pictures: at 9 mm off, one in ten is missed."""
         wait_until(lambda: -6.0 < (self.head.belt.travelled_mm(time.time_ns()) + 15.0) % 30.0 - 15.0 < 0.0)
 
     def located(
         self, client: ModbusTcpClient, options: Option = Option.BELT, **values: int
     ) -> dict[str, int]:
-        """LOCATE, as a PLC asks; the values of status, result and belt."""
+        """Run LOCATE as a PLC does; returns the values of status, result and belt."""
         if not self.head.at_ns:
             self.until_a_part_comes()
         self.sequence += 1
@@ -136,7 +136,7 @@ class BeltCell(LiveCell):
         return read()
 
     def truth_mm(self, exposed_ns: int, count: int) -> np.ndarray:
-        """(3,) where the part truly was in the belt's frame when the encoder stood at a count."""
+        """(3,) true place of the part in the belt's frame when the encoder was at this count."""
         belt, setup = self.head.belt, self.setup
         assert setup.belt is not None
         assert setup.robot_from_rig is not None
@@ -157,7 +157,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> SmallCell:
 
 
 def configured(folder: SmallCell, **changes: str) -> Path:
-    """Its configuration with a belt."""
+    """The cell's configuration, with a belt."""
     robot = demo_rig().robot_from_rig
     assert robot is not None
     step = ", ".join(f"{x:.9f}" for x in robot[:3, :3] @ DIRECTION * MM_PER_COUNT)
@@ -192,8 +192,9 @@ def running(folder: SmallCell, request: pytest.FixtureRequest) -> Iterator[tuple
 def test_a_part_lies_where_it_truly_was_at_the_count_that_is_told(
     running: tuple[BeltCell, ModbusTcpClient],
 ) -> None:
-    """Across the belt within 4 sigma; along it no further behind than the belt went while the count was on
-    its way to the cell. X, Y, Z are those of the exposure, and their sigma has the jitter in it."""
+    """The pose at the reported count is true within 4 sigma across the belt; along it, it lags by at most the
+    belt's travel while the count was sent. X, Y, Z hold the pose at the exposure, with jitter in their sigma.
+    """
     cell, client = running
     for _ in range(4):
         before_s = time.time()
@@ -216,7 +217,7 @@ def test_a_part_lies_where_it_truly_was_at_the_count_that_is_told(
 def test_with_a_cameras_count_a_part_lies_there_to_its_sigma_and_is_one_however_often_it_is_seen(
     running: tuple[BeltCell, ModbusTcpClient],
 ) -> None:
-    """Three pictures of a part while it passes, then the next ones: by exact times of a hardware trigger."""
+    """With exact hardware trigger times, poses are true within sigma, and one part keeps one number."""
     cell, client = running
     head = cell.head
     head.has_count = True
@@ -243,7 +244,7 @@ def test_with_a_cameras_count_a_part_lies_there_to_its_sigma_and_is_one_however_
 def test_a_robot_that_talks_in_lines_says_the_count_and_hears_where_the_part_lies_on_the_belt(
     running: tuple[BeltCell, ModbusTcpClient], brand: Brand
 ) -> None:
-    """As over Modbus, in every maker's convention; what a PLC wrote into BELT_COUNT stays."""
+    """Line robots of every brand get the same belt pose as Modbus, and a PLC's BELT_COUNT stays unchanged."""
     cell, client = running
     unit = 1e-3 if brand is Brand.UR else 1.0
     assert not client.write_registers(reg.ADDRESS["BELT_COUNT"], [0, 77, 0, 88]).isError()
@@ -281,7 +282,7 @@ def test_a_robot_that_talks_in_lines_says_the_count_and_hears_where_the_part_lie
 
 
 def test_abbs_example_goes_with_the_part(running: tuple[BeltCell, ModbusTcpClient]) -> None:
-    """As it stands in the manual: each move in the belt's frame is over the part, where it is by then."""
+    """With the manual's example, each move in the belt's frame is above the part's current place."""
     cell, _ = running
     belt = cell.head.belt
     link = Link(cell.server.line_port)
@@ -348,19 +349,19 @@ def test_abbs_example_goes_with_the_part(running: tuple[BeltCell, ModbusTcpClien
 
 
 def written_values(cell: BeltCell) -> dict[str, int]:
-    """All registers of the cell by their names."""
+    """All registers of the cell by name."""
     return cell.call(lambda: {register.name: value for register, value in cell.server.values()})
 
 
 def lines_of(listing: str) -> list[str]:
-    """The instructions of a teach pendant's program, without their numbers."""
+    """Instructions of a teach pendant program, without their numbers."""
     code = listing.partition("/MN\n")[2].partition("/POS")[0]
     return [line[5:].rstrip(" ;").strip() for line in code.splitlines()]
 
 
 def test_fanucs_program_goes_with_the_part(running: tuple[BeltCell, ModbusTcpClient]) -> None:
-    """The count before the picture, the trigger after it, and moves in the frame of the schedule that the
-    header names: each is over the part, where it is by then."""
+    """The count comes before the picture, the trigger after it, and each move in the frame of the schedule
+    that the header names is above the part's current place."""
     cell, _ = running
     belt = cell.head.belt
     files = written("karel")
@@ -424,8 +425,8 @@ def test_fanucs_program_goes_with_the_part(running: tuple[BeltCell, ModbusTcpCli
 def test_kukas_example_goes_with_the_part(
     running: tuple[BeltCell, ModbusTcpClient], fmt: str, controlled: Callable[..., krl.Controller]
 ) -> None:
-    """As it stands in the manual, with KUKA.ConveyorTech, whose base goes with the belt from the exposure on:
-    over the part to a tenth of a millimetre, however late the robot comes."""
+    """With the manual's example and KUKA.ConveyorTech, whose base moves with the belt from the exposure on,
+    the robot is above the part within a tenth of a millimetre, however late it comes."""
     cell, _ = running
     belt = cell.head.belt
     example = re.search(r"^DECL FRAME PICK\n.*?(?=^```)", PICKING.read_text(), re.MULTILINE | re.DOTALL)
@@ -445,7 +446,7 @@ def test_kukas_example_goes_with_the_part(
     moves: list[tuple[np.ndarray, int]] = []
 
     def went_mm(now_ns: int) -> float:
-        """Since the pulse of the exposure."""
+        """Travel since the pulse of the exposure."""
         return belt.travelled_mm(now_ns) - belt.travelled_mm(written_values(cell)["EXPOSURE_NS"])
 
     def deleted(_conveyor: Any, how_many: Any) -> int:
@@ -495,13 +496,13 @@ def test_kukas_example_goes_with_the_part(
 
 @dataclass
 class Kept:
-    """What a recorder is told (`edged.ports.Publisher`)."""
+    """A publisher that keeps what a recorder would record (`edged.ports.Publisher`)."""
 
     pairs: list[FramePair] = field(default_factory=list)
     snapshots: list[Snapshot] = field(default_factory=list)
 
     def announce(self, event: Event) -> None:
-        """Keep an exposure, or its result."""
+        """Keep an exposure or its result."""
         if isinstance(event, ExposureDone) and event.pair is not None:
             self.pairs.append(event.pair)
         elif isinstance(event, Snapshot):
@@ -511,8 +512,8 @@ class Kept:
 def test_a_recorded_cycle_gives_the_same_on_its_belt_when_it_is_measured_again(
     running: tuple[BeltCell, ModbusTcpClient], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """To the last bit: poses in the belt's frame, what it adds to sigma, what it blurs; at another count
-    there is another pose; what no belt has is no recording."""
+    """Replay gives bit-identical belt poses, added sigma and blur; another count gives another pose, and a
+    recording without a belt is rejected."""
     cell, client = running
     kept = Kept()
     cell.call(lambda: cell.cycle.set_publishers([cell.server, kept]))
@@ -567,14 +568,14 @@ def test_a_recorded_cycle_gives_the_same_on_its_belt_when_it_is_measured_again(
 def test_where_nobody_says_the_count_the_command_is_refused(
     running: tuple[BeltCell, ModbusTcpClient],
 ) -> None:
-    """NACK 2, and no picture is taken."""
+    """The command is refused with NACK 2, and no picture is taken."""
     cell, client = running
     found = cell.located(client, Option(0))
     assert (NackReason.REFUSED, 0) == (found["NACK_REASON"], cell.head.captures)
 
 
 def test_what_the_belt_blurs_is_refused(running: tuple[BeltCell, ModbusTcpClient]) -> None:
-    """A belt of 1.5 m/s, says the client: more than a pixel: BLUR, no coordinates, and it is counted."""
+    """At a stated belt speed of 1.5 m/s the result is BLUR without coordinates, and it is counted."""
     cell, client = running
     found = cell.located(client, BELT_SPEED=1_500_000)
     assert (reg.ResultCode.LOW_QUALITY, Reject.BLUR) == (found["RESULT"], found["REJECT"])
@@ -584,7 +585,7 @@ def test_what_the_belt_blurs_is_refused(running: tuple[BeltCell, ModbusTcpClient
 
 
 def test_a_belt_needs_what_tells_the_blur_and_the_count(folder: SmallCell) -> None:
-    """Exposure times; a camera's count where that is the source; a step that goes on."""
+    """A belt without exposure times, its source's count, command mode or a nonzero step is a ConfigError."""
     path = configured(folder)
     text = path.read_text()
     for old, new, why in (
@@ -604,7 +605,7 @@ def test_a_belt_needs_what_tells_the_blur_and_the_count(folder: SmallCell) -> No
 def test_a_board_at_two_counts_teaches_direction_and_scale(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """From rendered pictures: 0.02 mm a count to 0.1 %, as a section for cell.toml."""
+    """From rendered pictures the scale is 0.02 mm a count to 0.1 %, printed as a section for cell.toml."""
     rig = demo_rig()
     virtual = VirtualCell(rig, TOKEN, board=stage_board())
     board = stage_board()
@@ -633,7 +634,7 @@ def test_a_board_at_two_counts_teaches_direction_and_scale(
 def test_the_demo_shows_where_parts_lay_on_its_belt(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Along the belt within two steps of its encoder, across it and in height to some micrometres."""
+    """The errors along, across and above the belt are below 40, 5 and 10 micrometres rms."""
     ports = {"--modbus-port": free_port(), "--zenoh-port": free_port(), "--web-port": 0}
     options = [str(word) for option in ports.items() for word in option]
     assert 0 == exit_code(

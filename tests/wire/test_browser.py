@@ -1,4 +1,4 @@
-"""The status page in a real browser: what can be clicked, zoomed and read, on a screen and on a phone."""
+"""The status page in a real browser: clicking, zooming and reading, on a screen and on a phone."""
 
 from __future__ import annotations
 
@@ -42,12 +42,12 @@ REGISTERS = [
     for register in block.registers
     if not re.match(r"[TJ](?!0_)\d+_", register.name)
 ]
-"""Of rows that are alike the first."""
+"""Of rows that are alike, only the first."""
 OPEN = 'document.querySelector("#viewer").open'
 
 
 def fill(web: WebPublisher) -> None:
-    """Six good cycles, two alike that were refused, and one with a long reason."""
+    """Publish six good cycles, two alike that were refused, and one with a long reason."""
     pair = frame_pair(flange().left, flange().right)
     web.announce(CellState(CellPhase.READY, True, True, "flange", 1, 0))
     for cycle in range(1, 10):
@@ -65,7 +65,7 @@ def fill(web: WebPublisher) -> None:
 async def on_the_page(
     width: int = 1400, height: int = 900, limit_mm: float = 0.2, query: str = ""
 ) -> AsyncIterator[tuple[Browser, WebPublisher]]:
-    """A filled page; nothing may be refused by its own security policy, or fail unseen."""
+    """A filled page; fails if it violates its security policy or logs an error."""
     rectification = make_rectification(flange().rig)
     asked = replace(
         sources(),
@@ -89,7 +89,7 @@ async def on_the_page(
 
 @pytest.mark.slow
 async def test_thumbnails_open_and_zoom_with_wheel_buttons_and_keys() -> None:
-    """A click enlarges a cycle; both pictures show the same part; the next cycle keeps it; Escape closes."""
+    """A click enlarges a cycle with both pictures in step, the next cycle keeps the zoom, Escape closes."""
     async with on_the_page() as (page, _):
         await page.until('document.querySelectorAll("#recent img").length === 8')
         await page.click("#recent li:nth-child(3) button")
@@ -125,7 +125,7 @@ async def test_thumbnails_open_and_zoom_with_wheel_buttons_and_keys() -> None:
 
 
 async def test_the_tray_says_which_pocket_is_next_and_which_are_empty() -> None:
-    """Where the job has one; without a good part none is next."""
+    """The tray's text names the next and the empty pockets; without a good part no pocket is next."""
     text = '(document.querySelector("#reading .tray")?.textContent ?? "")'
     async with on_the_page() as (page, web):
         assert "" == await page.value(text)
@@ -141,7 +141,7 @@ async def test_the_tray_says_which_pocket_is_next_and_which_are_empty() -> None:
 
 @pytest.mark.slow
 async def test_a_fault_opens_with_its_reason_and_its_count() -> None:
-    """The first of two alike has its pictures; the live picture opens, too, and what comes later is newer."""
+    """A fault opens its first occurrence with count and reason, and the live picture opens as the newest."""
     async with on_the_page() as (page, web):
         assert "2 times" in await page.value('document.querySelector("#faults").textContent')
         await page.click("#faults button")
@@ -163,7 +163,7 @@ async def test_a_fault_opens_with_its_reason_and_its_count() -> None:
 
 @pytest.mark.slow
 async def test_the_sigma_has_a_bar_with_a_remedy_for_each_part() -> None:
-    """As long as the sigma, each part by its share of the variance; what is beyond the limit is said."""
+    """Each sigma has a bar of its length, split by share of the variance, and an exceeded limit is named."""
     target = make_target()
     x, y, z = 1e3 * np.sqrt(np.diag(target.covariance)[:3])
     known = replace(target, by_edges=0.36 * target.covariance)
@@ -185,7 +185,7 @@ async def test_the_sigma_has_a_bar_with_a_remedy_for_each_part() -> None:
 
 
 def fail(web: WebPublisher) -> None:
-    """In every way that has words of its own."""
+    """Publish every kind of failure that has a text of its own."""
     match, pair = Match(512.0, 300.4, 0.1, 1.0, 1.0, 0.91), frame_pair(flange().left, flange().right)
     nothing = make_snapshot(20, Status.NO_TARGET)
     web.announce(replace(nothing, dismissed=(NotMeasured(match, Reject.LEFT_RIGHT_MISMATCH),)))
@@ -197,7 +197,7 @@ def fail(web: WebPublisher) -> None:
 
 
 def words(text: str) -> set[str]:
-    """Of three letters and more."""
+    """Words of three letters or more."""
     return set(re.findall(r"[^\W\d_]{3,}", text))
 
 
@@ -207,22 +207,22 @@ CODES = {
     for names in re.findall(r"\d+ ([A-Z0-9_]+)", one.help)
     for code in words(names)
 }
-"""Names of bits and values, which are no words."""
+"""Names of bits and values, which need no translation."""
 READ = """(() => {
   const texts = document.createTreeWalker(document.body, NodeFilter.SHOW_TEXT);
   const found = [...document.querySelectorAll("[aria-label]")].map((e) => e.getAttribute("aria-label"));
   for (let node; (node = texts.nextNode()); )
     if (!node.parentElement.closest("[translate=no], script, noscript")) found.push(node.textContent);
   return [...found, document.querySelector("#find").placeholder].join("\\n"); })()"""
-"""What can be read or heard, but for names, values and the cell's own words."""
+"""All readable or spoken text, except names, values and quoted messages of the cell."""
 STRETCHED = 'document.querySelector("#find").placeholder.includes("⟦")'
 TEXTS = """fetch("/static/%s.ftl").then((answer) => answer.text())"""
 
 
 @pytest.mark.slow
 async def test_it_speaks_german_throughout() -> None:
-    """As chosen, and after a reload: every word that can be read stands in the German texts; numbers have
-    their comma; a browser in English says the same by the English texts.
+    """After choosing German, also after a reload, every readable word is in the German texts and numbers have
+    commas; in English the same holds for the English texts.
     """
     async with on_the_page() as (page, web):
         fail(web)
@@ -256,8 +256,8 @@ async def test_it_speaks_german_throughout() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("width", [390, 1280])
 async def test_no_word_is_written_into_the_page(width: int) -> None:
-    """With texts that are stretched and marked, whatever can be read or heard carries the mark, and fits; of
-    a good result, a bad one and a fault, with a cycle enlarged. axe finds nothing.
+    """With marked and stretched texts, all readable text carries the mark and fits, for a good result, a bad
+    one and a fault, with a cycle enlarged, and axe finds no violation.
     """
     known = replace(make_target(), by_edges=0.36 * make_target().covariance)
     async with on_the_page(width, 844, query="?pseudo") as (page, web):
@@ -266,7 +266,7 @@ async def test_no_word_is_written_into_the_page(width: int) -> None:
         await page.value('document.querySelectorAll("details").forEach((one) => (one.open = true))')
         await page.until(f'document.querySelector("#words tr") && {STRETCHED}')
         assert [] == await page.value(UNTRANSLATED)
-        await page.type("#find", "result")  # of few rows axe says the same as of all
+        await page.type("#find", "result")  # axe reports the same for few rows as for all
         await page.until('document.querySelectorAll("#words tr").length < 20')
         await page.until('document.querySelector("#left text")')
         assert 0 == await page.value('document.querySelectorAll("button text").length')  # none is called so
@@ -283,7 +283,7 @@ async def test_no_word_is_written_into_the_page(width: int) -> None:
 
 @pytest.mark.slow
 async def test_texts_that_come_while_a_language_is_chosen_are_in_it() -> None:
-    """Whichever of both ends first."""
+    """Register texts are shown in the chosen language, whether the texts or the choice arrive first."""
     async with on_the_page() as (page, _):
         for tag, told in (("de", "Nummer des Zyklus"), ("en", "cycle number")):
             await page.choose("#language", tag)
@@ -293,7 +293,7 @@ async def test_texts_that_come_while_a_language_is_chosen_are_in_it() -> None:
 
 @pytest.mark.slow
 async def test_a_lost_cell_is_not_shown_as_present() -> None:
-    """Also where the language is chosen meanwhile."""
+    """The badge shows the lost connection, also after the language is changed."""
     async with on_the_page() as (page, web):
         await page.choose("#language", "de")
         await page.until('document.documentElement.lang === "de"')
@@ -301,13 +301,13 @@ async def test_a_lost_cell_is_not_shown_as_present() -> None:
         await page.until('document.querySelector("#badge").textContent === "keine Verbindung"')
         await page.choose("#language", "en")
         await page.until('document.querySelector("#badge").textContent === "no connection"')
-        page.complaints.clear()  # of the connection
+        page.complaints.clear()  # about the lost connection
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("way", ["leave", "freeze"])
 async def test_a_page_that_comes_back_from_the_browsers_memory_is_live_again(way: str) -> None:
-    """What stands on it is not shown as present until then; nothing is reloaded."""
+    """After leaving or freezing, the page shows no connection until it returns and receives live results."""
     async with on_the_page() as (page, web):
         await page.until('document.querySelector("#badge").textContent === "OK"')
         await (leave if way == "leave" else freeze)(page)
@@ -320,7 +320,7 @@ async def test_a_page_that_comes_back_from_the_browsers_memory_is_live_again(way
 @pytest.mark.slow
 @pytest.mark.parametrize("width", [390, 768, 1400])
 async def test_nothing_is_wider_than_the_window(width: int) -> None:
-    """Neither the page nor the enlarged pictures, which two fingers zoom."""
+    """Neither the page nor the enlarged pictures, which pinch to zoom, are wider than the window."""
     overflow = "Math.max(document.documentElement.scrollWidth - innerWidth, 0)"
     async with on_the_page(width, 844) as (page, _):
         await page.value('document.querySelector("#registers").open = true')

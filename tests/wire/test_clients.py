@@ -1,4 +1,4 @@
-"""The client sources that `edged registers` writes, used as they are against a running cell."""
+"""The client sources that `edged registers` writes, run unchanged against a running cell."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ from edged.vision.geometry.rigid import rotation_vector, transform
 
 @pytest.fixture(scope="module")
 def client_module(tmp_path_factory: pytest.TempPathFactory) -> ModuleType:
-    """The generated module, imported from a file as a user would."""
+    """The generated module, imported from a file as a user would do."""
     path = tmp_path_factory.mktemp("client") / "edged_cell.py"
     path.write_text(render("python"))
     spec = importlib.util.spec_from_file_location("edged_cell", path)
@@ -52,7 +52,7 @@ def client_module(tmp_path_factory: pytest.TempPathFactory) -> ModuleType:
 
 
 def test_the_python_client_needs_nothing_of_edged(tmp_path: Path) -> None:
-    """In a process that cannot import edged the generated file imports and knows the map."""
+    """The generated file imports and knows the map in a process that cannot import edged."""
     (tmp_path / "edged_cell.py").write_text(render("python"))
     code = (
         "import sys; sys.modules['edged'] = None; import edged_cell; "
@@ -73,7 +73,7 @@ def test_the_python_client_needs_nothing_of_edged(tmp_path: Path) -> None:
     ids=["default", "low word first, base 2000, unit 7"],
 )
 def test_the_python_client_drives_every_command(client_module: ModuleType, settings: ModbusSettings) -> None:
-    """Locate, acknowledge, verify, grab, job change, a miss, a dead camera: each ends as it says."""
+    """Locate, acknowledge, verify, grab, job change, a miss and a dead camera end as documented."""
     options = {
         "unit_id": settings.unit_id,
         "base_address": settings.base_address,
@@ -105,7 +105,7 @@ def test_the_python_client_drives_every_command(client_module: ModuleType, setti
 
 
 def test_the_python_client_gives_part_after_part(client_module: ModuleType) -> None:
-    """One picture, three parts, the rejected one left out; then NO_LIST, and each trigger begins anew."""
+    """parts() gives the good parts of one picture, then NO_LIST, and each call starts with a new picture."""
     targets = [make_target(x_mm=x_mm) for x_mm in (10.0, 20.0, 30.0)]
     targets.insert(1, make_target(reject=Reject.TOLERANCE, x_mm=40.0))
     with LiveCell() as cell, client_module.EdgedCell("127.0.0.1", cell.port) as client:
@@ -143,7 +143,7 @@ def two_kinds(n_better: int = 1) -> LiveCell:
 
 
 def test_the_python_client_reads_jobs_and_tries_all(client_module: ModuleType) -> None:
-    """Their names by number; of all jobs the one whose part agrees best; counters go on."""
+    """It reads job names by number, all_jobs gives the best match of any job, and the counters advance."""
     cell = two_kinds()
     with cell, client_module.EdgedCell("127.0.0.1", cell.port) as client:
         wait_until(lambda: "READY" in client.status()["bits"])
@@ -155,7 +155,7 @@ def test_the_python_client_reads_jobs_and_tries_all(client_module: ModuleType) -
 
 
 def test_the_python_client_skips_what_could_not_be_picked(client_module: ModuleType) -> None:
-    """The part of the result before comes last; a plain locate knows nothing of it."""
+    """With skip, the previously given part comes last; a locate without it ignores that."""
     cell = LiveCell()
     cell.targets = (make_target(x_mm=10.0), make_target(x_mm=90.0))
     with cell, client_module.EdgedCell("127.0.0.1", cell.port) as client:
@@ -165,7 +165,7 @@ def test_the_python_client_skips_what_could_not_be_picked(client_module: ModuleT
 
 
 def test_the_python_client_narrows_to_one_box(client_module: ModuleType) -> None:
-    """Of two bins the part of the second; a bin that is not there is refused."""
+    """narrow(2) gives only the part in the second bin, and a bin that does not exist is refused."""
     cell = LiveCell()
     boxes = tuple(Box(f"bin{i:g}", (i, 0.0, 0.0), (i + 20.0, 30.0, 300.0)) for i in (0.0, 40.0))
     cell.setup = dataclasses.replace(cell.setup, bounds=Bounds(boxes))
@@ -182,7 +182,7 @@ def test_the_python_client_narrows_to_one_box(client_module: ModuleType) -> None
 
 @pytest.mark.slow
 def test_structured_text_narrows_to_one_box_and_locks_the_cell() -> None:
-    """uiBox is taken at the rising edge, xAutoLock at once; both are off unless they are set."""
+    """uiBox is read at the rising edge and xAutoLock at once; both are off by default."""
     cell = LiveCell()
     boxes = tuple(Box(f"bin{i:g}", (i, 0.0, 0.0), (i + 20.0, 30.0, 300.0)) for i in (0.0, 40.0))
     cell.setup = dataclasses.replace(cell.setup, bounds=Bounds(boxes))
@@ -199,7 +199,7 @@ def test_structured_text_narrows_to_one_box_and_locks_the_cell() -> None:
 
 
 def test_urscript_narrows_to_one_box_and_locks_the_cell() -> None:
-    """edged_box counts for the commands after it, edged_auto_lock at once."""
+    """edged_box applies to the following commands, edged_auto_lock at once."""
     cell = LiveCell()
     boxes = tuple(Box(f"bin{i:g}", (i, 0.0, 0.0), (i + 20.0, 30.0, 300.0)) for i in (0.0, 40.0))
     cell.setup = dataclasses.replace(cell.setup, bounds=Bounds(boxes))
@@ -217,7 +217,7 @@ def test_urscript_narrows_to_one_box_and_locks_the_cell() -> None:
 
 @pytest.mark.slow
 def test_structured_text_tries_all_jobs() -> None:
-    """xAllJobs, taken at the rising edge like everything that says what to do."""
+    """xAllJobs is read at the rising edge and makes the best part of all jobs the result."""
     cell = LiveCell()
 
     def found(_pair: FramePair, _lap: Any) -> Outcome:
@@ -237,7 +237,7 @@ def test_structured_text_tries_all_jobs() -> None:
 
 
 def test_the_python_client_says_where_the_tool_takes_the_part(client_module: ModuleType) -> None:
-    """In um and 0.001 degrees; None for a job without grasps, and for a part that is not ok."""
+    """grasp is in um and 0.001 degrees, and None without grasps or for a part that is not ok."""
     with LiveCell() as cell, client_module.EdgedCell("127.0.0.1", cell.port) as client:
         wait_until(lambda: "READY" in client.status()["bits"])
         assert client.locate().grasp is None
@@ -259,7 +259,7 @@ def test_the_python_client_says_where_the_tool_takes_the_part(client_module: Mod
 
 
 def test_the_python_client_reads_offsets(client_module: ModuleType) -> None:
-    """None before GOLDEN, for what is not ok, and of a result that is no longer shown."""
+    """offset is None before GOLDEN, for a result that is not ok, and for one no longer shown."""
     cell = LiveCell()
     golden_cell(cell)
     with cell, client_module.EdgedCell("127.0.0.1", cell.port) as client:
@@ -276,7 +276,7 @@ def test_the_python_client_reads_offsets(client_module: ModuleType) -> None:
 
 
 def test_the_python_client_ends_in_time(client_module: ModuleType) -> None:
-    """Vision that takes too long is a NACK by the time-out of the command, and nothing is valid after it."""
+    """Slow vision raises CommandNacked at the command's time-out, and no result is valid afterwards."""
     with LiveCell() as cell, client_module.EdgedCell("127.0.0.1", cell.port) as client:
         cell.slow_s = 0.6
         with pytest.raises(client_module.CommandNacked, match="TIMEOUT"):
@@ -287,7 +287,7 @@ def test_the_python_client_ends_in_time(client_module: ModuleType) -> None:
 
 
 def test_the_python_client_refuses_what_is_no_cell(client_module: ModuleType) -> None:
-    """Wrong word order, wrong base address, nobody there: an error that says so, before any command."""
+    """Wrong word order, wrong base address or no server raises an error saying so, before any command."""
     with LiveCell() as cell:
         for options, message in (
             ({"word_order": "low"}, "other word order"),
@@ -308,7 +308,7 @@ def test_the_python_client_refuses_what_is_no_cell(client_module: ModuleType) ->
 def test_the_python_client_does_not_move_a_robot_by_what_no_robot_may_use(
     client_module: ModuleType, changes: dict[str, Any], allowed: dict[str, Any]
 ) -> None:
-    """Coordinates in the rig's frame, or of a virtual cell, are not `ok` unless the client was told so."""
+    """Coordinates in the rig's frame, or of a virtual cell, are `ok` only if the client allows them."""
     cell = LiveCell()
     cell.setup = dataclasses.replace(cell.setup, **changes)
     with cell:
@@ -320,7 +320,7 @@ def test_the_python_client_does_not_move_a_robot_by_what_no_robot_may_use(
 
 
 def test_the_python_client_says_that_the_cell_was_started_anew(client_module: ModuleType) -> None:
-    """While it waits for its answer; it does not take what another daemon shows under the same number."""
+    """A restart while waiting is reported, and the next daemon's result with that number is not accepted."""
     with LiveCell() as cell:
         port = cell.port
         client = client_module.EdgedCell("127.0.0.1", port)
@@ -347,19 +347,19 @@ def test_the_python_client_says_that_the_cell_was_started_anew(client_module: Mo
 
 
 class OldClient(ModbusTcpClient):
-    """`ModbusTcpClient` of before pymodbus 3.10: the unit id is `slave`, and it knows no other name."""
+    """`ModbusTcpClient` before pymodbus 3.10, whose unit id argument is `slave` only."""
 
     def read_holding_registers(self, address: int, *, count: int = 1, slave: int = 1) -> Any:
-        """As it was."""
+        """With the old argument name."""
         return super().read_holding_registers(address, count=count, device_id=slave)
 
     def write_registers(self, address: int, values: list[int], *, slave: int = 1) -> Any:
-        """As it was."""
+        """With the old argument name, too."""
         return super().write_registers(address, values, device_id=slave)
 
 
 def test_the_python_client_runs_on_pymodbus_of_before_3_10(monkeypatch: pytest.MonkeyPatch) -> None:
-    """There the unit id has another name; the client asks pymodbus which."""
+    """The client finds out the name of pymodbus' unit id argument, and works with the old one."""
     monkeypatch.setattr("pymodbus.client.ModbusTcpClient", OldClient)
     module = ModuleType("edged_cell_old")
     monkeypatch.setitem(sys.modules, module.__name__, module)  # dataclasses look their module up
@@ -373,7 +373,7 @@ def test_the_python_client_runs_on_pymodbus_of_before_3_10(monkeypatch: pytest.M
 
 
 class Breaking:
-    """A pymodbus client whose requests fail in one way from a moment on."""
+    """A pymodbus client whose requests all fail in one way."""
 
     connected = True
     socket = None
@@ -390,12 +390,12 @@ class Breaking:
 
 
 class Short:
-    """An answer with fewer words than were asked for."""
+    """An answer with fewer words than requested."""
 
     registers: tuple[int, ...] = (1, 2)
 
     def isError(self) -> bool:  # noqa: N802  (pymodbus's name)
-        """It says that it is none."""
+        """Not an error."""
         return False
 
 
@@ -411,7 +411,7 @@ FAILURES = [
 def test_the_python_client_has_one_exception_for_all_that_fails(
     client_module: ModuleType, failure: Exception, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Connecting, reading, commanding: `CellError` with the cause, and `close` says nothing."""
+    """Connecting, reading and commanding raise `CellError` with the cause, and `close` raises nothing."""
     client = client_module.EdgedCell("127.0.0.1", 1)
     monkeypatch.setattr(client, "_client", Breaking(failure))
     for action in (client.connect, client.status, client.locate, client.beat):
@@ -424,7 +424,7 @@ def test_the_python_client_has_one_exception_for_all_that_fails(
 def test_the_python_client_does_not_believe_half_an_answer(
     client_module: ModuleType, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Fewer words than were asked for: `CellError`, not an error of the decoder."""
+    """Fewer words than requested raise `CellError`, not an error of the decoder."""
     client = client_module.EdgedCell("127.0.0.1", 1)
     monkeypatch.setattr(client, "_client", Breaking(Short()))
     with pytest.raises(client_module.CellError, match=f"2 words, expected {STATUS.words}"):
@@ -432,7 +432,7 @@ def test_the_python_client_does_not_believe_half_an_answer(
 
 
 def test_the_python_client_never_hides_the_users_exception(client_module: ModuleType) -> None:
-    """The cell is gone when the `with` block ends with an error of the user's own: that one is seen."""
+    """The user's exception in a `with` block is raised even if the cell has gone meanwhile."""
     cell = LiveCell()
     with pytest.raises(KeyError, match="mine"), contextlib.ExitStack() as stack:
         stack.enter_context(cell)
@@ -445,7 +445,7 @@ def test_the_python_client_never_hides_the_users_exception(client_module: Module
 
 
 class Plc(structured_text.Driven):
-    """A PLC: reads and writes registers as the source's header says, then runs FB_EDGED, scan by scan."""
+    """A PLC that reads and writes registers as the source's header says, then runs FB_EDGED, scan by scan."""
 
     scans_to_acknowledge = 2
 
@@ -458,7 +458,7 @@ class Plc(structured_text.Driven):
         self.connect(port)
 
     def connect(self, port: int) -> None:
-        """A new connection, without a word to the block."""
+        """Reconnect; the block is not informed."""
         self.client = ModbusTcpClient("127.0.0.1", port=port, timeout=2)
         assert self.client.connect()
         self.linked = True
@@ -485,7 +485,7 @@ class Plc(structured_text.Driven):
 @pytest.mark.slow
 @pytest.mark.parametrize("convention", Convention)
 def test_structured_text_commands_no_cell_whose_angles_mean_something_else(convention: Convention) -> None:
-    """uiError 104 before anything is sent; with the convention of the cell the part is given."""
+    """Another convention gives uiError 104 and no picture; with the cell's convention the part is given."""
     settings = ModbusSettings(port=0, validity_s=30.0, convention=convention)
     with LiveCell(settings) as cell, Plc(cell.port) as plc:
         for expected in Convention:
@@ -503,7 +503,7 @@ def test_structured_text_commands_no_cell_whose_angles_mean_something_else(conve
 
 @pytest.mark.slow
 def test_structured_text_expects_the_convention_that_a_cell_has_without_being_told() -> None:
-    """The two defaults are one: a PLC that says nothing is refused by a cell that says something else."""
+    """The defaults of the block, the settings and the configuration file are the same convention."""
     with LiveCell() as cell, Plc(cell.port) as plc:
         assert plc.values["uiConvention"] == cell.settings.convention
     default = ModbusSection.model_fields["convention"].default
@@ -512,7 +512,7 @@ def test_structured_text_expects_the_convention_that_a_cell_has_without_being_to
 
 @pytest.mark.slow
 def test_structured_text_closes_every_statement() -> None:
-    """END_IF and END_FOR are ends of statements, END_STRUCT of a declaration: each has its semicolon."""
+    """The source is ASCII, and END_IF, END_FOR and END_STRUCT are each followed by a semicolon."""
     # IEC 61131-3, annex A: statement_list is a sequence of statement ';', and so are matiec's and TIA's
     assert render("st").isascii(), "a source for compilers of any age and code page"
     ends = re.findall(r"\bEND_(?:IF|FOR|CASE|WHILE|REPEAT|STRUCT)\b.?", render("st"))
@@ -522,7 +522,7 @@ def test_structured_text_closes_every_statement() -> None:
 
 @pytest.mark.slow
 def test_structured_text_takes_its_inputs_at_the_rising_edge() -> None:
-    """What changes while the command runs is for the next one: command, job, time-out, flange."""
+    """Command, job, time-out and flange changed while a command runs do not affect it."""
     with LiveCell() as cell, Plc(cell.port) as plc:
         plc.until("xReady")
         cell.slow_s = 0.3
@@ -541,7 +541,7 @@ def test_structured_text_takes_its_inputs_at_the_rising_edge() -> None:
 
 @pytest.mark.slow
 def test_structured_text_answers_a_pulse_of_one_scan() -> None:
-    """xExecute may be gone long before the end: xDone, or xError, is up for one scan, with the result."""
+    """After a pulse of one scan, xDone or xError is up for exactly one scan, with the result."""
     with LiveCell() as cell, Plc(cell.port) as plc:
         for job, outcome in ((0, "xDone"), (99, "xError")):
             plc.until("xReady")
@@ -562,7 +562,7 @@ def test_structured_text_answers_a_pulse_of_one_scan() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("order", ["high", "low"])
 def test_structured_text_runs_the_handshake(order: Any) -> None:
-    """blark parses it, a strictly typed interpreter runs it: locate, acknowledge, again, job change."""
+    """Parsed by blark and run by a strictly typed interpreter: locate, acknowledge, repeat, job change."""
     settings = ModbusSettings(port=0, validity_s=30.0, word_order=order)
     with LiveCell(settings) as cell, Plc(cell.port, low_word_first=order == "low") as plc:
         plc.until("xReady")
@@ -592,7 +592,7 @@ def test_structured_text_runs_the_handshake(order: Any) -> None:
 
 @pytest.mark.slow
 def test_structured_text_gives_part_after_part() -> None:
-    """uiCommand 5 while uiREMAINING says so: the other parts of the picture, each acknowledged; then 9."""
+    """uiCommand 5 gives the picture's other parts while uiREMAINING is above 0, then error 9."""
     with LiveCell() as cell, Plc(cell.port) as plc:
         cell.targets = tuple(make_target(x_mm=x_mm) for x_mm in (10.0, 20.0, 30.0))
         plc.until("xReady")
@@ -616,7 +616,7 @@ def test_structured_text_gives_part_after_part() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("order", ["high", "low"])
 def test_structured_text_says_where_the_tool_takes_the_part(order: Any) -> None:
-    """stGrasp is of the same command, or not valid; part after part, and gone with the acknowledgement."""
+    """stGrasp belongs to the same command or is not valid, follows each part, and is cleared after it."""
     settings = ModbusSettings(port=0, validity_s=30.0, word_order=order)
     with LiveCell(settings).pick(GRASPS) as cell, Plc(cell.port, low_word_first=order == "low") as plc:
         cell.targets = tuple(make_target(x_mm=x_mm) for x_mm in (10.0, 20.0))
@@ -642,7 +642,7 @@ def test_structured_text_says_where_the_tool_takes_the_part(order: Any) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("order", ["high", "low"])
 def test_structured_text_says_what_was_found_in_the_tray_and_how_to_place_a_part(order: Any) -> None:
-    """stTray also where nothing was found, stPlace of a part in the gripper; neither of another command."""
+    """stTray is given even without parts, stPlace for a held part, and neither for another command."""
     settings = ModbusSettings(port=0, validity_s=30.0, word_order=order)
     golden_cell(cell := LiveCell(settings))
     cell.pick(Picking(tray=TRAY_OF_20))
@@ -685,7 +685,7 @@ def test_structured_text_says_what_was_found_in_the_tray_and_how_to_place_a_part
 
 @pytest.mark.slow
 def test_structured_text_ends_in_an_error_when_something_is_wrong() -> None:
-    """Unknown job: the reason; a dead camera: 6; slow vision: 100 here or 4 from the cell; no link: 101."""
+    """Unknown jobs and commands, a dead camera, slow vision and a lost link each have their uiError."""
     with LiveCell() as cell, Plc(cell.port) as plc:
         plc.until("xReady")
         for inputs, error in (({"uiJob": 99}, 2), ({"uiJob": 0, "uiCommand": 77}, 1)):
@@ -718,9 +718,9 @@ def test_structured_text_ends_in_an_error_when_something_is_wrong() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("notices", [True, False], ids=["link down", "unnoticed"])
 def test_structured_text_never_keeps_coordinates_over_a_restart(notices: bool) -> None:
-    """In "done" with a good result, the cell is started anew: an error, nothing valid, nothing runs unasked.
+    """A restart of the cell while a result is in use gives an error, no valid result and no measurement.
 
-    Whether the PLC's Modbus client says that the link was down, or reconnects without a word.
+    Also if the PLC's Modbus client reconnects without reporting that the link was down.
     """
     with LiveCell() as cell, Plc(cell.port) as plc:
         plc.until("xReady")
@@ -748,7 +748,7 @@ def test_structured_text_never_keeps_coordinates_over_a_restart(notices: bool) -
 
 @pytest.mark.slow
 def test_structured_text_never_keeps_coordinates_over_a_reload() -> None:
-    """The registration changes while the result is in use: an error in the next scan, and nothing valid."""
+    """If the registration changes while a result is used, the next scan has error 103 and no valid result."""
     with LiveCell() as cell, Plc(cell.port) as plc:
         plc.until("xReady")
         plc.run()
@@ -768,7 +768,7 @@ def test_structured_text_never_keeps_coordinates_over_a_reload() -> None:
 
 @pytest.mark.slow
 def test_structured_text_is_done_with_a_result_that_was_withdrawn_before_it_was_read() -> None:
-    """Vision was slower than validity_s: carried out, nothing to use, and no time-out."""
+    """If vision is slower than validity_s, the command is done without a valid result, not timed out."""
     with LiveCell(ModbusSettings(port=0, validity_s=0.05)) as cell, Plc(cell.port) as plc:
         cell.slow_s = 0.2
         plc.until("xReady")
@@ -778,7 +778,7 @@ def test_structured_text_is_done_with_a_result_that_was_withdrawn_before_it_was_
 
 @pytest.mark.slow
 def test_structured_text_runs_its_command_over_a_connection_that_was_made_anew_unnoticed() -> None:
-    """The first CMD_SEQ of a connection runs nothing: the block writes another one, measured once."""
+    """As a connection's first CMD_SEQ runs nothing, the block writes another one and measures once."""
     with LiveCell() as cell, Plc(cell.port) as plc:
         plc.until("xReady")
         plc.client.close()
@@ -790,7 +790,7 @@ def test_structured_text_runs_its_command_over_a_connection_that_was_made_anew_u
 
 @pytest.mark.slow
 def test_structured_text_gives_way_to_another_clients_command() -> None:
-    """Another client commands while the result is in use: not valid any more, and its own is not repeated."""
+    """Another client's command invalidates the result in use with error 103, and the own is not repeated."""
     with LiveCell(ModbusSettings(port=0, validity_s=30.0, owner_s=0.01)) as cell, Plc(cell.port) as plc:
         plc.until("xReady")
         plc.run()
@@ -811,7 +811,7 @@ def test_structured_text_gives_way_to_another_clients_command() -> None:
 
 @pytest.mark.slow
 def test_structured_text_takes_a_command_back_that_failed() -> None:
-    """The link is down when it is given: error 101; when the link returns, nothing runs."""
+    """A command given while the link is down ends with an error, and nothing runs when it returns."""
     with LiveCell() as cell, Plc(cell.port) as plc:
         plc.until("xReady")
         plc.run()
@@ -840,7 +840,7 @@ def test_structured_text_takes_a_command_back_that_failed() -> None:
 def test_structured_text_moves_no_robot_by_the_rigs_frame_nor_by_a_simulation(
     changes: dict[str, Any], allowed: str
 ) -> None:
-    """xValid stays FALSE, though the cell says VALID, unless the PLC's program allows it before and after."""
+    """xValid stays FALSE, though the cell says VALID, unless allowed from before the command on."""
     cell = LiveCell()
     cell.setup = dataclasses.replace(cell.setup, **changes)
     with cell, Plc(cell.port) as plc:
@@ -862,13 +862,13 @@ def test_structured_text_moves_no_robot_by_the_rigs_frame_nor_by_a_simulation(
 
 @pytest.mark.slow
 def test_structured_text_notices_a_cell_that_stands_still() -> None:
-    """The same picture again and again: after 1 s the heartbeat is missed, coordinates are not valid."""
+    """If the heartbeat stands still for 1 s, the coordinates are no longer valid, though the link is up."""
     with LiveCell() as cell, Plc(cell.port) as plc:
         plc.until("xReady")
         plc.run()
         assert plc.values["stResult"]["xValid"]
         status, result = plc.values["awStatus"], plc.values["awResult"]
-    # the block is told that the link is well: only the heartbeat can tell it otherwise
+    # the block sees the link up: only the heartbeat can show otherwise
     plc.values |= {"xLinkOk": True, "awStatus": status, "awResult": result}
     seen = []
     for _ in range(3):
@@ -880,7 +880,7 @@ def test_structured_text_notices_a_cell_that_stands_still() -> None:
 
 @pytest.mark.slow
 def test_structured_text_never_takes_an_old_answer_for_a_new_one() -> None:
-    """After a restart the PLC uses a number again that was answered before: the old picture is no answer."""
+    """A result still shown from before a restart is not taken as the answer to a reused sequence number."""
     with LiveCell() as cell, Plc(cell.port) as first, Plc(cell.port) as second:
         first.until("xReady")
         first.run()
@@ -903,7 +903,7 @@ def test_structured_text_never_takes_an_old_answer_for_a_new_one() -> None:
 
 
 def started(controller: urscript.Controller) -> dict[str, Any]:
-    """The robot's program, after "Before Start"."""
+    """The robot's program, after its "Before Start" part."""
     robot = urscript.load(render("urscript"), controller.builtins())
     robot["edged_setup"]("192.168.10.20")
     return robot
@@ -917,7 +917,7 @@ def robot_beside(cell: LiveCell) -> Iterator[tuple[urscript.Controller, dict[str
 
 
 def test_urscript_locates_a_part() -> None:
-    """Its functions, run as Python with the controller's Modbus calls: pose in m and rad, then errors."""
+    """Run as Python with the controller's Modbus calls, edged_locate gives m and rad, or edged_error."""
     with robot_beside(cell := LiveCell()) as (_, robot):
         for x_mm in (10.0, -1234.567, 30.0):
             cell.targets = (make_target(x_mm=x_mm),)
@@ -941,7 +941,7 @@ def test_urscript_locates_a_part() -> None:
 
 
 def test_urscript_gives_part_after_part() -> None:
-    """edged_next while edged_remaining says so: the other parts of one picture; then edged_error 9."""
+    """edged_next gives the picture's other parts while edged_remaining is above 0, then edged_error 9."""
     with robot_beside(cell := LiveCell()) as (_, robot):
         cell.targets = tuple(make_target(x_mm=x_mm) for x_mm in (10.0, 20.0, 30.0))
         seen = [(robot["edged_locate"](0, 5.0)[0], robot["edged_remaining"])]
@@ -955,7 +955,7 @@ def test_urscript_gives_part_after_part() -> None:
 
 
 def test_urscript_lets_the_robot_go_when_its_picture_is_taken() -> None:
-    """The pose comes by a second call; one that asks for it without, or after another command, gets none."""
+    """edged_result gives the pose after edged_expose, and fails without one or after another command."""
     with robot_beside(cell := LiveCell()) as (_, robot):
         for captures in (1, 2):
             cell.targets = tuple(make_target(x_mm=x_mm) for x_mm in (10.0, 20.0))
@@ -984,7 +984,7 @@ def test_urscript_lets_the_robot_go_when_its_picture_is_taken() -> None:
 
 
 def test_urscript_shifts_a_taught_path_to_where_the_part_is() -> None:
-    """edged_golden, then pose_trans(edged_offset(), taught): to the registers' 1 µm and 1 µrad."""
+    """pose_trans(edged_offset(), taught) shifts the path within the registers' 1 µm and 1 µrad."""
     cell = LiveCell()
     golden_cell(cell)
     was, now = (
@@ -1011,19 +1011,19 @@ def test_urscript_shifts_a_taught_path_to_where_the_part_is() -> None:
 
 
 def held_askew(cell: LiveCell, look: np.ndarray, tool_from_part: np.ndarray) -> None:
-    """What the cell sees of a part in the gripper, where the tool stands at look."""
+    """Show the cell a part in the gripper, with the tool at `look`."""
     cell.targets = (dataclasses.replace(make_target(), rig_from_part=look @ tool_from_part),)
 
 
 PLACE_TAUGHT = transform_of(Brand.KUKA, (700.0, 350.0, -40.0, 95.0, -10.0, 170.0))
 FROM_GOLDEN = make_transform((0.2, -0.1, 0.4), (4.0, -3.0, 60.0))
 FROM_NOW = FROM_GOLDEN @ make_transform((0.02, 0.03, -0.05), (1.5, -0.8, 0.4))
-"""How the gripper holds the golden part, and one that it took askew."""
+"""Part poses in the gripper: the golden part's, and that of a part taken askew."""
 TRAY_OF_20 = Tray((0.0, 20.0, 200.0), ((570.0, 20.0, 200.0), *((0.0, 20.0, 200.0),) * 2), (20, 1, 1), 10.0)
 
 
 def test_urscript_places_a_part_that_is_held_askew() -> None:
-    """pose_trans(place, edged_askew(look)) puts it where the golden one was put; 110 without one."""
+    """pose_trans(place, edged_askew(look)) puts it where the golden one was; error 110 without one."""
     golden_cell(cell := LiveCell())
     with robot_beside(cell) as (controller, robot):
         look = pose_of(Brand.UR, controller.arm.tip)
@@ -1042,7 +1042,7 @@ def test_urscript_places_a_part_that_is_held_askew() -> None:
 
 
 class CountingHead(Head):
-    """Its left camera sends the count of a belt's encoder."""
+    """A head whose left camera sends the count of a belt's encoder."""
 
     count = 0
 
@@ -1053,7 +1053,7 @@ class CountingHead(Head):
 
 @pytest.mark.parametrize("order", ["high", "low"])
 def test_urscript_says_where_a_part_on_the_belt_is_now(order: Any) -> None:
-    """What the encoder went since the exposure, over its end and back; 113 without a belt."""
+    """The pose includes the encoder's travel since the exposure, also over its end; 113 without a belt."""
     direction, settings = (
         (0.0, -2.0, 0.0, 0.0, 0.0, 0.0),
         ModbusSettings(port=0, word_order=order, validity_s=30.0),
@@ -1083,7 +1083,7 @@ def test_urscript_says_where_a_part_on_the_belt_is_now(order: Any) -> None:
 
 
 def test_urscript_says_what_was_found_in_the_tray() -> None:
-    """Of the part, how many, the first empty one, and of each pocket; 112 without a tray."""
+    """edged_tray gives pocket, taken, empty and total, and each pocket's state; error 112 without a tray."""
     with robot_beside(cell := LiveCell()) as (_, robot):
         robot["edged_locate"](0, 5.0)
         assert (False, 112) == (robot["edged_tray"](0), robot["edged_error"])
@@ -1106,7 +1106,7 @@ def test_urscript_says_what_was_found_in_the_tray() -> None:
 
 
 def test_urscript_tries_all_jobs_when_asked_to() -> None:
-    """The best part, its job and that job's next one; the command after tries the active job again."""
+    """edged_locate_all_jobs and edged_next give parts of the best job; edged_locate uses the active job."""
     with two_kinds(n_better=2) as cell, urscript.Controller(cell.port) as controller:
         robot = started(controller)
         asked: list[tuple[str, tuple[Any, ...]]] = [
@@ -1128,7 +1128,7 @@ def test_urscript_tries_all_jobs_when_asked_to() -> None:
 
 
 def test_urscript_says_where_the_tool_takes_the_part() -> None:
-    """Tool and approach in m and rad; 108 for a job without grasps, 106 for damaged words."""
+    """edged_grasp and edged_approach are in m and rad; error 108 without grasps, 106 for damaged words."""
     with LiveCell().pick(GRASPS) as cell, urscript.Controller(cell.port) as controller:
         robot = started(controller)
         robot["edged_locate"](0, 5.0)
@@ -1149,7 +1149,7 @@ def test_urscript_says_where_the_tool_takes_the_part() -> None:
 
 
 def test_urscript_asks_for_another_way_to_take_the_part() -> None:
-    """Half a turn of a symmetric part; then edged_ok is False, 9, and nothing may be moved to."""
+    """edged_next_grasp gives half a turn of a symmetric part, then error 9 and a pose of zeros."""
     turned = Picking(grasps=(dataclasses.replace(GRASPS.grasps[0], symmetry=2),))
     with LiveCell().pick(turned) as cell, urscript.Controller(cell.port) as controller:
         robot = started(controller)
@@ -1162,7 +1162,7 @@ def test_urscript_asks_for_another_way_to_take_the_part() -> None:
 
 
 def test_urscript_moves_no_robot_by_a_simulation_unless_told_so() -> None:
-    """edged_error 103, no pose; with edged_allow_simulated the pose of the virtual cell."""
+    """Without edged_allow_simulated it is edged_error 103; with it, the virtual cell's pose is given."""
     cell = LiveCell()
     cell.setup = dataclasses.replace(cell.setup, simulated=True)
     with robot_beside(cell) as (_, robot):
@@ -1175,7 +1175,7 @@ def test_urscript_moves_no_robot_by_a_simulation_unless_told_so() -> None:
 
 
 def test_urscript_sends_no_flange_to_a_cell_whose_angles_mean_something_else() -> None:
-    """A registration is not begun: 109; parts are given, in rotation vectors as ever."""
+    """Starting a registration fails with error 109; parts are still given, as rotation vectors."""
     with robot_beside(cell := LiveCell()) as (_, robot):
         robot["get_actual_tcp_pose"] = lambda: (0.0,) * 6
         assert (False, 109) == (robot["edged_hand_eye"](5.0), robot["edged_error"])
@@ -1184,7 +1184,7 @@ def test_urscript_sends_no_flange_to_a_cell_whose_angles_mean_something_else() -
 
 
 def test_urscript_says_where_the_flange_is_that_carries_the_cameras() -> None:
-    """The part is where they saw it from there; no other command goes with that pose."""
+    """The part's pose is relative to the flange at the exposure, and other commands send no flange."""
     settings = ModbusSettings(port=0, validity_s=30.0, convention=Convention.UR_ROTATION_VECTOR)
     cell = LiveCell(settings)
     flange_from_rig = transform_of(Brand.UR, (0.04, -0.03, 0.1, 0.5, -1.0, 0.2))
@@ -1200,7 +1200,7 @@ def test_urscript_says_where_the_flange_is_that_carries_the_cameras() -> None:
 
 
 def test_urscript_never_uses_a_sequence_again() -> None:
-    """Not in a program that was started anew, nor after a command that was taken back."""
+    """The sequence increases over program restarts and over commands that were given up."""
     with LiveCell() as cell, urscript.Controller(cell.port) as controller:
         used = []
         for _ in range(3):
@@ -1213,7 +1213,7 @@ def test_urscript_never_uses_a_sequence_again() -> None:
 
 
 def test_urscript_runs_its_command_over_a_connection_that_was_made_anew_unnoticed() -> None:
-    """The first CMD_SEQ of a connection runs nothing: another one is written, measured once."""
+    """As a connection's first CMD_SEQ runs nothing, another one is written and measured once."""
     with robot_beside(cell := LiveCell()) as (controller, robot):
         robot["edged_locate"](0, 5.0)
         controller.close()
@@ -1223,7 +1223,7 @@ def test_urscript_runs_its_command_over_a_connection_that_was_made_anew_unnotice
 
 
 def test_urscript_takes_a_command_back_when_the_link_is_down() -> None:
-    """edged_error 104 within a second of the program, and nothing runs when the link returns."""
+    """The error is 104, nothing runs when the link returns, and the next command works."""
     with robot_beside(cell := LiveCell()) as (controller, robot):
         robot["edged_locate"](0, 5.0)
         controller.linked = False
@@ -1238,7 +1238,7 @@ def test_urscript_takes_a_command_back_when_the_link_is_down() -> None:
 
 
 def test_urscript_refuses_what_is_damaged_or_of_another_job() -> None:
-    """A word that does not fit the CRC, and a result of another job than asked for, are no pose."""
+    """Words that do not match the CRC, and a result for another job, give no pose."""
     with robot_beside(LiveCell()) as (controller, robot):
         controls = controller.builtins()["modbus_get_signal_status"]
         place = {one.name: one.address - UR.address for one in UR.registers}
@@ -1266,7 +1266,7 @@ def test_urscript_refuses_what_is_damaged_or_of_another_job() -> None:
 
 
 def test_urscript_gives_way_to_a_cell_that_was_started_anew() -> None:
-    """While it waits: edged_error 105, and no pose of another life."""
+    """If the cell restarts while it waits, edged_error is 105 and no pose is given."""
     with robot_beside(cell := LiveCell()) as (controller, robot):
         cell.slow_s = 0.1
         controls = controller.builtins()["modbus_get_signal_status"]
@@ -1285,7 +1285,7 @@ def test_urscript_gives_way_to_a_cell_that_was_started_anew() -> None:
 
 
 def test_urscript_computes_the_crc_of_the_catalogue() -> None:
-    """As `crc16`, whose check value is the published one, on words of every kind."""
+    """edged_crc equals `crc16`, whose check value is the published one, on words of every kind."""
     robot = urscript.load(render("urscript"), {"floor": math.floor, "sync": lambda: None})
     words = [0, 65535, 1, 0x8000, 0x1234, 0xFEDC, *range(0, 65536, 3301)]
     words = (words * 2)[: next(one.address for one in UR.registers if one.name == "UR_CRC16") - UR.address]
@@ -1293,7 +1293,7 @@ def test_urscript_computes_the_crc_of_the_catalogue() -> None:
 
 
 def test_urscript_arithmetic_is_exact_at_the_ends_of_the_range() -> None:
-    """High and low word give the signed value back; what is invalid is the smallest number there is."""
+    """edged_signed restores signed values from two words at the range's ends, and edged_bit each bit."""
     robot = urscript.load(render("urscript"), {"floor": math.floor})
     for value in (0, 1, -1, 65535, 65536, -65536, 2**31 - 1, -(2**31) + 1, -(2**31)):
         word = value & 0xFFFFFFFF

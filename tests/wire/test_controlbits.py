@@ -1,4 +1,4 @@
-"""A PLC program as an electrician writes it: one word out, a block in, four steps. Over Modbus, on a cell."""
+"""A hand-written PLC program over Modbus: one word out, one block in, four steps, on a running cell."""
 
 from __future__ import annotations
 
@@ -22,24 +22,24 @@ CONTROL = reg.ADDRESS["CONTROL"]
 
 
 class HandWritten:
-    """Writes CONTROL and reads 500 to 536, each in one request."""
+    """A client that writes CONTROL and reads 500 to 536, each in one request."""
 
     def __init__(self, port: int) -> None:
         self.client = ModbusTcpClient("127.0.0.1", port=port, timeout=2)
         assert self.client.connect()
 
     def write(self, word: int) -> None:
-        """CONTROL."""
+        """Write CONTROL."""
         assert not self.client.write_register(CONTROL, word).isError()
 
     def read(self) -> tuple[CellBit, int, float]:
-        """BITS, BITS_REASON, and X in mm."""
+        """Read BITS, BITS_REASON, and X in mm."""
         words = self.client.read_holding_registers(FIRST, count=WORDS).registers
         (x_mm,) = struct.unpack(">f", struct.pack(">2H", *words[2:4]))
         return CellBit(words[-2]), words[-1], x_mm
 
     def until(self, condition: Callable[[CellBit], object]) -> tuple[CellBit, int, float]:
-        """Scans until the bits are so."""
+        """Scan until the bits fulfil a condition."""
         end_s = time.monotonic() + LIMIT_S
         while not condition((read := self.read())[0]):
             assert time.monotonic() < end_s, read
@@ -48,7 +48,7 @@ class HandWritten:
 
 @contextlib.contextmanager
 def plc_beside(cell: LiveCell) -> Iterator[HandWritten]:
-    """The cell runs, and its PLC has START down."""
+    """A running cell with a PLC whose START is down."""
     with cell:
         plc = HandWritten(cell.port)
         plc.write(0)
@@ -60,7 +60,7 @@ def plc_beside(cell: LiveCell) -> Iterator[HandWritten]:
 
 
 def test_four_steps_give_a_part_in_mm() -> None:
-    """Job in the upper byte; again and again; the next part with NEXT; what fails says why."""
+    """START with a job in the upper byte gives a part, NEXT the next one, and failures give a reason."""
     with plc_beside(cell := LiveCell()) as plc:
         for job, x_mm in ((0, 10.0), (2, -12.5)):
             cell.targets = tuple(make_target(x_mm=x) for x in (x_mm, x_mm + 5.0))
@@ -91,7 +91,7 @@ def test_four_steps_give_a_part_in_mm() -> None:
 
 
 def test_no_robot_moves_by_a_simulation_or_the_rigs_frame() -> None:
-    """NOK; a simulation's coordinates with ALLOW_SIMULATED, the rig's with nothing."""
+    """Simulated coordinates are OK only with ALLOW_SIMULATED, and those in the rig's frame never."""
     for changes, allowed in (({"simulated": True}, True), ({"robot_from_rig": None}, False)):
         cell = LiveCell()
         with plc_beside(cell) as plc:
@@ -106,7 +106,7 @@ def test_no_robot_moves_by_a_simulation_or_the_rigs_frame() -> None:
 
 
 def test_a_start_that_was_up_over_a_new_connection_runs_nothing() -> None:
-    """It must fall first; and OK of the connection that is gone is nobody's."""
+    """START must fall first on a new connection, where the OK of the old connection is not shown."""
     with plc_beside(cell := LiveCell()) as plc:
         plc.write(ControlBit.START)
         plc.until(lambda bits: bits & CellBit.OK)

@@ -1,4 +1,4 @@
-"""The cell as an EtherNet/IP adapter: a whole handshake over class 1, by a scanner of other authors."""
+"""The cell as an EtherNet/IP adapter: a whole handshake over class 1, with an independent scanner."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ IN_USE, OWNED, NO_MORE = 0x0100, 0x0106, 0x0113
 
 
 def modbus_values(cell: LiveCell) -> dict[str, float]:
-    """The same words as in the image, read over Modbus/TCP."""
+    """The image's values as read over Modbus/TCP."""
     values: dict[str, float] = {}
     with ModbusTcpClient("127.0.0.1", port=cell.port) as client:
         for block in SHOWN_BLOCKS:
@@ -60,7 +60,7 @@ def modbus_values(cell: LiveCell) -> dict[str, float]:
 
 
 def test_four_steps_over_class_1_give_what_modbus_shows() -> None:
-    """START, BUSY, DONE with OK, START down; again, the next part, and a job that is not there."""
+    """START, BUSY, DONE with OK and START down work for several jobs, and the image equals the registers."""
     host, cell = own_address(), LiveCell()
     cell.slow_s = 0.1
     with cell, adapter_of(cell, host) as adapter, scanner_at(host) as scanner:
@@ -88,7 +88,7 @@ def test_four_steps_over_class_1_give_what_modbus_shows() -> None:
 
 
 def shown_over_modbus(cell: LiveCell, scanner: Scanner) -> bool:
-    """Whether both say the same, but for the heartbeat, and the bits of a moment between both readings."""
+    """Whether image and registers agree, except for the heartbeat, which counts between both readings."""
     kinds = "<" + "".join(register.kind.value for register in FROM_CELL)
     image = struct.unpack(kinds, scanner.get(64, 128))
     names = [register.name for register in FROM_CELL]
@@ -98,7 +98,7 @@ def shown_over_modbus(cell: LiveCell, scanner: Scanner) -> bool:
 
 
 def test_sequences_work_as_over_modbus() -> None:
-    """The first CMD_SEQ of a connection runs nothing, another one does."""
+    """A connection's first CMD_SEQ runs nothing, the next one measures once."""
     host, cell = own_address(), LiveCell()
     with cell, adapter_of(cell, host, "sequence"), scanner_at(host) as scanner:
         scanner.put(at.CMD, struct.pack("<HHH", 1, 0, 7))
@@ -111,7 +111,7 @@ def test_sequences_work_as_over_modbus() -> None:
 
 @pytest.mark.parametrize("how", ["silent", "closed"])
 def test_a_scanner_that_is_gone_holds_nothing_and_comes_back_with_start_down(how: str) -> None:
-    """Its right to write ends with its connection; a START that is still up runs nothing in the next one."""
+    """The right to write ends with the connection, and a START still up runs nothing in the next one."""
     host, cell = own_address(), LiveCell()
     with cell, adapter_of(cell, host) as adapter, scanner_at(host) as scanner:
         program = scanner.run()
@@ -136,7 +136,7 @@ def test_a_scanner_that_is_gone_holds_nothing_and_comes_back_with_start_down(how
 
 
 def test_a_controller_in_program_mode_commands_nothing() -> None:
-    """Its outputs are not looked at; running again, START must be seen down first. Inputs go on."""
+    """Outputs in idle mode are ignored, START must be seen down after it, and inputs continue."""
     host, cell = own_address(), LiveCell()
     with cell, adapter_of(cell, host) as adapter, originator_at(host) as raw:
         status, _, data = raw.forward_open(OWNER_PATH, OWNER_SIZES)
@@ -168,7 +168,7 @@ def test_a_controller_in_program_mode_commands_nothing() -> None:
 
 
 def test_there_is_one_owner_and_others_may_look() -> None:
-    """A second exclusive owner: 0x0106. Readers: as many as there is room for; an owner always finds some."""
+    """A second owner gets 0x0106; listeners are accepted while there is space, which an owner always gets."""
     host, cell = own_address(), LiveCell()
     with cell, adapter_of(cell, host), scanner_at(host) as first, scanner_at(host) as second:
         program = first.run()
@@ -196,7 +196,7 @@ OTHER_KEYS = (
 
 
 def test_what_cannot_be_is_refused_with_its_own_status() -> None:
-    """Assembly, sizes, interval, type, class, key: as tables of extended status have it."""
+    """Wrong assembly, sizes, interval, type, class and key each give their documented extended status."""
     host = own_address()
     with LiveCell() as cell, adapter_of(cell, host), originator_at(host) as raw:
         wrong = bytes((0x20, 4, 0x24, CONFIGURATION, 0x2C, 7, 0x2C, INPUTS))
@@ -214,7 +214,7 @@ def test_what_cannot_be_is_refused_with_its_own_status() -> None:
 
 
 def test_a_daemon_that_starts_again_runs_nothing_old() -> None:
-    """It leaves an empty image; the scanner connects anew, as a new client."""
+    """On closing it leaves an empty image, and a START still up in a new connection runs nothing."""
     host, cell = own_address(), LiveCell()
     with cell:
         with contextlib.ExitStack() as daemon:
@@ -234,7 +234,7 @@ def test_a_daemon_that_starts_again_runs_nothing_old() -> None:
 
 
 def test_outputs_count_from_their_scanner_alone_and_in_order() -> None:
-    """Another address, an id that was never given, an old sequence number, a shorter image: not looked at."""
+    """Outputs from another address, with an unknown id, an old sequence or a short image are ignored."""
     host, cell = own_address(), LiveCell()
     with cell, adapter_of(cell, host) as adapter, originator_at(host) as raw:
         _, _, data = raw.forward_open(OWNER_PATH, OWNER_SIZES, multiplier=7)
@@ -262,7 +262,7 @@ def test_outputs_count_from_their_scanner_alone_and_in_order() -> None:
 
 
 def test_another_clients_turn_is_respected() -> None:
-    """While another has the right to write, START is not taken, and must fall before it counts."""
+    """While another client has the right to write, START is ignored and must fall before it counts."""
     host, cell = own_address(), LiveCell(ModbusSettings(port=0, validity_s=30.0, owner_s=1e6))
     with cell, adapter_of(cell, host), scanner_at(host) as scanner:
         cell.call(lambda: cell.server.write(99, {"CLIENT_HEARTBEAT": 0}))
@@ -278,7 +278,7 @@ def test_another_clients_turn_is_respected() -> None:
 
 
 def test_strangers_do_not_connect_and_sessions_are_bounded() -> None:
-    """Outside `scanners` nobody connects; but who is there is told. One address has eight sessions."""
+    """Addresses outside `scanners` cannot connect but get an identity reply; one address gets 8 sessions."""
     host = own_address()
     with (
         LiveCell() as cell,
@@ -296,7 +296,7 @@ def test_strangers_do_not_connect_and_sessions_are_bounded() -> None:
 
 
 def test_explicit_messages_of_pycomm3_are_answered() -> None:
-    """Identity, interfaces, assemblies, over a connection and without; what is not there has a status."""
+    """Identity, interfaces and assemblies are answered, connected or not, and unknown objects by a status."""
     host, cell = own_address(), LiveCell()
     with cell, adapter_of(cell, host):
         found = pycomm3.CIPDriver.list_identity(host)
@@ -339,7 +339,7 @@ def test_explicit_messages_of_pycomm3_are_answered() -> None:
 
 
 def test_explicit_messages_of_cpppo_are_answered() -> None:
-    """Its command line (GPL) as a process of its own."""
+    """cpppo's command line (GPL), in a process of its own, reads the identity and an attribute."""
     pytest.importorskip("cpppo")
     host = own_address()
     with LiveCell() as cell, adapter_of(cell, host):
@@ -366,7 +366,7 @@ json.dump({name: {entry: [field.value for field in read.get_entry(name, entry).f
 
 
 def test_a_connection_is_made_from_the_eds_file_alone() -> None:
-    """By another author's reader of such files (eds_pie, MIT): identity, assemblies, path, sizes, RPI."""
+    """An independent reader (eds_pie, MIT) finds identity, assemblies, path, sizes and RPI that connect."""
     read = subprocess.run(
         [sys.executable, "-c", READ_EDS], input=eds().encode("ascii"), capture_output=True, timeout=60
     )
@@ -397,7 +397,7 @@ def test_a_connection_is_made_from_the_eds_file_alone() -> None:
 
 
 def test_the_command_prints_the_file() -> None:
-    """`edged registers --format eds`."""
+    """`edged registers --format eds` prints it."""
     printed = subprocess.run(
         [Path(sys.executable).with_name("edged"), "registers", "--format", "eds"],
         capture_output=True,

@@ -1,4 +1,4 @@
-"""A signed release on its way: from a static HTTPS server into a running daemon, which keeps it or not."""
+"""A signed release from a static HTTPS server to a running daemon, which keeps or rejects it."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ MOST_S = 120.0
 
 
 def gate(config: Path) -> dict[str, Any]:
-    """How far it is."""
+    """The gate's current note."""
     file = page_folder(config) / FOLDER / GATE
     return dict(json.loads(file.read_bytes())) if file.exists() else {"step": "none"}
 
 
 def wait_for(config: Path, name: str, *steps: str) -> dict[str, Any]:
-    """Until the gate has brought a release so far."""
+    """Wait until the gate has brought a release to one of these steps."""
 
     def reached() -> dict[str, Any] | None:
         found = gate(config)
@@ -44,7 +44,7 @@ def wait_for(config: Path, name: str, *steps: str) -> dict[str, Any]:
 def test_a_running_cell_takes_a_good_release_refuses_a_bad_one_and_outlives_a_kill(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The daemon and its page as processes; the gate goes on where a SIGKILL of both has left it."""
+    """The cell keeps a good release, rejects a bad one, and resumes after a SIGKILL of daemon and page."""
     monkeypatch.setenv("EDGED_PASSPHRASE", PASSPHRASE)
     releases = Releases(tmp_path / "fleet")
     releases.make()
@@ -59,7 +59,7 @@ def test_a_running_cell_takes_a_good_release_refuses_a_bad_one_and_outlives_a_ki
         text = job.read_text()
 
         def publish(name: str, max_sigma_mm: float) -> None:
-            """A release whose limit is another one, fetched by the cell."""
+            """Publish a release with another limit, for the cell to fetch."""
             folder = tmp_path / name
             folder.mkdir()
             for file in job.parent.iterdir():

@@ -1,4 +1,4 @@
-"""Who sends to the page as fast as they can is turned away, and the PLC beside it gets every answer."""
+"""Clients that flood the page are disconnected, and the PLC beside them gets every answer."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from edged.plc.registers import ADDRESS
 FLOODER = Path(__file__).parents[1] / "helpers" / "flooder.py"
 COMMANDS = 12
 PATIENCE_S = 5.0
-"""Of the PLC, for one command."""
+"""Longest wait of the PLC for one command."""
 TABS, LINES = 8, 16
 
 
@@ -29,7 +29,7 @@ TABS, LINES = 8, 16
 async def flood(
     cell: Cell, kind: str, connections: int, *sessions: Mapping[str, str]
 ) -> AsyncIterator[list[int]]:
-    """Beside it somebody floods. Yields what in the end holds how many connections were closed."""
+    """Flood the page within the context. Yields a list that receives the number of closed connections."""
     cookies = ["; ".join(f"{name}={value}" for name, value in session.items()) for session in sessions]
     process = await asyncio.create_subprocess_exec(
         *(sys.executable, str(FLOODER), str(cell.web.port), kind, str(connections), *cookies),
@@ -51,7 +51,7 @@ async def flood(
 
 
 async def answered(port: int) -> int:
-    """How many of a PLC's commands have their result before its patience ends."""
+    """Number of a PLC's commands that get their result before its patience ends."""
     reader, writer = await asyncio.open_connection("127.0.0.1", port)
 
     async def ask(pdu: bytes, size: int) -> bytes:
@@ -77,7 +77,7 @@ async def answered(port: int) -> int:
 
 
 def beside(kind: str, connections: int) -> tuple[int, int]:
-    """Commands that a PLC has answered, and floods that were closed; who has logged in can still look."""
+    """PLC commands answered, and floods closed; a logged-in user can still use the page."""
 
     async def bounded() -> tuple[int, int]:
         async with asyncio.timeout(WHOLE_S), running(modbus=ModbusSettings(port=0)) as cell:
@@ -97,11 +97,11 @@ def beside(kind: str, connections: int) -> tuple[int, int]:
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["pings", "pongs", "messages", "fragments"])
 def test_tabs_that_flood_are_closed_and_the_plc_is_answered(kind: str) -> None:
-    """Of a viewer who has logged in; whatever the frames are, also those of a message that never ends."""
+    """Floods of any frame type from a logged-in viewer are closed, also fragments of an endless message."""
     assert (COMMANDS, TABS) == beside(kind, TABS)
 
 
 @pytest.mark.slow
 def test_requests_without_end_are_closed_and_the_plc_is_answered() -> None:
-    """Of strangers, one after another without waiting for an answer; who has logged in is still served."""
+    """Floods of pipelined requests without a session are closed, and a logged-in user is still served."""
     assert (COMMANDS, LINES) == beside("requests", LINES)

@@ -1,4 +1,4 @@
-"""The socket of robots in binary frames: the same cell, the same handshake as by lines and registers."""
+"""Binary frames on the robots' socket: the same cell and handshake as with lines and registers."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ KUKA = ModbusSettings(port=0, validity_s=30.0, line=LineSettings(0, Brand.KUKA))
 
 
 class Robot:
-    """One that talks in frames."""
+    """A robot that sends frames."""
 
     def __init__(self, port: int, brand: Brand) -> None:
         self.brand = brand
@@ -33,25 +33,25 @@ class Robot:
         self.file = self.socket.makefile("rb")
 
     def ask(self, request: FrameRequest, piece: int = 64) -> LineAnswer:
-        """Sent in pieces of so many bytes."""
+        """Send a request in pieces of this many bytes, and return its answer."""
         frame = request.frame()
         for at in range(0, len(frame), piece):
             self.socket.sendall(frame[at : at + piece])
         return self.hear(request.sequence)
 
     def hear(self, sequence: int) -> LineAnswer:
-        """The next answer."""
+        """Read the next answer."""
         return read_answer(self.file.read(ANSWER.size), self.brand, sequence)
 
     def close(self) -> None:
-        """Hang up."""
+        """Disconnect."""
         self.file.close()
         self.socket.close()
 
 
 @contextmanager
 def connected(cell: LiveCell, brand: Brand = Brand.KUKA) -> Iterator[Robot]:
-    """A robot on the socket of a cell that is ready."""
+    """A robot on the socket of a ready cell."""
     ready(cell)
     robot = Robot(cell.server.line_port, brand)
     try:
@@ -62,7 +62,7 @@ def connected(cell: LiveCell, brand: Brand = Brand.KUKA) -> Iterator[Robot]:
 
 @pytest.mark.parametrize("brand", Brand)
 def test_every_part_comes_as_the_maker_writes_it(brand: Brand) -> None:
-    """LOCATE, NEXT, the tool and from where it comes: to what 32 bits hold, however the frame is cut."""
+    """LOCATE, NEXT, GRASP and APPROACH are correct to 32-bit precision, however the frames are split."""
     with LiveCell(dataclasses.replace(KUKA, line=LineSettings(0, brand))).pick(GRASPS) as cell:
         cell.targets = (make_target(x_mm=10.0), make_target(x_mm=20.0))
         with connected(cell, brand) as robot:
@@ -90,7 +90,7 @@ def test_every_part_comes_as_the_maker_writes_it(brand: Brand) -> None:
 
 
 def test_a_frame_says_what_a_line_says_of_boxes_the_exposure_and_auto_lock() -> None:
-    """Of one box alone; answered when the picture is taken; the lock of this connection."""
+    """A box restricts the parts, EXPOSE is answered once the picture is taken, and AUTO_LOCK is set."""
     boxes = tuple(Box(f"bin{x}", (x, 0.0, 0.0), (x + 10.0, 100.0, 300.0)) for x in (0.0, 20.0))
     cell = LiveCell(KUKA)
     cell.setup = dataclasses.replace(cell.setup, bounds=Bounds(boxes, ()))
@@ -111,7 +111,7 @@ def test_a_frame_says_what_a_line_says_of_boxes_the_exposure_and_auto_lock() -> 
 
 
 def test_a_flange_is_read_and_a_frame_that_came_twice_runs_once() -> None:
-    """With the robot's own numbers; the same sequence again is the same command."""
+    """A flange in the robot's own numbers is accepted, and a repeated sequence is the same command."""
     with LiveCell(KUKA) as cell, connected(cell) as robot:
         flange = pose_of(Brand.KUKA, make_target(x_mm=300.0).rig_from_part)
         asked = FrameRequest(7, "LOCATE", 2, flange)
@@ -122,7 +122,7 @@ def test_a_flange_is_read_and_a_frame_that_came_twice_runs_once() -> None:
 
 @pytest.mark.parametrize("configured", [Brand.FANUC, Brand.UR])
 def test_a_frame_that_names_its_brand_is_read_and_answered_in_that_brands_words(configured: Brand) -> None:
-    """Whatever is configured; one that names none is read as before; a brand that is none is 120."""
+    """A frame's brand overrides the configured one; without one the latter holds; an unknown one is 120."""
     cell = LiveCell(dataclasses.replace(KUKA, line=LineSettings(0, configured)))
     cell.setup = dataclasses.replace(cell.setup, robot_from_rig=None, flange_from_rig=np.eye(4))
     flange = transform_of(Brand.KUKA, (600.0, -120.0, 450.0, 30.0, 70.0, -110.0))
@@ -143,7 +143,7 @@ def test_a_frame_that_names_its_brand_is_read_and_answered_in_that_brands_words(
 
 
 def test_two_frames_at_once_have_two_answers_in_their_order() -> None:
-    """And lines are understood on the same connection."""
+    """Two frames with a line between them, sent at once, get their answers in order."""
     with LiveCell(KUKA) as cell, connected(cell) as robot:
         robot.socket.sendall(
             FrameRequest(1, "LOCATE").frame() + b"2,LOCATE,0\n" + FrameRequest(3, "ACK").frame()
@@ -154,7 +154,7 @@ def test_two_frames_at_once_have_two_answers_in_their_order() -> None:
 
 
 def test_what_is_no_frame_is_refused_and_hung_up_on() -> None:
-    """Where the next would begin is not known. The one half of a frame that came is never carried out."""
+    """A corrupted frame is refused and the connection closed; half a frame is never carried out."""
     good = FrameRequest(7, "LOCATE").frame()
     generator = random.Random(5)
     with LiveCell(KUKA) as cell:
@@ -176,7 +176,7 @@ def test_what_is_no_frame_is_refused_and_hung_up_on() -> None:
 
 
 def test_who_may_not_write_is_told_so_in_a_frame() -> None:
-    """Status 115; nothing runs."""
+    """The answer has status 115, and nothing runs."""
     with LiveCell(dataclasses.replace(KUKA, writers=())) as cell, connected(cell) as robot:
         assert LineStatus.MAY_NOT_WRITE == robot.ask(FrameRequest(7, "LOCATE")).status
         assert 0 == cell.head.captures

@@ -20,7 +20,7 @@ makers = pytest.mark.parametrize("make", [S7, TwinCat])
 @pytest.mark.slow
 @makers
 def test_a_function_block_locates_a_part(make: type[S7 | TwinCat]) -> None:
-    """One request after the other: two parts, a job change, an unknown job."""
+    """Two parts, a job change and an unknown job, one command after the other, end as documented."""
     with LiveCell(ModbusSettings(port=0, validity_s=30.0)) as cell, make(cell.port) as plc:
         plc.until("xReady")
         for x_mm in (10.0, -12.5):
@@ -53,7 +53,7 @@ def test_a_function_block_locates_a_part(make: type[S7 | TwinCat]) -> None:
 @makers
 @pytest.mark.slow
 def test_a_function_block_takes_a_command_back_when_the_link_is_down(make: type[S7 | TwinCat]) -> None:
-    """uiError 101, the request's error; nothing runs when the link returns, and the next command does."""
+    """uiError is 101 with the request's error, nothing runs when the link returns, and the next one works."""
     with LiveCell() as cell, make(cell.port) as plc:
         name, error = make.lost
         plc.until("xReady")
@@ -75,7 +75,7 @@ def test_a_function_block_takes_a_command_back_when_the_link_is_down(make: type[
 @pytest.mark.slow
 @makers
 def test_a_function_block_commands_no_cell_whose_angles_mean_something_else(make: type[S7 | TwinCat]) -> None:
-    """uiError 104, no picture; with the convention of the cell the part is given."""
+    """Another convention gives uiError 104 and no picture; with the cell's convention the part is given."""
     settings = ModbusSettings(port=0, validity_s=30.0, convention=Convention.KUKA_ABC)
     with LiveCell(settings) as cell, make(cell.port) as plc:
         for convention, outcome in ((1, (False, 104, 0)), (2, (True, 0, 1))):
@@ -103,7 +103,7 @@ def test_scl_does_not_move_a_robot_by_a_simulation() -> None:
 
 @pytest.mark.slow
 def test_scl_names_what_tia_would_not_compile() -> None:
-    """The reader of these tests refuses a name without its mark, and a block that is not there."""
+    """A name without its mark, an unknown block or variable, and non-ASCII text are refused."""
     source = render("scl")
     for good, bad, message in (
         ("#xSame := ", "xSame := ", "xSame is neither"),

@@ -1,4 +1,4 @@
-"""The fuzzer of EtherNet/IP, in small; `tools/fuzz_ethernetip.py` sends a million frames."""
+"""A short run of the EtherNet/IP fuzzer; `tools/fuzz_ethernetip.py` sends a million frames."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ FUZZER = Path(__file__).parents[2] / "tools" / "fuzz_ethernetip.py"
 
 @pytest.mark.slow
 def test_thousands_of_hostile_frames_leave_no_trace() -> None:
-    """No crash, nothing grows, and a good scanner keeps its connection."""
+    """After 5000 frames nothing has crashed or grown, and a good scanner has kept its connection."""
     run = subprocess.run(
         [sys.executable, str(FUZZER), "--frames", "5000"], capture_output=True, text=True, timeout=120
     )

@@ -1,4 +1,4 @@
-"""The fuzzer of Modbus and of the robots' socket, in small; `tools/fuzz_modbus.py` sends a million frames."""
+"""A short run of the fuzzer for Modbus and the robots' socket; `tools/fuzz_modbus.py` runs a million."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ FUZZER = Path(__file__).parents[2] / "tools" / "fuzz_modbus.py"
 
 @pytest.mark.slow
 def test_thousands_of_hostile_frames_leave_no_trace_on_tcp_and_serial_line() -> None:
-    """No crash, nothing stuck, no growth; a good client, a good robot and the serial line are served."""
+    """After 3000 frames nothing has crashed, hung or grown, and good clients are still served."""
     run = subprocess.run(
         [sys.executable, str(FUZZER), "--frames", "3000"], capture_output=True, text=True, timeout=120
     )
@@ -26,7 +26,7 @@ def test_thousands_of_hostile_frames_leave_no_trace_on_tcp_and_serial_line() -> 
 
 
 def test_noise_on_the_serial_line_is_cheap(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The longest piece that is kept, all noise or all headers: at most 256 bytes for each byte."""
+    """For the longest piece kept, noise or headers, the CRC covers at most 256 bytes per byte."""
     checked_bytes = 0
 
     def counting(data: bytes, crc: int = CRC_START) -> int:

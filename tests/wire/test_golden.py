@@ -1,4 +1,4 @@
-"""GOLDEN over registers and lines of text, against a running cell: kept once, each part has an offset."""
+"""GOLDEN over registers and lines of text, against a running cell: once kept, each part has an offset."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ EXPECTED = IS @ invert(WAS)
 
 
 def at(robot_from_part: Any) -> Target:
-    """A good part there."""
+    """A good part at this pose."""
     return dataclasses.replace(make_target(), rig_from_part=robot_from_part)
 
 
@@ -50,13 +50,14 @@ def cell_with(brand: Brand = Brand.KUKA, **changes: Any) -> Iterator[tuple[LiveC
 
 
 def values_of(cell: LiveCell) -> dict[str, float]:
-    """Every register by its name."""
+    """Every register by name."""
     return cell.call(lambda: {register.name: value for register, value in cell.server.values()})
 
 
 @pytest.mark.parametrize("brand", Brand)
 def test_a_robot_gets_the_offset_in_its_makers_words(brand: Brand) -> None:
-    """Read as the controller reads it, it is robot_now robot_golden^-1; the same in the part's own frame."""
+    """In the brand's numbers, OFFSET is robot_now robot_golden^-1, OFFSET_PART the same in the part's
+    frame."""
     with cell_with(brand) as (cell, keeper, robot):
         cell.targets = (at(WAS),)
         assert [LineStatus.OK, LineStatus.NOT_VALID] == [robot.ask("1,GOLDEN,0")[1], robot.ask("2,OFFSET")[1]]
@@ -74,7 +75,7 @@ def test_a_robot_gets_the_offset_in_its_makers_words(brand: Brand) -> None:
 
 @pytest.mark.parametrize("convention", Convention)
 def test_registers_have_the_offset_and_its_sigma(convention: Convention) -> None:
-    """Both blocks, the rotation vector of UR too; the golden part's moment says which one it is."""
+    """Both offset blocks hold the offset, its sigma and the golden part's time, in every convention."""
     with cell_with(convention=convention) as (cell, _, robot):
         cell.targets = (at(WAS),)
         robot.ask("1,GOLDEN,0")
@@ -101,7 +102,7 @@ def test_registers_have_the_offset_and_its_sigma(convention: Convention) -> None
 
 
 def test_a_rig_on_the_flange_is_seen_from_two_places_of_it() -> None:
-    """GOLDEN and LOCATE each say where the flange is; the offset is between the two in the robot's base."""
+    """With GOLDEN and LOCATE each giving the flange, the offset is that of the part in the robot's base."""
     with cell_with() as (cell, _, robot):
         flange_from_rig = make_transform((0.1, 0.0, 1.5), (40.0, 5.0, 90.0))
         cell.reload(robot_from_rig=None, flange_from_rig=flange_from_rig)
@@ -121,7 +122,7 @@ def test_a_rig_on_the_flange_is_seen_from_two_places_of_it() -> None:
 
 
 def test_without_a_golden_part_nothing_is_valid_in_the_block() -> None:
-    """A robot that asks is told so, and the result is what it always was."""
+    """The offset block is not valid, a robot gets NO_OFFSET, and the result is as without offsets."""
     with cell_with() as (cell, _, robot):
         assert LineStatus.NOT_VALID == robot.ask("1,OFFSET")[1]
         assert 0 == robot.ask("2,LOCATE,0")[1]
@@ -133,7 +134,8 @@ def test_without_a_golden_part_nothing_is_valid_in_the_block() -> None:
 
 
 def test_golden_is_kept_of_one_good_part_only_and_says_why_not() -> None:
-    """Nothing found, nothing good, several: the former one stays; pressed twice, the second counts."""
+    """Without exactly one good part, or on a full disk, GOLDEN fails and the old one stays; a repeat
+    counts."""
     with cell_with() as (cell, keeper, robot):
         cell.targets = ()
         assert 100 + ResultCode.NO_TARGET == robot.ask("1,GOLDEN,0")[1]
@@ -153,7 +155,7 @@ def test_golden_is_kept_of_one_good_part_only_and_says_why_not() -> None:
 
 
 def test_of_several_parts_each_has_its_own_offset() -> None:
-    """NEXT shows the next part with its own; another job has none."""
+    """NEXT shows the next part with its own offset, and another job has none."""
     with cell_with() as (cell, _, robot):
         cell.targets = (at(WAS),)
         robot.ask("1,GOLDEN,0")
@@ -168,7 +170,7 @@ def test_of_several_parts_each_has_its_own_offset() -> None:
 
 @pytest.mark.parametrize("state", [state for state in GoldenState if state > GoldenState.HELD])
 def test_a_golden_part_that_no_longer_holds_is_named_and_gives_no_offset(state: GoldenState) -> None:
-    """The pose itself is as good as ever."""
+    """OFFSET fails and O_STATE gives the reason, while the pose itself stays valid."""
     with cell_with() as (cell, _, robot):
         jobs = {
             number: dataclasses.replace(job, golden=GoldenPart(state))
@@ -186,7 +188,7 @@ def test_a_golden_part_that_no_longer_holds_is_named_and_gives_no_offset(state: 
      ({"robot_from_rig": None, "flange_from_rig": np.eye(4)}, "1,GOLDEN,0")],
 )  # fmt: skip
 def test_golden_that_cannot_be_is_refused_before_a_picture(changes: dict[str, Any], line: str) -> None:
-    """Not registered, all jobs, no such job, a rig on the flange without its pose."""
+    """GOLDEN is refused without registration, for all jobs or an unknown job, and without a needed flange."""
     with cell_with() as (cell, keeper, robot):
         cell.reload(**changes)
         captures = cell.head.captures
@@ -195,14 +197,14 @@ def test_golden_that_cannot_be_is_refused_before_a_picture(changes: dict[str, An
 
 
 def test_a_cell_without_a_place_for_golden_parts_refuses_them() -> None:
-    """The command is known, and nothing runs."""
+    """GOLDEN is refused as a known command."""
     with LiveCell(ModbusSettings(port=0, line=LineSettings(0, Brand.UR))) as cell, connected(cell) as robot:
         ready(cell)
         assert NackReason.REFUSED == robot.ask("1,GOLDEN,0")[1]
 
 
 def test_what_a_plc_has_on_display_falls_when_somebody_else_keeps_a_golden_part() -> None:
-    """It may have an offset from the former one; a refused GOLDEN of others leaves it alone."""
+    """A GOLDEN by another client withdraws a displayed result, but not if it fails."""
     with cell_with() as (cell, keeper, _):
         plc = ModbusTcpClient("127.0.0.1", port=cell.port)
         assert plc.connect()

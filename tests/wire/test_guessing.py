@@ -1,4 +1,4 @@
-"""Who guesses passwords over HTTP: how few they may try, and that nobody else is kept out by it."""
+"""Password guessing over HTTP: few guesses are possible, and they lock out nobody else."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ STEP_S = 5.0
 
 @asynccontextmanager
 async def somebody_at(cell: Cell, address: str) -> AsyncIterator[BrowserSession]:
-    """Another browser, at an address of its own."""
+    """Another browser session, from an address of its own."""
     connector = aiohttp.TCPConnector(local_addr=(address, 0))
     jar = aiohttp.CookieJar(unsafe=True)
     async with aiohttp.ClientSession(cell.origin, connector=connector, cookie_jar=jar) as session:
@@ -30,7 +30,7 @@ async def somebody_at(cell: Cell, address: str) -> AsyncIterator[BrowserSession]
 
 
 async def attempt(browser: BrowserSession, name: str, password: str) -> int:
-    """Status of a log-in: 303 when the password was looked at, 429 when not."""
+    """Status of a log-in: 303 if the password was checked, 429 if not."""
     form = {"name": name, "password": password}
     headers = {"Origin": browser.origin}
     async with browser.session.post("/login", data=form, headers=headers, allow_redirects=False) as answer:
@@ -39,7 +39,7 @@ async def attempt(browser: BrowserSession, name: str, password: str) -> int:
 
 @pytest.mark.slow
 async def test_an_own_password_buys_no_guesses_at_that_of_another(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Four wrong ones, one's own, and again: two dozen guesses an hour, not thousands."""
+    """Alternating wrong passwords with an own correct one allows two dozen guesses an hour, not thousands."""
     guesses = list[str]()
     is_password = edged.identity.access.is_password
 
@@ -60,7 +60,7 @@ async def test_an_own_password_buys_no_guesses_at_that_of_another(monkeypatch: p
 
 @pytest.mark.slow
 async def test_one_account_is_not_guessed_at_from_many_addresses() -> None:
-    """After twenty it waits, wherever they come from; where its owner came in before, they come in now."""
+    """After twenty guesses all addresses wait, except one from which the owner has logged in before."""
     async with running(visitor="Anna") as cell:
         statuses = list[int]()
         for n in range(2, 32):
@@ -75,7 +75,8 @@ async def test_one_account_is_not_guessed_at_from_many_addresses() -> None:
 
 
 async def test_nobody_waits_behind_one_who_floods_the_log_in(monkeypatch: pytest.MonkeyPatch) -> None:
-    """While one address asks again and again, another is next, and the flooder has one place in the queue."""
+    """While one address floods the log-in, another is served next, as the flooder has one place in the
+    queue."""
     looked_at = list[str]()
     may_go_on = threading.Semaphore(0)
 
@@ -103,7 +104,7 @@ async def test_nobody_waits_behind_one_who_floods_the_log_in(monkeypatch: pytest
 
 
 async def test_sessions_with_the_pages_password_displace_nobody() -> None:
-    """Seventy of them end no engineer's; of one address eight stay."""
+    """Seventy sessions with the page's password end no engineer's session, and eight of one address stay."""
     async with running(visitor="Anna") as cell:
         anna = cell.cookies()
         seen = [await cell.log_in_anew("") for _ in range(70)]
@@ -117,7 +118,7 @@ async def test_sessions_with_the_pages_password_displace_nobody() -> None:
 
 
 async def test_a_persons_ninth_session_ends_their_own_first() -> None:
-    """And no other person's."""
+    """A person's ninth session ends their own oldest one, and no other person's."""
     async with running(visitor="Ben") as cell:
         ben = cell.cookies()
         seen = [await cell.log_in_anew("Anna") for _ in range(9)]

@@ -1,6 +1,6 @@
 """kill -9 of the page, its worker and their link at every step of setting up: cell and PLC never notice.
 
-What was answered is there, half of anything is not, and the next page shows what is.
+Answered changes exist, unfinished ones do not, and the next page shows the state on disk.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ POSES = list(calibration_poses(small_rig(), stage_board(), 5))
 
 
 def processes(module: str, parent: int | str = "self") -> list[int]:
-    """Descendants of a process that run a module of edged."""
+    """Descendants of a process that run a given module of edged."""
     found: list[int] = []
     for task in Path(f"/proc/{parent}/task").glob("*/children"):
         with suppress(OSError):
@@ -51,10 +51,10 @@ def processes(module: str, parent: int | str = "self") -> list[int]:
 
 @dataclass
 class Cell:
-    """A stage, and somebody who sets it up.
+    """A stage, and a user who sets it up.
 
-    setups : times of SETUP, in which nothing may be VALID. measuring : times in which no cycle may be lost.
-    kept : drafts that steps share.
+    setups : periods of SETUP, in which nothing may be VALID. measuring : periods in which no cycle may be
+    lost. kept : drafts that steps share.
     """
 
     folder: Path
@@ -65,22 +65,22 @@ class Cell:
     kept: dict[str, str] = field(default_factory=dict)
 
     async def ask(self, method: str, path: str, document: Any = None, expected: int = 200) -> Any:
-        """Of the page that there is."""
+        """Make a request to the current page."""
         return await self.newcomer.ask(method, path, document, expected)
 
     async def take(self) -> None:
-        """Have the cell in SETUP: the lease belongs to a session, and sessions to a page."""
+        """Enter SETUP: the lease belongs to a session, and sessions to a page."""
         await self.newcomer.take()
         if not self.setups or self.setups[-1][1]:
             self.setups.append([time.monotonic(), 0.0])
 
     async def give_back(self) -> None:
-        """End SETUP; its time ends before."""
+        """End SETUP; its period is noted as ended just before."""
         self.setups[-1][1] = time.monotonic()
         await self.ask("DELETE", "setup", self.newcomer.token, 204)
 
     async def kill(self, victim: str) -> None:
-        """Kill it, and wait for what takes its place; a worker comes when it is needed."""
+        """Kill it, and wait for its replacement; a worker is started when needed."""
         if victim == "worker":
             for worker in processes("edged.setup.jobs.workerprocess"):
                 os.kill(worker, signal.SIGKILL)
@@ -96,7 +96,7 @@ class Cell:
         await self.newcomer.browser.log_in_once_it_listens(USER, PASSWORD, lambda: True)
 
     async def asked_while_killed(self, victim: str, *request: Any) -> tuple[int, Any]:
-        """The answer to a request that is under way when something is killed; 0 without one."""
+        """Answer to a request that is under way when something is killed; status 0 without one."""
         asking = asyncio.create_task(self.newcomer.browser.ask(*request))
         await asyncio.sleep(0.05)
         await self.kill(victim)
@@ -105,7 +105,7 @@ class Cell:
         return 0, None
 
     async def shows_cycle(self, at_least: int) -> int:
-        """Which one the page shows, once it shows one that new; at first it may show none."""
+        """Wait until the page shows this cycle or a later one, and return its number."""
         while True:
             _, status = await self.newcomer.browser.ask("GET", "/status.json")
             if status["result"] is not None and status["result"]["cycle"] >= at_least:
@@ -113,18 +113,18 @@ class Cell:
             await asyncio.sleep(0.1)
 
     async def task_of(self, place: str, document: Any) -> Any:
-        """A task that has ended."""
+        """Run a task and return its document once it has ended."""
         task = (await self.ask("POST", place, document, 202))["task"]
         return await self.newcomer.until(f"tasks/{task}", lambda told: told["state"] != "running")
 
     def rig_on_disc(self) -> str:
-        """Which calibration the cell would start with."""
+        """Calibration id of the rig on disk."""
         return load_rig(self.folder / "rig.json").calibration_id
 
 
 @pytest.fixture(scope="module")
 def cell(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cell]:
-    """One for all, and a PLC that reads all the time; at the end, what it has seen is judged."""
+    """One cell for all tests, and a PLC that polls all the time; at the end its observations are checked."""
     folder = tmp_path_factory.mktemp("killed")
     save_rig(folder / "rig.json", replace(small_rig(), robot_from_rig=None), {"board": BOARD})
     with asyncio.Runner() as runner:
@@ -149,7 +149,7 @@ def cell(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cell]:
 
 
 async def view(cell: Cell, draft: str, number: int) -> list[Any]:
-    """The request that takes a view of the board, which is held at one of a careful person's poses."""
+    """Move the board to one of the calibration poses; returns the request that takes a view of it."""
     await cell.ask("PUT", "stage", {"showing": "board", "still": True})
     await cell.ask("PUT", "stage/hand", {"rig_from_board": POSES[number].tolist()})
     await cell.newcomer.until("stage", lambda told: not told["moving"])
@@ -157,7 +157,7 @@ async def view(cell: Cell, draft: str, number: int) -> list[Any]:
 
 
 async def taken(cell: Cell, *request: Any) -> None:
-    """Take a view; a picture that a busy machine has not drawn in time is taken again."""
+    """Take a view; repeated if a busy machine has not rendered the picture in time."""
     status = 503
     while status == 503:
         status, answer = await cell.newcomer.browser.ask(*request)
@@ -165,7 +165,7 @@ async def taken(cell: Cell, *request: Any) -> None:
 
 
 async def calibration(cell: Cell) -> str:
-    """A draft with views enough to solve, the same each time."""
+    """A draft with enough views to solve, shared by the tests."""
     if "calibration" not in cell.kept:
         begun = await cell.ask("POST", "calibrations", {"boards": [BOARD], "lens": "division"}, 201)
         draft = cell.kept["calibration"] = f"calibrations/{begun['id']}"
@@ -175,7 +175,7 @@ async def calibration(cell: Cell) -> str:
 
 
 async def teaching(cell: Cell) -> str:
-    """A draft of a job, the same each time."""
+    """A draft of a job, shared by the tests."""
     if "teaching" not in cell.kept:
         await cell.ask("PUT", "stage", {"showing": "part"})
         draft = f"teachings/{(await cell.ask('POST', 'teachings', cell.newcomer.token, 201))['id']}"
@@ -186,7 +186,7 @@ async def teaching(cell: Cell) -> str:
 
 @pytest.mark.parametrize("victim", ["page", "link"])
 async def test_a_view_is_taken_or_is_not(cell: Cell, victim: str) -> None:
-    """Never half: each that the next page lists has both its pictures."""
+    """After the kill, each view that the next page lists has both its pictures."""
     await cell.take()
     draft = f"calibrations/{(await cell.ask('POST', 'calibrations', {'boards': [BOARD]}, 201))['id']}"
     await taken(cell, *await view(cell, draft, 0))
@@ -201,7 +201,7 @@ async def test_a_view_is_taken_or_is_not(cell: Cell, victim: str) -> None:
 
 @pytest.mark.parametrize("victim", ["worker", "page"])
 async def test_a_calibration_that_was_not_solved_is_not(cell: Cell, victim: str) -> None:
-    """The draft has its views and no result, and says so; the person asks again."""
+    """After the kill, the draft has its views, no result and no task."""
     await cell.take()
     draft = await calibration(cell)
     before = await cell.ask("GET", draft)
@@ -218,7 +218,7 @@ async def test_a_calibration_that_was_not_solved_is_not(cell: Cell, victim: str)
 
 @pytest.mark.parametrize("victim", ["page", "link"])
 async def test_a_rig_is_the_cells_or_is_not(cell: Cell, victim: str) -> None:
-    """The page that comes says of the rig what the cell has on disc, and runs by."""
+    """After the kill, the next page shows the calibration that is on disk."""
     draft = await calibration(cell)
     await cell.take()
     if (await cell.ask("GET", draft))["solved"] is None:
@@ -232,7 +232,7 @@ async def test_a_rig_is_the_cells_or_is_not(cell: Cell, victim: str) -> None:
 
 @pytest.mark.parametrize("victim", ["worker", "page"])
 async def test_a_part_that_is_being_looked_at_is_looked_at_again(cell: Cell, victim: str) -> None:
-    """A draft whose proposal was lost says why, or has it; none waits for ever."""
+    """After the kill, a draft has its proposal or a reason why not, and does not wait for ever."""
     await cell.take()
     await cell.ask("PUT", "stage", {"showing": "part"})
     draft = f"teachings/{(await cell.ask('POST', 'teachings', cell.newcomer.token, 201))['id']}"
@@ -243,7 +243,7 @@ async def test_a_part_that_is_being_looked_at_is_looked_at_again(cell: Cell, vic
 
 @pytest.mark.parametrize("victim", ["worker", "page"])
 async def test_a_trial_goes_on_or_is_off(cell: Cell, victim: str) -> None:
-    """A worker is replaced; a page that comes tries nothing that nobody has asked it for."""
+    """A trial survives a replaced worker, and is off after the page was replaced."""
     await cell.take()
     draft = (await teaching(cell)).removeprefix("teachings/")
     await cell.ask("PUT", "trials", {**cell.newcomer.token, "teaching": draft, "on": True})
@@ -255,7 +255,7 @@ async def test_a_trial_goes_on_or_is_off(cell: Cell, victim: str) -> None:
 
 @pytest.mark.parametrize("victim", ["page", "link"])
 async def test_a_job_is_the_cells_or_is_not(cell: Cell, victim: str) -> None:
-    """The page that comes lists the jobs that the cell has, and its active release has them."""
+    """After the kill, the jobs on disk and the active release agree."""
     await cell.take()
     draft = await teaching(cell)
     note = {**cell.newcomer.token, "note": "killed"}
@@ -270,7 +270,7 @@ async def test_a_job_is_the_cells_or_is_not(cell: Cell, victim: str) -> None:
 
 @pytest.mark.parametrize("victim", ["page", "link"])
 async def test_a_cell_that_measures_measures_on(cell: Cell, victim: str) -> None:
-    """Every cycle has its result; the page that comes shows the newest."""
+    """Results continue after the kill, and the next page shows the newest."""
     await cell.take()
     await cell.ask("PUT", "stage", {"showing": "part"})
     await cell.give_back()
@@ -283,7 +283,7 @@ async def test_a_cell_that_measures_measures_on(cell: Cell, victim: str) -> None
 
 
 async def active_release_is_the_cells(cell: Cell) -> None:
-    """What the page says is active has the rig on disc."""
+    """The release shown as active has the rig on disk."""
     listed = (await cell.ask("GET", "releases"))["releases"]
     active = [release for release in listed if release["active"]]
     assert len(active) <= 1

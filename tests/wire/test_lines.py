@@ -1,4 +1,4 @@
-"""Lines of text for robots, over a socket, against a running cell: the same handshake as over Modbus."""
+"""Lines of text from robots over a socket, against a running cell: the same handshake as over Modbus."""
 
 from __future__ import annotations
 
@@ -37,14 +37,14 @@ KUKA = ModbusSettings(port=0, validity_s=30.0, line=LineSettings(0, Brand.KUKA))
 
 
 def until_free(plc: ModbusTcpClient) -> None:
-    """Write BOX 2 as soon as no other client has the turn, and give the turn up."""
+    """Write BOX 2 once no other client has the turn, and release the turn."""
     wait_until(lambda: not plc.write_register(reg.ADDRESS["BOX"], 2).isError())
     assert not plc.write_register(reg.ADDRESS["OPTIONS"], Option.RELEASE).isError()
 
 
 @pytest.mark.parametrize("brand", Brand)
 def test_a_pose_comes_as_the_maker_writes_it(brand: Brand) -> None:
-    """Read as the controller reads it, it is the pose of the part: to 1 µm and 0.001° of the registers."""
+    """The pose in the brand's own numbers equals the part's, within 1 µm and 0.001° of the registers."""
     changed = dataclasses.replace(KUKA, line=LineSettings(0, brand))
     with LiveCell(changed) as cell, connected(cell) as robot:
         ready(cell)
@@ -65,7 +65,7 @@ def test_a_pose_comes_as_the_maker_writes_it(brand: Brand) -> None:
 
 @pytest.mark.parametrize("configured", Brand)
 def test_a_request_that_names_its_brand_is_answered_in_that_brands_words(configured: Brand) -> None:
-    """Whatever is configured: fields, angles and units are those of the maker, in either case."""
+    """Fields, angles and units are those of the named brand, in either case, whatever is configured."""
     changed = dataclasses.replace(KUKA, line=LineSettings(0, configured))
     with LiveCell(changed).pick(GRASPS) as cell, connected(cell) as robot:
         ready(cell)
@@ -84,7 +84,7 @@ def test_a_request_that_names_its_brand_is_answered_in_that_brands_words(configu
 
 
 def test_a_flange_is_read_as_the_brand_that_was_named_writes_it() -> None:
-    """On a rig that the robot carries the part is where the cameras look, for every maker's flange."""
+    """On a rig carried by the robot, the part's pose is correct for the flange numbers of every brand."""
     cell = LiveCell(KUKA)
     cell.setup = dataclasses.replace(cell.setup, robot_from_rig=None, flange_from_rig=np.eye(4))
     flange = transform_of(Brand.KUKA, (600.0, -120.0, 450.0, 30.0, 70.0, -110.0))
@@ -100,7 +100,7 @@ def test_a_flange_is_read_as_the_brand_that_was_named_writes_it() -> None:
 
 
 def test_a_brand_that_does_not_exist_is_named_as_the_reason() -> None:
-    """Status 120 under the request's own sequence; nothing runs."""
+    """The status is 120 under the request's own sequence, and nothing runs."""
     with LiveCell(KUKA) as cell, connected(cell) as robot:
         ready(cell)
         assert (7, LineStatus.NO_SUCH_BRAND) == robot.ask("acme,7,LOCATE,0")[:2]
@@ -108,7 +108,7 @@ def test_a_brand_that_does_not_exist_is_named_as_the_reason() -> None:
 
 
 def test_a_part_that_could_not_be_picked_comes_last_in_the_next_picture() -> None:
-    """SKIP is a LOCATE that knows which part was given last, acknowledged or not; for one picture."""
+    """SKIP is a LOCATE of one picture that puts the part given last at the end, acknowledged or not."""
     cell = LiveCell(KUKA)
     with cell, connected(cell) as robot:
         ready(cell)
@@ -133,7 +133,7 @@ def test_a_part_that_could_not_be_picked_comes_last_in_the_next_picture() -> Non
 
 
 def test_another_way_to_take_the_same_part_is_given_on_request() -> None:
-    """NEXT_GRASP answers with the tool's pose, as GRASP then does; at the end 119, and NEXT goes on."""
+    """NEXT_GRASP answers with the tool's pose, as GRASP then does; at the end with 119; NEXT still works."""
     turned = Picking(grasps=(dataclasses.replace(GRASPS.grasps[0], symmetry=2), GRASPS.grasps[0]))
     with LiveCell(KUKA).pick(turned) as cell, connected(cell) as robot:
         ready(cell)
@@ -175,7 +175,7 @@ def test_another_way_to_take_the_same_part_is_given_on_request() -> None:
 
 
 def test_a_tray_says_which_pockets_have_parts_and_which_is_the_first_without() -> None:
-    """Over lines and registers alike, also of a tray without parts; it falls with the acknowledgement."""
+    """Lines and registers give the same tray, also without parts, and it is withdrawn on acknowledgement."""
     tray = Tray((0.0, 20.0, 200.0), ((300.0, 20.0, 200.0), *((0.0, 20.0, 200.0),) * 2), (4, 1, 1), 10.0)
     with LiveCell(KUKA).pick(Picking(Order.POCKET, tray=tray)) as cell, connected(cell) as robot:
         ready(cell)
@@ -202,7 +202,7 @@ def test_a_tray_says_which_pockets_have_parts_and_which_is_the_first_without() -
 
 @pytest.mark.parametrize("brand", Brand)
 def test_a_part_that_is_held_askew_is_placed_where_the_golden_one_was(brand: Brand) -> None:
-    """However the tool stands at the look, in every maker's convention, to 5 µm and 0.01°."""
+    """PLACE is correct to 5 µm and 0.01° for every brand, wherever the tool stands at the look."""
     look = transform_of(Brand.KUKA, (30.0, -40.0, 150.0, 20.0, 35.0, -70.0))
     place = transform_of(Brand.KUKA, (700.0, 350.0, -40.0, 95.0, -10.0, 170.0))
     tool_from_golden = make_transform((0.2, -0.1, 0.4), (4.0, -3.0, 60.0))
@@ -228,7 +228,7 @@ def test_a_part_that_is_held_askew_is_placed_where_the_golden_one_was(brand: Bra
 
 
 def test_every_target_is_given_one_after_the_other() -> None:
-    """LOCATE gives the first and how many remain, NEXT the others without a new picture, then none."""
+    """LOCATE gives the first part and how many remain, NEXT the others from the same picture, then none."""
     with LiveCell(KUKA) as cell, connected(cell) as robot:
         ready(cell)
         assert LineStatus.NO_FURTHER == robot.ask("1,NEXT")[1]
@@ -242,7 +242,7 @@ def test_every_target_is_given_one_after_the_other() -> None:
 
 
 def test_each_part_is_held_until_it_is_acknowledged() -> None:
-    """NEXT with numbers of its own: said again the same part, acknowledged the next one; sigmas of each."""
+    """A repeated NEXT gives the same part, one after ACK the next; each has its own sigma."""
     with LiveCell(KUKA) as cell, connected(cell) as robot:
         ready(cell)
         cell.targets = tuple(make_target(x_mm=x_mm) for x_mm in (10.0, 20.0, 30.0))
@@ -258,7 +258,7 @@ def test_each_part_is_held_until_it_is_acknowledged() -> None:
 
 
 def test_a_part_where_the_robot_must_not_go_is_never_given() -> None:
-    """Status 118 when all that is good lies outside; else the others, and none of those by NEXT."""
+    """Parts outside the bounds are never given, not even by NEXT; if all good ones are, the status is 118."""
     bounds = Bounds((Box("bin", (0.0, 0.0, 0.0), (100.0, 100.0, 300.0)),), ())
     with LiveCell(KUKA).pick(Picking(bounds=(bounds,))) as cell, connected(cell) as robot:
         ready(cell)
@@ -277,7 +277,7 @@ def test_a_part_where_the_robot_must_not_go_is_never_given() -> None:
 
 @pytest.mark.parametrize("brand", Brand)
 def test_a_grasp_comes_as_the_maker_writes_it(brand: Brand) -> None:
-    """Of the part that was given last: the tool, and from where it comes; each as the pose of a part."""
+    """GRASP and APPROACH give the tool's poses for the part given last, in the brand's numbers."""
     changed = dataclasses.replace(KUKA, line=LineSettings(0, brand))
     with LiveCell(changed).pick(GRASPS) as cell, connected(cell) as robot:
         ready(cell)
@@ -300,7 +300,7 @@ def test_a_grasp_comes_as_the_maker_writes_it(brand: Brand) -> None:
 
 
 def test_a_line_of_one_box_gives_parts_of_that_box_alone() -> None:
-    """Of its own command only: the next line without a box has each, and BOX stays as a PLC wrote it."""
+    """A line with a box gets only parts in it, the next line without one all, and BOX stays unchanged."""
     boxes = tuple(Box(f"bin{x}", (x, 0.0, 0.0), (x + 10.0, 100.0, 300.0)) for x in (0.0, 20.0))
     cell = LiveCell(KUKA).pick(Picking(bounds=(Bounds(boxes, ()),)))
     cell.setup = dataclasses.replace(cell.setup, bounds=Bounds(boxes, ()))
@@ -324,7 +324,7 @@ def test_a_line_of_one_box_gives_parts_of_that_box_alone() -> None:
 
 
 def test_a_robots_line_leaves_alone_what_a_plc_wrote() -> None:
-    """AUTO_LOCK and BOX stay; the lock is gone with the connection that made it."""
+    """AUTO_LOCK and BOX stay as a PLC wrote them, and a lock ends with the connection that set it."""
     changed = dataclasses.replace(KUKA, owner_s=0.01)
     with LiveCell(changed) as cell, connected(cell) as robot:
         ready(cell)
@@ -343,7 +343,7 @@ def test_a_robots_line_leaves_alone_what_a_plc_wrote() -> None:
 
 
 def test_a_robot_may_go_when_its_picture_is_taken() -> None:
-    """EXPOSE is answered while the cell still measures, without a pose; RESULT gives what LOCATE gives."""
+    """EXPOSE is answered without a pose while the cell still measures, and RESULT gives what LOCATE would."""
     with LiveCell(KUKA).pick(GRASPS) as cell, connected(cell) as robot:
         ready(cell)
         assert (1, LineStatus.NOT_VALID) == robot.ask("1,RESULT")[:2], "of nothing"
@@ -367,7 +367,7 @@ def test_a_robot_may_go_when_its_picture_is_taken() -> None:
 
 
 def test_a_star_tries_every_job() -> None:
-    """One picture; the job that was found is in the registers."""
+    """One picture is tried with every job, and the registers show the job that was found."""
     cell = LiveCell(KUKA)
 
     def better(_pair: FramePair, _lap: Any) -> Outcome:
@@ -388,7 +388,7 @@ def test_a_star_tries_every_job() -> None:
 
 
 def test_a_part_without_a_grasp_says_so() -> None:
-    """Status 119, and the part itself may be used."""
+    """GRASP and APPROACH give status 119, and the part itself may still be used."""
     with LiveCell(KUKA) as cell, connected(cell) as robot:
         ready(cell)
         seen = [robot.ask(line)[1] for line in ("1,LOCATE,0", "2,GRASP", "3,APPROACH", "1,LOCATE,0")]
@@ -396,7 +396,7 @@ def test_a_part_without_a_grasp_says_so() -> None:
 
 
 def test_a_part_that_lies_on_no_belt_says_so() -> None:
-    """Status 123; a count that nobody needs is no error, and before a LOCATE there is nothing to ask for."""
+    """BELT gives status 123, an unneeded count is no error, and before a LOCATE the status is NOT_VALID."""
     with LiveCell(KUKA) as cell, connected(cell) as robot:
         ready(cell)
         assert LineStatus.NOT_VALID == robot.ask("1,BELT")[1]
@@ -405,7 +405,7 @@ def test_a_part_that_lies_on_no_belt_says_so() -> None:
 
 
 def test_commands_end_with_their_reasons() -> None:
-    """Jobs, verification, pictures; nothing found 102, unknown job 2, dead camera 6."""
+    """Job change, VERIFY and GRAB succeed; nothing found is 102, an unknown job 2, a dead camera 6."""
     with LiveCell(KUKA) as cell, connected(cell) as robot:
         ready(cell)
         for line, status in (
@@ -423,7 +423,7 @@ def test_commands_end_with_their_reasons() -> None:
 
 
 def test_a_line_that_came_twice_runs_once() -> None:
-    """The answer was lost, the robot repeats its request: the same answer, no other picture."""
+    """A repeated request gets the same answer without another picture."""
     with LiveCell(KUKA) as cell, connected(cell) as robot:
         ready(cell)
         first, again = robot.ask("9,LOCATE,0"), robot.ask("9,LOCATE,0")
@@ -434,7 +434,7 @@ def test_a_line_that_came_twice_runs_once() -> None:
 
 
 def test_another_robots_number_is_not_answered_for_this_one() -> None:
-    """Two robots use the same sequence: each gets a picture of its own."""
+    """Two robots that use the same sequence each get a picture of their own."""
     changed = dataclasses.replace(KUKA, owner_s=0.01)
     with LiveCell(changed) as cell, connected(cell) as one, connected(cell) as other:
         ready(cell)
@@ -447,7 +447,7 @@ def test_another_robots_number_is_not_answered_for_this_one() -> None:
 
 
 def test_a_line_that_came_twice_on_two_connections_is_two_commands() -> None:
-    """Numbers are a connection's own: refused while the first one is there, and measured again after it."""
+    """A repeated line on another connection is refused while the first is there, and measured after it."""
     with LiveCell(KUKA) as cell:
         ready(cell)
         with connected(cell) as robot:
@@ -461,7 +461,7 @@ def test_a_line_that_came_twice_on_two_connections_is_two_commands() -> None:
 
 
 def test_one_client_writes_at_a_time() -> None:
-    """While a PLC holds the right to write, a robot is told so; and the other way round."""
+    """While a PLC holds the right to write, a robot gets NOT_YOUR_TURN, and the other way round."""
     with LiveCell(KUKA) as cell, connected(cell) as robot:
         ready(cell)
         plc = ModbusTcpClient("127.0.0.1", port=cell.port, timeout=2)
@@ -477,7 +477,7 @@ def test_one_client_writes_at_a_time() -> None:
 
 
 def test_who_is_not_listed_may_not_command() -> None:
-    """Status 115 for every line, and the address is named."""
+    """Every line gets status 115, and the refused address is listed."""
     changed = dataclasses.replace(KUKA, writers=(ip_network("10.0.0.0/8"),))
     with LiveCell(changed) as cell, connected(cell) as robot:
         assert (0, LineStatus.MAY_NOT_WRITE) == robot.ask("7,LOCATE,0")[:2]
@@ -528,7 +528,7 @@ def test_who_is_not_listed_may_not_command() -> None:
     ],
 )
 def test_what_is_no_request_is_answered_so(line: str) -> None:
-    """Status 116, and the connection goes on."""
+    """The status is 116, and the connection stays usable."""
     with LiveCell(KUKA) as cell, connected(cell) as robot:
         assert LineStatus.NOT_UNDERSTOOD == robot.ask(line)[1]
         ready(cell)
@@ -536,7 +536,7 @@ def test_what_is_no_request_is_answered_so(line: str) -> None:
 
 
 def test_an_end_of_line_may_be_any_of_three() -> None:
-    """With a carriage return, before or after the line feed, a line is one request and has one answer."""
+    """A line with a carriage return before or after the line feed is one request with one answer."""
     with LiveCell(KUKA) as cell, connected(cell) as robot:
         ready(cell)
         for sequence, end in ((1, "\r"), (3, "\n\r"), (5, "\n\r\n")):
@@ -550,7 +550,7 @@ def test_an_end_of_line_may_be_any_of_three() -> None:
 @pytest.mark.parametrize("gap_s", [0.0, 0.03], ids=["at once", "each byte for itself"])
 @pytest.mark.parametrize("end", [b"\r", b"\n", b"\r\n"], ids=["CR", "LF", "CR LF"])
 def test_an_answer_ends_as_its_request_did(end: bytes, gap_s: float) -> None:
-    """Also where the two bytes of an end come one by one, and where the answer is ready at once."""
+    """The answer ends like its request, also if the two bytes arrive separately or the answer is ready."""
     with LiveCell(KUKA) as cell, connected(cell) as robot:
         ready(cell)
         robot.socket.settimeout(5)
@@ -576,7 +576,7 @@ ENDS = st.sampled_from([b"\r", b"\n", b"\r\n"])
 def test_lines_are_told_apart_however_the_network_cuts_them(
     sent: list[tuple[bytes, bytes]], data: st.DataObject
 ) -> None:
-    """Each once and in its order, no end of line is a request; a frame between two of them is whole."""
+    """Lines and frames between them are split correctly and in order, and no line end is a request."""
     frame = FrameRequest(7, "LOCATE").frame()
     whole = b"".join(line + end + frame for line, end in sent)
     cuts = data.draw(st.lists(st.integers(0, len(whole)), max_size=6).map(sorted))
@@ -629,7 +629,7 @@ WORDS = st.sampled_from(
 )
 @settings(max_examples=200, derandomize=True)
 def test_whatever_a_robot_sends_is_a_request_or_none(line: bytes) -> None:
-    """Every line is understood, its numbers fit registers, or refused as no request; no other error."""
+    """Every line gives numbers that fit registers, or a ValueError or OverflowError, and no other error."""
     for brand in Brand:
         try:
             request = parse(line, brand)
@@ -641,7 +641,7 @@ def test_whatever_a_robot_sends_is_a_request_or_none(line: bytes) -> None:
 
 
 def test_a_flange_that_fits_no_register_is_no_request() -> None:
-    """Beyond 2147 m: nothing is wrapped, nothing runs."""
+    """A flange beyond 2147 m is not understood and nothing runs."""
     with LiveCell(KUKA) as cell, connected(cell) as robot:
         ready(cell)
         assert (7, LineStatus.NOT_UNDERSTOOD) == robot.ask("7,LOCATE,0,3e6,0,0,0,0,0")[:2]
@@ -653,7 +653,7 @@ def test_a_flange_that_fits_no_register_is_no_request() -> None:
     [({"robot_from_rig": None}, LineStatus.RIG_FRAME), ({"simulated": True}, LineStatus.SIMULATED)],
 )
 def test_no_robot_moves_by_what_no_robot_may_use(changes: dict[str, Any], status: int) -> None:
-    """No pose in the rig's frame; none of a virtual cell, unless the configuration allows it."""
+    """No pose is given in the rig's frame, and one of a virtual cell only if the configuration allows it."""
     for allowed in (False, True):
         cell = LiveCell(dataclasses.replace(KUKA, line=LineSettings(0, Brand.KUKA, allow_simulated=allowed)))
         cell.setup = dataclasses.replace(cell.setup, **changes)
@@ -664,7 +664,7 @@ def test_no_robot_moves_by_what_no_robot_may_use(changes: dict[str, Any], status
 
 
 def test_a_robot_that_may_command_makes_a_stranger_go() -> None:
-    """Eight places, all of strangers: the first of them ends, and the robot is answered."""
+    """When strangers hold all eight places, a robot that may write displaces the first of them."""
     changed = dataclasses.replace(KUKA, writers=(ip_network("127.0.0.9/32"),))
     with LiveCell(changed) as cell, contextlib.ExitStack() as ends:
         robots = [Robot(cell.server.line_port) for _ in range(8)]
@@ -681,7 +681,7 @@ def test_a_robot_that_may_command_makes_a_stranger_go() -> None:
 
 
 def test_the_robot_that_is_silent_longest_makes_room_for_the_next(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Eight that lost their power lock nobody out: its own first, then anybody's; one that talks stays."""
+    """Eight silent robots do not lock out the next: its own address's first, then any, but no active one."""
     monkeypatch.setattr(lineserver, "SILENT_S", 0.3)
     with LiveCell(dataclasses.replace(KUKA, owner_s=0.3)) as cell, contextlib.ExitStack() as ends:
 
@@ -709,7 +709,7 @@ def test_the_robot_that_is_silent_longest_makes_room_for_the_next(monkeypatch: p
 
 
 def test_no_stranger_makes_a_robot_go(monkeypatch: pytest.MonkeyPatch) -> None:
-    """However long the robots are silent; of strangers who is silent longest makes room for the next."""
+    """A stranger never displaces a robot, however silent, but displaces the stranger silent for longest."""
     monkeypatch.setattr(lineserver, "SILENT_S", 0.0)
     changed = dataclasses.replace(KUKA, owner_s=0.0, writers=(ip_network("127.0.0.9/32"),))
     with LiveCell(changed) as cell, contextlib.ExitStack() as ends:
@@ -732,7 +732,7 @@ def test_no_stranger_makes_a_robot_go(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.slow
 def test_a_robot_that_waits_for_its_picture_is_not_silent(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Its command is under way: seven others make room before it does."""
+    """A robot whose command is running is not displaced, though it is the first of eight."""
     monkeypatch.setattr(lineserver, "SILENT_S", 0.1)
     with LiveCell(dataclasses.replace(KUKA, owner_s=0.1)) as cell, contextlib.ExitStack() as ends:
         ready(cell)
@@ -749,7 +749,7 @@ def test_a_robot_that_waits_for_its_picture_is_not_silent(monkeypatch: pytest.Mo
 
 
 def test_who_is_silent_floods_or_is_one_too_many_is_hung_up_on() -> None:
-    """No line within `idle_s`, a line without an end, the ninth robot."""
+    """Silence for `idle_s`, an endless line, and a ninth robot each end the connection."""
     with LiveCell(dataclasses.replace(KUKA, idle_s=0.3)) as cell, connected(cell) as silent:
         assert silent.ended()
         with connected(cell) as endless:

@@ -1,4 +1,4 @@
-"""The forms to log in: in the language of whoever stands before them, also of what went wrong."""
+"""The log-in forms: in the visitor's language, also for errors."""
 
 from __future__ import annotations
 
@@ -22,15 +22,15 @@ READ = """(() => {
   for (let node; (node = texts.nextNode()); )
     if (!node.parentElement.closest("[translate=no]")) found.push(node.textContent);
   return found.join("\\n"); })()"""
-"""What can be read, but for names."""
+"""All readable text, except names."""
 PROBLEM = (
     'document.querySelector("[autofocus][aria-describedby=problem]") && document.querySelector("#problem")'
 )
 
 
 async def test_a_form_comes_in_the_language_that_was_chosen_or_else_is_liked_best() -> None:
-    """On this device, then in the browser's order, whatever the region; English for all other languages, and
-    for headers that are none. It needs no script.
+    """The form is in the language chosen on this device, else the browser's preferred one whatever the
+    region, else English, also for malformed headers, and it needs no script.
     """
     async with running() as cell:
         for liked, chosen, expected in (
@@ -84,10 +84,10 @@ async def test_a_form_comes_in_the_language_that_was_chosen_or_else_is_liked_bes
 async def test_what_went_wrong_is_said(
     tag: str, wrong: str, differ: str, short: str, code: str, wait: str, storage: str
 ) -> None:
-    """On the form, which can be filled in again; nothing of it before. Where to go afterwards is kept."""
+    """The form can be filled in again, shows only the last problem, and keeps where to go afterwards."""
 
     async def problem(cell: Cell, path: str, form: dict[str, str] | None) -> tuple[int, str, str]:
-        """Status, what is said, and the address that the form has now."""
+        """Status, message, and the form's address."""
         method = "GET" if form is None else "POST"
         sent = {"Accept-Language": tag, "Origin": cell.origin}
         async with cell.session.request(method, path, data=form, headers=sent) as answer:
@@ -121,16 +121,16 @@ async def test_what_went_wrong_is_said(
 
 
 def words(text: str) -> set[str]:
-    """Of three letters and more."""
+    """Words of three letters or more."""
     return set(re.findall(r"[^\W\d_]{3,}", text))
 
 
 @pytest.mark.slow
 @needs("chromium")
 async def test_they_can_be_read_and_used_by_everybody() -> None:
-    """In every language every word stands in the texts; nothing is cut off or too small for a finger, and axe
-    finds nothing, also where something went wrong. The language that is chosen on a page is that of the form
-    from then on, in a browser that would like another.
+    """In every language all words are in the texts, nothing is cut off or too small for a finger, and axe
+    finds nothing, also after errors. A language chosen on a page is then used by the form, whatever the
+    browser prefers.
     """
 
     async with running() as cell, browser() as page:

@@ -1,4 +1,4 @@
-"""The manual over real HTTP: its files and nothing else, for whoever may see the status page."""
+"""The manual over real HTTP: its files and nothing else, for those who may see the status page."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ FILES = {
 
 @pytest.fixture
 def built(tmp_path: Path) -> Path:
-    """A manual in small, beside a file that is none of its."""
+    """A small manual, beside a file that is not part of it."""
     folder = tmp_path / "manual"
     for name, text in FILES.items():
         path = folder / name
@@ -60,7 +60,7 @@ async def served(
 
 
 async def test_each_file_is_sent_as_what_it_is(built: Path) -> None:
-    """Content and type, whatever the machine's table of types says; the folder itself is its first page."""
+    """Each file has its content and type, whatever the machine's MIME table; the folder is index.html."""
     async with served(built) as (_, session):
         types = {}
         for name, text in FILES.items():
@@ -97,7 +97,7 @@ async def test_each_file_is_sent_as_what_it_is(built: Path) -> None:
     ],
 )
 async def test_nothing_else_is_sent(built: Path, path: str) -> None:
-    """No path leads out of the folder, and no folder is listed; the server goes on."""
+    """No path leads out of the folder, no folder is listed, and the server stays up."""
     async with served(built) as (_, session):
         async with session.get(URL(path, encoded=True)) as answer:
             assert 404 == answer.status
@@ -107,7 +107,8 @@ async def test_nothing_else_is_sent(built: Path, path: str) -> None:
 
 
 async def test_only_what_the_pages_hold_may_run(built: Path) -> None:
-    """Inline scripts by their hashes, no foreign host; the status page keeps its own, stricter policy."""
+    """Inline scripts are allowed by hash, foreign hosts are not; the status page keeps its stricter
+    policy."""
     async with served(built) as (_, session):
         async with session.get("/manual/") as answer:
             policy = answer.headers["Content-Security-Policy"]
@@ -123,7 +124,7 @@ async def test_only_what_the_pages_hold_may_run(built: Path) -> None:
 
 
 async def test_a_browser_asks_before_it_shows_an_old_page(built: Path) -> None:
-    """Pages are asked for again, and sent when they changed; a file named by its content is kept."""
+    """Pages are revalidated and sent if changed; a file named by its content is cached as immutable."""
     async with served(built) as (_, session):
         async with session.get("/manual/index.html") as answer:
             assert "private, no-cache" == answer.headers["Cache-Control"]
@@ -141,7 +142,7 @@ async def test_a_browser_asks_before_it_shows_an_old_page(built: Path) -> None:
 
 @pytest.mark.slow
 async def test_it_is_shown_to_whom_the_status_page_is(built: Path) -> None:
-    """Nothing without the password: a browser is led to the form; nothing for another host's name."""
+    """Without the password there is a 401 or the log-in form, and nothing for a foreign host name."""
     password = "correct horse"
     async with served(built, hash_password(password)) as (_, session):
         for name in ("", *FILES, "nowhere.html"):
@@ -162,7 +163,7 @@ async def test_it_is_shown_to_whom_the_status_page_is(built: Path) -> None:
 
 
 async def test_where_it_was_not_built_the_page_says_how(tmp_path: Path) -> None:
-    """And shows it as soon as it was built, without a restart."""
+    """A 404 says how to build it, and it is shown without a restart once built."""
     async with served(tmp_path / "manual") as (_, session):
         for path in ("/manual/", "/manual/how-to/plc.html"):
             async with session.get(path) as answer:
@@ -175,6 +176,6 @@ async def test_where_it_was_not_built_the_page_says_how(tmp_path: Path) -> None:
 
 
 async def test_the_status_page_leads_to_it(built: Path) -> None:
-    """By a link that works without scripts."""
+    """The status page has a link to it that works without scripts."""
     async with served(built) as (_, session), session.get("/") as answer:
         assert '<a href="/manual/">' in await answer.text()

@@ -1,22 +1,22 @@
 """GenICam cameras (GigE Vision and USB3 Vision) through Aravis.
 
-    library    finding Aravis, its errors as ours, what is on the network
-    addresses  how cameras get their IP addresses, and another one where it is needed
+    library    loading Aravis, translating its errors, discovery
+    addresses  IP addresses of cameras: how each got its own, and assigning another
     features   GenICam nodes by name: checked, written in a safe order, read back
-    trigger    what starts an exposure: software, free run, line, action command
-    clock      the camera's time against the host's
-    exposure   exposure time and gain, also while it streams
-    names      what cameras of many makers call the same thing
-    processing filters, tables and test patterns: off
-    lacks      what a camera has not
-    setup      settings of a camera before it is armed, and what is refused
-    link       how fast it may send
-    pacing     that, written to it
-    stream     buffers as images
+    trigger    trigger of an exposure: software, free run, line, action command
+    clock      mapping the camera's clock to the host's
+    exposure   exposure time and gain, also while the camera streams
+    names      different makers' names for the same feature
+    processing switching off filters, look-up tables and test patterns
+    lacks      features that a camera does not have
+    setup      settings written before a camera is armed, and settings that are refused
+    link       computing how fast a camera may send
+    pacing     writing that to the camera
+    stream     turning buffers into images
     session    one connection: everything that talks to the device, on one thread
-    camera     `AravisCamera`: the port, on the event loop
+    camera     `AravisCamera`: the `Camera` port, on the event loop
 
-Needs `gir1.2-aravis-0.8` and PyGObject when a camera is used; importing this package does not.
+Using a camera needs `gir1.2-aravis-0.8` and PyGObject; importing this package does not.
 """
 
 from edged.adapters.aravis.addresses import HeardCamera, give_address, with_addresses

@@ -1,8 +1,8 @@
-"""IP addresses of GigE Vision cameras: how each has got its own, and another one where it is needed.
+"""IP addresses of GigE Vision cameras: how each got its own, and assigning another one.
 
-A camera with an address of another network hears broadcasts and nothing else. The standard's FORCEIP gives it
-one that lasts until it is switched off; then it can be spoken to, and is told to keep it. A camera that
-some program controls is left alone; it would refuse, too.
+A camera with an address in another network receives only broadcasts. The standard's FORCEIP gives it an
+address that lasts until it is switched off; with that it can be reached, and set to keep it. A camera that
+some program controls is left alone; it would refuse anyway.
 Source: GigE Vision 2.0, 14.1 (discovery), 14.2 (FORCEIP), 28.4 and 28.14 to 28.17 (registers).
 """
 
@@ -30,28 +30,28 @@ from edged.errors import CameraBusy, CameraSetupError, CameraUnreachable, Captur
 
 DISCOVERY, FORCE_IP, WRITE_REGISTER = 0x0002, 0x0004, 0x0082
 ACK_WANTED, BROADCAST_ACK = 0x01, 0x10
-"""Flags; with the second one a camera without a route to this host answers by broadcast."""
+"""GVCP flags; with the second, a camera without a route to this host answers by broadcast."""
 ACCESS_DENIED = 0x8006
 WAYS = {1: "persistent", 2: "DHCP", 4: "link-local"}
-"""Bits of the IP configuration registers."""
+"""Bits of the IP configuration registers: ways to get an address."""
 PERSISTENT = 1
 CONFIGURATION, PERSISTENT_ADDRESS, PERSISTENT_MASK, PERSISTENT_GATEWAY = 0x0014, 0x064C, 0x065C, 0x066C
 CONTROL_ACCESS = 2
 SIOCGIFADDR, SIOCGIFNETMASK = 0x8915, 0x891B
-"""Linux: IPv4 address and mask of an interface."""
+"""Linux ioctls: get IPv4 address and mask of an interface."""
 HEAR_S = 0.6
 MOVE_S = 6.0
-"""A camera is back at its new address within two seconds; some restart for it."""
+"""Time limit for a camera to answer at its new address, which takes two seconds; some restart for it."""
 REQUEST = 0x33
-"""Number of all requests: there is one at a time on each socket."""
+"""Id of requests; constant, as there is one at a time on each socket."""
 
 
 @dataclass(frozen=True, slots=True)
 class HeardCamera:
-    """A camera as it answers a broadcast.
+    """A camera that answered a broadcast.
 
-    mac : as CameraInfo.physical_id has it. offered, way : how it can get its address, and how it does, bits
-    of `WAYS`. port : the interface on which it was heard; host : this host's address there.
+    mac : in lower case, as in CameraInfo.physical_id. offered, way : supported and enabled ways to get its
+    address, bits of `WAYS`. port : interface on which it was heard. host : this host's address there.
     """
 
     mac: str
@@ -64,19 +64,19 @@ class HeardCamera:
 
     @property
     def is_lost(self) -> bool:
-        """Whether nothing but a broadcast reaches it: its address is in another network."""
+        """Whether only broadcasts reach it, because its address is in another network."""
         return ipaddress.ip_address(self.address) not in self.host.network
 
     @property
     def ways(self) -> str:
-        """How it gets its address, in the order in which it tries."""
+        """Ways to get its address, in the order in which it tries them."""
         if ipaddress.ip_address(self.address).is_link_local:
             return "link-local"
         return ", ".join(name for bit, name in WAYS.items() if self.way & bit and bit != 4) or "link-local"
 
 
 def hear_cameras() -> list[HeardCamera]:
-    """Every GigE Vision camera that answers a broadcast on any port of this host. Blocks for a moment."""
+    """Every GigE Vision camera that answers a broadcast on any port of this host. Blocks for `HEAR_S`."""
     found = list[tuple[bool, int, HeardCamera]]()
     with contextlib.ExitStack() as stack:
         asked = {}
@@ -92,15 +92,15 @@ def hear_cameras() -> list[HeardCamera]:
                     heard = _heard(udp.recv(1024), port, host)
                     if heard is not None:
                         found.append((heard.is_lost, order, heard))
-    # one that is heard on two ports of a switch belongs to the one in whose network it is
+    # a camera heard on two ports counts for the one in whose network it is
     found.sort(key=lambda place: place[:2], reverse=True)
     return list({heard.mac: heard for _, _, heard in found}.values())
 
 
 def free_address(camera: HeardCamera, taken: Collection[str]) -> str:
-    """Return an address for a camera in its port's network that nobody has. Raises `CameraSetupError`.
+    """Return a free address for a camera in its port's network. Raises `CameraSetupError`.
 
-    The last part of its present one is kept if that can be.
+    The last number of its current address is kept if possible.
     """
     last = int(camera.address.rpartition(".")[2])
     base = int(camera.host.ip) & ~0xFF
@@ -118,9 +118,9 @@ def free_address(camera: HeardCamera, taken: Collection[str]) -> str:
 def give_address(serial: str, address: str = "") -> tuple[str, bool]:
     """Give the camera with this serial number an address in the network of the port that hears it.
 
-    address : "": a free one. Returns it, and whether the camera keeps it when it is switched off.
-    Raises `CameraUnreachable` for one that is not heard, `CameraBusy` for one that a program controls,
-    `CameraSetupError` for an address that does not fit, or that it does not take.
+    address : "": a free one. Returns the address, and whether the camera keeps it when it is switched off.
+    Raises `CameraUnreachable` if the camera is not heard, `CameraBusy` if a program controls it,
+    `CameraSetupError` if the address does not fit or the camera refuses it.
     """
     heard = hear_cameras()
     camera = next((other for other in heard if other.serial == serial), None)
@@ -145,13 +145,13 @@ def give_address(serial: str, address: str = "") -> tuple[str, bool]:
 
 
 def with_addresses(cameras: Sequence[CameraInfo]) -> list[tuple[CameraInfo, HeardCamera | None]]:
-    """Cameras with what they say of their addresses; None for one on USB, or behind a router."""
+    """Pair cameras with their answers to a broadcast; None for a camera on USB, or behind a router."""
     heard = {camera.mac: camera for camera in hear_cameras()} if cameras else {}
     return [(info, heard.get(info.physical_id.lower())) for info in cameras]
 
 
 def _ports() -> Iterator[tuple[str, ipaddress.IPv4Interface]]:
-    """Interfaces of this host that have an IPv4 address."""
+    """Interfaces of this host with an IPv4 address: name and address."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as udp:
         for _, name in socket.if_nameindex():
             asked = struct.pack("256s", name.encode()[:15])
@@ -164,11 +164,11 @@ def _ports() -> Iterator[tuple[str, ipaddress.IPv4Interface]]:
 
 
 def _broadcasting(port: str) -> socket.socket:
-    """A socket that hears every answer on one port, broadcast ones too."""
+    """Open a socket that receives every answer on one port, including broadcasts."""
     udp = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     try:
         udp.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
-        with contextlib.suppress(PermissionError):  # before Linux 5.7 it was a right of its own
+        with contextlib.suppress(PermissionError):  # before Linux 5.7 it needed a capability
             udp.setsockopt(socket.SOL_SOCKET, socket.SO_BINDTODEVICE, port.encode())
         udp.bind(("", 0))
     except OSError:
@@ -185,7 +185,7 @@ def _broadcast(udp: socket.socket, host: ipaddress.IPv4Interface, command: int, 
 
 
 def _heard(answer: bytes, port: str, host: ipaddress.IPv4Interface) -> HeardCamera | None:
-    """The camera behind an answer to DISCOVERY; None for anything else."""
+    """Parse the answer to DISCOVERY; None for anything else."""
     status, kind, _, request = struct.unpack(">HHHH", answer[:8].ljust(8, b"\0"))
     body = answer[8:]
     if status or kind != DISCOVERY + 1 or request != REQUEST or len(body) < 0xF8:
@@ -210,7 +210,7 @@ def _force(camera: HeardCamera, address: str) -> None:
             try:
                 answer = udp.recv(64)
             except TimeoutError:
-                break  # some answer only from their new address, or not at all: what counts is where it is
+                break  # some answer only from the new address, or not at all: the check below decides
             status, kind, _, request = struct.unpack(">HHHH", answer[:8].ljust(8, b"\0"))
             if (kind, request) == (FORCE_IP + 1, REQUEST) and status:
                 what = "a program controls it" if status == ACCESS_DENIED else f"status 0x{status:04x}"
@@ -223,7 +223,7 @@ def _force(camera: HeardCamera, address: str) -> None:
 
 
 def _keep(camera: HeardCamera, address: str) -> bool:
-    """Have a camera keep its address when it is switched off; False: it cannot. Raises `CaptureError`."""
+    """Make a camera keep its address when it is switched off; False if it cannot. Raises `CaptureError`."""
     if not camera.offered & PERSISTENT:
         return False
     number, mask = int(ipaddress.IPv4Address(address)), int(camera.host.network.netmask)
@@ -247,7 +247,7 @@ def _keep(camera: HeardCamera, address: str) -> bool:
 
 
 def _write(udp: socket.socket, place: int, word: int, request: int) -> bool:
-    """Write a register, twice where the answer is lost."""
+    """Write a register, a second time if there is no answer; True if it was acknowledged."""
     command = struct.pack(">BBHHHII", 0x42, ACK_WANTED, WRITE_REGISTER, 8, request, place, word)
     for _ in range(2):
         udp.send(command)
@@ -257,7 +257,7 @@ def _write(udp: socket.socket, place: int, word: int, request: int) -> bool:
 
 
 def _is_taken(address: str) -> bool:
-    """Whether anything at all answers there: who is asked must say so on the wire, whatever it is."""
+    """Whether any device has this address: even one that is no camera must answer ARP when contacted."""
     if control_state(address) in ("free", "controlled"):
         return True
     with contextlib.suppress(OSError):

@@ -1,13 +1,14 @@
 """`AravisCamera`: a GenICam camera behind the `Camera` port.
 
-Responsible for: one control thread and one pump thread, deadlines, and the proof that an image belongs to
-the last trigger. Not responsible for: trying again (`capture` does), what is in the image.
+Responsible for: one control thread and one pump thread, deadlines, and verifying that an image belongs to the
+last trigger. Not responsible for: retries (`capture` makes them), the content of the image.
 
 Times. `device_ns` is the camera's own time stamp of the image. `exposed_ns` is the same moment in host UTC,
-by a map between both clocks that is kept up to date with every trigger (`clock`); `exposed_bound_ns` bounds
-its error. A camera whose clock cannot be read is mapped by its images: each was exposed between its command
-and its arrival. One that stamps nothing is taken to have exposed when the command left this program (a
-command that had to be repeated is a fault), or, with every other trigger source, when the first packet came.
+by a map between both clocks that is updated with every trigger (`clock`); `exposed_bound_ns` bounds its
+error. A clock that cannot be read is mapped by the images: each was exposed between its command and its
+arrival. Without time stamps, the exposure is assumed at the moment when the command left this program (a
+command that had to be repeated is a fault) or, with every other trigger source, when the first packet
+arrived.
 """
 
 from __future__ import annotations
@@ -37,35 +38,36 @@ from edged.errors import CameraSetupError, CameraUnreachable, CaptureError, Fram
 log = logging.getLogger(__name__)
 
 REPLY_S = 1.2
-"""A command that is not answered by then has been lost twice (Aravis repeats after 0.5 s): no camera."""
+"""A command not answered by then has been lost twice (Aravis repeats it after 0.5 s): the camera is gone."""
 
 BACKLOG = 4
-"""Images that wait to be fetched; when others trigger too fast the oldest is dropped."""
+"""Most images waiting to be fetched; when an external trigger is too fast, the oldest is dropped."""
 
 ADJUST_S = 3.0
-"""Some registers are written and read; each command may have to be repeated."""
+"""Time limit for `adjust`: some registers are written and read, and each command may have to be repeated."""
 
 DESCRIPTION_S = 30.0
-"""Hundreds of features, some of which are read to see whether they can be used."""
+"""Time limit for `description`: of hundreds of features, some are read to see whether they are available."""
 
 CLOSE_S = 1.0
-"""A camera that answers is closed within milliseconds; without an answer it is left to its thread."""
+"""A camera that answers is closed within milliseconds; one that does not is left to its thread."""
 
 PREDECESSOR_S = 2.0
-"""How long a new connection waits for the old one to give up control of the camera. One that died holds its
+"""How long a new connection waits for the old one to give up control of the camera. A dead camera blocks its
 thread for up to 10 s, but then there is no control to give up."""
 
 SETTLE_S = 2.0
-"""For the longest exposure of a cell, and its transfer."""
+"""Time for the longest exposure of a cell and its transfer."""
 
 FRAME_S = 10.0
-"""No image is waited for longer than this, whatever the caller's own deadline."""
+"""Longest wait for an image, whatever the caller's own deadline."""
 
 STAMP_NS = 1_000_000
-"""Firmware stamps an exposure up to so long before the command's echo, or after the first packet."""
+"""Tolerance of time stamps: some firmware stamps an exposure this long before the command left, or after the
+first packet."""
 
 DELIVERY_NS = 100_000_000
-"""A camera that others trigger: its first packet comes no later than this after the exposure's end."""
+"""With an external trigger, the first packet arrives no later than this after the end of the exposure."""
 
 Result = TypeVar("Result")
 
@@ -74,10 +76,10 @@ _Job = tuple[concurrent.futures.Future[Any], Callable[[], Any]]
 
 
 class _Connection:
-    """One connection to the camera, and the thread of all its calls: Aravis objects are not thread safe.
+    """One connection to the camera, with one thread for all its calls: Aravis objects are not thread-safe.
 
-    A daemon thread, unlike an executor's: a camera that died holds a call for seconds, and must not hold
-    up the end of the program.
+    Unlike an executor's, it is a daemon thread: a dead camera blocks a call for seconds, and must not delay
+    the end of the program.
     """
 
     def __init__(self, name: str, predecessor: threading.Thread | None) -> None:
@@ -94,7 +96,7 @@ class _Connection:
         return future
 
     def close(self, closed: Callable[[], None]) -> None:
-        """After the jobs that are queued take the session down, call `closed`, and end."""
+        """After the queued jobs, close the session, call `closed`, and end the thread."""
         self._closed = closed
         self._jobs.put(None)
 
@@ -114,14 +116,14 @@ class _Connection:
                 future.set_exception(error)
             else:
                 future.set_result(result)
-            del future, job, item  # or the last job's objects live until the next one
+            del future, job, item  # else the last job's objects live until the next one
         if self.session is not None:
             self.session.close()
         self._closed()
 
 
 def _bare(error: CaptureError) -> CaptureError:
-    """The error without the frames it went through: they refer to the camera and would keep it open."""
+    """Return the error without its traceback and cause, whose frames refer to the camera and keep it open."""
     error.__cause__ = error.__context__ = None
     return error.with_traceback(None)
 
@@ -151,14 +153,14 @@ class AravisCamera:
 
     @property
     def health(self) -> CameraHealth | None:
-        """How the camera is; None while it is not open."""
+        """Health of the camera; None while it is not open."""
         session = self._connection.session if self._connection is not None else None
         return session.health() if session is not None else None
 
     async def open(self) -> None:
-        """Connect, set up and arm; an open camera is asked whether it is still there and ours.
+        """Connect, set up and arm; of an open camera, check that it answers and is under our control.
 
-        Raises `CameraUnreachable`, `CameraBusy` or `CameraSetupError`. Takes what Aravis takes: 1 s of
+        Raises `CameraUnreachable`, `CameraBusy` or `CameraSetupError`. Takes as long as Aravis does: 1 s of
         discovery for a serial number, up to 3 s for an address that does not answer.
         """
         if self._connection is not None and self._connection.session is not None:
@@ -170,7 +172,7 @@ class AravisCamera:
             self._last_thread = self._connection.thread
         connection = self._connection
         settings = self._in_force()
-        arrivals: deque[Arrival] = deque(maxlen=BACKLOG)  # a pump of the connection before must not add
+        arrivals: deque[Arrival] = deque(maxlen=BACKLOG)  # new: the last connection's pump must not add to it
         news = asyncio.Event()
         self._arrivals, self._news = arrivals, news
         self._awaiting = False
@@ -188,12 +190,12 @@ class AravisCamera:
 
         await self._call(connection, connect, None)
         if self._draft == CameraValues():
-            self._found = {}  # it has them again
+            self._found = {}  # they have been written back
 
     async def trigger(self) -> None:
-        """Start one exposure; frames that were not fetched before are dropped.
+        """Start one exposure; earlier frames that were not fetched are dropped.
 
-        A camera that others trigger is only armed: `frame` gives what is exposed from now on.
+        A camera with an external trigger is only armed: `frame` returns images exposed from now on.
         """
         connection, session = self._opened()
         restart = session.fires and self._awaiting and not self._arrivals
@@ -211,7 +213,7 @@ class AravisCamera:
     async def frame(self) -> Frame:
         """Return the image of the last trigger, or raise `FrameTimeout` / `FrameIncomplete`.
 
-        Of a camera that others trigger: the oldest image that was not fetched; a cancelled call loses none.
+        With an external trigger, return the oldest image not yet fetched. A cancelled call loses none.
         """
         _, session = self._opened()
         if session.fires and not self._awaiting:
@@ -235,10 +237,11 @@ class AravisCamera:
     # --- setting up ----------------------------------------------------------------------------
 
     async def adjust(self, values: CameraValues) -> CameraValues:
-        """Set exposure time and gain until `restore`; returns what the camera made of them.
+        """Set exposure time and gain until `restore`; return the values that the camera actually has then.
 
-        They outlive a lost connection. A camera that locks them while it streams is opened anew.
-        Raises `CameraSetupError` for what the camera does not have or take; then nothing has changed.
+        They outlive a lost connection. A camera that locks them while it streams is reopened.
+        Raises `CameraSetupError` for a setting that the camera does not have or accept; then nothing has
+        changed.
         """
         connection, session = self._opened()
         if not self._found:
@@ -254,19 +257,19 @@ class AravisCamera:
         return made
 
     async def description(self) -> CameraDescription:
-        """What the camera says of itself. Raises `CaptureError`."""
+        """Maker, model, firmware and features of the camera. Raises `CaptureError`."""
         connection, session = self._opened()
         return await self._call(connection, session.description, DESCRIPTION_S)
 
     async def limits(self) -> CameraLimits:
-        """Limits of exposure time and gain now."""
+        """Current limits of exposure time and gain."""
         connection, session = self._opened()
         return await self._call(connection, session.limits, REPLY_S)
 
     async def restore(self) -> None:
-        """Undo what was adjusted.
+        """Undo `adjust`.
 
-        Raises `CaptureError`; the camera is closed then, and gets it before it is armed again.
+        Raises `CaptureError`; then the camera is closed, and the values are written when it is opened again.
         """
         self._draft = CameraValues()
         if not self._found or self._connection is None:
@@ -281,9 +284,9 @@ class AravisCamera:
         self._found = {}
 
     async def _settle(self, connection: _Connection, session: CameraSession) -> None:
-        """Let an exposure pass that may have the values before: many sensors take new ones a frame late.
+        """Discard an exposure that may still have the old values: many sensors apply new ones a frame late.
 
-        Only where nobody else sees it. That image is not waited for when it does not come.
+        Only with a software trigger, where no one else sees it. If the image does not come, go on without it.
         """
         if not isinstance(session.settings.trigger, Software):
             return
@@ -298,7 +301,7 @@ class AravisCamera:
             self._awaiting = False
 
     def _in_force(self) -> AravisSettings:
-        """The configured settings, with what was adjusted or is still to be written back."""
+        """The configured settings, with adjusted values, or with values still to be written back."""
         settings = self._settings
         if self._draft == CameraValues():
             return replace(settings, features=(*settings.features, *([self._found] if self._found else [])))
@@ -320,9 +323,9 @@ class AravisCamera:
         return await self._call(connection, session.values, REPLY_S)
 
     async def close(self) -> None:
-        """Give up the camera; safe to call twice and on a camera that never opened.
+        """Release the camera; safe to call twice and on a camera that was never opened.
 
-        A camera that does not answer is given up by its thread, within seconds, after this has returned.
+        A camera that does not answer is released by its thread, within seconds, after this has returned.
         """
         connection, self._connection = self._connection, None
         if connection is None:
@@ -349,14 +352,14 @@ class AravisCamera:
     async def _call(
         self, connection: _Connection, job: Callable[[], Result], limit_s: float | None
     ) -> Result:
-        """Run a job on the control thread; it is dropped if it has not begun when the time is up."""
+        """Run a job on the control thread; it is cancelled if it has not begun when the time is up."""
         try:
             return await asyncio.wait_for(asyncio.wrap_future(connection.submit(job)), limit_s)
         except TimeoutError:
             raise CameraUnreachable(self._name, f"no answer within {limit_s:g} s") from None
 
     async def _next_arrival(self, session: CameraSession) -> Arrival:
-        """The next buffer of the last trigger; raises `CameraUnreachable` as soon as the camera is lost."""
+        """Next buffer that is not stale. Raises `CameraUnreachable` as soon as the camera is lost."""
         while True:
             while self._arrivals:
                 arrival = self._arrivals.popleft()
@@ -370,11 +373,11 @@ class AravisCamera:
     def _is_stale(self, session: CameraSession, arrival: Arrival) -> bool:
         """Whether a buffer was exposed before the last trigger command was sent.
 
-        A camera that runs freely stamps what no command began, and gives another one soon: with it, what may
-        be older is.
+        In doubt, an image of a free-running camera counts as stale, since another follows soon; any other
+        image does not.
         """
         if self._triggers == 0 or (session.fires and self._triggers == 1):
-            return False  # never armed, or the first trigger of a connection: there was nothing before it
+            return False  # never armed, or the first trigger of a connection: nothing came before it
         mapped = session.clock.at(arrival.device_ns) if self._stamps_fit else None
         if mapped is None:
             return False
@@ -383,7 +386,7 @@ class AravisCamera:
         return mapped.at_ns + doubt_ns < self._sent_ns
 
     def _exposed(self, session: CameraSession, arrival: Arrival) -> tuple[Mapped, TimeBase]:
-        """Host time of the exposure, the bound of its error, and where it comes from."""
+        """Host time of the exposure with the bound of its error, and the source of that time."""
         took_ns = DELIVERY_NS + session.exposure_ns
         earliest_ns = self._sent_ns if session.fires else arrival.arrived_ns - took_ns
         session.note_exposure(earliest_ns, arrival)
@@ -408,7 +411,7 @@ class AravisCamera:
 
 
 def _stated(values: CameraValues, made: CameraValues) -> CameraValues:
-    """The values that the camera took for the stated ones."""
+    """The camera's actual values, only for the settings that were requested."""
     return CameraValues(
         None if values.exposure_us is None else made.exposure_us,
         None if values.gain_db is None else made.gain_db,
@@ -416,7 +419,7 @@ def _stated(values: CameraValues, made: CameraValues) -> CameraValues:
 
 
 def _on_loop(action: Callable[..., object]) -> Callable[..., None]:
-    """The action, to be called from any thread and run on the present event loop."""
+    """Wrap an action so that it can be called from any thread and runs on the current event loop."""
     loop = asyncio.get_running_loop()
 
     def call(*arguments: object) -> None:

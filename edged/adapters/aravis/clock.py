@@ -1,14 +1,14 @@
-"""The camera's clock against the host's: when, in UTC, was that exposure?
+"""Mapping the camera's clock to the host's, to give the UTC of an exposure.
 
 The camera latches its clock on command, and the host knows between which two moments that happened. Each
-such reading is a gate that the line "host time against device time" passes through. All lines that pass all
-gates bound the true one: at any device time the middle of what they leave open is the estimate, half of it
-the bound of its error. This is rigorous, whatever the network's delays are distributed like; a quiet moment
-narrows the gate, a busy one does no harm. (S. B. Moon, P. Skelly, D. Towsley, "Estimation and Removal of
-Clock Skew from Network Delay Measurements", INFOCOM 1999, finds the line by the same linear program.)
+such reading is a gate that the line "host time against device time" passes through. The lines that pass all
+gates bound the true one: at any device time, the middle of the interval that they leave is the estimate, and
+half its width the bound of the error. This is rigorous for any distribution of the network's delays; a quiet
+moment narrows the gate, a busy one does no harm. (S. B. Moon, P. Skelly, D. Towsley, "Estimation and Removal
+of Clock Skew from Network Delay Measurements", INFOCOM 1999, finds the line by the same linear program.)
 
-Host time here is `CLOCK_MONOTONIC_RAW`: no NTP slews or steps it, so that two free crystals are compared.
-UTC is taken from the host's clock at the end, for an age of milliseconds.
+Host time here is `CLOCK_MONOTONIC_RAW`, which NTP neither slews nor steps, so two free-running crystals are
+compared. Only at the end is it converted to the host's UTC, over an age of milliseconds.
 """
 
 from __future__ import annotations
@@ -25,19 +25,19 @@ from edged.adapters.aravis.features import Features
 from edged.adapters.aravis.names import PTP_STATUS
 
 CLOCK_DRIFT = 200e-6
-"""A camera's crystal against the host's, over temperature and age."""
+"""Largest rate error of a camera's crystal against the host's, over temperature and age."""
 
 RATE_WANDER = 5e-6
-"""How far a crystal's rate may move within the window: warming up by 20 K, or a PTP servo at work."""
+"""Largest change of a crystal's rate within the window: warming up by 20 K, or an active PTP servo."""
 
 UTC_SLEW = 500e-6
-"""The kernel slews the host's UTC by no more than this against its own crystal (adjtimex, MAXFREQ)."""
+"""Largest rate at which the kernel slews UTC against the host's crystal (adjtimex, MAXFREQ)."""
 
 SLOT_NS = 2_000_000_000
-"""Only the narrowest of all readings within this time is kept."""
+"""Time slot of readings, of which only the narrowest is kept."""
 
 SLOTS = 16
-"""Readings that are kept: half a minute, while the camera is looked after each second."""
+"""Number of readings kept: half a minute, while the camera is probed each second."""
 
 TICK_HZ_HIGH, TICK_HZ_LOW = 0x093C, 0x0940
 TIMESTAMP_CONTROL, TIMESTAMP_HIGH, TIMESTAMP_LOW = 0x0944, 0x0948, 0x094C
@@ -45,17 +45,18 @@ TIMESTAMP_LATCH = 0x2
 """Bootstrap registers of the camera's clock, and the control bit that latches it."""
 
 COARSEST_STEP_NS = 16_000_000
-"""Some cameras count in steps of a millisecond, or of 1/64 s; what all readings have in common tells."""
+"""Coarsest step of a camera's clock. Some count in steps of a millisecond or of 1/64 s, which is recognised
+by the greatest common divisor of all readings."""
 
 
 def host_ns() -> int:
-    """Now, in the host time of this module."""
+    """Current time of this module's host clock."""
     return time.clock_gettime_ns(time.CLOCK_MONOTONIC_RAW)
 
 
 @dataclass(frozen=True, slots=True)
 class ClockReading:
-    """The camera's clock showed device_ns at some moment between two host times."""
+    """A reading of the camera's clock: it showed device_ns at some moment between two host times."""
 
     before_ns: int
     after_ns: int
@@ -63,24 +64,24 @@ class ClockReading:
 
     @property
     def width_ns(self) -> int:
-        """The uncertainty of the reading."""
+        """Uncertainty of the reading."""
         return self.after_ns - self.before_ns
 
 
 @dataclass(frozen=True, slots=True)
 class Mapped:
-    """A moment in host time or UTC, ns, and the bound of its error."""
+    """A moment in host time or UTC with the bound of its error, ns."""
 
     at_ns: int
     bound_ns: int
 
 
 class ClockMap:
-    """Host time for times of one camera's clock.
+    """Maps times of one camera's clock to host time.
 
-    Used from several threads: readings are replaced, not edited.
+    Used from several threads: the tuple of readings is replaced, not edited.
     readings : those that are kept.
-    jumps : how often the clock was seen to jump (set, reset, wrapped); the map then begins anew.
+    jumps : how often the clock was found to have jumped (set, reset, wrapped); the map then starts over.
     """
 
     def __init__(self) -> None:
@@ -89,7 +90,7 @@ class ClockMap:
         self._step_ns = 0
 
     def add(self, reading: ClockReading) -> None:
-        """Add a reading; readings come in the order of host time."""
+        """Add a reading; they must come in the order of host time."""
         expected = self.at(reading.device_ns)
         self._step_ns = math.gcd(self._step_ns, reading.device_ns)
         if expected is not None and not _meets(expected, reading, self._step()):
@@ -102,12 +103,12 @@ class ClockMap:
         self.readings = (*kept[1 - SLOTS :], reading)
 
     def at(self, device_ns: int) -> Mapped | None:
-        """Host ns of a time of the camera; None without a reading."""
+        """Host time of a time of the camera's clock; None without a reading."""
         readings, step_ns = self.readings, self._step()
         if not readings:
             return None
         origin_ns = readings[-1].before_ns
-        # x: device time from the asked one; low, high: the gate for (host time - x), both from an origin
+        # x: device time relative to the one asked for; low, high: gate of (host time - x), from an origin
         x = np.array([reading.device_ns - device_ns for reading in readings], dtype=np.float64)
         doubt = RATE_WANDER * np.abs(x) + step_ns / 2
         low = np.array([reading.before_ns - origin_ns for reading in readings]) - x - doubt
@@ -117,12 +118,12 @@ class ClockMap:
         return Mapped(middle, math.ceil((latest - earliest + step_ns) / 2) + 1)
 
     def utc(self, device_ns: int) -> Mapped | None:
-        """Host UTC ns of a time of the camera; None without a reading."""
+        """Host UTC of a time of the camera's clock; None without a reading."""
         mapped = self.at(device_ns)
         return None if mapped is None else to_utc(mapped)
 
     def _step(self) -> int:
-        return min(self._step_ns or COARSEST_STEP_NS, COARSEST_STEP_NS)  # all readings 0: it tells nothing
+        return min(self._step_ns or COARSEST_STEP_NS, COARSEST_STEP_NS)  # 0 while all readings are 0
 
 
 def _meets(expected: Mapped, reading: ClockReading, step_ns: int) -> bool:
@@ -133,8 +134,8 @@ def _meets(expected: Mapped, reading: ClockReading, step_ns: int) -> bool:
 def _extremes(x: Any, low: Any, high: Any) -> tuple[float, float]:
     """The least and the greatest a of all lines a + b x, |b| <= CLOCK_DRIFT, with low <= a + b x <= high.
 
-    The extremes lie where two bounds are met at once, so every such b is tried: n <= 16 gates, some 500 of
-    them. Where no line passes all gates the last gate decides alone.
+    The extremes are where two bounds are met at once, so every such b is tried: some 500 for n <= 16 gates.
+    If no line passes all gates, only the last gate counts.
     """
     i, j = np.triu_indices(len(x), 1)
     run = x[i] - x[j]
@@ -151,7 +152,7 @@ def _extremes(x: Any, low: Any, high: Any) -> tuple[float, float]:
 
 
 def to_utc(host: Mapped, raw: Callable[[], int] = host_ns, utc: Callable[[], int] = time.time_ns) -> Mapped:
-    """A host time of the last moments as UTC of the host's clock, as that stands now."""
+    """Convert a recent host time to UTC, by the host's clock as it is set now."""
     before_ns = raw()
     utc_ns = utc()
     after_ns = raw()
@@ -165,7 +166,7 @@ class Latch(Protocol):
 
     @property
     def tick_hz(self) -> int:
-        """Ticks per second in which it counts."""
+        """Ticks per second of the clock."""
 
     def read(self, device: Any) -> ClockReading:
         """Latch the clock once; GLib errors pass through."""
@@ -173,12 +174,12 @@ class Latch(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class RegisterLatch:
-    """The bootstrap registers of GigE Vision (2.0, 28.46 ff.), in whose ticks images are stamped too."""
+    """Bootstrap registers of GigE Vision (2.0, 28.46 ff.), whose ticks also stamp the images."""
 
     tick_hz: int
 
     def read(self, device: Any) -> ClockReading:
-        """Latch by one write, and read twice."""
+        """Latch by one register write, then read both halves."""
         before_ns = host_ns()
         device.write_register(TIMESTAMP_CONTROL, TIMESTAMP_LATCH)
         after_ns = host_ns()
@@ -188,14 +189,14 @@ class RegisterLatch:
 
 @dataclass(frozen=True, slots=True)
 class NodeLatch:
-    """SFNC nodes. tick_hz : of the node's clock."""
+    """Nodes of the SFNC. tick_hz : of the node's clock."""
 
     command: str
     value: str
     tick_hz: int
 
     def read(self, device: Any) -> ClockReading:
-        """Latch by one command, and read once."""
+        """Latch by one command, then read the value."""
         before_ns = host_ns()
         device.execute_command(self.command)
         after_ns = host_ns()
@@ -204,7 +205,7 @@ class NodeLatch:
 
 
 def find_latch(device: Any, features: Features, *, gige: bool) -> Latch | None:
-    """The way this camera's clock can be read, if any."""
+    """Way to read this camera's clock; None if there is none."""
     if gige and (hz := tick_hz(device)) > 0:
         return RegisterLatch(hz)
     if features.exists("TimestampLatch") and features.exists("TimestampLatchValue"):
@@ -218,6 +219,6 @@ def tick_hz(device: Any) -> int:
 
 
 def ptp_locked(device: Any, features: Features) -> bool:
-    """Whether the camera says that its clock is the PTP network's: locked to a master, or the master."""
+    """Whether the camera reports that it is locked to a PTP master, or is the master itself."""
     name = features.first(*PTP_STATUS)
     return bool(name) and device.get_string_feature_value(name) in ("Slave", "Master")

@@ -1,4 +1,4 @@
-"""Exposure time and gain, under the names that a camera has for them; also while it streams."""
+"""Exposure time and gain, under each camera's own names for them; also while it streams."""
 
 from __future__ import annotations
 
@@ -17,17 +17,18 @@ GAIN_AUTO, GAIN_SELECTOR = "GainAuto", "GainSelector"
 
 @dataclass(frozen=True, slots=True)
 class StreamLocks:
-    """The firmware takes the settings only while nothing is streamed. why : what it refused."""
+    """Answer of `adjust` if the firmware locks settings while it streams. why : the refusals."""
 
     why: str
 
 
 @dataclass(frozen=True, slots=True)
 class GainScale:
-    """A camera's gain: its feature, and decibels of the feature's value.
+    """A camera's gain feature, and its conversion to decibels.
 
-    step_db : of a feature that counts in steps, from `zero` on. unity : of one that counts in amplification,
-    the value of 0 dB. Neither: it is in dB.
+    step_db, zero : for a feature that counts in steps, the size of a step and the value of 0 dB.
+    unity : for a feature that counts amplification, the value of 0 dB; 0: it does not.
+    With the defaults, the feature is in dB.
     """
 
     node: str
@@ -36,7 +37,7 @@ class GainScale:
     unity: float = 0.0
 
     def db(self, value: float) -> float:
-        """Gain of a value of the feature, dB."""
+        """Gain for a value of the feature, dB."""
         return (
             20 * math.log10(max(value, 1.0) / self.unity)
             if self.unity
@@ -44,7 +45,7 @@ class GainScale:
         )
 
     def value(self, gain_db: float) -> float:
-        """The feature's value for this gain."""
+        """Value of the feature for a gain in dB."""
         return self.unity * 10 ** (gain_db / 20) if self.unity else gain_db / self.step_db + self.zero
 
 
@@ -55,16 +56,15 @@ RAW_GAINS: tuple[tuple[str, str, float, float], ...] = (
     # 20 log10(raw / 32): Basler AW00089317, page 201
     ("Basler", "acA2000-50", 0.0, 32.0),
     ("Basler", "acA2040-25", 0.0, 32.0),
-    # counted from the least, as over USB: raw of AW00089316, table 17, against dB of AW00123402, table 30
+    # counted from the minimum, as over USB: raw of AW00089316, table 17, against dB of AW00123402, table 30
     ("Basler", "acA640-90", 0.0359, 0.0),
     ("Basler", "acA1300-30", 0.0359, 0.0),
 )
-"""Maker, begin of the model, dB of one step, amplification 1: models that have GainRaw alone."""
+"""Models with only GainRaw: maker, part of the model's name, dB of one step, value of amplification 1."""
 
 
 def gain_scale(features: Features) -> GainScale | None:
-    """How this camera states its gain; None where it has none,
-    or in steps that no manual at hand explains."""
+    """Gain scale of this camera; None if it has no gain, or one in steps of unknown size."""
     if node := features.first(*GAIN):
         return GainScale(node)
     if not features.exists(RAW_GAIN):
@@ -78,7 +78,7 @@ def gain_scale(features: Features) -> GainScale | None:
 
 
 def exposure_nodes(camera: str, features: Features, values: CameraValues) -> dict[str, Value]:
-    """Features to write, automatics off. Raises `CameraSetupError` for a missing one."""
+    """Features to write for these values, automatics off. Raises `CameraSetupError` for a missing one."""
     nodes: dict[str, Value] = {}
     if values.exposure_us is not None:
         node = features.first(*EXPOSURE_TIME)
@@ -103,7 +103,7 @@ def exposure_nodes(camera: str, features: Features, values: CameraValues) -> dic
 
 
 def values_of(features: Features) -> CameraValues:
-    """The camera's present values."""
+    """The camera's current values."""
     scale = gain_scale(features)
     gain = _number(features, scale.node) if scale is not None else None
     return CameraValues(
@@ -113,7 +113,7 @@ def values_of(features: Features) -> CameraValues:
 
 
 def limits_of(features: Features) -> CameraLimits:
-    """The camera's present limits."""
+    """The camera's current limits."""
     node, scale = features.first(*EXPOSURE_TIME), gain_scale(features)
     gain = features.bounds(scale.node) if scale is not None else None
     return CameraLimits(
@@ -123,7 +123,7 @@ def limits_of(features: Features) -> CameraLimits:
 
 
 def as_found(features: Features) -> dict[str, Value]:
-    """The nodes that `adjust` may change, to be written back."""
+    """Current values of the nodes that `adjust` may change, to be written back."""
     found: dict[str, Value] = {}
     scale = gain_scale(features)
     gain = scale.node if scale is not None else ""
@@ -138,9 +138,9 @@ def as_found(features: Features) -> dict[str, Value]:
 
 
 def adjust(camera: str, features: Features, values: CameraValues) -> CameraValues | StreamLocks:
-    """Set them now and return what the camera made of them.
+    """Set exposure time and gain while streaming; return the camera's actual values, or the refusals.
 
-    Raises `CameraSetupError` for what it does not have or take at all.
+    Raises `CameraSetupError` for a setting that the camera does not have, or a value outside its limits.
     """
     nodes = exposure_nodes(camera, features, values)
     if problem := limits_of(features).problem(values):
@@ -151,7 +151,7 @@ def adjust(camera: str, features: Features, values: CameraValues) -> CameraValue
 
 
 def _otherwise(features: Features, wanted: Mapping[str, str | None]) -> dict[str, Value]:
-    """Those of these choices that the camera offers and has not made: what is well may be locked."""
+    """The wanted choices that the camera offers and has not set already: a right one may be locked."""
     return {
         name: choice
         for name, choice in wanted.items()

@@ -18,22 +18,22 @@ ORDER = (
     ("BinningHorizontal", "BinningVertical", "DecimationHorizontal", "DecimationVertical", "PixelFormat"),
     ("Width", "Height"),
     ("OffsetX", "OffsetY"),
-    (),  # everything else, as written: a selector stands before what it selects
+    (),  # everything else, in the given order: a selector comes before the features that it selects
     FRAME_RATE_ENABLE,
     (FRAME_RATE_AUTO,),
     FRAME_RATE,
 )
-"""What must be written before what: a loaded user set overwrites, binning changes the limits of the
-region, a region must fit before it moves."""
+"""Order of writing: loading a user set overwrites the rest, binning changes the limits of the region, and a
+region must fit before it is moved."""
 
 FLOAT_TOLERANCE = 0.01
-"""A camera rounds to its own steps (a line time, a tenth of a dB): more than this share is clamping."""
+"""Relative tolerance for rounding to a camera's steps (a line time, a tenth of a dB); more is clamping."""
 
 
 class Features:
     """The feature nodes of one open device; every method must run on its control thread.
 
-    maker : names of maker and model.
+    maker : names of the maker and of the model.
     """
 
     def __init__(self, camera: str, device: Any, maker: tuple[str, str] = ("", "")) -> None:
@@ -43,26 +43,25 @@ class Features:
         self._library = library(camera)
 
     def exists(self, name: str) -> bool:
-        """Whether the camera has the feature and can use it in its present state."""
+        """Whether the camera has the feature and it is available in the current state."""
         try:
             return bool(self._device.is_feature_available(name))
         except self._library.glib.Error:
             return False
 
     def first(self, *names: str) -> str:
-        """The first of several names that the camera has, or ""."""
+        """The first of several names that the camera has; "" if none."""
         return next((name for name in names if self.exists(name)), "")
 
     def writable(self, name: str) -> bool:
-        """Whether the camera has the feature and lets it be written in its present state."""
+        """Whether the camera has the feature and it can be written in the current state."""
         if not self.exists(name):
             return False
         aravis = self._library.aravis
         return bool(self._device.get_feature(name).get_actual_access_mode() != aravis.GcAccessMode.RO)
 
     def choices(self, name: str) -> list[str]:
-        """Entries of an enumeration; empty for a feature that the camera does not have,
-        or has as a number."""
+        """Entries of an enumeration; empty if the camera does not have it, or has it as a number."""
         enumeration = self._library.aravis.GcEnumeration
         if not self.exists(name) or not isinstance(self._device.get_feature(name), enumeration):
             return []
@@ -70,29 +69,29 @@ class Features:
             return list(self._device.dup_available_enumeration_feature_values_as_strings(name))
 
     def value(self, name: str) -> Value | None:
-        """The present value; None if it cannot be read."""
+        """Current value of a feature; None if it cannot be read."""
         with translated(self._camera, f"reading {name}"):
             return self._read(name)
 
     def title(self, name: str) -> str:
-        """A feature as the maker's own program shows it, with its name where that is another."""
+        """Display name of a feature in the maker's own program, followed by its name if that differs."""
         node = self._device.get_feature(name)
         shown = node.get_display_name() if isinstance(node, self._library.aravis.GcFeatureNode) else None
         return f'"{shown}" ({name})' if shown and shown != name else name
 
     def number(self, name: str, value: float) -> float | int:
-        """A value as the feature takes it: rounded for one that holds whole numbers."""
+        """Return a value in the type of the feature: rounded if it is an integer."""
         is_float = isinstance(self._device.get_feature(name), self._library.aravis.GcFloat)
         return value if is_float else round(value)
 
     def nearest(self, name: str, value: int) -> int:
-        """The value of a whole-number feature that is nearest to this one within its limits."""
+        """Clamp a value to the limits of an integer feature."""
         with translated(self._camera, f"asking for the limits of {name}"):
             low, high = self._device.get_integer_feature_bounds(name)
         return int(min(max(value, low), high))
 
     def bounds(self, name: str) -> tuple[float, float]:
-        """The least and the most that a feature with a number takes now."""
+        """Current limits of a numeric feature."""
         aravis = self._library.aravis
         with translated(self._camera, f"asking for the limits of {name}"):
             if isinstance(self._device.get_feature(name), aravis.GcFloat):
@@ -102,7 +101,7 @@ class Features:
         return float(low), float(high)
 
     def described(self) -> list[dict[str, Any]]:
-        """Every feature as its maker describes it: name, kind, access, text in the menu, choices."""
+        """All features as the maker describes them: name, kind, access, text in the menu, choices."""
         aravis = self._library.aravis
         found, seen, waiting = list[dict[str, Any]](), set[str](), ["Root"]
         while waiting:
@@ -124,16 +123,16 @@ class Features:
         return found
 
     def check(self, values: Mapping[str, Value]) -> list[str]:
-        """Errors of these settings in name, type and choice; nothing is written."""
+        """Check names, types and choices of settings without writing; return the errors."""
         return [
             f"{name}: {problem}" for name, value in values.items() if (problem := self._misfit(name, value))
         ]
 
     def apply(self, values: Mapping[str, Value]) -> list[str]:
-        """Write in a safe order and compare with what the camera made of it; returns the differences."""
+        """Write in a safe order, read back and compare; return the refusals and differences."""
         problems: list[str] = []
         if {"Width", "Height"} & values.keys():
-            for offset in ("OffsetX", "OffsetY"):  # or a wide region would not fit where the last one lay
+            for offset in ("OffsetX", "OffsetY"):  # else a wide region may not fit at the last one's offset
                 if self.exists(offset):
                     with contextlib.suppress(self._library.glib.Error):
                         self._write(offset, 0)
@@ -146,12 +145,12 @@ class Features:
         return problems
 
     def write(self, values: Mapping[str, Value]) -> list[str]:
-        """Write as they stand; returns what was refused. What the camera made of the others is not asked."""
+        """Write in the given order without reading back; return the refusals."""
         with translated(self._camera, "setting"):
             return [problem for name, value in values.items() if (problem := self._put(name, value))]
 
     def _put(self, name: str, value: Value) -> str:
-        """Write one; why it was refused, or nothing."""
+        """Write one feature; return why it was refused, or ""."""
         try:
             self._allowed(name, value)
             self._write(name, value)
@@ -161,12 +160,12 @@ class Features:
             if error.domain == DEVICE_ERROR_DOMAIN and error.code == int(
                 self._library.aravis.DeviceError.TIMEOUT
             ):
-                raise  # no answer is no opinion on the setting
+                raise  # a missing answer is not a refusal
             return f"{name} = {value!r}: {error.message}"
         return ""
 
     def require(self, values: Mapping[str, Value]) -> None:
-        """`check`, then `apply`; raises `CameraSetupError` that names every problem."""
+        """Check, then apply settings. Raises `CameraSetupError` that names every problem."""
         problems = self.check(values) or self.apply(values)
         if problems:
             raise CameraSetupError(self._camera, "; ".join(problems))
@@ -178,7 +177,7 @@ class Features:
             return "the camera has no such feature"
         if isinstance(node, aravis.GcCommand):
             return "" if value is True else f"a command; expected true, got {value!r}"
-        if isinstance(node, aravis.GcEnumeration):  # before GcInteger and GcString: it is those too
+        if isinstance(node, aravis.GcEnumeration):  # before GcInteger and GcString, which it also is
             choices = list(self._device.dup_available_enumeration_feature_values_as_strings(name))
             return "" if value in choices else f"{value!r} is none of {', '.join(choices)}"
         for kind, types, expected in (
@@ -194,7 +193,10 @@ class Features:
         return "a feature of a kind that cannot be set"
 
     def _allowed(self, name: str, value: Value) -> None:
-        """Aravis writes what does not fit; some firmware then takes the nearest, some anything."""
+        """Check access and limits, which Aravis does not; some firmware would clamp the value, some take any.
+
+        Raises `_RefusedError`.
+        """
         aravis, node = self._library.aravis, self._device.get_feature(name)
         if node.get_actual_access_mode() == aravis.GcAccessMode.RO:
             raise _RefusedError("can only be read, or is locked by another feature")
@@ -224,7 +226,7 @@ class Features:
             device.set_integer_feature_value(name, value)
 
     def _read(self, name: str) -> Value | None:
-        """The present value; None for a command, or a write-only feature."""
+        """Current value; None for a command, or a write-only feature."""
         aravis, device = self._library.aravis, self._device
         node = device.get_feature(name)
         if isinstance(node, aravis.GcCommand) or node.get_actual_access_mode() == aravis.GcAccessMode.WO:

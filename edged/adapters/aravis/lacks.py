@@ -1,7 +1,6 @@
-"""Features that a camera does not have and a cell may miss, said in the words of its maker's own menu.
+"""Features that a camera lacks and a cell may need, described in the words of its maker's menu.
 
-Nothing here is a fault: what the configuration asks for and the camera lacks is refused by name when it is
-set up.
+None of them is a fault: if the configuration requests one, the set-up of the camera refuses it by name.
 """
 
 from __future__ import annotations
@@ -15,13 +14,12 @@ from edged.adapters.aravis.names import EXPOSURE_ACTIVE, FRAME_RATE, PTP, PTP_MO
 TRIGGER_SOURCE, CHUNK_SELECTOR = "TriggerSource", "ChunkSelector"
 OUTPUT_SOURCES = ("LineSource", "SyncOutSource")
 OFFERED = 8
-"""Choices that are named at most: some lists have forty."""
+"""Most choices that are listed by name: some enumerations have forty."""
 
 
 @dataclass(frozen=True, slots=True)
 class CameraLack:
-    """Something that a camera has not. code : of a text in the page's languages. menu : what its menu has
-    instead."""
+    """A feature that a camera lacks. code : of a text in the page's languages. menu : offered instead."""
 
     code: str
     text: str
@@ -32,7 +30,7 @@ class CameraLack:
 
 
 def lacks(features: Features, *, clock: bool) -> tuple[CameraLack, ...]:
-    """What this camera lacks. clock : whether its clock can be read."""
+    """Return the features that this camera lacks. clock : whether its clock can be read."""
     sources = features.choices(TRIGGER_SOURCE) if features.exists("TriggerMode") else []
     output = features.first(*OUTPUT_SOURCES)
     shown = features.choices(output) if output else []

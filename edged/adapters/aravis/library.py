@@ -1,4 +1,4 @@
-"""The Aravis library: found or not, its errors translated, and what cameras it sees."""
+"""The Aravis library: loading it, translating its errors, discovering cameras and connecting to them."""
 
 from __future__ import annotations
 
@@ -26,17 +26,17 @@ INSTALL_HINT = "install it with: apt install gir1.2-aravis-0.8 python3-gi"
 GVCP_PORT = 3956
 
 ANSWER_S = 0.3
-"""A camera answers a read within milliseconds."""
+"""Wait for the answer to a read, which takes milliseconds."""
 
 CONTROL_PRIVILEGE_REGISTER = 0x0A00
 """GigE Vision bootstrap register "control channel privilege"."""
 
 CONTROLLED = 0b11
-"""Bits of it: exclusive access, control access. Neither: the camera is not controlled."""
+"""Its bits for exclusive access and control access; with neither, the camera is not controlled."""
 
 PARSING = threading.Lock()
-"""Held while Aravis reads a camera's description: its parser has one state for the whole process
-(`_parse_memory` in arvdomparser.c, 0.8), and two threads in it free each other's objects."""
+"""Held while Aravis parses a camera's description: its parser has one state for the whole process
+(`_parse_memory` in arvdomparser.c, 0.8), and two threads in it would free each other's objects."""
 
 DEVICE_ERROR_DOMAIN = "arv-device-error-quark"
 DEVICE_ERRORS: dict[str, type[CaptureError]] = {
@@ -58,14 +58,14 @@ DEVICE_ERRORS: dict[str, type[CaptureError]] = {
     "PROTOCOL_ERROR_WRITE_PROTECT": CameraSetupError,
     "PROTOCOL_ERROR_BAD_ALIGNMENT": CameraSetupError,
     "PROTOCOL_ERROR_ACCESS_DENIED": CameraBusy,
-    # GVCP status 0x8007: the camera itself is busy; no other host holds it
+    # GVCP status 0x8007: the camera itself is busy; it is not controlled by another host
     "PROTOCOL_ERROR_BUSY": CameraUnreachable,
 }
-"""`Aravis.DeviceError` by name; GenICam errors (`Aravis.GcError`) are all settings that do not fit."""
+"""Our errors by the name of `Aravis.DeviceError`; every GenICam error (`Aravis.GcError`) is a setup error."""
 
 
 class Library(NamedTuple):
-    """The two GObject namespaces that are used; they ship no types."""
+    """The two GObject namespaces in use; they ship no types."""
 
     aravis: Any
     glib: Any
@@ -73,13 +73,13 @@ class Library(NamedTuple):
 
 @functools.cache
 def _load() -> Library | str:
-    """The library, or why it cannot be had."""
+    """Load the library; return it, or why that is not possible."""
     try:
         import gi
 
         gi.require_version("Aravis", "0.8")
         with warnings.catch_warnings():
-            # PyGObject before 3.44 still has the importer of Python 2, and Python says so
+            # PyGObject before 3.44 still has an importer of Python 2, about which Python warns
             warnings.simplefilter("ignore", ImportWarning)
             from gi.repository import Aravis, GLib
     except ImportError as error:
@@ -87,19 +87,19 @@ def _load() -> Library | str:
     except ValueError as error:
         return f"Aravis 0.8 is missing ({error}); {INSTALL_HINT}"
     if hasattr(Aravis, "set_interface_flags"):  # 0.8.23
-        # a camera of another network has no way back but a broadcast
+        # a camera in another network can answer only by broadcast
         Aravis.set_interface_flags("GigEVision", int(Aravis.GvInterfaceFlags.ACK))
     return Library(Aravis, GLib)
 
 
 def aravis_missing() -> str:
-    """Why no camera can be reached on this machine, with the command that helps; "" if all is well."""
+    """Why cameras cannot be used on this machine, with the command that fixes it; "" if they can."""
     loaded = _load()
     return loaded if isinstance(loaded, str) else ""
 
 
 def library(camera: str) -> Library:
-    """The library, or `CameraSetupError` for the camera that needs it."""
+    """Return the library. Raises `CameraSetupError`, for the camera that needs it, if it is missing."""
     loaded = _load()
     if isinstance(loaded, str):
         raise CameraSetupError(camera, loaded)
@@ -108,7 +108,7 @@ def library(camera: str) -> Library:
 
 @contextlib.contextmanager
 def translated(camera: str, doing: str) -> Iterator[None]:
-    """Turn every error of GLib and the system into a `CaptureError` that says what was being done."""
+    """Turn errors of GLib and the operating system into a `CaptureError` that says what was being done."""
     glib = library(camera).glib
     try:
         yield
@@ -119,10 +119,8 @@ def translated(camera: str, doing: str) -> Iterator[None]:
 
 
 def translate(camera: str, doing: str, error: Any) -> CaptureError:
-    """The `CaptureError` for a GLib error.
-
-    Unknown codes and domains (sockets, files) are `CameraUnreachable`: the camera did not do it.
-    """
+    """Return the `CaptureError` for a GLib error; for unknown codes and domains (sockets, files) it is
+    `CameraUnreachable`."""
     aravis = library(camera).aravis
     message = f"{doing}: {error.message}"
     if error.domain == DEVICE_ERROR_DOMAIN:
@@ -137,9 +135,9 @@ def translate(camera: str, doing: str, error: Any) -> CaptureError:
 class CameraInfo:
     """A camera that answered discovery.
 
-    device_id : Aravis' own name for it. address : IP address, or USB bus position.
+    device_id : Aravis' own id. address : IP address, or USB bus position.
     protocol : "GigEVision" or "USB3Vision". physical_id : MAC address, or USB GUID.
-    control : "free", "controlled" by some program, or why it cannot be used; "" where not asked.
+    control : "free", "controlled" by some program, or why it cannot be used; "" if not queried.
     """
 
     device_id: str
@@ -166,7 +164,7 @@ def list_cameras() -> list[CameraInfo]:
 
 
 class _Discovery:
-    """Aravis keeps one list of devices for the process; so there is one of these.
+    """Discovery of cameras; a single instance, as Aravis keeps one list of devices for the process.
 
     Two cameras that are opened at the same time share one round of discovery.
     """
@@ -177,12 +175,12 @@ class _Discovery:
         self._done_s = -math.inf
 
     def address_of(self, device: str) -> str:
-        """The address of a camera that was found some time; what is not known is given back."""
+        """Address of a camera that was found at any time; an unknown `device` is returned unchanged."""
         matching = (info.address for info in self._found if device in (info.serial, info.device_id))
         return next(matching, device)
 
     def run(self, max_age_s: float) -> list[CameraInfo]:
-        """The cameras that were found no longer ago than this, or are now."""
+        """Return the cameras found, after a new round of discovery if the last is older than this."""
         aravis = library("any").aravis
         asked_s = time.monotonic()
         with self._lock:
@@ -198,7 +196,7 @@ _discovery = _Discovery()
 
 
 def address_of(device: str) -> str:
-    """IP address of a camera; a serial number that no discovery has found yet is given back as it is."""
+    """IP address of a camera; a serial number that no discovery has found yet is returned unchanged."""
     return _discovery.address_of(device)
 
 
@@ -215,9 +213,9 @@ def _info(aravis: Any, index: int) -> CameraInfo:
 
 
 def control_state(address: str) -> str:
-    """Whether a GigE Vision camera is "free" or "controlled", asked without taking control of it.
+    """Whether a GigE Vision camera is "free" or "controlled", or why that is unknown; does not take control.
 
-    A camera that answered the broadcast but not this lies in another network than the host's port.
+    A camera that answers a broadcast but not this is in another network than the host's port.
     """
     request_id = 1
     # GVCP READREG_CMD: key, flags (answer wanted), command, length, id, register address
@@ -241,11 +239,11 @@ def control_state(address: str) -> str:
 
 
 def connect(camera: str, device: str, serial: str = "") -> Any:
-    """The `Aravis.Camera` with this IP address, serial number or Aravis id.
+    """Connect to the camera with this IP address, serial number or Aravis id; return its `Aravis.Camera`.
 
-    An address is asked directly, across routers too; everything else must answer discovery. A camera that
-    does not answer at its address may have got another: it is looked for by its serial number, where that is
-    known. Raises `CameraUnreachable`; takes a few seconds at most.
+    An address is contacted directly, also across routers; anything else must be found by discovery. A camera
+    that does not answer at its address may have a new one: it is looked for by its serial number, if that is
+    given. Raises `CameraUnreachable`; takes a few seconds at most.
     """
     try:
         ipaddress.ip_address(device)
@@ -268,7 +266,7 @@ def _connect(camera: str, device_id: str) -> Any:
 
 
 def _find(camera: str, device: str) -> str:
-    """Aravis' id of the camera with this serial number or id."""
+    """Address or Aravis id of the camera with this serial number or id, by discovery."""
     found = _discovery.run(max_age_s=0.5)
     matching = [info for info in found if device in (info.serial, info.device_id)]
     if not matching:

@@ -1,4 +1,4 @@
-"""How fast each of two cameras may send, written to it: they share a network port, or a USB controller."""
+"""Limiting the rate of two cameras that share a network port or a USB controller."""
 
 from __future__ import annotations
 
@@ -20,9 +20,10 @@ LINK_SPEED_REGISTER, PACKET_DELAY_REGISTER = 0x0670, 0x0D08
 
 
 def pace(name: str, camera: Any, features: Features, settings: AravisSettings) -> float | None:
-    """Set a GigE Vision camera's pause after each packet; returns what it has then, us, None where it stays.
+    """Set a GigE Vision camera's pause after each packet; return the resulting pause, us, None if unchanged.
 
-    Written to the register that every camera has; the node's name and unit differ. GLib errors pass through.
+    Written to the register that every camera has, since the node's name and unit differ. GLib errors pass
+    through.
     """
     if any("GevSCPD" in group for group in settings.features):
         return None
@@ -51,14 +52,14 @@ def pace(name: str, camera: Any, features: Features, settings: AravisSettings) -
 
 
 def share_usb(name: str, features: Features, settings: AravisSettings) -> None:
-    """Set a USB camera's rate where another one is behind the same controller of this host."""
+    """Limit a USB camera's rate where it shares a controller of this host with another camera."""
     rate = link.usb_bytes_per_second(settings.device, settings.neighbour)
     if rate is not None:
         _share(name, features, settings, rate)
 
 
 def _share(name: str, features: Features, settings: AravisSettings, bytes_per_second: float) -> None:
-    """Cameras that pace themselves by a rate do not hear of a pause between packets."""
+    """Limit the rate of a camera that paces itself by one, and ignores the pause between packets."""
     node = features.first(*BYTES_PER_SECOND)
     stated = any(node in group for group in settings.features)
     if not node or stated:
@@ -68,5 +69,5 @@ def _share(name: str, features: Features, settings: AravisSettings, bytes_per_se
     if not features.writable(node) or not isinstance(features.value(node), int):
         return
     rate = features.nearest(node, math.floor(bytes_per_second))
-    if refused := features.write({node: rate}):  # what it makes of it is rounded to its own steps
+    if refused := features.write({node: rate}):  # the camera rounds it to its own steps
         log.warning("camera %s: two cameras share its link: %s", name, "; ".join(refused))

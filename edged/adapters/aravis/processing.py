@@ -1,9 +1,8 @@
-"""What a camera makes of a picture before it sends it, switched off: measuring needs what the sensor saw.
+"""Switching off a camera's own image processing: measuring needs the sensor's raw values.
 
-Another program, or the maker, may have left on what pleases the eye. A filter moves edges, a table bends grey
-values, a test pattern is not a picture at all; and every picture looks as well as the last. What stands under
-`features` in the configuration is left as it stands there. Gamma is only looked at: the calibration measures
-it.
+Another program, or the maker, may have left on processing for viewing. A filter moves edges, a look-up table
+distorts grey values, a test pattern is no picture at all; and none of it is obvious in the pictures. Settings
+under `features` in the configuration are kept. Gamma is only read: the calibration measures it.
 """
 
 from __future__ import annotations
@@ -31,14 +30,13 @@ STRENGTHS = (
     "AdaptiveNoiseSuppressionFactor", "BslSharpnessEnhancement", "BslNoiseReduction", "BslContrast",
     "BslBrightness",
 )  # fmt: skip
-"""Off at 0, or at the least where that is more: of both signs (Sharpness of Alvium, -12 to 12) 0 is neither.
-The Bsl names are in docs.baslerweb.com (PGI, Brightness and Contrast), Denoise and Sharpness also with The
-Imaging
-Source."""
+"""Strengths that are off at 0, or at their minimum if that is above 0; where both signs are possible
+(Sharpness of Alvium, -12 to 12) 0 is neutral. The Bsl names are in docs.baslerweb.com (PGI, Brightness and
+Contrast); The Imaging Source also has Denoise and Sharpness."""
 
 
 def switch_off(features: Features, stated: Collection[str]) -> None:
-    """Switch off whatever is on and not stated. Raises `CameraSetupError` for what stays on."""
+    """Switch off all processing that is not stated. Raises `CameraSetupError` if some stays on."""
     wanted: dict[str, Value] = {name: False for name in SWITCHES if features.exists(name)}
     for name in CHOICES:
         off = next((choice for choice in features.choices(name) if choice in OFF), None)
@@ -52,7 +50,7 @@ def switch_off(features: Features, stated: Collection[str]) -> None:
 
 
 def gamma_switch(features: Features) -> tuple[str, Value]:
-    """The feature that makes this camera linear, and its value."""
+    """Feature that makes this camera linear, and the value to set."""
     enable = features.first(*GAMMA_ENABLE)
     return (enable, False) if enable else ("Gamma", 1.0)
 

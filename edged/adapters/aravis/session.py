@@ -1,7 +1,7 @@
-"""One connection to one camera: set up, armed, triggered, taken down.
+"""One connection to one camera: set-up, arming, triggering, closing.
 
-Everything here runs on the camera's control thread, except the pump, which is a thread of its own and
-only takes buffers out of the stream (the one Aravis object that may be used from two threads).
+Everything here runs on the camera's control thread, except the pump, which has a thread of its own and only
+takes buffers out of the stream (the one Aravis object that may be used from two threads).
 """
 
 from __future__ import annotations
@@ -50,30 +50,30 @@ from edged.logs import LogLimit
 log = logging.getLogger(__name__)
 
 BUFFERS = 4
-"""Buffers: being filled, late, being copied, and a spare."""
+"""Buffers of a stream: one being filled, one late, one being copied, and a spare."""
 
 HEARTBEAT_REGISTER = 0x0938
 """GigE Vision bootstrap register "heartbeat timeout", in ms."""
 
 HEARTBEAT_MS = 3000
-"""Aravis says each second that it is there (ARV_GV_DEVICE_HEARTBEAT_PERIOD_US); cameras begin with 0.5 to 3
-s, and one that is lost for less is not lost."""
+"""Least heartbeat timeout. Aravis sends a heartbeat each second (ARV_GV_DEVICE_HEARTBEAT_PERIOD_US); cameras
+default to 0.5 to 3 s, and a shorter interruption should not lose the connection."""
 
 CLOCK_READINGS = 5
-"""Clock readings at the start; each trigger adds one. The quietest of them counts."""
+"""Clock readings at the start, of which the narrowest counts; each trigger adds one."""
 
 REPEAT_S = 0.5
-"""Aravis repeats a command that has not been answered for this long (ARV_GV_DEVICE_GVCP_TIMEOUT_MS)."""
+"""Time after which Aravis repeats an unanswered command (ARV_GV_DEVICE_GVCP_TIMEOUT_MS)."""
 
 LOOK_S = 5.0
-"""While images are taken, temperature and state of the clock are asked for this often."""
+"""Period at which temperature and PTP state are read while images are taken."""
 
 
 COUNTS = ("n_completed_buffers", "n_failures", "n_resent_packets", "n_missing_packets")
-"""Aravis' names of a stream's counts, in the order of `CameraHealth`."""
+"""Aravis' names of a stream's counters, in the order of `CameraHealth`."""
 
 
-JUMPS_S = 3600.0  # between log lines on a clock that jumps; a clock that runs too fast does so every second
+JUMPS_S = 3600.0  # between log lines about clock jumps; a clock that runs too fast "jumps" every second
 RESTARTED = "it was restarted, or dropped the connection"
 
 
@@ -81,13 +81,13 @@ RESTARTED = "it was restarted, or dropped the connection"
 class CameraHealth:
     """Health of an open camera.
 
-    temperature_c : None if unknown. clock_bound_ns : of its clock's map, None without a clock.
+    temperature_c : None if unknown. clock_bound_ns : error bound of its clock's map, None without a clock.
     ptp : its clock is locked to the PTP network. complete, failed : images since it was opened.
     resent, lost : packets resent on request, and lost. None: not counted by the driver.
-    gamma : exponent between light and grey value, by the camera; 1: linear. linear : the setting that makes
-    it so.
-    lacks : what it has not. packet_delay_us : its pause after each packet, packet_bytes : their size; None
-    where it has none. firmware : its version, "" if unknown.
+    gamma : exponent between light and grey value, as the camera states it; 1: linear. linear : the setting
+    that makes it linear.
+    lacks : features that it does not have. packet_delay_us : pause after each packet. packet_bytes : size of
+    a packet. Both None where there are none. firmware : version, "" if unknown.
     """
 
     temperature_c: float | None = None
@@ -116,7 +116,7 @@ class CameraDescription:
 
 
 def firmware_of(features: Features) -> str:
-    """Version of a camera's firmware; "" where it does not say."""
+    """Version of a camera's firmware; "" if unknown."""
     node = features.first("DeviceFirmwareVersion", "DeviceVersion")
     return str((features.value(node) if node else None) or "")
 
@@ -132,10 +132,10 @@ class CameraSession:
         lost: Callable[[], None],
         first_frame_id: int,
     ) -> None:
-        """Connect, set up, start the stream. Raises `CaptureError`, and then nothing is left open.
+        """Connect, set up, start the stream. Raises `CaptureError`; then nothing is left open.
 
-        deliver, lost : called in other threads, for each buffer and when the camera drops the connection.
-        first_frame_id : frames are counted from here + 1.
+        deliver, lost : called on other threads, for each buffer, and when control of the camera is lost.
+        first_frame_id : frames are counted from first_frame_id + 1.
         """
         self.name = name
         self.settings = settings
@@ -178,14 +178,14 @@ class CameraSession:
 
     @property
     def fires(self) -> bool:
-        """Whether `trigger` makes the exposure, or something else does."""
+        """Whether `trigger` causes the exposure; else an external trigger does."""
         return fires(self.settings.trigger)
 
     def trigger(self) -> int:
-        """Start an exposure; host time at which the command left.
+        """Start an exposure; return the host time at which the command left.
 
-        Aravis repeats a command that is not answered; when the exposure began is then unknown, and
-        that is a `FrameTimeout`. What is triggered by others has no command: its exposures count from now.
+        Aravis repeats a command that is not answered. The start of the exposure is then unknown, which raises
+        `FrameTimeout`. An external trigger needs no command: exposures count from now.
         """
         trigger = self.settings.trigger
         at_ticks = self._ahead(trigger.lead_s) if isinstance(trigger, Action) and trigger.send_to else None
@@ -205,7 +205,7 @@ class CameraSession:
         return sent_ns
 
     def _fire(self) -> None:
-        """A camera that is still exposing may refuse; the connection is not lost by that."""
+        """Send the software trigger. Raises `FrameTimeout` if a camera that is still exposing refuses it."""
         try:
             self._camera.software_trigger()
         except self._library.glib.Error as error:
@@ -215,7 +215,7 @@ class CameraSession:
             raise
 
     def _ahead(self, lead_s: float) -> int | None:
-        """The PTP time of a scheduled action; None for "at once"."""
+        """PTP time of a scheduled action, in ticks; None: at once."""
         if lead_s == 0:
             return None
         self._look()
@@ -238,14 +238,14 @@ class CameraSession:
             self._jumps.warning(text, self.name, CLOCK_DRIFT * 1e6)
 
     def note_exposure(self, earliest_ns: int, arrival: Arrival) -> None:
-        """Without a clock that can be read: the exposure lay between that moment and its arrival."""
+        """Map a clock that cannot be read by an exposure, which lay between `earliest_ns` and its arrival."""
         if self._latch is None and arrival.device_ns > 0:
             self.clock.add(ClockReading(earliest_ns, arrival.arrived_ns, arrival.device_ns))
 
     def restart(self) -> None:
-        """Stop and start acquisition: an exposure that is still under way is given up.
+        """Stop and start acquisition, which abandons an exposure that is still under way.
 
-        The stream is made anew, too: a camera that counts from 1 again would send what Aravis takes for late.
+        The stream is recreated, too: if the camera counts from 1 again, Aravis would drop its frames as late.
         """
         with self._talking("restarting acquisition"):
             self._camera.stop_acquisition()
@@ -256,7 +256,7 @@ class CameraSession:
     # --- exposure and gain while images are taken ----------------------------------------------
 
     def adjust(self, values: CameraValues) -> CameraValues | exposure.StreamLocks:
-        """Set them and read them back, where the firmware takes them now."""
+        """Set exposure time and gain and read them back, if the firmware accepts them while streaming."""
         with self._talking("adjusting"):
             made = exposure.adjust(self.name, self._nodes(), values)
         if isinstance(made, exposure.StreamLocks):
@@ -267,28 +267,28 @@ class CameraSession:
         return made
 
     def description(self) -> CameraDescription:
-        """Maker, model, firmware and every feature."""
+        """Read maker, model, firmware and all features."""
         features = self._nodes()
         with self._talking("reading its description"):
             return CameraDescription(*features.maker, firmware_of(features), tuple(features.described()))
 
     def values(self) -> CameraValues:
-        """The present values."""
+        """Current exposure time and gain."""
         with self._talking("reading its settings"):
             return exposure.values_of(self._nodes())
 
     def limits(self) -> CameraLimits:
-        """The present limits."""
+        """Current limits of exposure time and gain."""
         with self._talking("asking for its limits"):
             return exposure.limits_of(self._nodes())
 
     def as_found(self) -> dict[str, Value]:
-        """The values that `adjust` may change, for `restore`."""
+        """Current values of the nodes that `adjust` may change, for `write_back`."""
         with self._talking("reading its settings"):
             return exposure.as_found(self._nodes())
 
     def write_back(self, nodes: Mapping[str, Value]) -> None:
-        """Write what was found and compare it. Raises `CameraSetupError`."""
+        """Write the values of `as_found` back and compare them. Raises `CameraSetupError`."""
         with self._talking("writing its settings back"):
             self._nodes().require(nodes)
             self._note_exposure_time(exposure.values_of(self._nodes()))
@@ -296,7 +296,7 @@ class CameraSession:
             self._chunks.wanted_us = self.settings.exposure_us
 
     def _note_exposure_time(self, values: CameraValues) -> None:
-        """An image leaves when its exposure has ended."""
+        """Note the exposure time, by which the delivery of an image is later than its start."""
         self.exposure_ns = round((values.exposure_us or 0.0) * 1e3)
 
     def _nodes(self) -> Features:
@@ -305,10 +305,10 @@ class CameraSession:
         return self._features
 
     def probe(self) -> None:
-        """Check that the camera answers and is still ours. Raises `CameraUnreachable` or `CameraBusy`.
+        """Check that the camera answers and is still under our control.
 
-        A write tells whether another host has taken control (it is denied then); but a camera that was
-        restarted has no owner, and may take writes of any host: hence the read.
+        Raises `CameraUnreachable` or `CameraBusy`. A write is denied if another host has taken control; but a
+        camera that was restarted has no controlling host and may accept writes of any: hence the read.
         """
         if not self._camera.is_gv_device():
             self._look()
@@ -323,7 +323,7 @@ class CameraSession:
         self._look()
 
     def _look(self) -> None:
-        """Read what changes slowly."""
+        """Read the values that change slowly: PTP state and temperature."""
         device, features = self._camera.get_device(), self._features
         self._looked_s = time.monotonic()
         if features is not None:
@@ -334,7 +334,7 @@ class CameraSession:
                 self._temperature_c = float(value) if isinstance(value, int | float) else None
 
     def health(self) -> CameraHealth:
-        """Health of the camera as last read."""
+        """Health of the camera, by the values last read."""
         stream = self._stream
         counts: dict[str, int] = {}
         if stream is not None:
@@ -351,7 +351,7 @@ class CameraSession:
         )  # fmt: skip
 
     def close(self) -> None:
-        """Close the connection, in order if the camera still answers; never raises."""
+        """Close the connection, stopping acquisition if the camera still answers; never raises."""
         self._stop_pumping()
         camera, self._camera = self._camera, None
         if camera is None:
@@ -359,18 +359,18 @@ class CameraSession:
         if self._handler:
             camera.get_device().disconnect(self._handler)
         if self._stream is not None and not self.lost.is_set():
-            with contextlib.suppress(self._library.glib.Error):  # it may be gone, that is why we close
+            with contextlib.suppress(self._library.glib.Error):  # it may be gone
                 camera.stop_acquisition()
         self._stream = None
-        # the last reference gives up control and ends Aravis' own threads. Cycles would keep it, and so would
-        # this session, which lives as long as the traceback of an error that it raised
+        # dropping the last reference gives up control and ends Aravis' threads. Reference cycles would keep
+        # one, and so would this session, which lives as long as the traceback of an error that it raised
         self._features = self._latch = None
         del camera
         gc.collect()
 
     @contextlib.contextmanager
     def _talking(self, doing: str) -> Iterator[None]:
-        """Translate errors; after an error that means "gone" nothing more is sent to the camera."""
+        """Translate errors; after one that means that the camera is gone, mark the connection as lost."""
         try:
             with translated(self.name, doing):
                 yield
@@ -383,7 +383,7 @@ class CameraSession:
             raise
 
     def _belongs_to_nobody(self) -> bool:
-        """Whether the camera that refused a command has no controlling host: it has restarted."""
+        """Whether the camera that refused a command has no controlling host, since it has restarted."""
         try:
             privilege = self._camera.get_device().read_register(CONTROL_PRIVILEGE_REGISTER)
         except self._library.glib.Error:
@@ -422,7 +422,7 @@ class CameraSession:
         self._start_stream()
 
     def _set_up_stream(self) -> None:
-        """Packet size first: a stream made before it scrambles its buffers."""
+        """Set packet size, pacing and chunks; a stream created before that would scramble its buffers."""
         aravis, camera, settings = self._library.aravis, self._camera, self.settings
         if camera.is_gv_device():
             if settings.packet_size is None:
@@ -441,7 +441,7 @@ class CameraSession:
         payload = camera.get_payload()
         self._stream = camera.create_stream(None, None)
         if camera.is_gv_device():
-            # as large as the kernel allows, up to one frame: the default loses most of a burst
+            # as large as the kernel allows, up to one frame: the default would lose most of a burst
             self._stream.set_property("socket-buffer", aravis.GvStreamSocketBuffer.AUTO)
             if not settings.resend:
                 self._stream.set_property("packet-resend", aravis.GvStreamPacketResend.NEVER)
@@ -470,7 +470,7 @@ class CameraSession:
         gc.collect()
 
     def _chunk_reader(self) -> ChunkReader | None:
-        """Have what is wanted sent with each image, and read it; None where nothing is."""
+        """Switch on the wanted chunk data and return their reader; None where none are wanted."""
         settings = self.settings
         exposure, count = settings.chunks, settings.count
         wanted = ["ExposureTime"] * exposure + [count] * bool(count)
@@ -488,6 +488,6 @@ class CameraSession:
         return ChunkReader(parser, error, settings.exposure_us, exposure=exposure, count=count)
 
     def _control_lost(self, _device: Any) -> None:
-        """Called in Aravis' heartbeat thread."""
+        """Mark the connection as lost; called on Aravis' heartbeat thread."""
         self.lost.set()
         self._on_lost()

@@ -1,4 +1,4 @@
-"""How a camera is found and set."""
+"""Settings of a GenICam camera."""
 
 from __future__ import annotations
 
@@ -11,23 +11,23 @@ from edged.adapters.aravis.trigger import Output, Software, Trigger
 
 @dataclass(frozen=True, slots=True)
 class AravisSettings:
-    """How a camera is found and set.
+    """Address, identity and settings of a camera.
 
     device : serial number or IP address.
-    exposure_us, gain_db : None leaves what the camera has; a value switches the automatic off.
-    packet_size : GVSP packet in bytes, IP and UDP headers included; None negotiates the largest that passes.
-    serial : the serial number that is expected there; "" takes any camera.
-    trigger : what starts an exposure. outputs : lines that show something, a strobe for example.
-    chunks : have the exposure time sent with each image and compare it with exposure_us.
-    count : have the encoder's or counter's value at each exposure sent with it: "EncoderValue",
-        "CounterValue"; "": none.
-    ptp : None leaves the PTP clock as the camera has it.
-    calibrated : (width, height) of the image that the rig was calibrated with; None takes any.
-    packet_delay_us : pause after each packet; None: what the link and the neighbour ask for.
+    exposure_us, gain_db : None: unchanged; a value switches the automatic off.
+    packet_size : GVSP packet in bytes, including IP and UDP headers; None negotiates the largest that passes.
+    serial : expected serial number; "" accepts any camera.
+    trigger : trigger of an exposure. outputs : output lines, for a strobe for example.
+    chunks : have the exposure time sent with each image, and compare it with exposure_us.
+    count : chunk with the encoder's or counter's value at each exposure: "EncoderValue", "CounterValue";
+        "": none.
+    ptp : None leaves the PTP setting of the camera unchanged.
+    calibrated : (width, height) of the image that the rig was calibrated with; None accepts any.
+    packet_delay_us : pause after each packet; None: computed from the link and the neighbour.
     neighbour : serial number or IP address of the other camera, which sends at the same time.
-    features : groups of GenICam nodes by name, one group after the other, before exposure,
-        trigger and outputs; within a group size and format of the image come first.
-    resend : ask for packets that were lost.
+    features : groups of GenICam nodes by name, written one group after the other, before exposure, trigger
+        and outputs; within a group, size and format of the image come first.
+    resend : request lost packets again.
     user_socket : receive through an ordinary socket even where a packet socket is allowed.
     """
 

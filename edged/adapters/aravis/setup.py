@@ -1,7 +1,7 @@
-"""Set-up of a camera before it is armed: features, exposure, clock, outputs; and what is refused.
+"""Set-up of a camera before it is armed: features, exposure, clock, outputs, with checks of all settings.
 
-Order: the user's features (all are checked before the first is written), then the geometry they make is
-compared with the calibration, filters off, then exposure and gain, PTP, outputs and, last, the trigger.
+Order: the user's features (all are checked before the first is written); then the resulting geometry is
+compared with the calibration; then filters off, exposure and gain, PTP, outputs and, last, the trigger.
 """
 
 from __future__ import annotations
@@ -34,12 +34,12 @@ NEUTRAL: Mapping[str, Value] = {
 """Features that move pixels, with their neutral values."""
 
 WHOLE = "X1"
-"""No binning, where that is a choice (Vieworks VNP)."""
+"""Value of "no binning" on cameras where binning is an enumeration (Vieworks VNP)."""
 
 
 @dataclass(frozen=True, slots=True)
 class Placement:
-    """Where a region lies in the image that was calibrated, px."""
+    """Place of a region in the calibrated image, px. width, height : of the whole image."""
 
     width: int
     height: int
@@ -48,9 +48,9 @@ class Placement:
 
 
 def set_up(name: str, camera: Any, features: Features, settings: AravisSettings) -> Placement | None:
-    """Write all settings to an open camera; returns where its image lies unless it is the whole one.
+    """Write all settings to an open camera; return the place of its image, None if it is the whole one.
 
-    Raises `CameraSetupError` that names what does not fit.
+    Raises `CameraSetupError` that names the settings that do not fit.
     """
     _check_serial(name, camera, settings)
     groups = _groups(name, camera, features, settings)
@@ -83,7 +83,7 @@ def _check_serial(name: str, camera: Any, settings: AravisSettings) -> None:
 
 
 def _groups(name: str, camera: Any, features: Features, settings: AravisSettings) -> list[dict[str, Value]]:
-    """Features in the order in which they are written, every name, type and choice of them checked."""
+    """Groups of features in the order of writing, with every name, type and choice checked."""
     groups = [dict(group) for group in settings.features]
     problems = [
         f"{node}: belongs to the trigger, set it under cameras.trigger"
@@ -110,8 +110,10 @@ def _groups(name: str, camera: Any, features: Features, settings: AravisSettings
 
 
 def _pixel_format(features: Features) -> str:
-    """Mono8; or the mosaic of a colour camera with 8 bits; or of what is understood that with the fewest
-    bits."""
+    """Pixel format to use: Mono8, else the supported format with the fewest bits (8-bit mosaic of colour).
+
+    A supported format that cannot be changed is kept.
+    """
     understood = [name for name in features.choices("PixelFormat") if name in FORMATS]
     present = features.value("PixelFormat")
     if present in understood and not features.writable("PixelFormat"):
@@ -128,9 +130,9 @@ def _placement(
 ) -> Placement | None:
     """Refuse unintended geometry, or geometry that the calibration does not cover.
 
-    Another program may have left the camera mirrored or with a region: pictures look alike, measure wrong,
-    and no check of a single image would tell. So what is not neutral must stand in the configuration. A
-    region of an image that was calibrated as a whole is put back in its place.
+    Another program may have left the camera mirrored or with a region: its pictures look the same and measure
+    wrong, and no check of a single image would find that. So every value that is not neutral must be stated
+    in the configuration. A region of an image that was calibrated as a whole is put back in its place.
     """
     found = {node: features.value(node) for node in NEUTRAL if features.exists(node)}
     odd = {node: value for node, value in found.items() if value not in (NEUTRAL[node], WHOLE)}

@@ -1,4 +1,4 @@
-"""Buffers that come out of a stream, as images: numbered, timed, whole, 8-bit grey, in their place."""
+"""Turning buffers of a stream into images: numbered, timed, checked, 8-bit grey, placed in the full image."""
 
 from __future__ import annotations
 
@@ -16,17 +16,16 @@ from edged.domain.arrays import Image
 from edged.vision.kernels.pixelformats import BY_CODE, grey8
 
 PUMP_POLL_US = 20_000
-"""How long a stopping pump may still wait; nothing else depends on it."""
+"""How long a pump may take to notice that it must stop; nothing else depends on it."""
 
 EXPOSURE_TOLERANCE, EXPOSURE_STEP_US = 0.01, 40.0
-"""A camera rounds an exposure to its own steps: some of its lines."""
+"""Allowed deviations of the exposure time: a camera rounds it to its own steps, some of its line times."""
 
 BLOCK_IDS = 65_535
-"""GigE Vision 1.x counts frames from 1 to 65535 and then from 1 again; some cameras from 0 to 65535 and from
-0."""
+"""GigE Vision 1.x counts frames from 1 to 65535 and again from 1; some cameras from 0 to 65535."""
 
 RESTARTED_BY = 100
-"""A number that falls by more has begun anew. Aravis drops what falls by less, as late
+"""A frame number that falls by more than this has restarted. Aravis drops frames that fall by less, as late
 (ARV_GV_STREAM_DISCARD_LATE_FRAME_THRESHOLD)."""
 
 
@@ -34,9 +33,9 @@ RESTARTED_BY = 100
 class Arrival:
     """A buffer that came out of the stream.
 
-    image : (H, W) uint8, or None with the `problem`. frame_id : counted on over restarts and over the
-    wrap of 16-bit counters. arrived_ns : host time (`clock.host_ns`) of the first packet.
-    count : of the encoder at the exposure, where it is sent along.
+    image : (H, W) uint8, or None with the `problem`. frame_id : continues over restarts and over the wrap of
+    16-bit counters. arrived_ns : host time (`clock.host_ns`) of the first packet.
+    count : of the encoder at the exposure, if it is sent with the image.
     """
 
     frame_id: int
@@ -48,9 +47,9 @@ class Arrival:
 
 
 class FrameCounter:
-    """Frame ids that only rise, from a camera's counter that wraps and starts again.
+    """Derives rising frame ids from a camera's counter, which wraps and restarts.
 
-    A counter that stands still or falls a little gives the same or a smaller id: a repeated frame.
+    A counter that stays or falls a little gives the same or a smaller id: a repeated frame.
     """
 
     def __init__(self, first: int) -> None:
@@ -58,12 +57,12 @@ class FrameCounter:
         self._last_raw: int | None = None
 
     def restart(self) -> None:
-        """The camera may count from 1 again, or may not: what comes next counts on from here."""
+        """Continue from here with the next frame, whether or not the camera counts from 1 again."""
         self._last_raw = None
         self._base = self._highest
 
     def count(self, raw: int) -> int:
-        """The frame id for the camera's own number."""
+        """Frame id for the camera's own number."""
         fallen = 0 if self._last_raw is None else self._last_raw - raw
         if raw <= BLOCK_IDS and fallen > BLOCK_IDS // 2:
             self._base += BLOCK_IDS + (raw == 0)
@@ -76,10 +75,11 @@ class FrameCounter:
 
 
 def pump(decoder: Decoder, stream: Any, stop: threading.Event, deliver: Callable[[Arrival], None]) -> None:
-    """Copy buffers out of the stream until stopped; each goes back at once.
+    """Copy images out of the stream until stopped; each buffer is returned at once.
 
-    Aravis' packet socket hears the whole network interface until its filter is set (`_ring_buffer_loop`,
-    Aravis 0.8.26): a stranger's packet gives a buffer that was never filled, and no image of this camera.
+    Aravis' packet socket receives from the whole network interface until its filter is set
+    (`_ring_buffer_loop`, Aravis 0.8.26): a foreign packet yields a buffer that was never filled, which is
+    ignored.
     """
     while not stop.is_set():
         buffer = stream.timeout_pop_buffer(PUMP_POLL_US)
@@ -94,9 +94,9 @@ def pump(decoder: Decoder, stream: Any, stop: threading.Event, deliver: Callable
 
 
 class Decoder:
-    """Makes arrivals of buffers.
+    """Turns buffers into arrivals.
 
-    placement : where a region belongs. chunks : of a camera that sends something along.
+    placement : place of a region in the full image. chunks : reader of chunk data; None: not expected.
     """
 
     def __init__(
@@ -106,11 +106,11 @@ class Decoder:
         self._extended = aravis.BufferPayloadType.EXTENDED_CHUNK_DATA
 
     def was_filled(self, buffer: Any) -> bool:
-        """Whether any packet of an image went into a buffer."""
+        """Whether a buffer received any packet of an image."""
         return bool(buffer.get_status() != self._aravis.BufferStatus.CLEARED)
 
     def arrival(self, buffer: Any) -> Arrival:
-        """The image in a buffer, or why it has none."""
+        """The image in a buffer, or the reason why there is none."""
         frame_id = self._counter.count(buffer.get_frame_id())
         device_ns = buffer.get_timestamp()
         arrived_ns = host_ns() - (time.time_ns() - buffer.get_system_timestamp())
@@ -132,7 +132,7 @@ class Decoder:
         pixels = BY_CODE[buffer.get_image_pixel_format()]
         data = np.frombuffer(buffer.get_data(), np.uint8)
         if buffer.has_chunks() or buffer.get_payload_type() == self._extended:
-            data = data[: pixels.size(width * height)]  # what comes after the image is chunk data
+            data = data[: pixels.size(width * height)]  # chunk data follow the image
         return grey8(data, pixels, width, height)
 
     def _problem(self, buffer: Any) -> str:
@@ -147,11 +147,12 @@ class Decoder:
 
 
 class ChunkReader:
-    """Reads chunk data: how long an image was exposed, which is compared, and where an encoder stood.
+    """Reads chunk data: the exposure time, which is compared with the setting, and the count of an encoder.
 
-    Firmware that shortens exposures without a word, or a forgotten automatic, gives pictures that look alike.
-    parser : Aravis' parser of chunk data; error : what it raises. wanted_us : None takes any exposure; may
-    change at any time. exposure : whether its time is there. count : name of the chunk with a count, or "".
+    Pictures do not show when firmware silently shortens exposures, or an automatic exposure was left on.
+    parser : Aravis' parser of chunk data; error : the exception that it raises. wanted_us : None accepts any
+    exposure; may change at any time. exposure : the exposure time is sent. count : name of the chunk with a
+    count, or "".
     """
 
     def __init__(
@@ -161,9 +162,9 @@ class ChunkReader:
         self._exposure, self._count = exposure, count
 
     def read(self, buffer: Any) -> int | None:
-        """The count, where it is wanted. Raises ValueError for data that are not there, a wrong exposure."""
+        """Return the count, if there is one. Raises ValueError for missing data or a wrong exposure time."""
         if not buffer.has_chunks():
-            # of the extended chunk payload of GigE Vision 1.x Aravis 0.8 reads the image only
+            # in the extended chunk payload of GigE Vision 1.x, Aravis 0.8 reads only the image
             settings = " and ".join(["chunks = true"] * self._exposure + ["count"] * bool(self._count))
             raise ValueError(f"no chunk data that could be read: leave out {settings} for this camera")
         try:
@@ -182,7 +183,7 @@ class ChunkReader:
 
 
 def _placed(region: Image, placement: Placement) -> Image:
-    """The region where it lies in the whole image; black around it."""
+    """Put a region into its place in the full image, black around it."""
     height, width = region.shape
     image = np.zeros((placement.height, placement.width), np.uint8)
     image[placement.y : placement.y + height, placement.x : placement.x + width] = region

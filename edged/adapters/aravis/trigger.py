@@ -1,9 +1,9 @@
-"""Triggers of an exposure: their GenICam settings, and the datagram of an action command.
+"""Triggers of an exposure: their GenICam settings, and sending action commands.
 
-Software    a command to each camera
-FreeRun     the camera's own clock
-Line        a pulse on an input; from outside, or from the other camera's exposure-active output
-Action      one GigE Vision datagram for all cameras, at once or at a PTP time
+Software     a command to each camera
+FreeRun      the camera's own clock
+LineTrigger  a pulse on an input, from outside or from the other camera's exposure-active output
+Action       one GigE Vision datagram for all cameras, at once or at a PTP time
 """
 
 from __future__ import annotations
@@ -37,10 +37,10 @@ REFUSALS = {
     0x8013: "has no PTP time to schedule the action by",  # GEV_STATUS_NO_REF_TIME
     0x8016: "had the scheduled action too late: its lead is too short",  # GEV_STATUS_ACTION_LATE
 }
-"""Status codes of GigE Vision 2.0, table 19-1, that an integrator can do something about."""
+"""Messages for status codes of GigE Vision 2.0, table 19-1, that an integrator can act on."""
 
 ACK_S = 0.3
-"""A camera acknowledges within milliseconds. The command is not repeated: it might expose twice."""
+"""Wait for an acknowledgement, which takes milliseconds; a repeated command might expose twice."""
 
 
 Edge = Literal["rising", "falling", "any"]
@@ -48,12 +48,12 @@ Edge = Literal["rising", "falling", "any"]
 
 @dataclass(frozen=True, slots=True)
 class Software:
-    """A command to the camera."""
+    """Software trigger: a command to the camera."""
 
 
 @dataclass(frozen=True, slots=True)
 class FreeRun:
-    """The camera exposes by itself. rate_hz : None leaves what the camera has."""
+    """The camera exposes by itself. rate_hz : None: unchanged."""
 
     rate_hz: float | None = None
 
@@ -62,7 +62,7 @@ class FreeRun:
 class LineTrigger:
     """A pulse on an input of the camera.
 
-    delay_us : from pulse to exposure. debounce_us : shorter pulses are disturbances.
+    delay_us : from pulse to exposure. debounce_us : shorter pulses are ignored as disturbances.
     """
 
     line: str = "Line1"
@@ -75,9 +75,9 @@ class LineTrigger:
 class Action:
     """A GigE Vision action command.
 
-    send_to : addresses that this camera's `trigger` sends it to; none where the other camera's does, or
-    another host. lead_s : the exposure is scheduled so long ahead on the common PTP clock; 0: at once.
-    broadcast : they are broadcast addresses, from which no acknowledgement comes.
+    send_to : addresses that this camera's `trigger` sends it to; empty where the other camera's `trigger` or
+    another host sends it. lead_s : the exposure is scheduled this long ahead on the common PTP clock; 0: at
+    once. broadcast : they are broadcast addresses, so no acknowledgement comes.
     """
 
     device_key: int = 1
@@ -95,7 +95,7 @@ ACTIVATIONS: dict[Edge, str] = {"rising": "RisingEdge", "falling": "FallingEdge"
 
 @dataclass(frozen=True, slots=True)
 class Output:
-    """An output line: a strobe, or what triggers the other camera."""
+    """An output line, for a strobe or to trigger the other camera."""
 
     line: str
     source: str = "ExposureActive"
@@ -103,18 +103,18 @@ class Output:
 
 
 def fires(trigger: Trigger) -> bool:
-    """Whether the camera's `trigger` makes the exposure; else it only waits for what others do."""
+    """Whether the camera's `trigger` causes the exposure; else it only waits for an external one."""
     return isinstance(trigger, Software) or (isinstance(trigger, Action) and bool(trigger.send_to))
 
 
 def arm(camera: str, trigger: Trigger, features: Features, stated: Collection[str] = ()) -> None:
-    """Every trigger but the start of a frame off, that one as wanted. Raises `CameraSetupError`.
+    """Set the trigger of a frame, and switch all other triggers off. Raises `CameraSetupError`.
 
-    stated : features that stand in the configuration. A rate that another program left as a limit would hold
-    triggers back: it goes, unless it is stated.
+    stated : features set in the configuration. A frame rate limit left by another program would delay
+    triggers: it is switched off, unless it is stated.
 
-    Mode before source: some firmware forgets a source that is set while the mode is off. And mode after
-    source: some switch it off when the source changes.
+    The mode is set before the source, since some firmware forgets a source that is set while the mode is off,
+    and after the source, since some switches the mode off when the source changes.
     """
     features.require({"AcquisitionMode": "Continuous"})
     _all_off(camera, features)
@@ -145,7 +145,7 @@ def arm(camera: str, trigger: Trigger, features: Features, stated: Collection[st
 
 
 def set_output(output: Output, features: Features) -> None:
-    """Raises `CameraSetupError`. A line that is wired as an output only has no LineMode to write."""
+    """Set an output line, whose LineMode may be fixed. Raises `CameraSetupError`."""
     if not features.exists("LineSelector") and features.exists("SyncOutSelector"):
         features.require({"SyncOutSelector": output.line})
         features.require({"SyncOutSource": _shown(output, features, "SyncOutSource")})
@@ -159,7 +159,7 @@ def set_output(output: Output, features: Features) -> None:
 
 
 def _shown(output: Output, features: Features, node: str) -> str:
-    """What an output shows, in this camera's word for it."""
+    """Source of an output, by this camera's name for it."""
     words = EXPOSURE_ACTIVE if output.source in EXPOSURE_ACTIVE else (output.source,)
     offered = features.choices(node)
     return next((word for word in words if word in offered), output.source)
@@ -168,7 +168,7 @@ def _shown(output: Output, features: Features, node: str) -> str:
 def _all_off(camera: str, features: Features) -> None:
     if not features.exists("TriggerMode"):
         return
-    if not features.writable("TriggerSelector"):  # there is none, or nothing to select (Flea3 GE)
+    if not features.writable("TriggerSelector"):  # it does not exist, or has a single choice (Flea3 GE)
         features.require({"TriggerMode": "Off"})
         return
     selectors = features.choices("TriggerSelector")
@@ -187,7 +187,7 @@ def _set_rate(camera: str, rate_hz: float | None, features: Features) -> None:
         return
     if enable := features.first(*FRAME_RATE_ENABLE):
         features.require({enable: True})
-    if features.exists(FRAME_RATE_AUTO):  # with some only once the rate is enabled
+    if features.exists(FRAME_RATE_AUTO):  # on some cameras only once the rate is enabled
         features.require({FRAME_RATE_AUTO: "Off"})
     name = features.first(*FRAME_RATE)
     if not name:
@@ -203,8 +203,8 @@ def _set_input(trigger: LineTrigger, features: Features) -> None:
         return
     if not features.exists("LineSelector") or trigger.line not in features.choices("LineSelector"):
         if trigger.debounce_us > 0:
-            features.require({"LineSelector": trigger.line})  # says what there is
-        return  # a trigger input need not be a line that can be set
+            features.require({"LineSelector": trigger.line})  # raises, with the choices
+        return  # a trigger input need not be a configurable line
     features.require({"LineSelector": trigger.line})
     if features.writable("LineMode"):
         features.require({"LineMode": "Input"})
@@ -214,7 +214,7 @@ def _set_input(trigger: LineTrigger, features: Features) -> None:
 
 
 def _source(camera: str, trigger: Trigger, features: Features) -> str:
-    """The GenICam TriggerSource."""
+    """Value of the GenICam TriggerSource for a trigger."""
     if isinstance(trigger, LineTrigger):
         return trigger.line
     if not isinstance(trigger, Action):
@@ -227,10 +227,10 @@ def _source(camera: str, trigger: Trigger, features: Features) -> str:
 
 
 def _set_action(trigger: Action, source: str, features: Features) -> None:
-    if features.choices("ActionSelector"):  # with Blackfly S a choice, of one
+    if features.choices("ActionSelector"):  # on Blackfly S an enumeration with one entry
         if features.writable("ActionSelector"):
             features.require({"ActionSelector": source})
-    elif features.exists("ActionSelector"):  # counts as the names do, where it can
+    elif features.exists("ActionSelector"):  # a number, as in the name of the source, within its limits
         features.require({"ActionSelector": features.nearest("ActionSelector", int(source[6:] or 0))})
     features.require({"ActionDeviceKey": trigger.device_key})
     features.require({"ActionGroupKey": trigger.group_key})
@@ -249,7 +249,7 @@ def _set_or_neutral(features: Features, names: tuple[str, ...], value: Value, ne
 def send_action(camera: str, trigger: Action, at_ticks: int | None, request: int) -> None:
     """Send an action command. at_ticks : scheduled for this time of the cameras' PTP clock.
 
-    A broadcast is not acknowledged; a single camera's acknowledgement is waited for. Raises `FrameTimeout`.
+    Waits for the acknowledgements of single cameras; broadcasts have none. Raises `FrameTimeout`.
     """
     flags = 0 if at_ticks is None else SCHEDULED
     body = struct.pack(">III", trigger.device_key, trigger.group_key, trigger.group_mask)
@@ -277,7 +277,7 @@ def send_action(camera: str, trigger: Action, at_ticks: int | None, request: int
 
 
 def _acknowledged(camera: str, answer: bytes, address: str, request: int) -> str:
-    """The address whose acknowledgement this is; "" for any other datagram."""
+    """Address that sent an acknowledgement; "" for any other datagram. Raises `FrameTimeout` if refused."""
     if len(answer) < 8:
         return ""
     status, kind, _, number = struct.unpack(">HHHH", answer[:8])
@@ -290,5 +290,5 @@ def _acknowledged(camera: str, answer: bytes, address: str, request: int) -> str
 
 
 def trigger_names(values: Mapping[str, Any]) -> list[str]:
-    """Those of these feature names that the trigger sets itself."""
+    """The features among these that `arm` sets."""
     return [name for name in ("TriggerMode", "TriggerSource", "AcquisitionMode") if name in values]

@@ -1,4 +1,4 @@
-"""The Connection Manager: which connections are open, and when one is lost. Pure: time is passed in.
+"""The Connection Manager: opening and closing connections, and detecting lost ones. Pure: time is passed in.
 
 Sources: ODVA, "Common Industrial Protocol" (volume 1): transports and triggers, Forward_Open and
 Forward_Close, extended status, real time formats; "EtherNet/IP Adaptation of CIP" (volume 2): connected data
@@ -18,18 +18,19 @@ from edged.plc import ethernetip as device
 from edged.plc.processimage import FROM_CELL_BYTES, TO_CELL_BYTES
 
 OPEN, LARGE_OPEN = struct.Struct("<BBIIHHIB3xIHIHBB"), struct.Struct("<BBIIHHIB3xIIIIBB")
-"""Two of ticks, ids O->T and T->O, serial number of the connection, vendor and serial number of the
-originator, multiplier, interval and parameters O->T, T->O, transport, words of the path that follows."""
+"""Forward_Open: two bytes of ticks, ids O->T and T->O, serial number of the connection, vendor and serial
+number of the originator, multiplier, interval and parameters O->T and T->O, transport, words of the path that
+follows."""
 CLOSE = struct.Struct("<BBHHIBx")
 POINT_TO_POINT, NULL = 2, 0
 CYCLIC_CLASS_1, CLASS_3, CLASS_MASK = 0x01, 0x03, 0x0F
-"""Direction, trigger and class of a transport; of class 3 it is the same who triggers."""
+"""Direction, trigger and class of a transport; for class 3 the trigger does not matter."""
 FIRST_DATA_S = 10.0
-"""Until the first data, at least (volume 1, transports)."""
+"""Least time-out until the first data (volume 1, transports)."""
 SEQUENCE, RUN_IDLE = 2, 4
-"""Bytes before the data: the count of class 1, and the header that says whether the controller runs."""
+"""Bytes before the data: the sequence count of class 1, and the run/idle header of the controller."""
 MOST_EXPLICIT_BYTES = 504
-"""A message to the cell over a class 3 connection; a Forward_Open that is not large permits 511."""
+"""Largest message to the cell over a class 3 connection; a Forward_Open that is not large permits 511."""
 MESSAGE_ROUTER = 0x02
 
 
@@ -55,7 +56,7 @@ class Refusal(enum.IntEnum):
 
 
 class Purpose(enum.Enum):
-    """What a connection is for."""
+    """Purpose of a connection."""
 
     OWNER = "writes and reads"
     INPUT = "reads"
@@ -64,7 +65,10 @@ class Purpose(enum.Enum):
 
 @dataclass(frozen=True, slots=True)
 class WantedConnection:
-    """A Forward_Open. triad : its serial number, the originator's vendor and serial number."""
+    """A Forward_Open request. triad : its serial number, the originator's vendor and serial number.
+
+    to_id : connection id T->O. rpi_us, size, type : O->T and T->O.
+    """
 
     to_id: int
     triad: tuple[int, int, int]
@@ -78,10 +82,11 @@ class WantedConnection:
 
 @dataclass(slots=True, eq=False)
 class CipConnection:
-    """An open connection. peer : address of its originator. port : where its inputs are sent to.
+    """An open connection. peer : address of its originator. port : UDP port for its inputs.
 
-    is_running : the controller's program runs, by the last outputs. seen : sequence number of the last
-    outputs; None before the first. session : of an explicit one, which ends with it.
+    is_running : the controller is in run mode, by the last outputs. seen : sequence number of the last
+    outputs; None before the first. sent : number of datagrams sent. session : that it was opened in; an
+    explicit connection ends with it. due_s : when it is lost without data.
     """
 
     purpose: Purpose
@@ -97,23 +102,23 @@ class CipConnection:
 
     @property
     def period_s(self) -> float:
-        """From one sending of inputs to the next."""
+        """Period of sending inputs."""
         return self.wanted.rpi_us[1] / 1e6
 
     @property
     def timeout_s(self) -> float:
-        """Without outputs for this long it is lost."""
+        """Time without outputs after which it is lost."""
         return self.wanted.rpi_us[0] / 1e6 * (4 << self.wanted.multiplier)
 
     def took(self, sequence: int, now_s: float) -> bool:
-        """Whether outputs are newer than the last; then the connection lives on."""
+        """Whether outputs are newer than the last; if so, restart the time-out."""
         if self.seen is not None and not 0 < (sequence - self.seen) & 0xFFFFFFFF < 1 << 31:
             return False
         self.seen, self.due_s = sequence, now_s + self.timeout_s
         return True
 
     def inputs(self, image: bytes) -> bytes:
-        """The next datagram to the originator."""
+        """Make the next datagram to the originator."""
         self.sent += 1
         address = struct.pack("<II", self.wanted.to_id, self.sent & 0xFFFFFFFF)
         counted = struct.pack("<H", self.sent & 0xFFFF) + image
@@ -121,7 +126,7 @@ class CipConnection:
 
 
 class OpenRefused(Exception):
-    """A connection that cannot be. why : goes to the originator."""
+    """A connection cannot be opened or closed. why : extended status sent to the originator."""
 
     def __init__(self, why: Refusal) -> None:
         self.why = why
@@ -129,25 +134,25 @@ class OpenRefused(Exception):
 
 
 class Connections:
-    """The open connections, by their id from the originator to the target."""
+    """The open connections, by their id O->T."""
 
     def __init__(self) -> None:
         self.by_id: dict[int, CipConnection] = {}
 
     @property
     def owner(self) -> CipConnection | None:
-        """The one that writes."""
+        """The connection that writes outputs; None if there is none."""
         return next((found for found in self.by_id.values() if found.purpose is Purpose.OWNER), None)
 
     @property
     def of_data(self) -> Sequence[CipConnection]:
-        """Those that exchange inputs and outputs."""
+        """The connections that exchange inputs and outputs."""
         return [found for found in self.by_id.values() if found.purpose is not Purpose.EXPLICIT]
 
     def open(
         self, wanted: WantedConnection, peer: str, port: int, session: int, now_s: float
     ) -> CipConnection:
-        """Open one. Raises `OpenRefused`."""
+        """Open a connection. Raises `OpenRefused`."""
         if any(found.wanted.triad == wanted.triad for found in self.by_id.values()):
             raise OpenRefused(Refusal.DUPLICATE)
         kind = _kind(wanted)
@@ -157,21 +162,21 @@ class Connections:
         if kind is not Purpose.OWNER and readers >= device.MOST_CONNECTIONS - 1:
             raise OpenRefused(Refusal.NO_MORE)
         while (number := secrets.randbits(32)) in self.by_id or not number:
-            pass  # not to be guessed by who sends outputs under another's address
+            pass  # random, so that outputs cannot be sent under a forged address
         made = CipConnection(kind, wanted, number, peer, port, session, 0.0)
         made.due_s = now_s + max(FIRST_DATA_S, made.timeout_s)
         self.by_id[number] = made
         return made
 
     def close(self, triad: tuple[int, int, int], peer: str) -> CipConnection:
-        """Close one of this peer. Raises `OpenRefused`."""
+        """Close a connection of this peer. Raises `OpenRefused`."""
         for found in self.by_id.values():
             if found.wanted.triad == triad and found.peer == peer:
                 return self.by_id.pop(found.id)
         raise OpenRefused(Refusal.NOT_OPEN)
 
     def lost(self, now_s: float) -> list[CipConnection]:
-        """Take out those whose time is over."""
+        """Remove and return the connections that have timed out."""
         found = [connection for connection in self.by_id.values() if now_s >= connection.due_s]
         for connection in found:
             del self.by_id[connection.id]
@@ -179,7 +184,7 @@ class Connections:
 
 
 def wanted_of(data: bytes, *, large: bool) -> WantedConnection:
-    """The request's data. Raises `BadMessage`."""
+    """Decode the data of a Forward_Open. large : of the Large_Forward_Open. Raises `BadMessage`."""
     form, shift = (LARGE_OPEN, 16) if large else (OPEN, 0)
     if len(data) < form.size:
         raise msg.BadMessage("a Forward_Open is cut off")
@@ -202,7 +207,7 @@ def wanted_of(data: bytes, *, large: bool) -> WantedConnection:
 
 
 def _kind(wanted: WantedConnection) -> Purpose:
-    """What is asked for, if it can be. Raises `OpenRefused`."""
+    """Purpose of a wanted connection, after checking its parameters. Raises `OpenRefused`."""
     try:
         path = msg.path_of(wanted.path)
         numbers = path.numbers.get(msg.CLASS), path.numbers.get(msg.INSTANCE), path.numbers.get(msg.POINT)
@@ -239,7 +244,10 @@ def _kind(wanted: WantedConnection) -> Purpose:
 
 
 def _kind_of_points(numbers: tuple[list[int] | None, list[int] | None, list[int] | None]) -> Purpose:
-    """Class Assembly, its configuration, then where outputs go and inputs come from."""
+    """Purpose by the path: class Assembly, optional configuration, assemblies of outputs and of inputs.
+
+    Raises `OpenRefused`.
+    """
     classes, instances, points = numbers
     named = [*(instances or []), *(points or [])]
     if named[:1] == [device.CONFIGURATION]:
@@ -251,7 +259,10 @@ def _kind_of_points(numbers: tuple[list[int] | None, list[int] | None, list[int]
 
 
 def _check_key(key: bytes) -> None:
-    """A scanner may say which device it means; 0 is any."""
+    """Check the electronic key, by which a scanner may name the device it expects; 0 is any.
+
+    Raises `OpenRefused`.
+    """
     if not key:
         return
     vendor, kind, product, major, minor = struct.unpack("<HHHBB", key)

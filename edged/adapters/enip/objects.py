@@ -1,4 +1,4 @@
-"""The objects of the device: what they are asked is answered here, but for the Connection Manager's services.
+"""The CIP objects of the device, and replies to their services, except those of the Connection Manager.
 
 Sources: ODVA, "Common Industrial Protocol" (volume 1): Identity, Assembly, services; "EtherNet/IP Adaptation
 of CIP" (volume 2): TCP/IP Interface, Ethernet Link.
@@ -23,20 +23,20 @@ IDENTITY, MESSAGE_ROUTER, ASSEMBLY, CONNECTION_MANAGER, TCP_IP, ETHERNET_LINK = 
 REVISIONS = {IDENTITY: 1, MESSAGE_ROUTER: 1, ASSEMBLY: 2, CONNECTION_MANAGER: 1, TCP_IP: 4, ETHERNET_LINK: 4}
 """Revision of each class."""
 WHOLE = (IDENTITY, TCP_IP, ETHERNET_LINK)
-"""Classes of which all attributes can be asked at once."""
+"""Classes that support reading all attributes at once."""
 OWNED, RUNNING, IDLE, WITHOUT = 0x0001, 0x0060, 0x0070, 0x0030
-"""Status of the identity: who writes, and of its connections one runs, all are idle, or there is none."""
+"""Status of the Identity object: it is owned; a connection is in run mode, all are idle, or there is none."""
 OPERATIONAL = 3
 INACTIVITY_S = 120
-"""After which an encapsulation without messages is closed: what volume 2 has as its default."""
+"""Time after which a TCP connection without messages is closed: the default of volume 2."""
 SIOCGIFADDR, SIOCGIFNETMASK = 0x8915, 0x891B
-"""Requests of Linux (netdevice(7))."""
+"""Linux ioctls (netdevice(7))."""
 STATIC, IS_UP, FULL_DUPLEX = 1, 1, 2
 Attributes = Mapping[int, bytes]
 
 
 def serial_number(cell: str) -> int:
-    """This machine and cell as 32 bits, the same after each start."""
+    """Serial number of 32 bits for this machine and cell, stable over restarts."""
     try:
         machine = Path("/etc/machine-id").read_text()
     except OSError:
@@ -45,7 +45,7 @@ def serial_number(cell: str) -> int:
 
 
 def identity(serial: int, status: int) -> dict[int, bytes]:
-    """Attributes of the identity."""
+    """Attributes of the Identity object."""
     name = device.PRODUCT_NAME.encode("ascii")
     return {
         1: device.VENDOR.to_bytes(2, "little"),
@@ -59,26 +59,27 @@ def identity(serial: int, status: int) -> dict[int, bytes]:
 
 
 def device_status(*, is_owned: bool, connections: int, is_running: bool) -> int:
-    """Word of status. connections : that exchange inputs and outputs."""
+    """Status word of the Identity object. connections : number of those that exchange inputs and outputs."""
     state = WITHOUT if not connections else RUNNING if is_running else IDLE
     return state | (OWNED if is_owned else 0)
 
 
 class Objects:
-    """Every object by class and instance.
+    """All objects, by class and instance.
 
-    status : of the identity, now. image : of an assembly that has one, by its instance.
+    status : returns the current status of the Identity object. image : returns the data of an assembly
+    instance.
     """
 
     def __init__(self, serial: int, status: Callable[[], int], image: Callable[[int], bytes]) -> None:
         self._serial, self._status, self._image = serial, status, image
 
     def identity(self) -> dict[int, bytes]:
-        """Its attributes now."""
+        """Current attributes of the Identity object."""
         return identity(self._serial, self._status())
 
     def answer(self, request: msg.CipRequest, address: str) -> bytes:
-        """The reply. address : of this machine, that was asked. Raises `BadMessage` for a bad path."""
+        """Reply to a request. address : this machine's, as contacted. Raises `BadMessage` for a bad path."""
         path, service = request.path, request.service
         number, instance = path.number(msg.CLASS), path.number(msg.INSTANCE)
         attribute = path.number(msg.ATTRIBUTE)
@@ -98,7 +99,7 @@ class Objects:
         return msg.reply_to(service, attributes[attribute])
 
     def _attributes(self, number: int, instance: int, address: str) -> Attributes | None:
-        """By their number; None without such an object."""
+        """Attributes of an object by their number; None if there is no such object."""
         if instance == 0:
             revision = REVISIONS.get(number)
             return None if revision is None else {1: revision.to_bytes(2, "little")}
@@ -120,7 +121,7 @@ class Objects:
 
 
 def _tcp_ip(address: str) -> Attributes:
-    """Nothing can be set here; gateway and name servers are the machine's own matter, and stay 0."""
+    """Attributes of the TCP/IP Interface, all read-only; gateway and name servers are reported as 0."""
     interface = _interface_of(address)
     mask = None if interface is None else _asked(interface, SIOCGIFNETMASK)
     own = int(ipaddress.IPv4Address(address)).to_bytes(4, "little")
@@ -141,7 +142,7 @@ def _ethernet_link(address: str) -> Attributes:
     hardware, mbit = bytes(6), 0
     with contextlib.suppress(OSError, ValueError):
         hardware = bytes.fromhex((folder / "address").read_text().strip().replace(":", ""))
-        mbit = max(0, int((folder / "speed").read_text()))  # -1 without a link; not readable of "lo"
+        mbit = max(0, int((folder / "speed").read_text()))  # -1 without a link; unreadable for "lo"
     return {
         1: mbit.to_bytes(4, "little"),
         2: struct.pack("<I", IS_UP | FULL_DUPLEX if mbit else 0),
@@ -156,7 +157,7 @@ def _interface_of(address: str) -> str | None:
 
 
 def _asked(interface: str, what: int) -> bytes | None:
-    """An IPv4 address of an interface; None where it has none."""
+    """Address or mask of an interface, by an ioctl; None if it has none."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as asking:
         try:
             answer = fcntl.ioctl(asking, what, struct.pack("256s", interface.encode()[:15]))

@@ -1,4 +1,4 @@
-"""The EtherNet/IP side of a cell: its process image as the inputs and outputs of a scanner."""
+"""The EtherNet/IP side of a cell: its process images as the inputs and outputs of a scanner."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from edged.plc.imageclient import ImageClient
 from edged.plc.registersource import RegisterSource
 
 CLIENTS = 3_000_000
-"""The Modbus server counts its clients from 1, OPC UA from 1,000,000, a PLC's memory from 2,000,000."""
+"""First client number; the Modbus server counts from 1, OPC UA from 1,000,000, PLC memory from 2,000,000."""
 
 
 class EnipPublisher:
     """Publishes one cell over EtherNet/IP and takes its commands (`edged.ports.Publisher`).
 
-    registers : served now, None while they are exchanged; called on the event loop. handshake : what begins a
-    command, as of a PLC's memory.
+    registers : returns the registers in service, None while they are exchanged; called on the event loop.
+    handshake : what starts a command, a key of `imageclient.WRITTEN`.
     """
 
     def __init__(
@@ -30,13 +30,13 @@ class EnipPublisher:
 
     @property
     def scanner(self) -> str:
-        """Address of the scanner that writes; "" without one."""
+        """Address of the scanner that owns the outputs; "" without one."""
         owner = self._server.connections.owner
         return "" if owner is None else owner.peer
 
     @property
     def is_running(self) -> bool:
-        """Whether there is one, and its controller runs."""
+        """Whether such a scanner is connected, and its controller is in run mode."""
         owner = self._server.connections.owner
         return owner is not None and owner.is_running
 
@@ -46,11 +46,11 @@ class EnipPublisher:
         self._client.start()
 
     def announce(self, event: Event) -> None:  # noqa: ARG002  (the registers know it)
-        """Shown after the registers have taken note of it."""
+        """Update the inputs, after the registers have been updated by the event."""
         self._client.show_soon()
 
     async def close(self) -> None:
-        """Tell scanners that nothing is valid, and leave nothing behind."""
+        """Send scanners an empty image, and release all resources."""
         self._client.close()
         await self._server.close()
 

@@ -1,7 +1,7 @@
-"""The adapter's sockets: sessions over TCP, questions over UDP, inputs and outputs over UDP 2222.
+"""The adapter's sockets: sessions over TCP, discovery over UDP, inputs and outputs over UDP 2222.
 
-Nothing that comes in raises: what is no message is answered with a status, or dropped. A scanner's outputs
-are taken only from its own address, under an id that nobody else was told.
+Nothing received raises: an invalid message is answered with a status, or dropped. A scanner's outputs are
+accepted only from its own address, under a connection id that only it knows.
 """
 
 from __future__ import annotations
@@ -43,19 +43,19 @@ from edged.plc.processimage import NO_IMAGE, TO_CELL_BYTES
 
 FORWARD_OPEN, LARGE_FORWARD_OPEN, FORWARD_CLOSE = 0x54, 0x5B, 0x4E
 MOST_BYTES = 1024
-"""A longer message is none that is understood here."""
+"""Longest message; longer ones are not supported here."""
 MOST_SESSIONS, MOST_OF_ONE = 32, 8
 BYTES_PER_S, BURST_BYTES = 64 * 1024, 64 * 1024
-"""A session may send so much; a scanner needs a few messages to connect, and no more."""
+"""Limit on the data that a session may send; a scanner needs only a few messages to connect."""
 ANSWERS_PER_S = 50.0
-"""To anybody who asks over UDP who is there."""
+"""Limit on answers to discovery over UDP."""
 SERVICES = struct.pack("<HH16s", 1, 0x0120, b"Communications")
-"""Version, then explicit messages over TCP, and inputs and outputs over UDP."""
+"""Data of ListServices: version, capability flags (explicit messages over TCP, I/O over UDP), name."""
 
 
 @dataclass(frozen=True, slots=True)
 class EnipSettings:
-    """host : IPv4 address. scanners : networks that may connect. cell : name, for the serial number."""
+    """Settings. host : IPv4 address. scanners : networks that may connect. cell : for the serial number."""
 
     host: str
     scanners: tuple[Network, ...]
@@ -63,7 +63,10 @@ class EnipSettings:
 
 
 class EnipServer:
-    """The adapter. take : outputs of the scanner that writes. lost : it is gone, or its controller idles."""
+    """The EtherNet/IP adapter. take : receives the outputs of the owning scanner.
+
+    lost : called with the reason when that scanner is gone, or its controller is idle.
+    """
 
     def __init__(
         self, settings: EnipSettings, take: Callable[[bytes], None], lost: Callable[[str], None]
@@ -82,7 +85,7 @@ class EnipServer:
         self._answers = Rate(ANSWERS_PER_S)
 
     async def start(self) -> None:
-        """Listen on all three. Raises `ListenError`; then none stays open."""
+        """Listen on all three sockets. Raises `ListenError`; then none stays open."""
         settings = self.settings
         listener = TcpListener(
             "ethernetip",
@@ -100,7 +103,7 @@ class EnipServer:
             raise
 
     async def close(self) -> None:
-        """Send an empty image to every scanner, and leave nothing behind."""
+        """Send an empty image to every scanner, and release all resources."""
         self.image = NO_IMAGE
         for connection in self.connections.of_data:
             self._send(connection)
@@ -112,7 +115,7 @@ class EnipServer:
         listener, self._listener = self._listener, None
         if listener is not None:
             await listener.close()
-        await asyncio.sleep(0)  # connection_lost comes with a turn of the loop
+        await asyncio.sleep(0)  # connection_lost is called in the next turn of the loop
 
     async def _datagrams(
         self, port: int, take: Callable[[bytes, tuple[str, int]], None]
@@ -129,7 +132,7 @@ class EnipServer:
         return transport
 
     def _admit(self, client: TcpClient) -> bool:
-        """Whether it may connect; of one address with many the longest silent session is closed for it."""
+        """Whether a client may connect; for one with many, its longest idle session is closed."""
         clients = () if self._listener is None else self._listener.clients
         if not contains(self.settings.scanners, client.peer):
             self.log.warning("ethernetip: %s is not in ethernetip.scanners, closed", client.peer)
@@ -161,7 +164,7 @@ class EnipServer:
     # --- explicit messages ---------------------------------------------------------------------
 
     def unconnected(self, message: msg.Encapsulated, own: str) -> bytes | None:
-        """Data of the answer to a question that needs no session; None for another one. own : our address."""
+        """Reply data for a command that needs no session; None for other commands. own : our address."""
         if message.command == msg.LIST_SERVICES:
             return msg.packed_items((msg.SERVICES_ITEM, SERVICES))
         if message.command == msg.LIST_INTERFACES:
@@ -174,7 +177,7 @@ class EnipServer:
         return None
 
     def asked(self, data: bytes, session: EnipSession, port: int) -> bytes:
-        """The reply to a request. port : where its originator takes inputs. Raises `BadMessage`."""
+        """Reply to a request. port : UDP port on which its originator takes inputs. Raises `BadMessage`."""
         request = msg.request_of(data)
         numbers = request.path.number(msg.CLASS), request.path.number(msg.INSTANCE)
         if numbers == (CONNECTION_MANAGER, 1):
@@ -211,7 +214,7 @@ class EnipServer:
         return msg.reply_to(request.service, named + bytes(2))
 
     def over_connection(self, data: bytes, session: EnipSession) -> bytes:
-        """Items of the answer to a message over a class 3 connection. Raises `BadMessage`."""
+        """Items of the reply to a message over a class 3 connection. Raises `BadMessage`."""
         match msg.items_of(data):
             case [(msg.CONNECTED_ADDRESS, number), (msg.CONNECTED_DATA, body)] if len(number) == 4:
                 pass
@@ -230,7 +233,7 @@ class EnipServer:
         return msg.packed_items((msg.CONNECTED_ADDRESS, address), (msg.CONNECTED_DATA, answer))
 
     def ended(self, session: int) -> None:
-        """End a session, and its explicit connections with it; inputs and outputs go on (volume 2)."""
+        """End a session and its explicit connections; inputs and outputs continue (volume 2)."""
         for connection in list(self.connections.by_id.values()):
             if connection.purpose is Purpose.EXPLICIT and connection.session == session:
                 self._forget(connection)
@@ -238,7 +241,7 @@ class EnipServer:
     # --- inputs and outputs --------------------------------------------------------------------
 
     def _watch(self, connection: CipConnection) -> None:
-        """Send inputs each period, and look whether its outputs have failed to come."""
+        """Send inputs each period, and detect missing outputs."""
         loop, due_s = asyncio.get_running_loop(), time.monotonic()
 
         def turn() -> None:
@@ -253,7 +256,7 @@ class EnipServer:
             if connection.purpose is not Purpose.EXPLICIT:
                 if now_s >= due_s:
                     self._send(connection)
-                    due_s = max(due_s + connection.period_s, now_s)  # what was late is not made up for
+                    due_s = max(due_s + connection.period_s, now_s)  # a late period is not made up for
                 wait_s = min(wait_s, max(0.0, due_s - now_s))
             self._timers[connection.id] = loop.call_later(min(wait_s + 1e-4, 1.0), turn)
 
@@ -274,7 +277,7 @@ class EnipServer:
             self._lost(f"{connection.peer} {why}")
 
     def _datagram(self, data: bytes, place: tuple[str, int]) -> None:
-        """Outputs, or the heartbeat of a scanner that only reads."""
+        """Take outputs, or the heartbeat of a scanner that only reads."""
         try:
             match msg.items_of(data):
                 case [(msg.SEQUENCED_ADDRESS, address), (msg.CONNECTED_DATA, body)] if len(address) == 8:
@@ -303,7 +306,7 @@ class EnipServer:
             self._lost(f"the controller at {owner.peer} does not run")
 
     def _question(self, data: bytes, place: tuple[str, int]) -> None:
-        """Who is there, over UDP, also from programs that may not connect."""
+        """Answer discovery over UDP, also for programs that may not connect."""
         with contextlib.suppress(msg.BadMessage):
             message = msg.unpacked(data)
             answer = self.unconnected(message, self._own_address(place[0]))
@@ -311,7 +314,7 @@ class EnipServer:
                 self._questions.sendto(message.answered(answer).packed(), place)
 
     def _own_address(self, peer: str) -> str:
-        """The address by which this peer finds us."""
+        """Our address as seen by this peer."""
         if self.settings.host != "0.0.0.0":
             return self.settings.host
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as way:
@@ -323,21 +326,21 @@ class EnipServer:
 
 
 class Datagrams(asyncio.DatagramProtocol):
-    """Hands on each datagram."""
+    """Passes each datagram on."""
 
     def __init__(self, take: Callable[[bytes, tuple[str, int]], None]) -> None:
         self._take = take
 
     def datagram_received(self, data: bytes, addr: tuple[str, int]) -> None:
-        """Hand it on."""
+        """Pass the datagram on."""
         self._take(data, addr)
 
     def error_received(self, exc: Exception) -> None:
-        """A scanner that is gone, as ICMP says: its connection ends by its time-out."""
+        """Ignore ICMP errors: the connection of a scanner that is gone times out."""
 
 
 class EnipSession(asyncio.Protocol):
-    """One TCP connection. number : of the session that it may register."""
+    """One TCP connection. number : handle of the session that it may register."""
 
     def __init__(self, server: EnipServer, client: TcpClient, number: int) -> None:
         self.number, self.peer, self.own = number, client.peer, "0.0.0.0"
@@ -347,7 +350,7 @@ class EnipSession(asyncio.Protocol):
         self._transport: asyncio.Transport | None = None
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        """Begin to listen to it."""
+        """Start the session."""
         if not isinstance(transport, asyncio.Transport):
             raise TypeError("a stream transport was expected")
         self._transport = transport
@@ -360,11 +363,11 @@ class EnipSession(asyncio.Protocol):
         self._server.ended(self.number)
 
     def pause_writing(self) -> None:
-        """A client that does not read its answers is not served."""
+        """Close a client that does not read its replies."""
         self._client.abort()
 
     def data_received(self, data: bytes) -> None:
-        """Collect, and answer what is complete."""
+        """Buffer data, and answer the messages that are complete."""
         self._buffer += data
         while len(self._buffer) >= msg.HEADER.size and self._is_open():
             end = msg.HEADER.size + int.from_bytes(self._buffer[2:4], "little")
@@ -398,7 +401,7 @@ class EnipSession(asyncio.Protocol):
             return message.answered(status=msg.INVALID_COMMAND)
         if not self._is_registered or message.session != self.number:
             return message.answered(status=msg.INVALID_SESSION)
-        head = message.data[:6]  # interface and time-out, both of no meaning to CIP
+        head = message.data[:6]  # interface and time-out, which CIP does not use
         try:
             if message.command == msg.SEND_UNIT_DATA:
                 return message.answered(head + self._server.over_connection(message.data[6:], self))
@@ -417,13 +420,13 @@ class EnipSession(asyncio.Protocol):
         return message.answered(message.data, session=self.number)
 
     def _alone(self, data: bytes) -> bytes:
-        """Items of the answer to a message without a connection. Raises `BadMessage`."""
+        """Items of the reply to an unconnected message. Raises `BadMessage`."""
         items, port = msg.items_of(data), device.IO_PORT
         if len(items) < 2 or items[0] != (msg.NULL_ADDRESS, b"") or items[1][0] != msg.UNCONNECTED_DATA:
             raise msg.BadMessage("other items than those of a message")
         for kind, place in items[2:]:
             if kind == msg.SOCKET_TO_ORIGINATOR and len(place) == 16:
-                # where it takes inputs; never at another address than its own
+                # the port for its inputs; its address is always the client's own
                 port = int.from_bytes(place[2:4], "big") or device.IO_PORT
         answer = self._server.asked(items[1][1], self, port)
         return msg.packed_items((msg.NULL_ADDRESS, b""), (msg.UNCONNECTED_DATA, answer))

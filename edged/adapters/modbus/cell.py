@@ -1,7 +1,7 @@
 """The registers of one cell: the handshake and the last result, seen by clients as words.
 
-Responsible for: one immutable picture for each request, writes that are taken as a whole, commands to
-the cycle and its events back. Not responsible for bytes on a line (`tcp`, `rtu`, `pdu`).
+Responsible for: one consistent image for each request, atomic writes, passing commands to the cycle and its
+events back. Not responsible for bytes on the wire (`tcp`, `rtu`, `pdu`).
 """
 
 from __future__ import annotations
@@ -52,9 +52,9 @@ from edged.robot.orientations import rotation_of
 from edged.vision.geometry.rigid import transform
 
 ACCEPTANCE_S = 60.0
-"""How old the block of the acceptance test may be: it counts days."""
+"""Period of updating the block of the acceptance test, which counts days."""
 NOBODYS = -1
-"""Ticket of a command that has ended, or that another client submitted."""
+"""Ticket for a command that has ended here, or that was not submitted here."""
 VERDICTS = {
     reg.ResultCode.OK: ResultVerdict.GOOD,
     reg.ResultCode.VERIFIED: ResultVerdict.PASSED,
@@ -62,7 +62,7 @@ VERDICTS = {
     reg.ResultCode.GRABBED: ResultVerdict.DONE,
     reg.ResultCode.CAPTURE_FAULT: ResultVerdict.FAULT,
 }
-"""What a result code means for the handshake; every other code is BAD."""
+"""Verdict of the handshake by result code; every other code is BAD."""
 
 COMMAND_WORDS = struct.Struct(f">{reg.COMMAND.words}H")
 UR_STATUS = tuple(
@@ -70,9 +70,9 @@ UR_STATUS = tuple(
     for register in reg.UR.registers
     if register.name.removeprefix("UR_") in reg.ADDRESS
     and register.kind is reg.Kind.U16
-    and register.name != "UR_JOB"  # of the result, not of the command
+    and register.name != "UR_JOB"  # the result's, not the command's
 )
-"""Words of the block ur that repeat the status: name in the status, byte of the map."""
+"""Words of the block UR that repeat the status: name in the status, byte offset in the map."""
 RESULT_BLOCKS = (
     reg.RESULT,
     reg.UR,
@@ -98,11 +98,11 @@ DEFINED = bytes(
     any(block.address <= address < block.address + block.words for block in reg.BLOCKS)
     for address in range(MAP_END)
 )
-"""1 for each address of the map that exists."""
+"""For each address of the map, 1 if it is defined."""
 
 
 FRESH_S = 0.0005
-"""Blocks that are read in a row come from one image: half of the finest time in it, 1 ms."""
+"""How long an image is reused, so that consecutive reads are consistent: half its finest time unit, 1 ms."""
 
 
 class CellRegisters:
@@ -123,7 +123,7 @@ class CellRegisters:
         self._basis = (0, 0)  # CONFIG_CRC and CALIBRATION
         self._registration, self._registered_by = Registration(), 0
         self._cell: CellState | None = None
-        self._is_simulated = False  # the last result
+        self._is_simulated = False  # by the last result
         self._command = [0] * reg.COMMAND.words
         self._image = bytearray(2 * MAP_END)
         self._encoded: tuple[int, bool, int, int] | None = None
@@ -131,24 +131,24 @@ class CellRegisters:
         self._filled_rows = len(reg.TABLE)  # rows of the table that are not empty
         self._exposures = ExposureClock(clock_s)
         self._submitted: dict[int, Command] = {}  # commands that have not ended, by ticket
-        self._locked_by: int | None = None  # the client whose AUTO_LOCK holds
+        self._locked_by: int | None = None  # client whose AUTO_LOCK is in force
         self._start_bit = StartBit()
         self._refusals, self._failures = LogLimit(__name__), LogLimit(__name__)
         self._jobs, self._are_jobs_placed = jobs, False
         self._counts: dict[str, int] = {}
         self.addresses: dict[int, str] = {}
-        """Where each Modbus client is connected from, by its number."""
+        """Address of each Modbus/TCP client, by its number."""
         self.ladder = Ladder(self.addresses)
         self._place_basis()
         self._place(reg.REFERENCE_MARKS, reg.marks_values(MarksReport()))
         self._place(reg.ROBOT_MAP, reg.map_values(MapFigures()))
-        self._accepted_until_s = 0.0  # when the block of the acceptance test is made anew
+        self._accepted_until_s = 0.0  # when the block of the acceptance test is next updated
         self.watchers: list[Callable[[], None]] = []  # called after each write and event
         self._change: asyncio.Future[None] | None = None
-        self._fresh_until_s = -math.inf  # so long the image is what a read would make of it
+        self._fresh_until_s = -math.inf  # until then the image need not be refreshed
 
     def change(self) -> asyncio.Future[None]:
-        """A future that is done with the next write or event; shared, so not to be cancelled."""
+        """Return a future that is done at the next write or event; it is shared and must not be cancelled."""
         if self._change is None or self._change.done():
             self._change = asyncio.get_running_loop().create_future()
         return self._change
@@ -163,7 +163,7 @@ class CellRegisters:
     # --- reading -----------------------------------------------------------------------------
 
     def read(self, address: int, count: int) -> Sequence[int]:
-        """Words of the map; raises `RequestRefused` when one of them does not exist."""
+        """Read words of the map. Raises `RequestRefused` if one of them is not defined."""
         start = address - self._settings.base_address
         if start < 0 or start + count > MAP_END or 0 in DEFINED[start : start + count]:
             raise RequestRefused(ILLEGAL_ADDRESS)
@@ -181,7 +181,7 @@ class CellRegisters:
         return self._state.owner
 
     def _refresh(self) -> None:
-        """Bring the image up to date. Nothing else runs between this and the encoding of the answer."""
+        """Bring the image up to date. Nothing else runs between this and the encoding of the response."""
         now_s = self._clock_s()
         if now_s < self._fresh_until_s:
             return
@@ -196,7 +196,7 @@ class CellRegisters:
         self._place(reg.STATUS, status)
         COMMAND_WORDS.pack_into(self._image, 2 * reg.COMMAND.address, *self._command)
         result = self._state.result
-        # _held keeps it alive: no id is used twice
+        # _held keeps the result alive, so that its id is not reused
         shown = (id(result), valid, hs.remaining(self._state), self._epoch)
         if shown != self._encoded:
             self._encoded, self._held = shown, result
@@ -219,7 +219,7 @@ class CellRegisters:
         self._image[start : start + len(data)] = data
 
     def _bits(self, valid: bool, status_bits: int) -> dict[str, reg.Number]:
-        """Values of the block bits. status_bits : register STATUS_BITS."""
+        """Values of the block BITS. status_bits : register STATUS_BITS."""
         result = self._state.result
         flags = result.payload.flags if result is not None else reg.Flag(0)
         bits, reason = cell_bits(
@@ -261,7 +261,7 @@ class CellRegisters:
         self._place_crc(TABLE_START, TABLE_CRC)
 
     def _place_basis(self) -> None:
-        """Encode the blocks that no measurement changes: constants and registration."""
+        """Encode the blocks that measurements do not change: constants and registration."""
         self._place(reg.CONSTANTS, reg.constant_values(self._settings.convention, *self._basis))
         registration = reg.registration_values(self._registration, self._registered_by, self._epoch)
         self._place(reg.REGISTRATION, registration)
@@ -272,7 +272,7 @@ class CellRegisters:
         self._place_crc(UR_START, UR_CRC)
 
     def _place_crc(self, start: int, end: int) -> None:
-        """CRC over bytes `start` to `end` of the image, where one block's encoder cannot compute it."""
+        """Write the CRC over bytes `start` to `end`, which the encoder of a single block cannot compute."""
         self._image[end : end + 2] = reg.crc16(self._image[start:end]).to_bytes(2, "big")
 
     # --- writing -----------------------------------------------------------------------------
@@ -280,10 +280,10 @@ class CellRegisters:
     def write(
         self, client: int, address: int, words: Sequence[int], *, shown: tuple[float, ...] = ()
     ) -> None:
-        """Write words of the command block, all or none; CMD_SEQ acts after all others.
+        """Write words of the command block, all or none; CMD_SEQ takes effect after the values before it.
 
         shown : the flange as the robot wrote it, if FLANGE was converted from it.
-        Raises `RequestRefused` outside the block, during another client's turn, for an unknown option.
+        Raises `RequestRefused` outside the block, during another client's turn, and for an unknown option.
         """
         start = address - self._settings.base_address - reg.COMMAND.address
         if start < 0 or start + len(words) > reg.COMMAND.words:
@@ -317,7 +317,7 @@ class CellRegisters:
         self._tell()
 
     def _control(self, client: int, word: int) -> None:
-        """Carry out what an edge of START asks: by the words that a client with sequences would write."""
+        """Carry out an edge of START, by writing the words that a client with sequences would write."""
         self._start_bit, action = control_written(self._start_bit, client, word, self._state)
         base = self._settings.base_address
         if action is EndOfUse.ACKNOWLEDGE:
@@ -332,7 +332,7 @@ class CellRegisters:
             self._start_bit = begun(self._start_bit, self._state.ticket)
 
     def write_bits(self, client: int, address: int, bits: Sequence[bool]) -> None:
-        """Write bits of OPTIONS, the only word whose bits a client may write."""
+        """Write bits of OPTIONS, the only word that clients may write bit by bit."""
         options = reg.ADDRESS["OPTIONS"] + self._settings.base_address
         start = address - 16 * options
         if start < 0 or start + len(bits) > 16:
@@ -341,7 +341,7 @@ class CellRegisters:
         self.write(client, options, [word])
 
     def gone(self, client: int) -> None:
-        """A connection has ended."""
+        """Remove a client whose connection has ended."""
         if self._locked_by == client:
             self._command[_offset("AUTO_LOCK")] = 0
             self._lock(None)
@@ -381,18 +381,18 @@ class CellRegisters:
                 )
 
     def _lock(self, client: int | None) -> None:
-        """Forbid or allow SETUP when AUTO_LOCK changes. client : that wrote 1; None: nobody."""
+        """Forbid or allow SETUP when AUTO_LOCK changes. client : the one that wrote 1; None: unlocked."""
         was_locked, self._locked_by = self._locked_by is not None, client
         if self._commander is not None and was_locked != (client is not None):
             self._commander.lock_setup(client is not None)
 
     def _belt_reading(self) -> BeltReading:
-        """What the client says of the belt, as of now."""
+        """Count and speed of the belt as written by the client, with the current time."""
         values = reg.decode(reg.COMMAND, self._command, self._settings.word_order)
         return BeltReading(int(values["BELT_COUNT"]), float(values["BELT_SPEED"]) / 1000, time.time_ns())
 
     def _shown_last_mm(self) -> tuple[float, float, float] | None:
-        """Where the part lay that was on display last, whatever became of it since; None: there was none."""
+        """Position of the part on display, valid or not; None if there is none."""
         shown = self._state.result
         if shown is None or not shown.payload.good:
             return None
@@ -400,15 +400,15 @@ class CellRegisters:
         return None if pose is None else (pose.exact[0], pose.exact[1], pose.exact[2])
 
     def _another_way(self, job: int) -> reg.RegisterResult | None:
-        """What NEXT_GRASP of this job (0: any) shows; None: the part on display has no other grasp."""
+        """Result to show for NEXT_GRASP of this job (0: any); None if the part has no other grasp."""
         shown = self._state.result
         return shown.payload.another_way() if shown is not None and job in (0, shown.payload.job) else None
 
     def _taken_flange(self) -> tuple[FloatArray | None, tuple[float, ...]]:
-        """Take robot_from_flange (4, 4) and its numbers (mm, degrees) out of FLANGE; None if all are zero.
+        """Read and clear FLANGE: robot_from_flange (4, 4), None if all zeros, and its numbers (mm, degrees).
 
-        It serves one command: the next must not measure with an old pose. No robot has its flange at the
-        origin of its base.
+        It is cleared as the next command must not measure with an old pose. No robot has its flange at the
+        origin of its base, so all zeros mean "not given".
         """
         start, end = _offset("FLANGE_X"), _offset("TIMEOUT")
         values = reg.decode(reg.COMMAND, self._command, self._settings.word_order)
@@ -434,7 +434,7 @@ class CellRegisters:
     # --- events of the cell --------------------------------------------------------------------
 
     def take(self, event: Event) -> None:
-        """Take note of what happened in the cell."""
+        """Update registers and handshake by an event of the cell."""
         now_s = self._clock_s()
         match event:
             case Snapshot():
@@ -474,7 +474,7 @@ class CellRegisters:
 
     def _take_basis(self, basis: Basis, now_s: float) -> None:
         self._are_jobs_placed = False
-        # a registration ends by an exchange of its own, over which its client goes on: nothing is on display
+        # a registration ends by an exchange itself, after which its client continues: nothing is on display
         if basis.number != self._state.basis and not self._state.registers:
             self._epoch = _new_epoch()
         self._basis = reg.basis_values(basis)
@@ -482,7 +482,7 @@ class CellRegisters:
         self._step(ev.Exchanged(basis.number), now_s)
 
     def _done(self, ticket: int | None, now_s: float) -> ev.Event[reg.RegisterResult]:
-        """The event that ends a command which measures nothing."""
+        """Event that ends a command without a measurement."""
         return ev.Finished(ticket, 0, ResultVerdict.DONE, now_s, None, basis=self._state.basis)
 
     def _take_registered(self, event: Registered, now_s: float) -> None:
@@ -508,7 +508,7 @@ class CellRegisters:
         exposed_s = self._exposures.exposed_s(snapshot)
         ticket = self._ticket(snapshot.command)
         if result.code is reg.ResultCode.KEPT and ticket == NOBODYS:
-            self._step(ev.OtherJob(), now_s)  # what is on display may have an offset from the former part
+            self._step(ev.OtherJob(), now_s)  # the result on display may have an offset from the former part
         rest = result.further() if verdict is ResultVerdict.GOOD else ()
         job, basis = snapshot.job_number, snapshot.basis
         self._step(ev.Finished(ticket, snapshot.cycle, verdict, exposed_s, result, rest, job, basis), now_s)
@@ -516,7 +516,7 @@ class CellRegisters:
     def _step(self, event: ev.Event[reg.RegisterResult], now_s: float) -> tuple[ev.Effect, ...]:
         before = self._state
         self._state, effects = hs.step(before, event, now_s)
-        if effects or not isinstance(event, ev.Tick):  # which comes with reads of registers
+        if effects or not isinstance(event, ev.Tick):  # ticks come with each read of registers
             self._fresh_until_s = -math.inf
             self.ladder.took(event, before, self._state, effects, now_s)
         for effect in effects:
@@ -525,11 +525,11 @@ class CellRegisters:
         return effects
 
     def _ticket(self, command: Command | None) -> int | None:
-        """The ticket of a command: None for a tick, `NOBODYS` for a command that is not open here.
+        """Ticket of a command: None without a command, `NOBODYS` for one that is not open here.
 
-        Compared by identity: tickets begin again when a reload makes these registers anew, while commands of
-        the previous registers may still be measured. A cycle that Zenoh asked for is not shown to a PLC as
-        one of a free-running cell.
+        Compared by identity: tickets start over when a reload recreates these registers, while commands of
+        the previous registers may still be measured. A cycle requested over Zenoh has `NOBODYS`, so that it
+        is not shown to a PLC like one of a free-running cell.
         """
         if command is None:
             return None
@@ -545,14 +545,14 @@ def _offset(name: str) -> int:
 
 
 class ClientView:
-    """The registers as one connection sees them (`pdu.Device`)."""
+    """The registers as one client sees them (`pdu.RegisterDevice`)."""
 
     def __init__(self, cell: CellRegisters, client: int) -> None:
         self._cell = cell
         self._client = client
 
     def read(self, address: int, count: int) -> Sequence[int]:
-        """Words of one picture."""
+        """See `CellRegisters.read`."""
         return self._cell.read(address, count)
 
     def write(self, address: int, words: Sequence[int], *, shown: tuple[float, ...] = ()) -> None:

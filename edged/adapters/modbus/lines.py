@@ -1,23 +1,23 @@
 """Lines of ASCII, or binary frames, for robots without Modbus, on the same registers.
 
-Responsible for: one request in a line, one answer in a line, poses in the convention of the robot's maker.
-Not for connections (`lineserver`), nor for commands, turns to write and validity of results: each line is a
-write and reads of `CellRegisters`, as of any other client.
+Responsible for: one request per line, one answer per line, poses in the convention of the robot's maker.
+Not for connections (`lineserver`), nor for commands, turns to write and validity of results: each line
+becomes a write and reads of `CellRegisters`, like those of any other client.
 
     7,LOCATE,0                                           sequence, command, job
     7,LOCATE,0,512.034,-88.120,611.020,12.4,3.0,178.3    with the pose of the flange
-    7,LOCATE,0:2                                         of the second box of the limits alone
-    7,EXPOSE,0 and 8,RESULT                              LOCATE in two: answered when the picture is taken
-    7,SKIP,0                                             LOCATE, and the part that was shown last comes last
-    8,NEXT_GRASP                                         another way to take the part that was given last
-    9,PLACE,0,512.034,-88.120,611.020,12.4,3.0,178.3     how to place a part that was looked at in the gripper
+    7,LOCATE,0:2                                         only in the second box of the limits
+    7,EXPOSE,0 and 8,RESULT                              LOCATE in two: the first returns after the exposure
+    7,SKIP,0                                             LOCATE that puts the part shown last at the end
+    8,NEXT_GRASP                                         another grasp of the part given last
+    9,PLACE,0,512.034,-88.120,611.020,12.4,3.0,178.3     how to place a part that was measured in the gripper
     9,TRAY,7                                             which pockets have parts, and whether the seventh has
-    7,LOCATE,0,BELT,51200,200.0,512.034,...              where a belt is, and how fast; then the flange
-    8,BELT and 9,COUNT                                   where that part lies on the belt; at which count
+    7,LOCATE,0,BELT,51200,200.0,512.034,...              with count and speed of a belt; then the flange
+    8,BELT and 9,COUNT                                   pose of that part on the belt; its count
     kuka,7,LOCATE,0                                      with the robot's brand
     7,0,2,412.300000,...,0.153000                        the answer, see `edged.plc.lines.LineAnswer`
 
-A line that is repeated after its answer was lost has the same sequence, and is carried out once. A message
+A line that is repeated because its answer was lost has the same sequence, and is carried out once. A message
 that begins with the first byte of a frame (`edged.plc.frames`) is read and answered as a frame.
 """
 
@@ -45,28 +45,28 @@ from edged.robot.orientations import ANGLES_DEG, Brand, pose_of, rotation_of, tr
 from edged.vision.geometry.rigid import transform
 
 TIMEOUT_S = 10.0
-"""Time-out of a command; then the cell answers NACK, TIMEOUT."""
+"""Time-out of a command, after which the cell answers NACK, TIMEOUT."""
 LOOK_S = 0.05
-"""Poll period while waiting for the end of a command, which may come by time alone."""
+"""Poll period while waiting for the end of a command, which a time-out may end without any event."""
 TOOLS = ("GRASP", "APPROACH")
-"""Queries about the tool for the part that was given last."""
+"""Queries about the grasp of the part given last."""
 NEXT = {"NEXT_PART": LineStatus.NO_FURTHER, "NEXT_GRASP": LineStatus.NO_GRASP}
-"""Commands without a picture, and their status when there is no next one."""
+"""Commands that take no picture, and their status when there is no next part or grasp."""
 OFFSETS = {"OFFSET": "O", "OFFSET_PART": "OP"}
-"""Queries about how that part lies against the golden one, and how their registers begin."""
+"""Queries about the offset of that part from the golden one, and the prefix of their registers."""
 QUALITY = ("RMS", "HELD_OUT", "LIMIT")
 """Lengths in the answer to a registration command, in place of X, Y, Z."""
 WANTED = {"VERIFY": reg.ResultCode.VERIFIED, "GOLDEN": reg.ResultCode.KEPT}
-"""RESULT of a command that is not answered with a pose."""
+"""Expected RESULT of commands that are not answered with a pose."""
 BELT = "BELT"
-"""Before count and speed in a request; a query about the part that was given last."""
+"""Keyword before count and speed in a request; also the query for the pose on the belt."""
 ON_BELT = ("LOCATE", "EXPOSE", "SKIP", "VERIFY", "GOLDEN")
-"""Commands that may say where a conveyor belt is."""
+"""Commands that may state count and speed of a conveyor belt."""
 FORBIDDEN = Reject.OUT_OF_LIMITS | Reject.KEEP_OUT | Reject.NO_GRASP | Reject.OUT_OF_MAP
 
 
 class _Refused(Exception):
-    """The request ends with this status."""
+    """Request that is answered with this status."""
 
     def __init__(self, status: int) -> None:
         self.status = status
@@ -77,9 +77,9 @@ class _Refused(Exception):
 class LineRequest:
     """A decoded line or frame.
 
-    brand : of the robot. flange : robot_from_flange (4, 4) in mm, None if not given; shown : its numbers.
-    tries_all : the job was "*". box : that alone counts; 0: what the register BOX says. belt : BELT_COUNT and
-    BELT_SPEED; None: not given.
+    brand : of the robot. flange : robot_from_flange (4, 4) in mm, None if not given. shown : its numbers as
+    written. tries_all : the job was "*". box : number of the only box to use; 0: by the register BOX.
+    belt : BELT_COUNT and BELT_SPEED; None: not given.
     """
 
     brand: Brand
@@ -134,7 +134,7 @@ def _request(fields: list[str], brand: Brand) -> LineRequest:
 
 
 def _belt(fields: list[str], brand: Brand) -> tuple[int, int]:
-    """BELT_COUNT and BELT_SPEED; the speed is in the brand's unit of length a second. Raises ValueError."""
+    """Decode BELT_COUNT and BELT_SPEED, whose unit is the brand's length per second. Raises ValueError."""
     if len(fields) < 2:
         raise ValueError("expected the belt's count and its speed")
     count, speed_um_s = whole(fields[0]), decimal(fields[1]) * (1e6 if brand is Brand.UR else 1e3)
@@ -159,10 +159,11 @@ def parse_frame(frame: bytes, configured: Brand) -> LineRequest:
 
 
 class Robot:
-    """The requests of one connection.
+    """Carries out the requests of one connection.
 
-    _sequence : CMD_SEQ of its newest command. _asked : the robot's number of it, and its name if it is NEXT.
-    _located : the robot's number of the command before all NEXT. _given : its numbers since then.
+    _sequence : CMD_SEQ of its newest command. _asked : the robot's sequence of that command, and its name if
+    it is one of `NEXT`. _located : the robot's sequence of the last command that is not one of `NEXT`.
+    _given : the robot's sequences since then, including that one.
     """
 
     def __init__(
@@ -178,9 +179,9 @@ class Robot:
         self._given: set[int] = set()
 
     async def answer(self, message: bytes) -> tuple[LineAnswer, Brand]:
-        """Carry out a line or frame; returns the answer and the brand to write it for.
+        """Carry out a line or frame; return the answer and the brand to format it for.
 
-        Never raises for what a robot sent.
+        Never raises, whatever the robot sent.
         """
         read = parse_frame if message.startswith(MAGIC[:1]) else parse
         request: LineRequest | BadRequest
@@ -208,7 +209,7 @@ class Robot:
 
     async def _carry_out(self, request: LineRequest) -> LineAnswer:
         if request.command == "ACK":
-            # an acknowledgement of the picture after several NEXT includes the part on display
+            # after several NEXT, acknowledging any of their sequences acknowledges the part on display
             used = self._sequence if request.sequence in self._given else request.sequence
             self._write("ACK_SEQ", [used])
             return LineAnswer(request.sequence, LineStatus.OK)
@@ -255,25 +256,26 @@ class Robot:
         return LineAnswer(request.sequence, LineStatus.OK)
 
     async def _locate(self, request: LineRequest) -> None:
-        """Carry out any command but NEXT, under the robot's number."""
+        """Carry out any command but those of `NEXT`, under the robot's sequence."""
         shown = self._read(reg.STATUS)["CMD_SEQ_ECHO"]
         if self._asked != (request.sequence, "") or shown != self._sequence:
             if shown == request.sequence:
-                # a number of another client, or of NEXT, whose answer does not belong to this command
+                # the same number from another client, or from NEXT: its answer is not this command's
                 self._write("CMD_SEQ", [0])
             self._begin(request, request.sequence)
             self._located, self._given = request.sequence, {request.sequence}
         await self._end(at_exposure=request.command == "EXPOSE")
 
     async def _next(self, request: LineRequest) -> LineAnswer:
-        """Give the next part of the picture, or way to take it, under a number of the cell's: none clashes.
+        """Answer with the next part of the picture, or grasp, under a sequence of our own that cannot clash.
 
-        With the number of the LOCATE each line is a new request; with a number of its own it may be repeated.
+        With the sequence of the LOCATE, each line is a new request; with a sequence of its own, it may be
+        repeated.
         """
         at_end = NEXT[request.command]
         shown = int(self._read(reg.STATUS)["CMD_SEQ_ECHO"])
         if self._sequence == 0 or shown != self._sequence:
-            raise _Refused(at_end)  # another client's list must stay
+            raise _Refused(at_end)  # another client's list of parts must not be used
         if self._asked != (request.sequence, request.command) or request.sequence == self._located:
             self._begin(request, shown % 0xFFFF + 1)
             self._given.add(request.sequence)
@@ -285,7 +287,10 @@ class Robot:
         return self._tool(request) if at_end is LineStatus.NO_GRASP else self._part(request, at_end)
 
     async def _register(self, request: LineRequest) -> LineAnswer:
-        """Carry out a registration command; the answer has its state instead of a pose, also when refused."""
+        """Carry out a registration command; the answer has the registration's state instead of a pose.
+
+        That holds for a refused command, too.
+        """
         status: int = LineStatus.OK
         try:
             await self._locate(request)
@@ -311,7 +316,7 @@ class Robot:
         self._put(beside)
         try:
             self._view.write(start, self._command(request, sequence), shown=request.shown)
-        finally:  # they count for this command alone
+        finally:  # they apply to this command only
             self._put({name: before[name] for name in beside})
         self._sequence = sequence
         self._asked = (request.sequence, request.command if request.command in NEXT else "")
@@ -337,7 +342,10 @@ class Robot:
         raise _Refused(LineStatus.TAKEN_OVER)
 
     def _command(self, request: LineRequest, sequence: int) -> list[int]:
-        """Words of COMMAND to TIMEOUT: what a PLC wrote behind them stays. ONCE: a line is written once."""
+        """Words from COMMAND to TIMEOUT; later words, which a PLC may have written, stay unchanged.
+
+        Option ONCE is set, as a line writes its command only once.
+        """
         kind = CommandKind.LOCATE if request.command in ("EXPOSE", "SKIP") else CommandKind[request.command]
         options = reg.Option.ONCE | (reg.Option.ALL_JOBS if request.tries_all else reg.Option(0))
         options |= reg.Option.SKIP if request.command == "SKIP" else reg.Option(0)
@@ -372,15 +380,15 @@ class Robot:
         return self._answer(request, {**result, **grasp}, pose, "G_SIGMA")
 
     def _offset(self, request: LineRequest) -> LineAnswer:
-        """Answer with the offset of the part on display; sigmas are of where it lays the part."""
+        """Answer with the offset of the part on display; the sigmas are those of the part's place."""
         place = OFFSETS[request.command]
         values, numbers = self._offset_numbers(place)
         return self._answer(request, values, numbers, f"{place}_SIGMA")
 
     def _place(self, request: LineRequest) -> LineAnswer:
-        """Answer with what to multiply a taught place by, from the right, for a part that the gripper holds.
+        """Answer with the factor for a taught place, applied from the right, of a part held by the gripper.
 
-        The request says how the tool stood at this LOCATE, and at GOLDEN.
+        The request states the pose of the tool at this LOCATE and at GOLDEN.
         """
         if request.flange is None:
             raise _Refused(LineStatus.NOT_UNDERSTOOD)
@@ -392,17 +400,17 @@ class Robot:
         return replace(answer, pose=turned, sigma=(UNKNOWN,) * 3)
 
     def _offset_numbers(self, place: str) -> tuple[dict[str, reg.Number], list[float]]:
-        """The values of result and offset, and X Y Z A B C in µm and 0.001°."""
+        """Values of the blocks result and offset, and the offset's X Y Z A B C in µm and 0.001°."""
         result, offset = self._usable(LineStatus.NOT_VALID), self._read(reg.OFFSET)
         if not int(offset["O_FLAGS"]) & reg.Flag.VALID:
             raise _Refused(LineStatus.NO_OFFSET)
         numbers = [float(offset[f"{place}_{axis}"]) for axis in "XYZ"]
-        # these angles have a digit more: at a metre from the base 0.0001° is 2 µm
+        # these angles have one more digit: a metre from the base, 0.0001° is 2 µm
         numbers += [float(offset[f"{place}_{axis}"]) / 10 for axis in "ABC"]
         return {**result, **offset}, numbers
 
     def _tray(self, request: LineRequest) -> LineAnswer:
-        """Answer with what was found in the tray, in place of a pose; a tray without parts, too."""
+        """Answer with the state of the tray in place of a pose, also for a tray without parts."""
         result, tray = self._read(reg.RESULT), self._read(reg.TRAY)
         pockets, is_mine = int(tray["P_POCKETS"]), tray["P_SEQ_HEAD"] == self._sequence != 0
         if not is_mine or not pockets or request.job > pockets:
@@ -416,7 +424,7 @@ class Robot:
         return LineAnswer(request.sequence, LineStatus.OK, int(result["REMAINING"]), tuple(pose))
 
     def _on_belt(self) -> dict[str, reg.Number]:
-        """The result on display and the block belt, if a robot may move by them."""
+        """Values of the result on display and of the block belt, if a robot may move by them."""
         result, belt = self._usable(LineStatus.NOT_VALID), self._read(reg.BELT)
         if not int(belt["B_FLAGS"]) & reg.Flag.VALID:
             raise _Refused(LineStatus.NO_BELT)
@@ -425,7 +433,7 @@ class Robot:
     def _count(self, request: LineRequest) -> LineAnswer:
         """Answer with the count of the pose in the belt's frame, in place of a pose.
 
-        In halves of 16 bits: a robot's REAL has no room for 32.
+        It is in halves of 16 bits, as a robot's REAL cannot hold 32.
         """
         result = self._on_belt()
         high, low = divmod(int(result["B_COUNT"]), 1 << 16)
@@ -435,7 +443,7 @@ class Robot:
         return LineAnswer(request.sequence, LineStatus.OK, int(result["REMAINING"]), pose)
 
     def _usable(self, otherwise: LineStatus) -> dict[str, reg.Number]:
-        """The result on display, if a robot may move by it."""
+        """Values of the result on display, if a robot may move by it. otherwise : status if not valid."""
         result = self._read(reg.RESULT)
         flags = int(result["FLAGS"])
         if self._sequence == 0 or result["SEQ_HEAD"] != self._sequence or not flags & reg.Flag.VALID:
@@ -453,7 +461,7 @@ class Robot:
         numbers: Sequence[reg.Number],
         sigma: str,
     ) -> LineAnswer:
-        """numbers : X Y Z A B C as in the registers. sigma : prefix of their sigmas' names."""
+        """Answer with a pose. numbers : X Y Z A B C as in the registers. sigma : prefix of the sigmas."""
         x, y, z, a, b, c = (float(number) / 1000 for number in numbers)
         robot_from_pose = transform(rotation_of(self._settings.convention, a, b, c), np.array([x, y, z]))
         pose = pose_of(request.brand, robot_from_pose)
@@ -472,7 +480,7 @@ class Robot:
         return reg.decode(block, words, self._settings.word_order)
 
     def _put(self, values: Mapping[str, reg.Number]) -> None:
-        """Write BOX, or the two words each of BELT_COUNT and BELT_SPEED, or neither."""
+        """Write those of BOX, and BELT_COUNT with BELT_SPEED, that are in `values`."""
         words = self._words(values)
         for name, count in (("BOX", 1), ("BELT_COUNT", 4)):
             at = reg.ADDRESS[name] - reg.COMMAND.address
@@ -480,7 +488,7 @@ class Robot:
                 self._write(name, words[at : at + count])
 
     def _words(self, values: Mapping[str, reg.Number]) -> list[int]:
-        """Words of the block command, as the client writes them."""
+        """Words of the command block, in the configured word order."""
         data = reg.encode(reg.COMMAND, values, self._settings.word_order)
         return [int.from_bytes(data[i : i + 2], "big") for i in range(0, len(data), 2)]
 

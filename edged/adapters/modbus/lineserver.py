@@ -1,6 +1,6 @@
-"""The socket of robots that talk in lines or frames: who may connect, and where a message ends.
+"""The socket for robots that use lines or frames: connections and their limits, and splitting into messages.
 
-What a message asks for is carried out by `lines`, with the connection as one more client of the registers.
+Messages are carried out by `lines`, where the connection is one more client of the registers.
 """
 
 from __future__ import annotations
@@ -24,31 +24,32 @@ from edged.plc.lines import MAX_LINE_BYTES, LineStatus
 MAX_CLIENTS = 8
 END_OF_LINE = re.compile(rb"[\r\n]")
 LINE_FEED_S = 0.05
-"""The answer to the first carriage return of a connection waits so long for a line feed, to end alike: a
-robot that sends the two one by one may hold the second back until the first is acknowledged, which Linux
-does within 40 ms (TCP_DELACK_MIN in include/net/tcp.h)."""
+"""The answer to the first carriage return of a connection waits this long for a line feed, to use the same
+end of line: a robot that sends the two separately may hold the second back until the first is acknowledged,
+which Linux does within 40 ms (TCP_DELACK_MIN in include/net/tcp.h)."""
 SEND_S = 5.0
 """A robot that does not read its answer within this time is disconnected."""
 
 
 class Messages:
-    """Splits a robot's bytes into frames, and lines that end with CR, LF, or both.
+    """Splits a robot's bytes into frames, and into lines that end with CR, LF, or both.
 
-    The second of both bytes may come in a packet of its own, and ends no further line; nor does the end of
-    line that a controller adds to a program's line feed.
+    The second of the two bytes may come in a packet of its own, and does not end another line; nor does the
+    end of line that a controller adds to a program's line feed.
     """
 
     def __init__(self, reader: asyncio.StreamReader) -> None:
         self._reader = reader
         self._buffer = bytearray()
-        self._before = b""  # the byte before the buffer, of a line
-        self._is_open = False  # the newest line ended with CR, and LF may follow
+        self._before = b""  # the last byte of the line before the buffer
+        self._is_open = False  # the last line ended with CR, and LF may follow
         self._end = b""  # the robot's end of line, once known
         self._heard_s = 0.0
 
     async def next(self) -> bytes:
-        """A line with the first byte of its end, or a whole frame; b"" at the end of the connection, also
-        after half a message. Raises ConnectionError for a line that is too long.
+        """Next line with the first byte of its end, or whole frame; b"" at the end of the connection.
+
+        An incomplete message at the end is dropped. Raises ConnectionError for a line that is too long.
         """
         while True:
             message = self._taken()
@@ -59,7 +60,7 @@ class Messages:
                 return b""
 
     async def end(self) -> bytes:
-        """The whole end of the newest line, for its answer."""
+        """The whole end of the last line, which its answer must have, too."""
         if self._before == b"\n":
             return b"\n"
         with contextlib.suppress(TimeoutError):
@@ -97,14 +98,14 @@ class Messages:
         return message
 
     async def _hear(self) -> bool:
-        """Wait for more. False: the connection has ended."""
+        """Wait for more bytes; False if the connection has ended."""
         more = await self._reader.read(MAX_LINE_BYTES)
         self._buffer += more
         return bool(more)
 
 
 class LineServer:
-    """Accepts robots and keeps them within the limits."""
+    """Accepts connections of robots and enforces their limits."""
 
     def __init__(
         self,
@@ -121,12 +122,12 @@ class LineServer:
         self._refusals = refusals
         self._log = LogLimit(__name__)
         self._tasks: set[asyncio.Task[None]] = set()
-        # silent connections are closed where lines are read
+        # idle connections are closed where lines are read, in `_serve`
         self._listener = TcpListener("modbus.socket", self._protocol, self._admits, idle_s=math.inf)
 
     @property
     def port(self) -> int:
-        """Port that is listened on; 0 when closed."""
+        """Listening port; 0 when closed."""
         return self._listener.port
 
     async def start(self) -> None:
@@ -169,11 +170,11 @@ class LineServer:
                 writer.transport.abort()
 
     def _admits(self, newcomer: TcpClient) -> bool:
-        """Whether a robot may stay.
+        """Whether a new connection may stay.
 
         When all places are taken, a robot that may write displaces a stranger, else the longest silent of its
-        own connections (left behind when it lost power), or of robots whose right to write has lapsed. A
-        stranger displaces silent strangers only: it may not write anyway.
+        own connections (left over when it lost power), else that of robots whose right to write has lapsed. A
+        stranger displaces only silent strangers: it may not write anyway.
         """
         settings, peer = self._settings, newcomer.peer
         if settings.readers and not contains((*settings.readers, *settings.writers), peer):
@@ -220,4 +221,4 @@ class LineServer:
                 await writer.drain()
             client.touch()
             if is_frame and answer.status == LineStatus.NOT_UNDERSTOOD and answer.sequence == 0:
-                return  # the begin of the next frame is unknown
+                return  # the start of the next frame is unknown

@@ -1,12 +1,12 @@
 """One request PDU in, one response PDU out.
 
-pymodbus decodes requests and encodes responses. What its decoder lets through, or answers with a wrong
-function code, is caught before: every length and count is checked here first, so that its decoder only
-sees requests that are well formed.
+pymodbus decodes requests and encodes responses. Its decoder accepts some malformed requests, and answers
+others with a wrong function code. So every length and count is checked here first, and it gets well-formed
+requests only.
 
-Exception codes follow "MODBUS Application Protocol V1.1b3", section 7: 1 for a function that is not
-there or that this client may not use, 2 for an address outside the map, 3 for a request whose own
-fields contradict each other or the limits, 6 while another client holds the right to write.
+Exception codes follow "MODBUS Application Protocol V1.1b3", section 7: 1 for a function that does not exist
+or that this client may not use, 2 for an address outside the map, 3 for a request whose fields contradict
+each other or the limits, 6 while another client holds the right to write.
 
 Bits: coil and discrete input `16 * r + n` is bit n of register r.
 """
@@ -54,7 +54,7 @@ IDENTITY = {
 
 
 class RequestRefused(Exception):
-    """The request ends in an exception response with this code."""
+    """Request that is answered with an exception response. code : exception code."""
 
     def __init__(self, code: int) -> None:
         self.code = code
@@ -65,17 +65,17 @@ class RegisterDevice(Protocol):
     """The registers as one client sees them during one request."""
 
     def read(self, address: int, count: int) -> Sequence[int]:
-        """Words; raises `RequestRefused`."""
+        """Read words. Raises `RequestRefused`."""
 
     def write(self, address: int, words: Sequence[int]) -> None:
-        """Write all words or none; raises `RequestRefused`."""
+        """Write all words or none. Raises `RequestRefused`."""
 
     def write_bits(self, address: int, bits: Sequence[bool]) -> None:
-        """Write all bits or none; raises `RequestRefused`."""
+        """Write all bits or none. Raises `RequestRefused`."""
 
 
 def respond(request: bytes, device: RegisterDevice, *, may_write: bool) -> bytes:
-    """Answer a request PDU (at least its function code). Never raises for what a client sent."""
+    """Answer a request PDU of at least one byte. Never raises, whatever the client sent."""
     function = request[0]
     try:
         return _identify(request) if function == 0x2B else _carry_out(request, device, may_write)
@@ -97,7 +97,7 @@ def _carry_out(request: bytes, device: RegisterDevice, may_write: bool) -> bytes
 
 
 def _check_form(request: bytes) -> None:
-    """Raises `RequestRefused` unless every field agrees with the length and the limits."""
+    """Check every field against the length and the limits. Raises `RequestRefused`."""
     function, size = request[0], len(request)
     if size < 5:
         raise RequestRefused(ILLEGAL_VALUE)
@@ -145,7 +145,7 @@ def _execute(pdu: ModbusPDU, device: RegisterDevice) -> ModbusPDU:
 
 
 def _read_write(pdu: ReadWriteMultipleRegistersRequest, device: RegisterDevice) -> ModbusPDU:
-    """FC23: the write comes first; a read that cannot be answered must not leave a write behind."""
+    """Answer FC23: the write comes first, but nothing is written if the read would fail."""
     read_address, read_count = pdu.read_address, pdu.read_count
     device.read(read_address, read_count)
     device.write(pdu.write_address, pdu.write_registers)
@@ -174,8 +174,8 @@ def _identify(request: bytes) -> bytes:
         chosen = [first]
     else:
         known = [number for number in IDENTITY if read != 1 or number <= 0x02]
-        # an unknown start means: from the beginning
+        # an unknown start means "from the beginning"
         chosen = [number for number in known if number >= first] if first in known else known
     objects = b"".join(bytes((number, len(IDENTITY[number]))) + IDENTITY[number] for number in chosen)
-    # conformity 0x82: regular objects, as a stream and one by one; nothing follows
+    # conformity 0x82: regular objects, as a stream and individually; no more follows
     return bytes((0x2B, 0x0E, read, 0x82, 0x00, 0x00, len(chosen))) + objects

@@ -25,9 +25,9 @@ from edged.ports import Commander
 class ModbusPublisher:
     """Publishes one cell over Modbus and takes its commands (`edged.ports.Publisher`).
 
-    commander : takes the commands that clients write; None answers each with NACK.
-    clock_s : monotonic; ages, time-outs and the heartbeat count on it. context : of `settings.tls`, so that
-    its files need not be read again; None: they are read at the start. jobs : number and name of every job.
+    commander : receives the commands that clients write; None: each is answered with NACK.
+    clock_s : monotonic, for ages, time-outs and the heartbeat. context : made from `settings.tls`; None: its
+    files are read by `start`. jobs : returns number and name of every job.
     """
 
     def __init__(
@@ -56,16 +56,16 @@ class ModbusPublisher:
 
     @property
     def line_port(self) -> int:
-        """TCP port of the lines for robots; 0 without them."""
+        """TCP port of the line protocol for robots; 0 without it."""
         return self._lines.port if self._lines is not None else 0
 
     @property
     def port(self) -> int:
-        """TCP port that is listened on."""
+        """Listening TCP port of Modbus/TCP; 0 when closed."""
         return self._tcp.port
 
     def values(self, blocks: Sequence[Block] = BLOCKS) -> list[tuple[Register, Number]]:
-        """Every register with the value that a client would read now, except empty rows of jobs."""
+        """Every register with the value that a client would read now, except empty blocks of jobs."""
         settings, found = self._settings, list[tuple[Register, Number]]()
         for block in blocks:
             words = self._cell.read(settings.base_address + block.address, block.words)
@@ -81,7 +81,7 @@ class ModbusPublisher:
         return self._cell.valid_until_s
 
     def write(self, client: int, values: Mapping[str, Number]) -> None:
-        """Write registers of the command block that follow each other, as a client of its own.
+        """Write consecutive registers of the command block, as a separate client.
 
         client : a number that no connection has. Raises `CommandRefused` during another client's turn.
         """
@@ -95,20 +95,20 @@ class ModbusPublisher:
             raise CommandRefused("another client holds the right to write") from error
 
     def leave(self, client: int) -> None:
-        """End a client of `write`, and its right to write."""
+        """Remove a client of `write`, and end its right to write."""
         self._cell.gone(client)
 
     def watch(self, changed: Callable[[], None]) -> None:
-        """Call this after each write and event, on the event loop."""
+        """Register a callback for each write and event, called on the event loop."""
         self._cell.watchers.append(changed)
 
     def unwatch(self, changed: Callable[[], None]) -> None:
-        """Call it no more."""
+        """Remove a callback of `watch`."""
         self._cell.watchers.remove(changed)
 
     @property
     def clients(self) -> int:
-        """How many are connected."""
+        """Number of connected Modbus/TCP clients."""
         return len(self._cell.addresses)
 
     @property
@@ -131,7 +131,7 @@ class ModbusPublisher:
 
     @property
     def refused_writers(self) -> tuple[str, ...]:
-        """Addresses whose writes were refused, since the start."""
+        """Addresses whose writes were refused since the start."""
         return self._refusals.addresses
 
     async def start(self) -> None:
@@ -147,11 +147,11 @@ class ModbusPublisher:
             raise
 
     def announce(self, event: Event) -> None:
-        """Take note of an event; readers see it from their next request on."""
+        """Take an event into account; clients see it from their next request on."""
         self._cell.take(event)
 
     async def close(self) -> None:
-        """Drop every connection and leave nothing behind."""
+        """Close every connection and release all resources."""
         if self._rtu is not None:
             self._rtu.close()
         if self._lines is not None:

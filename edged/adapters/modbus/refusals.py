@@ -1,4 +1,4 @@
-"""Addresses that wrote without the right to: logged once each."""
+"""Addresses that wrote without permission, each logged once."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class Refusals:
 
     def note(self, address: Address | None, why: str) -> None:
         """Log a refusal, once per address. why : "it is not in modbus.writers"."""
-        peer = str(address)  # not as the socket writes it: ::ffff:192.168.10.2, fe80::1%eth0
+        peer = str(address)  # not the socket's spelling: ::ffff:192.168.10.2, fe80::1%eth0
         if peer in self._named or len(self._named) >= NAMED_PEERS:
             return
         self._named[peer] = None

@@ -1,9 +1,8 @@
 """Modbus RTU on a serial line, as one slave among others.
 
-A frame ends with a silence. What the line carries for other slaves, and what they answer, is not
-ours: it is passed over in silence, also when the operating system hands over several frames at once.
-A broadcast (unit 0) is carried out and not answered. When the adapter is unplugged the line is opened
-again until it is back; the daemon does not stop for it.
+A frame ends with a silence. Requests to other slaves, and their answers, are ignored, also when the operating
+system delivers several frames at once. A broadcast (unit 0) is carried out and not answered. When the adapter
+is unplugged, reopening the line is tried until it is back; the daemon does not stop.
 """
 
 from __future__ import annotations
@@ -28,10 +27,10 @@ from edged.plc.registers import CRC_START, crc16
 log = logging.getLogger(__name__)
 
 OPEN_ERRORS = (OSError, ValueError, termios.error)
-"""Errors of opening a line; `termios.error`, which is no `OSError`, comes from a re-enumerating adapter."""
+"""Errors of opening a line; a re-enumerating adapter gives `termios.error`, which is not an `OSError`."""
 
 OPEN_S = 5.0
-"""The requests that set up an adapter, each of which Linux gives 5 s: USB_CTRL_SET_TIMEOUT, linux/usb.h."""
+"""Time limit for setting up an adapter; Linux allows 5 s per request (USB_CTRL_SET_TIMEOUT, linux/usb.h)."""
 MAX_FRAME_BYTES = 256
 MIN_FRAME_BYTES = 4
 BROADCAST = 0
@@ -40,17 +39,17 @@ PARITY = {"even": serial.PARITY_EVEN, "odd": serial.PARITY_ODD, "none": serial.P
 
 
 def split_frames(data: bytes) -> list[bytes]:
-    """Cut the bytes between two silences into frames with a good CRC; the rest is dropped.
+    """Split the bytes between two silences into frames with a good CRC; the rest is dropped.
 
-    Mostly it is one frame. A busy machine can hand over a request to another slave, the answer and the
-    next request in one piece: the CRC of a frame followed by its own checksum is 0, so its end shows.
+    Mostly it is one frame. A busy machine can deliver a request to another slave, the answer and the next
+    request in one piece: the CRC over a frame including its checksum is 0, which shows its end.
     """
     if MIN_FRAME_BYTES <= len(data) <= MAX_FRAME_BYTES and crc16(data) == 0:
         return [data]
     frames: list[bytes] = []
     start = 0
     while start + MIN_FRAME_BYTES <= len(data):
-        # a line full of noise must not cost more than a few ms: most noise is no function code
+        # noise must not cost more than a few ms: most of it is not a function code
         end = _frame_end(data, start) if data[start + 1] & 0x7F in PUBLIC_FUNCTIONS else None
         if end is None:
             start += 1
@@ -61,7 +60,7 @@ def split_frames(data: bytes) -> list[bytes]:
 
 
 def _frame_end(data: bytes, start: int) -> int | None:
-    """Where the shortest frame that begins here ends; None when nothing here has a good CRC."""
+    """End of the shortest frame that begins at `start`; None if none has a good CRC."""
     crc = CRC_START
     for end in range(start + 1, min(len(data), start + MAX_FRAME_BYTES) + 1):
         crc = crc16(data[end - 1 : end], crc)
@@ -106,7 +105,7 @@ class RtuServer:
 
     def _opened(self) -> serial.Serial:
         settings = self._settings
-        # exclusive: a second program on the line would take our bytes
+        # exclusive: a second program would steal bytes from the line
         return serial.Serial(
             settings.device,
             settings.baud,
@@ -165,7 +164,7 @@ class RtuServer:
             self._lost("end of file")
             return
         self._input += data
-        # noise without a pause must not fill the memory; the end is where a request for us would be
+        # noise without a pause must not fill the memory; a request for us would be at the end
         del self._input[: -3 * MAX_FRAME_BYTES]
         if self._timer is not None:
             self._timer.cancel()
@@ -181,7 +180,7 @@ class RtuServer:
             if frame[0] == BROADCAST:
                 respond(frame[1:-2], self._view, may_write=True)
             elif frame[0] == self._unit_id and is_last:
-                # the master has given up earlier requests when it sends another
+                # when the master sends another request, it has given up the earlier ones
                 self._send(self._framer.encode(respond(frame[1:-2], self._view, may_write=True), frame[0], 0))
 
     def _send(self, data: bytes) -> None:

@@ -16,7 +16,7 @@ UTF8_STRING = 0x0C
 
 
 def server_context(settings: TlsSettings) -> ssl.SSLContext:
-    """Context that insists on a client certificate. Raises `ListenError` for files that do not fit."""
+    """TLS context that requires a client certificate. Raises `ListenError` for files that do not fit."""
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
     context.minimum_version = ssl.TLSVersion.TLSv1_2
     context.verify_mode = ssl.CERT_REQUIRED
@@ -32,11 +32,11 @@ def server_context(settings: TlsSettings) -> ssl.SSLContext:
 
 
 def certificate_role(der: bytes) -> str | None:
-    """The role in a certificate (DER) whose signature TLS has already checked; None if it has none.
+    """Role in a certificate (DER) whose signature TLS has already checked; None if it has none.
 
-    Only the extension counts: the applicant chooses public key and name, byte by byte.
+    Only a proper extension counts: an applicant can choose the bytes of public key and name freely.
     """
-    from cryptography import x509  # a cell without TLS starts quicker
+    from cryptography import x509  # imported late: a cell without TLS starts faster
 
     unreadable = (
         x509.ExtensionNotFound,
@@ -54,7 +54,7 @@ def certificate_role(der: bytes) -> str | None:
 
 
 def _utf8_string(der: bytes) -> str | None:
-    """The text of a UTF8String, and of nothing else; roles are short, so its length is one byte."""
+    """Text of a DER UTF8String; None for anything else. Roles are short: the length is one byte."""
     if len(der) < 2 or der[0] != UTF8_STRING or der[1] >= 0x80 or der[1] != len(der) - 2:
         return None
     try:

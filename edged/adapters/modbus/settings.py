@@ -19,10 +19,10 @@ MAP_END = max(block.address + block.words for block in BLOCKS)
 
 @dataclass(frozen=True, slots=True)
 class TlsSettings:
-    """Modbus/TCP Security: both sides show a certificate.
+    """Settings of Modbus/TCP Security, where both sides present a certificate.
 
-    certificate, key : PEM, ours. authority : PEM, of the signer of the clients' certificates.
-    writer_roles : roles (extension 1.3.6.1.4.1.50316.802.1) that may write; all others may read.
+    certificate, key : the server's, PEM. authority : certificate of the CA that signed the clients', PEM.
+    writer_roles : roles (extension 1.3.6.1.4.1.50316.802.1) that may write; all others may only read.
     """
 
     certificate: Path
@@ -33,9 +33,10 @@ class TlsSettings:
 
 @dataclass(frozen=True, slots=True)
 class SerialSettings:
-    """Modbus RTU on a serial line, on the same registers.
+    """Settings of Modbus RTU on a serial line, for the same registers.
 
-    gap_s : silence that ends a frame; None: 3.5 characters, at least 1.75 ms as the specification says.
+    gap_s : silence that ends a frame; None: 3.5 characters, at least 1.75 ms, as specified.
+    retry_s : time between attempts to reopen a lost line.
     """
 
     device: str
@@ -52,9 +53,9 @@ class SerialSettings:
 
 @dataclass(frozen=True, slots=True)
 class LineSettings:
-    """Lines of text for robots, on the same registers; host and networks are the server's.
+    """Settings of the line protocol for robots, for the same registers; host and networks are the server's.
 
-    brand : convention of poses. allow_simulated : give poses of a virtual cell, too.
+    brand : convention of poses. allow_simulated : send poses of a virtual cell, too.
     """
 
     port: int
@@ -64,11 +65,11 @@ class LineSettings:
 
 @dataclass(frozen=True, slots=True)
 class ModbusSettings:
-    """The server.
+    """Settings of the server.
 
-    readers : networks that may connect; empty: everyone. writers : networks that may write; they also
-    find a free connection when `max_clients` strangers are connected.
-    reserved : of the `max_clients` connections, how many are kept for an address.
+    readers : networks that may connect; empty: all. writers : networks that may write; they also get a
+    connection when `max_clients` strangers are connected.
+    reserved : number of the `max_clients` connections reserved for an address.
     """
 
     host: str = "127.0.0.1"

@@ -1,11 +1,11 @@
 """Modbus/TCP: connections, framing, limits.
 
-Each complete frame is answered in order, so that pipelined requests all get their answer. A frame
-whose header cannot be right (protocol id, length) means that the framing is lost: the connection is
-closed, because everything after it would be guesswork.
+Complete frames are answered in order, so that pipelined requests all get their response. A frame with an
+invalid header (protocol id, length) means that the framing is lost: the connection is closed, because
+anything after it would be guesswork.
 
-A connection that does not read its answers is not read from either, and one that completes no request
-for `idle_s` is closed, whatever bytes it dribbles.
+A connection that does not read its responses is not read from either, and one that completes no request for
+`idle_s` is closed, even if it sends some bytes.
 """
 
 from __future__ import annotations
@@ -32,13 +32,13 @@ GATEWAY_NO_RESPONSE = 0x0B
 TURN = 16  # requests answered before other connections and tasks get their turn
 WRITE_BUFFER_BYTES = 16 * 1024
 STRANGERS_PER_S = (
-    20.0  # TLS handshakes, each of which takes milliseconds of the loop; the PLC's are not counted
+    20.0  # limit of TLS handshakes, each of which blocks the loop for milliseconds; the PLC's do not count
 )
-SILENT_S = 3.0  # no PLC polls so slowly; a client that lost its power does, though its connection looks alive
+SILENT_S = 3.0  # no PLC polls this slowly; a connection that looks alive may be of a client without power
 
 
 class TcpServer:
-    """Accepts connections and keeps them within the limits."""
+    """Accepts connections and enforces their limits."""
 
     def __init__(
         self,
@@ -60,7 +60,7 @@ class TcpServer:
 
     @property
     def port(self) -> int:
-        """Port that is listened on (useful when 0 was asked for); 0 when closed."""
+        """Listening port (useful when 0 was configured); 0 when closed."""
         return self._listener.port if self._listener is not None else 0
 
     async def start(self) -> None:
@@ -81,18 +81,18 @@ class TcpServer:
         self._listener = listener
 
     async def close(self) -> None:
-        """Stop listening and drop every connection, also those in their handshake."""
+        """Stop listening and close every connection, also those in their handshake."""
         listener, self._listener = self._listener, None
         if listener is not None:
             await listener.close()
 
     def entered(self, connection: ModbusConnection) -> None:
-        """A connection is through its handshake."""
+        """Add a connection that has completed its handshake."""
         self._connections[connection.client] = connection
         self.cell.addresses[connection.number] = connection.client.peer
 
     def _left(self, client: TcpClient) -> None:
-        """Free the place of a closed connection, and its right to write, at once."""
+        """Free the place of a closed connection and its right to write at once."""
         connection = self._connections.pop(client, None)
         if connection is not None:
             del self.cell.addresses[connection.number]
@@ -129,12 +129,12 @@ class TcpServer:
         return len(clients) + kept < self.settings.max_clients
 
     def _make_room(self, newcomer: TcpClient, *, is_known: bool) -> bool:
-        """Close a connection for a newcomer: first of those in their handshake, the longest idle one.
+        """Close a connection for a newcomer, the longest idle one of those in their handshake first.
 
-        A known PLC also displaces the stranger that is idle longest, or else the longest silent connection of
-        its own address (left behind when a PLC loses power), of an address with many, or of one whose right
-        to write has lapsed. A stranger displaces silent strangers only: a PLC may be silent between two
-        commands, and must not lose its connection to a scan of the network.
+        Failing that, a known PLC displaces the stranger that is idle longest, else the longest silent
+        connection of its own address (left over when a PLC lost power) or of an address with many, else one
+        whose right to write has lapsed. A stranger displaces only silent strangers: a PLC may be silent
+        between two commands, and must not lose its connection to a network scan.
         """
         clients, writers = self._clients, self.settings.writers
         strangers = [client for client in clients if not contains(writers, client.peer)]
@@ -167,7 +167,7 @@ class TcpServer:
 
 
 class ModbusConnection(asyncio.Protocol):
-    """One client."""
+    """Protocol of one client's connection."""
 
     def __init__(self, server: TcpServer, client: TcpClient, number: int) -> None:
         self.number = number
@@ -204,19 +204,19 @@ class ModbusConnection(asyncio.Protocol):
         self._transport = None
 
     def data_received(self, data: bytes) -> None:
-        """Collect, and answer what is complete."""
+        """Buffer data, and answer the frames that are complete."""
         self._buffer += data
         if self._turn is None and not self._is_choked:
             self._serve()
 
     def pause_writing(self) -> None:
-        """Stop reading while the client does not read its answers."""
+        """Stop reading while the client does not read its responses."""
         self._is_choked = True
         if self._transport is not None:
             self._transport.pause_reading()
 
     def resume_writing(self) -> None:
-        """Go on reading."""
+        """Resume reading."""
         self._is_choked = False
         if self._transport is not None:
             self._transport.resume_reading()
@@ -233,7 +233,7 @@ class ModbusConnection(asyncio.Protocol):
                 self._transport.resume_reading()
                 return
             self._answer(frame)
-        # more may wait in the buffer: take another turn, and let no more come in before that
+        # the buffer may hold more: take another turn, and read nothing before that
         if self._transport is not None and not self._is_choked:
             self._transport.pause_reading()
             self._turn = self._loop.call_soon(self._serve)

@@ -1,7 +1,7 @@
-"""One TCP connection of a client: framing, limits, turns.
+"""One TCP connection of a client: framing, limits, and yielding to others.
 
 asyncua buffers any announced size and logs a trace for any malformed frame; here the size is checked before
-buffering, and a client that sends no OPC UA is disconnected (OPC 10000-6, 7.1: Connection Protocol).
+buffering, and a client that does not send OPC UA is disconnected (OPC 10000-6, 7.1: Connection Protocol).
 """
 
 from __future__ import annotations
@@ -27,19 +27,19 @@ MAX_MESSAGE_BYTES, MAX_CHUNKS = 256 * 1024, 8
 KINDS = frozenset({b"HEL", b"OPN", b"MSG", b"CLO"})
 CHUNKS = frozenset(b"FCA")
 ACTIVATE_S = 10.0
-"""From connecting to a logged-in user; discovery of endpoints is done long before."""
+"""Limit from connecting to a logged-in user; discovery of endpoints takes far less."""
 SEND_S = 10.0
 MAX_UNSENT_BYTES = 2 * 1024 * 1024
 WAITING = 16
-"""Waiting frames of one client; with more, reading pauses."""
+"""Most queued frames of one client; with more, reading pauses."""
 REQUESTS_PER_S = 200.0
 STRANGERS_PER_S = 20.0
-"""Channels opened by all clients together: each costs a private key's operation."""
+"""Limit of secure channels opened by all clients together: each costs a private-key operation."""
 NONE_URI = "http://opcfoundation.org/UA/SecurityPolicy#None"
 
 
 class ConnectionRefused(Exception):
-    """The connection ends. status : sent to the client."""
+    """The connection must be closed. status : code sent to the client."""
 
     def __init__(self, status: int, why: str) -> None:
         self.status = status
@@ -80,7 +80,7 @@ class OpcUaConnection(asyncio.Protocol):
         return self._processor is not None and self._processor.is_active
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        """Start to serve."""
+        """Start serving the connection."""
         if not isinstance(transport, asyncio.Transport):
             raise TypeError("a stream transport was expected")
         self._transport = transport
@@ -92,7 +92,7 @@ class OpcUaConnection(asyncio.Protocol):
         self._task = loop.create_task(self._work(self._processor), name="opcua-connection")
 
     def connection_lost(self, _exc: Exception | None) -> None:
-        """Drop all that waits."""
+        """Stop all timers and the task, and drop buffered data."""
         for timer in self._timers.values():
             timer.cancel()
         if self._task is not None:
@@ -101,12 +101,12 @@ class OpcUaConnection(asyncio.Protocol):
         self._received.clear()
 
     async def ended(self) -> None:
-        """Wait for the end of its task."""
+        """Wait until its task has ended."""
         if self._task is not None:
             await asyncio.wait({self._task})
 
     def data_received(self, data: bytes) -> None:
-        """Cut what came into frames."""
+        """Split received data into frames."""
         self._received += data
         try:
             while len(self._received) >= FRAME.size:
@@ -126,12 +126,12 @@ class OpcUaConnection(asyncio.Protocol):
             self._transport.pause_reading()
 
     def pause_writing(self) -> None:
-        """Limit the time during which it does not read its answers."""
+        """Start the time limit for a client that does not read its responses."""
         loop = asyncio.get_running_loop()
         self._timers["send"] = loop.call_later(SEND_S, self._client.abort)
 
     def resume_writing(self) -> None:
-        """It reads its answers again."""
+        """Cancel the time limit: the client reads its responses again."""
         self._timers.pop("send").cancel()
 
     def _must_be_active(self) -> None:
@@ -153,7 +153,7 @@ class OpcUaConnection(asyncio.Protocol):
                 await asyncio.sleep(0 if self._rate.take() else 1 / REQUESTS_PER_S)
         except ConnectionRefused as refused:
             self._refuse(refused)
-        except Exception as error:  # noqa: BLE001  # whatever asyncua stumbles over was sent by the client
+        except Exception as error:  # noqa: BLE001  # anything that asyncua raises was caused by the client
             self._log.warning("opcua: %s was disconnected: %s", self._client.peer, type(error).__name__)
         finally:
             if self._transport is not None:
@@ -174,7 +174,7 @@ class OpcUaConnection(asyncio.Protocol):
         return goes_on
 
     def _check(self, frame: bytes) -> None:
-        """Check what asyncua checks too late, or not at all. Raises `ConnectionRefused`."""
+        """Make the checks that asyncua makes too late, or not at all. Raises `ConnectionRefused`."""
         if frame.startswith(b"HEL") == self._is_greeted:
             raise ConnectionRefused(
                 ua.StatusCodes.BadTcpMessageTypeInvalid, "expected HEL once, at the beginning"
@@ -202,7 +202,7 @@ class OpcUaConnection(asyncio.Protocol):
         self._log.warning("opcua: %s was disconnected: %s", self._client.peer, refused)
         transport = self._transport
         if transport is not None and not transport.is_closing():
-            # no reason in the message: it would tell a stranger what to try next (OPC 10000-6, 7.1.5)
+            # no reason in the message: it would help an attacker (OPC 10000-6, 7.1.5)
             transport.write(FRAME.pack(b"ERR", b"F", 16) + struct.pack("<Ii", refused.status, -1))
             transport.close()
         if self._task is not None and self._task is not asyncio.current_task():

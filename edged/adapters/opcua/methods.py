@@ -1,7 +1,8 @@
-"""Methods for clients: each becomes a write of the registers, or is answered from the picture.
+"""Methods for clients: each becomes a write to the registers, or is answered from the newest picture.
 
-What a cell cannot do answers BadNotSupported. `Error` is 0, or minus the NACK_REASON of the handshake; below
--100 it is minus a status of the lines for robots (OPC 40100-1: below 0 is the application's own).
+Methods that a cell does not support answer BadNotSupported. `Error` is 0, or minus the NACK_REASON of the
+handshake; below -100 it is minus a status of the line protocol for robots (OPC 40100-1: values below 0 are
+the application's own).
 """
 
 from __future__ import annotations
@@ -42,15 +43,15 @@ Handler = Callable[..., Awaitable[MethodAnswer]]
 
 
 class CommandWriter(Protocol):
-    """Writes to the cell's handshake, on the cell's event loop; each session is a client of it."""
+    """Writes to the cell's handshake, on the cell's event loop, where each session is a client of its own."""
 
     async def command(
         self, session: ua.NodeId, values: Mapping[str, Number]
     ) -> tuple[int, int, RegisterPicture]:
-        """Write a command; returns its sequence, 0 or minus the NACK_REASON, and the registers after it."""
+        """Write a command; return its sequence, 0 or minus the NACK_REASON, and the registers after it."""
 
     async def write(self, session: ua.NodeId, values: Mapping[str, Number]) -> int:
-        """Write other words of the command block; returns 0 or minus the NACK_REASON."""
+        """Write other words of the command block; return 0 or minus the NACK_REASON."""
 
 
 class Methods:
@@ -194,7 +195,7 @@ class Methods:
         return await self._prepare(self._space.job_number(recipe) if text_of(recipe) else None)
 
     async def _prepare(self, number: int | None) -> MethodAnswer:
-        """InternalIdOut, IsCompleted, Error; the event RecipePrepared says when it is completed."""
+        """Return InternalIdOut, IsCompleted and Error; the event RecipePrepared announces the completion."""
         picture = self._space.picture
         if _who() is None:
             return DENIED
@@ -218,7 +219,7 @@ class Methods:
         picture = self._space.picture
         jobs = picture.jobs if picture is not None else ()
         active = picture.values["ACTIVE_JOB"] if picture is not None else 0
-        wanted = int(prepared) if isinstance(prepared, int) else 2  # TriStateBoolean: 2 does not matter
+        wanted = int(prepared) if isinstance(prepared, int) else 2  # TriStateBoolean: 2 is "don't care"
         found = [
             RecipeIdInternalDataType(Id=ua.String(name))
             for number, name in jobs

@@ -1,7 +1,7 @@
-"""The types of OPC 40100-1, read from the table beside this module and added to an address space.
+"""The types of OPC 40100-1, read from a table next to this module and added to an address space.
 
-The table holds what the specification's own tables say: names, NodeIds, arguments, fields, numbers.
-Instances are built from it, too: what a type has to have, and which of its optional parts are asked for.
+The table holds the content of the specification's tables: names, NodeIds, arguments, fields, numbers.
+Instances are built from it, too: with all mandatory parts of a type and the requested optional ones.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ SCALARS: dict[str, tuple[ua.VariantType, Callable[[str], Any]]] = {
     "0:256": (ua.VariantType.Int32, lambda text: [int(text)]),
     "0:7594": (ua.VariantType.ExtensionObject, lambda text: [_named_value(*pair) for pair in pairs_of(text)]),
 }
-"""How the table writes a value, by its data type."""
+"""Variant type and parser of the table's values, by data type."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,7 +63,7 @@ class Model:
     references: tuple[tuple[str, str, str], ...]
 
     def row(self, number: int) -> ModelRow:
-        """The row of a node."""
+        """Row of a node by its number."""
         return next(row for row in self.rows if row.number == number)
 
     def encoding_of(self, number: int) -> ua.NodeId:
@@ -75,7 +75,7 @@ class Model:
 
 
 def read_model() -> Model:
-    """The table of this package."""
+    """Read the table in this package."""
     text = resources.files(__package__).joinpath("machinevision.tsv").read_text("utf-8")
     first, second = "\n".join(line for line in text.splitlines() if not line.startswith("#")).split("\n\n")
     rows = []
@@ -94,18 +94,18 @@ def read_model() -> Model:
 
 
 def node_of(text: str) -> ua.NodeId:
-    """NodeId of the table's "0:58" or "1:1017"."""
+    """NodeId of a reference in the table, such as "0:58" or "1:1017"."""
     space, _, number = text.partition(":")
     return ua.NodeId(int(number), VISION if space == "1" else 0)
 
 
 def name_of(text: str) -> ua.QualifiedName:
-    """Browse name of the table's: "0:" before OPC UA's own."""
+    """Browse name of a name in the table, where "0:" marks OPC UA's own namespace."""
     return ua.QualifiedName(text[2:], 0) if text.startswith("0:") else ua.QualifiedName(text, VISION)
 
 
 def arguments_of(text: str) -> list[ua.Argument]:
-    """Arguments as the table writes them."""
+    """Parse the arguments of a method in the table."""
     return [
         argument(name, node_of(kind), is_array=rank == ["1"])
         for name, kind, *rank in (part.split() for part in text.split(",") if part)
@@ -113,7 +113,7 @@ def arguments_of(text: str) -> list[ua.Argument]:
 
 
 def pairs_of(text: str) -> list[tuple[str, int]]:
-    """Names and numbers of an enumeration."""
+    """Parse the names and numbers of an enumeration in the table."""
     return [(name, int(number)) for name, _, number in (part.partition("=") for part in text.split(","))]
 
 
@@ -224,7 +224,7 @@ def _definition_of(row: ModelRow, encoding: ua.NodeId) -> Any:
 
 
 class Instances:
-    """Builds objects of the cell from the types. values : of properties, by their path."""
+    """Builds objects of the cell from the types. methods, variables : ids of the nodes built, by path."""
 
     def __init__(self, nodes: Nodes, model: Model) -> None:
         self._nodes = nodes
@@ -248,7 +248,7 @@ class Instances:
         return node
 
     def fill(self, type_number: int, path: str, node: ua.NodeId, optional: Collection[str] = ()) -> None:
-        """Give a node the parts of its type."""
+        """Add the parts of its type to a node."""
         if type_number in STATE_MACHINES:
             self._current_state(path, node)
         for row in self._model.children.get(f"1:{type_number}", ()):
@@ -300,5 +300,5 @@ class Instances:
 
 
 def type_node(number: int) -> ua.NodeId:
-    """A type or state of the specification."""
+    """NodeId of a type or state of the specification."""
     return ua.NodeId(number, VISION)

@@ -1,4 +1,4 @@
-"""Nodes for asyncua's address space, made without its client calls: a cell has a thousand of them."""
+"""Nodes for asyncua's address space, added without its slow client calls: a cell has a thousand of them."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ PROPERTY_TYPE, DATA_VARIABLE_TYPE = 68, 63
 
 
 def base(number: int) -> ua.NodeId:
-    """A node of OPC UA's own namespace."""
+    """NodeId in OPC UA's own namespace."""
     return ua.NodeId(number, 0)
 
 
 def in_cell(path: str) -> ua.NodeId:
-    """A node of the cell: ids are paths, the same after each start."""
+    """NodeId in the cell's namespace; ids are paths, so they stay the same after a restart."""
     return ua.NodeId(path, CELL)
 
 
@@ -45,7 +45,7 @@ class Nodes:
         attributes: Any,
         type_definition: ua.NodeId | None = None,
     ) -> ua.NodeId:
-        """One node of any class. Raises `ListenError` for what contradicts the address space: a bug."""
+        """Add a node of any class. Raises `ListenError` if it contradicts the address space: a bug."""
         attributes.DisplayName = ua.LocalizedText(name.Name)
         item = ua.AddNodesItem()
         item.RequestedNewNodeId, item.BrowseName = node, name
@@ -59,7 +59,7 @@ class Nodes:
         return node
 
     def refer(self, references: Iterable[tuple[ua.NodeId, ua.NodeId, ua.NodeId]]) -> None:
-        """References (source, type, target), seen from both ends."""
+        """Add references (source, type, target) in both directions, where both nodes exist."""
         items = []
         for source, kind, target in references:
             for start, end, forward in ((source, target, True), (target, source, False)):
@@ -71,7 +71,7 @@ class Nodes:
         self._server.node_mgt_service.add_references(items)
 
     def remove(self, nodes: Sequence[ua.NodeId]) -> None:
-        """Nodes and what refers to them."""
+        """Remove nodes and the references to them."""
         params = ua.DeleteNodesParameters()
         for node in nodes:
             item = ua.DeleteNodesItem()
@@ -88,7 +88,7 @@ class Nodes:
         *,
         events: bool = False,
     ) -> ua.NodeId:
-        """An object of the cell. events : clients may subscribe to those that it emits."""
+        """Add an object of the cell. events : clients may subscribe to its events."""
         attributes = ua.ObjectAttributes()
         attributes.EventNotifier = 1 if events else 0
         reference = base(35 if parent == base(ua.ObjectIds.ObjectsFolder) else HAS_COMPONENT)
@@ -106,7 +106,7 @@ class Nodes:
         type_definition: ua.NodeId | None = None,
         is_property: bool = False,
     ) -> ua.NodeId:
-        """A variable or property of the cell that clients may read. attributes : of `variable_attributes`."""
+        """Add a variable or property of the cell. attributes : from `variable_attributes`."""
         return self.add(
             in_cell(path),
             name,
@@ -125,7 +125,7 @@ class Nodes:
         inputs: Sequence[ua.Argument],
         outputs: Sequence[ua.Argument],
     ) -> ua.NodeId:
-        """A method of the cell with its arguments."""
+        """Add a method of the cell with its arguments."""
         attributes = ua.MethodAttributes()
         attributes.Executable = attributes.UserExecutable = True
         node = self.add(in_cell(path), name, parent, base(HAS_COMPONENT), ua.NodeClass.Method, attributes)

@@ -1,4 +1,4 @@
-"""Immutable copies of the registers, from the cell's event loop to the server's thread."""
+"""Immutable copies of the registers, passed from the cell's event loop to the server's thread."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from edged.plc.registers import Number
 class ResultRecord:
     """The result on display.
 
-    epoch, sequence : START_EPOCH and SEQ_HEAD. cell, started_ns : origin, as in messages over Zenoh.
-    is_silent : without numbers, as after VERIFY.
+    epoch, sequence : START_EPOCH and SEQ_HEAD. cell, started_ns : origin, as in Zenoh messages.
+    is_silent : has no content, as after VERIFY.
     """
 
     epoch: int
@@ -27,11 +27,11 @@ class ResultRecord:
 
     @property
     def name(self) -> str:
-        """Id of the result, and of the job that it belongs to."""
+        """Id of the result and of its execution, called "job" in the specification."""
         return job_name(self.epoch, self.sequence)
 
     def content(self) -> str:
-        """The message as `edged.payload` writes it; "" if silent."""
+        """The message in the format of `edged.payload`; "" if silent."""
         if self.is_silent:
             return ""
         return encode(message("target", self.cell, self.started_ns, snapshot_to_json(self.snapshot))).decode()
@@ -46,10 +46,10 @@ def job_name(epoch: int, sequence: int) -> str:
 class RegisterPicture:
     """All registers at one moment.
 
-    values : by name, those of the status, the command and the result. numbers : by address, all.
-    valid_until_s : monotonic clock; from then on no coordinate may be shown. 0: without coordinates.
+    values : registers of the status, command and result blocks, by name. numbers : all registers, by address.
+    valid_until_s : monotonic clock; from then on no coordinate may be shown. 0: there are no coordinates.
     jobs : number and name. result : on display, None without one.
-    called : sequence of the last command that came by a method.
+    called : sequence number of the last command that came by a method.
     """
 
     values: Mapping[str, Number]

@@ -1,7 +1,7 @@
-"""The OPC UA side of a cell, on the cell's event loop: pictures to the server's thread, commands from it.
+"""The OPC UA side of a cell, on the cell's event loop: sends pictures to the server's thread, takes commands.
 
-The registers and their handshake are the cell's, held by the Modbus server: each OPC UA session is one more
-of its clients, with a turn to write like every other's.
+The registers and their handshake belong to the cell and are held by the Modbus server: each OPC UA session is
+one more client of it, and competes for the right to write like all others.
 """
 
 from __future__ import annotations
@@ -33,15 +33,15 @@ CALL_S = 5.0
 NAMED = frozenset(
     register.address for block in (reg.RESULT, reg.COMMAND, reg.STATUS) for register in block.registers
 )
-"""Registers with the cell's state; other blocks may use the same names for other things."""
+"""Addresses of the registers that are read by name; other blocks may use the same names for other things."""
 T = TypeVar("T")
 
 
 class OpcUaPublisher:
     """Publishes one cell over OPC UA and takes its commands (`edged.ports.Publisher`).
 
-    registers : served now, None while they are exchanged. jobs : (number, name) of each.
-    Both are called on the event loop. identity : so that files need not be read again.
+    registers : returns the registers in service, None while they are exchanged. jobs : returns (number, name)
+    of each job. Both are called on the event loop. identity : if given, its files are not read again.
     """
 
     def __init__(
@@ -56,7 +56,7 @@ class OpcUaPublisher:
         self._watch = RegisterWatch(registers, self._show)
         self._jobs = jobs
         self._identity = identity
-        self._numbers = itertools.count(1_000_000)  # the Modbus server counts its own from 1
+        self._numbers = itertools.count(1_000_000)  # the Modbus server numbers its own clients from 1
         self._clients: dict[ua.NodeId, int] = {}
         self._snapshot: Snapshot | None = None
         self._called = 0
@@ -66,7 +66,7 @@ class OpcUaPublisher:
 
     @property
     def port(self) -> int:
-        """TCP port that is listened on; 0 when closed."""
+        """Listening TCP port; 0 when closed."""
         return self._server.port if self._server is not None else 0
 
     async def start(self) -> None:
@@ -81,7 +81,7 @@ class OpcUaPublisher:
         self._tick()
 
     def announce(self, event: Event) -> None:
-        """Take note of an event; shown after the registers have taken note of it."""
+        """Take an event into account; it is shown after the registers have been updated."""
         if isinstance(event, Snapshot):
             self._snapshot = event
         self._watch.show_soon()
@@ -127,7 +127,7 @@ class OpcUaPublisher:
         )
 
     def _displayed(self, values: Mapping[str, reg.Number]) -> ResultRecord | None:
-        """The result on display; None without one, or when a good one is no longer valid."""
+        """The result on display; None without one, after a reload, or when a good one is no longer valid."""
         snapshot = self._snapshot
         if snapshot is None or not values["SEQ_HEAD"] or values["CYCLE"] != snapshot.cycle & reg.UINT32_MAX:
             return None
@@ -143,16 +143,16 @@ class OpcUaPublisher:
             is_silent=code == reg.ResultCode.VERIFIED,  # no robot gets coordinates from it
         )
 
-    # --- commands, asked for on the server's thread --------------------------------------------
+    # --- commands, called on the server's thread -----------------------------------------------
 
     async def command(
         self, session: ua.NodeId, values: Mapping[str, reg.Number]
     ) -> tuple[int, int, RegisterPicture]:
-        """See `methods.Handshake`."""
+        """See `methods.CommandWriter`."""
         return await self._on_loop(self._command(session, values))
 
     async def write(self, session: ua.NodeId, values: Mapping[str, reg.Number]) -> int:
-        """See `methods.Handshake`."""
+        """See `methods.CommandWriter`."""
         return await self._on_loop(self._write(session, values))
 
     async def _on_loop(self, work: Coroutine[Any, Any, T]) -> T:
@@ -198,7 +198,7 @@ class OpcUaPublisher:
         return 0
 
     def _nudge(self) -> None:
-        """A result has expired on the server's thread: show the present registers."""
+        """Show the current registers after a result has expired; called on the server's thread."""
         self._watch.from_thread(self._watch.show_soon)
 
     def _session_gone(self, session: ua.NodeId) -> None:

@@ -1,7 +1,7 @@
 """The server's identity, trusted clients, and users.
 
-A client is trusted when its own certificate lies in the folder `trusted`: no authority vouches for others.
-One that is not is written to the folder `rejected` beside it, from where it can be moved.
+A client is trusted when its own certificate is in the folder `trusted`; certificate authorities do not count.
+A certificate that is not trusted is written to the folder `rejected` next to it, from where it can be moved.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ MAX_CERTIFICATE_BYTES = 16 * 1024
 MIN_BITS, MAX_BITS = 2048, 4096  # of the profile Basic256Sha256 (OPC 10000-7)
 FREE_ATTEMPTS, LOCKED_S, MAX_REMEMBERED = 5, 30.0, 1024
 HASHES_PER_S = 2.0
-"""A password's hash takes a tenth of a second and 64 MiB: guessing must not cost the cell its cores."""
+"""Hashing a password takes a tenth of a second and 64 MiB: guessing must not slow the cell down."""
 
 log = logging.getLogger(__name__)
 
@@ -96,7 +96,7 @@ class TrustList:
         return len(self._trusted)
 
     def why_not(self, chain: bytes) -> str:
-        """Why a client with this certificate (DER, others may follow) is not trusted; "" if it is."""
+        """Why a client is not trusted; "" if it is. chain : its certificate (DER), others may follow."""
         der = first_certificate(chain)
         certificate = self._trusted.get(hashlib.sha256(der).digest())
         if certificate is None:
@@ -106,7 +106,7 @@ class TrustList:
         return ""
 
     def _keep(self, der: bytes) -> str:
-        """Write a stranger's certificate down so that it can be trusted; " (...)" says where."""
+        """Save an unknown client's certificate so that it can be trusted later; return " (file)", else ""."""
         if (
             self._folder is None
             or self._rejected >= MAX_REJECTED
@@ -137,7 +137,7 @@ def first_certificate(chain: bytes) -> bytes:
 
 
 class Users:
-    """Checks users (asyncua's `UserManager`). peer, is_encrypted : of the client that logs in now."""
+    """Checks users (asyncua's `UserManager`). peer, is_encrypted : of the client that is logging in."""
 
     def __init__(self, settings: OpcUaSettings, clock_s: Callable[[], float] = time.monotonic) -> None:
         self._settings = settings
@@ -150,10 +150,10 @@ class Users:
 
     def get_user(
         self,
-        iserver: object,  # noqa: ARG002  # asyncua names it in its call
+        iserver: object,  # noqa: ARG002  # asyncua passes it by name
         username: str | None = None,
         password: str | None = None,
-        certificate: bytes | None = None,  # noqa: ARG002  # the channel's was looked at before
+        certificate: bytes | None = None,  # noqa: ARG002  # the channel's was checked before
     ) -> User | None:
         """A named user may command, an anonymous one may read; None: refused."""
         if username is None and password is None:

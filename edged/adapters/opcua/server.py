@@ -1,6 +1,6 @@
-"""The server on a thread and an event loop of its own, so that clients do not load the cell's loop.
+"""The server on its own thread and event loop, so that clients do not load the cell's event loop.
 
-Pictures come in through `post`; commands go out through `CommandWriter`, whose calls end on the cell's loop.
+Pictures come in through `post`; commands go out through `CommandWriter`, whose calls run on the cell's loop.
 """
 
 from __future__ import annotations
@@ -51,13 +51,16 @@ LIMITS = (
     ua.ObjectIds.Server_ServerCapabilities_OperationLimits_MaxMonitoredItemsPerCall,
 )
 
-# clients could choose what it logs about malformed frames; the lines that matter are ours
+# its lines about malformed frames are under clients' control; the lines that matter are ours
 logging.getLogger("asyncua").setLevel(logging.CRITICAL)
 log = logging.getLogger(__name__)
 
 
 class ServerThread:
-    """Owns the thread. gone : called on it with the id of each ended session."""
+    """Owns the server's thread. fallen : called on it when a result has expired.
+
+    gone : called on it with the id of each ended session.
+    """
 
     def __init__(
         self,
@@ -88,7 +91,7 @@ class ServerThread:
 
     @property
     def port(self) -> int:
-        """TCP port that is listened on; 0 when closed."""
+        """Listening TCP port; 0 when closed."""
         return self._listener.port if self._listener is not None else 0
 
     async def start(self) -> None:
@@ -158,7 +161,7 @@ class ServerThread:
         policies = self._policies(server)
         server.refresh = self._before_read
         if self._is_given_up:
-            return  # its start took too long: the port is another's now
+            return  # the start took too long and was given up
         self._listener = listener = TcpListener(
             "opcua",
             functools.partial(self._connect, server, policies, trust),
@@ -181,7 +184,7 @@ class ServerThread:
             await asyncio.wait({stopped, *tasks}, return_when=asyncio.FIRST_COMPLETED)
             for task in tasks:
                 if task.done():
-                    task.result()  # a bug: it goes where the thread's errors go
+                    task.result()  # only a bug ends a task: raise it in the thread
         finally:
             await self._close(server, listener, [stopped, *tasks])
 
@@ -200,7 +203,7 @@ class ServerThread:
         await server.stop()
 
     async def _prepare(self, server: Server) -> None:
-        """Fill the standard's own nodes for this server."""
+        """Fill in the standard nodes of the server."""
         high = asyncua.Server(iserver=server)
         await high.init()
         await high.set_application_uri(self._settings.application_uri)
@@ -247,7 +250,7 @@ class ServerThread:
             tokens.append(("anonymous", ua.UserTokenType.Anonymous))
         for name, kind in tokens:
             token = ua.UserTokenPolicy()
-            # the channel encrypts: the password need not be encrypted once more
+            # the channel is encrypted: the password need not be encrypted again
             token.PolicyId, token.TokenType = name, kind
             token.SecurityPolicyUri = security_policies.SecurityPolicyNone.URI
             found.UserIdentityTokens.append(token)
@@ -259,13 +262,13 @@ class ServerThread:
         self, server: Server, policies: list[Any], trust: TrustList, client: TcpClient
     ) -> OpcUaConnection:
         connection = OpcUaConnection(server, policies, trust, self._channels, client, self._log)
-        # a connection that was aborted at its start has left already, and would stay in the dict
+        # a client that was aborted while connecting has left already, and would stay in the dict
         if self._listener is not None and self._listener.client(client.name) is client:
             self._connections[client] = connection
         return connection
 
     def _admits(self, newcomer: TcpClient) -> bool:
-        """Whether a client may stay. No address gets more than half of the connections."""
+        """Whether a new client may stay; no address gets more than half of the connections."""
         settings, peer = self._settings, newcomer.peer
         if settings.readers and not contains(settings.readers, peer):
             self._log.warning("opcua: %s is not in the list of networks, closed", peer)
@@ -318,12 +321,12 @@ class ServerThread:
             self._fallen()
 
     async def _before_read(self) -> None:
-        """Hide an expired result before a read that comes ahead of the timer."""
+        """Hide an expired result if a read comes before the timer."""
         if self._space is not None and self._space.is_overdue:
             await self._space.fall()
 
     async def _tick(self, server: Server) -> None:
-        """Update the server's clock, by which clients see that it lives."""
+        """Update the server's clock, which clients use as a heartbeat."""
         node, status = (
             server.aspace[base(number)].attributes[ua.AttributeIds.Value]
             for number in (ua.ObjectIds.Server_ServerStatus_CurrentTime, ua.ObjectIds.Server_ServerStatus)

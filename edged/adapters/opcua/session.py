@@ -1,7 +1,7 @@
-"""asyncua's sessions and requests, with the missing checks: owners of subscriptions, and limits.
+"""asyncua's sessions and requests, with the checks that it lacks: ownership of subscriptions, and limits.
 
-Responsible for: which services there are, who may use them, how much one session may hold. Not for what is
-sent over the line (`connection`) nor for what the nodes show (`space`).
+Responsible for: which services there are, who may use them, how much one session may hold. Not for the data
+on the wire (`connection`) nor for the content of the nodes (`space`).
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from asyncua.server.uaprocessor import UaProcessor
 from edged.adapters.opcua.security import Users
 
 MAX_NODES = 1000
-"""Nodes in one request; the registers are half of it."""
+"""Most nodes in one request; the registers are half as many."""
 MAX_SUBSCRIPTIONS, MAX_ITEMS = 4, 2000
 """Limits of one session."""
 MIN_PUBLISHING_MS, MAX_PUBLISHING_MS = 10.0, 60_000.0
@@ -36,7 +36,7 @@ DISCOVERY = frozenset(
         _S.CloseSecureChannelRequest_Encoding_DefaultBinary,
     }
 )
-"""Services without a session, also without encryption: discovery of endpoints."""
+"""Services allowed without a session and without encryption: discovery of endpoints."""
 OPENING = frozenset(
     {
         _S.CreateSessionRequest_Encoding_DefaultBinary,
@@ -64,12 +64,12 @@ SERVICES = frozenset(
         _S.RepublishRequest_Encoding_DefaultBinary,
     }
 )
-"""Services of a session. No node can be written: commands are methods."""
+"""Services of an active session. Write is not among them: commands are methods."""
 
 NOBODY = User(role=UserRole.Anonymous)
 
 caller: contextvars.ContextVar[OpcUaSession | None] = contextvars.ContextVar("opcua_caller", default=None)
-"""The session whose method runs."""
+"""The session whose method call is running."""
 
 
 async def _nothing() -> None:
@@ -105,7 +105,7 @@ class Server(InternalServer):
         user: User = NOBODY,
         external: bool = False,
     ) -> OpcUaSession:
-        """A session for a connection. Raises `ServiceError` when there are too many."""
+        """Create a session for a connection. Raises `ServiceError` when there are too many."""
         if len(self.sessions) >= self.max_sessions:
             raise ServiceError(ua.StatusCodes.BadTooManySessions)
         session = OpcUaSession(
@@ -115,51 +115,51 @@ class Server(InternalServer):
         return session
 
     def lookup_external_session(self, auth_token: ua.NodeId) -> None:
-        """None: a session ends with its connection, and no other takes it up."""
+        """Find no session: each ends with its connection, and cannot be transferred to another."""
 
 
 class OpcUaSession(InternalSession):
-    """A client's session: it reaches its own subscriptions only, and no more than a share of the server."""
+    """A client's session: it can use only its own subscriptions, and only a share of the server."""
 
     def __init__(self, *arguments: Any, **options: Any) -> None:
         super().__init__(*arguments, **options)
         self.iserver.unregister_external_session(self)
-        self.auth_token = ua.NodeId(secrets.token_bytes(32), 0)  # asyncua counts, and others could tell it
+        self.auth_token = ua.NodeId(secrets.token_bytes(32), 0)  # asyncua's counter could be guessed
 
     @property
     def may_command(self) -> bool:
-        """Whether its user gave the password."""
+        """Whether its user logged in with the password."""
         return self.user.name is not None
 
     async def close_session(self, delete_subs: bool = True) -> None:  # noqa: ARG002  # all of it, always
-        """End it with all that it holds."""
+        """End the session and delete its subscriptions."""
         server = self.iserver
         if isinstance(server, Server) and server.sessions.pop(self.session_id, None) is not None:
             server.gone(self.session_id)
         await super().close_session(True)
 
     async def read(self, params: ua.ReadParameters) -> list[ua.DataValue]:
-        """Values of nodes."""
+        """Read values of nodes, after hiding an expired result."""
         _limit(params.NodesToRead)
         if isinstance(self.iserver, Server):
             await self.iserver.refresh()
         return await super().read(params)
 
     async def browse(self, params: ua.BrowseParameters) -> list[ua.BrowseResult]:
-        """References of nodes."""
+        """Browse the references of nodes."""
         _limit(params.NodesToBrowse)
         return await super().browse(params)
 
     async def translate_browsepaths_to_nodeids(
         self, params: list[ua.BrowsePath]
     ) -> list[ua.BrowsePathResult]:
-        """Nodes at paths."""
+        """Find nodes by their browse paths."""
         _limit(params)
         return await super().translate_browsepaths_to_nodeids(params)
 
     async def call(self, params: list[ua.CallMethodRequest]) -> list[ua.CallMethodResult]:
-        """Call methods, which read `caller`."""
-        if len(params) > 1:  # one command a request: the second would overtake the answer of the first
+        """Call a method, which finds this session in `caller`."""
+        if len(params) > 1:  # one command per request: a second one would run before the first is answered
             raise ServiceError(ua.StatusCodes.BadTooManyOperations)
         caller.set(self)
         return await super().call(params)
@@ -167,7 +167,7 @@ class OpcUaSession(InternalSession):
     async def create_subscription(
         self, params: ua.CreateSubscriptionParameters, callback: Any, request_callback: Any = None
     ) -> ua.CreateSubscriptionResult:
-        """Create a subscription, at a limited rate."""
+        """Create a subscription, with a limited publishing interval."""
         if len(self._own()) >= MAX_SUBSCRIPTIONS:
             raise ServiceError(ua.StatusCodes.BadTooManySubscriptions)
         interval_ms = params.RequestedPublishingInterval
@@ -179,16 +179,16 @@ class OpcUaSession(InternalSession):
     async def create_monitored_items(
         self, params: ua.CreateMonitoredItemsParameters
     ) -> list[ua.MonitoredItemCreateResult]:
-        """Items of one of its subscriptions."""
+        """Create items in one of its subscriptions."""
         self._check(params.SubscriptionId)
         _limit(params.ItemsToCreate)
         for item in params.ItemsToCreate:
             if item.ItemToMonitor.AttributeId == ua.AttributeIds.Value:
-                # a coordinate that waits in a queue while another follows has expired
+                # a coordinate still in the queue when the next one follows has expired
                 item.RequestedParameters.QueueSize = 1
         if isinstance(self.iserver, Server):
             await self.iserver.refresh()
-        # asyncua has no other way to say how many there are
+        # asyncua offers no other way to count them
         held = sum(len(sub.monitored_item_srv._monitored_items) for sub in self._own())  # noqa: SLF001  # as said
         if held + len(params.ItemsToCreate) > MAX_ITEMS:
             raise ServiceError(ua.StatusCodes.BadTooManyMonitoredItems)
@@ -197,7 +197,7 @@ class OpcUaSession(InternalSession):
     async def modify_monitored_items(
         self, params: ua.ModifyMonitoredItemsParameters
     ) -> list[ua.MonitoredItemModifyResult]:
-        """Items of one of its subscriptions; a value's queue stays as short as it is."""
+        """Modify items of one of its subscriptions; the queue size of values stays 1."""
         self._check(params.SubscriptionId)
         _limit(params.ItemsToModify)
         for item in params.ItemsToModify:
@@ -206,39 +206,39 @@ class OpcUaSession(InternalSession):
         return await super().modify_monitored_items(params)
 
     async def delete_monitored_items(self, params: ua.DeleteMonitoredItemsParameters) -> list[ua.StatusCode]:
-        """Items of one of its subscriptions."""
+        """Delete items of one of its subscriptions."""
         self._check(params.SubscriptionId)
         _limit(params.MonitoredItemIds)
         return await super().delete_monitored_items(params)
 
     async def set_monitoring_mode(self, params: ua.SetMonitoringModeParameters) -> list[ua.StatusCode]:
-        """Items of one of its subscriptions."""
+        """Set the monitoring mode of items of one of its subscriptions."""
         self._check(params.SubscriptionId)
         _limit(params.MonitoredItemIds)
         return await super().set_monitoring_mode(params)
 
     async def set_publishing_mode(self, params: ua.SetPublishingModeParameters) -> list[ua.StatusCode]:
-        """Mode of its own subscriptions."""
+        """Set the publishing mode of its own subscriptions."""
         self._check(*params.SubscriptionIds)
         return await super().set_publishing_mode(params)
 
     def modify_subscription(self, params: ua.ModifySubscriptionParameters) -> ua.ModifySubscriptionResult:
-        """One of its own."""
+        """Modify one of its own subscriptions."""
         self._check(params.SubscriptionId)
         return super().modify_subscription(params)
 
     async def delete_subscriptions(self, ids: list[int]) -> list[ua.StatusCode]:
-        """Its own."""
+        """Delete its own subscriptions."""
         self._check(*ids)
         return await super().delete_subscriptions(ids)
 
     def republish(self, params: ua.RepublishParameters) -> ua.NotificationMessage:
-        """A message of one of its own."""
+        """Send a message of one of its own subscriptions again."""
         self._check(params.SubscriptionId)
         return super().republish(params)
 
     def publish(self, acks: Any = None) -> tuple[int, list[ua.StatusCode]]:
-        """Acknowledge messages of its own."""
+        """Acknowledge messages of its own subscriptions."""
         if not self._own():
             raise ServiceError(ua.StatusCodes.BadNoSubscription)
         known = self.subscription_service.subscriptions
@@ -265,7 +265,7 @@ def _limit(operations: Any) -> None:
 
 
 class Processor(UaProcessor):
-    """Requests of one connection."""
+    """Processes the requests of one connection, after checking that they are allowed."""
 
     @property
     def is_active(self) -> bool:
@@ -275,7 +275,7 @@ class Processor(UaProcessor):
     async def _process_message(self, typeid: ua.NodeId, requesthdr: Any, seqhdr: Any, body: Any) -> Any:
         number = typeid.Identifier if typeid.NamespaceIndex == 0 else None
         server = self.iserver
-        # not its peer's certificate: a client may send one without encrypting
+        # the peer's certificate would not prove it: a client may send one without encrypting
         is_encrypted = self._connection.security_policy.Mode == ua.MessageSecurityMode.SignAndEncrypt
         if number not in DISCOVERY:
             if number not in OPENING and number not in SERVICES:
@@ -297,7 +297,7 @@ class Processor(UaProcessor):
         return await super()._process_message(typeid, requesthdr, seqhdr, body)
 
     async def close(self) -> None:
-        """Close the session with its connection."""
+        """Close the connection's session, too."""
         await super().close()
         if self.session is not None:
             await self.session.close_session(True)

@@ -10,11 +10,12 @@ from edged.connections import Network
 
 @dataclass(frozen=True, slots=True)
 class OpcUaSettings:
-    """The server of one cell.
+    """Settings of the server of one cell.
 
-    certificate, key : PEM, ours; None: there is no encrypted endpoint. trusted : folder with the certificates
-    of the clients that may connect, PEM or DER. user, password_hash : who may command.
-    anonymous : anyone may read, also without encryption. readers : networks that may connect; empty: all.
+    certificate, key : the server's, PEM; None: there is no encrypted endpoint. trusted : folder with the
+    certificates of the clients that may connect, PEM or DER. user, password_hash : log-in of the user who may
+    command. anonymous : anyone may read, also without encryption. readers : networks that may connect; empty:
+    all. free_running : the cell measures without commands.
     """
 
     cell: str
@@ -32,5 +33,5 @@ class OpcUaSettings:
 
     @property
     def application_uri(self) -> str:
-        """Identity of this server for clients; its certificate must have the same."""
+        """Identity of this server for clients; its certificate must contain the same URI."""
         return f"urn:edged:{self.cell}"

@@ -1,8 +1,8 @@
-"""The address space of a cell: a vision system of OPC 40100-1, and beside it every register as a variable.
+"""The address space of a cell: a vision system of OPC 40100-1, and every register as a variable in it.
 
-`show` replaces a picture by the next: first all values, then notifications to subscriptions, then events.
-Nothing else runs between the first and the last value, so no read sees halves of two results. A coordinate
-that may not be used has no value and the status BadNoData, from the same moment on as its flag.
+`show` replaces a picture with the next: first all values, then notifications to subscriptions, then events.
+Nothing else runs between the first and the last value, so no read mixes two results. A coordinate that may no
+longer be used has no value and the status BadNoData, from the same moment on as its flag.
 """
 
 from __future__ import annotations
@@ -64,12 +64,12 @@ OPTIONAL = frozenset(
         "PartId",
     }
 )
-"""Optional parts of the specification that a cell has."""
+"""Optional parts of the specification that a cell provides."""
 LASTING_BLOCKS = (
     *(reg.CONSTANTS, reg.COMMAND, reg.STATUS, reg.COUNTERS),
     *(*reg.JOBS, reg.REFERENCE_MARKS, reg.ACCEPTANCE, reg.ROBOT_MAP),
 )
-"""Every other block shows a result, and is hidden when it expires."""
+"""Blocks that do not expire; every other block belongs to a result and is hidden when that expires."""
 VARIANTS = {
     reg.Kind.U16: ua.VariantType.UInt16,
     reg.Kind.I32: ua.VariantType.Int32,
@@ -78,7 +78,7 @@ VARIANTS = {
     reg.Kind.F32: ua.VariantType.Float,
 }
 UNITS = {"µm": "4H", "mm": "MMT", "°": "DD", "ms": "C26", "µs": "B98", "ns": "C45", "µrad": "B97"}
-"""Codes of UNECE Recommendation 20; OPC 10000-8, 5.6.3: the number is that of the code's characters."""
+"""Codes of UNECE Recommendation 20; as a UnitId their characters form a number (OPC 10000-8, 5.6.3)."""
 BAD = ua.StatusCode(ua.StatusCodes.BadNoData)
 INACTIVE = ua.StatusCode(ua.StatusCodes.BadStateNotActive)
 GOOD = ua.StatusCode()
@@ -93,10 +93,10 @@ Asked = tuple[object, object, object, object]  # MeasId, PartId, RecipeId, Produ
 
 
 class CellEvent(Event):
-    """An event; clients get its fields, and nothing else of the object."""
+    """An event of which clients can select only the declared fields, not other attributes of the object."""
 
     def to_event_fields(self, select_clauses: list[ua.SimpleAttributeOperand]) -> list[ua.Variant]:
-        """The fields that a client selected, by the last name of their path."""
+        """Values of the fields that a client selected by their browse paths; null for unknown ones."""
         return [self._field(clause) for clause in select_clauses]
 
     def _field(self, clause: ua.SimpleAttributeOperand) -> ua.Variant:
@@ -107,7 +107,7 @@ class CellEvent(Event):
 
 
 def own_name(name: str) -> ua.QualifiedName:
-    """A browse name of the cell."""
+    """Browse name in the cell's namespace."""
     return ua.QualifiedName(name, 3)
 
 
@@ -127,7 +127,7 @@ class Space:
         self._shown: dict[ua.NodeId, tuple[object, int]] = {}
         self._modified: dict[str, datetime] = {}
         self._asked: dict[str, Asked] = {}
-        self._written: tuple[Snapshot, str] | None = None  # its content is made once
+        self._written: tuple[Snapshot, str] | None = None  # cache: its content is formatted once
         self._log = LogLimit(__name__)
         self.picture: RegisterPicture | None = None
         self._fallen = True
@@ -157,7 +157,7 @@ class Space:
         self._build_metadata()
 
     def _build_metadata(self) -> None:
-        """Say which ids all cells have, as the table does for OPC 40100-1 (OPC 10000-5, 6.3.13)."""
+        """Describe the cell's namespace, as the table does for OPC 40100-1 (OPC 10000-5, 6.3.13)."""
         node = self._nodes.object(
             "Namespace", own_name(CELL_URI), base(ua.ObjectIds.Server_Namespaces), base(11616)
         )
@@ -211,7 +211,7 @@ class Space:
     # --- showing -----------------------------------------------------------------------------
 
     async def show(self, picture: RegisterPicture) -> None:
-        """Replace the picture."""
+        """Replace the picture: write all values, then emit the events of the change."""
         before, self.picture, self._fallen = self.picture, picture, False
         if before is None or before.jobs != picture.jobs:
             self._exchange_recipes(picture)
@@ -220,14 +220,14 @@ class Space:
             vision_state(picture.values, free_running=self._settings.free_running),
         )
         if self._moment_s() >= picture.valid_until_s > 0.0:
-            await self.fall()  # it took its time to come here
+            await self.fall()  # it expired on the way here
         else:
             await self._write([*self._register_values(picture), *self._other_values(picture)])
         for event in self._events(before, state, picture):
             await self._emit(event)
 
     async def fall(self) -> None:
-        """Hide an expired result before the next picture arrives."""
+        """Hide an expired result without waiting for the next picture."""
         if self._fallen or self.picture is None:
             return
         self._fallen = True
@@ -240,7 +240,7 @@ class Space:
 
     @property
     def is_overdue(self) -> bool:
-        """Whether a coordinate is shown that may no longer be used."""
+        """Whether a coordinate is still shown that may no longer be used."""
         picture = self.picture
         return not self._fallen and picture is not None and 0.0 < picture.valid_until_s <= self._moment_s()
 
@@ -265,7 +265,7 @@ class Space:
         self, picture: RegisterPicture
     ) -> Iterator[tuple[ua.NodeId, object, ua.StatusCode, ua.VariantType]]:
         for address, (register, node, is_result) in self._registers.items():
-            value = picture.numbers.get(address, 0)  # rows of jobs that are empty are left out
+            value = picture.numbers.get(address, 0)  # empty rows of the job table are left out
             unknown = is_result and is_unknown(register, value)
             yield node, None if unknown else value, BAD if unknown else GOOD, VARIANTS[register.kind]
 
@@ -313,7 +313,7 @@ class Space:
     # --- recipes and results -----------------------------------------------------------------
 
     def _exchange_recipes(self, picture: RegisterPicture) -> None:
-        """Add and remove the objects of jobs."""
+        """Add objects for new jobs and remove those of deleted ones."""
         wanted = {name for _, name in picture.jobs}
         variables, methods = self.instances.variables, self.instances.methods
         for name in [name for name in self._modified if name not in wanted]:
@@ -345,7 +345,7 @@ class Space:
         self.recipe_added(place)
 
     def job_number(self, recipe: object) -> int | None:
-        """Number of the job of a recipe's id (name or number); 0 for an empty id, None if unknown."""
+        """Job number of a recipe's id, which is a name or a number; 0 for an empty id, None if unknown."""
         text = text_of(recipe)
         if not text:
             return 0
@@ -353,13 +353,13 @@ class Space:
         return next((number for number, name in jobs if text in (name, str(number))), None)
 
     def remember(self, job: str, asked: Asked) -> None:
-        """Remember a client's names of its job, for the job's result."""
+        """Remember the ids that a client gave for an execution, to repeat them in its result."""
         while len(self._asked) >= MAX_ASKED:
             del self._asked[next(iter(self._asked))]
         self._asked[job] = asked
 
     def result_data(self, record: ResultRecord) -> ResultDataType:
-        """The result as the specification writes it."""
+        """The result in the specification's structure."""
         meas, part, recipe, product = self._asked.get(record.name, (None,) * 4)
         snapshot, content = record.snapshot, self._content(record)
         published = _time(snapshot.published_ns)
@@ -406,7 +406,7 @@ class Space:
             if is_job and is_new:
                 yield JOB_STARTED, "The job has started", USUAL, {"JobId": (job, kind)}
             if is_new and done and state == self._state and state.automatic is Automatic.READY:
-                # begun and done between two pictures: who waits for its states is told them all the same
+                # begun and done between two pictures: report the states in between all the same
                 passed = Automatic.SINGLE_EXECUTION if is_job else Automatic.INITIALIZED
                 between = replace(state, automatic=passed)
                 yield from self._transition(state, between, job, picture)
@@ -470,7 +470,7 @@ class Space:
         return found_fields
 
     async def _emit(self, what: tuple[int, str, int, Mapping[str, tuple[object, ua.VariantType]]]) -> None:
-        """Send an event to those who subscribed to the server, the vision system, or its state machine."""
+        """Send an event to subscribers of the server, the vision system, or its state machine."""
         number, message, severity, own = what
         now = datetime.now(UTC)
         event = CellEvent()
@@ -507,7 +507,7 @@ RESULT_KINDS: dict[str, ua.VariantType] = {
 
 
 def transition_cause(picture: RegisterPicture, to: Automatic | None) -> str:
-    """End of the name of the shown transition: the specification names them by their causes."""
+    """Suffix in the name of the current transition, which the specification names by its cause."""
     if picture.values["COMMAND"] == CommandKind.CHANGE_JOB:
         return "Recipe"
     is_called = to is Automatic.SINGLE_EXECUTION and picture.values["LAST_SEQ"] == picture.called
@@ -515,7 +515,7 @@ def transition_cause(picture: RegisterPicture, to: Automatic | None) -> str:
 
 
 def is_unknown(register: reg.Register, value: reg.Number) -> bool:
-    """Whether a register of a result holds the number for "unknown"."""
+    """Whether a register of a result holds the value that means "unknown"."""
     if register.kind is reg.Kind.I32:
         return value == reg.INT32_MIN
     if register.kind is reg.Kind.F32:
@@ -525,7 +525,7 @@ def is_unknown(register: reg.Register, value: reg.Number) -> bool:
 
 
 def unit_of(unit: str) -> ua.EUInformation:
-    """The unit of a register; text only where UNECE has no code."""
+    """Unit of a register; only its text where UNECE has no code."""
     found = ua.EUInformation()
     found.NamespaceUri = "http://www.opcfoundation.org/UA/units/un/cefact"
     found.UnitId = int.from_bytes(UNITS[unit].encode(), "big") if unit in UNITS else -1
@@ -538,5 +538,5 @@ def _time(utc_ns: int) -> Any:
 
 
 def _boolean(*, value: bool) -> Any:
-    """A bool as asyncua's Boolean, which type checkers do not take for one."""
+    """Pass a bool where asyncua's Boolean is expected, which type checkers do not accept."""
     return value

@@ -1,4 +1,4 @@
-"""States of OPC 40100-1, derived from the registers each time.
+"""States of OPC 40100-1, derived from the registers on each update.
 
 Source: OPC 40100-1, 8.2.6 (VisionStateMachineType) and 8.3.5 (VisionAutomaticModeStateMachineType).
 """
@@ -35,16 +35,16 @@ class Automatic(enum.Enum):
 
 @dataclass(frozen=True, slots=True)
 class VisionState:
-    """States of both machines. automatic : None outside of Operational."""
+    """States of both state machines. automatic : None outside Operational."""
 
     top: Top
     automatic: Automatic | None
 
 
 def vision_state(values: Mapping[str, Number], *, free_running: bool) -> VisionState:
-    """The state by the registers. free_running : the cell measures without commands."""
+    """Derive the state from the registers. free_running : the cell measures without commands."""
     state, bits = int(values["STATE"]), int(values["STATUS_BITS"])
-    if state in (STATES[CellPhase.STARTING], STATES[CellPhase.SETUP]):  # people have to do something first
+    if state in (STATES[CellPhase.STARTING], STATES[CellPhase.SETUP]):  # not yet ready for operation
         return VisionState(Top.PREOPERATIONAL, None)
     if state == STATES[CellPhase.STOPPING]:
         return VisionState(Top.HALTED, None)
@@ -64,5 +64,5 @@ def vision_state(values: Mapping[str, Number], *, free_running: bool) -> VisionS
 
 
 def is_simulated(values: Mapping[str, Number]) -> bool:
-    """Whether the result on display is a virtual cell's."""
+    """Whether the result on display comes from a virtual cell."""
     return bool(int(values["FLAGS"]) & Flag.SIMULATED)

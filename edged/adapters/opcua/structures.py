@@ -1,7 +1,7 @@
-"""Structures of OPC 40100-1 that are sent or taken, registered with asyncua under the specification's ids.
+"""Structures of OPC 40100-1 that are sent or received, registered with asyncua under the specification's ids.
 
-Names are the specification's. Annotations are asyncua's own types: it reads them to know what
-comes next on the wire, and its field `Encoding` says which of the optional fields are there.
+Names are the specification's. Annotations are asyncua's own types: it derives the wire format from them, and
+its field `Encoding` says which of the optional fields are present.
 """
 
 from __future__ import annotations
@@ -33,22 +33,22 @@ class BinaryIdBaseDataType:
 
 @dataclass
 class RecipeIdExternalDataType(BinaryIdBaseDataType):
-    """The plant's name of a recipe."""
+    """The plant's id of a recipe."""
 
 
 @dataclass
 class RecipeIdInternalDataType(BinaryIdBaseDataType):
-    """The cell's name of a recipe: the name of a job."""
+    """The cell's id of a recipe: the name of a job."""
 
 
 @dataclass
 class ConfigurationIdDataType(BinaryIdBaseDataType):
-    """The fingerprint of configuration, rig and jobs."""
+    """Fingerprint of configuration, rig and jobs."""
 
 
 @dataclass
 class JobIdDataType:
-    """Id of an execution, a "job" of the specification."""
+    """Id of an execution, which the specification calls a job."""
 
     Id: ua.String = NO_TEXT
 
@@ -69,22 +69,22 @@ class _NamedByClient:
 
 @dataclass
 class MeasIdDataType(_NamedByClient):
-    """The client's name of a measurement."""
+    """The client's id of a measurement."""
 
 
 @dataclass
 class PartIdDataType(_NamedByClient):
-    """The client's name of a part."""
+    """The client's id of a part."""
 
 
 @dataclass
 class ProductIdDataType(_NamedByClient):
-    """The client's name of a product."""
+    """The client's id of a product."""
 
 
 @dataclass
 class ProcessingTimesDataType:
-    """From the exposure to the publication; durations in ms."""
+    """Times from the exposure to the publication; durations in ms."""
 
     Encoding: ua.UInt32 = field(default=NOTHING, repr=False, init=False, compare=False)
     StartTime: ua.DateTime = EPOCH
@@ -95,7 +95,7 @@ class ProcessingTimesDataType:
 
 @dataclass
 class ResultDataType:
-    """A result and what it belongs to."""
+    """A result with the ids of its job, recipe, configuration, part and measurement."""
 
     Encoding: ua.UInt32 = field(default=NOTHING, repr=False, init=False, compare=False)
     ResultId: ResultIdDataType = field(default_factory=ResultIdDataType)
@@ -129,7 +129,7 @@ IDS: dict[type, tuple[int, int]] = {
     ProcessingTimesDataType: (3005, 5016),
     ResultDataType: (3006, 5018),
 }
-"""Numbers of each structure and of its binary encoding."""
+"""Node numbers of each structure and of its binary encoding."""
 
 for _structure, (_number, _encoding) in IDS.items():
     ua.register_extension_object(
@@ -138,10 +138,10 @@ for _structure, (_number, _encoding) in IDS.items():
 
 
 def text_of(identifier: object) -> str:
-    """Id in a structure that a client sent; "" without one."""
+    """Id in an identifier sent by a client; "" without one."""
     return str(getattr(identifier, "Id", None) or "")
 
 
 def structure(value: object) -> ua.Variant:
-    """A structure on its way."""
+    """Wrap a structure for sending."""
     return ua.Variant(value, ua.VariantType.ExtensionObject)

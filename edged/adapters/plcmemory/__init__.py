@@ -1,3 +1,3 @@
-"""A PLC's own memory: the cell as a client that reads and writes its process image there."""
+"""Memory of a PLC: the cell as a client that reads and writes its process images there."""
 
 from edged.adapters.plcmemory.publisher import PlcMemoryPublisher, ask, make_memory

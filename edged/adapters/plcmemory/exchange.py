@@ -1,4 +1,4 @@
-"""The thread that talks to the PLC: it alone waits for it, the cell never does."""
+"""The thread that talks to the PLC, so that the cell never waits for it."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ from edged.plc.processimage import NO_IMAGE, values_to_cell
 log = logging.getLogger(__name__)
 
 ANSWER_S = 1.0
-"""For one step of a PLC's answer; a scan takes 1 to 100 ms, and an S7-300 serves its partners after it."""
+"""Time limit for one step of an answer; a scan takes 1 to 100 ms, after which an S7-300 serves partners."""
 HANG_S = 6.0
-"""For a whole answer: a PLC that sends a byte a second is disconnected. snap7 waits 5 s for a connection."""
+"""Time limit for a whole answer, for a PLC that sends a byte a second. snap7 waits 5 s for a connection."""
 FIRST_RETRY_S, LAST_RETRY_S = 0.5, 8.0
 T = TypeVar("T")
 EDGES = ("CMD_SEQ", "CONTROL")
-"""Words that begin a command, and that a program writes after all others."""
+"""Words that start a command, and that a program writes after all others."""
 
 
 class PlcMemory(Protocol):
-    """The two images in the memory of a PLC. Methods raise `PlcFault`, or what their library does.
+    """The two images in the memory of a PLC. Methods raise `PlcFault`, or errors of their library.
 
     is_little : the low byte of a value comes first.
     """
@@ -35,27 +35,28 @@ class PlcMemory(Protocol):
     is_little: bool
 
     def open(self) -> None:
-        """Connect, and look whether both images are there."""
+        """Connect, and check that both images exist."""
 
     def read(self) -> bytes:
-        """The image to the cell, 64 bytes."""
+        """Read the image to the cell, 64 bytes."""
 
     def write(self, image: bytes) -> None:
-        """The image from the cell, 128 bytes."""
+        """Write the image from the cell, 128 bytes."""
 
     def close(self) -> None:
         """Disconnect; may be called at any time."""
 
     @property
     def line(self) -> socket.socket | None:
-        """The open socket, so that another thread can end a wait for it."""
+        """The open socket, by which another thread can end a wait; None if there is none."""
 
 
 class ExchangeThread:
-    """Reads once a period and hands on what is new; writes the newest image. Reconnects for ever.
+    """Reads once a period and passes on new images; writes the newest image. Reconnects forever.
 
-    make : a connection, not yet open. take : an image to the cell that differs from the one before it, or is
-    the first of a connection. lost : why there is no connection now. Both are called on this thread.
+    make : makes a connection, not yet open. take : receives an image to the cell that differs from the
+    previous one, or is the first of a connection. lost : receives the reason when the connection is lost.
+    Both are called on this thread.
     """
 
     def __init__(
@@ -69,10 +70,10 @@ class ExchangeThread:
         self._newest = NO_IMAGE
         self._is_news, self._stopping = threading.Event(), threading.Event()
         self._memory: PlcMemory | None = None
-        self._since_s: float | None = None  # of the answer that is waited for
+        self._since_s: float | None = None  # start of the call in progress
         self._thread = threading.Thread(
             target=self._run, name="plc", daemon=True
-        )  # one that hangs ends with us
+        )  # daemon: must not keep the process alive if it hangs
 
     def start(self) -> None:
         """Start the thread."""
@@ -85,7 +86,7 @@ class ExchangeThread:
             self._is_news.set()
 
     def look(self) -> None:
-        """Hang up on a PLC that has not answered within `HANG_S`; called now and then, on any thread."""
+        """Disconnect from a PLC that has not answered within `HANG_S`; called regularly, on any thread."""
         since_s, memory = self._since_s, self._memory
         if since_s is None or memory is None or time.monotonic() - since_s < HANG_S:
             return
@@ -94,10 +95,10 @@ class ExchangeThread:
                 line.shutdown(socket.SHUT_RDWR)
 
     def stop(self, limit_s: float) -> bool:
-        """Stop; a PLC that answers then has an empty image. False: the thread hangs, and is left behind."""
+        """Stop, after writing an empty image if the PLC answers; False if the thread hangs."""
         self._stopping.set()
         self._is_news.set()
-        if self._thread.ident is not None:  # it was begun
+        if self._thread.ident is not None:  # it was started
             self._thread.join(limit_s)
         return not self._thread.is_alive()
 
@@ -118,7 +119,7 @@ class ExchangeThread:
                     PlcFault(f"no answer that can be read: {type(error).__name__}: {error}", "garbage")
                 )
             finally:
-                with contextlib.suppress(Exception):  # a line that is broken cannot be closed in good order
+                with contextlib.suppress(Exception):  # a broken connection cannot be closed properly
                     memory.close()
             retry_s = FIRST_RETRY_S if time.monotonic() - begun_s > LAST_RETRY_S else retry_s
             self._stopping.wait(retry_s)
@@ -130,8 +131,8 @@ class ExchangeThread:
             due_s = time.monotonic() + self._period_s
             image = self._asked(memory.read)
             if taken and _edges(image, memory.is_little) != _edges(taken, memory.is_little):
-                # the program may have written between two words of this answer: what it wrote before the word
-                # that begins a command is in the next one
+                # the program may have written while this answer was made: all words that it wrote before the
+                # one that starts a command are in the next answer
                 image = self._asked(memory.read)
             if image != taken:
                 taken = image

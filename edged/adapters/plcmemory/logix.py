@@ -1,10 +1,10 @@
 """A structured tag of a Rockwell Logix controller, read and written by unconnected messages of EtherNet/IP.
 
-pycomm3 and pylogix are not used: either one reads for ever, at full load, from a controller that hangs up
-within an answer, and neither writes a structure whose definition it has not read before.
+pycomm3 and pylogix are not used: both read forever, at full load, from a controller that closes the
+connection within an answer, and neither writes a structure whose definition it has not read before.
 
 Sources: ODVA, "EtherNet/IP Adaptation of CIP" (volume 2), 2-3 to 2-4: encapsulation, RegisterSession 0x65,
-SendRRData 0x6F, items 0x0000 and 0x00B2, all of them low byte first; "Common Industrial Protocol" (volume 1),
+SendRRData 0x6F, items 0x0000 and 0x00B2, all of them little-endian; "Common Industrial Protocol" (volume 1),
 3-5.5.4, Unconnected Send, and appendix B-1, general status; Rockwell 1756-PM020, "Logix 5000 Controllers Data
 Access", Read Tag 0x4C, Write Tag 0x4D, symbolic segments, structures of type 0x02A0 with their handle.
 """
@@ -21,15 +21,15 @@ from edged.plc.processimage import FROM_CELL_BYTES, TO_CELL_BYTES
 
 REGISTER_SESSION, SEND_RR_DATA = 0x65, 0x6F
 HEADER = struct.Struct("<HHII8sI")
-"""Command, length of what follows, session, status, context, options."""
+"""Encapsulation header: command, length of the data, session, status, context, options."""
 MAX_FRAME = 1024
-"""Longer than any answer to what is asked here."""
+"""Longest data accepted in an answer; valid ones are shorter."""
 READ_TAG, WRITE_TAG, UNCONNECTED_SEND, REPLY = 0x4C, 0x4D, 0x52, 0x80
 SEND_WITHIN = b"\x07\x08"
-"""For the backplane: ticks of 2^7 ms, 8 of them."""
+"""Time-out of an Unconnected Send over the backplane: 8 ticks of 2^7 ms."""
 STRUCTURE = 0x02A0
 ELEMENTS = {0xC2: 1, 0xC3: 2, 0xC4: 4}
-"""SINT, INT, DINT: bytes of an element, for an array in place of the structure."""
+"""Bytes per element of SINT, INT and DINT, for an array in place of the structure."""
 STATUS = {
     0x01: "no way to the controller: its slot",
     0x02: "it has no resources left",
@@ -41,7 +41,7 @@ STATUS = {
     0x13: "the tag is shorter",
     0xFF: "another type, or fewer elements",
 }
-"""General status of CIP."""
+"""Messages by CIP general status."""
 
 
 class LogixMemory:
@@ -53,10 +53,10 @@ class LogixMemory:
         self._host, self._section, self._answer_s = host, section, answer_s
         self.line: socket.socket | None = None
         self._session = self._asked = 0
-        self._types = {"ToCell": (b"", 0), "FromCell": (b"", 0)}  # type as it is written, elements
+        self._types = {"ToCell": (b"", 0), "FromCell": (b"", 0)}  # type as encoded, number of elements
 
     def open(self) -> None:
-        """Connect, and learn of which type both members are."""
+        """Connect, and determine the types of both members."""
         place = f"{self._host}:{self._section.port}"
         try:
             self.line = socket.create_connection((self._host, self._section.port), self._answer_s)
@@ -80,16 +80,16 @@ class LogixMemory:
             self._read(member, size)
 
     def read(self) -> bytes:
-        """In one message."""
+        """Read the image to the cell in one message."""
         return self._read("ToCell", TO_CELL_BYTES)
 
     def write(self, image: bytes) -> None:
-        """In one message."""
+        """Write the image from the cell in one message."""
         kind, elements = self._types["FromCell"]
         self._tag(WRITE_TAG, "FromCell", kind + struct.pack("<H", elements) + image)
 
     def close(self) -> None:
-        """Disconnect; the controller then forgets the session."""
+        """Disconnect, which also ends the session."""
         if self.line is not None:
             self.line.close()
 
@@ -105,7 +105,7 @@ class LogixMemory:
         return data
 
     def _tag(self, service: int, member: str, data: bytes) -> bytes:
-        """Ask the tag, by way of the backplane where the section names a slot."""
+        """Send a request to a member of the tag, over the backplane if there is a slot; return the data."""
         path = b""
         for name in (*self._section.tag.split("."), member):
             symbol = name.encode("ascii")
@@ -129,10 +129,10 @@ class LogixMemory:
         return answer[20 + 2 * words :]
 
     def _ask(self, command: int, data: bytes) -> bytes:
-        """What follows the header of the answer; within `answer_s` as a whole."""
+        """Send a command, and return the data of its answer, which must be complete within `answer_s`."""
         end_s = time.monotonic() + self._answer_s
         self._asked += 1
-        context = self._asked.to_bytes(8, "little")  # comes back: an answer of before is told by it
+        context = self._asked.to_bytes(8, "little")  # repeated in the answer, to detect a late one
         request = HEADER.pack(command, len(data), self._session, 0, context, 0) + data
         try:
             if self.line is None:

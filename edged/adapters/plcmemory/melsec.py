@@ -1,4 +1,4 @@
-"""Word devices of a Mitsubishi MELSEC CPU, by SLMP (binary, TCP) with plc-comm-slmp, which bounds answers."""
+"""Word devices of a Mitsubishi MELSEC CPU, by SLMP (binary, TCP) with plc-comm-slmp, which limits waiting."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from edged.errors import PlcFault
 from edged.plc.processimage import FROM_CELL_BYTES, IMAGE_BYTES, TO_CELL_BYTES
 
 OWN_STATION = SlmpTarget(network=0, station=0xFF, module_io=0x03FF, multidrop=0)
-"""The CPU that is connected (SH-080956ENG, "SLMP Reference Manual", access destination)."""
+"""Destination: the connected CPU itself (SH-080956ENG, "SLMP Reference Manual", access destination)."""
 TIMER_S = 0.25
 """Unit of the monitoring timer."""
 
@@ -21,7 +21,7 @@ TIMER_S = 0.25
 class MelsecMemory:
     """See `exchange.PlcMemory`."""
 
-    is_little = True  # the low word of a value is in the lower device
+    is_little = True  # the low word of a value is in the device with the lower number
 
     def __init__(self, host: str, section: MelsecSection, answer_s: float) -> None:
         self._place = f"{host}:{section.port}"
@@ -37,7 +37,7 @@ class MelsecMemory:
         )
 
     def open(self) -> None:
-        """Connect, and look whether all devices are there."""
+        """Connect, and check that all devices exist."""
         try:
             self._client.connect()
         except SlmpError as error:
@@ -45,11 +45,11 @@ class MelsecMemory:
         self._read(IMAGE_BYTES)
 
     def read(self) -> bytes:
-        """In one message."""
+        """Read the image to the cell in one message."""
         return self._read(TO_CELL_BYTES)
 
     def write(self, image: bytes) -> None:
-        """In one message."""
+        """Write the image from the cell in one message."""
         words = struct.unpack(f"<{FROM_CELL_BYTES // 2}H", image)
         try:
             self._client.write_devices(self._second, words, bit_unit=False)
@@ -57,12 +57,12 @@ class MelsecMemory:
             raise PlcFault(f"{self._place}, {self._second} cannot be written: {error}", "write") from error
 
     def close(self) -> None:
-        """Hang up."""
+        """Disconnect."""
         self._client.close()
 
     @property
     def line(self) -> socket.socket | None:
-        """None: the library waits no longer than it is told."""
+        """None, as the library itself keeps to its time-out."""
         return None
 
     def _read(self, size: int) -> bytes:

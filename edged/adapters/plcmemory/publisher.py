@@ -1,4 +1,4 @@
-"""The cell's side of a PLC's memory: images to the thread that talks to it, and commands from there."""
+"""The cell's side of a PLC's memory: passes images to the thread for the PLC, and takes commands from it."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ log = logging.getLogger(__name__)
 
 STOP_S = 1.0
 CLIENTS = 2_000_000
-"""The Modbus server counts its clients from 1, OPC UA from 1,000,000, EtherNet/IP from 3,000,000."""
+"""First client number; the Modbus server counts from 1, OPC UA from 1,000,000, EtherNet/IP from 3,000,000."""
 
 
 def make_memory(section: PlcSection) -> Callable[[], PlcMemory]:
-    """Connections to the PLC, none of them open yet. Raises `ListenError` without the package for it."""
+    """Return a factory of unopened connections to the PLC. Raises `ListenError` if its package is missing."""
     host = section.host
     try:
         if (s7 := section.s7) is not None:
@@ -39,12 +39,15 @@ def make_memory(section: PlcSection) -> Callable[[], PlcMemory]:
         raise ListenError(
             f"plc: needs another package: pip install 'edged[{section.family}]' ({error})"
         ) from error
-    logix = section.logix or LogixSection()  # one of the three is there
+    logix = section.logix or LogixSection()  # one of the three is configured
     return lambda: LogixMemory(host, logix, ANSWER_S)
 
 
 def ask(section: PlcSection) -> str:
-    """Connect to the PLC, read and hang up; nothing is written. Raises `PlcFault`, or `ListenError`."""
+    """Connect to the PLC, read its image and disconnect; nothing is written. Return a line for people.
+
+    Raises `PlcFault`, or `ListenError`.
+    """
     memory = make_memory(section)()
     try:
         memory.open()
@@ -63,7 +66,8 @@ def ask(section: PlcSection) -> str:
 class PlcMemoryPublisher:
     """Publishes one cell into a PLC's memory and takes its commands from there (`edged.ports.Publisher`).
 
-    registers : served now, None while they are exchanged; called on the event loop. make : see `make_memory`.
+    registers : returns the registers in service, None while they are exchanged; called on the event loop.
+    make : from `make_memory`.
     """
 
     def __init__(
@@ -85,7 +89,7 @@ class PlcMemoryPublisher:
         self._is_closed = False
         self._faults = FaultLog(log, kind="plc")
         self.problem = "no answer yet"
-        """Why the PLC is not reached; "" while it is."""
+        """Why the PLC cannot be reached; "" while it can."""
 
     @property
     def place(self) -> str:
@@ -93,16 +97,16 @@ class PlcMemoryPublisher:
         return self._section.place
 
     async def start(self) -> None:
-        """Begin to connect; the cell starts even if the PLC does not answer."""
+        """Start to connect; the cell starts even if the PLC does not answer."""
         self._client.start()
         self._thread.start()
 
     def announce(self, event: Event) -> None:  # noqa: ARG002  (the registers know it)
-        """Shown after the registers have taken note of it."""
+        """Write an image soon, after the registers have been updated by the event."""
         self._client.show_soon()
 
     async def close(self) -> None:
-        """Tell a PLC that answers that nothing is valid, and disconnect."""
+        """Write an empty image to a PLC that answers, and disconnect."""
         self._is_closed = True
         self._client.close()
         if self._client.is_started and not await asyncio.to_thread(self._thread.stop, STOP_S):

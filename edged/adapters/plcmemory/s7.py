@@ -23,7 +23,7 @@ class S7Memory:
         self._place = f"DB{section.db}"
 
     def open(self) -> None:
-        """Connect, and look whether the block has its 192 bytes."""
+        """Connect, and check that the block has its 192 bytes."""
         section = self._section
         try:
             self._client.connect(self._host, section.rack, section.slot, section.port)
@@ -33,18 +33,18 @@ class S7Memory:
             ) from error
         if (line := self.line) is not None:
             line.settimeout(self._answer_s)
-        if self._client.pdu_length < FROM_CELL_BYTES + 35:  # as in the manual: 240 of the smallest CPU
+        if self._client.pdu_length < FROM_CELL_BYTES + 35:  # by the manual, the smallest CPU has 240
             raise PlcFault(
                 f"{self._host} takes telegrams of {self._client.pdu_length} bytes only", "telegram"
             )
         self._read(IMAGE_BYTES)
 
     def read(self) -> bytes:
-        """In one telegram."""
+        """Read the image to the cell in one telegram."""
         return self._read(TO_CELL_BYTES)
 
     def write(self, image: bytes) -> None:
-        """In one telegram."""
+        """Write the image from the cell in one telegram."""
         section = self._section
         try:
             self._client.db_write(section.db, section.offset + TO_CELL_BYTES, bytearray(image))
@@ -52,12 +52,12 @@ class S7Memory:
             raise PlcFault(f"{self._host}, {self._place} cannot be written: {error}", "write") from error
 
     def close(self) -> None:
-        """Hang up."""
+        """Disconnect."""
         self._client.disconnect()
 
     @property
     def line(self) -> socket.socket | None:
-        """The open socket."""
+        """The open socket; None if there is none."""
         connection = self._client.connection
         return None if connection is None else connection.socket
 

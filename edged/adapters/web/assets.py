@@ -33,7 +33,7 @@ def type_of(name: str) -> str:
 
 
 def in_shell(name: str) -> bool:
-    """Whether a file is loaded with the first set-up page; those of a page come when it is opened."""
+    """Whether a file is loaded with the first set-up page; files of one page are loaded when it is opened."""
     folder = PurePosixPath(name).parent.as_posix()
     return folder in {"setup", "setup/shared", "vendor"}
 

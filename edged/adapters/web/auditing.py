@@ -1,4 +1,4 @@
-"""The audit of what is done over the page: kept in its file, mirrored to the journal, read by engineers."""
+"""Audit of actions over the page: kept in a file, mirrored to the journal, readable by engineers."""
 
 from __future__ import annotations
 
@@ -22,28 +22,28 @@ from edged.logs import LogLimit, fields
 log = logging.getLogger(__name__)
 
 REFUSED_PER_S, REFUSED_BURST = 1 / 60, 20.0
-"""Refusals of a person beyond this rate are counted and go to the journal alone: who may only look must not
-fill the audit, so that its oldest records are deleted; at this rate that takes months. Log-ins that fail,
-under whatever names, have as many of their own: guessing at passwords hides no other refusal."""
+"""Refusals of one person beyond this rate are only counted and go to the journal alone: a viewer must not be
+able to fill the audit until its oldest records are deleted; at this rate that takes months. Failed log-ins,
+under any name, have a limit of their own: guessing passwords hides no other refusal."""
 PERSON_PER_S, PERSON_BURST = 1 / 60, 60.0
-"""Log-ins of a person, and what anybody but an engineer does."""
+"""Limit of one person's log-ins and of actions by anyone but an engineer."""
 SAID_S = 60.0
-"""Between two records of how many were left out."""
+"""Shortest time between two records of how many were left out."""
 MAX_RECORDS = 500
 RUN = "run"
-"""The cell runs with other files than before, no matter who changed them."""
+"""Verb for a cell that runs with other files than before, no matter who changed them."""
 WAIT_S = 5.0
 
 
 class Asked(Body):
-    """Which records."""
+    """Which records to read."""
 
     after: int = Field(0, ge=0, description="those that follow this number")
     most: int = Field(100, ge=1, le=MAX_RECORDS)
 
 
 class Record(Answer):
-    """What somebody did, or tried to."""
+    """An action that was taken or attempted."""
 
     number: int
     time: str
@@ -60,9 +60,9 @@ class Record(Answer):
 
 
 class AuditNow(Answer):
-    """first : number of the oldest that is kept; count : of the newest.
+    """Records of the audit. first : number of the oldest that is kept; count : of the newest.
 
-    problem : null for a chain that holds; else why it does not, and nothing after that is given.
+    problem : null for a valid chain; else what is wrong with it, and no record after that is given.
     """
 
     records: list[Record]
@@ -73,9 +73,10 @@ class AuditNow(Answer):
 
 
 class Auditor:
-    """Notes deeds, one after another, in a thread of its own. file : None: the journal alone.
+    """Records actions one after another, in its own thread. file : None: the journal alone.
 
-    What there is no room for is a record itself: deeds beyond their rate, and those that the disc refused.
+    How many could not be kept is a record, too: of those beyond their rate, and of those that could not be
+    written.
     """
 
     def __init__(self, file: AuditFile | None) -> None:
@@ -90,7 +91,7 @@ class Auditor:
         self._is_closed = False
 
     async def note(self, route: Route, call: Call[Any], outcome: str) -> None:
-        """A request to a route; on the disc when this returns, if that is possible at all."""
+        """Record a request to a route; waits up to `WAIT_S` for the disk."""
         trail = call.trail
         reason = trail.reason or getattr(call.body, "reason", None) or getattr(call.body, "note", None)
         place = call.request.path.removeprefix(f"{BASE}/")
@@ -112,19 +113,19 @@ class Auditor:
             await self._add(deed, (self._allowed if outcome == "ok" else self._refused).of(visitor.name))
 
     async def note_login(self, request: web.Request, name: str, verb: str, outcome: str) -> None:
-        """Note a log-in or an attempt."""
+        """Record a log-in or an attempt."""
         rate = self._allowed.of(name) if outcome == "ok" else self._failed_log_ins
         await self._add(AuditEntry(name, "", request.remote or "", verb, "page", outcome), rate)
 
     async def _add(self, deed: AuditEntry, rate: Rate | None) -> None:
-        """Keep a deed, and mirror it; on the disc when this returns. rate : None: it is kept always."""
+        """Keep an action and mirror it; waits up to `WAIT_S` for the disk. rate : None: no limit."""
         if rate is not None and not rate.take():
             self._left_out += 1
             self._limit.warning("audit: %s", _text(deed))
             return
         if self._left_out and self._saying.take():
             self._say_left_out()
-        # the deed is done: it is noted even after a disconnect
+        # the action has been taken: it is recorded even if the client disconnects
         await asyncio.wait({asyncio.wrap_future(self.post(deed))}, timeout=WAIT_S)
 
     def _say_left_out(self) -> None:
@@ -133,7 +134,7 @@ class Auditor:
         self.post(AuditEntry("", "", "", "leave out", LINES, "rate", reason=reason))
 
     def post(self, deed: AuditEntry) -> Future[None]:
-        """Keep a deed without waiting for the disc; after `close` it goes to the journal alone."""
+        """Keep an action without waiting for the disk; after `close` it goes to the journal alone."""
         if self._is_closed:
             log.info("audit: %s", _text(deed))
             done = Future[None]()
@@ -142,14 +143,14 @@ class Auditor:
         return self._thread.submit(self._keep, deed)
 
     def note_run(self, fingerprint: str) -> None:
-        """What the cell runs by, where it was not noted last: also what a command or an editor changed."""
+        """Record the fingerprint that the cell runs with, unless it is the last one recorded."""
         if self._file is None or self._is_closed or fingerprint == self._runs_by:
             return
         self._runs_by = fingerprint
         self._thread.submit(self._keep_run, self._file, fingerprint)
 
     async def close(self) -> None:
-        """Wait until everything is on the disc; a second time there is nothing to do."""
+        """Wait until everything is on disk; further calls do nothing."""
         if self._is_closed:
             return
         if self._left_out:
@@ -170,7 +171,7 @@ class Auditor:
         _mirror(deed, record)
 
     def _keep_lost(self) -> bool:
-        """Keep how many records were lost, if the disc takes some again; whether none are any more."""
+        """Try to record how many records were lost; True when none are outstanding."""
         if self._file is None or not self._lost:
             return True
         reason = f"{self._lost} records before this may be missing: {self._why}"
@@ -188,7 +189,7 @@ class Auditor:
 
     def _keep_run(self, file: AuditFile, fingerprint: str) -> None:
         before: str | None = None
-        with suppress(FileFormatError):  # reading the audit reports it
+        with suppress(FileFormatError):  # a damaged file is reported when the audit is read
             runs = file.verify(lambda record: bool(record["verb"] == RUN), last=1).records
             before = next((run["after"] for run in runs), None)
         if before != fingerprint:
@@ -196,7 +197,7 @@ class Auditor:
 
 
 def _mirror(deed: AuditEntry, record: Mapping[str, Any]) -> None:
-    """Say a deed in the journal, with number and hash of its record; 0 and "" for one that is not kept."""
+    """Log an action to the journal, with number and hash of its record; 0 and "" for one that is not kept."""
     number, digest = int(record.get("number", 0)), str(record.get("hash", ""))
     log.info("audit: %s", _text(deed), extra=fields(audit=number, audit_hash=digest, user=deed.user))
 
@@ -208,7 +209,7 @@ def _text(deed: AuditEntry) -> str:
 
 
 class AuditRoutes:
-    """The routes of an audit that is kept."""
+    """Route that reads the audit."""
 
     def __init__(self, file: AuditFile) -> None:
         self._file = file

@@ -1,8 +1,8 @@
-"""What every request to /api/v1 must pass before its handler is called, and how errors are answered.
+"""Checks that every request to /api/v1 must pass before its handler is called, and responses to errors.
 
-Whatever changes the cell is asked by a session of the page (a password is not enough: a scraper has one),
-from a page of this very host, in JSON of a bounded size. Errors are problems (RFC 9457) with a `code` for
-programs.
+Requests that change the cell must come from a session of the page (a password is not enough: a scraper has
+one) and from a page of this very host, in JSON of a limited size. Errors are problems (RFC 9457) with a
+`code` for programs.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ from edged.ports import Commissioner
 log = logging.getLogger(__name__)
 
 READ_S = 5.0
-"""For a body of a few bytes to arrive; for a larger one as much longer as a slow network takes."""
+"""Time for a body of a few bytes to arrive; large bodies get more, by `SLOW_BYTES_PER_S`."""
 SLOW_BYTES_PER_S = 250_000.0
 STATUSES: tuple[tuple[type[EdgedError], int, str], ...] = (
     (SetupRefused, 409, "setup_refused"),
@@ -64,15 +64,12 @@ STATUSES: tuple[tuple[type[EdgedError], int, str], ...] = (
     (TaskFailed, 503, "task_failed"),
     (LinkError, 503, "no_cell"),
 )
-"""Errors of services, their statuses and codes; the first that fits."""
+"""Errors of services with their statuses and codes; the first that matches applies."""
 NO_ROOM = {errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EACCES, errno.EPERM, errno.EIO}
 
 
 class Gate:
-    """Serves a table.
-
-    holds : whether a session has taken the cell.
-    """
+    """Serves the routes of a table. holds : whether a session has taken the cell."""
 
     def __init__(
         self,
@@ -91,7 +88,7 @@ class Gate:
         self._holds = holds
 
     def add_to(self, router: web.UrlDispatcher) -> None:
-        """Add the table's routes."""
+        """Add the table's routes to a router."""
         for route in self._table:
             router.add_route(route.method, BASE + route.path, self._serving(route))
 
@@ -124,7 +121,7 @@ class Gate:
         return serve
 
     def _check_lease(self, call: Call[Any]) -> None:
-        """Whether a token comes from the session that was given it. Raises `Problem`."""
+        """Check that a token comes from the session that holds the cell. Raises `Problem`."""
         if getattr(call.body, "token", None) is not None and not self._holds(call.visitor.session):
             raise Problem(409, "setup_refused", "the cell was not taken in this session, or not any more")
 
@@ -135,7 +132,7 @@ class Gate:
 
 
 def check_visitor(route: Route, visitor: Visitor, request: web.Request) -> None:
-    """Whether somebody may ask, from where they ask. Raises `Problem`."""
+    """Check the session, role, origin and password that a route needs. Raises `Problem`."""
     if not visitor.session and (route.needs_origin or route.role > Role.VIEWER):
         raise Problem(403, "log_in", "log in on the page first: with a password alone you may only look")
     if visitor.is_idle and route.role > Role.VIEWER:
@@ -156,7 +153,7 @@ def check_visitor(route: Route, visitor: Visitor, request: web.Request) -> None:
 
 
 async def chunks(request: web.Request, limit_bytes: int) -> AsyncIterator[bytes]:
-    """A body piece by piece. Raises `Problem` when it is larger, or takes too long."""
+    """Yield a body piece by piece. Raises `Problem` when it is too large, too slow or damaged."""
     too_large = Problem(
         413, "too_large", f"expected {limit_bytes} bytes at most", params={"limit_bytes": limit_bytes}
     )
@@ -177,7 +174,7 @@ async def chunks(request: web.Request, limit_bytes: int) -> AsyncIterator[bytes]
 
 
 async def _body(route: Route, request: web.Request) -> BaseModel | None:
-    """As the route's model has it. Raises `Problem`."""
+    """Body, or query of a GET, as the route's model; None without a model. Raises `Problem`."""
     if route.body is None:
         return None
     try:
@@ -198,7 +195,7 @@ async def _body(route: Route, request: web.Request) -> BaseModel | None:
 
 
 def _check_numerals(body: BaseModel, request: web.Request) -> None:
-    """What was read as a number was written as one: pydantic also takes `1_0` and ` 10`. Raises `Problem`."""
+    """Check that numbers were written as such: pydantic also takes `1_0` and ` 10`. Raises `Problem`."""
     for name, text in request.query.items():
         value = getattr(body, name, None)
         if isinstance(value, int | float) and not isinstance(value, bool):
@@ -209,7 +206,7 @@ def _check_numerals(body: BaseModel, request: web.Request) -> None:
 
 
 def _invalid(error: ValidationError) -> Problem:
-    """The first mistake, by its place; the others cannot be seen before it is mended."""
+    """Problem for the first mistake, with its field; the others show only after it is corrected."""
     first = error.errors(include_url=False, include_context=False, include_input=False)[0]
     if first["type"] == "json_invalid":
         return Problem(400, "json", "expected JSON")
@@ -227,7 +224,7 @@ def _response(route: Route, given: Given) -> web.StreamResponse:
 
 
 def _problem(error: Problem | TooManyAttempts | EdgedError | OSError) -> Problem:
-    """An error as it is answered. Raises it where it is a bug."""
+    """Problem that answers an error. Raises the error itself where it is a bug."""
     if isinstance(error, Problem):
         return error
     if isinstance(error, TooManyAttempts):
@@ -246,7 +243,7 @@ def _problem(error: Problem | TooManyAttempts | EdgedError | OSError) -> Problem
 
 
 def code_of(error: EdgedError) -> str:
-    """What an error is called for programs: "calibration", "calibration_swapped"; "" for a bug."""
+    """Code of an error for programs, such as "calibration" or "calibration_swapped"; "" for a bug."""
     if isinstance(error, CaptureError):
         return f"camera_{error.code}"
     code = next((code for kind, _, code in STATUSES if isinstance(error, kind)), "")

@@ -1,5 +1,4 @@
-"""The forms of the page that need no session: log in, log out, and come in by an invitation; from
-which hosts they are taken."""
+"""Forms that need no session (log in, log out, redeem an invitation), and the host names that are served."""
 
 from __future__ import annotations
 
@@ -36,47 +35,47 @@ from edged.report.page import render
 log = logging.getLogger(__name__)
 
 FORM_S = 5.0
-"""From the first byte of a form to its last."""
+"""Time limit for receiving a form."""
 MAX_FORM_BYTES = 4096
 NEXT = {"setup": "/setup"}
-"""Where a form may lead, by what its address says; else to the status page."""
+"""Pages that the log-in may lead to, by the `to` of its address; else the status page."""
 REFUSED = {
     "wrong": "invite-wrong",
     "differ": "invite-differ",
     "short": "invite-short",
     "common": "invite-common",
 }
-"""What the form for a code tells, by what its address says."""
+"""Text that the invitation form shows, by the query of its address."""
 COMMAND = Markup('<code translate="no">edged web invite</code>')
 _NAME, _PASSWORD = TypeAdapter(UserName), TypeAdapter(Password)
 
 
 def visitor_of(access: Access, request: web.Request) -> Visitor | None:
-    """The session that sent a request, if any."""
+    """Visitor whose session sent a request, if any."""
     return access.visitor(request.cookies.get(access.cookie, ""), request.remote or "")
 
 
 def cookie_name(cell: str, *, secure: bool) -> str:
-    """Name of the cookie of a cell's sessions.
+    """Name of the session cookie of a cell.
 
-    Browsers send a cookie to every port of a host: each cell has its own. secure : served over TLS; then no
-    other host, and no page without TLS, can set it (`__Host-`, RFC 6265bis).
+    Browsers send a cookie to every port of a host, so each cell has a name of its own. secure : served over
+    TLS; then no other host, and no page without TLS, can set it (`__Host-`, RFC 6265bis).
     """
     return f"{'__Host-' if secure else ''}edged_{hashlib.sha256(cell.encode()).hexdigest()[:12]}"
 
 
 def is_from_here(request: web.Request) -> bool:
-    """Whether a browser's page of this very host sent a request."""
+    """Whether a page of this very host sent the request (by its Origin)."""
     host = request.headers.get("Host")
     return host is not None and request.headers.get("Origin") == f"{request.scheme}://{host}"
 
 
 class ServedNames:
-    """The names that this machine is asked by: its own, those of the certificate, and those of the settings.
+    """Host names under which the page is served: the machine's own, the certificate's, and the settings'.
 
-    A page elsewhere that had its own name lead here (DNS rebinding) would read a cell without a password, and
-    guess passwords from its visitors' browsers. An address cannot be made to lead elsewhere: with a password
-    every address is served, since their translation may lie between.
+    By DNS rebinding, a foreign page could point its own name here, and read a cell without a password, or
+    guess passwords from its visitors' browsers. Numeric addresses cannot be rebound: with a password all are
+    served, since there may be an address translation in between.
     """
 
     def __init__(self, settings: WebSettings) -> None:
@@ -88,7 +87,7 @@ class ServedNames:
             self._names |= set(_certified(settings.certificate))
 
     def has(self, host: str) -> bool:
-        """Whether a Host header names this machine."""
+        """Whether a Host header names this machine by a name that is served."""
         name = re.sub(r":[0-9]*$", "", host).strip("[]").lower().removesuffix(".")
         if is_loopback(name):
             return True
@@ -100,9 +99,9 @@ class ServedNames:
 
 
 class LoginForms:
-    """What is asked before anything else.
+    """Handlers of the log-in, log-out and invitation forms.
 
-    users : whether there are any, besides the page's password. secure : served over TLS.
+    users : there are users, besides the page's password. secure : served over TLS.
     """
 
     def __init__(self, cell: str, access: Access, auditor: Auditor, *, users: bool, secure: bool) -> None:
@@ -133,7 +132,7 @@ class LoginForms:
     def _page(
         self, request: web.Request, form: str, problem: str = "", status: int = 200, **values: object
     ) -> web.Response:
-        """A form in the visitor's language. problem : a text, with its values; "" : there is none."""
+        """A form in the visitor's language. problem : id of a text, filled in with `values`; "" : none."""
         language = language_of(request, self._texts.languages)
         say = self._texts.in_language(language)
         common = {"command": COMMAND, "least": MIN_LENGTH}
@@ -219,7 +218,7 @@ class LoginForms:
 
 
 def tell_of_users(users: UserFile, invite: Invite, place: str) -> None:
-    """In the log: that their file cannot be used, or how the first engineer comes in."""
+    """Log that the users' file cannot be used, or how the first engineer gets in."""
     if users.problem:
         log.error("nobody can log in by name: %s", users.problem)
     elif not users.has_engineer:
@@ -234,7 +233,7 @@ def tell_of_users(users: UserFile, invite: Invite, place: str) -> None:
 
 
 def _certified(certificate: Path | None) -> list[str]:
-    """DNS names of a certificate; none where it cannot be read, which `page_context` has said."""
+    """DNS names of a certificate; empty where it cannot be read, which `page_context` reports."""
     if certificate is None:
         return []
     try:
@@ -246,14 +245,14 @@ def _certified(certificate: Path | None) -> list[str]:
 
 
 def _check_origin(request: web.Request) -> None:
-    """A page elsewhere must log nobody in, in its own name, nor out. Raises `HTTPForbidden`."""
+    """Check that no foreign page logs a visitor in or out. Raises `HTTPForbidden`."""
     if not is_from_here(request):
         raise web.HTTPForbidden(text="the request came from a page of another host, or from none\n")
 
 
 async def _fields(request: web.Request) -> dict[str, str]:
     """Fields of a form, the first of each name. Raises `HTTPBadRequest`."""
-    # not `request.post()`: it fails on what a browser would not send, other character sets for example
+    # not `request.post()`: it fails on input that no browser sends, such as other character sets
     try:
         async with asyncio.timeout(FORM_S):
             data = b""

@@ -1,6 +1,6 @@
-"""The built manual as files: which there are, how each is sent, and which scripts of it may run.
+"""Files of the built manual: which there are, with which headers each is sent, and which scripts may run.
 
-Responsible for: that only files of the manual are sent, by their own names, and that a browser loads and runs
+Responsible for: serving only files of the manual, by their own names, and letting a browser load and run
 nothing else. Not responsible for who may see it (`server`), nor for building it (`tools/manual`).
 """
 
@@ -14,7 +14,7 @@ from hashlib import sha256
 from pathlib import Path
 
 FOLDER = Path(__file__).parent / "manual"
-"""Where it is built; not there in a checkout whose manual was not."""
+"""Folder that the manual is built into; missing in a checkout where it was not built."""
 
 TYPES = {
     ".html": "text/html; charset=utf-8",
@@ -27,12 +27,12 @@ TYPES = {
     ".png": "image/png",
     ".gz": "application/gzip",
 }
-"""Our own table: the machine's differs from one to the next."""
+"""Our own table, since the system's differs from machine to machine."""
 UNKNOWN_TYPE = "application/octet-stream"
 
 INLINE_SCRIPT = re.compile(r"<script>(.*?)</script>", re.DOTALL)
 NAMED_BY_CONTENT = re.compile(r"\.[0-9a-f]{8}\.min\.(css|js)$")
-"""Such a file never changes: another content has another name."""
+"""Names of files that never change: their hash is part of the name."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,7 +46,7 @@ class Manual:
     policy: str
 
     def headers(self, path: str) -> dict[str, str]:
-        """How the file at this path is sent: type, cache, policy."""
+        """Headers of the file at this path: type, caching, policy."""
         lasting = NAMED_BY_CONTENT.search(path) is not None
         return {
             "Content-Type": TYPES.get(Path(path).suffix, UNKNOWN_TYPE),
@@ -56,12 +56,12 @@ class Manual:
 
 
 def is_built(folder: Path) -> bool:
-    """Whether a manual is there; asked at each page, as it may be built meanwhile."""
+    """Whether there is a manual; checked for each page, as it may be built meanwhile."""
     return (folder / "index.html").is_file()
 
 
 def read_manual(folder: Path) -> Manual | None:
-    """What was built into a folder; None where nothing was."""
+    """The manual built into a folder; None where there is none."""
     files = {path.relative_to(folder).as_posix(): path for path in folder.rglob("*") if path.is_file()}
     if "index.html" not in files:
         return None
@@ -70,10 +70,10 @@ def read_manual(folder: Path) -> Manual | None:
 
 
 def _policy(inline_scripts: set[str]) -> str:
-    """Our own files, and the scripts that stand in the pages, by their hashes.
+    """Policy that allows our own files, and the scripts inside the pages by their hashes.
 
-    Beyond the status page's own policy: the search is a worker, icons are data in style sheets, and a table's
-    columns are aligned by attributes.
+    It allows more than the status page's policy because the search runs in a worker, style sheets hold icons
+    as data, and columns of tables are aligned by attributes.
     """
     hashes = sorted(b64encode(sha256(script.encode()).digest()).decode() for script in inline_scripts)
     allowed = " ".join(f"'sha256-{digest}'" for digest in hashes)

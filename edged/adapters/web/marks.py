@@ -1,4 +1,4 @@
-"""What the page draws of a target: its outlines in the rectified pictures, and where its sigma comes from."""
+"""Marks of a target on the page: its outlines in the rectified pictures, and its error budget."""
 
 from __future__ import annotations
 
@@ -17,19 +17,19 @@ from edged.vision.geometry.rectification import Rectification
 OUTLINE_POINTS = 72
 """Points of a closed outline: 5° of a circle."""
 AXIS_MM = 5.0
-"""Length of the axes of a part of which no outline is known."""
+"""Length of the axes drawn for a part without a known outline."""
 TERMS = ("edges", "calibration", "registration", "doubt", "marks")
-"""In the order of `Budget.terms`, whose last one is only there with reference marks."""
+"""Names of `Budget.terms`, in their order; the last is present only with reference marks."""
 
 
 def outlines(target: Target, rectification: Rectification, side: Side) -> Json:
-    """Measured features (lists of x, y), the axes and the tool of a target in one rectified image, 0 to 1.
+    """Measured features (lists of x, y), axes and tool of a target in one rectified image, 0 to 1.
 
-    tool : from where it comes, its tip, and along its x axis; empty without a grasp.
+    tool : approach point, tip, and a point on its x axis; empty without a grasp.
     """
     lines = [_thinned(outline, closed) for _, outline, closed in outlines_of(target)]
     reach = [float(np.linalg.norm(np.ptp(line, axis=0))) / math.sqrt(8) for line in lines]
-    size = max(reach, default=AXIS_MM)  # of a circle: its radius
+    size = max(reach, default=AXIS_MM)  # for a circle, its radius
     pose = target.rig_from_part
     ends = np.stack([pose[:3, 3], pose[:3, 3] + size * pose[:3, 0], pose[:3, 3] + size * pose[:3, 1]])
     tool = np.empty((0, 3))
@@ -46,10 +46,10 @@ def outlines(target: Target, rectification: Rectification, side: Side) -> Json:
 def budget(
     target: Target, robot_from_rig: FloatArray | None, registration: FloatArray | None, limit_mm: float | None
 ) -> Json | None:
-    """Sigmas by their causes: of X, Y, Z in mm, and of the rotation about these axes in degrees.
+    """Sigmas by cause: of X, Y, Z in mm, and of the rotation about these axes in degrees.
 
-    The squares of the terms add up to that of the sigma.  limit_mm : the job's, of each coordinate without
-    the registration. None where the terms are not known.
+    The squares of the terms add up to the square of the sigma. limit_mm : the job's limit for each
+    coordinate, without the registration. None where the terms are not known.
     """
     known = budget_of(target, robot_from_rig, registration)
     if known is None:
@@ -70,14 +70,14 @@ def _sigmas(six: FloatArray) -> Json:
 
 
 def _thinned(outline: FloatArray, closed: bool) -> FloatArray:
-    """As many points as are drawn, the first one again at the end of what is closed; ends of an edge."""
+    """The points to draw: of a closed outline a subset, the first one repeated; of an edge both ends."""
     if not closed:
         return np.asarray(outline[[0, -1]])
     return np.concatenate([outline[:: max(1, len(outline) // OUTLINE_POINTS)], outline[:1]])
 
 
 def _seen(points_mm: FloatArray, rectification: Rectification, side: Side) -> FloatArray:
-    """Points (..., 3) of the rig in a rectified image, (..., 2)."""
+    """Project points (..., 3) of the rig frame into a rectified image, (..., 2), as fractions of its size."""
     rectified = points_mm @ rectification.rectified_from_left.T
     centre = rectification.centre_left_px
     if side == "right":

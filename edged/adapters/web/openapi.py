@@ -16,7 +16,7 @@ PLACE = "#/components/schemas/{model}"
 
 
 class ProblemDocument(Answer):
-    """What was wrong (RFC 9457); without what there is nothing to say of."""
+    """What was wrong (RFC 9457); fields without a value are left out."""
 
     model_config = ConfigDict(json_schema_serialization_defaults_required=False)
 
@@ -28,9 +28,9 @@ class ProblemDocument(Answer):
 
 
 def document_of(table: RouteTable, cell: str, cookie: str) -> Json:
-    """Every route with its parameters, body and answers; `x-edged-…` say who may, and how.
+    """Every route with its parameters, body and responses; `x-edged-…` say who may use it, and what it needs.
 
-    cookie : name of the one that holds a session.
+    cookie : name of the session cookie.
     """
     bodies = {route.body for route in table if route.body is not None and route.changes}
     answers = {route.answer for route in table if isinstance(route.answer, type)} | {ProblemDocument}

@@ -1,4 +1,4 @@
-"""The cell at a glance, for the people who set it up: what state it is in, and what it lacks."""
+"""The cell at a glance, for the people who set it up: its state, and what is missing."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from edged.identity.visitors import Role
 
 
 class SetupNow(Answer):
-    """The holder of the cell. source : person, no_calibration, no_job."""
+    """Why and by whom the cell is in SETUP. source : person, no_calibration, no_job."""
 
     name: str | None = Field(description="null: unattended")
     unattended: bool = Field(description="somebody took it, and is silent")
@@ -27,14 +27,14 @@ class SetupNow(Answer):
 
 
 class Plc(Answer):
-    """The plant."""
+    """State of the PLC."""
 
     owner: str | None = Field(description="who holds the right to write commands")
     auto_lock: bool = Field(description="SETUP is forbidden")
 
 
 class RigSigma(Answer):
-    """Sigma of a point in the rig's frame, µm."""
+    """Sigma of a point in the rig frame, µm."""
 
     x: float
     y: float
@@ -55,7 +55,7 @@ class RigNow(Answer):
 
 
 class JobName(Answer):
-    """A job that can be asked for."""
+    """A job that can be run."""
 
     number: int
     name: str
@@ -78,10 +78,10 @@ class CellNow(Answer):
 
 
 class OverviewRoutes:
-    """`cell`, and the document of all routes.
+    """Routes for the state of the cell and for the OpenAPI document of all routes.
 
-    sources : what events do not tell. setup : knows the session that took the cell last. table : all routes.
-    cookie : name of the one that holds a session.
+    sources : data that events do not carry. setup : knows the session that took the cell last. table : all
+    routes. cookie : name of the session cookie.
     """
 
     def __init__(
@@ -103,7 +103,7 @@ class OverviewRoutes:
 
     @route("GET", "/openapi.json", "This document", role=Role.VIEWER, answer="application/json")
     async def _document(self, _call: Call[None]) -> web.Response:
-        if not self._described:  # it takes a tenth of a second: models of all routes
+        if not self._described:  # takes a tenth of a second, for the models of all routes
             document = await asyncio.to_thread(document_of, self._table, self._cell, self._cookie)
             self._described = json.dumps(document)
         return web.json_response(text=self._described)
@@ -113,7 +113,7 @@ class OverviewRoutes:
         return self.now(call.visitor.session)
 
     def now(self, session: str) -> CellNow:
-        """As one session sees it."""
+        """The cell as one session sees it."""
         asked, state = self._sources.overview(), self._page.state
         setup = None
         if state is not None and state.setup is not SetupSource.NONE:

@@ -1,7 +1,7 @@
-"""What the status page shows, as JSON, and its pictures.
+"""Content of the status page: its state as JSON, and its pictures.
 
-Pictures are encoded when one is asked for, in the caller's thread, from the pairs of the newest exposure and
-of the last faults.
+Pictures are encoded on request, in the caller's thread, from the pairs of the newest cycles and of the last
+faults.
 """
 
 from __future__ import annotations
@@ -36,23 +36,23 @@ from edged.robot.reading import reading_of
 from edged.vision.geometry.rectification import Rectification
 
 HISTORY = 600
-"""Cycles in the trends."""
+"""Cycles kept for the trends."""
 FAULTS = 12
-"""Last bad cycles, with their pictures: about 2.5 MB each."""
+"""Bad cycles kept with their pictures, about 2.5 MB each."""
 FAULT_BYTES = 64 * 1024 * 1024
-"""Bytes of those pictures; with cameras of many megapixels the oldest faults lose theirs."""
+"""Limit on the bytes of those pictures; with cameras of many megapixels the oldest faults lose theirs."""
 RECENT, SPARE = 8, 2
-"""Last cycles of any kind, with their pictures; and how many more are kept for late requests."""
+"""Last cycles of any kind listed with their pictures, and how many more are kept for late requests."""
 RECENT_BYTES = 32 * 1024 * 1024
-"""Bytes of those pictures; the newest cycle always has its own."""
+"""Limit on the bytes of those pictures; the newest cycle always keeps its own."""
 WIDTH_PX = 960
-"""Width of the pictures that are sent."""
+"""Default width of the pictures sent."""
 THUMBNAIL_PX = 200
 QUALITY = 82
 
 
 class PageSources(Protocol):
-    """What the page shows besides events; called on the event loop; all but `registers` answer at once."""
+    """Data that events do not carry; called on the event loop, where all but `registers` return at once."""
 
     def rectification(self) -> Rectification:
         """Rectification of the rig in use."""
@@ -61,27 +61,27 @@ class PageSources(Protocol):
         """Number and name of each job."""
 
     def facts(self) -> Mapping[str, Mapping[str, Any]]:
-        """Groups of name to value: as it is shown, or what `payload.said` made, or a list of such."""
+        """Names and values by group; a value is shown as it is, from `payload.said`, or a list of these."""
 
     async def registers(self) -> Sequence[tuple[Register, Number]]:
         """Each register with its value; empty without a Modbus server. Raises `LinkError`."""
 
     def convention(self) -> Convention:
-        """How A, B, C state an orientation to the PLC."""
+        """Convention by which A, B, C give an orientation to the PLC."""
 
     def overview(self) -> Overview:
-        """The cell for the people who set it up."""
+        """Overview of the cell for the people who set it up."""
 
     def fingerprint(self) -> str:
-        """Digest of what the cell runs by."""
+        """Digest of the configuration and files that results depend on."""
 
     def limits(self) -> Mapping[int, float]:
-        """Largest sigma that each job allows a coordinate, mm, by the job's number."""
+        """Largest sigma allowed for a coordinate, mm, by job number."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ShownCycle:
-    """A cycle with its pictures. times : how often this has been seen; last_ns : the last time."""
+    """A cycle with its pictures. times : how often the same fault occurred; last_ns : when it last did."""
 
     snapshot: Snapshot
     pair: FramePair | None
@@ -107,7 +107,7 @@ class StatusPage:
     # --- events ------------------------------------------------------------------------------
 
     def take(self, event: Event) -> bool:
-        """Note an event; True when the page looks different now."""
+        """Take an event into account; True when the page has changed."""
         if isinstance(event, ExposureDone) and event.pair is not None:
             self._exposed = (event.cycle, event.pair)
             return False
@@ -132,7 +132,10 @@ class StatusPage:
         return True
 
     def _is_counted(self, event: Snapshot) -> bool:
-        """Whether this is in the list, and not for long: it counts once more; the first's pictures stay."""
+        """Count a fault that recurs within `RELAPSE_S` in its entry in the list; False if there is none.
+
+        The entry keeps the pictures of the first occurrence.
+        """
         key = _fault_key(event)
         for index in range(len(self._faults) - 1, -1, -1):
             shown = self._faults[index]
@@ -144,7 +147,7 @@ class StatusPage:
         return False
 
     def _forget_pictures(self) -> None:
-        """Drop the pictures of the oldest faults where all together take too much memory."""
+        """Drop the pictures of the oldest faults where together they exceed `FAULT_BYTES`."""
         size = 0
         for index in range(len(self._faults) - 1, -1, -1):
             shown = self._faults[index]
@@ -159,7 +162,7 @@ class StatusPage:
 
     @property
     def has_error(self) -> bool:
-        """Whether a fault of the cameras holds."""
+        """Whether the cell reports an error."""
         return self._state is not None and self._state.error != ""
 
     @property
@@ -168,16 +171,16 @@ class StatusPage:
         return self._state
 
     def jobs(self) -> Sequence[tuple[int, str]]:
-        """Number and name of each."""
+        """Number and name of each job."""
         return self._sources.jobs()
 
     def questions(self) -> list[Nearest]:
-        """What to ask, away from the loop, so that `status` says why nothing was found."""
+        """Open queries to run outside the event loop, so that `status` can say why nothing was found."""
         shown = (*self._faults, *([] if self._last is None else [self._last]))
         return [nearest for it in shown if (nearest := it.snapshot.nearest) is not None and nearest.open]
 
     def status(self) -> Json:
-        """Everything but history, for /status.json and each update of the page."""
+        """Everything except the history, for /status.json and each update of the page."""
         last = self._last
         return {
             "cell": self._cell,
@@ -195,14 +198,14 @@ class StatusPage:
         }
 
     def cycle(self, number: int) -> Json | None:
-        """What is shown of a cycle whose pictures are kept, with what to draw on them; None: of no other."""
+        """Details of a cycle, with what to draw on its pictures; None if its pictures are no longer kept."""
         shown = self._kept(number)
         if shown is None:
             return None
         return {**_fault(shown), "job": shown.snapshot.job, "picture": self._draw(shown)}
 
     def _angles(self, snapshot: Snapshot) -> Json:
-        """A, B, C and their sigmas in degrees as the PLC reads them: of the good targets, then the others."""
+        """A, B, C and their sigmas in degrees as the PLC reads them; good targets first."""
         convention = self._sources.convention()
         ordered = sorted(snapshot.targets, key=lambda target: bool(target.reject))
         return {
@@ -211,7 +214,7 @@ class StatusPage:
         }
 
     def _budget(self, snapshot: Snapshot) -> Json | None:
-        """Where the sigma of the first target comes from, good ones first; None where that is not known."""
+        """Error budget of the first target, a good one if there is one; None where it is not known."""
         target = min(snapshot.targets, key=lambda target: bool(target.reject), default=None)
         if target is None:
             return None
@@ -219,11 +222,11 @@ class StatusPage:
         return budget(target, snapshot.robot_from_rig, snapshot.registration_covariance, limit_mm)
 
     def history(self, after: int = 0) -> list[Json]:
-        """The trends from the cycle that follows `after`, oldest first."""
+        """Points of the trends for the cycles after `after`, oldest first."""
         return [point for point in self._history if point["cycle"] > after]
 
     async def registers(self) -> list[Json]:
-        """The Modbus map with the values that a client would read now."""
+        """The Modbus map with the values that a client would read at this moment."""
         return [
             {
                 "address": register.address,
@@ -239,12 +242,12 @@ class StatusPage:
         ]
 
     def pair(self, cycle: int) -> FramePair | None:
-        """The images of one of the newest cycles or of the last faults."""
+        """Images of a cycle; None unless it is one of the newest or of the last faults."""
         shown = self._kept(cycle)
         return None if shown is None else shown.pair
 
     def _kept(self, cycle: int) -> ShownCycle | None:
-        """A cycle whose pictures are there."""
+        """A cycle by its number; None if its pictures are no longer kept."""
         for shown in (*self._recent, *self._faults):
             if shown.snapshot.cycle == cycle and shown.pair is not None:
                 return shown
@@ -255,7 +258,7 @@ class StatusPage:
         return self._sources.rectification()
 
     def _picture(self, shown: ShownCycle) -> Json:
-        """Which picture, its size, and what to draw on it; computed once for all viewers."""
+        """Number and size of the picture, and what to draw on it; computed once for all viewers."""
         if self._drawn is None or self._drawn[0] is not shown:
             self._drawn = shown, self._draw(shown)
         return self._drawn[1]
@@ -271,9 +274,9 @@ class StatusPage:
 
 
 def picture(pair: FramePair, rectification: Rectification, side: Side, width_px: int | None = None) -> bytes:
-    """A JPEG of one rectified image; the raw one where the rig does not fit (it was just exchanged).
+    """JPEG of one rectified image; of the raw image where the rig does not fit it (it was just exchanged).
 
-    width_px : at most; None: WIDTH_PX.
+    width_px : largest width; None: WIDTH_PX.
     """
     width_px = WIDTH_PX if width_px is None else width_px
     frame = pair.side(side)
@@ -298,10 +301,10 @@ def picture(pair: FramePair, rectification: Rectification, side: Side, width_px:
 def _display_maps(
     rectification: Rectification, side: Side, width_px: int
 ) -> tuple[int, tuple[MatLike, MatLike]]:
-    """How much to shrink the raw image first, and the maps from that to the picture of the page.
+    """Factor by which to shrink the raw image first, and the maps from the shrunk image to the picture.
 
-    Straight to the size that is shown: a fifth of the work of rectifying at full size. Shrinking by a whole
-    number first keeps the sampling below two pixels a step, where nothing shimmers.
+    Rectifying straight to the size shown takes a fifth of the work of rectifying at full size. Shrinking by a
+    whole number first keeps the sampling step below two pixels, which avoids aliasing.
     """
     width, height = rectification.size
     scale = min(1.0, width_px / width)
@@ -315,7 +318,7 @@ def _display_maps(
 
 
 def _trend(snapshot: Snapshot) -> Json:
-    """One point of the trends; a result that is not good has no sigma."""
+    """One point of the trends; only a good result has a sigma, a score and an epipolar residual."""
     point: Json = {"cycle": snapshot.cycle, "time_ns": snapshot.published_ns, "status": str(snapshot.status)}
     if snapshot.status is not Status.CAPTURE_FAULT:
         point["total_ms"] = snapshot.timing_ms.get("total")
@@ -332,7 +335,7 @@ def _trend(snapshot: Snapshot) -> Json:
 
 
 def _why(snapshot: Snapshot) -> list[Json]:
-    """What is wrong with a cycle; nothing with a good one, and with one that took pictures only."""
+    """Reasons why a cycle is bad; empty for a good one and for one that only took pictures."""
     if snapshot.error:
         return [said("ERROR", snapshot.error, number=snapshot.error_code)]
     if snapshot.status is Status.NO_TARGET:
@@ -366,7 +369,7 @@ def _place(match: Match) -> Json:
 
 
 def _angles(target: Target, snapshot: Snapshot, convention: Convention) -> Json | None:
-    """None where the pose is none."""
+    """Angles of one target and their sigmas; None where the pose or its covariance is not finite."""
     if not (np.isfinite(target.rig_from_part).all() and np.isfinite(target.covariance).all()):
         return None
     reading = reading_of(target, snapshot.robot_from_rig, snapshot.registration_covariance, convention)
@@ -374,12 +377,12 @@ def _angles(target: Target, snapshot: Snapshot, convention: Convention) -> Json 
 
 
 def _size(shown: ShownCycle) -> int:
-    """Bytes of the pictures."""
+    """Bytes of the pictures of a cycle."""
     return 0 if shown.pair is None else shown.pair.left.image.nbytes + shown.pair.right.image.nbytes
 
 
 def _fault_key(snapshot: Snapshot) -> tuple[object, ...]:
-    """Key of a fault in the list: its number and camera, or the kind and reasons of a miss."""
+    """Key of a fault in the list: number and camera of an error, or status, job and reasons of a miss."""
     if snapshot.error:
         return snapshot.error_code, snapshot.error.partition(":")[0]
     refused = {target.reject for target in snapshot.targets} | {part.reject for part in snapshot.dismissed}

@@ -1,4 +1,4 @@
-"""Pages, the manual, and the state of the cell over HTTP: all that is asked outside of /api/v1."""
+"""Handlers of everything outside /api/v1: pages, the manual, and the state of the cell."""
 
 from __future__ import annotations
 
@@ -20,15 +20,15 @@ from edged.payload import Json
 from edged.report.page import render
 
 CACHED_BYTES = 4 * 1024 * 1024
-"""JPEGs that were drawn for one viewer, and may be asked for by the next."""
+"""Size of the cache of JPEGs, which several viewers ask for."""
 WIDTHS_PX = {"": None, "/small": THUMBNAIL_PX, "/full": 1_000_000}
 
 
 class PageHandlers:
-    """Handlers of everything outside /api/v1 but log-in and viewers.
+    """Handlers of everything outside /api/v1 except log-in and viewers.
 
-    drawer : where pictures are drawn. protected : there is a password. is_set_up : there is a page to set the
-    cell up. metrics : Prometheus' text. links : text and address, below the page.
+    drawer : executor that encodes pictures. protected : there is a password. is_set_up : the set-up page is
+    served. metrics : text in Prometheus' format. links : text and address, shown below the page.
     """
 
     def __init__(
@@ -74,7 +74,7 @@ class PageHandlers:
         router.add_get("/ready", self._ready)
 
     async def status(self) -> Json:
-        """The state of the page, once it is known why nothing was found."""
+        """State of the page, after the open queries for near misses have been run."""
         questions = self._page.questions()
         if questions:
             await asyncio.get_running_loop().run_in_executor(self._drawer, _ask, questions)
@@ -93,7 +93,7 @@ class PageHandlers:
         raise web.HTTPMovedPermanently("/manual/")
 
     async def _manual_file(self, request: web.Request) -> web.StreamResponse:
-        """One file of the manual: a name that was there when it was first asked for, and no other."""
+        """Serve a file of the manual; only files that existed at the first request are known."""
         if self._manual is None:
             self._manual = await asyncio.to_thread(read_manual, self._manual_folder)
         if self._manual is None:
@@ -118,12 +118,12 @@ class PageHandlers:
         )
 
     async def _health(self, _request: web.Request) -> web.Response:
-        """200 as long as the loop answers; the state is the cell's own."""
+        """200 as long as the event loop answers, whatever the state of the cell, which is included."""
         state = self._page.state
         return web.json_response({"alive": True, "state": None if state is None else state.state})
 
     async def _ready(self, _request: web.Request) -> web.Response:
-        """200 when a trigger would be carried out, else 503 with the reason."""
+        """200 while a trigger would be carried out, else 503 with the reason."""
         state = self._page.state
         ready = state is not None and state.ready
         reason = "" if state is None else state.why
@@ -157,5 +157,5 @@ def _ask(questions: Sequence[Nearest]) -> None:
 
 
 def html(text: str) -> web.Response:
-    """A page."""
+    """Response with an HTML page."""
     return web.Response(text=text, content_type="text/html", charset="utf-8")

@@ -1,4 +1,4 @@
-"""Users over /api/v1: who I am, my own password and language, and what an engineer does with others."""
+"""Users over /api/v1: one's own role, language, password and sessions, and user management by engineers."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from edged.identity.users import Language, LastEngineer, NameTaken, RoleName, Us
 from edged.identity.visitors import Role
 
 Password = Annotated[str, StringConstraints(min_length=MIN_LENGTH, max_length=256, strip_whitespace=False)]
-"""A password that somebody gets."""
+"""A new password."""
 Said = Annotated[str, StringConstraints(max_length=256, strip_whitespace=False)]
-"""A password that somebody has."""
+"""A password as entered, to be checked."""
 PERSON = "/users/{name:[^/]{1,64}}"
 
 
 class Me(Answer):
-    """The visitor. language : a tag of BCP 47; null: as the browser has it."""
+    """The visitor. language : a tag of BCP 47; null: the browser's."""
 
     name: str = Field(description="empty: with the page's password alone")
     role: str
@@ -31,26 +31,26 @@ class Me(Answer):
 
 
 class MyChange(Body):
-    """What everybody may change of themselves."""
+    """Change that every user may make to their own entry."""
 
     language: Language | None
 
 
 class MyPassword(Body):
-    """Another password, given the old one."""
+    """Change of one's own password."""
 
     old: Said
     new: Password
 
 
 class Waking(Body):
-    """It is still me."""
+    """One's own password, entered again."""
 
     password: Said
 
 
 class MySession(Answer):
-    """A session of mine. age_s : since the log-in. idle_s : since I did something. this : which asks."""
+    """A session of the visitor. age_s : since log-in. idle_s : since an action. this : the current one."""
 
     address: str
     age_s: int
@@ -59,13 +59,13 @@ class MySession(Answer):
 
 
 class MySessions(Answer):
-    """All that are open, the oldest first."""
+    """All open sessions of the visitor, oldest first."""
 
     sessions: list[MySession]
 
 
 class NewUser(Body):
-    """Somebody who gets a password."""
+    """A user to add."""
 
     name: UserName
     role: RoleName
@@ -74,7 +74,7 @@ class NewUser(Body):
 
 
 class UserChange(Body):
-    """What is left out stays."""
+    """Change of a user; fields that are left out stay as they are."""
 
     role: RoleName | None = None
     password: Password | None = None
@@ -82,7 +82,7 @@ class UserChange(Body):
 
 
 class UserNow(Answer):
-    """A user."""
+    """A user as stored, without the password."""
 
     name: str
     role: str
@@ -90,7 +90,7 @@ class UserNow(Answer):
 
 
 class UsersNow(Answer):
-    """All of them, by name. problem : the file cannot be used, and why."""
+    """All users. problem : why the users' file cannot be used, if so."""
 
     users: list[UserNow]
     problem: str | None
@@ -215,7 +215,7 @@ class People:
 
 
 def _check_strength(password: str, name: str, field: str) -> None:
-    """Raises `Problem` for a password that is guessed first."""
+    """Check that a password is not easily guessed. Raises `Problem`."""
     if why := why_weak(password, name):
         raise Problem(400, "weak_password", f"{field}: {why}", field=field)
 
@@ -225,7 +225,7 @@ def _last_engineer(name: str) -> Problem:
 
 
 def _digest(user: User) -> str:
-    """For the audit: it does not tell the role or the password."""
+    """Digest for the audit, which reveals neither role nor password."""
     return hashlib.sha256(user.model_dump_json().encode()).hexdigest()
 
 

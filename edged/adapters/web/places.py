@@ -1,6 +1,6 @@
-"""Who may connect to the page: strangers have few places, and people who are let in keep theirs.
+"""Limits on connections to the page: strangers get few, and people who are let in keep theirs.
 
-A connection is a stranger's until a request on it came from somebody who may see the cell.
+A connection counts as a stranger's until a request on it comes from a person who may see the cell.
 """
 
 from __future__ import annotations
@@ -14,20 +14,20 @@ from aiohttp import web
 from edged.connections import TcpClient, network_of
 
 MAX_CONNECTIONS = 96
-"""Connections at a time; a browser has six, a scraper one. Viewers and sockets leave a third of them."""
+"""Most connections at a time; a browser has six, a scraper one. Viewers and sockets leave a third free."""
 KEPT = 32
-"""Connections kept for people who are let in."""
+"""Connections reserved for people who are let in."""
 OF_ADDRESS = 8
-"""Strangers at one address: a browser's connections to the log-in."""
+"""Most strangers' connections from one address: as many as a browser opens to the log-in."""
 CLIENT = web.RequestKey("client", TcpClient)
-"""The connection of a request."""
+"""Key of a request's connection."""
 
 
 def displaced_by(newcomer: TcpClient, clients: Sequence[TcpClient]) -> tuple[bool, TcpClient | None]:
-    """Whether a new connection may stay, and the idle one that makes room for it, if that is needed.
+    """Whether a new connection may stay, and the idle one to close for it, if any.
 
-    clients : all others. A stranger's makes room first, at the newcomer's own address where that has its
-    share; else the one of the address that has most: opening many takes no place from others.
+    clients : all others. Strangers' connections are closed first: at the newcomer's own address if that has
+    its share, else at the address with the most; so opening many takes no place from others.
     """
     strangers = [client for client in clients if not client.is_let_in]
     place = network_of(newcomer.peer)
@@ -48,14 +48,14 @@ def displaced_by(newcomer: TcpClient, clients: Sequence[TcpClient]) -> tuple[boo
 
 
 def least_active(clients: Sequence[TcpClient], everybody: Sequence[TcpClient]) -> TcpClient | None:
-    """The least recently active of those clients whose address has the most connections of all."""
+    """The least recently active of those clients whose address has the most connections in `everybody`."""
     count = Counter(network_of(client.peer) for client in everybody)
     return min(clients, key=lambda client: (-count[network_of(client.peer)], client.active_s), default=None)
 
 
 @contextmanager
 def waiting(request: web.Request) -> Iterator[None]:
-    """Meanwhile its client has to send something: nothing is done for it, and it may have to make room."""
+    """Mark the client as idle while the server waits for its data: it may then be closed to make room."""
     client = request.get(CLIENT)
     if client is None:
         yield
@@ -68,7 +68,7 @@ def waiting(request: web.Request) -> Iterator[None]:
 
 
 async def body_of(request: web.Request) -> AsyncIterator[bytes]:
-    """A request's body piece by piece, as it comes. Raises `web.RequestPayloadError`."""
+    """Yield a request's body piece by piece, as it arrives. Raises `web.RequestPayloadError`."""
     while True:
         with waiting(request):
             chunk = await request.content.readany()

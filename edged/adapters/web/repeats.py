@@ -1,6 +1,6 @@
-"""Requests that are sent again because their answer was lost: they are answered again, and not done twice.
+"""Requests repeated because their response was lost: they get the first response again and are not run twice.
 
-The client chooses an `Idempotency-Key` for each thing that is wanted once, and sends it with each attempt.
+The client chooses an `Idempotency-Key` for each action that is wanted once, and sends it with each attempt.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ HEADER = "Idempotency-Key"
 MAX_LETTERS = 64
 KEPT, KEPT_S = 256, 600.0
 MAX_BYTES = 100_000
-"""Size of an answer that is kept; only pictures are larger, which change nothing."""
+"""Largest response that is kept; only pictures are larger, and their requests change nothing."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,7 +33,7 @@ class _Answer:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Asked:
-    """A request. answer : None when it was refused or broken off: then it may be done again."""
+    """A request. answer : None when it was refused or broken off, so that it may be run again."""
 
     digest: bytes
     since_s: float
@@ -41,7 +41,7 @@ class _Asked:
 
 
 class Repeats:
-    """What was asked with a key in the last minutes, by session and path."""
+    """Requests with a key in the last minutes, by session, method, path and key."""
 
     def __init__(self, clock_s: Callable[[], float]) -> None:
         self._clock_s = clock_s
@@ -54,10 +54,11 @@ class Repeats:
         body: BaseModel | None,
         do: Callable[[], Awaitable[web.StreamResponse]],
     ) -> tuple[web.StreamResponse, bool]:
-        """The answer, and whether it is that of before. Raises as `do`; `Problem` for a key of another body.
+        """Return the response, and whether it is a kept one.
 
-        body : as it was understood; None for one that is read piece by piece, which is always done.
-        What is refused is not kept: the next time it may be possible.
+        Raises as `do`; `Problem` for a key that was sent before with another body.
+        body : as it was parsed; None for one that is read piece by piece, whose request is always run.
+        Refusals are not kept: the next attempt may succeed.
         """
         name = request.headers.get(HEADER)
         if name is None or body is None or not visitor.session:
@@ -90,7 +91,7 @@ class Repeats:
             asked.answer.set_result(kept)
 
     def _forget(self) -> None:
-        """What is old; of what is too much the oldest that is answered."""
+        """Forget answered requests that are old, and the oldest of them while there are too many."""
         old_s = self._clock_s() - KEPT_S
         done = [key for key, asked in self._asked.items() if asked.answer.done()]
         surplus = len(self._asked) - KEPT + 1

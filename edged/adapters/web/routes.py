@@ -1,8 +1,8 @@
-"""The routes of /api/v1 as one table: what each takes and answers, and who may ask.
+"""The routes of /api/v1 as one table: what each takes and returns, and who may use it.
 
-Handlers hold no check of their own that the table can state: role, origin, type, size and form of the body,
-and the lease are looked at before they are called (`gate`), and the same table becomes the OpenAPI document
-(`openapi`) and the generated test of every route with every role.
+Handlers make no check that the table can state: role, origin, type, size and form of the body, and the lease
+are checked before they are called (`gate`). The OpenAPI document (`openapi`) and the test of every route with
+every role are generated from the same table.
 """
 
 from __future__ import annotations
@@ -33,18 +33,18 @@ from edged.payload import Json
 
 BASE = "/api/v1"
 LIMIT_BYTES = 4096
-"""Default limit of a body."""
+"""Default size limit of a body."""
 WEBSOCKET = "websocket"
-"""What a route answers that becomes a WebSocket."""
+"""`Route.answer` of a route that becomes a WebSocket."""
 _MARK = "_route"
 _PARAMETER = re.compile(r"\{(\w+)(?::([^{}]*(?:\{[0-9,]+\}[^{}]*)*))?\}")
 
 
 class Problem(Exception):
-    """What a request cannot have (RFC 9457).
+    """Error response to a request (RFC 9457).
 
-    code : for programs, and for the page, which has a sentence of its own for it. field : of the body.
-    params : what such a sentence needs.
+    code : for programs, and for the page, which has its own text for it. field : of the body.
+    params : values that such a text needs.
     """
 
     def __init__(
@@ -57,7 +57,7 @@ class Problem(Exception):
         super().__init__(detail)
 
     def response(self) -> web.Response:
-        """The response."""
+        """Return it as an HTTP response."""
         document: Json = {"status": self.status, "code": self.code, "detail": without_folders(str(self))}
         if self.field is not None:
             document["field"] = self.field
@@ -75,16 +75,13 @@ def _printable(text: str) -> str:
 Name = Annotated[str, StringConstraints(min_length=1, max_length=64), AfterValidator(_printable)]
 """Name of a person or a thing, one line."""
 Reason = Annotated[str, StringConstraints(min_length=1, max_length=500), AfterValidator(_printable)]
-"""Why something is done, in one line."""
+"""Reason for an action, one line."""
 Token = Annotated[str, StringConstraints(min_length=1, max_length=64), AfterValidator(_printable)]
 """Token of a lease of the cell."""
 
 
 class Body(BaseModel):
-    """What a request holds: nothing else, of the very types, every text with a bound.
-
-    Of a GET it is the query.
-    """
+    """Body of a request, of a GET the query: no further fields, strict types, texts of limited length."""
 
     model_config = ConfigDict(
         strict=True, extra="forbid", frozen=True, str_strip_whitespace=True, allow_inf_nan=False
@@ -92,13 +89,13 @@ class Body(BaseModel):
 
 
 class Leased(Body):
-    """A request of the holder of the cell."""
+    """Request by the holder of the cell."""
 
     token: Token
 
 
 class Answer(BaseModel):
-    """What is answered; also by the attributes of something that has the same."""
+    """Body of a response; can be made from any object with the same attributes."""
 
     model_config = ConfigDict(
         frozen=True, from_attributes=True, json_schema_serialization_defaults_required=True
@@ -110,9 +107,9 @@ B = TypeVar("B")
 
 @dataclass(slots=True)
 class Trail:
-    """What the audit says of a request besides its path, body and outcome; handlers fill in what they know.
+    """Details of a request for the audit, besides path, body and outcome; handlers fill in what they know.
 
-    object : what was made. before, after : hash of what was changed. reason : else that of the body.
+    object : name of what was made. before, after : hash of what was changed. reason : default: the body's.
     """
 
     object: str = ""
@@ -131,12 +128,12 @@ class Call(Generic[B]):
     trail: Trail = field(default_factory=Trail)
 
     def part(self, name: str) -> str:
-        """A parameter of the path."""
+        """Return a parameter of the path."""
         return self.request.match_info[name]
 
     @property
     def side(self) -> Side:
-        """The camera that the path names, as `side`."""
+        """Camera that the path names by its parameter `side`."""
         return "left" if self.part("side") == "left" else "right"
 
 
@@ -145,7 +142,7 @@ Handler = Callable[[Call[Any]], Awaitable[Given]]
 
 
 class RouteOptions(TypedDict, total=False):
-    """What a row of the table may say besides what it must; see `Route`."""
+    """Optional fields of a route; see `Route`."""
 
     role: Role
     status: int
@@ -160,14 +157,14 @@ class RouteOptions(TypedDict, total=False):
 class Route:
     """One row of the table.
 
-    path : below /api/v1, parameters as aiohttp has them, `{number:[0-9]{1,9}}`.
-    what : one line for the document. role : who may, at least.
-    body : model of the JSON object, of a GET of the query; None: the handler reads what there is, up to
-    limit_bytes, by `gate.chunks`. answer : a model, a media type, `WEBSOCKET`, or nothing.
-    status : of a success; left out: 200, or 204 without an answer.
-    audit : noted with its outcome, also where it is refused. needs_lease : the body's `token` must be
-    that of the lease, and shows that its holder is there. needs_password : the visitor's, entered in the
-    last minutes. is_by_itself : pages ask it without anybody's doing.
+    path : below /api/v1, with parameters in aiohttp's syntax, `{number:[0-9]{1,9}}`.
+    what : one line for the OpenAPI document. role : the lowest that is allowed.
+    body : model of the JSON object, for a GET of the query; None: the handler reads the body itself, up to
+    limit_bytes, with `gate.chunks`. answer : a model, a media type, `WEBSOCKET`, or None.
+    status : of a success; default: 200, or 204 without an answer.
+    audit : recorded with its outcome, also when refused. needs_lease : the body's `token` must be that of the
+    lease, which the request extends. needs_password : the visitor must have entered theirs in the last
+    minutes. is_by_itself : pages send it without a user's action.
     """
 
     method: str
@@ -186,22 +183,25 @@ class Route:
 
     @property
     def changes(self) -> bool:
-        """Whether it changes anything: then it needs a session, and a page of our own."""
+        """Whether it changes anything; then it needs a session and a page of our own."""
         return self.method != "GET"
 
     @property
     def needs_origin(self) -> bool:
-        """Whether a page elsewhere could ask in somebody's name: browsers open WebSockets to any host."""
+        """Whether to check the origin, since a foreign page could ask in a user's name.
+
+        That includes WebSockets, which browsers open to any host.
+        """
         return self.changes or self.answer == WEBSOCKET
 
     @property
     def parameters(self) -> list[tuple[str, str]]:
-        """Parameters of the path: name, and pattern or ""."""
+        """Name and pattern ("": none) of each parameter of the path."""
         return _PARAMETER.findall(self.path)
 
     @property
     def plain_path(self) -> str:
-        """Path with parameters without their patterns."""
+        """Full path, its parameters without patterns."""
         return BASE + _PARAMETER.sub(r"{\1}", self.path)
 
 
@@ -211,9 +211,9 @@ H = TypeVar("H", bound=Callable[..., Awaitable[Given]])
 def route(
     method: str, path: str, what: str, *, answer: str | None = None, **options: Unpack[RouteOptions]
 ) -> Callable[[H], H]:
-    """Make a method with one argument, a `Call`, the handler of a `Route`.
+    """Mark a method with one argument, a `Call`, as the handler of a `Route`.
 
-    Its annotations say what it takes, `Call[Body]`, and what it answers, unless that is not a model.
+    Its annotations give the body, `Call[Body]`, and the answer, if that is a model.
     """
 
     def mark(handler: H) -> H:
@@ -229,7 +229,7 @@ def is_model(kind: Any) -> TypeGuard[type[BaseModel]]:
 
 
 class RouteMark(NamedTuple):
-    """A method that `route` marks. name : of the method. answer : a model, a media type or None."""
+    """A method marked by `route`. name : of the method. answer : a model, a media type or None."""
 
     name: str
     method: str
@@ -241,7 +241,7 @@ class RouteMark(NamedTuple):
 
 
 def marks_of(kind: type) -> Iterator[RouteMark]:
-    """What a class adds to a table."""
+    """Marked methods of a class."""
     for name, handler in vars(kind).items():
         if (mark := getattr(handler, _MARK, None)) is not None:
             method, path, what, media, options = mark
@@ -250,7 +250,7 @@ def marks_of(kind: type) -> Iterator[RouteMark]:
 
 
 def _body_and_answer(handler: Callable[..., Any]) -> tuple[Any, Any]:
-    """Models that a handler's annotations name; None for what is none."""
+    """Body and answer in a handler's annotations; the answer is None if it is not a model."""
     types = get_type_hints(handler)
     returned = types.pop("return")
     (taken,) = (get_args(call) for call in types.values())
@@ -267,7 +267,7 @@ class RouteTable:
         return iter(self._routes.values())
 
     def add(self, *several: object) -> None:
-        """Add the methods that `route` marks; an object may also have an `add_to` for this table."""
+        """Add the methods marked by `route`; an object may also have an `add_to(table)`, which is called."""
         for routes in several:
             for row in marks_of(type(routes)):
                 handler = getattr(routes, row.name)
@@ -288,7 +288,7 @@ class RouteTable:
         answer: type[BaseModel] | str | None = None,
         **options: Unpack[RouteOptions],
     ) -> None:
-        """Add a route. Raises `ValueError` for a row that contradicts itself, or that is there already."""
+        """Add a route. Raises `ValueError` if it needs a lease but takes no token, and for a duplicate."""
         model = body if is_model(body) else None
         if options.get("needs_lease") and (model is None or "token" not in model.model_fields):
             raise ValueError(f"{method} {path}: a route with a lease takes a token")

@@ -1,6 +1,6 @@
-"""HTTP for the status page, the manual, /metrics, /health and /ready: aiohttp in the daemon's loop.
+"""HTTP for the status page, the manual, /metrics, /health and /ready: aiohttp in the daemon's event loop.
 
-Nothing here changes the cell; what does is in the routes of /api/v1, and only where it is configured.
+Nothing here changes the cell; only the routes of /api/v1 do, and only where commissioning is configured.
 """
 
 from __future__ import annotations
@@ -62,17 +62,18 @@ from edged.report.page import render
 log = logging.getLogger(__name__)
 
 IDLE_S = 15.0
-"""From the connection to its first whole request, from an answer to the next one, and to fetch an answer."""
+"""Limit from connecting to the first whole request, between a response and the next request, and for reading
+a response."""
 HANDSHAKES_PER_S, HANDSHAKES_OF_ADDRESS_PER_S = 50.0, 10.0
-"""Handshakes of TLS, which take a millisecond of the loop each: of all, and of one address."""
+"""Limits of TLS handshakes, in total and of one address; each takes a millisecond of the event loop."""
 REQUESTS_PER_S, REQUESTS_AT_ONCE = 200.0, 1000.0
-"""Limits of one session, or of all at one address who have not logged in.
+"""Limits of one session, or of all clients at one address without a session.
 
-A refused request takes some 0.3 ms of the loop; a viewer asks for three pictures of five cycles a second, a
-page that is opened for some eighty files.
+A refused request takes some 0.3 ms of the event loop; a viewer asks for three pictures of five cycles a
+second, and a page that is being opened for some eighty files.
 """
 FLOODED_S = 5.0
-"""How long the requests of a client that flooded a socket are refused."""
+"""How long requests of a client that flooded a socket are refused."""
 HEADERS = {
     "Content-Security-Policy": "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self'; "
     "connect-src 'self'; form-action 'self'; frame-ancestors 'none'; base-uri 'none'",
@@ -81,7 +82,7 @@ HEADERS = {
     "Cache-Control": "no-store",
 }
 FREE = {"/health", "/ready", "/login", "/static/login.css", "/static/icon.svg"}
-"""Answered without a password: they say nothing of what the cell makes."""
+"""Paths served without a password: they reveal nothing about what the cell produces."""
 
 Handler = Callable[[web.Request], Awaitable[web.StreamResponse]]
 
@@ -91,7 +92,7 @@ async def _no_metrics() -> bytes:
 
 
 class _ServerLog(logging.LoggerAdapter[logging.Logger]):
-    """aiohttp's log of requests that went wrong: strangers can make as many of them as they like.
+    """aiohttp's log of failed requests, rate-limited, since strangers can cause as many as they like.
 
     Bytes that are not HTTP give one line, without the parser's details; disconnects are not logged.
     """
@@ -101,7 +102,7 @@ class _ServerLog(logging.LoggerAdapter[logging.Logger]):
         self._limit, self._traces = LogLimit(__name__), LogLimit(__name__)
 
     def exception(self, msg: object, *args: object, exc_info: Any = True, **_more: Any) -> None:
-        """Log what went wrong with a request."""
+        """Log the failure of a request."""
         if isinstance(exc_info, HttpProcessingError | web.RequestPayloadError):
             peer = args[0] if args else "somebody"
             self._limit.warning("status page: %s sent what is no HTTP, closed", peer)
@@ -111,9 +112,10 @@ class _ServerLog(logging.LoggerAdapter[logging.Logger]):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SettingUp:
-    """What a cell is set up by. commissioner : where people take it; None: nobody can.
+    """Services for setting the cell up. commissioner : takes requests for SETUP; None: there is no set-up.
 
-    notices, live : what tabs are told and shown; None: of its own. routes : objects with further routes.
+    notices, live : sources of notices and live pictures; None: the server makes its own. routes : objects
+    with further routes.
     """
 
     commissioner: Commissioner | None = None
@@ -125,8 +127,9 @@ class SettingUp:
 class WebPublisher:
     """Serves the page and the manual (`edged.ports.Publisher`).
 
-    manual : folder that it was built into. context : `page_context`; None: read at the start.
-    setup : what people set the cell up by, if the settings let them. metrics : Prometheus' text.
+    manual : folder that the manual was built into. context : result of `page_context`; None: read by `start`.
+    setup : services for setting the cell up, if the settings allow it. metrics : returns text in Prometheus'
+    format.
     """
 
     def __init__(
@@ -191,11 +194,11 @@ class WebPublisher:
 
     @property
     def port(self) -> int:
-        """The port that is listened on."""
+        """The listening port; 0 when closed."""
         return self._listener.port if self._listener is not None else 0
 
     async def start(self, listening: Sequence[socket.socket] | None = None) -> None:
-        """Listen; on sockets that are open already, or on those of the settings. Raises `ListenError`."""
+        """Listen on the given open sockets, or at the address in the settings. Raises `ListenError`."""
         settings = self._settings
         context = self._context or page_context(settings)
         if context is None and settings.password_hash and not is_loopback(settings.host):
@@ -218,7 +221,7 @@ class WebPublisher:
             access_log=None,
             shutdown_timeout=0.5,
             logger=_ServerLog(),
-            auto_decompress=False,  # a stranger's kilobytes would be unpacked to megabytes, in the loop
+            auto_decompress=False,  # else a stranger's kilobytes expand to megabytes, in the event loop
         )
         await runner.setup()
         protocol = runner.server
@@ -242,7 +245,7 @@ class WebPublisher:
             tell_of_users(self._users, self._invite, place)
 
     def _api(self, commissioner: Commissioner) -> Gate:
-        """What sets the cell up: the routes that every cell has, and further ones."""
+        """The API for setting the cell up: the routes that every cell has, and further ones."""
         table = RouteTable()
         self._taking = setup = SetupRoutes(commissioner, self._drawer)
         overview = OverviewRoutes(self._cell, self._page, self._sources, setup, table, self._access.cookie)
@@ -270,7 +273,7 @@ class WebPublisher:
         return Gate(table, commissioner, self._access, self._auditor, setup.holds, self._clock_s)
 
     def announce(self, event: Event) -> None:
-        """Note the event and wake the viewers."""
+        """Take an event into account and wake the viewers."""
         had_error = self._page.has_error
         is_new = self._page.take(event)
         if is_new:
@@ -281,12 +284,12 @@ class WebPublisher:
             )
         if is_new or isinstance(event, Idle):
             self._auditor.note_run(self._sources.fingerprint())
-        # each second, too: who owns the PLC's write right, and AUTO_LOCK, change without an event
+        # each second, too: the owner of the PLC's write right and AUTO_LOCK change without an event
         if self._sockets is not None and (is_new or isinstance(event, Idle)):
             self._sockets.cell_changed(at_once=self._page.has_error is not had_error)
 
     async def close(self) -> None:
-        """End every viewer and leave nothing behind."""
+        """End every viewer and release all resources."""
         self._viewers.close()
         if self._sockets is not None:
             await self._sockets.close()
@@ -304,7 +307,7 @@ class WebPublisher:
     # --- every connection --------------------------------------------------------------------
 
     def _admit(self, newcomer: TcpClient) -> bool:
-        """Whether a new connection may stay; where all places are taken, an idle one makes room."""
+        """Whether a new connection may stay; where all places are taken, an idle one is closed for it."""
         listener = self._listener
         if listener is None:
             return False
@@ -325,7 +328,7 @@ class WebPublisher:
         return may_stay
 
     def _client(self, request: web.Request) -> TcpClient | None:
-        """The client of a request; None when it has gone."""
+        """The client of a request; None when it is gone."""
         transport, listener = request.transport, self._listener
         if transport is None or listener is None:
             return None
@@ -333,7 +336,7 @@ class WebPublisher:
 
     async def _events(self, request: web.Request) -> web.StreamResponse:
         client = request.get(CLIENT)
-        if client is None:  # it has gone
+        if client is None:  # it is gone
             return web.Response(status=503)
         return await self._viewers.serve(request, client, HEADERS)
 
@@ -342,9 +345,9 @@ class WebPublisher:
     @web.middleware
     async def _guard(self, request: web.Request, handler: Handler) -> web.StreamResponse:
         client = self._client(request)
-        if client is None:  # it has gone
+        if client is None:  # it is gone
             return web.Response(status=503)
-        # requests that have come already are read without a pause: others get their turn
+        # buffered requests are read without waiting: give others their turn
         await asyncio.sleep(0)
         if not self._rate(request).take():
             self._limit.warning("status page: %s closed, too many requests", client.peer)
@@ -359,7 +362,7 @@ class WebPublisher:
             client.touch()
 
     async def _guard_answer(self, request: web.Request, response: web.StreamResponse) -> None:
-        """Count also what is answered before anything of ours is asked (`Expect:`)."""
+        """Count also requests that aiohttp answers before our handlers are called (`Expect:`)."""
         if CLIENT in request:
             return
         await asyncio.sleep(0)
@@ -367,14 +370,14 @@ class WebPublisher:
             response.force_close()
 
     def _rate(self, request: web.Request) -> Rate:
-        """The rate of a session, else of an address: strangers use up none of a session's."""
+        """Rate limit of the session, else of the address: strangers use up nothing of a session's."""
         visitor = self._visitor(request)
         return self._requests.of(visitor.session if visitor is not None else network_of(request.remote or ""))
 
     async def _answer(self, request: web.Request, handler: Handler) -> web.StreamResponse:
         try:
             host = request.headers.get("Host")
-            if host is not None and not self._names.has(host):  # every browser's request has one
+            if host is not None and not self._names.has(host):  # browsers always send one
                 self._limit.warning("status page: %s asked for %r, not in web.names", request.remote, host)
                 raise web.HTTPMisdirectedRequest(text="this host name is not served here\n")
             if "Content-Encoding" in request.headers:
@@ -385,7 +388,7 @@ class WebPublisher:
                 is_page = request.path in ("/", "/setup") or request.path.startswith("/manual")
                 if is_page and "text/html" in request.headers.get("Accept", ""):
                     raise web.HTTPSeeOther("/login?to=setup" if request.path == "/setup" else "/login")
-                # a browser's page asks with its own form; a scraper must be told how
+                # the pages have a log-in form of their own; a scraper needs to know the scheme
                 asked = {"WWW-Authenticate": 'Basic realm="edged"'} if request.path == "/metrics" else {}
                 raise web.HTTPUnauthorized(text="log in first\n", headers=asked)
             response = await handler(request)
@@ -403,7 +406,7 @@ class WebPublisher:
         return response
 
     async def _is_let_in(self, request: web.Request) -> bool:
-        """Whether this is somebody who may see the cell, or the metrics that they ask for."""
+        """Whether the sender may see the cell, or the metrics if these are requested."""
         if self._access.is_open or self._visitor(request) is not None:
             return True
         address, header = request.remote or "", request.headers.get("Authorization", "")
@@ -414,14 +417,14 @@ class WebPublisher:
         return await self._access.has_basic(address, header)
 
     def _is_free(self, request: web.Request) -> bool:
-        """Whether everybody may ask for it."""
+        """Whether the path is served without a password."""
         return request.path in FREE or (self._users is not None and request.path == "/invite")
 
     def _visitor(self, request: web.Request) -> Visitor | None:
-        """The session that sent a request, if any."""
+        """Visitor whose session sent a request, if any."""
         return visitor_of(self._access, request)
 
     async def _show_setup(self, request: web.Request) -> web.Response:
-        if self._users is not None and self._visitor(request) is None:  # its page is told nothing
+        if self._users is not None and self._visitor(request) is None:  # its WebSocket would be refused
             raise web.HTTPSeeOther("/login?to=setup" if self._users.has_engineer else "/invite")
         return html(self._setup_page[is_built(self._manual)])

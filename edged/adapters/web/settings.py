@@ -1,4 +1,4 @@
-"""Where the status page is served, for whom, and its TLS."""
+"""Settings of the status page: address, access, TLS."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from edged.connections import tls_with
 
 @dataclass(frozen=True, slots=True)
 class WebSettings:
-    """Where and for whom.
+    """Address, access and TLS of the status page.
 
     password_hash : Argon2; "" is for loopback only. metrics_password_hash : of the token for /metrics alone.
     certificate, key : PEM, both or none. names : further names of this machine.
-    links : text and address, to what shows many cells.
-    commissioning : users may set the cell up, by their roles. state : the folder that they are kept in; None:
-    there are none.
+    links : text and address of pages that show many cells.
+    commissioning : users may set the cell up, according to their roles. state : folder that users are kept
+    in; None: there are no users.
     """
 
     host: str = "127.0.0.1"
@@ -34,7 +34,7 @@ class WebSettings:
 
 
 def page_context(settings: WebSettings) -> ssl.SSLContext | None:
-    """TLS of the page; None without certificate. Raises `ListenError` for files that do not fit."""
+    """TLS context of the page; None without a certificate. Raises `ListenError` for files that do not fit."""
     if settings.certificate is None or settings.key is None:
         return None
     return tls_with("status page", settings.certificate, settings.key)

@@ -1,4 +1,4 @@
-"""Taking the cell for SETUP, keeping it, giving it back, and pictures meanwhile."""
+"""Routes to take the cell for SETUP, extend the lease, give the cell back, and take pictures meanwhile."""
 
 from __future__ import annotations
 
@@ -20,26 +20,29 @@ from edged.ports import Commissioner
 log = logging.getLogger(__name__)
 
 KEPT = 4
-"""Pairs that can be fetched after they were taken."""
+"""Number of captured pairs kept for download."""
 ENDED = {CellPhase.READY, CellPhase.FAULT, CellPhase.SETUP}
-"""What a cell is that goes on without the person; one that stops is still theirs."""
+"""States of a cell whose SETUP by a person is over; a cell that stops still belongs to that person."""
 
 
 class Entering(Body):
-    """Who takes the cell."""
+    """Request for the cell."""
 
     name: Name | None = Field(None, description="left out: the name of the visitor")
     take_over: bool = Field(False, description="also from somebody who has it")
 
 
 class Lease(Answer):
-    """The cell is theirs who hold this."""
+    """Lease of the cell, which belongs to the holder of the token."""
 
     token: str
 
 
 class Leaving(Body):
-    """By the holder, with the token; or by somebody at the cell. name : default: the visitor's."""
+    """Request to end SETUP, by the holder with the token, or by another person.
+
+    name : default: the visitor's.
+    """
 
     token: Token | None = None
     name: Name | None = None
@@ -52,7 +55,7 @@ class Leaving(Body):
 
 
 class Capture(Answer):
-    """A pair that was taken. left, right : where its raw pictures are."""
+    """A captured pair. left, right : paths of its raw pictures."""
 
     exposed_ns: int
     skew_ms: float
@@ -61,10 +64,7 @@ class Capture(Answer):
 
 
 class SetupRoutes:
-    """The routes of SETUP.
-
-    encoder : where pictures are encoded.
-    """
+    """The routes of SETUP. encoder : executor that encodes pictures."""
 
     def __init__(self, commissioner: Commissioner, encoder: Executor) -> None:
         self._commissioner = commissioner
@@ -75,11 +75,11 @@ class SetupRoutes:
         self._is_taken = False
 
     def holds(self, session: str) -> bool:
-        """Whether this session took the cell last, and has not given it back."""
+        """Whether this session was the last to take the cell, and SETUP has not been ended since."""
         return session != "" and session == self._holder
 
     def ended_by(self, state: CellState) -> bool:
-        """Whether SETUP of a person has ended that nobody ended here: by the plant."""
+        """Whether a person's SETUP has just been ended by the plant, not by a request here."""
         was_taken, self._is_taken = self._is_taken, state.setup is SetupSource.PERSON
         is_over = was_taken and not self._is_taken and self._holder != "" and state.state in ENDED
         if is_over:
@@ -104,7 +104,7 @@ class SetupRoutes:
         needs_lease=True,
     )
     async def _renew(self, _call: Call[Leased]) -> None:
-        """The gate has done it."""
+        """Do nothing: the gate has extended the lease already."""
 
     @route(
         "DELETE", "/setup", "Give the cell back, or end SETUP for its holder", role=Role.OPERATOR, audit=True

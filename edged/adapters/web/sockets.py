@@ -1,7 +1,7 @@
 """The WebSocket of a tab: the cell's state, drafts and tasks as they change, and live pictures.
 
-Every tab has a task of its own, and gets the newest of everything: a slow one gets fewer pictures, never late
-ones, since the next is sent when the last has been seen. A pair is encoded once for all, away from the loop.
+Every tab has its own task and gets only the newest of everything: a slow one gets fewer pictures, but never
+late ones, since the next is sent after the last was shown. A pair is encoded once for all, in an executor.
 """
 
 from __future__ import annotations
@@ -34,29 +34,29 @@ from edged.payload import Json
 from edged.pictures.encoding import jpeg
 
 MAX_SOCKETS, OF_SESSION = 32, 4
-"""Sockets of all, and of one session."""
+"""Most sockets in total, and of one session."""
 KEPT = 16
-"""Sockets kept for users: those who have the page's password alone take no more than the others."""
+"""Sockets reserved for users: visitors with only the page's password share the rest."""
 MESSAGE_BYTES = 1024
-"""Size of a tab's message."""
+"""Largest message of a tab."""
 MESSAGES_PER_S, MESSAGES_AT_ONCE = 60.0, 120.0
-"""Messages of a tab, pings included. It sends one for each live pair: 20 a second (`lease.live.PERIOD_S`)."""
+"""Limits of a tab's messages, pings included; it sends one per live pair, 20 a second (`live.PERIOD_S`)."""
 PERIOD_S = 0.2
-"""The state of the cell is sent this often at most."""
+"""Shortest time between two states of the cell that are sent."""
 PING_S = 15.0
 WRITE_S = 10.0
 """A tab that has read nothing for this long counts as gone."""
 CLOSE_S = 0.3
-"""For a tab to answer that it has heard of the end."""
+"""Time for a tab to answer the close frame."""
 WIDTH_PX = 960
-"""Width of the pictures that are sent."""
+"""Width of the pictures sent."""
 QUALITY = 75
 LOGGED_OUT = 4401
-"""Why a socket is closed whose session has ended: the page asks for the password."""
+"""Close code for an ended session: the page then asks for the password."""
 
 
 class FromTab(Body):
-    """What a tab says."""
+    """Message from a tab."""
 
     live: bool | None = Field(None, description="whether pictures are wanted, by the holder of the cell")
     token: Token | None = None
@@ -66,7 +66,7 @@ class FromTab(Body):
 
 @dataclass(frozen=True, slots=True)
 class _Encoded:
-    """A pair as it is sent: what it is, and both pictures."""
+    """A live pair ready to send. about : JSON that describes it. pictures : left and right, with headers."""
 
     number: int
     about: str
@@ -75,9 +75,9 @@ class _Encoded:
 
 @dataclass(eq=False, slots=True)
 class _Tab:
-    """One socket. user : "" with the page's password alone. last : picture it got.
+    """One socket. user : "" with only the page's password. last : number of the last pair given to it.
 
-    notes : what it has not been told yet, the newest of each thing.
+    notes : notices not yet sent, the newest of each kind and id.
     """
 
     request: web.Request
@@ -95,10 +95,10 @@ class _Tab:
 
 
 class Sockets:
-    """All of them.
+    """The sockets of all tabs.
 
-    encoder : where pictures are encoded. overview : the cell, as a session sees it. holds : whether a session
-    has taken the cell. flooded : called for a client that sent too much.
+    encoder : executor that encodes pictures. overview : gives the cell as a session sees it. holds : whether
+    a session has taken the cell. flooded : called for a client that sent too much.
     """
 
     def __init__(
@@ -126,14 +126,18 @@ class Sockets:
         self._stops = (live.listen(self._take), notices.listen(self._note))
 
     def cell_changed(self, *, at_once: bool) -> None:
-        """Tell every tab, soon; at_once now, too, or of a cell that fails in a beat only faults are seen."""
+        """Send every tab the cell's state within `PERIOD_S`.
+
+        at_once : also right now; else of a cell whose faults come and go in step with the period, only the
+        faults might be seen.
+        """
         if at_once:
             self._tell_cell()
         if self._tabs and self._telling is None:
             self._telling = asyncio.get_running_loop().call_later(PERIOD_S, self._tell_later)
 
     async def close(self) -> None:
-        """End every socket, and take no further events."""
+        """Close every socket, and take no further events."""
         self._closing = True
         for stop in self._stops:
             stop()
@@ -214,7 +218,7 @@ class Sockets:
         try:
             await socket.prepare(call.request)
             client = call.request.get(CLIENT)
-            if client is not None:  # also of frames that are no messages yet
+            if client is not None:  # counts frames of unfinished messages, too
                 client.limit(MESSAGES_PER_S * MESSAGE_BYTES, MESSAGES_AT_ONCE * MESSAGE_BYTES)
             tab.wake.set()
             telling = asyncio.create_task(self._tell(tab), name="tab")
@@ -225,14 +229,14 @@ class Sockets:
             self._live.unwant(tab)
             self._tabs.pop(tab, None)
             if telling is not None:
-                if self._closing:  # it says so
+                if self._closing:  # it sends the close frame
                     await asyncio.wait({telling}, timeout=CLOSE_S)
                 await cancel_and_await(telling)
             tab.ended.set()
         return socket
 
     def _check_limits(self, visitor: Visitor) -> None:
-        """Whether one more tab may be open. Raises `Problem`."""
+        """Check that one more tab may be open. Raises `Problem`."""
         limits = [
             (sum(tab.session == visitor.session for tab in self._tabs), OF_SESSION),
             (len(self._tabs), MAX_SOCKETS),
@@ -247,7 +251,7 @@ class Sockets:
         """Read a tab's messages until it closes, floods, or sends an invalid one."""
         rate = Rate(MESSAGES_PER_S, burst=MESSAGES_AT_ONCE)
         async for message in tab.socket:
-            await asyncio.sleep(0)  # what has come already is read without a pause: others get their turn
+            await asyncio.sleep(0)  # buffered messages are read without waiting: give others their turn
             if not rate.take():
                 self._log.warning(
                     "status page: %s sends too much over its socket, closed", tab.request.remote
@@ -298,7 +302,7 @@ class Sockets:
         tab.wake.set()
 
     async def _tell(self, tab: _Tab) -> None:
-        """Send what is new, as fast as it is read."""
+        """Send what is new, as fast as the tab reads it."""
         try:
             while not self._closing:
                 await tab.wake.wait()
@@ -309,7 +313,7 @@ class Sockets:
                 async with asyncio.timeout(WRITE_S):
                     await self._send(tab)
             await tab.socket.close(code=WSCloseCode.GOING_AWAY)
-        except (ConnectionError, TimeoutError):  # it has gone, or does not read
+        except (ConnectionError, TimeoutError):  # the tab is gone, or does not read
             if tab.request.transport is not None:
                 tab.request.transport.abort()
 
@@ -331,7 +335,7 @@ class Sockets:
 
 
 async def _cut(socket: web.WebSocketResponse) -> None:
-    """Say that it is over, and wait for no answer: who floods would be read until it comes."""
+    """Close without waiting for the answer: until it came, the flood would have to be read."""
     with contextlib.suppress(TimeoutError):
         async with asyncio.timeout(0):
             await socket.close(code=WSCloseCode.POLICY_VIOLATION)

@@ -1,6 +1,6 @@
-"""Texts of the pages that the cell writes itself, and the language of a request.
+"""Texts of the pages rendered on the server, and the language of a request.
 
-They stand in Fluent files, static/PART.LANGUAGE.ftl, as the texts of the pages that a browser writes.
+They are in Fluent files, static/PART.LANGUAGE.ftl, like the texts of the pages rendered in the browser.
 """
 
 from __future__ import annotations
@@ -18,20 +18,20 @@ from fluent.syntax.visitor import Transformer
 from markupsafe import Markup, escape
 
 COOKIE = "edged_language"
-"""The language chosen on this device; a page's script writes it (texts.js)."""
+"""Cookie with the language chosen on this device; set by a script of the page (texts.js)."""
 DEFAULT = "en"
 _WEIGHT = re.compile(r"q=([01](?:\.[0-9]{0,3})?)")
 
 
 class Say(Protocol):
-    """One language: a text by its id, as HTML; values are escaped, except `Markup`."""
+    """Texts in one language: returns a text by its id, as HTML; values are escaped, except `Markup`."""
 
     def __call__(self, name: str, /, **values: object) -> Markup:
-        """Raises `KeyError` for an unknown id, and for a missing value."""
+        """Return a text. Raises `KeyError` for an unknown id, and for a missing value."""
 
 
 class Texts:
-    """The texts of one part in every language: static/PART.LANGUAGE.ftl."""
+    """Texts of one part in every language: static/PART.LANGUAGE.ftl."""
 
     def __init__(self, part: str) -> None:
         self._bundles: dict[str, FluentBundle] = {}
@@ -56,7 +56,7 @@ def language_of(request: web.Request, languages: Collection[str]) -> str:
 
 
 def _accepted(header: str) -> list[str]:
-    """Languages of Accept-Language (RFC 9110), "de-CH, de;q=0.9", without regions, the preferred first."""
+    """Languages in Accept-Language (RFC 9110), "de-CH, de;q=0.9", without regions, most preferred first."""
     weighed = list[tuple[float, str]]()
     for part in header.split(","):
         tag, has_weight, rest = part.partition(";")
@@ -68,7 +68,7 @@ def _accepted(header: str) -> list[str]:
 
 
 class _Escape(Transformer):
-    """Makes the words of a file HTML; values are escaped when they are filled in."""
+    """Escapes the text of a file for HTML; values are escaped when they are filled in."""
 
     def visit_TextElement(self, node: TextElement) -> TextElement:  # noqa: N802  (named after the node)
         node.value = str(escape(node.value))

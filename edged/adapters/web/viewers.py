@@ -1,7 +1,7 @@
-"""Who watches the page: server-sent events, the newest state after each change.
+"""Viewers of the page: server-sent events with the newest state after each change.
 
-A viewer never delays a cycle: a change only sets a flag for each, who is served in its own task; a slow one
-gets the newest state, not all of them.
+A viewer never delays a cycle: a change only sets a flag for each viewer, which is served in its own task. A
+slow one gets the newest state, not every state.
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ from edged.connections import TcpClient
 from edged.payload import Json
 
 PERIOD_S = 0.2
-"""A viewer hears of changes this often at most."""
+"""Shortest time between two updates of a viewer."""
 ALIVE_S = 15.0
-"""Without a change, a comment keeps the connection open and detects dead ones."""
+"""Without a change, a comment is sent this often: it keeps the connection open and detects dead ones."""
 MAX_VIEWERS = 32
 WRITE_S = 10.0
 """A viewer that has read nothing for this long counts as gone."""
@@ -28,26 +28,26 @@ WRITE_S = 10.0
 
 @dataclass(eq=False, slots=True)
 class Viewer:
-    """A browser that watches the page. changed : there is something new for it."""
+    """A browser that watches the page. changed : set when there is something new for it."""
 
     client: TcpClient
     changed: asyncio.Event = field(default_factory=asyncio.Event)
 
 
 class Viewers:
-    """All viewers.
+    """All viewers of the page.
 
-    shown : the state of the page. history : points of the trends after a cycle.
+    shown : returns the state of the page. history : returns the points of the trends after a cycle.
     """
 
     def __init__(self, shown: Callable[[], Awaitable[Json]], history: Callable[[int], list[Json]]) -> None:
         self._shown = shown
         self._history = history
-        self._viewers: dict[Viewer, None] = {}  # the first to come first
+        self._viewers: dict[Viewer, None] = {}  # in order of arrival
         self._closing = False
 
     def wake(self) -> None:
-        """There is something new."""
+        """Tell every viewer that there is something new."""
         for viewer in self._viewers:
             viewer.changed.set()
 
@@ -59,7 +59,7 @@ class Viewers:
     async def serve(
         self, request: web.Request, client: TcpClient, headers: Mapping[str, str]
     ) -> web.StreamResponse:
-        """Server-sent events: the whole history once, then the newest state after each change."""
+        """Send events to one viewer: the whole history once, then the newest state after each change."""
         self._make_room()
         response = web.StreamResponse(headers={**headers, "Content-Type": "text/event-stream"})
         viewer = Viewer(client)
@@ -84,14 +84,14 @@ class Viewers:
                     points = self._history(points[-1]["cycle"] if points else 0) or points[-1:]
                     await write(_event("update", {**await self._shown(), "points": points}))
                     await asyncio.sleep(PERIOD_S)
-        except (ConnectionResetError, TimeoutError):  # the viewer has gone, or does not read
+        except (ConnectionResetError, TimeoutError):  # the viewer is gone, or does not read
             client.abort()
         finally:
             self._viewers.pop(viewer, None)
         return response
 
     def _make_room(self) -> None:
-        """When all places are taken, drop the first viewer of the client with most; its page reconnects."""
+        """When all places are taken, drop the viewer at the address with most; its page reconnects."""
         if len(self._viewers) < MAX_VIEWERS:
             return
         clients = [viewer.client for viewer in self._viewers]

@@ -1,4 +1,4 @@
-"""How a cell fares, by the cycles that were seen."""
+"""Health of a cell, by its cycles so far."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ RATE_WINDOW = 32  # cycles over which the rate is taken
 
 
 class HealthCounts:
-    """Counts of the cycles that were seen."""
+    """Counts cycles by status, and computes their rate."""
 
     def __init__(self) -> None:
         self._started_s = time.monotonic()
@@ -20,16 +20,16 @@ class HealthCounts:
         self._counts: dict[str, int] = {}
 
     def count(self, snapshot: Snapshot) -> None:
-        """Take note of the end of a cycle."""
+        """Count a cycle that has ended."""
         self._ends_s.append(time.monotonic())
         self._counts[str(snapshot.status)] = self._counts.get(str(snapshot.status), 0) + 1
 
     def to_json(self) -> Json:
-        """Counts, rate and age as they are now."""
+        """Current counts, rate and age of the last cycle."""
         now_s = time.monotonic()
         rate_hz = None
         if len(self._ends_s) > 1:
-            # the time since the last cycle counts too: a loop that stands still slows down to zero
+            # the time since the last cycle counts, too, so that the rate of a stopped loop falls to zero
             span_s = max(self._ends_s[-1] - self._ends_s[0], now_s - self._ends_s[-1])
             rate_hz = (len(self._ends_s) - 1) / span_s if span_s > 0 else None
         return {

@@ -12,8 +12,8 @@ PREFIX = "edged"
 class Key:
     """One key.
 
-    path : below `edged/<cell>`.  kind : "kept" is published, and who comes late gets the last one.
-    message : its definition in the schema without "_message"; "" for what is no message.
+    path : below `edged/<cell>`.  kind : "kept" is published, and late joiners get the last message.
+    message : its definition in the schema, without "_message"; "" if it is not a message.
     """
 
     path: str
@@ -60,4 +60,4 @@ TRIGGER_PARAMETERS = {
     ),
     "nonce": ("", "anything: the MAC of the answer is over all parameters, so no former answer fits"),
 }
-"""By name: what counts when it is left out, and what it says."""
+"""Default and description of each parameter, by name."""

@@ -1,4 +1,4 @@
-"""Messages of cells over Zenoh, for `edged watch` and others."""
+"""Receives messages of cells over Zenoh, for `edged watch` and others."""
 
 from __future__ import annotations
 
@@ -21,17 +21,17 @@ from edged.domain.numerals import json_of
 CELL_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}")
 MAX_MESSAGE_BYTES = 1024 * 1024  # a result is kilobytes
 MAX_DOUBTED = 1000
-"""Most cells remembered: any peer can publish under any name."""
+"""Most cells remembered, since any peer can publish under any name."""
 
 Heard = Callable[[str, str, dict[str, Any]], None]
-"""Takes cell, kind and document of a message, on a thread of Zenoh's."""
+"""Callback with cell, kind and document of a message, on a thread of Zenoh."""
 
 
 @dataclass(frozen=True, slots=True)
 class Listening:
-    """links : number of connected routers and cells.
+    """State of a running subscription. links : returns the number of connected routers and cells.
 
-    doubts : a sentence on each cell whose messages may not all be its own.
+    doubts : returns a sentence on each cell whose messages may not all be genuine.
     """
 
     links: Callable[[], int]
@@ -39,7 +39,7 @@ class Listening:
 
 
 class Doorkeeper:
-    """Admits genuine messages of cells; from any thread. key : shared with the cells; None: admits all."""
+    """Admits only genuine messages of cells; thread-safe. key : shared with the cells; None: admits all."""
 
     def __init__(self, key: bytes | None) -> None:
         self._verifier = None if key is None else Verifier(key)
@@ -50,7 +50,7 @@ class Doorkeeper:
         self._rivals: dict[str, tuple[str, str]] = {}
 
     def admits(self, cell: str, kind: str, sample: zenoh.Sample) -> bool:
-        """Whether a message is shown; life signs only of a cell with a proven message."""
+        """Whether to accept a message; with a key, "alive" counts only after a proven message of the cell."""
         attachment = None if sample.attachment is None else sample.attachment.to_bytes()
         with self._lock:
             if kind == "alive":
@@ -73,7 +73,7 @@ class Doorkeeper:
                 self._rivals.setdefault(cell, rivals)
 
     def doubts(self) -> list[str]:
-        """A sentence on each cell in doubt."""
+        """A sentence on each cell whose messages may not all be genuine."""
         with self._lock:
             dropped = [
                 f"{cell}: {count} message{'s' if count > 1 else ''} dropped: false, repeated, or signed with "
@@ -95,11 +95,11 @@ def listening(
     tls: ClientTls | None = None,
     shared_key: bytes | None = None,
 ) -> Iterator[Listening]:
-    """Hear every message of the kinds "target", "state" and "health", and "alive" with {"alive": bool}.
+    """Receive every message of the kinds "target", "state" and "health", and "alive" with {"alive": bool}.
 
-    connect : endpoints. cell : its name, or "*". shared_key : only what is signed with it is heard. The last
-    target, state and life sign of each cell come first, however long ago they were published. Raises
-    `ConfigError` for endpoints that cannot be, and `UserError` for certificates.
+    connect : endpoints. cell : its name, or "*". shared_key : only messages signed with it are passed on. The
+    last target, state and liveliness of each cell come first, however long ago they were published. Raises
+    `ConfigError` for invalid endpoints, and `UserError` for unusable certificates.
     """
 
     doorkeeper = Doorkeeper(shared_key)
@@ -110,7 +110,7 @@ def listening(
             heard(*message)
 
     with ExitStack() as stack:
-        # a peer, because a client connects to one endpoint only, and gives up if it is not there yet
+        # a peer, because a client connects to only one endpoint, and gives up if that is not there yet
         config = session_config("peer", [], connect)
         session = open_session(config if tls is None else with_tls(config, tls))
         stack.callback(session.close)
@@ -128,7 +128,7 @@ def listening(
 
 
 def _read(sample: zenoh.Sample) -> tuple[str, str, dict[str, Any]] | None:
-    """Cell, kind and document of a message; None if malformed."""
+    """Decode cell, kind and document of a message; None if malformed."""
     parts = str(sample.key_expr).split("/")
     if len(parts) != 3 or not CELL_NAME.fullmatch(parts[1]):
         return None

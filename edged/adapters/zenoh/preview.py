@@ -1,8 +1,8 @@
 """Pictures for people: small JPEGs of both cameras, only while there are subscribers.
 
-`edged/<cell>/preview/left` and `.../right`, with a JSON attachment that says which exposure it is.
-They have a thread and the lowest priority of their own, and give way whenever there is congestion: a
-picture never delays a coordinate.
+`edged/<cell>/preview/left` and `.../right`, with a JSON attachment that identifies the exposure.
+They have their own thread and the lowest priority, and are dropped on congestion: a picture never delays a
+coordinate.
 """
 
 from __future__ import annotations
@@ -41,11 +41,11 @@ class Preview:
         self._offered_s = float("-inf")
 
     def start(self) -> None:
-        """Begin to encode."""
+        """Start the thread."""
         self._worker.start()
 
     def offer(self, event: ExposureDone) -> None:
-        """Take the images of an exposure; most are never encoded."""
+        """Offer the images of an exposure, which are encoded at most once in `PERIOD_S`."""
         now_s = time.monotonic()
         pair = event.pair
         if pair is None or now_s - self._offered_s < PERIOD_S:
@@ -56,7 +56,7 @@ class Preview:
             for side, frame in zip(SIDES, (pair.left, pair.right), strict=True):
                 publisher = self._publishers[side]
                 status = publisher.matching_status
-                if getattr(status, "matching", status):  # its stub says bool, it is a MatchingStatus
+                if getattr(status, "matching", status):  # the stub says bool, but it is a MatchingStatus
                     caption = _caption(self._zid, event.cycle, frame)
                     publisher.put(jpeg(frame.image, QUALITY, WIDTH_PX), attachment=encode(caption))
 
@@ -68,7 +68,7 @@ class Preview:
 
 
 def _caption(zid: str, cycle: int, frame: Frame) -> dict[str, int | str]:
-    """Cell, exposure, and the size of the camera's image: a preview may be smaller."""
+    """Session, exposure, and the size of the camera's image, as a preview may be smaller."""
     height_px, width_px = frame.image.shape
     return {
         "session": zid,

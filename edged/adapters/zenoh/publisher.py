@@ -1,12 +1,12 @@
 """Zenoh: results for other processes, other machines and fleets, and commands from them.
 
-Responsible for: sessions, threads, `keys`, seals and quality of service. Not responsible for the shape of
-what is sent (`edged.payload`) nor for carrying commands out (`Commander`).
+Responsible for: sessions, threads, `keys`, seals and quality of service. Not responsible for the format of
+messages (`edged.payload`) nor for carrying out commands (`Commander`).
 
-Nothing here blocks the event loop. All state lives on the loop; two threads do what may wait: one
-publishes, one answers, so that a stalled client that asked cannot hold up those who listen. A full
-outbox gives up its oldest message, and the gap in `sequence` shows it: a coordinate that comes late
-is worth less than the next one. For the same reason congestion drops.
+Nothing here blocks the event loop, which owns all state. Two threads make the calls that may block: one
+publishes and one answers queries, so that a stalled querier cannot delay subscribers. A full outbox drops its
+oldest message, which shows as a gap in `sequence`: a late coordinate is worth less than the next one. For the
+same reason messages are dropped on congestion.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ MAX_PENDING = 32  # triggers that wait for their answer
 OPEN_TIMEOUT_S = 5.0
 CLOSE_TIMEOUT_S = 1.0
 PATIENCE = 5
-"""Looks for routers, a second apart, until a cell that has found none yet says so."""
+"""Number of looks for routers, a second apart, after which a cell that has found none logs it."""
 ENCODINGS: dict[str, tuple[Callable[[Json], bytes], zenoh.Encoding]] = {
     "json": (encode, zenoh.Encoding.APPLICATION_JSON),
     "cbor": (encode_cbor, zenoh.Encoding.APPLICATION_CBOR),
@@ -73,10 +73,10 @@ ENCODINGS: dict[str, tuple[Callable[[Json], bytes], zenoh.Encoding]] = {
 class ZenohPublisher:
     """Publishes one cell over Zenoh and takes its commands (`edged.ports.Publisher`).
 
-    commander : takes the commands of `trigger`; None makes the cell read-only.
-    jobs : (number, name) of every job. config : what `config` answers; no secrets, please.
-    Both are called on the event loop.
-    session : `configured`, so that its files need not be read again; None: they are read at the start.
+    commander : receives the commands of `trigger`; None: the cell is read-only.
+    jobs : returns (number, name) of every job. config : returns the reply to `config`, which must hold no
+    secrets. Both are called on the event loop.
+    session : result of `configured`; None: its files are read by `start`.
     """
 
     def __init__(
@@ -116,7 +116,7 @@ class ZenohPublisher:
     # --- Publisher -------------------------------------------------------------------------
 
     async def start(self) -> None:
-        """Open the session. Raises `ListenError`, or `ConfigError` for what Zenoh cannot read."""
+        """Open the session. Raises `ListenError`, or `ConfigError` for an unreadable configuration."""
         config = self._session_config or configured(self._settings)
         what = f"zenoh: opening {', '.join(self._settings.listen) or 'its session'}"
         self._session = session = await bounded(
@@ -137,7 +137,7 @@ class ZenohPublisher:
         log.info("zenoh: publishing %s, session %s", self._base, session.zid())
 
     def announce(self, event: Event) -> None:
-        """Queue the messages of an event; answer the trigger that asked for it."""
+        """Queue the messages of an event, and the reply to the trigger that caused it."""
         if self._closed or self._session is None:
             return
         if isinstance(event, Snapshot):
@@ -149,7 +149,7 @@ class ZenohPublisher:
                 event.command, lambda: self._message("target", snapshot_to_json(event), sequence)
             )
         elif isinstance(event, Basis):
-            self._last = None  # its basis was exchanged
+            self._last = None  # its basis is no longer in use
         elif isinstance(event, ExposureDone):
             self._exposures.note(event)
             if self._preview is not None:
@@ -210,7 +210,7 @@ class ZenohPublisher:
             publisher_detection=True,
             congestion_control=zenoh.CongestionControl.DROP,
             encoding=self._encoding,
-            express=True,  # never held back to be batched
+            express=True,  # not batched
         )
         self._publishers = {
             "target": declare(f"{self._base}/target", priority=zenoh.Priority.REAL_TIME),
@@ -235,7 +235,7 @@ class ZenohPublisher:
         self._token = session.liveliness().declare_token(f"{self._base}/alive")
 
     def _publish(self, kind: str, body: Callable[[], Json]) -> int:
-        """Queue a message, which is encoded on the publishing thread. Returns its sequence."""
+        """Queue a message, which is encoded on the publishing thread; return its sequence."""
         self._sequences[kind] += 1
         sequence, publisher = self._sequences[kind], self._publishers[kind]
 
@@ -278,7 +278,7 @@ class ZenohPublisher:
     # --- answering -------------------------------------------------------------------------
 
     def _on_query(self, name: str, query: zenoh.Query) -> None:
-        """A query has arrived (on the event loop)."""
+        """Answer a query; called on the event loop."""
         if self._closed:
             self._reply_error(query, "the daemon is stopping")
         elif name == "trigger":
@@ -376,7 +376,7 @@ class ZenohPublisher:
 def _on_loop(
     loop: asyncio.AbstractEventLoop, name: str, handle: Callable[[str, zenoh.Query], None]
 ) -> Callable[[zenoh.Query], None]:
-    """A queryable's callback, which Zenoh calls on a thread of its own, carried to the event loop."""
+    """Make a callback for a queryable, called on a thread of Zenoh, that passes queries to the event loop."""
 
     def arrived(query: zenoh.Query) -> None:
         try:
@@ -388,7 +388,7 @@ def _on_loop(
 
 
 class Routers:
-    """Logs when a router comes or goes. endpoints : that the cell connects to."""
+    """Logs when a router connects or disconnects. endpoints : those that the cell connects to."""
 
     def __init__(self, endpoints: Sequence[str]) -> None:
         self._endpoints = ", ".join(endpoints)
@@ -396,7 +396,7 @@ class Routers:
         self._looks = 0
 
     def look(self, routers: Iterable[str]) -> None:
-        """Take note of the routers that are connected now, by their ids."""
+        """Take the ids of the routers that are connected now, and log changes."""
         now = frozenset(routers)
         for router in sorted(self._known - now):
             log.warning("zenoh: the router %s is gone; the cell goes on and connects again by itself", router)

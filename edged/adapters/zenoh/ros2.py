@@ -1,4 +1,4 @@
-"""ROS 2: good poses for nodes that use rmw_zenoh, without ROS on this machine.
+"""ROS 2: publishes good poses for nodes that use rmw_zenoh, without ROS on this machine.
 
 Topics `/edged/<cell>/pose` (geometry_msgs/PoseStamped) and `/edged/<cell>/pose_with_covariance`
 (geometry_msgs/PoseWithCovarianceStamped); metres, stamp = time of the exposure. Only cycles with a
@@ -28,12 +28,12 @@ from edged.robot.covariance import robot_covariance, robot_pose
 from edged.vision.geometry.rigid import quaternion
 
 QOS = "::,10:,:,:,,"  # rmw_zenoh's default: reliable, volatile, keep the last 10
-POSE_SIZES_M = np.array([1e-3, 1e-3, 1e-3, 1.0, 1.0, 1.0])  # mm to m, rad stays
+POSE_SIZES_M = np.array([1e-3, 1e-3, 1e-3, 1.0, 1.0, 1.0])  # mm to m; rad unchanged
 
 
 @dataclass(frozen=True, slots=True)
 class MessageType:
-    """A ROS message type as rmw_zenoh writes it into keys."""
+    """A ROS message type as it appears in the keys of rmw_zenoh."""
 
     name: str
     type_hash: str
@@ -51,7 +51,7 @@ POSE_WITH_COVARIANCE = MessageType(
 
 @dataclass(frozen=True, slots=True)
 class RosPose:
-    """A pose message. position_m (3,), quaternion (4,) x y z w, covariance (6, 6) m, rad."""
+    """Content of a pose message. position_m (3,), quaternion (4,) x y z w, covariance (6, 6) m, rad."""
 
     stamp_ns: int
     frame_id: str
@@ -61,11 +61,11 @@ class RosPose:
 
 
 def pose_of(snapshot: Snapshot, cell: str) -> RosPose | None:
-    """The best usable target of a snapshot for ROS; None without one."""
+    """Pose of the best usable target of a snapshot; None without one."""
     if snapshot.status is not Status.OK:
         return None
     if snapshot.command is not None and snapshot.command.kind is CommandKind.VERIFY:
-        return None  # who verifies does not want a robot to move
+        return None  # VERIFY must not make a robot move
     target = next((target for target in snapshot.targets if target.reject is Reject.NONE), None)
     if target is None:
         return None
@@ -85,26 +85,26 @@ def pose_of(snapshot: Snapshot, cell: str) -> RosPose | None:
 
 
 def encode_pose(pose: RosPose) -> bytes:
-    """geometry_msgs/PoseStamped in CDR."""
+    """Encode as geometry_msgs/PoseStamped in CDR."""
     return _header(pose) + struct.pack("<7d", *pose.position_m, *pose.quaternion)
 
 
 def encode_pose_with_covariance(pose: RosPose) -> bytes:
-    """geometry_msgs/PoseWithCovarianceStamped in CDR; covariance about the axes of the frame, row by row."""
+    """Encode as geometry_msgs/PoseWithCovarianceStamped in CDR; covariance in the frame's axes, by rows."""
     return encode_pose(pose) + struct.pack("<36d", *pose.covariance.ravel())
 
 
 def _header(pose: RosPose) -> bytes:
-    """Encapsulation and std_msgs/Header, padded so that a double may follow."""
+    """Encode encapsulation and std_msgs/Header, padded so that a double can follow."""
     seconds, nanoseconds = divmod(pose.stamp_ns, 1_000_000_000)
     frame = pose.frame_id.encode() + b"\0"
     body = struct.pack(f"<iII{len(frame)}s", seconds, nanoseconds, len(frame), frame)
-    # alignment counts from behind the 4 bytes of encapsulation (0x0001: CDR, little endian)
+    # alignment counts from after the 4 bytes of encapsulation (0x0001: CDR, little endian)
     return b"\x00\x01\x00\x00" + body + bytes(-len(body) % 8)
 
 
 def attachment(sequence: int, sent_ns: int, gid: bytes) -> bytes:
-    """The attachment that rmw_zenoh demands: int64 sequence, int64 time, 16 bytes with their length."""
+    """Attachment that rmw_zenoh requires: int64 sequence, int64 time, 16 bytes with their length."""
     return struct.pack("<qqB16s", sequence, sent_ns, len(gid), gid)
 
 
@@ -128,21 +128,21 @@ def publisher_token(
 
 
 def gid_of(token: str) -> bytes:
-    """Global id of a publisher: XXH3-128 of its token, the low half first, both little endian."""
+    """Global id of a publisher: XXH3-128 of its token, the low half first, both halves little endian."""
     digest = _xxh3_128(token.encode())
     return digest[8:][::-1] + digest[:8][::-1]
 
 
 def ros_name(cell: str) -> str:
-    """A cell's name as a part of ROS names, which know letters, digits and underscores only."""
+    """Convert a cell's name for use in ROS names, which have only letters, digits and underscores."""
     name = re.sub(r"[^A-Za-z0-9_]", "_", cell)
     return name if not is_whole(name[0]) else f"cell_{name}"
 
 
 class Ros2Topics:
-    """The two topics of a cell on a Zenoh session; sends block and belong on the publishing thread.
+    """The two topics of a cell on a Zenoh session; `send` blocks and belongs on the publishing thread.
 
-    domain_id : ROS_DOMAIN_ID of the nodes that shall hear. Raises `ConfigError` without xxhash.
+    domain_id : ROS_DOMAIN_ID of the receiving nodes. Raises `ConfigError` without xxhash.
     """
 
     def __init__(self, session: zenoh.Session, domain_id: int, cell: str) -> None:

@@ -1,17 +1,17 @@
-"""Origin of messages: each names its session, and proves by a shared key that a cell sent it.
+"""Authentication of messages: each names its session, and with a shared key proves that a cell sent it.
 
-Any peer that Zenoh admits may publish under a cell's key. So each payload has an attachment, JSON:
+Any peer that Zenoh admits may publish under a cell's key. So each payload has an attachment, in JSON:
 
     {"session": "1b41...", "counter": 1769904000123456789, "mac": "9f86..."}
 
-session : Zenoh's id of the cell's session. counter : when it was sent, UTC ns, but always more than before:
-what is not newer than the last one of its key was there already. mac : with a shared key alone, HMAC-SHA256
-(RFC 2104) in hex digits over
+session : Zenoh's id of the cell's session. counter : time of sending, UTC ns, but strictly increasing: a
+message whose counter is not above the last one of its key is a repetition. mac : only with a shared key,
+HMAC-SHA256 (RFC 2104) in hex digits over
 
     edged/1 LF key expression LF session LF counter LF number of bytes of parameters LF parameters LF payload
 
-parameters : of the query that is answered, as it was asked, so that a nonce in it makes every former answer a
-wrong one; empty for what is published. All text is UTF-8, LF one byte.
+parameters : of the query that is answered, as received, so that no earlier answer fits a query with a new
+nonce; empty for published messages. All text is UTF-8, LF is one byte.
 """
 
 from __future__ import annotations
@@ -27,11 +27,11 @@ from edged.payload import encode
 
 LAYOUT = "edged/1"
 MAX_ATTACHMENT_BYTES = 1024
-"""Longest attachment that is read; ours have 200 bytes."""
+"""Longest attachment that is accepted; ours have 200 bytes."""
 MAX_COUNTER = 1 << 63
-"""Largest time stamp: the year 2262."""
+"""Upper bound of the counter: the year 2262."""
 KNOWN_SESSIONS = 8
-"""Remembered former sessions of a cell; each restart is another session."""
+"""Number of sessions remembered of a cell; each restart is a new session."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,7 +44,7 @@ class Seal:
 
 
 def mac_of(key: bytes, key_expr: str, seal: Seal, parameters: str, payload: bytes) -> bytes:
-    """HMAC-SHA256, 32 bytes, of the seal without its mac."""
+    """HMAC-SHA256, 32 bytes, over a message and its seal, except the seal's own mac."""
     asked = parameters.encode()
     head = f"{LAYOUT}\n{key_expr}\n{seal.session}\n{seal.counter}\n{len(asked)}\n".encode()
     return hmac.digest(key, head + asked + b"\n" + payload, hashlib.sha256)
@@ -64,7 +64,7 @@ def seal_in(attachment: bytes | None) -> Seal | None:
 
 
 class Sealer:
-    """Makes the attachments of a session; from any thread. key : shared, or None."""
+    """Makes the attachments of a session; thread-safe. key : shared key, or None."""
 
     def __init__(self, session: str, key: bytes | None, utc_ns: Callable[[], int]) -> None:
         self.session = session
@@ -74,7 +74,7 @@ class Sealer:
         self._lock = threading.Lock()
 
     def attachment(self, key_expr: str, payload: bytes, parameters: str = "") -> bytes:
-        """The attachment for a payload. parameters : of the query that it answers."""
+        """Attachment for a payload. parameters : of the query that it answers."""
         with self._lock:
             self._counter = max(self._counter + 1, self._utc_ns())
             seal = Seal(self.session, self._counter, b"")
@@ -85,14 +85,14 @@ class Sealer:
 
 
 class Verifier:
-    """Checks by a shared key that a cell has sent a message, and that it is not a repetition."""
+    """Checks by a shared key that a cell sent a message, and that it is not a repetition."""
 
     def __init__(self, key: bytes) -> None:
         self._key = key
         self._newest: dict[str, int] = {}
 
     def admits(self, key_expr: str, payload: bytes, attachment: bytes | None) -> bool:
-        """Whether a published message is a cell's, and newer than every one of its key so far."""
+        """Whether a published message is from a cell, and newer than all earlier ones of its key."""
         seal = seal_in(attachment)
         if seal is None or not hmac.compare_digest(mac_of(self._key, key_expr, seal, "", payload), seal.mac):
             return False
@@ -103,13 +103,13 @@ class Verifier:
 
 
 class Speakers:
-    """The sessions that claim to be a cell; a restart is a new session."""
+    """Tracks the sessions that claim to be a cell, to find two at a time; a restart is a new session."""
 
     def __init__(self) -> None:
         self._sessions: list[str] = []
 
     def heard(self, session: str) -> tuple[str, str] | None:
-        """Note a message; returns two sessions that are active at once, else None."""
+        """Note a message of a session; return two sessions that are active at the same time, else None."""
         if not self._sessions or session not in self._sessions:
             self._sessions = [*self._sessions[1 - KNOWN_SESSIONS :], session]
         elif session != self._sessions[-1]:

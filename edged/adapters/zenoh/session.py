@@ -1,4 +1,4 @@
-"""Zenoh sessions: configuration, errors in plain words, calls that may block."""
+"""Zenoh sessions: configuration and its checks, opening, readable errors."""
 
 from __future__ import annotations
 
@@ -18,24 +18,24 @@ Mode = Literal["peer", "client", "router"]
 TLS = "transport/link/tls"
 SIDES = ("listen", "connect")
 MAX_SESSIONS = 64
-"""Sessions of others, three descriptors each; Zenoh's default of 1000 leaves none for PLC and cameras."""
+"""Most remote sessions, three descriptors each; Zenoh's default of 1000 leaves none for PLC and cameras."""
 ACCEPT_PENDING, ACCEPT_TIMEOUT_MS = 32, 3000
-"""Connections that have not said yet who they are, and how long they may take."""
+"""Most connections that have not completed their handshake, and the time allowed for it."""
 
 
 @dataclass(frozen=True, slots=True)
 class ZenohSettings:
-    """How a cell appears on the network.
+    """Settings of a cell on Zenoh.
 
-    mode : None is "router" for a cell that connects somewhere and "peer" for one that only listens. A
-    Zenoh router does not forward between two peers, and those it introduces to each other may not reach
+    mode : None means "router" for a cell that connects to endpoints and "peer" for one that only listens. A
+    Zenoh router does not forward between two peers, and peers that it introduces to each other may not reach
     each other; between routers everything is forwarded. A "client" gives up without a peer.
     listen, connect : endpoints such as "tcp/192.168.1.10:7447". There is no multicast scouting.
-    config_file : Zenoh's own configuration (JSON5: TLS, access control, ...); what it says about
-    mode, endpoints and scouting wins over the fields here.
-    trigger_timeout_s : how long a trigger waits for its result when it does not say so itself.
-    encoding : of everything that is published or answered; the same fields in both (`cbor.py`).
-    shared_key : with which messages are signed (`seals.py`); None: they only name their session.
+    config_file : Zenoh's own configuration (JSON5: TLS, access control, ...); its mode, endpoints and
+    scouting take precedence over the fields here.
+    trigger_timeout_s : how long a trigger without a time-out of its own waits for its result.
+    encoding : of all messages and replies; both have the same fields (`cbor.py`).
+    shared_key : key that messages are signed with (`seals.py`); None: they only name their session.
     ros2_domain_id : also publish for ROS 2 nodes of this domain (`edged.adapters.zenoh.ros2`).
     """
 
@@ -53,9 +53,9 @@ class ZenohSettings:
 def session_config(
     mode: Mode | None, listen: Sequence[str], connect: Sequence[str], config_file: Path | None = None
 ) -> zenoh.Config:
-    """A Zenoh configuration without scouting by multicast: only the endpoints that are named.
+    """Zenoh configuration with the named endpoints only, without multicast scouting.
 
-    mode : as in `ZenohSettings`. What `config_file` says wins.
+    mode : as in `ZenohSettings`. Settings in `config_file` take precedence.
     Raises `ConfigError` that names the file or the endpoints that Zenoh refuses.
     """
     source = str(config_file) if config_file is not None else "zenoh"
@@ -78,7 +78,7 @@ def session_config(
     }
     for key, value in wanted.items():
         if config.get_json(key) != untouched.get_json(key):
-            continue  # the file says so
+            continue  # set by the file
         try:
             config.insert_json5(key, json.dumps(value))
         except zenoh.ZError as error:
@@ -90,10 +90,10 @@ def session_config(
 
 
 def configured(settings: ZenohSettings) -> zenoh.Config:
-    """The configuration of a cell's session, its certificates read once.
+    """Configuration of a cell's session, with its certificates checked.
 
-    Raises `ConfigError`, and `ListenError` for certificates and keys that do not fit: the session of
-    before need not be closed to find that out.
+    Raises `ConfigError`, and `ListenError` for certificates and keys that do not fit, so that this is found
+    before the previous session is closed.
     """
     config = session_config(settings.mode, settings.listen, settings.connect, settings.config_file)
     tls = json.loads(config.get_json(TLS))
@@ -111,9 +111,9 @@ def configured(settings: ZenohSettings) -> zenoh.Config:
 
 @dataclass(frozen=True, slots=True)
 class ClientTls:
-    """PEM files: what a client shows to a router, and by what it knows it.
+    """PEM files of a client's TLS. certificate, key : the client's own, both or none.
 
-    certificate, key : both or none.
+    authority : certificate of the CA by which it verifies a router.
     """
 
     certificate: Path | None = None
@@ -122,7 +122,7 @@ class ClientTls:
 
 
 def with_tls(config: zenoh.Config, tls: ClientTls) -> zenoh.Config:
-    """The configuration with TLS, for endpoints tls/... . Raises `UserError` for files that do not fit."""
+    """Add TLS to a configuration, for endpoints tls/... . Raises `UserError` for files that do not fit."""
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
     names = "certificate and key"
     try:
@@ -148,7 +148,7 @@ def with_tls(config: zenoh.Config, tls: ClientTls) -> zenoh.Config:
 
 
 def named_files(config_file: Path) -> list[Path]:
-    """Certificates, keys and authorities that Zenoh's own configuration names.
+    """Existing TLS files that Zenoh's own configuration names: certificates, keys and authorities.
 
     Raises `ConfigError` for a file that Zenoh cannot read.
     """
@@ -158,9 +158,10 @@ def named_files(config_file: Path) -> list[Path]:
 
 
 def secret_files(config_file: Path) -> list[Path]:
-    """Files with a private key or a password that Zenoh's own configuration names, or is.
+    """Files with a private key or a password that Zenoh's own configuration names.
 
-    Raises `ConfigError` for a file that Zenoh cannot read.
+    The configuration itself is one if it contains such. Raises `ConfigError` for a file that Zenoh cannot
+    read.
     """
     config = session_config(None, (), (), config_file)
     tls, auth = (json.loads(config.get_json(key)) for key in (TLS, "transport/auth"))
@@ -174,10 +175,11 @@ def secret_files(config_file: Path) -> list[Path]:
 def unguarded(
     listen: Sequence[str], connect: Sequence[str], config_file: Path | None = None
 ) -> list[tuple[str, str]]:
-    """Endpoints that admit every peer: "listen" or "connect", and where.
+    """Endpoints that admit every peer, each with "listen" or "connect".
 
-    None where access control denies by default, nor any with certificates on both sides. Discovery by
-    multicast connects to every answering peer. Raises `ConfigError` for a file that Zenoh cannot read.
+    Empty where access control denies by default; endpoints with certificates on both sides are not included.
+    Multicast scouting is, as it connects to every answering peer. Raises `ConfigError` for a file that Zenoh
+    cannot read.
     """
     config = session_config(None, listen, connect, config_file)
     control = json.loads(config.get_json("access_control"))
@@ -196,7 +198,7 @@ def unguarded(
 
 
 def _endpoints(value: Any) -> list[str]:
-    """All of them, also where there is a list for each mode."""
+    """All endpoints in a setting, which may also have a list for each mode."""
     if isinstance(value, dict):
         value = [endpoint for endpoints in value.values() for endpoint in endpoints]
     return list(value)

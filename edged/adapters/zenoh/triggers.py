@@ -1,4 +1,4 @@
-"""Triggers: the parameters of their queries, checked as untrusted input, and what waits for an answer."""
+"""Triggers: parsing their parameters as untrusted input, and keeping those that wait for an answer."""
 
 from __future__ import annotations
 
@@ -29,10 +29,10 @@ class _Pending(Generic[Query]):
 
 
 class PendingTriggers(Generic[Query]):
-    """The triggers of one publisher, each answered once.
+    """The waiting triggers of one publisher, each answered once.
 
-    Commands are compared by identity: a publisher that was made anew by a reload counts from the beginning,
-    while a command of the previous one may still be measured.
+    Commands are compared by identity: after a reload a new publisher counts from the beginning, while a
+    command of the previous one may still be measured.
     """
 
     def __init__(self) -> None:
@@ -52,19 +52,19 @@ class PendingTriggers(Generic[Query]):
         tries_all: bool = False,
         shown: tuple[float, ...] = (),
     ) -> Command:
-        """Add a trigger; returns its command."""
+        """Add a trigger; return its command."""
         self._count += 1
         command = Command(kind, SOURCE, self._count, job, robot_from_flange, tries_all, shown=shown)
         self._pending[command.sequence] = _Pending(query, command)
         return command
 
     def limit(self, command: Command, timer: asyncio.TimerHandle) -> None:
-        """Set the time-out of the newest trigger; an answer cancels it."""
+        """Set the time-out of a trigger, which `take` cancels."""
         query = self._pending[command.sequence].query
         self._pending[command.sequence] = _Pending(query, command, timer)
 
     def take(self, command: Command | None) -> Query | None:
-        """Remove and return the query of this command; None without one."""
+        """Remove and return the query of a command; None without one."""
         pending = self._pending.get(command.sequence) if command is not None else None
         if pending is None or pending.command is not command:
             return None
@@ -74,7 +74,7 @@ class PendingTriggers(Generic[Query]):
         return pending.query
 
     def commands(self) -> list[Command]:
-        """Remove and return all waiting queries."""
+        """Commands of all waiting triggers."""
         return [pending.command for pending in self._pending.values()]
 
 
@@ -82,10 +82,10 @@ MAX_TIMEOUT_S = 60.0
 
 
 class Trigger(NamedTuple):
-    """A command, and how long its result is waited for. job : number, 0 for the active one.
+    """Parameters of a trigger. timeout_s : how long to wait for the result. job : number, 0: the active one.
 
-    tries_all : every job, instead.
-    robot_from_flange (4, 4) : None where it was not said; shown : its numbers.
+    tries_all : try every job instead.
+    robot_from_flange (4, 4) : None if not given; shown : its numbers as received.
     """
 
     kind: CommandKind
@@ -97,14 +97,14 @@ class Trigger(NamedTuple):
 
 
 def parse_trigger(parameters: zenoh.Parameters, default_timeout_s: float) -> Trigger:
-    """The trigger of a query's parameters. Raises `CommandRefused` that says what was expected."""
+    """Parse a query's parameters. Raises `CommandRefused` that says what was expected."""
     known = {name: default for name, (default, _) in TRIGGER_PARAMETERS.items()}
     known["timeout_s"] = str(default_timeout_s)
     for name, value in parameters:  # type: ignore[attr-defined]  # its stub returns a list
         if name not in known:
             raise CommandRefused(f"unknown parameter {name[:40]!r}, expected {', '.join(known)}")
         known[name] = value
-    # one answer holds every part: there is no next one to ask for
+    # one reply holds all parts: NEXT_PART would be pointless
     kinds = {kind.name.lower(): kind for kind in CommandKind if kind not in WITHOUT_PICTURE}
     kind = kinds.get(known["kind"].lower())
     if kind is None:
@@ -131,7 +131,7 @@ def parse_trigger(parameters: zenoh.Parameters, default_timeout_s: float) -> Tri
 
 
 def _parse_flange(text: str) -> tuple[FloatArray | None, tuple[float, ...]]:
-    """robot_from_flange (4, 4) of position in mm and quaternion, scalar first, and these numbers."""
+    """Parse position in mm and quaternion, scalar first: robot_from_flange (4, 4), and the numbers."""
     if not text:
         return None, ()
     try:

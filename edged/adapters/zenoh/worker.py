@@ -1,4 +1,4 @@
-"""A thread that does small jobs in order."""
+"""A thread that runs small jobs in order."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ log = logging.getLogger(__name__)
 
 
 class JobThread:
-    """A thread that does small jobs in order; a full queue loses its oldest job, never its newest.
+    """A thread that runs small jobs in order; a full queue drops its oldest job, never its newest.
 
-    Daemonic: should Zenoh ever hang in a call, the process can still end.
+    It is a daemon thread: should a call of Zenoh ever hang, the process can still end.
     """
 
     def __init__(self, name: str, length: int) -> None:
@@ -29,7 +29,7 @@ class JobThread:
         self.failed = 0
 
     def start(self) -> None:
-        """Begin with what was posted so far."""
+        """Start the thread, with the jobs posted so far."""
         self._thread.start()
 
     def post(self, job: Callable[[], None]) -> None:
@@ -40,7 +40,7 @@ class JobThread:
             self._changed.notify()
 
     def stop(self, timeout_s: float) -> None:
-        """Do what is queued, then end the thread; give up after the time-out."""
+        """Run the queued jobs, then end the thread; give up after the time-out."""
         with self._changed:
             self._stopping = True
             self._changed.notify()
@@ -60,6 +60,6 @@ class JobThread:
                 self.failed += 1
                 if self.failed == 1:
                     log.warning("%s: %s (further ones are counted)", self._thread.name, plain(error))
-            except Exception:  # one message that cannot be shaped must not silence all later ones
+            except Exception:  # one message that cannot be encoded must not stop all later ones
                 self.failed += 1
                 log.exception("%s: a message was lost to a bug", self._thread.name)

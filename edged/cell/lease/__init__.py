@@ -1,1 +1,1 @@
-"""SETUP: one person at a time has the cell and its cameras."""
+"""SETUP: one person at a time holds the cell and its cameras."""

@@ -25,11 +25,11 @@ from edged.ports import AdjustableHead, Head
 log = logging.getLogger(__name__)
 
 LOOK_S = 1.0
-"""Waiting for others to trigger, check this often whether the picture is still wanted."""
+"""Interval at which a wait for an external trigger checks whether the picture is still wanted."""
 LISTEN_S = 10.0
-"""Longest wait for an exposure that others trigger."""
+"""Longest wait for an externally triggered exposure."""
 LOST = FrameTimeout, FrameIncomplete, FrameUnpaired
-"""One image did not come, or not whole: the next one mostly does."""
+"""Faults of a single image that was lost or incomplete; the next one usually arrives."""
 
 
 @runtime_checkable
@@ -40,24 +40,24 @@ class _OpenAdjustableHead(Head, AdjustableHead, Protocol):
 class SetupCameras:
     """The configured head, or another one on trial.
 
-    is_wanted : whether the picture that was asked for is still awaited.
+    is_wanted : whether someone still waits for the requested picture.
     """
 
     def __init__(self, is_wanted: Callable[[], bool]) -> None:
         self._is_wanted = is_wanted
         self._draft: Head | None = None
         self._changes: dict[Side, ChosenCamera] = {}
-        self._by_head: dict[Side, ChosenCamera] = {}  # that define the head on trial
+        self._by_head: dict[Side, ChosenCamera] = {}  # changes that define the head on trial
         self._may_be_open = True
         self._are_well = False
 
     @property
     def are_well(self) -> bool:
-        """Whether the last picture came."""
+        """Whether the last picture was received."""
         return self._are_well
 
     async def capture(self, configured: Head, *, listens: bool) -> FramePair:
-        """One exposure; listens : others trigger it. Raises `CaptureError`."""
+        """Return one exposure; listens : it is triggered externally. Raises `CaptureError`."""
         head = self._draft or configured
         self._may_be_open, self._are_well = True, False
         await head.open()
@@ -90,7 +90,7 @@ class SetupCameras:
         return made
 
     async def limits(self, configured: Head, side: Side) -> CameraLimits:
-        """What a camera can be set to now. Raises `CaptureError`."""
+        """Ranges that a camera can be set to now. Raises `CaptureError`."""
         head = self._adjustable(configured, side)
         self._may_be_open = True
         await head.open()
@@ -99,9 +99,9 @@ class SetupCameras:
     async def exchange(
         self, configured: Head, draft: Head, changes: Mapping[Side, ChosenCamera] | None = None
     ) -> None:
-        """Use another head from now on. changes : that define it, if it is to become the configured one.
+        """Use another head from now on. changes : define it, if it is to become the configured one.
 
-        Raises `CaptureError` when it cannot be opened; the previous head is used then.
+        Raises `CaptureError` when it cannot be opened; the previous head stays in use then.
         """
         before = self._draft or configured
         self._may_be_open, self._are_well = True, False
@@ -121,7 +121,7 @@ class SetupCameras:
         return self._draft or configured
 
     async def put_down(self, configured: Head) -> None:
-        """Close every camera, and go back to the configured head."""
+        """Close every camera and return to the configured head."""
         draft, self._draft = self._draft, None
         self._changes, self._by_head = {}, {}
         if self._may_be_open:
@@ -132,7 +132,7 @@ class SetupCameras:
         self._may_be_open, self._are_well = False, False
 
     def hand_back(self) -> None:
-        """Note that the loop uses the configured head, which may be open when SETUP next begins."""
+        """Note that the loop uses the configured head again, so it may be open when SETUP next begins."""
         self._may_be_open, self._are_well = True, False
 
     def _adjustable(self, configured: Head, side: Side) -> _OpenAdjustableHead:
@@ -142,7 +142,7 @@ class SetupCameras:
         return head
 
     async def _heard(self, head: Head) -> FramePair:
-        """The next exposure that others trigger. Raises `FrameTimeout` without one."""
+        """Return the next externally triggered exposure. Raises `FrameTimeout` if none comes."""
         heard = asyncio.ensure_future(head.listen())
         try:
             for _ in range(round(LISTEN_S / LOOK_S)):
@@ -157,7 +157,7 @@ class SetupCameras:
 
 
 async def capture_again(head: Head) -> FramePair:
-    """One exposure; a further one where an image of it was lost. Raises `CaptureError`."""
+    """Return one exposure, retrying once if an image was lost. Raises `CaptureError`."""
     try:
         return await head.capture()
     except StreamStalled:

@@ -1,4 +1,4 @@
-"""Light and focus of the live pictures, once a second at most, beside the loop."""
+"""Judges light and focus of the live pictures, at most once a second, in the background."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ from edged.vision.edges.sharpness import Sharpness, cost_of_spread, sharpness
 log = logging.getLogger(__name__)
 
 PERIOD_S = 1.0
-"""A pair takes an eighth of a second of one core."""
+"""Shortest time between judgements; judging a pair takes an eighth of a second of one core."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PictureQuality:
-    """Light and sharpness of one picture. exposure_factor : change of the exposure time for `advice`."""
+    """Light and sharpness of one picture. exposure_factor : factor on the exposure time, for `advice`."""
 
     light: LightFigures
     sharpness: Sharpness
@@ -33,7 +33,7 @@ class PictureQuality:
     exposure_factor: float
 
     def to_json(self) -> dict[str, Any]:
-        """As the API names them; null where there are too few edges to judge."""
+        """Return the figures under their API names; null where there are too few edges to judge."""
         spread_px = self.sharpness.spread_px
         return {
             "clipped_share": self.light.clipped_share,
@@ -51,7 +51,7 @@ class PictureQuality:
 
 
 def judge(image: Image, gain_db: float | None) -> PictureQuality:
-    """The figures of a picture (H, W) uint8 that was taken with this gain."""
+    """Return the figures of a picture (H, W) uint8 taken with this gain."""
     light = light_of(image)
     advice, factor = light.advice(gain_db)
     return PictureQuality(light, sharpness(image, light.noise_grey), advice, factor)
@@ -71,14 +71,14 @@ class PictureJudge:
         self.latest: dict[str, Any] | None = None
 
     def look(self, number: int, pair: FramePair) -> None:
-        """Judge this pair, unless the last one is still being judged or was only just; returns at once."""
+        """Start judging this pair unless one is being judged or was judged just before; returns at once."""
         if self._task is not None or time.monotonic() < self._next_s:
             return
         self._next_s = time.monotonic() + PERIOD_S
         self._task = asyncio.create_task(self._judge(number, pair), name="judge pictures")
 
     async def judged(self, number: int, pair: FramePair) -> dict[str, Any]:
-        """The figures of both pictures of a pair, as JSON."""
+        """Return the figures of both pictures of a pair, as JSON."""
         gains = self._gains()
         images = {"left": pair.left.image, "right": pair.right.image}
         document: dict[str, Any] = {"number": number}
@@ -88,7 +88,7 @@ class PictureJudge:
         return document
 
     async def close(self) -> None:
-        """Wait for the end of the running judgement."""
+        """Wait for the running judgement to end."""
         if self._task is not None:
             await asyncio.wait({self._task})
 

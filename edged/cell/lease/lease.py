@@ -1,7 +1,7 @@
 """The lease on the cell for setting it up: one person at a time, and one request at a time.
 
-A lease that is not renewed lapses. Another person may take the cell then, but it stays taken until somebody
-frees it: the last holder may stand between robot and cameras, with a board in his hands.
+A lease that is not renewed lapses. Another person may then take the cell, but it stays taken until someone
+frees it: the last holder may be standing between robot and cameras with a board in his hands.
 """
 
 from __future__ import annotations
@@ -17,13 +17,13 @@ from typing import Any, TypeVar
 from edged.errors import SetupRefused
 
 LEASE_S = 60.0
-"""Without a renewal for so long, another person may take the cell."""
+"""Lifetime of a lease without renewal; after that another person may take the cell."""
 T = TypeVar("T")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SetupRequest:
-    """Work that the loop does for the holder. answer : gets its result, or what it raised."""
+    """Work that the loop does for the holder. answer : gets its result or its exception."""
 
     work: Callable[[], Awaitable[Any]]
     answer: asyncio.Future[Any]
@@ -61,7 +61,7 @@ class SetupLease:
         return self._locked
 
     def check(self) -> None:
-        """Raises `SetupRefused` when the cell cannot be taken now."""
+        """Raise `SetupRefused` if the cell cannot be taken now."""
         if self._locked:
             raise SetupRefused("the plant runs: its PLC forbids SETUP (AUTO_LOCK is 1)")
         if self.name:
@@ -102,13 +102,13 @@ class SetupLease:
         self._refuse_waiting("the daemon is stopping")
 
     def lock(self, locked: bool) -> None:
-        """Forbid SETUP, which ends it, or allow it again."""
+        """Forbid SETUP, ending a running one, or allow it again."""
         self._locked = locked
         if locked and self._taken:
             self.end("the plant runs: its PLC has ended SETUP (AUTO_LOCK)")
 
     async def ask(self, token: str, work: Callable[[], Awaitable[T]]) -> T:
-        """Let the loop do this work after earlier requests. Raises `SetupRefused`, and what work raises."""
+        """Have the loop do this work after earlier requests. Raises `SetupRefused`, and what work raises."""
         self.renew(token)
         answer: asyncio.Future[T] = asyncio.get_running_loop().create_future()
         self._requests.append(SetupRequest(work, answer))

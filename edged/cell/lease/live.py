@@ -1,4 +1,4 @@
-"""Live pictures: one exposure after another, while the holder of the cell watches them.
+"""Live pictures: one exposure after another while the holder of the cell watches.
 
 Each goes to every listener: pages, and the judges of board, light and focus.
 """
@@ -17,25 +17,25 @@ from edged.errors import CaptureError, LinkError, SetupRefused
 from edged.ports import Commissioner
 
 PERIOD_S = 0.05
-"""Least time between exposures: the eye needs no more, and other requests get their turn."""
+"""Shortest time between exposures: fast enough for the eye, and it leaves time for other requests."""
 REST_S = 1.0
-"""After a fault of the cameras."""
+"""Pause after a camera fault."""
 UNSEEN_S = 10.0
-"""A page that shows no picture for so long is taken off: a sleeping tablet must not keep the cell taken."""
+"""A page that shows no picture for this long is dropped: a sleeping tablet must not keep the cell taken."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Want:
-    """A page that wants pictures, under this token; until_s : extended whenever it has shown a picture."""
+    """One page's request for pictures under a token; until_s : extended whenever it has shown a picture."""
 
     token: str
     until_s: float
 
 
 class LivePictures(Listeners[int, FramePair]):
-    """Their numbers and pairs; no exposure waits for a listener, which drops pairs while it is busy.
+    """Live pictures, sent as number and pair; a busy listener drops pairs, and no exposure waits for it.
 
-    notices : "live" at the begin, the end, and when the cameras fail.
+    notices : gets "live" at the start, at the end, and when the cameras fail.
     """
 
     def __init__(
@@ -59,7 +59,7 @@ class LivePictures(Listeners[int, FramePair]):
         return self._task is not None
 
     async def want(self, who: Hashable, token: str) -> None:
-        """Take pictures for the holder of this token. Raises `SetupRefused`."""
+        """Start taking pictures for the holder of this token. Raises `SetupRefused`."""
         await self._commissioner.renew_setup(token)
         self._wants[who] = _Want(token, self._clock_s() + UNSEEN_S)
         if self._task is None:
@@ -73,11 +73,11 @@ class LivePictures(Listeners[int, FramePair]):
             self._wants[who] = _Want(self._wants[who].token, self._clock_s() + UNSEEN_S)
 
     def unwant(self, who: Hashable) -> None:
-        """Take no more pictures for a page; nothing to do for an unknown one."""
+        """Stop taking pictures for a page; an unknown page is ignored."""
         self._wants.pop(who, None)
 
     async def close(self) -> None:
-        """Take no more pictures."""
+        """Stop taking pictures."""
         self._wants.clear()
         if self._task is not None:
             await cancel_and_await(self._task)
@@ -98,7 +98,7 @@ class LivePictures(Listeners[int, FramePair]):
                     self._forget(token)
                     code, detail = "setup_refused", str(error)
                     continue
-                except LinkError:  # the cell has stopped, and this page with it
+                except LinkError:  # the cell has stopped, and so will this page
                     return
                 except CaptureError as error:
                     self._tell_fault(error)
@@ -116,7 +116,7 @@ class LivePictures(Listeners[int, FramePair]):
         self._wants = {who: want for who, want in self._wants.items() if want.token != token}
 
     def _tell_fault(self, error: CaptureError) -> None:
-        """Once, not with every try."""
+        """Report a fault once, not at every retry."""
         if self._fault != str(error):
             self._fault = str(error)
             self._tell(on=True, code=f"camera_{error.code}", detail=self._fault)

@@ -9,7 +9,7 @@ Noticed = ParamSpec("Noticed")
 
 
 class Listeners(Generic[Noticed]):
-    """Used on the event loop only; a listener gets what is told after it was added."""
+    """Set of callbacks, used on the event loop only; a listener gets the notices sent after it was added."""
 
     def __init__(self) -> None:
         self._listeners: dict[object, Callable[Noticed, None]] = {}
@@ -25,13 +25,13 @@ class Listeners(Generic[Noticed]):
         return stop
 
     def tell(self, *what: Noticed.args, **named: Noticed.kwargs) -> None:
-        """Pass it to every listener."""
+        """Call every listener with these arguments."""
         for listener in tuple(self._listeners.values()):
             listener(*what, **named)
 
 
 class Notices(Listeners[str, Mapping[str, Any]]):
-    """Their kinds and documents."""
+    """Notices made up of a kind and a document."""
 
     def publish(self, kind: str, document: Mapping[str, Any]) -> None:
         """Pass a new state to every listener.

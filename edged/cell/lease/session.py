@@ -1,4 +1,4 @@
-"""SETUP: what people ask of the cell, and how the loop does it, one request at a time."""
+"""SETUP: the requests people make to the cell, and how the loop carries them out, one at a time."""
 
 from __future__ import annotations
 
@@ -22,20 +22,20 @@ from edged.ports import Head
 
 
 class Notebook(Protocol):
-    """A note on disc that a person holds the cell, for after the daemon was killed."""
+    """Record on disc that a person holds the cell, so that it survives if the daemon is killed."""
 
     def is_taken(self) -> bool:
         """Whether a person holds the cell."""
 
     def note(self, name: str) -> None:
-        """Note the holder. Raises `OSError`; then SETUP is refused."""
+        """Note the holder. Raises `OSError`; SETUP is ended then."""
 
     def clear(self) -> None:
         """Note that the cell is free. Raises `OSError`."""
 
 
 class SetupSession:
-    """Where people take the cell for SETUP (`Commissioner`), and the loop's part of it.
+    """The `Commissioner` through which people take the cell for SETUP, and the loop's side of it.
 
     notebook : None: the lease is forgotten with this process.
     """
@@ -50,10 +50,10 @@ class SetupSession:
     # --- asked by people ---------------------------------------------------------------------
 
     async def enter_setup(self, name: str, *, take_over: bool = False) -> str:
-        """Take the cell after the running cycle; returns a token once every client knows of it.
+        """Take the cell after the running cycle; return a token once SETUP has been announced.
 
-        The lease lapses unless `renew_setup` is called every minute; the cell stays in SETUP all the same.
-        take_over : also from another holder. Raises `SetupRefused`.
+        The lease lapses unless `renew_setup` is called every minute, but the cell then stays in SETUP.
+        take_over : take it even from another holder. Raises `SetupRefused`.
         """
         is_held = take_over and self.lease.taken
         token = self.lease.take_over(name) if is_held else self.lease.enter(name)
@@ -73,12 +73,12 @@ class SetupSession:
         self.lease.leave(token)
 
     async def end_setup(self, name: str) -> None:
-        """End SETUP for any holder, and a robot's registration. name : of the person who says so."""
+        """End SETUP for any holder, and any robot registration. name : of the person who ends it."""
         self._registration.end(f"{name} has ended SETUP")
         self.lease.end(f"{name} has ended SETUP")
 
     async def capture(self, token: str) -> FramePair:
-        """One exposure, which is not announced. Raises `SetupRefused`, `CaptureError`."""
+        """Return one exposure, which is not announced. Raises `SetupRefused`, `CaptureError`."""
         return await self.lease.ask(token, self._cell.setup_picture)
 
     async def try_head(
@@ -98,7 +98,7 @@ class SetupSession:
         return await self.lease.ask(token, lambda: self._cell.cameras.adjust(self._cell.head, side, values))
 
     async def limits(self, token: str, side: Side) -> CameraLimits:
-        """What a camera can be set to now. Raises `SetupRefused`, `CaptureError`."""
+        """Ranges that a camera can be set to now. Raises `SetupRefused`, `CaptureError`."""
         return await self.lease.ask(token, lambda: self._cell.cameras.limits(self._cell.head, side))
 
     @property
@@ -138,10 +138,10 @@ class SetupSession:
         if request is not None:
             await _carry_out(request)
         if request is not None or not await cell.wait():
-            cell.announce(Idle())  # also after a request: many in a row must not look like a loop that hangs
+            cell.announce(Idle())  # also after a request: a long series must not look like a hanging loop
 
     async def end(self) -> None:
-        """Back to the configured cameras, one test pair, then READY or FAULT."""
+        """Return to the configured cameras, take one test pair, then announce READY or FAULT."""
         cell = self._cell
         await self._keep_note()
         await cell.cameras.put_down(cell.head)
@@ -164,7 +164,7 @@ class SetupSession:
         await self._cell.cameras.put_down(self._cell.head)
 
     async def _keep_note(self) -> None:
-        """Bring the note up to date. SETUP that cannot be noted ends."""
+        """Bring the note up to date; end SETUP if its start cannot be saved."""
         if self._notebook is None or self.lease.taken == self._is_noted:
             return
         try:

@@ -1,1 +1,1 @@
-"""Every cycle of a cell as one row: spooled, packed into Parquet, asked in SQL (`edged[history]`)."""
+"""Cycle history: one row per cycle, spooled, packed into Parquet, queried in SQL (`edged[history]`)."""

@@ -1,10 +1,10 @@
-"""Packed files in an S3 bucket, by pyarrow's own client: each is there whole, or as it was before.
+"""Upload of packed files to an S3 bucket with pyarrow's client; each upload is complete or has no effect.
 
     s3://BUCKET/PREFIX?region=eu-central-1
     s3://BUCKET/PREFIX?endpoint_override=minio.example:9000&scheme=https
 
-Who may is said by the environment or the files that every AWS client reads (AWS_ACCESS_KEY_ID,
-AWS_SHARED_CREDENTIALS_FILE), never by the address.
+Credentials come from the environment or the files that every AWS client reads (AWS_ACCESS_KEY_ID,
+AWS_SHARED_CREDENTIALS_FILE), never from the address.
 """
 
 from __future__ import annotations
@@ -23,15 +23,15 @@ from edged.files.atomic import write_atomically
 
 SCHEME = "s3://"
 SENT = ".sent"
-"""Beside a day's file: as which it was sent last."""
+"""File beside a day's file that records the address, size and time of the last upload."""
 CONNECT_S, REQUEST_S, ATTEMPTS = 5.0, 60.0, 3
 OPTIONS = {"region", "endpoint_override", "scheme"}
 PLACE = re.compile(r"[a-z0-9][a-z0-9.-]{1,61}[a-z0-9](/[A-Za-z0-9_.=-]+)*/?")
-"""A bucket's name, and a prefix in it."""
+"""A bucket's name and an optional prefix."""
 
 
 def bucket_of(address: str) -> tuple[fs.S3FileSystem, str]:
-    """The client, and BUCKET/PREFIX. Raises `UserError`."""
+    """Client for an address, and its BUCKET/PREFIX. Raises `UserError`."""
     place, options = checked(address)
     try:
         retries = fs.AwsStandardS3RetryStrategy(max_attempts=ATTEMPTS)
@@ -44,7 +44,7 @@ def bucket_of(address: str) -> tuple[fs.S3FileSystem, str]:
 
 
 def checked(address: str) -> tuple[str, dict[str, Any]]:
-    """BUCKET/PREFIX, and what is said of the server. Raises `UserError`."""
+    """Split an address into BUCKET/PREFIX and the server's options. Raises `UserError`."""
     found = urlsplit(address)
     place, options = f"{found.netloc}{found.path}", dict(parse_qsl(found.query))
     if not address.startswith(SCHEME) or PLACE.fullmatch(place) is None or not options.keys() <= OPTIONS:
@@ -55,16 +55,16 @@ def checked(address: str) -> tuple[str, dict[str, Any]]:
 
 
 def is_sent(file: Path, address: str) -> bool:
-    """Whether a day's file is in the bucket as it is here."""
+    """Whether the day's file was uploaded in its present state."""
     note = file.with_name(SENT)
     return note.is_file() and note.read_text() == _state(file, address)
 
 
 def send(files: list[Path], folder: Path, address: str, merge: Callable[[Path, bytes], object]) -> int:
-    """Bring files that are not there yet into the bucket; returns how many. Raises `UserError`.
+    """Upload files that the bucket lacks; returns how many. Raises `UserError`.
 
-    merge : adds to a file what another one of its name has, for what was never sent from here, and is there:
-    the disc was exchanged, or the day had been removed here.
+    merge : adds the rows of the bucket's file to ours. Needed for a day that was never sent from here but is
+    in the bucket: the disc was replaced, or the day had been removed here.
     """
     todo = [file for file in files if not is_sent(file, address)]
     if not todo:
@@ -82,13 +82,13 @@ def send(files: list[Path], folder: Path, address: str, merge: Callable[[Path, b
                 there.write(file.read_bytes())
         except (pa.ArrowException, OSError) as error:
             raise UserError(f"{address}: {error}") from error
-        # it comes last: killed before, the same file is sent again
+        # written last: if killed before, the same file is sent again
         write_atomically(file.with_name(SENT), state.encode())
     return len(todo)
 
 
 def files_in(client: fs.S3FileSystem, place: str, name: str) -> list[str]:
-    """Paths of the days' files of a bucket."""
+    """Paths of the day files in a bucket."""
     wanted = re.compile(rf"{re.escape(place)}/plant=[^/]+/day=[^/]+/cell=[^/]+/{re.escape(name)}")
     found = client.get_file_info(fs.FileSelector(place, recursive=True))
     return sorted(file.path for file in found if wanted.fullmatch(file.path))

@@ -1,4 +1,4 @@
-"""Cells with the same job against each other: which of them measures otherwise than the rest."""
+"""Compare cells that run the same job and find those that measure differently from the rest."""
 
 from __future__ import annotations
 
@@ -34,10 +34,11 @@ ORDER BY ALL
 
 @dataclass(frozen=True, slots=True)
 class CompareParams:
-    """min_cycles : good ones that a cell needs to be compared. The others: spreads that do not count.
+    """Thresholds of a comparison; min_cycles : good cycles that a cell needs to be compared.
 
-    sigma_share, rows_share : of the median: as much as light and dirt make. ok_rate : of a rate. size_share :
-    of a size's stated sigma: what a single measurement could not tell either.
+    The others are spreads between cells that are ignored. sigma_share, rows_share : relative to the median,
+    the effect of light and dirt. ok_rate : absolute. size_share : relative to a size's stated sigma, which a
+    single measurement could not resolve either.
     """
 
     min_cycles: int = 50
@@ -47,7 +48,7 @@ class CompareParams:
     size_share: float = 0.5
 
     def least_spread(self, figure: str, values: list[float], noise: list[float]) -> float:
-        """The spread of a figure that does not count. noise : of OK rates the cycles, of sizes the sigma."""
+        """Spread of a figure that is ignored. noise : cycle counts for OK rates, sigmas for sizes."""
         middle, typical = float(np.median(values)), float(np.median(noise))
         match figure:
             case "OK rate":
@@ -66,7 +67,7 @@ COMPARE = CompareParams()
 
 @dataclass(frozen=True, slots=True)
 class Differing:
-    """A cell that differs, as PLANT/CELL, and by how many robust sigmas, with the sign."""
+    """A cell (PLANT/CELL) that differs, and by how many robust sigmas, signed."""
 
     cell: str
     value: float
@@ -75,7 +76,7 @@ class Differing:
 
 @dataclass(frozen=True, slots=True)
 class Comparison:
-    """A figure of a job over its cells. limit : of the deviations; None where too few cells have the job."""
+    """One figure of a job across its cells. limit : on deviations; None if too few cells run the job."""
 
     job: str
     figure: str
@@ -86,14 +87,14 @@ class Comparison:
     differing: tuple[Differing, ...]
 
     def to_json(self) -> Json:
-        """One object."""
+        """JSON object with all fields."""
         return asdict(self)
 
 
 def compare(
     folders: Sequence[Path | str], first: str, last: str, params: CompareParams = COMPARE
 ) -> list[Comparison]:
-    """Every figure of every job, from day to day. Raises `UserError`."""
+    """Compare every figure of every job over the days from first to last. Raises `UserError`."""
     wanted = FIGURES.format(first=first, last=last, min_cycles=params.min_cycles)
     groups: dict[tuple[str, str, str], list[tuple[str, float, float]]] = {}
     for job, figure, unit, who, value, noise in ask(folders, wanted)[1]:

@@ -1,10 +1,10 @@
-"""Rows of a spool into Parquet: one file for each plant, day and cell; none is lost, none is there twice.
+"""Pack spooled rows into Parquet, one file per plant, day and cell, without losing or duplicating rows.
 
-`python -m edged.files.history.packing FOLDER PLANT CELL MAX_DAYS MAX_MIB [s3://...]`, a process of its own.
+`python -m edged.files.history.packing FOLDER PLANT CELL MAX_DAYS MAX_MIB [s3://...]` runs as its own process.
 
-A day's file is written anew with the rows that it lacks, by their key, and replaced in one step; only then
-its spool goes. Killed at any moment, the next run finds the spool again, and the rows that are in already.
-A file that a bucket lacks is sent after that, before the oldest days are removed.
+A day's file is rewritten with the rows that it lacks, by their key, and replaced atomically; only then is its
+spool removed. If it is killed at any moment, the next run finds the spool again and skips the rows already
+packed. After that, files that the bucket lacks are sent, and only then are the oldest days removed.
 """
 
 from __future__ import annotations
@@ -66,9 +66,9 @@ def day_file(folder: Path, plant: str, day: str, cell: str) -> Path:
 
 
 def pack(folder: Path, plant: str, cell: str, max_days: int, max_mib: int, bucket: str = "") -> int:
-    """Pack all that waits, send it, and remove the oldest days beyond the limits; returns rows.
+    """Pack all waiting rows, upload, and remove the oldest days beyond the limits; returns the rows packed.
 
-    bucket : s3://..., or "". Raises `OSError`, and `UserError` where the bucket does not take it.
+    bucket : s3://..., or "". Raises `OSError`, and `UserError` if the upload fails.
     """
     packed = 0
     for path in sorted(spool_folder(folder, cell).glob(f"*{FULL}")):
@@ -89,7 +89,7 @@ def pack(folder: Path, plant: str, cell: str, max_days: int, max_mib: int, bucke
 
 
 def _rows(path: Path) -> list[dict[str, Any]]:
-    """Whole lines; what a cut tore was never promised."""
+    """Complete rows of a spool file; a line torn by a power cut had not been acknowledged and is skipped."""
     found = []
     for line in path.read_bytes().split(b"\n"):
         try:
@@ -102,9 +102,9 @@ def _rows(path: Path) -> list[dict[str, Any]]:
 
 
 def _add(path: Path, rows: list[dict[str, Any]]) -> int:
-    """Write a day's file with the rows that it lacks; returns how many."""
+    """Add to a day's file the rows that it lacks; returns how many."""
     make_folders(path.parent)
-    for left in path.parent.glob(f".{FILE}.*"):  # of a run that was killed
+    for left in path.parent.glob(f".{FILE}.*"):  # left by a run that was killed
         left.unlink()
     buffer = io.BytesIO()
     with (
@@ -124,12 +124,12 @@ def _add(path: Path, rows: list[dict[str, Any]]) -> int:
 
 
 def _merge(path: Path, other: bytes) -> None:
-    """Add to a day's file what another one has of it."""
+    """Add to a day's file the rows of another copy of it."""
     _add(path, _as_now(parquet.read_table(io.BytesIO(other))).to_pylist())
 
 
 def _lacking(rows: list[dict[str, Any]], there: parquet.ParquetFile | None) -> list[dict[str, Any]]:
-    """The rows whose key is not in a file, each once."""
+    """Rows whose key is not in a file yet, without duplicates."""
     wanted = {(row["started_ns"], row["cycle"]): row for row in rows}
     if there is None:
         return [*wanted.values()]
@@ -142,14 +142,15 @@ def _lacking(rows: list[dict[str, Any]], there: parquet.ParquetFile | None) -> l
 
 
 def _as_now(rows: pa.Table) -> pa.Table:
-    """Rows that another version wrote, with today's columns."""
+    """Rows written by another version, converted to the current columns."""
     return pa.concat_tables([SCHEMA.empty_table(), rows], promote_options="default").select(SCHEMA.names)
 
 
 def _bound(folder: Path, plant: str, cell: str, max_days: int, max_mib: int, bucket: str) -> None:
-    """Remove the oldest days. Days with cycles are counted: a clock that is set deletes nothing.
+    """Remove the oldest days beyond the limits.
 
-    What the bucket still lacks stays until there is no room for it.
+    Only days with cycles count, so that setting the clock deletes nothing. Days that the bucket lacks are
+    kept until there is no room for them.
     """
     days = sorted(folder.glob(f"plant={plant}/day=*/cell={cell}"))
     sizes = [sum(file.stat().st_size for file in day.iterdir()) for day in days]

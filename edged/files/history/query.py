@@ -1,8 +1,8 @@
-"""Questions to the history of any number of cells, in SQL, which can neither write nor read anything else.
+"""Query the history of any number of cells in SQL, with no other read or write access.
 
-DuckDB gets the table `cycles` from pyarrow, which opens the files, and may itself open none: no file system,
-no extension, no variable of the process, and none of that can be switched on again ("Securing DuckDB" in its
-manual: enable_external_access, lock_configuration). One statement that only reads is run.
+DuckDB gets the table `cycles` from pyarrow, which opens the files. DuckDB itself has no access to the file
+system, extensions or Python variables, and none of that can be switched on again ("Securing DuckDB" in its
+manual: enable_external_access, lock_configuration). Only a single SELECT is run.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ from edged.files.history.bucket import bucket_of, files_in
 from edged.files.history.packing import FILE, SCHEMA
 
 MEMORY = "1GB"
-"""For a question; one that needs more is refused, as nothing may be written aside."""
+"""Memory limit of a query; one that needs more fails, as nothing may be spilled to disc."""
 PLACE = pa.schema([("plant", pa.string()), ("day", pa.string()), ("cell", pa.string())])
-"""What the path of a file says."""
+"""Columns given by the path of a file."""
 LOCKED: dict[str, str | bool | int | float | list[str]] = {
     "enable_external_access": "false",
     "autoinstall_known_extensions": "false",
@@ -36,7 +36,7 @@ LOCKED: dict[str, str | bool | int | float | list[str]] = {
 
 
 def cycles_in(folders: Sequence[Path | str]) -> dataset.Dataset:
-    """All rows of folders and buckets, with `plant`, `day` and `cell`.
+    """Data set of all rows of folders and buckets, with `plant`, `day` and `cell`.
 
     Raises `UserError` where there are none.
     """
@@ -62,7 +62,7 @@ def cycles_in(folders: Sequence[Path | str]) -> dataset.Dataset:
 
 @contextmanager
 def asked(folders: Sequence[Path | str]) -> Iterator[duckdb.DuckDBPyConnection]:
-    """A locked connection with the table `cycles`. Raises `UserError`, also for what SQL raises."""
+    """Open a locked connection with the table `cycles`. Raises `UserError`, also for errors of SQL."""
     try:
         cycles = cycles_in(folders)
         with duckdb.connect(":memory:", config=LOCKED) as connection:
@@ -73,7 +73,7 @@ def asked(folders: Sequence[Path | str]) -> Iterator[duckdb.DuckDBPyConnection]:
 
 
 def ask(folders: Sequence[Path | str], sql: str) -> tuple[list[str], list[tuple[Any, ...]]]:
-    """Names of columns and rows of the answer. Raises `UserError`."""
+    """Run one SELECT; returns column names and rows. Raises `UserError`."""
     with asked(folders) as connection:
         statements = connection.extract_statements(sql)
         if len(statements) != 1 or statements[0].type != duckdb.StatementType.SELECT:

@@ -1,7 +1,7 @@
-"""One cycle as a row, and the spool that it is written to before it is packed.
+"""One cycle as a row, and the spool that rows are written to before they are packed.
 
-FOLDER/spool/CELL/1769860800000000000-000003.open     lines of JSON that the cell writes now
-FOLDER/spool/CELL/1769860800000000000-000002.jsonl    lines that wait to be packed
+FOLDER/spool/CELL/1769860800000000000-000003.open     JSON lines being written by the cell
+FOLDER/spool/CELL/1769860800000000000-000002.jsonl    JSON lines waiting to be packed
 FOLDER/plant=P/day=2026-01-31/cell=CELL/cycles.parquet
 """
 
@@ -21,13 +21,13 @@ from edged.payload import Json, reject_names
 
 OPEN, FULL = ".open", ".jsonl"
 FULL_BYTES = 8 * 1024 * 1024
-"""A spool file is full then: an hour of three cycles a second, which packing has in memory at once."""
+"""Size at which a spool file is full: an hour of three cycles a second. Packing holds it all in memory."""
 
 
 def row_of(snapshot: Snapshot, started_ns: int) -> Json:
-    """What is kept of a cycle. started_ns : when the writer started; with the cycle's number it is the key.
+    """History row of a cycle. started_ns : when the writer started; with the cycle's number it is the key.
 
-    Place, sigma and sizes are those of the first target, in the rig's frame; null without one.
+    Position, sigma and sizes are those of the first target, in the rig's frame; null without one.
     """
     first = snapshot.targets[0] if snapshot.targets else None
     place = [None] * 3 if first is None else [known(value) for value in first.position_mm]
@@ -71,12 +71,12 @@ def row_of(snapshot: Snapshot, started_ns: int) -> Json:
 
 
 def spool_folder(folder: Path, cell: str) -> Path:
-    """Where the rows of a cell wait."""
+    """Spool folder of a cell."""
     return folder / "spool" / cell
 
 
 class Spool:
-    """Rows on disc before they are packed; used by one thread. Raises `OSError`, and can be used again."""
+    """Writer of spool files, for one thread. Stays usable after it has raised `OSError`."""
 
     def __init__(self, folder: Path, started_ns: int) -> None:
         self._folder = folder
@@ -85,7 +85,7 @@ class Spool:
         self._file: BinaryIO | None = None
 
     def adopt(self) -> bool:
-        """Have what an earlier run left be packed; whether there is something to pack."""
+        """Queue files left by an earlier run for packing; returns whether there is anything to pack."""
         make_folders(self._folder)
         for left in self._folder.glob(f"*{OPEN}"):
             left.rename(left.with_suffix(FULL))
@@ -93,7 +93,7 @@ class Spool:
         return any(self._folder.glob(f"*{FULL}"))
 
     def write(self, rows: list[Json]) -> None:
-        """Keep rows, on the disc when this returns."""
+        """Append rows; they are synced to disc when this returns."""
         if self._file is None:
             make_folders(self._folder)
             self._number += 1
@@ -107,7 +107,7 @@ class Spool:
             file.flush()
             os.fsync(file.fileno())
         except OSError:
-            self._file = None  # the next row goes to another file; the packer passes over what is torn
+            self._file = None  # the next row goes to another file; the packer skips a torn line
             with suppress(OSError):
                 os.truncate(file.name, start)
                 Path(file.name).rename(Path(file.name).with_suffix(FULL))
@@ -117,11 +117,11 @@ class Spool:
 
     @property
     def is_full(self) -> bool:
-        """Whether the file that is written has its size."""
+        """Whether the current file has reached `FULL_BYTES`."""
         return self._file is not None and self._file.tell() >= FULL_BYTES
 
     def turn_over(self) -> bool:
-        """Let what was written be packed; whether there is something to pack."""
+        """Close the current file and queue it for packing; returns whether there is anything to pack."""
         if self._file is not None:
             path = Path(self._file.name)
             self._file.close()

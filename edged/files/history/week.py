@@ -1,4 +1,4 @@
-"""The last days of any number of cells in figures, for a report."""
+"""Figures of the last days of any number of cells, for a report."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ SELECT who, reason, count(*) AS n FROM (
 
 @dataclass(frozen=True, slots=True)
 class DayFigures:
-    """A cell's day. sigma_mm, rows_px : medians of good results; total_ms : 99 of 100 cycles take less."""
+    """One day of a cell. sigma_mm, rows_px : medians of good results; total_ms : 99th percentile."""
 
     cell: str
     day: str
@@ -39,7 +39,7 @@ class DayFigures:
 
 
 def last_days(folders: Sequence[Path | str], last: str | None, days: int = 7) -> tuple[str, str]:
-    """First and last of so many days. last : None: the newest with cycles. Raises `UserError`."""
+    """First and last day of a period. last : None for the newest day with cycles. Raises `UserError`."""
     if last is None:
         last = str(ask(folders, "SELECT max(day) FROM cycles")[1][0][0])
     try:
@@ -50,12 +50,12 @@ def last_days(folders: Sequence[Path | str], last: str | None, days: int = 7) ->
 
 
 def day_figures(folders: Sequence[Path | str], first: str, last: str) -> list[DayFigures]:
-    """By cell and day. Raises `UserError`."""
+    """Figures by cell and day. Raises `UserError`."""
     return [DayFigures(*row) for row in ask(folders, DAYS.format(first=first, last=last))[1]]
 
 
 def reasons(folders: Sequence[Path | str], first: str, last: str) -> dict[str, list[tuple[str, int]]]:
-    """Why results were not good, by cell, the most frequent first. Raises `UserError`."""
+    """Counts of reasons why results were not good, by cell, most frequent first. Raises `UserError`."""
     found: dict[str, list[tuple[str, int]]] = {}
     for who, reason, count in ask(folders, REASONS.format(first=first, last=last))[1]:
         found.setdefault(who, []).append((reason, count))

@@ -1,8 +1,7 @@
 """A job as a folder: `job.toml` for people, `shape.npz` for the machine.
 
 job.toml holds what an integrator may edit: number, limits, search parameters, the features and their names,
-which of them is the reference, and what is to be measured. The shape model beside it is checksummed and never
-edited.
+the reference feature, and the measurements. The shape model beside it is checksummed and never edited.
 """
 
 from __future__ import annotations
@@ -34,13 +33,13 @@ SHAPE_KIND = "edged-shape"
 SHAPE_VERSION = 1
 
 TEXT, SHAPE = "job.toml", "shape.npz"
-"""The files of a job; one says nothing without the other."""
+"""The two files of a job; neither is of use without the other."""
 BODY = "body_"
-"""Prefix of the arrays of the part's surface, beside those of its shape."""
+"""Prefix of the arrays of the part's surface in `SHAPE`."""
 TRACED = "traced_"
-"""Prefix of the arrays of its outlines that are not features."""
+"""Prefix of the arrays of the part's outlines that are not features."""
 REPLACED = ".old"
-"""Ends the name of each folder with a job that was replaced: a cell passes over it."""
+"""Suffix of folders with replaced jobs; a cell ignores them."""
 
 
 def load_job(folder: Path) -> Job:
@@ -49,9 +48,9 @@ def load_job(folder: Path) -> Job:
 
 
 def read_job(folder: Path) -> dict[str, bytes]:
-    """The files of a job by their name: one job's, also while `save_job` replaces it.
+    """Read the files of a job by name, consistently even while `save_job` replaces it.
 
-    Raises `FileFormatError` for what is not there or cannot be read.
+    Raises `FileFormatError` if one is missing or cannot be read.
     """
     if not Path(folder).is_dir():
         raise FileFormatError(f"{folder}: no such job folder")
@@ -59,7 +58,7 @@ def read_job(folder: Path) -> dict[str, bytes]:
 
 
 def job_of(files: Mapping[str, bytes], folder: Path) -> Job:
-    """The job of what `read_job` read; raises as `load_job`. folder : where, for messages."""
+    """Parse the files returned by `read_job`; raises as `load_job`. folder : for messages."""
     path = Path(folder) / TEXT
     try:
         data = toml_of(files[TEXT])
@@ -83,7 +82,7 @@ def job_of(files: Mapping[str, bytes], folder: Path) -> Job:
 
 
 def _body_of(arrays: Mapping[str, npt.NDArray[Any]]) -> PartBody | None:
-    """The part's surface; None for a job that was taught without a CAD model."""
+    """The part's surface; None for a job taught without a CAD model."""
     own = {name.removeprefix(BODY): array for name, array in arrays.items() if name.startswith(BODY)}
     try:
         return PartBody.from_arrays(own) if own else None
@@ -92,7 +91,7 @@ def _body_of(arrays: Mapping[str, npt.NDArray[Any]]) -> PartBody | None:
 
 
 def _traced_of(arrays: Mapping[str, npt.NDArray[Any]]) -> tuple[TracedCurve, ...]:
-    """The part's outlines that are not features; () for a job that was taught before they were kept."""
+    """The part's outlines that are not features; () for a job taught before these were stored."""
     own = {name.removeprefix(TRACED): array for name, array in arrays.items() if name.startswith(TRACED)}
     try:
         return from_arrays(own) if own else ()
@@ -101,7 +100,7 @@ def _traced_of(arrays: Mapping[str, npt.NDArray[Any]]) -> tuple[TracedCurve, ...
 
 
 def job_folders(folder: Path) -> list[Path]:
-    """The job folders inside a folder, by name; not the older jobs that `save_job` keeps beside them."""
+    """The job folders inside a folder, sorted by name, without the former jobs kept by `save_job`."""
     return sorted(
         entry
         for entry in Path(folder).iterdir()
@@ -110,7 +109,7 @@ def job_folders(folder: Path) -> list[Path]:
 
 
 def check_job_folder(folder: Path) -> None:
-    """Refuse a place where something else is, or where nothing can be written. Raises `UserError`."""
+    """Refuse a path that is not a job folder or not writable. Raises `UserError`."""
     if by_name(folder).suffix == REPLACED:
         raise FileFormatError(
             f"{folder}: what ends in {REPLACED} is a job that was replaced; choose another name"
@@ -121,7 +120,7 @@ def check_job_folder(folder: Path) -> None:
 
 
 def job_files(job: Job) -> dict[str, bytes]:
-    """The files of a job by their name, as `read_job` reads them."""
+    """Contents of a job's files by name, as `read_job` returns them."""
     arrays = job.shape.to_arrays()
     if job.body is not None:
         arrays |= {BODY + name: array for name, array in job.body.to_arrays().items()}
@@ -131,7 +130,7 @@ def job_files(job: Job) -> dict[str, bytes]:
 
 
 def check_text(job: Job) -> None:
-    """Raises `FileFormatError` for a job whose file could not be read again: what in it is wrong."""
+    """Check that the job's file could be read back; raises `FileFormatError` that says what is wrong."""
     try:
         JobFile.model_validate(toml_of(to_toml(job)))
     except ValidationError as error:
@@ -139,10 +138,10 @@ def check_text(job: Job) -> None:
 
 
 def save_job(folder: Path, job: Job) -> Path | None:
-    """Write a job folder as a whole; an older job of that name is kept beside it, each under its own name.
+    """Write a job folder atomically; a former job of that name is kept beside it.
 
-    Returns where it is kept: FOLDER.old, later ones FOLDER.2.old, FOLDER.3.old, ...; None where there was
-    none, or the same. Raises `FileFormatError` where something else is in the way, or the disc refuses.
+    Returns the path of the kept job: FOLDER.old, later FOLDER.2.old, FOLDER.3.old, ...; None if there was
+    none, or an identical one. Raises `FileFormatError` if something else is in the way or writing fails.
     """
     folder = by_name(Path(folder))
     check_job_folder(folder)

@@ -1,4 +1,4 @@
-"""The keys of job.toml: every key with its range, and what must fit together."""
+"""Schema of job.toml: every key with its range, and the consistency rules between keys."""
 
 from __future__ import annotations
 
@@ -35,9 +35,9 @@ from edged.vision.shape.params import Polarity, SearchParams, SubPixel
 
 MIN_LENGTH_MM = 1e-3
 MAX_PARTS = 64
-"""In one picture, so that a tray has no more pockets either."""
+"""Most parts in one picture, and so the most pockets of a tray."""
 MAX_FEATURES = 256
-"""Features of each kind; neither people nor teaching come near it."""
+"""Most features of each kind; far more than people or teaching create."""
 
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9_.-]{1,64}$")]
 Vector = Annotated[list[float], Field(min_length=3, max_length=3)]
@@ -48,7 +48,7 @@ class _Section(BaseModel):
 
 
 class _Limits(_Section):
-    """Beyond them a result is published as not good, with the reason."""
+    """Limits; a result beyond one is published as not good, with the reason."""
 
     box: Zones = Field(
         default_factory=list,
@@ -232,7 +232,7 @@ class _Corner(_Section):
 
 
 class _Measurement(_Section):
-    """A size to measure; a part out of tolerance is not good."""
+    """A dimension to measure; a part out of tolerance is not good."""
 
     name: Name = Field(description="name of the measurement")
     kind: MeasurementKind = Field(description="what is measured")
@@ -271,9 +271,9 @@ Place = Annotated[list[Millimetres], Field(min_length=3, max_length=3)]
 
 
 class TraySection(_Section):
-    """Pockets of a tray or pallet, in equal steps, numbered along the row, then the rows, then the layers.
+    """Pockets of a tray or pallet at equal spacing, numbered along the row, then by row, then by layer.
 
-    Places are those of the reported point of a part that lies there, in the frame of the coordinates.
+    Places are positions of the reported point of a part that lies there, in the frame of the coordinates.
     """
 
     first_mm: Place = Field(description="in the first pocket")
@@ -302,7 +302,7 @@ class TraySection(_Section):
 
     @classmethod
     def of(cls, tray: Tray) -> TraySection:
-        """As a job's file has it."""
+        """The section of a job's file for a tray."""
         (row, column, layer), (columns, rows, layers) = tray.ends_mm, tray.counts
         return cls(
             first_mm=[*tray.first_mm],
@@ -316,7 +316,7 @@ class TraySection(_Section):
         )
 
     def tray(self) -> Tray:
-        """The domain's."""
+        """The tray as a domain object."""
         first, *ends = (
             (place[0], place[1], place[2])
             for end in (self.first_mm, self.row_end_mm, self.column_end_mm, self.layer_end_mm)
@@ -326,7 +326,7 @@ class TraySection(_Section):
 
 
 class _Picking(_Section):
-    """Several parts in one picture: which a robot gets first."""
+    """Which of several parts in one picture a robot gets first."""
 
     order: Literal["score", "nearest", "topmost", "leftmost", "least_sigma", "pocket"] = Field(
         "score",
@@ -348,7 +348,7 @@ class _Picking(_Section):
 
 
 class _Grasp(_Section):
-    """A grasp of the part. Its z axis is the direction in which it comes."""
+    """A grasp of the part. Its z axis is the approach direction."""
 
     name: Name = Field(description="for people")
     position_mm: Place = Field(description="the tool's tip, part frame")
@@ -379,7 +379,7 @@ class _Grasp(_Section):
 
 
 class _Point(_Section):
-    """A point of the CAD model's frame, whose pose may be published: its axes are the model's."""
+    """A point in the CAD model's frame whose pose may be published, with the model's axes."""
 
     name: Name = Field(description="what `report` may name")
     position_mm: Place = Field(description="in the frame of the CAD model")
@@ -389,14 +389,14 @@ class _Point(_Section):
 
 
 def _is_rigid(pose: FloatArray) -> bool:
-    """Whether (4, 4) is a rotation and a shift."""
+    """Whether a (4, 4) matrix is a rotation and a translation."""
     rotation = pose[:3, :3]
     turned = np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-6) and np.linalg.det(rotation) > 0
     return bool(turned) and np.array_equal(pose[3], [0, 0, 0, 1])
 
 
 class JobFile(_Section):
-    """The whole file; a `ValidationError` says what in it is wrong."""
+    """The whole file; a `ValidationError` says what is wrong in it."""
 
     format: Literal["edged-job"] = Field(description="what this file is")
     version: Literal[1] = Field(description="version of the format")

@@ -1,4 +1,4 @@
-"""A job.toml as it is written: for people, with what each line means beside it."""
+"""Writing job.toml for people, with comments that explain each line."""
 
 from __future__ import annotations
 
@@ -123,7 +123,7 @@ def _model_to_toml(job: Job) -> list[str]:
 
 
 def _points_to_toml(job: Job) -> list[str]:
-    """Points of the CAD model; for a job without, how to name one."""
+    """Points of the CAD model; for a job without points, a comment that shows how to add one."""
     if job.part_from_model is None:
         return []
     if not job.points:
@@ -141,7 +141,7 @@ def _points_to_toml(job: Job) -> list[str]:
 
 
 def _bounds_to_toml(bounds: tuple[Bounds, ...]) -> list[str]:
-    """The boxes where the robot may go; for a job without any, an example."""
+    """The boxes where the robot may go; for a job without any, an example as comments."""
     if not bounds:
         return [
             "# Where the robot may go for this part, and where not, in its frame (the rig's without one):",
@@ -235,7 +235,7 @@ def _features_to_toml(job: Job) -> list[str]:
 
 
 def _measurements_to_toml(job: Job) -> list[str]:
-    """The measurements; for a job without any, some that its features allow, as comments to choose from."""
+    """The measurements; for a job without any, some that its features allow, as comments."""
     if job.measurements:
         return [line for spec in job.measurements for line in ["", *_measurement_to_toml(spec)]]
     kinds: dict[MeasurementKind, tuple[str, ...]] = {}

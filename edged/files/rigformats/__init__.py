@@ -1,8 +1,8 @@
-"""Rigs in the files of other software: OpenCV, ROS, Kalibr, HALCON.
+"""Rigs in the file formats of other software: OpenCV, ROS, Kalibr, HALCON.
 
-Each module holds one format, and converts its conventions once, at its own border. What edged
-holds is always: mm; pixels whose integer coordinates are centres; right_from_left; distortion in
-normalised coordinates. None of the foreign formats carries a covariance or robot_from_rig.
+Each module handles one format and is the only place that converts its conventions. Inside edged it is
+always: mm; integer pixel coordinates at pixel centres; right_from_left; distortion in normalised
+coordinates. None of the foreign formats carries a covariance or robot_from_rig.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ RigFormat = Literal["edged", "opencv", "ros", "kalibr", "halcon"]
 
 @dataclass(frozen=True, slots=True)
 class _Format:
-    """recognises(path) : whether a file or folder looks like this format, without judging it."""
+    """Functions of one format; recognises(path) : whether a path looks like this format, unchecked."""
 
     recognises: Callable[[Path], bool]
     read: Callable[[Path, Options], Imported]
@@ -39,7 +39,7 @@ _FORMATS: dict[str, _Format] = {
 
 
 def rig_format(name: str) -> RigFormat:
-    """The format of this name, or a `UserError` that lists them."""
+    """The format with this name. Raises `UserError` that lists the known ones."""
     known: tuple[RigFormat, ...] = get_args(RigFormat)
     for form in known:
         if name == form:
@@ -68,7 +68,7 @@ def read_rig(path: Path, form: RigFormat | None = None, options: Options = DEFAU
 
 
 def write_rig(path: Path, rig: StereoRig, form: RigFormat, options: Options = DEFAULTS) -> tuple[str, ...]:
-    """Write a rig; returns what a person should know about the conversion.
+    """Write a rig; returns notes for the user about the conversion.
 
     Raises `FileFormatError` if the format cannot express the rig to `lens.MAX_ERROR_PX`.
     """

@@ -1,4 +1,4 @@
-"""What all foreign formats share: options, the result, and YAML read with suspicion."""
+"""Code shared by all foreign formats: options, the result, and strict reading of YAML."""
 
 from __future__ import annotations
 
@@ -22,24 +22,25 @@ from edged.vision.geometry.rigid import nearest_rotation, transform
 UNITS_MM = {"mm": 1.0, "cm": 10.0, "m": 1000.0}
 _MAX_SIZE_PX = 100_000
 MAX_TEXT_BYTES = 250_000
-"""PyYAML takes twenty seconds for a million; camera files are kilobytes, with the points of all views 100."""
+"""Largest YAML file: PyYAML takes twenty seconds for a million bytes. Camera files take a few kB, or 100 kB
+with the points of all views."""
 MAX_NODES = 50_000
-"""With what aliases stand for: ten lists of ten of the one before are written in a hundred bytes each."""
+"""Most values of a YAML file with its aliases expanded: nested aliases multiply for a few bytes a level."""
 _ROTATION_TOLERANCE = 1e-3  # files with four decimals are common; the nearest rotation is taken
 
 
 @dataclass(frozen=True, slots=True)
 class Options:
-    """What a file does not say itself.
+    """Facts that a file does not state itself.
 
     size : (width, height) of both images, for OpenCV files without one.
     unit_mm : the length unit of an OpenCV file, in mm.
-    pixel_um : size of a pixel, for HALCON files; every value gives the same geometry.
+    pixel_um : pixel size for HALCON files; every value gives the same geometry.
     """
 
     size: tuple[int, int] | None = None
     unit_mm: float = 1.0
-    pixel_um: float = 3.45  # of the sensors most common in such cameras (Sony IMX250 and its kin)
+    pixel_um: float = 3.45  # the most common sensors of such cameras (Sony IMX250 and relatives)
 
     def __post_init__(self) -> None:
         if not 0.1 <= self.pixel_um <= 100:
@@ -51,14 +52,14 @@ DEFAULTS = Options()
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Imported:
-    """A rig as edged holds it, and what a person should know of how it came about."""
+    """An imported rig in edged's conventions, and notes for the user about the conversion."""
 
     rig: StereoRig
     notes: tuple[str, ...]
 
 
 def parse_size(text: str) -> tuple[int, int]:
-    """(width, height) of "1280x960"."""
+    """Parse "1280x960" as (width, height)."""
     found = re.fullmatch(r"([0-9]{1,5})x([0-9]{1,5})", text.strip().lower())
     if not found or not all(int(n) > 0 for n in found.groups()):
         raise UserError(f"image size {text!r}: expected WIDTHxHEIGHT in pixels, e.g. 1280x960")
@@ -66,7 +67,10 @@ def parse_size(text: str) -> tuple[int, int]:
 
 
 def make_rig(left: CameraModel, right: CameraModel, right_from_left: FloatArray) -> StereoRig:
-    """A rig named by its values, as every rig that was not calibrated here. Raises `FileFormatError`."""
+    """Make a rig whose id derives from its values, as for every rig that was not calibrated here.
+
+    Raises `FileFormatError`.
+    """
     for camera in (left, right):
         if camera.width * camera.height > MAX_PIXELS:
             raise FileFormatError(
@@ -85,7 +89,7 @@ class Fields:
         self.path, self.values, self.prefix = path, values, prefix
 
     def error(self, name: str, problem: str) -> FileFormatError:
-        """To be raised."""
+        """Return, not raise, an error that names file and field."""
         return FileFormatError(f"{self.path}: {self.prefix}{name}: {problem}")
 
     def sub(self, name: str) -> Fields:
@@ -140,11 +144,11 @@ class Fields:
         return int(value)
 
     def rotation(self, name: str) -> FloatArray:
-        """The rotation matrix (3, 3) nearest to nine numbers that nearly are one."""
+        """Nine numbers that are nearly a rotation matrix, as the nearest rotation (3, 3)."""
         return self.nearest_rotation(name, self.numbers(name, (9,)).reshape(3, 3))
 
     def nearest_rotation(self, name: str, matrix: FloatArray) -> FloatArray:
-        """`matrix` without its rounding errors; an error if it is not a rotation."""
+        """The rotation nearest to `matrix`; an error if it deviates by more than rounding."""
         rotation = nearest_rotation(matrix) if np.linalg.det(matrix) > 0 else np.zeros((3, 3))
         if np.abs(rotation - matrix).max() > _ROTATION_TOLERANCE:
             raise self.error(name, "expected a rotation matrix (orthonormal, determinant 1)")
@@ -153,7 +157,7 @@ class Fields:
     def camera(
         self, matrix: FloatArray, size: tuple[int, int], distortion: tuple[float, ...], name: str
     ) -> CameraModel:
-        """A Brown-Conrady camera of the matrix fx, skew, cx, 0, fy, cy, 0, 0, 1 (9,)."""
+        """Brown-Conrady camera with the matrix (9,) fx, skew, cx, 0, fy, cy, 0, 0, 1."""
         fx, skew, cx, zero, fy, cy = (float(v) for v in matrix[:6])
         if not (fx > 0 and fy > 0):
             raise self.error(name, f"focal lengths must be positive, got {fx:g}, {fy:g}")
@@ -162,7 +166,7 @@ class Fields:
         return CameraModel("brown", *size, fx, fy, cx, cy, distortion)
 
     def brown(self, name: str, values: FloatArray) -> tuple[float, ...]:
-        """k1, k2, p1, p2, k3 of OpenCV's 4 to 14 values, of which the later ones must be 0."""
+        """k1, k2, p1, p2, k3 from OpenCV's 4 to 14 values; the values after k3 must be 0."""
         if len(values) not in (0, 4, 5, 8, 12, 14):
             raise self.error(name, f"expected 4, 5, 8, 12 or 14 values, got {len(values)}")
         if np.any(values[5:]):
@@ -175,7 +179,7 @@ class Fields:
 
 
 def relation(fields: Fields, name: str, rotation: FloatArray, translation_mm: FloatArray) -> FloatArray:
-    """right_from_left (4, 4); an error if both cameras are in one place."""
+    """Build right_from_left (4, 4); an error if the baseline is zero."""
     if not float(np.linalg.norm(translation_mm)) > 1e-6:
         raise fields.error(name, "the baseline is zero: both cameras are in one place")
     return transform(rotation, translation_mm)
@@ -189,7 +193,7 @@ def _kind(value: object) -> str:
 
 
 class _Loader(yaml.SafeLoader):
-    """Plain YAML, and OpenCV's matrices as mappings."""
+    """YAML loader that reads OpenCV's matrices as mappings."""
 
 
 def _opencv_matrix(loader: yaml.SafeLoader, node: yaml.Node) -> dict[Any, Any]:
@@ -204,7 +208,7 @@ _Loader.add_constructor("tag:yaml.org,2002:opencv-matrix", _opencv_matrix)
 
 
 def load_yaml(path: Path) -> Fields:
-    """The mapping at the top of a YAML file, OpenCV's dialect included."""
+    """Load the top-level mapping of a YAML file, including OpenCV's dialect."""
     try:
         raw = read_bytes(path, "camera parameters")
         if len(raw) > MAX_TEXT_BYTES:
@@ -212,7 +216,7 @@ def load_yaml(path: Path) -> Fields:
                 f"{path}: {len(raw)} bytes are too many for camera parameters: at most {MAX_TEXT_BYTES}"
             )
         text = raw.decode("utf-8-sig")
-        # "%YAML:1.0" is OpenCV's own spelling of a directive that YAML writes with a blank
+        # "%YAML:1.0" is OpenCV's spelling of a directive that YAML writes with a space
         loader = _Loader(re.sub(r"\A%YAML:1\.0[^\n]*\n", "", text))
         try:
             node = loader.get_single_node()
@@ -233,7 +237,7 @@ def load_yaml(path: Path) -> Fields:
 
 
 def _expanded(node: yaml.Node, known: dict[int, int]) -> int:
-    """How many values a node stands for, an alias' each time. Raises RecursionError for what holds itself."""
+    """Count the values of a node with aliases expanded. Raises RecursionError if a node contains itself."""
     if id(node) not in known:
         inner = node.value if isinstance(node, yaml.CollectionNode) else []
         parts = (part for entry in inner for part in (entry if isinstance(entry, tuple) else (entry,)))
@@ -242,7 +246,7 @@ def _expanded(node: yaml.Node, known: dict[int, int]) -> int:
 
 
 def holds(path: Path, *names: str) -> bool:
-    """Whether a YAML file has all these keys; False for what cannot be read."""
+    """Whether a YAML file has all these keys; False if it cannot be read."""
     try:
         return path.is_file() and set(names) <= set(load_yaml(path).values)
     except FileFormatError:
@@ -250,6 +254,6 @@ def holds(path: Path, *names: str) -> bool:
 
 
 def files_in(folder: Path, *suffixes: str) -> list[Path]:
-    """The folder's files with these suffixes, by name."""
+    """The folder's files with these suffixes, sorted by name."""
     with translated(FileFormatError, f"{folder}: cannot be read"):
         return sorted(p for p in folder.iterdir() if p.suffix.lower() in suffixes and p.is_file())

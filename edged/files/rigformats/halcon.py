@@ -31,7 +31,7 @@ from edged.vision.geometry.rigid import invert, rotation_matrix
 
 _SUFFIXES = (".dat", ".cal", ".txt")
 _POLY = ("Poly1", "Poly2", "Poly3", "Poly4", "Poly5")
-_POLY_POWERS = np.array([2, 4, 6, 1, 1])  # of the focal length that makes each of them dimensionless
+_POLY_POWERS = np.array([2, 4, 6, 1, 1])  # power of the focal length that makes each dimensionless
 _PARAMETER = re.compile(r"^[ \t]*(\w+)[ \t]*:[ \t]*\w*[ \t]*:[ \t]*([^;\n:]+);", re.MULTILINE)
 _POSE = re.compile(r"^[ \t]*([frt])((?:[ \t]+\S+)+)[ \t]*$", re.MULTILINE)
 # (name, short name, limits, description) as read_cam_par's reference prints them
@@ -49,14 +49,14 @@ _LINES = {
 
 
 def recognises(path: Path) -> bool:
-    """A folder with camera parameter files."""
+    """Whether the path is a folder with camera parameter files."""
     if not path.is_dir():
         return False
     return any(_is_camera(text) for text in _texts(path).values())
 
 
 def read(path: Path, _: Options) -> Imported:
-    """Read a folder with two camera files (the left one first in the alphabet) and the pose file."""
+    """Read a folder with two camera files (the left one first alphabetically) and the pose file."""
     texts = _texts(path) if path.is_dir() else {}
     cameras = {file: text for file, text in texts.items() if _is_camera(text)}
     poses = {file: text for file, text in texts.items() if file not in cameras and _is_pose(text)}
@@ -93,7 +93,7 @@ def write(path: Path, rig: StereoRig, options: Options) -> tuple[str, ...]:
 
 
 def _values(camera: CameraModel, pixel_m: float) -> tuple[dict[str, float], float]:
-    """The parameters in HALCON's units, and what the lens model leaves, in px."""
+    """The parameters in HALCON's units, and the residual of the lens model, px."""
     focus = camera.fx * pixel_m
     values, error_px = {"Focus": focus}, 0.0
     if camera.model == "division":
@@ -110,7 +110,7 @@ def _camera_text(values: dict[str, float]) -> str:
     lines += ['  "Internal camera parameters";', ""]
     for name, value in values.items():
         short, limits, description = _LINES[name]
-        # 17 digits: the file gives back the very number
+        # repr gives up to 17 digits: reading the file returns exactly the same number
         lines += [f"{name}:{short}:  {value!r};", f"  {limits};", f'  "{description}";', ""]
     return "\n".join(lines)
 
@@ -138,7 +138,7 @@ def _number(text: str) -> float | str:
     try:
         return decimal(text)
     except ValueError:
-        return text  # the field that needs it says what is wrong
+        return text  # reported when a field needs it as a number
 
 
 def _is_camera(text: str) -> bool:
@@ -163,7 +163,7 @@ def _row(values: FloatArray) -> str:
 
 
 def _pose(path: Path, text: str) -> FloatArray:
-    """left_from_right (4, 4) in mm."""
+    """Parse a pose as left_from_right (4, 4) in mm."""
     fields = Fields(path, {key: [_number(v) for v in values.split()] for key, values in _POSE.findall(text)})
     kind = fields.number("f")
     rotation_values, translation = fields.numbers("r", (3,)), fields.numbers("t", (3,))
@@ -188,7 +188,7 @@ def gba_angles(rotation: FloatArray) -> FloatArray:
     """Angles (3,) in rad about x, y, z of R = Rx Ry Rz; y in [-90°, 90°]."""
     x = np.arctan2(-rotation[1, 2], rotation[2, 2])
     y = np.arctan2(rotation[0, 2], np.hypot(rotation[0, 0], rotation[0, 1]))
-    # from the rotation that is left: holds at y = ±90°, too, where x is free
+    # z from the remaining rotation: also valid at y = ±90°, where x is arbitrary
     rest = rotation_matrix(np.array([0, -y, 0])) @ rotation_matrix(np.array([-x, 0, 0])) @ rotation
     return np.array([x, y, np.arctan2(rest[1, 0], rest[0, 0])])
 
@@ -198,7 +198,7 @@ def _is_pose(text: str) -> bool:
 
 
 def _texts(folder: Path) -> dict[Path, str]:
-    """All text files of a folder that may be HALCON's; others are left out."""
+    """Text files of a folder that may be HALCON's; files that are not UTF-8 are left out."""
     texts = {}
     for file in files_in(folder, *_SUFFIXES):
         try:

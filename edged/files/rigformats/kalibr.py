@@ -1,6 +1,6 @@
 """Kalibr's camchain: cam0 is the left camera, cam1 the right one.
 
-T_cn_cnm1 (4, 4) maps points of the camera before into this one: right_from_left, in metres.
+T_cn_cnm1 (4, 4) maps points of the previous camera into this one: right_from_left, in metres.
 intrinsics are fu, fv, pu, pv (integer = pixel centre); radtan is OpenCV's k1, k2, p1, p2 without k3.
 Source: https://github.com/ethz-asl/kalibr/wiki/yaml-formats and /supported-models.
 """
@@ -21,7 +21,7 @@ from edged.vision.geometry.camera import CameraModel, StereoRig
 
 
 def recognises(path: Path) -> bool:
-    """A file with cam0 and cam1."""
+    """Whether the path is a file with cam0 and cam1."""
     return holds(path, "cam0", "cam1")
 
 
@@ -39,7 +39,7 @@ def read(path: Path, _: Options) -> Imported:
 
 
 def write(path: Path, rig: StereoRig, _: Options) -> tuple[str, ...]:
-    """Write one file; a lens with k3 is fitted with k1, k2, p1, p2."""
+    """Write one file; a lens with k3 is approximated by k1, k2, p1, p2."""
     if path.suffix.lower() not in (".yml", ".yaml"):
         raise UserError(f"{path}: expected a file NAME.yaml for Kalibr")
     lenses = [as_radtan(camera) for camera in (rig.left, rig.right)]

@@ -1,7 +1,7 @@
-"""One lens model in the terms of another, with the error that is left.
+"""Conversion of one lens model to another, with the remaining error.
 
-All polynomials here are fitted where the image is, in normalised coordinates, with the camera
-matrix held: an export changes what it must and nothing else.
+All polynomials are fitted over the area of the image, in normalised coordinates, with the camera
+matrix fixed: an export changes nothing but the distortion.
 """
 
 from __future__ import annotations
@@ -14,19 +14,19 @@ from edged.domain.arrays import FloatArray
 from edged.errors import FileFormatError
 from edged.vision.geometry.camera import CameraModel
 
-MAX_ERROR_PX = 0.05  # above what edged measures with; no conversion may cost that much unseen
-_GRID = 41  # points along each side of the image; a lens is smooth
+MAX_ERROR_PX = 0.05  # more than edged's measurement error; a conversion with a larger error is refused
+_GRID = 41  # points along each side of the image; distortion is smooth
 
 
 @dataclass(frozen=True, slots=True)
 class Converted:
-    """A camera in another model. error_px : largest distance to the original in the image."""
+    """A camera converted to another model. error_px : largest deviation from the original in the image."""
 
     camera: CameraModel
     error_px: float
 
     def note(self, side: str) -> tuple[str, ...]:
-        """A line for people, if anything changed."""
+        """A line for the user if the lens had to be fitted."""
         if self.error_px == 0.0:
             return ()
         return (
@@ -35,12 +35,12 @@ class Converted:
 
 
 def as_brown(camera: CameraModel) -> Converted:
-    """The camera with a Brown-Conrady lens: k1, k2, p1, p2, k3."""
+    """Convert a camera to the Brown-Conrady model: k1, k2, p1, p2, k3."""
     return Converted(camera, 0.0) if camera.model == "brown" else _fit_own_brown(camera, with_k3=True)
 
 
 def as_radtan(camera: CameraModel) -> Converted:
-    """The camera with a Brown-Conrady lens whose k3 is 0."""
+    """Convert a camera to the Brown-Conrady model with k3 = 0."""
     if camera.model == "brown" and camera.distortion[4] == 0.0:
         return Converted(camera, 0.0)
     return _fit_own_brown(camera, with_k3=False)
@@ -54,7 +54,7 @@ def _fit_own_brown(camera: CameraModel, *, with_k3: bool) -> Converted:
 def _fit_brown(
     camera: CameraModel, undistorted: FloatArray, distorted: FloatArray, *, with_k3: bool
 ) -> Converted:
-    """`camera` with the Brown-Conrady lens that maps undistorted to distorted points (N, 2) best."""
+    """Fit the Brown-Conrady distortion of `camera` that best maps undistorted to distorted points (N, 2)."""
     x, y = undistorted.T
     r2 = x * x + y * y
     along_x = np.stack([x * r2, x * r2**2, 2 * x * y, r2 + 2 * x * x, x * r2**3], axis=1)
@@ -68,9 +68,9 @@ def _fit_brown(
 
 
 def to_polynomial(camera: CameraModel) -> tuple[FloatArray, float]:
-    """HALCON's K1, K2, K3, P1, P2 (5,), normalised, that map distorted to undistorted points; and error_px.
+    """Fit HALCON's normalised K1, K2, K3, P1, P2 (5,), which map distorted to undistorted points; error_px.
 
-    The other direction than Brown-Conrady, so that this is a fit, too.
+    They map in the opposite direction to Brown-Conrady, so that this is a fit, too.
     """
     distorted = _image_grid(camera)
     undistorted = camera.undistort(distorted)
@@ -82,14 +82,14 @@ def to_polynomial(camera: CameraModel) -> tuple[FloatArray, float]:
 
 
 def from_polynomial(camera: CameraModel, values: FloatArray) -> Converted:
-    """`camera` with a Brown-Conrady lens for HALCON's normalised K1, K2, K3, P1, P2."""
+    """Fit the Brown-Conrady distortion of `camera` to HALCON's normalised K1, K2, K3, P1, P2."""
     distorted = _image_grid(camera)
     undistorted = distorted + (_polynomial_design(distorted) @ values).reshape(2, -1).T
     return _fit_brown(camera, undistorted, distorted, with_k3=True)
 
 
 def _polynomial_design(distorted: FloatArray) -> FloatArray:
-    """(2 N, 5): undistorted - distorted for unit values of K1, K2, K3, P1, P2, x before y."""
+    """Design matrix (2 N, 5): undistorted - distorted for unit values of K1, K2, K3, P1, P2; x before y."""
     x, y = distorted.T
     r2 = x * x + y * y
     along_x = np.stack([x * r2, x * r2**2, x * r2**3, r2 + 2 * x * x, 2 * x * y], axis=1)
@@ -98,7 +98,7 @@ def _polynomial_design(distorted: FloatArray) -> FloatArray:
 
 
 def _image_grid(camera: CameraModel) -> FloatArray:
-    """Distorted normalised points (N, 2) all over the image, its corners included."""
+    """Distorted normalised points (N, 2) on a grid over the whole image, including its corners."""
     u, v = np.meshgrid(np.linspace(0, camera.width - 1, _GRID), np.linspace(0, camera.height - 1, _GRID))
     return (np.column_stack([u.ravel(), v.ravel()]) - (camera.cx, camera.cy)) / (camera.fx, camera.fy)
 

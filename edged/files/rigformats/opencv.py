@@ -1,8 +1,8 @@
 """OpenCV's FileStorage YAML: M1, D1, M2, D2 and R, T, in one file or as intrinsics.yml and extrinsics.yml.
 
-Conventions, the same as edged's: integer = pixel centre; x_right = R x_left + T; k1, k2, p1, p2, k3
-in this order, normalised. The unit of T is that of the board, whatever that was: OpenCV does not
-keep it, so it has to be stated (edged writes `unit`). Nor does its own sample keep the image size.
+Its conventions are edged's: integer = pixel centre; x_right = R x_left + T; k1, k2, p1, p2, k3
+in this order, normalised. The unit of T is that of the board. OpenCV does not store it, so it must be
+stated (edged writes `unit`). OpenCV's own sample does not store the image size either.
 Source: samples/cpp/stereo_calib.cpp and calib3d's documentation of OpenCV.
 """
 
@@ -30,7 +30,7 @@ from edged.files.rigformats.lens import as_brown
 from edged.vision.geometry.camera import StereoRig
 
 _SUFFIXES = (".yml", ".yaml")
-# OpenCV has no names of its own for these: its sample's first, then those most often met
+# OpenCV does not define these names: first those of its sample, then others in common use
 _NAMES = {
     "M1": ("M1", "K1", "cameraMatrix1", "camera_matrix_1", "left_camera_matrix", "K_left"),
     "D1": ("D1", "distCoeffs1", "dist_coeffs_1", "left_distortion_coefficients", "D_left"),
@@ -42,7 +42,7 @@ _NAMES = {
 
 
 def recognises(path: Path) -> bool:
-    """One file with matrices of both cameras, or a folder of such files."""
+    """Whether the path is a file with camera matrices, or a folder with such files."""
     files = files_in(path, *_SUFFIXES) if path.is_dir() else [path]
     return any(holds(file, name) for file in files for name in _NAMES["M1"])
 
@@ -74,7 +74,7 @@ def read(path: Path, options: Options) -> Imported:
 
 
 def write(path: Path, rig: StereoRig, _: Options) -> tuple[str, ...]:
-    """Write one file with the names of OpenCV's sample, T in mm, and the image sizes."""
+    """Write one file with the names of OpenCV's sample, with T in mm and the image sizes."""
     if path.suffix.lower() not in _SUFFIXES:
         raise UserError(f"{path}: expected a file NAME.yml or NAME.yaml for OpenCV")
     left, right = as_brown(rig.left), as_brown(rig.right)
@@ -94,7 +94,7 @@ def write(path: Path, rig: StereoRig, _: Options) -> tuple[str, ...]:
 
 
 def _gather(path: Path) -> Fields:
-    """All values of the file, or of the folder's files."""
+    """All values of a file, or of all YAML files of a folder merged."""
     if not path.is_dir():
         return load_yaml(path)
     values: dict[str, object] = {}
@@ -106,7 +106,7 @@ def _gather(path: Path) -> Fields:
 
 
 def _name(fields: Fields, wanted: str) -> str:
-    """The name under which the file keeps a value."""
+    """The name that the file uses for a value."""
     found = next((name for name in _NAMES[wanted] if name in fields.values), None)
     if found is None:
         raise fields.error(wanted, f"missing (also looked for {', '.join(_NAMES[wanted][1:])})")

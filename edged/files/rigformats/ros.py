@@ -1,6 +1,6 @@
 """ROS camera_info YAML: one file for each camera, as camera_calibration writes them.
 
-The pair has no rotation between the cameras as such: each file has the rotation into a common
+The files do not state the rotation between the cameras directly: each has its rotation into a common
 rectified frame, and the right one has the baseline in its projection matrix, in metres:
 
     x_rectified = R x,   P_right = [f 0 cx -f B; 0 f cy 0; 0 0 1 0]
@@ -32,12 +32,12 @@ _KEYS = ("camera_matrix", "distortion_coefficients", "rectification_matrix", "pr
 
 
 def recognises(path: Path) -> bool:
-    """A folder with camera_info files."""
+    """Whether the path is a folder with camera_info files."""
     return path.is_dir() and any(holds(file, *_KEYS) for file in files_in(path, *_SUFFIXES))
 
 
 def read(path: Path, _: Options) -> Imported:
-    """Read a folder with left.yaml and right.yaml (or any two names, the left one first in the alphabet)."""
+    """Read a folder with left.yaml and right.yaml (or any two names, the left one first alphabetically)."""
     files = [file for file in files_in(path, *_SUFFIXES) if holds(file, *_KEYS)] if path.is_dir() else []
     if len(files) != 2:
         raise FileFormatError(
@@ -99,10 +99,10 @@ def write(path: Path, rig: StereoRig, _: Options) -> tuple[str, ...]:
 
 
 def _crop(rectification: Rectification, rig: StereoRig) -> FloatArray:
-    """Upper left corner (2,) of a window of the raw image's size in the middle of the rectified image.
+    """Upper left corner (2,) of a window of the raw image's size, centred in the rectified image.
 
-    ROS has one size for the raw and the rectified image. Both cameras keep a common row, and
-    disparities keep their values.
+    ROS has one size for both the raw and the rectified image. Rows of the two cameras stay aligned, and
+    disparities do not change.
     """
     return (np.array(rectification.size) - (rig.left.width, rig.left.height)) / 2
 

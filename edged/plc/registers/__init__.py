@@ -1,9 +1,9 @@
-"""The Modbus map: one schema, from which encoder, documentation and client sources come.
+"""The Modbus map: one schema, from which encoder, documentation and client sources are made.
 
-Addresses are PDU addresses, 0-based, before `base_address` is added. Strings of words never hold
-half of two results: sequence head and tail and the CRC of a block belong to one encoding.
+Addresses are PDU addresses, 0-based, before `base_address` is added. A block never mixes two results:
+its sequence head, sequence tail and CRC come from one encoding.
 
-`schema` is the vocabulary, `layout` the map itself, `codec` turns values into words and back,
+`schema` defines the types and codes, `layout` the map itself, `codec` turns values into words and back,
 `values` turns a snapshot into values.
 """
 

@@ -1,4 +1,4 @@
-"""Values to words and back."""
+"""Encoding of register values as words, and decoding."""
 
 from __future__ import annotations
 
@@ -24,10 +24,10 @@ _EMPTY: dict[Kind, Number] = {
 
 @dataclass(frozen=True, slots=True)
 class _Form:
-    """Encoding of a block, prepared once: every read of every client encodes.
+    """Encoding of a block, prepared once because every read by a client encodes.
 
-    names, empty : of each register. order : which word goes where when the low one comes first.
-    crc_at : byte of the CRC16 register, None without one.
+    names, empty : name and empty value of each register. order : source of each word when the low one comes
+    first. crc_at : byte offset of the CRC16 register, None without one.
     """
 
     struct: struct.Struct
@@ -56,7 +56,7 @@ def _form(block: Block) -> _Form:
 
 
 def encode(block: Block, values: Mapping[str, Number], order: WordOrder = "high") -> bytes:
-    """Words of a block, big-endian as they travel; a value that is not given is 0, INT32_MIN or NaN.
+    """Encode a block as big-endian words, as sent; a value that is not given is 0, INT32_MIN or NaN.
 
     A CRC16 register is computed here. Raises `OverflowError` for a value that its register cannot
     hold: nothing is ever wrapped.
@@ -75,7 +75,7 @@ def encode(block: Block, values: Mapping[str, Number], order: WordOrder = "high"
 
 
 def decode(block: Block, words: Sequence[int], order: WordOrder = "high") -> dict[str, Number]:
-    """Values of a block by name: the inverse of `encode`, for clients and tests."""
+    """Decode the values of a block by name: the inverse of `encode`, for clients and tests."""
     form = _form(block)
     data = struct.pack(f">{block.words}H", *words)
     if order == "low" and not block.high_first:
@@ -84,12 +84,12 @@ def decode(block: Block, words: Sequence[int], order: WordOrder = "high") -> dic
 
 
 def _reordered(data: bytes, order: Sequence[int]) -> bytes:
-    """The data with the words of each register reversed; applied twice, the data."""
+    """Reverse the words of each register; applying it twice gives the data back."""
     return b"".join(data[2 * i : 2 * i + 2] for i in order)
 
 
 def _misfit(block: Block, values: Mapping[str, Number]) -> OverflowError:
-    """The error that names the value which does not fit."""
+    """Error that names the value that does not fit."""
     for register in block.registers:
         value = values.get(register.name, _EMPTY[register.kind])
         try:
@@ -107,27 +107,27 @@ def _crc_of_byte(byte: int) -> int:
 
 
 def _crcs_of_words() -> array[int]:
-    """CRC of each pair of bytes, the first of them low, after both."""
+    """Table of the CRC of each pair of bytes, indexed with the first byte in the low half."""
     of_byte, crc = np.array([_crc_of_byte(byte) for byte in range(256)]), np.arange(65536)
     for _ in range(2):
         crc = (crc >> 8) ^ of_byte[crc & 0xFF]
     return array("H", crc.tolist())
 
 
-_CRC_TABLE = _crcs_of_words()  # two bytes at a time: the result on display has 1,500 that are checked
+_CRC_TABLE = _crcs_of_words()  # two bytes at a time: the blocks of a result hold 1,500 bytes under a CRC
 
 
 CRC_START = 0xFFFF
 
 
 def crc16(data: bytes | bytearray, crc: int = CRC_START) -> int:
-    """CRC-16/MODBUS; crc : of the bytes before.
+    """CRC-16/MODBUS of data; crc : that of the bytes before, to continue it.
 
     >>> hex(crc16(b"123456789"))
     '0x4b37'
     """
     for word in struct.unpack(f"<{len(data) // 2}H", data[: len(data) // 2 * 2]):
         crc = _CRC_TABLE[crc ^ word]
-    if len(data) % 2:  # as the second byte after a 0
+    if len(data) % 2:  # look up the last byte alone, as the second byte of a pair that begins with 0
         crc = (crc >> 8) ^ _CRC_TABLE[((crc ^ data[-1]) & 0xFF) << 8]
     return crc

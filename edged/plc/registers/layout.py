@@ -1,7 +1,7 @@
-"""The blocks of the map, word by word: the one place where an address is written down.
+"""Blocks of the map, word by word: the only place where addresses are defined.
 
-A row of a table is: name, kind, unit ("-": none; "_" is a space), meaning. A name with [XYZABC] is one
-register per axis, in the first unit for lengths and in the second for angles.
+A row of a table is: name, kind, unit ("-": none; "_" is a space), meaning. A name with [XYZABC] stands for
+one register per axis, in the first unit for lengths and in the second for angles.
 """
 
 from __future__ import annotations
@@ -458,9 +458,9 @@ BLOCKS = (
     *(TRAY, RESERVED, BELT, PLACE),
 )
 ROWS = (TABLE, JOBS)
-"""Blocks that repeat, row by row."""
+"""Groups of blocks that repeat as rows of a table."""
 
 ADDRESS = {
     register.name: register.address for block in (CONSTANTS, COMMAND, STATUS) for register in block.registers
 }
-"""First word by name, of the blocks in which the server itself looks something up."""
+"""Address of the first word by name, for the blocks in which the server itself looks something up."""

@@ -1,4 +1,4 @@
-"""Registers for people: the exact value, and the meaning of bits, codes and times."""
+"""Registers as text for people: the exact value, and the meaning of bits, codes and times."""
 
 from __future__ import annotations
 
@@ -37,11 +37,11 @@ CODES: Mapping[str, type[enum.IntEnum]] = {
     "H_METHOD": Method,
 }
 MAX_NS = 253_402_300_799 * 10**9
-"""The year 9999, where calendars end."""
+"""End of the year 9999, the last that `datetime` can hold."""
 
 
 def text_of(register: Register, value: Number) -> str:
-    """The value with every digit it has, "–" for NaN; of an F32 the shortest decimal that is it."""
+    """Format the exact value, "–" if not finite; for an F32 the shortest decimal that reads back the same."""
     if isinstance(value, float) and not math.isfinite(value):
         return "–"
     if register.kind is not Kind.F32:
@@ -51,7 +51,7 @@ def text_of(register: Register, value: Number) -> str:
 
 
 def _bits(text: str) -> bytes:
-    """Bytes of a float in text; b"" when rounded beyond the largest."""
+    """Bytes of a float given as text; b"" when it rounds beyond the largest float32."""
     try:
         return struct.pack(">f", float(text))
     except OverflowError:
@@ -59,7 +59,7 @@ def _bits(text: str) -> bytes:
 
 
 def meaning_of(register: Register, value: Number) -> str:
-    """A value in words, names and usual units; "" when the number says it all."""
+    """Explain a value in words, names and usual units; "" when the number needs no explanation."""
     if isinstance(value, float) and not math.isfinite(value):
         return "no value"
     number = int(value)

@@ -1,4 +1,4 @@
-"""Vocabulary of the map: kinds of registers, blocks, and the meaning of bits and codes."""
+"""Types of the map: kinds of registers, blocks, and the meaning of bits and codes."""
 
 from __future__ import annotations
 
@@ -57,13 +57,13 @@ class ResultCode(enum.IntEnum):
     OUT_OF_RANGE = 5
     """A number that does not fit its register."""
     GRABBED = 6
-    """The pictures were taken, as GRAB asked; nothing was measured for the PLC."""
+    """The pictures were taken, as GRAB requested; nothing was measured for the PLC."""
     VERIFIED = 7
-    """Within all limits, as VERIFY asked; without coordinates."""
+    """Within all limits, as VERIFY requested; without coordinates."""
     RELOADED = 8
-    """What it was measured by has been exchanged since (a reload, a registration, another job): ask again."""
+    """The basis of the result was replaced since (a reload, a registration, another job): ask again."""
     KEPT = 9
-    """The part is the golden one from now on, as GOLDEN asked; without coordinates."""
+    """The part is the golden one from now on, as GOLDEN requested; without coordinates."""
 
 
 class StatusBit(enum.IntFlag):
@@ -78,17 +78,17 @@ class StatusBit(enum.IntFlag):
     BUSY = 1 << 3
     """A command is open, or a cycle runs."""
     EXPOSURE_DONE = 1 << 4
-    """Both images of the newest command are in memory: the robot may leave the picture."""
+    """Both images of the newest command are in memory: the robot may move."""
     RESULT_VALID = 1 << 5
-    """The result on display is good, fresh and not yet acknowledged: the only leave to move."""
+    """The result on display is good, fresh and not yet acknowledged: the only permission to move."""
     OK = 1 << 6
-    """As RESULT_VALID; after VERIFY: the part is good."""
+    """Set with RESULT_VALID; after VERIFY: the part is good."""
     NOK = 1 << 7
-    """The result on display is not good, or a fault."""
+    """The result on display is bad, or a fault."""
     ERROR = 1 << 8
-    """Something is wrong with the cell: ERROR says what."""
+    """The cell has an error: ERROR says which."""
     OVERRUN = 1 << 9
-    """A command came while eight were open; down with the next one that is accepted."""
+    """A command came while eight were open; reset by the next one that is accepted."""
     DRIFT_WARN = 1 << 10
     """The calibration drifts, or is invalid."""
     CAL_INVALID = 1 << 11
@@ -109,11 +109,11 @@ class Flag(enum.IntFlag):
     VALID = 1 << 0
     """The coordinates may be used."""
     ROBOT_FRAME = 1 << 1
-    """Coordinates are in the robot's frame; without it in the left camera's."""
+    """Coordinates are in the robot's frame; without this bit in the left camera's."""
     SIMULATED = 1 << 2
     """From a virtual cell: not for a real robot."""
     FREE_RUNNING = 1 << 3
-    """Nobody asked for this result: SEQ is the number of the cycle."""
+    """The result of a free-running cycle, not of a command: SEQ is the number of the cycle."""
 
 
 class Option(enum.IntFlag):
@@ -122,24 +122,24 @@ class Option(enum.IntFlag):
     RELEASE = 1 << 0
     """Give up the right to write; reads back as 0."""
     ONCE = 1 << 1
-    """With CMD_SEQ in one request: written once, so it runs as the first of a connection, too."""
+    """With CMD_SEQ in one request: it is written only once, so it runs even as a connection's first."""
     ALL_JOBS = 1 << 2
     """With CMD_SEQ in one request: LOCATE and VERIFY try every job, and the part that agrees best counts."""
     SKIP = 1 << 3
-    """With CMD_SEQ in one request: the part that was shown last could not be picked, and comes last now."""
+    """With CMD_SEQ in one request: the part that was shown last could not be picked; it now comes last."""
     BELT = 1 << 4
-    """With CMD_SEQ in one request: BELT_COUNT and BELT_SPEED say where the belt is, and how fast."""
+    """With CMD_SEQ in one request: BELT_COUNT and BELT_SPEED give the belt's position and speed."""
 
 
 class ControlBit(enum.IntFlag):
     """Register CONTROL, written by a client that has no sequences; bits 8 to 15 are the job."""
 
     START = 1 << 0
-    """Rises: a command. Falls: its result was used, or it is taken back."""
+    """Rising edge: a command. Falling edge: its result was used, or it is cancelled."""
     NEXT = 1 << 1
-    """At the rising edge: the next part of the same picture instead of a new one."""
+    """At the rising edge of START: the next part of the same picture instead of a new picture."""
     ALLOW_SIMULATED = 1 << 2
-    """OK also for coordinates of a virtual cell, where no part is."""
+    """OK also for coordinates of a virtual cell, where there is no real part."""
 
 
 class CellBit(enum.IntFlag):
@@ -150,13 +150,13 @@ class CellBit(enum.IntFlag):
     BUSY = 1 << 1
     """The command runs."""
     EXPOSURE_DONE = 1 << 2
-    """The picture is taken: the robot may leave it."""
+    """The picture is taken: the robot may move."""
     DONE = 1 << 3
-    """The command has ended; down when START is."""
+    """The command has ended; reset when START falls."""
     OK = 1 << 4
-    """DONE, and a robot may use the coordinates now: the only leave to move."""
+    """DONE, and a robot may use the coordinates now: the only permission to move."""
     NOK = 1 << 5
-    """DONE, and it may not: RESULT, F_RESULT and BITS_REASON say why."""
+    """DONE, and a robot may not use them: RESULT, F_RESULT and BITS_REASON say why."""
 
 
 class Warn(enum.IntFlag):
@@ -172,7 +172,7 @@ class Warn(enum.IntFlag):
 
 @dataclass(frozen=True, slots=True)
 class Register:
-    """One named value of the map; address : of its first word."""
+    """One named value of the map; address : that of its first word."""
 
     name: str
     address: int
@@ -185,7 +185,7 @@ class Register:
 class Block:
     """Registers without gaps between them; blocks compare by identity.
 
-    words : length. high_first : the high word comes first, whatever word order is set.
+    words : its length. high_first : the high word comes first, regardless of the configured word order.
     """
 
     name: str
@@ -199,7 +199,7 @@ class Block:
 def make_block(
     name: str, address: int, table: str, *, writable: bool = False, high_first: bool = False
 ) -> Block:
-    """A block from a table, as `layout` describes it; a line that is indented further goes on with a meaning.
+    """Build a block from a table in the form of `layout`; a line indented further continues a meaning.
 
     >>> [register.name for register in make_block("place", 0, "P_[XYZ] i32 µm of the part").registers]
     ['P_X', 'P_Y', 'P_Z']

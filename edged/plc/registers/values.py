@@ -1,4 +1,4 @@
-"""From a snapshot to the numbers of the registers; unknown or withdrawn ones are INT32_MIN, NaN or 65535."""
+"""Conversion of a snapshot to register values; unknown or withdrawn ones are INT32_MIN, NaN or 65535."""
 
 from __future__ import annotations
 
@@ -44,8 +44,8 @@ from edged.robot.reading import reading_of
 class Tool:
     """The grasp of one target in the units of the registers.
 
-    number : in the job, from 1. pose : µm and 0.001°, X Y Z A B C; approach : X Y Z; turn and retreat : in
-    the same units. rotation_vector : µrad. sigma : mm and degrees.
+    number : of the grasp in the job, from 1. pose : µm and 0.001°, X Y Z A B C; approach : X Y Z; turn and
+    retreat : in the same units. rotation_vector : µrad. sigma : mm and degrees.
     """
 
     number: int
@@ -74,7 +74,7 @@ class Shift:
 
 @dataclass(frozen=True, slots=True)
 class BeltPose:
-    """A part on the belt. pose : X Y Z A B C, µm and 0.001°; sigma : mm and degrees."""
+    """A part on the belt. pose : µm and 0.001°, X Y Z A B C; sigma : mm and degrees."""
 
     number: int
     pose: tuple[int, ...]
@@ -85,9 +85,9 @@ class BeltPose:
 class Pose:
     """One target in the units of the registers.
 
-    exact : mm and degrees, X Y Z A B C. sigma : the same. integers : µm and 0.001°.
-    rotation_vector : µrad. radius, depth and their sigmas in mm; NaN when there is no circle.
-    place : µm and 0.001°; () if unknown.
+    exact : mm and degrees, X Y Z A B C. sigma : in the same units. integers : µm and 0.001°.
+    rotation_vector : µrad. radius, depth and their sigmas in mm; the radius is NaN when there is no circle.
+    place : block place, µm and 0.001°; () if unknown.
     """
 
     exact: tuple[float, ...]
@@ -114,9 +114,9 @@ class RegisterResult:
     """A snapshot in the units of the registers; immutable and encoded as often as needed.
 
     good : the first part was found and is within all limits.
-    poses : of each target; None where a pose cannot be expressed (not finite, out of range).
-    index : the target that is shown. golden, golden_s : O_STATE and O_GOLDEN. pockets : of the tray; taken :
-    those of them in which a part was found. belt : count, and speed in µm/s.
+    poses : one for each target; None where a pose cannot be expressed (not finite, out of range).
+    index : the target that is shown. golden, golden_s : O_STATE and O_GOLDEN. pockets : number of pockets of
+    the tray; taken : those in which a part was found. belt : count, and speed in µm/s.
     """
 
     code: ResultCode
@@ -136,7 +136,7 @@ class RegisterResult:
     belt: tuple[int, int] = (0, 0)
 
     def further(self) -> tuple[RegisterResult, ...]:
-        """Copies that show each further good target, in order."""
+        """Copies that show the further good targets, one each, in order."""
         return tuple(
             replace(self, index=index)
             for index, pose in enumerate(self.poses)
@@ -144,7 +144,7 @@ class RegisterResult:
         )
 
     def another_way(self) -> RegisterResult | None:
-        """A copy that shows the next way to take the part that is shown; None: there is none."""
+        """Copy with the next grasp of the part that is shown; None: there is none."""
         shown = self.poses[self.index] if self.poses else None
         if shown is None or not shown.other_tools:
             return None
@@ -155,7 +155,7 @@ class RegisterResult:
 
 
 def measured(snapshot: Snapshot, convention: Convention) -> RegisterResult:
-    """Express a snapshot in registers' units. Never raises for a number: out of range is a result code."""
+    """Convert a snapshot to register units. Never raises for a number: out of range is a result code."""
     poses = tuple(_pose(target, snapshot, convention) for target in snapshot.targets)
     code = _code(snapshot, poses)
     good = code is ResultCode.OK
@@ -191,7 +191,7 @@ def measured(snapshot: Snapshot, convention: Convention) -> RegisterResult:
 
 
 def exchanged(shown: RegisterResult) -> RegisterResult:
-    """The result after its basis was exchanged: RELOADED, without numbers."""
+    """Result after its basis was replaced: RELOADED, without numbers."""
     return replace(shown, code=ResultCode.RELOADED, good=False, poses=(), index=0, pockets=0)
 
 
@@ -206,7 +206,7 @@ def _code(snapshot: Snapshot, poses: tuple[Pose | None, ...]) -> ResultCode:
 
 
 def _fingerprint(text: str) -> int:
-    """The 8 hex digits of a fingerprint as a number; the CRC-32 of anything else."""
+    """Number given by the 8 hex digits of a fingerprint; the CRC-32 of any other text."""
     try:
         return int(text, 16) & UINT32_MAX
     except ValueError:
@@ -256,7 +256,7 @@ def _pose(target: Target, snapshot: Snapshot, convention: Convention) -> Pose | 
 
 
 def _place(offset: Offset | None, command: Command | None, convention: Convention) -> tuple[int, ...]:
-    """How to place a part that the gripper holds, in registers' units; () if unknown, or out of range."""
+    """Correction for placing the part in the gripper, in register units; () if unknown or out of range."""
     if offset is None or command is None or command.robot_from_flange is None:
         return ()
     place = placing(offset.robot, command.robot_from_flange)
@@ -274,7 +274,7 @@ def _belt_figures(moment: BeltMoment | None) -> tuple[int, int]:
 
 
 def _belt_pose(part: OnBelt | None, convention: Convention) -> BeltPose | None:
-    """None without one, or when a number does not fit its register."""
+    """Pose on the belt in register units; None without one, or when a number does not fit its register."""
     if part is None or not (_is_sane(part.belt_from_part) and _is_sane(part.belt_covariance)):
         return None
     R = part.belt_from_part[:3, :3]
@@ -288,7 +288,7 @@ def _belt_pose(part: OnBelt | None, convention: Convention) -> BeltPose | None:
 
 
 def _shift(offset: Offset | None, convention: Convention) -> Shift | None:
-    """The offset in registers' units; None without one, or when a number does not fit its register."""
+    """Offset in register units; None without one, or when a number does not fit its register."""
     if offset is None or not (_is_sane(offset.covariance) and _is_sane(offset.part_covariance)):
         return None
     found, sigmas = list[tuple[int, ...]](), list[tuple[float, ...]]()
@@ -309,7 +309,7 @@ def _shift(offset: Offset | None, convention: Convention) -> Shift | None:
 
 
 def _tool(target: Target, grasp: GraspPose | None, snapshot: Snapshot, convention: Convention) -> Tool | None:
-    """A grasp in registers' units; None without one, or when a number does not fit its register."""
+    """Grasp in register units; None without one, or when a number does not fit its register."""
     robot = snapshot.robot_from_rig
     if grasp is None:
         return None
@@ -345,14 +345,14 @@ def _clamp(number: int, top: int) -> int:
 
 
 def _saturated(value: float | None, unit: float) -> int:
-    """A magnitude in units; 65535 when unknown or too large."""
+    """Magnitude as a multiple of unit; 65535 when unknown or too large."""
     if value is None:
         return UINT16_MAX
     return round(min(value / unit, UINT16_MAX)) if math.isfinite(value) and value >= 0 else UINT16_MAX
 
 
 def _sigmas(prefix: str, sigmas: Iterable[float]) -> dict[str, Number]:
-    """Values of PREFIX_SIGMA_X to C. sigmas : mm and degrees."""
+    """Values of PREFIX_SIGMA_X to PREFIX_SIGMA_C. sigmas : mm and degrees."""
     return {
         f"{prefix}SIGMA_{axis}": _saturated(sigma, 1e-4 if axis in "XYZ" else 1e-3)
         for axis, sigma in zip(AXES, sigmas, strict=True)
@@ -380,7 +380,7 @@ def result_values(
     as_published: bool = True,
     remaining: int = 0,
 ) -> dict[str, Number]:
-    """Values of the blocks result, ur, float, of grasps, offsets and of the table's end, by name.
+    """Values of all blocks that show a result (`PREFIXES`), by name.
 
     Coordinates only when valid. as_published : the result has not changed since it appeared; otherwise the
     tails are 0, so that a client that reads a block in several requests notices the change.
@@ -473,7 +473,7 @@ NOTHING: dict[str, Number] = {
     **{f"{block}SIGMA_{name}": UINT16_MAX for block in ("G_", "O_", "OP_", "B_") for name in AXES},
     "EPIPOLAR_ERROR": UINT16_MAX,
 }
-"""Values of the block result without a result; INT32_MIN and NaN are the encoder's defaults."""
+"""Values of the result blocks without a result; INT32_MIN and NaN are the encoder's defaults."""
 
 
 def _coordinates(pose: Pose) -> dict[str, Number]:
@@ -510,7 +510,7 @@ def row_values(shown: RegisterResult, index: int, sequence: int, *, valid: bool)
 
 
 def basis_values(basis: Basis) -> tuple[int, int]:
-    """CONFIG_CRC and CALIBRATION."""
+    """Values of CONFIG_CRC and CALIBRATION."""
     return _fingerprint(basis.fingerprint), zlib.crc32(basis.calibration_id.encode())
 
 
@@ -532,7 +532,7 @@ def constant_values(convention: Convention, config: int, calibration: int) -> di
 
 
 def counted(before: Mapping[str, int], snapshot: Snapshot) -> dict[str, int]:
-    """Values of the block counters after one more cycle; GRAB counts as no cycle."""
+    """Values of the block counters after one more cycle; a GRAB is not counted."""
     counts = dict(before)
 
     def add(name: str, number: int = 1) -> None:
@@ -587,7 +587,7 @@ def marks_values(report: MarksReport) -> dict[str, Number]:
 
 
 def acceptance_values(found: Acceptance, now_ns: int) -> dict[str, Number]:
-    """Values of the block of the acceptance test, at a time, UTC."""
+    """Values of the block of the acceptance test at the time now_ns, UTC."""
     if found == Acceptance():
         return {"A_STATE": 0, "A_DAYS": INT32_MIN, "A_DUE": 0}
     return {
@@ -609,7 +609,7 @@ def map_values(found: MapFigures) -> dict[str, Number]:
 
 
 def _limited_um(value_mm: float) -> int:
-    """A length of any size, clipped to INT32_MAX; INT32_MIN when unknown."""
+    """Length in µm, clipped to INT32_MAX; INT32_MIN when unknown."""
     return min(round(value_mm * 1000), INT32_MAX) if math.isfinite(value_mm) else INT32_MIN
 
 

@@ -1,1 +1,1 @@
-"""Whether a cell measures what it says, in its own place: acceptance, and studies of a size."""
+"""Checks on site that a cell measures as accurately as stated: acceptance tests, and studies of a size."""

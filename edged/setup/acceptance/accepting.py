@@ -1,4 +1,4 @@
-"""An acceptance from the pictures in a folder: tests, and the documents that say how they went."""
+"""Acceptance from the pictures in a folder: the tests, and the documents with their results."""
 
 from __future__ import annotations
 
@@ -40,9 +40,10 @@ TRUTH_NAME, TOUCHED_NAME = "truth.csv", "touched.csv"
 
 @dataclass(frozen=True, slots=True)
 class StatedTruth:
-    """What is known of what the pictures show. length : name and mm of the bar's, by length_job or the job.
+    """Known values for the pictures. length : name and mm of the bar's length, in length_job or the job.
 
-    truth_um, robot_um : one sigma of the stage's places, and of a touch of the robot. days : until it is due.
+    truth_um, robot_um : one sigma of the stage's positions, and of a touch of the robot. days : until the
+    next acceptance is due.
     """
 
     length: tuple[str, float] | None = None
@@ -54,7 +55,7 @@ class StatedTruth:
 
 @dataclass(frozen=True, slots=True)
 class AcceptanceDocuments:
-    """What an acceptance found, and how it is written down. document : of `acceptance.json`."""
+    """Result of an acceptance and its documents. document : content of `acceptance.json`."""
 
     found: Acceptance
     document: bytes
@@ -63,17 +64,17 @@ class AcceptanceDocuments:
 
 
 def accepted(folder: Path, rig: StereoRig, job: Job, shown: StatedTruth) -> list[AcceptanceTest]:
-    """The four tests, as far as the folder has still/, pose/, length/, robot/. Raises `UserError`."""
+    """Run the four tests, as far as the folder has still/, pose/, length/, robot/. Raises `UserError`."""
     return list(_tests(folder, rig, job, shown))
 
 
 def documents_of(
     tests: Sequence[AcceptanceTest], rig: tuple[StereoRig, str], job: Job, by: str, days: int
 ) -> AcceptanceDocuments:
-    """The documents of an acceptance that was made now. rig : and how people call it. by : who made it."""
+    """Documents of an acceptance made now. rig : the rig and its name for people. by : who made it."""
     measured_by, name = rig
     now_ns = int(datetime.now(UTC).timestamp()) * 10**9
-    # the robot's test is one of a cell that has a robot; the others are of all
+    # the robot's test is only needed for a cell with a robot
     needed = [test for test in tests if test.name != "robot" or measured_by.robot_from_rig is not None]
     found = Acceptance(all(test.good for test in needed), now_ns, now_ns + days * NS_PER_DAY)
     about = {
@@ -167,7 +168,10 @@ def _robot(folder: Path, rig: StereoRig, shown: StatedTruth) -> AcceptanceTest:
 def _by_map(
     rig: StereoRig, rig_mm: FloatArray, expected: FloatArray, touched_mm: FloatArray, shown: StatedTruth
 ) -> AcceptanceTest:
-    """As the cell publishes points, with the map of the robot's error, which has the registration in it."""
+    """Robot test for points as the cell publishes them with the map of the robot's error.
+
+    The map's uncertainty includes that of the registration.
+    """
     frame = frame_of(rig)
     shifts = [frame.shift(place) for place in rig_mm]
     known = [shift for shift in shifts if shift is not None]

@@ -1,4 +1,4 @@
-"""A study of a size over the page: who lays which part in, one measurement after another, the verdict."""
+"""Guided study of a size on the page: which person places which part, each measurement, and the verdict."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ from edged.setup.documents import Frozen, LastDocument, now_text
 from edged.setup.inuse import CellInUse
 
 MOST = 1000
-"""Measurements of a study."""
+"""Most measurements of a study."""
 Millimetres = Annotated[float, Field(ge=0.001, le=100_000)]
 
 
 class StudyPlan(Frozen, extra="forbid", strict=True, allow_inf_nan=False):
-    """What is to be measured how often. reference_mm : size of the one part; null: there are several."""
+    """Plan of a study. reference_mm : known size of the only part; null if there are several."""
 
     job: Name
     size: Name
@@ -52,12 +52,12 @@ class StudyPlan(Frozen, extra="forbid", strict=True, allow_inf_nan=False):
 
     @property
     def count(self) -> int:
-        """Measurements in all."""
+        """Total number of measurements."""
         return self.parts * self.people * self.trials
 
 
 class NextMeasurement(Frozen):
-    """Who lays which part in, and for which time; all from 1 on."""
+    """The next measurement: part, person and trial, all counted from 1."""
 
     part: int
     person: int
@@ -65,10 +65,10 @@ class NextMeasurement(Frozen):
 
 
 class KeptStudy(Frozen):
-    """A study on disc. values : size and sigma, mm, each person through all parts, then the next, and anew.
+    """A study on disc. values : size and sigma, mm; in each trial each person in turn measures all parts.
 
-    calibration, digest : of the rig, and of the job's text, by which all of it is measured.
-    taken_back : measurements that were thrown away.
+    calibration, digest : of the rig and of the job's text, which must stay the same throughout.
+    taken_back : number of discarded measurements.
     """
 
     plan: StudyPlan
@@ -83,9 +83,9 @@ class KeptStudy(Frozen):
 
 
 class StudyDocument(Frozen):
-    """How it stands. plan : null: there is none. next : null: all is measured; then there are figures.
+    """State of a study. plan : null if there is none. next : null if all is measured; then there are figures.
 
-    is_current : the rig and the job are those that it began with. good : null: conditionally fit.
+    is_current : the rig and the job are those that it began with. good : null for conditionally fit.
     """
 
     plan: StudyPlan | None = None
@@ -105,7 +105,7 @@ class _Judged:
 
 
 class GuidedStudy:
-    """Used on the event loop only; what was measured is on disc."""
+    """The guided study of a cell; used on the event loop only. Measurements are on disc."""
 
     def __init__(self, cell: CellInUse) -> None:
         self._cell = cell
@@ -114,7 +114,7 @@ class GuidedStudy:
         self._turn = asyncio.Lock()
 
     async def document(self) -> StudyDocument:
-        """How it stands."""
+        """State of the study."""
         kept = await asyncio.to_thread(self._kept.read)
         if kept is None:
             return StudyDocument()
@@ -137,7 +137,7 @@ class GuidedStudy:
         return next((line.digest for line in self._cell.job_lines().lines if line.name == job), "")
 
     async def begin(self, author: str, plan: StudyPlan) -> StudyDocument:
-        """Begin one. Raises `SetupRefused` while there is another, `UserError`."""
+        """Begin a study. Raises `SetupRefused` while there is another, `UserError`."""
         async with self._turn:
             if await asyncio.to_thread(self._kept.read) is not None:
                 raise SetupRefused("there is a study: end it before another begins")
@@ -158,9 +158,9 @@ class GuidedStudy:
         return await self.document()
 
     async def measure(self, token: str, done: int) -> StudyDocument:
-        """Measure once more. done : measurements that whoever asks knows of; a second press is refused.
+        """Measure once more. done : number of measurements that the caller sees, so that double clicks fail.
 
-        Raises `SetupRefused`, `CaptureError`, and `UserError` where not one good part is seen.
+        Raises `SetupRefused`, `CaptureError`, and `UserError` unless exactly one good part is seen.
         """
         async with self._turn:
             kept = await self._at(done)
@@ -178,7 +178,7 @@ class GuidedStudy:
         return await self.document()
 
     async def back(self, done: int) -> StudyDocument:
-        """Throw the last measurement away, to repeat it. Raises `SetupRefused`."""
+        """Discard the last measurement, to repeat it. Raises `SetupRefused`."""
         async with self._turn:
             kept = await self._at(done)
             if not kept.values:
@@ -188,7 +188,7 @@ class GuidedStudy:
         return await self.document()
 
     async def end(self) -> StudyDocument:
-        """Forget it."""
+        """Delete the study."""
         async with self._turn:
             await asyncio.to_thread(self._file.unlink, missing_ok=True)
         return await self.document()
@@ -202,7 +202,7 @@ class GuidedStudy:
         return kept
 
     async def report(self) -> bytes | None:
-        """The page to sign; None before all is measured."""
+        """The report page to sign; None before all is measured."""
         kept = await asyncio.to_thread(self._kept.read)
         if kept is None or len(kept.values) < kept.plan.count:
             return None
@@ -228,7 +228,7 @@ def _next(plan: StudyPlan, done: int) -> NextMeasurement:
 
 
 def _judged(kept: KeptStudy) -> _Judged:
-    """By the code of `edged study`."""
+    """Judge a study with the same code as `edged study`."""
     plan, sizes = kept.plan, kept.values[: kept.plan.count]
     values = [value for value, _ in sizes]
     if plan.reference_mm is not None:

@@ -1,4 +1,4 @@
-"""What the pictures of an acceptance or of a study show: pairs in folders, measured one by one."""
+"""Measures the pictures of an acceptance or of a study: pairs in folders, one by one."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ from edged.vision.geometry.rigid import apply, invert, skew
 from edged.vision.part.job import Job
 
 MOST_PAIRS = 1000
-"""The most in one folder."""
+"""Most pairs in one folder."""
 MOST_OF_A_KIND = 100
-"""Parts, or people, of a study."""
+"""Most parts, or people, of a study."""
 
 
 def pairs_of(folder: Path) -> list[ImagePair]:
-    """The pairs of a folder. Raises `UserError`."""
+    """Find the pairs in a folder. Raises `UserError`."""
     pairs = find_pairs(folder)
     if len(pairs) > MOST_PAIRS:
         raise UserError(f"{folder}: {len(pairs)} pairs: expected at most {MOST_PAIRS}")
@@ -38,12 +38,12 @@ def pairs_of(folder: Path) -> list[ImagePair]:
 
 
 def _frames(rig: PreparedRig, pair: ImagePair) -> FramePair:
-    """As a camera would give them. Raises `ImageError`."""
+    """Load a pair in the form that cameras deliver. Raises `ImageError`."""
     return FramePair.of_images(*load_pair(rig.rig, pair.left, pair.right))
 
 
 def good_target(rig: PreparedRig, job: Job, frames: FramePair) -> Target | str:
-    """The one good part of a pair, or why there is none."""
+    """The only good part in a pair, or why there is not exactly one."""
     outcome = locate(frames, job, rig)
     good = [target for target in outcome.targets if target.reject is Reject.NONE]
     if len(good) == 1 and np.isfinite(good[0].covariance).all():
@@ -54,14 +54,14 @@ def good_target(rig: PreparedRig, job: Job, frames: FramePair) -> Target | str:
 def _good_targets(
     rig: PreparedRig, job: Job, pairs: Sequence[ImagePair]
 ) -> tuple[dict[str, Target], dict[str, str]]:
-    """The good part of each pair that shows one, and why others do not count, by name."""
+    """The good part of each pair that shows one, and why other pairs do not count, by name."""
     looked = {pair.name: good_target(rig, job, _frames(rig, pair)) for pair in pairs}
     missing = {name: why for name, why in looked.items() if isinstance(why, str)}
     return {name: found for name, found in looked.items() if not isinstance(found, str)}, missing
 
 
 def poses_in(rig: PreparedRig, job: Job, pairs: Sequence[ImagePair]) -> tuple[PlacedPoses, dict[str, str]]:
-    """The poses of the part in the pairs that show it well, and why others do not count, by name."""
+    """Poses of the part in the pairs that show it well, and why other pairs do not count, by name."""
     found, missing = _good_targets(rig, job, pairs)
     own, moved, circles = [], [], []
     names = [{circle.name for circle in target.circles} for target in found.values()]
@@ -88,7 +88,7 @@ def poses_in(rig: PreparedRig, job: Job, pairs: Sequence[ImagePair]) -> tuple[Pl
 
 
 def read_truth(path: Path) -> dict[str, FloatArray]:
-    """Places (3,) of a stage, mm, by the pair's name: lines of `NAME,x,y,z`. Raises `FileFormatError`."""
+    """Read positions (3,) of a stage, mm, by pair name: lines of `NAME,x,y,z`. Raises `FileFormatError`."""
     rows = read_named(path, (3,), "NAME,x,y,z in mm")
     return {name: np.array(numbers) for name, numbers in rows.items()}
 
@@ -96,7 +96,7 @@ def read_truth(path: Path) -> dict[str, FloatArray]:
 def sizes_in(
     rig: PreparedRig, job: Job, pairs: Sequence[ImagePair], size: str
 ) -> tuple[dict[str, tuple[float, float]], dict[str, str]]:
-    """A size and its sigma, mm, of each pair that shows the part well; why others do not count.
+    """A size and its sigma, mm, in each pair that shows the part well, and why other pairs do not count.
 
     size : a measurement of the job, a circle (its diameter), or two circles as A-B. Raises `UserError`.
     """
@@ -106,7 +106,7 @@ def sizes_in(
 
 
 def still_in(rig: PreparedRig, job: Job, pairs: Sequence[ImagePair]) -> StillResult:
-    """What many pictures of a part that nobody touches say."""
+    """Result of a still test: many pictures of a part that is not moved."""
     stands: list[Stand | None] = []
     for pair in pairs:
         inspection = inspect(_frames(rig, pair), job, rig)
@@ -117,7 +117,7 @@ def still_in(rig: PreparedRig, job: Job, pairs: Sequence[ImagePair]) -> StillRes
 
 
 def studied_folders(folder: Path) -> Iterator[tuple[str, str, list[ImagePair]]]:
-    """Part, person and pairs below `folder/PART/PERSON`. Raises `UserError` that names what is wrong."""
+    """Part, person and pairs of each `folder/PART/PERSON`. Raises `UserError` that names what is wrong."""
     for part in _folders(folder):
         for person in _folders(part):
             yield part.name, person.name, pairs_of(person)
@@ -133,7 +133,7 @@ def _folders(folder: Path) -> list[Path]:
 
 
 def crossed(values: Mapping[tuple[str, str], Sequence[float]], folder: Path) -> FloatArray:
-    """Values (parts, people, trials) by part and person. Raises `UserError` where some are missing."""
+    """Values by part and person as an array (parts, people, trials). Raises `UserError` if incomplete."""
     parts = sorted({part for part, _ in values})
     people = sorted({person for _, person in values})
     trials = {len(some) for some in values.values()}

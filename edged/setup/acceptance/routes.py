@@ -1,4 +1,4 @@
-"""The routes of an acceptance."""
+"""Routes of acceptances and of studies of a size."""
 
 from __future__ import annotations
 
@@ -17,20 +17,20 @@ from edged.setup.draftroutes import Begun, report_answer, unknown
 
 
 class TakingPictures(Leased):
-    """How many pictures of which test."""
+    """The number of pictures to take for a test."""
 
     test: PicturedTest
     count: Annotated[int, Field(ge=1, le=MOST)] = 1
 
 
 class Touching(Leased):
-    """Lines of rig x, y, z and robot x, y, z, mm, as for `edged register touch`."""
+    """Touched points: lines of rig x, y, z and robot x, y, z, mm, as for `edged register touch`."""
 
     table: Annotated[str, Field(max_length=3500)]
 
 
 class Clearing(Leased):
-    """Which test is begun anew."""
+    """The test whose pictures are discarded."""
 
     test: TestName
 
@@ -43,26 +43,26 @@ class KnownLength(Body):
 
 
 class Judging(Leased):
-    """By which job. length : what the pictures of the length show; null: there are none."""
+    """The job to judge by. length : known length in the pictures of that test; null if there are none."""
 
     job: Name
     length: KnownLength | None = None
 
 
 class Planning(Leased):
-    """The study that begins."""
+    """The study to begin."""
 
     plan: StudyPlan
 
 
 class MeasuringOnce(Leased):
-    """done : measurements that the person sees."""
+    """A measurement of a study. done : number of measurements that the user sees."""
 
     done: Annotated[int, Field(ge=0, le=MOST_OF_STUDY)]
 
 
 class AcceptanceRoutes:
-    """The routes."""
+    """Routes of acceptances and of studies of a size."""
 
     def __init__(self, accepting: Accepting, study: GuidedStudy) -> None:
         self._accepting = accepting

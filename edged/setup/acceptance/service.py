@@ -1,4 +1,4 @@
-"""An acceptance over the page: pictures of each test are taken for it, then the cell is judged by them."""
+"""Acceptance on the page: pictures of each test are taken, then the cell is judged by them."""
 
 from __future__ import annotations
 
@@ -28,11 +28,11 @@ NEEDED: dict[TestName, int] = {
     "robot": LEAST_TOUCHED,
 }
 MOST = 100
-"""Pictures of a test."""
+"""Most pairs of pictures of a test."""
 
 
 class TestedDocument(Frozen):
-    """One test. good : null: it cannot be said, and `why` says why not, in English. figures : by name."""
+    """One test. good : null if it is undecided. why : reason, in English. figures : by name."""
 
     name: TestName
     good: bool | None
@@ -41,7 +41,7 @@ class TestedDocument(Frozen):
 
 
 class LastAcceptance(Frozen):
-    """The last acceptance by the page. due : until when it counts."""
+    """The last acceptance on the page. due : until when it is valid."""
 
     at: str
     by: str
@@ -52,7 +52,7 @@ class LastAcceptance(Frozen):
 
 
 class CountedTest(Frozen):
-    """Pictures, or lines, that there are of a test, and how many are needed."""
+    """Number of pictures, or lines, taken for a test, and how many are needed."""
 
     name: TestName
     taken: int
@@ -60,7 +60,7 @@ class CountedTest(Frozen):
 
 
 class AcceptanceDocument(Frozen):
-    """How it stands. is_current : the last one was of the calibration in use."""
+    """State of the acceptance. is_current : the last one was of the calibration in use."""
 
     tests: list[CountedTest]
     last: LastAcceptance | None
@@ -68,7 +68,7 @@ class AcceptanceDocument(Frozen):
 
 
 class Accepting:
-    """Used on the event loop only."""
+    """Acceptance of a cell; used on the event loop only."""
 
     def __init__(self, cell: CellInUse) -> None:
         self._cell = cell
@@ -77,7 +77,7 @@ class Accepting:
         self._task: str | None = None
 
     async def document(self) -> AcceptanceDocument:
-        """How it stands."""
+        """State of the acceptance."""
         last = await asyncio.to_thread(self._kept.read)
         counts = await asyncio.to_thread(self._counts)
         tests = [CountedTest(name=name, taken=counts[name], needed=NEEDED[name]) for name in NEEDED]
@@ -93,7 +93,7 @@ class Accepting:
         return {**counts, "robot": sum(bool(line.strip()) for line in lines)}
 
     async def take(self, token: str, test: PicturedTest, count: int) -> str:
-        """Begin to take so many pictures of a test; returns the task. Raises `SetupRefused`."""
+        """Start to take pictures of a test, and return the task. Raises `SetupRefused`."""
         await self._begin(token)
         self._cell.needed_rig("to accept")
         self._task = self._cell.tasks.start("pictures", partial(self._take, token, test, count))
@@ -117,7 +117,7 @@ class Accepting:
             await asyncio.to_thread(write_sides, folder, f"view_{first:03d}_{{side}}.png", images)
 
     async def touched(self, token: str, table: str) -> AcceptanceDocument:
-        """Keep what the robot touched: lines of rig x, y, z and robot x, y, z. Raises `SetupRefused`."""
+        """Keep the robot's touched points: lines of rig x, y, z and robot x, y, z. Raises `SetupRefused`."""
         await self._begin(token)
         path = self._folder / "robot" / TOUCHED_NAME
         await asyncio.to_thread(make_folders, path.parent)
@@ -125,13 +125,13 @@ class Accepting:
         return await self.document()
 
     async def clear(self, token: str, test: TestName) -> AcceptanceDocument:
-        """Throw the pictures of a test away. Raises `SetupRefused`."""
+        """Discard the pictures of a test. Raises `SetupRefused`."""
         await self._begin(token)
         await asyncio.to_thread(shutil.rmtree, self._folder / test, ignore_errors=True)
         return await self.document()
 
     async def accept(self, token: str, author: str, job: str, length: tuple[str, float] | None) -> str:
-        """Begin to judge the cell by what there is; returns the task. Raises `SetupRefused`, `UserError`."""
+        """Start to judge the cell by what was taken; return the task. Raises `SetupRefused`, `UserError`."""
         await self._begin(token)
         part = self._cell.job(job)
         self._task = self._cell.tasks.start("accept", partial(self._accept, token, author, part, length))
@@ -159,5 +159,5 @@ class Accepting:
 
     @property
     def report(self) -> Path:
-        """The page to sign, of the last acceptance."""
+        """Path of the report page to sign, of the last acceptance."""
         return self._cell.folder / "accepted.html"

@@ -1,8 +1,8 @@
-"""Is the cell fit to inspect a size? Studies of AIAG's and of VDA's manuals for measurement systems, in kind.
+"""Studies of whether the cell is fit to inspect a size, modelled on AIAG's and VDA's manuals for gauges.
 
-Type 1: one master of known size, measured again and again: capability C_g and C_gk. GRR: parts that differ,
-each set up anew by several people, several times: what of the scatter is the gauge's, by analysis of variance
-with the interaction (AIAG MSA, 4th edition, appendix A; the texts were not at hand).
+Type 1: one master of known size is measured repeatedly: capability C_g and C_gk. GRR: several people measure
+different parts several times, placing them anew each time: the gauge's share of the variation, by analysis of
+variance with interaction (AIAG MSA, 4th edition, appendix A; the texts were not at hand).
 """
 
 from __future__ import annotations
@@ -15,24 +15,24 @@ import numpy as np
 from edged.domain.arrays import FloatArray
 
 LEAST_REPEATS = 25
-"""Fewest of type 1; 50 are better."""
+"""Fewest measurements of type 1; 50 are better."""
 LEAST_CROSSED = (5, 2, 2)
 """Fewest parts, people and trials of gauge R&R; 10 by 3, 3 times, are usual."""
 SHARE_OF_TOLERANCE = 0.2
-"""Part of the tolerance that six sigmas of a gauge with C_g = 1 take."""
+"""Share of the tolerance that six sigmas of a gauge with C_g = 1 take up."""
 CAPABLE = 1.33
 GOOD_PERCENT, POOR_PERCENT = 10.0, 30.0
-"""%GRR: below the first good, above the second not fit."""
+"""%GRR: up to the first value good, above the second not fit."""
 COVERAGE = 1.645
-"""Sigmas of a guard band: a part that is not good passes in 5 % at most. ISO 14253-1, one side."""
+"""Sigmas of a guard band: at most 5 % of bad parts pass. ISO 14253-1, one-sided."""
 SIX = 6.0
 
 
 @dataclass(frozen=True, slots=True)
 class Capability:
-    """One master, measured again and again.
+    """Result of measuring one master repeatedly.
 
-    bias_mm : mean less reference. bias_is_chance : zero is within 95 % of its doubt.
+    bias_mm : mean minus reference. bias_is_chance : zero is within the bias's 95 % interval.
     """
 
     repeats: int
@@ -51,8 +51,10 @@ class Capability:
 
 @dataclass(frozen=True, slots=True)
 class GaugeStudy:
-    """Standard deviations, mm. of_tolerance, of_variation : %GRR, six sigmas over the tolerance, and sigma
-    over that of all scatter. distinct : categories that the gauge tells apart. pooled : without interaction.
+    """Result of a gauge R&R study: standard deviations, mm.
+
+    of_tolerance, of_variation : %GRR: six sigmas in percent of the tolerance, and sigma in percent of the
+    total variation. distinct : number of distinct categories. pooled : without interaction.
     """
 
     parts: int
@@ -69,18 +71,18 @@ class GaugeStudy:
 
     @property
     def good(self) -> bool | None:
-        """Whether the gauge is fit for the tolerance; None: between good and poor."""
+        """Whether the gauge is fit for the tolerance; None if between good and poor."""
         if self.of_tolerance <= GOOD_PERCENT:
             return True
         return False if self.of_tolerance > POOR_PERCENT else None
 
 
 def capability(values_mm: FloatArray, reference_mm: float, tolerance_mm: float) -> Capability:
-    """Type 1. tolerance_mm : whole width. Raises ValueError for fewer than `LEAST_REPEATS` values."""
+    """Type 1 study. tolerance_mm : full width. Raises ValueError for fewer than `LEAST_REPEATS` values."""
     count = len(values_mm)
     if count < LEAST_REPEATS:
         raise ValueError(f"{count} measurements of the master, {LEAST_REPEATS} are needed (50 are better)")
-    # alike to the last bit they have no spread: their mean, rounded, would give them one
+    # exactly equal values have no spread, but rounding of their mean would give them one
     deviation = float(values_mm.std(ddof=1)) if np.ptp(values_mm) > 0 else 0.0
     mean = float(values_mm.mean())
     bias = mean - reference_mm
@@ -94,7 +96,7 @@ def capability(values_mm: FloatArray, reference_mm: float, tolerance_mm: float) 
 def gauge_study(values_mm: FloatArray, tolerance_mm: float) -> GaugeStudy:
     """GRR of values (parts, operators, trials). Raises ValueError below 5 parts, 2 people, 2 trials.
 
-    The interaction is pooled where chance would have one as large in 5 % of cases or more.
+    The interaction is pooled if it is not significant at the 5 % level.
     """
     parts, operators, trials = values_mm.shape
     if any(count < least for count, least in zip(values_mm.shape, LEAST_CROSSED, strict=True)):
@@ -138,7 +140,7 @@ def gauge_study(values_mm: FloatArray, tolerance_mm: float) -> GaugeStudy:
 def critical_ratio(freedom: int, within: int) -> float:
     """The 0.95 quantile of F(freedom, within), to 0.2 % from 4 and 10 on.
 
-    Source: E. Paulson, Ann. Math. Stat. 13, 1942: the cube root of F is near to normal.
+    Source: E. Paulson, Ann. Math. Stat. 13, 1942: the cube root of F is nearly normal.
 
     >>> round(critical_ratio(18, 60), 2)
     1.78
@@ -150,5 +152,5 @@ def critical_ratio(freedom: int, within: int) -> float:
 
 
 def guard_bands(low_mm: float, high_mm: float, sigma_mm: float) -> tuple[float, float]:
-    """Limits within which a measured size proves the part good: the tolerance less what sigma leaves open."""
+    """Limits within which a measured size proves the part good: the tolerance reduced by the guard bands."""
     return low_mm + COVERAGE * sigma_mm, high_mm - COVERAGE * sigma_mm

@@ -1,4 +1,4 @@
-"""A study of a size from what was measured: how fit the cell is, and the page that says so."""
+"""Evaluates a study of a size: how fit the cell is, and the report page."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from edged.setup.acceptance.studies import Capability, GaugeStudy, capability, g
 
 WORDS = {True: "fit", False: "NOT FIT", None: "conditionally fit"}
 PER_LINE = 10
-"""Measurements in a line of the page: of more than that, a printed page would cut some off."""
+"""Measurements in a line of the page; a printed page would cut off longer lines."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,14 +28,14 @@ class StudiedSize:
 
     @property
     def tolerance_mm(self) -> float:
-        """Whole width."""
+        """Full width of the tolerance."""
         return self.high_mm - self.low_mm
 
 
 def by_master(
     sizes: Sequence[tuple[float, float]], reference_mm: float, of: StudiedSize
 ) -> tuple[Capability, float, ReportedTest]:
-    """Capability, rms of the stated sigma, and what people read of both. sizes : with sigma, mm.
+    """Capability, rms of the stated sigma, and the report of both. sizes : values and sigmas, mm.
 
     Raises as `capability`.
     """
@@ -57,7 +57,7 @@ def by_master(
 
 
 def by_parts(values_mm: FloatArray, of: StudiedSize) -> tuple[GaugeStudy, ReportedTest]:
-    """Gauge R&R, and what people read of it. values_mm (parts, people, trials). Raises as `gauge_study`."""
+    """Gauge R&R study and its report. values_mm (parts, people, trials). Raises as `gauge_study`."""
     found = gauge_study(values_mm, of.tolerance_mm)
     figures = {
         "parts, people, trials": f"{found.parts}, {found.operators}, {found.trials}",
@@ -78,7 +78,7 @@ def study_page(
     tests: Sequence[ReportedTest],
     values_mm: Mapping[str, Sequence[float]],
 ) -> bytes:
-    """The HTML page to sign. about : of which cell, by whom. values_mm : all that was measured, by name."""
+    """The HTML page to sign. about : of which cell, by whom. values_mm : all measurements, by name."""
     rows = {
         f"{name}, from {start + 1}" if len(values) > PER_LINE else name: " ".join(
             f"{value:.4f}" for value in values[start : start + PER_LINE]

@@ -1,7 +1,7 @@
-"""Tests of an acceptance: what they were told, what they found, whether that is good enough.
+"""Tests of an acceptance: their limits, figures and verdicts.
 
-In kind after ASTM E2919 (poses) and VDI/VDE 2634-1 (lengths); their texts were not at hand, and no
-conformity is claimed.
+Modelled on ASTM E2919 (poses) and VDI/VDE 2634-1 (lengths); their texts were not at hand, and no conformity
+is claimed.
 """
 
 from __future__ import annotations
@@ -21,11 +21,12 @@ LEAST_LENGTHS = 7
 LEAST_TOUCHED = 10
 LEAST_STILL = 50
 POSE_UM, POSE_DEG = 10.0, 0.02
-"""Largest error of 95 % of the poses."""
+"""Limits on the 95 % quantile of the errors of poses."""
 HONEST = 2.0
-"""Largest chi² per degree of freedom; of 30 poses it is 1.6 by chance, in 1 of 1000.
+"""Largest chi² per degree of freedom; for 30 poses it exceeds 1.6 by chance in 1 of 1000 cases.
 
-A small one proves nothing: a part that only shifts, as on a stage, has much of its error alike in all places.
+A small value proves nothing: for a part that only shifts, as on a stage, much of the error is the same in all
+places.
 """
 LENGTH_UM, LENGTH_PER = 5.0, 20_000.0
 """Largest error of a length L: LENGTH_UM + L / LENGTH_PER."""
@@ -34,7 +35,7 @@ ROUNDS = 5
 
 @dataclass(frozen=True, slots=True)
 class AcceptanceTest:
-    """One test. good : None: it cannot be said, and `why` says why not. figures : for people, by name."""
+    """One test. good : None if undecided. why : reason if it is not good. figures : for people, by name."""
 
     name: str
     good: bool | None
@@ -46,8 +47,8 @@ class AcceptanceTest:
 class PlacedPoses:
     """Poses of one part in several places, as measured. names : of the pairs.
 
-    rig_from_part (N, 4, 4). own (N, 3, 3) : covariance of the place that no two poses share, mm².
-    moved (N, 3, P) : by which the rig's parameters, of covariance parameters (P, P), move each place.
+    rig_from_part (N, 4, 4). own (N, 3, 3) : independent part of the position's covariance, mm².
+    moved (N, 3, P) : Jacobian of each position by the rig's parameters. parameters (P, P) : their covariance.
     circles (N, M, 3) : centres of the circles in the part's own frame, mm; M may be 0.
     """
 
@@ -60,7 +61,7 @@ class PlacedPoses:
 
 
 def without(test: AcceptanceTest, missing: Mapping[str, str]) -> AcceptanceTest:
-    """A test with the pairs that did not count, by name and reason: a part that is not found fails it."""
+    """Add the pairs that do not count, by name and reason, to a test: a part that is not found fails it."""
     if not missing:
         return test
     lost = f"{len(missing)} pairs do not count: " + ", ".join(
@@ -71,10 +72,10 @@ def without(test: AcceptanceTest, missing: Mapping[str, str]) -> AcceptanceTest:
 
 
 def pose_test(placed: PlacedPoses, truth_mm: FloatArray | None, truth_sigma_mm: float) -> AcceptanceTest:
-    """A part in many places. truth_mm (N, 3) : where a stage says it was; None: by what is invariant.
+    """Test poses of a part in many places. truth_mm (N, 3) : positions by a stage; None to test the shape.
 
-    The stage only shifts: its frame is found from the same poses, and all turns must be alike. Without it
-    the distances between the part's circles are compared with their means.
+    The stage only translates: its frame is fitted to the same poses, and all rotations must be equal. Without
+    it, the distances between the part's circles are compared with their means.
     """
     count = len(placed.names)
     if count < LEAST_POSES:
@@ -115,7 +116,7 @@ def _by_stage(placed: PlacedPoses, truth_mm: FloatArray, truth_sigma_mm: float) 
 
 
 def _joint(placed: PlacedPoses) -> FloatArray:
-    """(3 N, 3 N): the poses share the rig's parameters."""
+    """Joint covariance (3 N, 3 N) of all positions, which share the rig's parameters."""
     count = len(placed.own)
     moved = placed.moved.reshape(3 * count, -1)
     joint = moved @ placed.parameters @ moved.T
@@ -125,11 +126,11 @@ def _joint(placed: PlacedPoses) -> FloatArray:
 
 
 def _misfit(places: FloatArray, truth: FloatArray, covariance: FloatArray) -> tuple[FloatArray, float]:
-    """Errors (N, 3) of places brought onto the truth, and chi² per degree of freedom of the best fit by
-    their joint covariance: what places share is weighed as shared."""
+    """Errors (N, 3) of places fitted to the truth, and chi² per degree of freedom of the best fit by their
+    joint covariance, which accounts for shared errors."""
     fit = fit_rigid(places, truth)
     errors = apply(fit.to_from_source, places) - truth
-    # by the covariance, in the frame of the places, about the fit
+    # one weighted step from the fit, in the frame of the places
     back = (truth - fit.to_from_source[:3, 3]) @ fit.to_from_source[:3, :3]
     gaps = (places - back).ravel()
     centred = back - back.mean(axis=0)
@@ -165,7 +166,7 @@ def _by_shape(placed: PlacedPoses) -> AcceptanceTest:
 
 
 def length_test(names: Sequence[str], measured_mm: FloatArray, true_mm: float) -> AcceptanceTest:
-    """A bar of known length in several positions. measured_mm (N,)."""
+    """Test measurements of a bar of known length in several positions. measured_mm (N,)."""
     if len(names) < LEAST_LENGTHS:
         return AcceptanceTest(
             "length", None, f"{len(names)} positions measured, {LEAST_LENGTHS} are needed", {}
@@ -191,10 +192,10 @@ def length_test(names: Sequence[str], measured_mm: FloatArray, true_mm: float) -
 def robot_test(
     expected_mm: FloatArray, shared: FloatArray, touched_mm: FloatArray, robot_sigma_mm: float
 ) -> AcceptanceTest:
-    """Points that the cell expects, and where the robot says that it touched them; (N, 3) in its frame.
+    """Test expected points against the robot's positions when it touched them; (N, 3) in the robot's frame.
 
-    shared (3 N, 3 N) : covariance of the expected ones, which have registration and calibration in common.
-    robot_sigma_mm : of a touch, as the robot is stated.
+    shared (3 N, 3 N) : covariance of the expected points, which share registration and calibration.
+    robot_sigma_mm : stated sigma of one touch by the robot.
     """
     count = len(touched_mm)
     if count < LEAST_TOUCHED:
@@ -221,7 +222,7 @@ def robot_test(
 
 
 def still_verdict(result: StillResult) -> AcceptanceTest:
-    """Pictures of nothing moving: the scatter is what is stated."""
+    """Test pictures of a part that does not move: its scatter must be as stated."""
     if result.pictures < LEAST_STILL:
         return AcceptanceTest("still", None, f"{result.pictures} pictures, {LEAST_STILL} are needed", {})
     if result.scatter_mm is None or result.edges_mm is None:

@@ -1,4 +1,4 @@
-"""What the worker process does with an acceptance."""
+"""Functions that the worker process runs for acceptances and studies."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from edged.vision.part.job import Job
 def accept_cell(
     rig: RigInUse, folder: Path, job: Job, length: tuple[str, float] | None, by: str, progress: Progress
 ) -> Json:
-    """Test what a folder has. The document that is kept, the page to sign, and the tests for people."""
+    """Run the tests in a folder; return the document to keep, the page to sign, and the tests for people."""
     progress("measure all pictures", 0, 0)
     calibrated, stated = rig_of(rig.content, rig.path), StatedTruth(length)
     tests = accepted(folder, calibrated, job, stated)
@@ -40,7 +40,7 @@ def accept_cell(
 
 
 def measure_size(rig: RigInUse, images: tuple[Image, Image], job: Job, size: str) -> tuple[float, float]:
-    """A size and its sigma, mm, of the one good part of a pair. Raises `UserError` without one."""
+    """A size and its sigma, mm, of the only good part in a pair. Raises `UserError` without one."""
     target = good_target(prepare(rig.stereo()), job, FramePair.of_images(*images))
     if isinstance(target, str):
         raise UserError(target, "no_good_part")

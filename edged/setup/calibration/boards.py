@@ -1,4 +1,4 @@
-"""Which board the pictures show: as stated, or recognised in them. How large it is they do not show."""
+"""Finds which board the pictures show: as stated, or recognised in them; its size must be stated."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ from edged.vision.boards.board import Charuco, Chessboard, CircleGrid, NominalBo
 from edged.vision.boards.detection import agreed_board, in_words, of_size, recognise_board
 
 LOOKED_AT = 6
-"""Pictures in which a board is searched that was not stated: enough to outvote one that is cut."""
+"""Pictures examined to recognise a board that was not stated: enough to outvote one where it is cut off."""
 _LENGTH = re.compile(r"([0-9]{1,9}(?:[.,][0-9]{1,9})?)\s*(?:mm)?", re.IGNORECASE)
 
 T = TypeVar("T")
 Stated = tuple[NominalBoard, ...] | float | None
-"""Boards in full; the length alone of the board that the pictures show, mm; nothing."""
+"""Full specifications of boards; or only the length, mm, of the board in the pictures; or nothing."""
 
 
 def stated_boards(text: str | None) -> Stated:
-    """Boards or a length from what a person wrote. Raises `CalibrationError` that names the wrong part."""
+    """Parse boards or a length from user input. Raises `CalibrationError` that names the wrong part."""
     if text is None:
         return None
     length = _LENGTH.fullmatch(text.strip())
@@ -34,9 +34,9 @@ def stated_boards(text: str | None) -> Stated:
 def boards_in(
     stated: Stated, pictures: Sequence[Picture], progress: Progress = silent
 ) -> tuple[tuple[NominalBoard, ...], str]:
-    """The stated boards, or the one that the pictures show, and what is to be said of that, or "".
+    """The stated boards, or the one that the pictures show, and a remark on how it was recognised, or "".
 
-    Raises `CalibrationError`: without a length it says what is seen, and how to state it.
+    Raises `CalibrationError`: without a length, its message says which board is seen and how to state it.
     """
     if isinstance(stated, tuple):
         return stated, ""
@@ -55,7 +55,7 @@ def boards_in(
 
 
 def check_board_shown(pictures: Sequence[Picture], board: NominalBoard, progress: Progress = silent) -> None:
-    """Raises `CalibrationError` if most pictures in which a board was not found agree on another one."""
+    """Check pictures without the stated board. Raises `CalibrationError` if most agree on another one."""
     some = spread(pictures)
     looked = work_on(
         [partial(_recognise, picture) for picture in some], "looking for another board", progress
@@ -82,7 +82,7 @@ def check_board_shown(pictures: Sequence[Picture], board: NominalBoard, progress
 
 
 def shows_another(picture: Picture, board: NominalBoard) -> bool:
-    """Whether another board is recognised in it: that takes a tenth of the time of a search in vain."""
+    """Whether another board is recognised in it: takes a tenth of the time of an unsuccessful search."""
     seen = _recognise(picture)
     return seen is not None and not may_be(board, seen)
 
@@ -92,7 +92,7 @@ def _recognise(picture: Picture) -> NominalBoard | None:
 
 
 def may_be(board: NominalBoard, seen: NominalBoard) -> bool:
-    """Whether the stated board looks like what is seen."""
+    """Whether the stated board could be the one that is seen."""
     if isinstance(board, Charuco) and isinstance(seen, Charuco):
         kinds = [each.dictionary.rpartition("_")[0] for each in (board, seen)]
         return board.columns == seen.columns and board.rows >= seen.rows and kinds[0] == kinds[1]
@@ -102,13 +102,13 @@ def may_be(board: NominalBoard, seen: NominalBoard) -> bool:
 
 
 def spread(pictures: Sequence[T], most: int = LOOKED_AT) -> list[T]:
-    """Some of the pictures, from the first to the last."""
+    """Up to `most` of the pictures, evenly spread from the first to the last."""
     chosen = np.unique(np.linspace(0, len(pictures) - 1, min(len(pictures), most)).round().astype(int))
     return [pictures[index] for index in chosen]
 
 
 def _agreed(pictures: Sequence[Picture], seen: Sequence[NominalBoard | None]) -> NominalBoard:
-    """The board of most pictures. Raises `CalibrationError` where none is seen, or they disagree."""
+    """The board seen in most pictures. Raises `CalibrationError` if none is seen, or they disagree."""
     known = [board for board in seen if board is not None]
     names = [picture.label for picture in pictures]
     if not known:
@@ -132,7 +132,7 @@ def _agreed(pictures: Sequence[Picture], seen: Sequence[NominalBoard | None]) ->
 
 
 def _with_mm(board: NominalBoard) -> str:
-    """The specification with MM where the length belongs."""
+    """The board's specification with MM in place of its length."""
     kind = str(board).partition(":")[0]
     size = f"{kind}:{board.columns}x{board.rows}"
     if isinstance(board, Charuco):

@@ -1,4 +1,4 @@
-"""Does a rig still hold? One fresh pair of a board, or of a part of known size."""
+"""Checks whether a calibration still holds, by one fresh pair of a board or of a part of known size."""
 
 from __future__ import annotations
 
@@ -27,12 +27,12 @@ from edged.vision.part.consistency import undoubted
 from edged.vision.part.job import Job
 
 MAX_OFFERED = 12
-"""Lengths of a part that can be chosen for a check."""
+"""Most lengths of a part that are offered for a check."""
 
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """What is still good: epipolar rms in px, length errors in percent."""
+    """Limits of a good rig: epipolar rms in px, length errors in percent."""
 
     epipolar_px: float
     length_percent: float
@@ -40,9 +40,9 @@ class Limits:
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """What a pair says of a rig. reason : why there are no figures, or empty.
+    """Result of checking a rig with one pair. reason : why there are no figures, or empty.
 
-    cameras : what the board's edges say of response, blur and light.
+    cameras : findings on response, blur and light from the board's edges.
     """
 
     verdict: Verdict
@@ -56,7 +56,7 @@ class Finding:
 def by_board(
     rig: StereoRig, images: tuple[Image, Image], boards: Sequence[NominalBoard], limits: Limits
 ) -> Finding:
-    """What one pair of any of the boards says of the rig.
+    """Check the rig with one pair of any of the boards.
 
     Raises `ImageError` for images that the rig was not calibrated for.
     """
@@ -66,7 +66,7 @@ def by_board(
         view = StereoView("verify", board, *(detect_board(image, board) for image in images))
         placed = pose_of_board(rig, view)
         if not isinstance(placed, NotDetected):
-            # measured again with lens and pose known, as for the calibration
+            # marks are measured again with lens and pose known, as for the calibration
             view, pose = placed
             left = remeasure_board(images[0], board, view.found("left"), rig.left, pose)
             right_pose = rig.right_from_left @ pose
@@ -84,7 +84,7 @@ def by_board(
 def _cameras(
     rig: StereoRig, linear: tuple[Image, Image], view: StereoView, left_from_board: FloatArray
 ) -> tuple[Remark, ...]:
-    """What the board's edges say of the cameras. linear : without the response that the rig knows of."""
+    """Findings on the cameras from the board's edges. linear : images corrected for the known response."""
     sides: list[Imaging] = []
     for side, image in zip(SIDES, linear, strict=True):
         camera = rig.camera(side)
@@ -97,7 +97,7 @@ def _cameras(
 def by_part(
     rig: StereoRig, images: tuple[Image, Image], job: Job, known: Mapping[str, float], limits: Limits
 ) -> Finding:
-    """What one pair of a taught part says of the rig.
+    """Check the rig with one pair of a taught part.
 
     known : true lengths, mm, by the name of a measurement of the job, of a circle (its diameter), or of two
     circles as A-B (the distance of their centres). Raises `UserError` for another name.
@@ -112,9 +112,9 @@ def by_part(
 
 
 def offered_lengths(job: Job) -> list[tuple[str, float | None]]:
-    """What `by_part` may be asked of a job, and its size as taught, mm, where that is known.
+    """Lengths of a job that `by_part` can check, with their size as taught, mm, where that is known.
 
-    The longest first: they tell a scale best, and of many circles there are more pairs than anybody measures.
+    Taught lengths are sorted longest first, as these show scale errors best; only the first ones are offered.
     """
     sizes: list[tuple[str, float | None]] = [
         (spec.name, spec.nominal)
@@ -139,7 +139,7 @@ def _judged(
 
 
 def length_of(target: Target, name: str, true_mm: float) -> Length:
-    """A measurement of the job, a circle's diameter, or the distance of two circles' centres."""
+    """Measured length of a name: a measurement of the job, a circle's diameter, or two centres' distance."""
     circles = {circle.name: circle for circle in target.circles}
     for measurement in target.measurements:
         if measurement.name == name and measurement.unit == "mm":

@@ -1,4 +1,4 @@
-"""Does the rig in use still hold? One fresh pair, judged in the worker process; the last verdict is kept."""
+"""Checks of the rig in use by one fresh pair, judged in the worker process; the last verdict is kept."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from edged.vision.calibration.verification import COVERAGE, Length, Verdict
 from edged.vision.part.job import Job
 
 LIMITS = Limits(epipolar_px=0.3, length_percent=0.1)
-"""As `edged verify` judges, where nothing else is stated."""
+"""The default limits of `edged verify`."""
 
 
 class Rows(Frozen):
-    """How far apart the same mark lies in both pictures across the rows, rms."""
+    """Epipolar error: rms distance across the rows between the same mark in both pictures."""
 
     measured_px: float
     limit_px: float
@@ -28,7 +28,7 @@ class Rows(Frozen):
 
 
 class CheckedLength(Frozen):
-    """A known length. spread_percent : to either side, 95 %, from the noise of this pair."""
+    """A checked length. spread_percent : half-width of the 95 % interval from the noise of this pair."""
 
     name: str
     true_mm: float
@@ -41,9 +41,9 @@ class CheckedLength(Frozen):
 
 
 class CheckDocument(Frozen):
-    """A verdict. reason : why there are no figures, in English; remarks : of the cameras, likewise.
+    """A verdict. reason : why there are no figures, in English. remarks : on the cameras, in English.
 
-    calibration : id of the rig that was judged. board, job : by which; one of them is null.
+    calibration : id of the rig that was checked. board, job : used for the check; one of them is null.
     """
 
     at: str
@@ -59,7 +59,7 @@ class CheckDocument(Frozen):
 
 
 class OfferedLength(Frozen):
-    """What a part may be measured by. taught_mm : as the job has it; null: not known."""
+    """A length of a part that can be checked. taught_mm : its value in the job, null if not known."""
 
     name: str
     taught_mm: float | None
@@ -73,7 +73,7 @@ class OfferedPart(Frozen):
 
 
 class Checked(Frozen):
-    """The last check. is_current : it judged the rig that is in use. boards, parts : to check with."""
+    """The last check. is_current : it was of the rig in use. boards, parts : available for another check."""
 
     last: CheckDocument | None
     is_current: bool
@@ -82,20 +82,20 @@ class Checked(Frozen):
 
 
 class Checks:
-    """Used on the event loop only; the last verdict is kept on disc."""
+    """Checks of the rig in use; used on the event loop only. The last verdict is kept on disc."""
 
     def __init__(self, cell: CellInUse) -> None:
         self._cell = cell
         self._kept = LastDocument(cell.folder / "check.json", CheckDocument, "the last check")
 
     async def by_board(self, token: str, author: str, board: NominalBoard) -> CheckDocument:
-        """Take a pair of a board. Raises `SetupRefused`, `CaptureError`, `ImageError`, `OSError`."""
+        """Check by a pair of a board. Raises `SetupRefused`, `CaptureError`, `ImageError`, `OSError`."""
         return await self._check(token, author, "check_board", board, board=str(board))
 
     async def by_part(
         self, token: str, author: str, name: str, known_mm: Mapping[str, float]
     ) -> CheckDocument:
-        """Take a pair of a part, whose lengths are known by the names of a job. Raises also `UserError`."""
+        """Check by a pair of a part. known_mm : true lengths by name in the job. Raises also `UserError`."""
         return await self._check(token, author, "check_part", self._cell.job(name), known_mm, job=name)
 
     async def _check(
@@ -112,7 +112,7 @@ class Checks:
         return document
 
     async def last(self) -> Checked:
-        """The last verdict, and what another check may be made by."""
+        """The last verdict, and the boards and parts available for another check."""
         last, rig = await asyncio.to_thread(self._kept.read), self._cell.rig()
         is_current = last is not None and rig is not None and last.calibration == rig.calibration_id
         checked_by = [last.board] if last is not None and last.board is not None else []

@@ -1,4 +1,4 @@
-"""The document of a calibration's draft: over /api/v1, and to every open page."""
+"""Documents of calibration drafts, served under /api/v1 and sent to every open page."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ Polygon = list[list[float]]
 
 
 class ViewDocument(Frozen):
-    """A pair. why : "left_out" by a person, "not_found", or "excluded": it contradicts the others."""
+    """A pair. why : reason not to use it: "left_out" by hand, "not_found", or "excluded" as inconsistent."""
 
     name: str
     used: bool
@@ -34,7 +34,7 @@ class ViewDocument(Frozen):
 class ShownDocument(Frozen):
     """A picture of the last live pair. polygon : around the board, raw px. missing : why there is none.
 
-    other_board : which one the pair shows instead, as it is stated, without its size in mm.
+    other_board : specification of the board that is seen instead, without its size in mm.
     """
 
     polygon: Polygon | None
@@ -45,14 +45,14 @@ class ShownDocument(Frozen):
 
 
 class BothShown(Frozen):
-    """The last live pair."""
+    """Both pictures of the last live pair."""
 
     left: ShownDocument
     right: ShownDocument
 
 
 class SuggestionDocument(Frozen):
-    """Where to hold the board. right : empty as long as nothing is known of it. sigma_um : with this view."""
+    """Where to hold the board. right : empty while it is not known. sigma_um : expected with this view."""
 
     left: Polygon
     right: Polygon
@@ -62,7 +62,7 @@ class SuggestionDocument(Frozen):
 
 
 class SolvedDocument(Frozen):
-    """What the views were solved to. moved_um : rms distance of points from where the former rig saw them."""
+    """A solved calibration. moved_um : rms distance of points from where the former rig saw them."""
 
     calibration_id: str
     rms_px: float
@@ -74,9 +74,9 @@ class SolvedDocument(Frozen):
 
 
 class DraftDocument(DraftHead):
-    """A draft. waits : why no picture is taken by itself now. trouble : why views give no calibration yet.
+    """A draft. waits : why no picture is taken automatically now. trouble : why there is no calibration yet.
 
-    current : live pairs are looked at for it.
+    current : live pairs are analysed for it.
     """
 
     boards: list[str]
@@ -99,7 +99,7 @@ class DraftDocument(DraftHead):
 
 
 class DraftLine(DraftSummary):
-    """A draft of the list. trouble : why it cannot be read; then nothing else is known."""
+    """A draft in the list. trouble : why it cannot be read; then only its id is known."""
 
     boards: list[str] = []  # noqa: RUF012  (pydantic copies it)
     views: int = 0
@@ -108,13 +108,13 @@ class DraftLine(DraftSummary):
 
 
 class DraftList(Frozen):
-    """The youngest first."""
+    """All drafts, newest first."""
 
     calibrations: list[DraftLine]
 
 
 def guided_in(state: DraftState, guided: Guided | None, ghost: Ghost | None) -> dict[str, Any]:
-    """The fields of a `DraftDocument` that the views in use tell. ghost : that is offered."""
+    """Fields of a `DraftDocument` that depend on the views in use. ghost : the one offered."""
     known = guided or Guided(None, ())
     suggestions = [_suggestion(ghost) for ghost in known.ghosts]
     return {
@@ -155,7 +155,7 @@ def _why(view: ViewState, is_used: bool, excluded: str) -> tuple[str | None, str
 
 
 def shown_in(watched: Watched | None) -> BothShown | None:
-    """The last live pair."""
+    """Document of the last live pair."""
     if watched is None:
         return None
     other = watched.recognised if watched.left.missing == "other_board" else None
@@ -199,7 +199,7 @@ def _solved(state: DraftState) -> SolvedDocument | None:
 
 
 def _sigma(values: FloatArray | Sequence[float] | None) -> SigmaXyz | None:
-    """(3,) of X, Y, Z."""
+    """Document of sigmas (3,) of X, Y, Z."""
     if values is None:
         return None
     x, y, z = (round(float(value), 2) for value in values)
@@ -207,5 +207,5 @@ def _sigma(values: FloatArray | Sequence[float] | None) -> SigmaXyz | None:
 
 
 def _polygon(outline: FloatArray) -> Polygon:
-    """(N, 2) px."""
+    """Outline (N, 2) in px as lists, rounded."""
     return [[round(float(x), 1), round(float(y), 1)] for x, y in outline]

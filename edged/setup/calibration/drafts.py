@@ -1,9 +1,9 @@
-"""Drafts of calibrations: what people are at, on disc after each step, so that a kill loses nothing.
+"""Drafts of calibrations, saved to disc after each step, so that a killed process loses nothing.
 
-ID/state.json             written last: what it names is there
+ID/state.json             written last, so that all files it names exist
 ID/pictures/              NAME_left.png, NAME_right.png: a folder as `edged calibrate` takes it
 ID/small/                 the same as small JPEGs
-ID/rig-DIGEST.json        what came of them, and its report
+ID/rig-DIGEST.json        the solved rig; its report is beside it
 """
 
 from __future__ import annotations
@@ -30,14 +30,14 @@ from edged.vision.boards.board import NominalBoard, parse_boards
 from edged.vision.calibration.lenschoice import LensWish
 
 KEPT = 10
-"""Drafts; with one more the oldest goes. Twenty pairs of 1280x960 are 40 MB."""
+"""Number of drafts kept; the oldest is deleted when there is one more. Twenty pairs of 1280x960 are 40 MB."""
 RIG, REPORT = "rig-*.json", "report-*.html"
 Looks = tuple[Looked, Looked]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Solution:
-    """A rig as a file, its report, and what there is to say about it, as JSON."""
+    """A rig as a file, its report, and its figures as JSON."""
 
     calibration_id: str
     rig: bytes
@@ -50,34 +50,34 @@ class Draft(DraftFile[DraftState]):
 
     @property
     def next_view(self) -> str:
-        """A name that no view ever had."""
+        """Name for the next view, never used before."""
         return f"view_{max((int(name[-3:]) for name in self.state.views), default=0) + 1:03}"
 
     def add(self, name: str, left: Seen, right: Seen) -> None:
-        """Take note of a view whose pictures are in the folder."""
+        """Record a view whose pictures are in the folder."""
         view = ViewState(left=_kept(left), right=_kept(right))
         views = {**self.state.views, name: view}
         self.write(self.state.operated(Operation(what="add", view=name), views=views))
 
     def remove(self, name: str) -> None:
-        """Leave a view out. Raises `KeyError` for one that is not in use."""
+        """Exclude a view. Raises `KeyError` for one that is not in use."""
         if name not in self.state.used:
             raise KeyError(name)
         self.write(self.state.operated(Operation(what="remove", view=name)))
 
     def set_boards(self, boards: Sequence[str]) -> None:
-        """State what the pictures show. Raises `CalibrationError` for no board, or once there are views."""
+        """Set the boards. Raises `CalibrationError` for an invalid one, or if there are views already."""
         parse_boards(",".join(boards))
         if self.state.taken:
             raise CalibrationError("there are views already: begin another draft for another board")
         self.write(self.state.changed(boards=tuple(boards)))
 
     def set_goal(self, goal_um: float | None) -> None:
-        """Up to which sigma people want to go."""
+        """Set the sigma to reach."""
         self.write(self.state.changed(goal_um=goal_um))
 
     def solve(self, solution: Solution) -> None:
-        """Keep what the views were solved to."""
+        """Keep the rig that the views were solved to."""
         digest = hashlib.sha256(solution.rig).hexdigest()
         solved = SolvedCalibration(
             calibration_id=solution.calibration_id, digest=digest, figures=solution.figures
@@ -86,12 +86,12 @@ class Draft(DraftFile[DraftState]):
         write_solved(self, self.state.changed(solved=solved), digest, files)
 
     def rig(self) -> bytes:
-        """The rig that it was solved to. Raises as `solved_rig`."""
+        """Content of the rig file that the draft was solved to. Raises as `solved_rig`."""
         solved = self.state.solved
         return solved_rig(self.folder, None if solved is None else solved.digest, "views")
 
     def report(self) -> bytes:
-        """The report's page. Raises as `rig`."""
+        """Content of the report's page. Raises as `rig`."""
         digest = hashlib.sha256(self.rig()).hexdigest()
         return read_bytes(solved_file(self.folder, REPORT, digest), "a report")
 
@@ -111,7 +111,7 @@ class Drafts(DraftFolders[DraftState, Draft]):
         now: datetime,
         **more: Any,
     ) -> Draft:
-        """Begin one; the oldest beyond `KEPT` go. Raises `CalibrationError` for no board, and `OSError`.
+        """Create a draft, and delete any beyond `KEPT`. Raises `CalibrationError` for a bad board, `OSError`.
 
         more : other fields of the state.
         """
@@ -129,7 +129,7 @@ def _pictures(state: DraftState) -> list[str]:
 
 
 def pair_of(pictures: Path, name: str) -> Pair:
-    """A kept pair, as the command line reads it."""
+    """A stored pair, as the command line reads it."""
     left, right = (pictures / f"{name}_{side}.png" for side in SIDES)
     return Pair.of_files(ImagePair(name, left, right))
 
@@ -137,7 +137,7 @@ def pair_of(pictures: Path, name: str) -> Pair:
 def keep_pair(
     folder: Path, name: str, left: Image, right: Image, boards: Sequence[NominalBoard]
 ) -> tuple[Looks, Seen, Seen]:
-    """Write a draft's new pair, and look at it in full. Raises `CalibrationError` for a disc that refuses."""
+    """Store a new pair of a draft, and find the boards in it. Raises `CalibrationError` if not writable."""
     (looks,) = look_at([Pair.of_images(name, left, right)], boards)
     write_pair(folder, name, (left, right), (looks[0].small, looks[1].small))
     seen_left, seen_right = (
@@ -149,7 +149,7 @@ def keep_pair(
 def views_of(
     pictures: Path, names: Sequence[str], boards: Sequence[NominalBoard], looks: Mapping[str, Looks]
 ) -> Views:
-    """The pairs of a draft, in their order, by what is known of each."""
+    """The pairs of a draft, in their order, with the known findings in each."""
     views = Views(boards)
     for name in names:
         views.put(pair_of(pictures, name), *looks[name])
@@ -159,7 +159,7 @@ def views_of(
 def look_again(
     pictures: Path, names: Sequence[str], boards: Sequence[NominalBoard], progress: Progress = silent
 ) -> dict[str, Looks]:
-    """What kept pairs show, after a restart."""
+    """Find the boards in stored pairs again, after a restart."""
     looked = look_at([pair_of(pictures, name) for name in names], boards, progress)
     return dict(zip(names, looked, strict=True))
 

@@ -1,4 +1,4 @@
-"""Where to hold the board next: as an outline in both pictures, with what it would be worth."""
+"""Suggests where to hold the board next: an outline in both pictures, and the sigma expected with it."""
 
 from __future__ import annotations
 
@@ -22,13 +22,14 @@ from edged.vision.geometry.rigid import apply, rotation_matrix, transform
 
 SUGGESTED = 3
 IN_PLACE_S, ANYWHERE_S = 4.0, 20.0
-"""So long a ghost is offered while the board rests in it, and elsewhere or unseen, without a new view."""
+"""How long a ghost is offered without a new view while the board rests in it, and elsewhere or unseen."""
 FLOOR_PX, FLOOR_VIEWS = 0.01, 3
-"""Least sigma of a mark, since few boards are printed, and few lenses follow their model, any closer; and the
-views that count for it: residuals are believed the more of them there are, and sigma falls with each."""
+"""Lower limit on a mark's sigma, as few boards are printed, and few lenses follow their model, any better; it
+holds for up to this many views, and falls with the square root of their number beyond, as sigma does and as
+more residuals are more credible."""
 FIRST_SHARE, LEAST_SHARE, MOST_SHARE = 0.6, 0.35, 0.8
-"""Share of the picture's height that a board's diagonal fills while nothing is known of the cameras; then as
-somebody holds it at first, between these limits. The volume that the boards were held in is calibrated."""
+"""Share of the picture's height that the board's diagonal should fill: before any board is seen, and the
+limits of the share at which the user holds it first. Only the volume where boards were held is calibrated."""
 _NOMINAL_FOCAL = (
     2.0  # times the picture's width: 16 mm before a sensor of 1/1.8"; outlines hardly depend on it
 )
@@ -36,9 +37,9 @@ _NOMINAL_FOCAL = (
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Ghost:
-    """An outline to bring the board to. left, right (4, 2) px; right is None while nothing is known of it.
+    """An outline to hold the board in. left, right (4, 2) px; right is None while it is not known.
 
-    sigma_um (3,) : of X, Y, Z, with this view; None while there is no calibration.
+    sigma_um (3,) : of X, Y, Z, expected with this view; None while there is no calibration.
     code, text : the view for programs and for people.
     """
 
@@ -50,16 +51,16 @@ class Ghost:
 
     @property
     def outlines(self) -> FloatArray:
-        """(S, 4, 2) of the pictures in which it is known."""
+        """Outlines (S, 4, 2) in the pictures in which they are known."""
         return np.array([self.left] if self.right is None else [self.left, self.right])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Guided:
-    """What the views so far give. trouble : why they give no calibration yet; None when they do.
+    """Result of the views so far. trouble : why they give no calibration yet; None when they do.
 
     rms_px, excluded : by the name of a view.  sigma_um (3,) : of X, Y, Z in the working volume.
-    ghosts : the best first.  more_views : to the goal; None: none stated, or out of reach.
+    ghosts : the best first.  more_views : needed for the goal; None without one, or if out of reach.
     """
 
     trouble: EdgedError | None
@@ -79,9 +80,9 @@ def guide(
     *,
     share: float = FIRST_SHARE,
 ) -> Guided:
-    """Calibrate from the marks as they were found, and plan what comes next.
+    """Calibrate from the marks as they were found, and plan the next views.
 
-    taken (2, 4, 2) : outlines of the views.  share : as `held_share` says.
+    taken (2, 4, 2) : outlines of each view.  share : as `held_share` returns.
     """
     sizes = views.sizes
     progress("bundle adjustment", 0, 0)
@@ -103,7 +104,7 @@ def guide(
         _ghost(calibration, suggestion, 1e3 * sigma_mm)
         for suggestion, sigma_mm in zip(plan.suggestions, plan.sigmas_mm, strict=True)
     )
-    # where a view is already, though the solution left it out, another one would fare no better
+    # a ghost where there already is a view would not help, even if the solution excluded that view
     fresh = list(islice((ghost for ghost in ghosts if not is_same(ghost.outlines, taken)), SUGGESTED))
     return Guided(None, fresh, rms, dict(calibration.excluded), 1e3 * plan.sigma_mm, plan.more_views)
 
@@ -111,15 +112,15 @@ def guide(
 def waits_for(
     watched: Watched | None, *, still: bool, ghost: Ghost | None, others: Sequence[FloatArray]
 ) -> str:
-    """Why a pair is not taken by itself: for programs; "" when it is to be taken.
+    """Code of why a pair is not taken automatically; "" if it should be taken.
 
-    others (2, 4, 2) : outlines of the views in use.
+    others (2, 4, 2) : outlines of each view in use.
     """
     if watched is None or (watched.left.outline is None and watched.right.outline is None):
         return "no_board"
     if not watched.is_seen:
         return "no_board_left" if watched.left.outline is None else "no_board_right"
-    # first where it has to be: who is told to hold it still there would wait for nothing
+    # position comes before stillness: holding the board still in a wrong place would be in vain
     if ghost is not None and nearness(watched, ghost) >= IN_GHOST:
         waits = "" if _is_nearer(watched, ghost, others) else "same"
     elif is_same(watched.outlines, others):
@@ -130,9 +131,9 @@ def waits_for(
 
 
 def _is_nearer(watched: Watched, ghost: Ghost, others: Sequence[FloatArray]) -> bool:
-    """Whether a board in the ghost is nearer to it than to a view, or repeats none.
+    """Whether a board in the ghost is nearer to it than to any view, or repeats no view.
 
-    A ghost may be about as far from a view as a hand misses it by: in it the board would look like that view.
+    A ghost may be as close to a view as the hand's error: a board in the ghost then looks like that view.
     """
     if not is_same(watched.outlines, others):
         return True
@@ -143,7 +144,7 @@ def _is_nearer(watched: Watched, ghost: Ghost, others: Sequence[FloatArray]) -> 
 
 
 class Patience:
-    """Which ghost is offered: another one where the board has rested, or was not seen, and no view came."""
+    """Chooses the ghost to offer: the next one if the board rested or was unseen too long without a view."""
 
     def __init__(self) -> None:
         self._ghosts: Sequence[Ghost] = ()
@@ -151,13 +152,13 @@ class Patience:
         self._rests: tuple[bool, float] | None = None
 
     def offered(self, ghosts: Sequence[Ghost]) -> Ghost | None:
-        """One of them; the best until `look` has passed it over. None without any."""
+        """The ghost to offer: the best one until `look` has moved on to the next. None without any."""
         if ghosts is not self._ghosts:
             self._ghosts, self._passed, self._rests = ghosts, 0, None
         return ghosts[self._passed % len(ghosts)] if ghosts else None
 
     def look(self, at_s: float, ghosts: Sequence[Ghost], watched: Watched, *, still: bool) -> None:
-        """Add a look at a time."""
+        """Add a live pair seen at a time."""
         ghost = self.offered(ghosts)
         if ghost is None or (watched.is_seen and not still):
             self._rests = None
@@ -170,24 +171,24 @@ class Patience:
 
 
 def nearness(watched: Watched, ghost: Ghost) -> float:
-    """How far the board is in the ghost, 0 to 1; in those pictures where the ghost is known."""
+    """How well the board matches the ghost, 0 to 1, in those pictures where the ghost is known."""
     if not watched.is_seen:
         return 0.0
     return in_ghost(watched.outlines[: len(ghost.outlines)], ghost.outlines)
 
 
 def held_share(watched: Watched) -> float:
-    """Share of the picture's height that the board's diagonal fills where it is held now."""
+    """Share of the picture's height that the board's diagonal fills now, within its limits."""
     if not watched.is_seen:
         return FIRST_SHARE
     left = watched.outlines[0]
-    # a tilt shortens one of both diagonals
+    # a tilt shortens one of the two diagonals
     longest = max(np.linalg.norm(left[2] - left[0]), np.linalg.norm(left[3] - left[1]))
     return float(np.clip(longest / watched.size[1], LEAST_SHARE, MOST_SHARE))
 
 
 def first_ghosts(board: Board, size: tuple[int, int], views: int, share: float = FIRST_SHARE) -> list[Ghost]:
-    """Before there is a calibration: one tilt after the other in the middle of the left picture.
+    """Ghosts before there is a calibration: one tilt after the other in the middle of the left picture.
 
     share : of the picture's height, for the diagonal of the board.
     """

@@ -1,4 +1,4 @@
-"""What a calibration's draft keeps on disc: values, read with suspicion; pictures lie beside them."""
+"""State of a calibration draft as kept on disc, validated on reading; pictures are stored beside it."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ Corner = tuple[float, float]
 
 
 class PictureState(Kept):
-    """A board in a picture that was kept. outline : four corners, px; None: not found, with the reason."""
+    """A board in a stored picture. outline : four corners, px; None if not found, with the reason."""
 
     outline: tuple[Corner, Corner, Corner, Corner] | None
     reason: Text = ""
@@ -25,21 +25,21 @@ class PictureState(Kept):
 
 
 class ViewState(Kept):
-    """A pair that was kept."""
+    """A stored pair."""
 
     left: PictureState
     right: PictureState
 
 
 class Operation(Kept):
-    """Something that can be undone."""
+    """An operation that can be undone."""
 
     what: Literal["add", "remove"]
     view: ViewName
 
 
 class SolvedCalibration(Kept):
-    """A rig from the views in use. digest : SHA-256 of its file; figures : what there is to say about it."""
+    """A rig solved from the views in use. digest : SHA-256 of its file. figures : on its quality."""
 
     calibration_id: Text
     digest: Digest
@@ -47,7 +47,7 @@ class SolvedCalibration(Kept):
 
 
 class DraftState(History[Operation]):
-    """A draft. mm : pitch of a board that is to be recognised."""
+    """A draft. mm : pitch of a board that is yet to be recognised."""
 
     outcome = ("solved",)
     format: Literal["edged-calibration-draft"] = "edged-calibration-draft"
@@ -72,16 +72,16 @@ class DraftState(History[Operation]):
 
     @property
     def board_models(self) -> tuple[NominalBoard, ...]:
-        """The boards as they were stated; none as long as they are to be recognised."""
+        """The stated or recognised boards; none until one is recognised."""
         return parse_boards(",".join(self.boards)) if self.boards else ()
 
     @property
     def taken(self) -> tuple[str, ...]:
-        """Views there are, in the order they came; those that were undone are not."""
+        """Names of all views in the order they were taken, without undone ones."""
         return tuple(dict.fromkeys(step.view for step in self.holding if step.what == "add"))
 
     @property
     def used(self) -> tuple[str, ...]:
-        """Views that nobody left out."""
+        """Names of the views that are not excluded by hand."""
         last = {step.view: step.what for step in self.holding}
         return tuple(name for name in self.taken if last[name] != "remove")

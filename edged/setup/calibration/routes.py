@@ -1,4 +1,4 @@
-"""The routes of drafts of calibrations, of tasks, and of checks of the rig in use."""
+"""Routes of calibration drafts, of tasks, and of checks of the rig in use."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ Goal = Annotated[float, Field(gt=0, le=1e6, description="µm: none of the sigmas
 
 
 class CalibrationBeginning(Body):
-    """Which board: as `edged calibrate --board` takes it; or the one that the cameras see, and its pitch."""
+    """The boards, as `edged calibrate --board` takes them; or "recognise" the one in view, with its pitch."""
 
     boards: Annotated[tuple[Annotated[str, Field(max_length=100)], ...], Field(max_length=8)] = ()
     recognise: bool = False
@@ -44,19 +44,19 @@ class CalibrationBeginning(Body):
 
 
 class Wanted(Body):
-    """What is wanted of the calibration."""
+    """Goal of the calibration."""
 
     goal_um: Goal | None
 
 
 class Auto(Leased):
-    """Whether pictures are taken when the board is held still, where it is of use."""
+    """Whether pairs are taken automatically when the board is held still in a useful place."""
 
     on: bool
 
 
 class CalibrationRoutes:
-    """The routes."""
+    """Routes of calibration drafts and of tasks."""
 
     def __init__(self, calibrations: Calibrations, tasks: Tasks, activation: Activation) -> None:
         self._calibrations = calibrations
@@ -64,7 +64,7 @@ class CalibrationRoutes:
         self._activation = activation
 
     def add_to(self, table: RouteTable) -> None:
-        """Add them."""
+        """Add the routes to a table."""
         see, ours = Role.VIEWER, self._calibrations
         routes = DraftRoutes(table, "/calibrations", ours.drafts, DraftDocument, Nothing)
         words = {"GET all": "All drafts, the youngest first", "GET": "A draft as it stands"}
@@ -139,7 +139,7 @@ Millimetres = Annotated[float, Field(ge=0.001, le=100_000)]
 
 
 class Checking(Leased):
-    """By a board, as `edged verify --board` takes it; or by a part: its job, and true lengths in mm.
+    """Check by a board, as `edged verify --board` takes it; or by a part: its job, and true lengths in mm.
 
     lengths : by the name of a measurement of the job, of a circle (its diameter), or of two circles as A-B.
     """
@@ -156,7 +156,7 @@ class Checking(Leased):
 
 
 class CheckRoutes:
-    """The routes."""
+    """Routes of checks of the rig in use."""
 
     def __init__(self, checks: Checks) -> None:
         self._checks = checks

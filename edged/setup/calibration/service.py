@@ -1,7 +1,7 @@
-"""Drafts of calibrations in a running cell: live pairs are looked at, views taken, and solved in the worker.
+"""Calibration drafts in a running cell: live pairs are analysed, views taken, and solved in the worker.
 
-The loop of the cell and the stream of pictures never wait for any of it: a live pair that comes while the
-worker is busy is not looked at.
+The cell's event loop and the stream of pictures never wait for it: live pairs that arrive while the worker is
+busy are skipped.
 """
 
 from __future__ import annotations
@@ -57,15 +57,15 @@ FUNCTIONS = {
 }
 OTHERS_EVERY_S = 2.0
 LOOKS_THAT_AGREE = 2
-"""Live pairs that must show the same board before it is the draft's."""
+"""Number of live pairs that must show the same board before the draft takes it."""
 
 
 @dataclass(eq=False, slots=True)
 class OpenCalibration:
-    """A draft that is worked on. looks : what its kept pairs show, as far as it is known.
+    """An open draft. looks : the boards found in its stored pairs, as far as known.
 
-    share : how large the board was when it was first held.  auto : the token of the lease by which pairs are
-    taken by themselves.
+    share : as `held_share` when the board was first seen.  auto : token of the lease under which pairs are
+    taken automatically; None if they are not.
     """
 
     draft: Draft
@@ -86,23 +86,23 @@ class OpenCalibration:
 
     @property
     def is_busy(self) -> bool:
-        """Whether it is solved, or suggestions are computed."""
+        """Whether it is being solved, or suggestions are being computed."""
         return self.task is not None or self.guide.is_running
 
     @property
     def guided_by(self) -> tuple[object, ...]:
-        """What suggestions depend on."""
+        """Inputs that the suggestions depend on."""
         return self.draft.state.used, self.draft.state.boards, self.draft.state.goal_um
 
     @property
     def ghost(self) -> Ghost | None:
-        """Where the board is wanted."""
+        """The ghost that is offered."""
         guided = self.guide.value
         return None if guided is None else self.patience.offered(guided.ghosts)
 
     @property
     def outlines(self) -> list[FloatArray]:
-        """(2, 4, 2) of the views in use."""
+        """Outlines (2, 4, 2) of each view in use."""
         views = [self.draft.state.views[name] for name in self.draft.state.used]
         return [_outlines(view) for view in views if view.left.outline and view.right.outline]
 
@@ -119,15 +119,15 @@ class Calibrations:
         self._watching: asyncio.Task[None] | None = None
 
     async def close(self) -> None:
-        """End what is under way; drafts are on disc."""
+        """Stop all work under way; drafts are on disc."""
         if self._watching is not None:
             await cancel_and_await(self._watching)
         await self.drafts.close()
 
     def boards_in_space(self, rig: StereoRig) -> list[tuple[str, bool, FloatArray]]:
-        """Boards of the youngest draft with any: name of the view, whether used, corners (4, 3), rig frame.
+        """Boards of the newest draft with any: name of the view, whether used, corners (4, 3), rig frame.
 
-        In mm, as this rig sees them; a board whose rays do not meet is left out.
+        In mm, as triangulated with this rig; boards whose rays do not meet are left out.
         """
         for _, state in self._folders.states():
             if isinstance(state, FileFormatError):
@@ -146,13 +146,13 @@ class Calibrations:
     async def begin(
         self, author: str, boards: tuple[str, ...], mm: float | None, goal_um: float | None, lens: LensWish
     ) -> DraftHead:
-        """A new draft. Raises `CalibrationError` for what is no board, `OSError` for a disc that refuses."""
+        """Begin a draft. Raises `CalibrationError` for an invalid board, and `OSError`."""
         about = (author, boards, goal_um, lens, datetime.now(UTC))
         opened = await self.drafts.begin(partial(self._folders.create, *about, mm=mm))
         return await self.go_on(opened.draft.state.id)
 
     async def go_on(self, identity: str) -> DraftHead:
-        """Look at live pairs for this draft from now on. Raises as `OpenDrafts.get`."""
+        """Analyse live pairs for this draft from now on. Raises as `OpenDrafts.get`."""
         opened = await self.drafts.get(identity)
         for other in self.drafts.open.values():
             other.auto = other.auto if other is opened else None
@@ -176,32 +176,32 @@ class Calibrations:
         return self.drafts.tell(opened)
 
     def put_down(self, identity: str) -> None:
-        """Take no more pairs by themselves for a draft; nothing to do for an unknown one."""
+        """Stop taking pairs automatically for a draft; unknown ones are ignored."""
         opened = self.drafts.open.get(identity)
         if opened is not None and opened.auto is not None:
             opened.auto = None
             self.drafts.tell(opened)
 
     async def solve(self, identity: str) -> str:
-        """Begin to solve it; returns the task. Raises `CalibrationError` while it is being solved."""
+        """Start to solve a draft, and return the task. Raises `CalibrationError` if it is being solved."""
         opened = await self.drafts.get(identity)
         if self._tasks.is_running(opened.task):
             raise CalibrationError("it is being solved")
         if not opened.draft.state.used:
             raise CalibrationError("there are no views yet")
-        opened.auto = None  # whoever solves has enough of them
+        opened.auto = None  # no further views are needed once it is solved
         opened.task = self._tasks.start("solve", partial(self._solve, opened))
         self.drafts.tell(opened)
         return opened.task
 
     async def solution(self, identity: str) -> bytes:
-        """The rig that a draft was solved to. Raises as `Draft.rig`, and `KeyError`."""
+        """Content of the rig file that a draft was solved to. Raises as `Draft.rig`, and `KeyError`."""
         return await asyncio.to_thread((await self.drafts.get(identity)).draft.rig)
 
     # --- live pairs ------------------------------------------------------------------------------
 
     def offer(self, _number: int, pair: FramePair) -> None:
-        """Look at a live pair, unless something else is being done."""
+        """Analyse a live pair, unless the worker is busy."""
         current = self.drafts.current
         if current is not None and self._watching is None and not self._worker.is_busy:
             self._watching = asyncio.create_task(self._watch(current, pair), name="watch")
@@ -226,7 +226,7 @@ class Calibrations:
     async def _look(self, opened: OpenCalibration, left: Image, right: Image) -> None:
         state, now_s = opened.draft.state, time.monotonic()
         boards = state.board_models
-        # a board that was seen once is not another one; and looking for any takes longer than for one
+        # once views are in use the board is known; looking for any board takes longer than for one
         others = not state.used and now_s - opened.looked_for_others_s > OTHERS_EVERY_S
         opened.watched = watched = await self._worker.run("watch", left, right, boards, others)
         if others:
@@ -267,7 +267,7 @@ class Calibrations:
     # --- views -----------------------------------------------------------------------------------
 
     async def _take(self, opened: OpenCalibration, left: Image, right: Image) -> None:
-        """Keep a pair as the next view."""
+        """Store a pair as the next view."""
         async with self.drafts.changing(opened):
             draft = opened.draft
             name = draft.next_view
@@ -278,7 +278,7 @@ class Calibrations:
         self.drafts.tell(opened)
 
     async def _known(self, opened: OpenCalibration, **progress: Progress) -> dict[str, Looks]:
-        """What the views in use show; pairs from before a restart are looked at again."""
+        """Boards found in the views in use; pairs from before a restart are analysed again."""
         draft = opened.draft
         unknown = [name for name in draft.state.used if name not in opened.looks]
         if unknown:
@@ -314,7 +314,7 @@ class Calibrations:
     # --- the topic of `drafts` -------------------------------------------------------------------
 
     def opened(self, draft: Draft) -> OpenCalibration:
-        """Work on a draft."""
+        """Open a draft for work."""
         opened = OpenCalibration(draft)
         compute, tell = partial(self._guided, opened), partial(self.drafts.tell, opened)
         opened.guide = Latest(None, lambda: opened.guided_by, compute, tell)
@@ -323,11 +323,11 @@ class Calibrations:
         return opened
 
     def refresh(self, opened: OpenCalibration) -> None:
-        """Suggest views for those in use."""
+        """Update the suggestions if the views in use have changed."""
         opened.guide.refresh()
 
     async def stop(self, opened: OpenCalibration) -> None:
-        """End suggestions and solution."""
+        """Stop computing suggestions and solving."""
         if self._tasks.is_running(opened.task):
             await self._tasks.cancel(str(opened.task))
         await opened.guide.stop()
@@ -343,7 +343,7 @@ class Calibrations:
         return rig is not None and solved is not None and rig.calibration_id == solved.calibration_id
 
     def document(self, opened: OpenCalibration) -> DraftDocument:
-        """All that is known of a draft."""
+        """Full document of a draft."""
         state, guided, watched, ghost = opened.draft.state, opened.guide.value, opened.watched, opened.ghost
         return DraftDocument(
             **state.head,

@@ -1,7 +1,7 @@
-"""What live pictures show of a board: where it is, whether it is held still, and whether in its place.
+"""Analyses live pictures of a board: where it is, whether it is held still, and whether it is in its ghost.
 
-Outlines are four corners in pixels of the full picture, once around a board's marks. Which of them is the
-first does not matter: a board that is turned by a quarter tells as much.
+Outlines are four corners in pixels of the full picture, in order around a board's marks. Which one is first
+does not matter: a board rotated by 90 degrees is worth the same.
 """
 
 from __future__ import annotations
@@ -24,33 +24,33 @@ from edged.vision.geometry.rigid import apply
 from edged.vision.geometry.triangulation import triangulate_raw
 
 HALVED_FROM_PX = 800
-"""Live pictures of this width are looked at in half the size, which takes half the time or less."""
+"""Live pictures of at least this width are analysed at half the size, which takes half the time or less."""
 STILL_S = 0.6
 STILL_SHARE = 1e-3
-"""Share of the picture's width: a hand-held board trembles by less, and edges do not smear yet."""
+"""Limit on movement as a share of the picture's width: hand tremor is less, and does not blur edges."""
 GAP_S = 1.5
-"""Between two looks; after a longer one it is not known what happened meanwhile."""
+"""Longest gap between two live pairs; after a longer one the board may have moved meanwhile."""
 GHOST_SHARE = 0.5
-"""Share of the outline's diagonal: corners that are off by this much are not in the ghost at all."""
+"""Share of the ghost's diagonal: if corners are off by this much, the board is not in the ghost at all."""
 IN_GHOST = 0.6
-"""From here on the view is the one that was asked for: corners are off by a fifth of the diagonal at most."""
+"""A match from which the board counts as in the ghost: corners are off by a fifth of the diagonal at most."""
 NEW_SHARE = 0.35
-"""Share of the diagonal: a view whose corners are off by more from every other is useful anyway."""
+"""Share of the diagonal: a view whose corners differ by more from every other view is useful anywhere."""
 SAME_SHARE = 0.05
-"""Share of the diagonal: a view whose corners are off by no more repeats another one."""
+"""Share of the diagonal: a view whose corners differ by less from another one is a duplicate."""
 MEET_PX = 5.0
-"""Corners of one board are off by a pixel or two in the raw picture, of another one by tens."""
+"""Limit on the reprojection error of corners: matching ones are off by a pixel or two, wrong ones by tens."""
 _WHITE, _CLIPPED_SHARE = 255, 0.01
 _DARK_GREY, _BRIGHT_SHARE = 40, 0.2
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Seen:
-    """A board in one picture. outline (4, 2); None: not found.
+    """A board in one picture. outline (4, 2); None if not found.
 
-    missing : why not, for programs: "dark", "bright", "not_found", "other_board"; "" when it is found.
-    reason : for people.
-    clipped : some of it is white beyond what the camera can tell: edges beside it are shifted.
+    missing : code of why not: "dark", "bright", "not_found", "other_board"; "" when it is found.
+    reason : the same for people.
+    clipped : parts of it are overexposed, which shifts the edges beside them.
     """
 
     outline: FloatArray | None
@@ -63,7 +63,7 @@ class Seen:
 class Watched:
     """A live pair. size (w, h) : of the left picture.
 
-    recognised : the board that it shows, where none was stated or another one; in units of its pitch.
+    recognised : the board seen if none or another one was stated; in units of its pitch.
     """
 
     left: Seen
@@ -73,19 +73,19 @@ class Watched:
 
     @property
     def is_seen(self) -> bool:
-        """In both pictures."""
+        """Whether the board is seen in both pictures."""
         return self.left.outline is not None and self.right.outline is not None
 
     @property
     def outlines(self) -> FloatArray:
-        """(2, 4, 2) of both pictures, for pairs that show the board."""
+        """Outlines (2, 4, 2) in both pictures, for pairs that show the board."""
         return np.array([self.left.outline, self.right.outline], dtype=np.float64)
 
 
 def watch(left: Image, right: Image, boards: Sequence[NominalBoard], others: bool = False) -> Watched:
-    """Look at a live pair; in half the size where that suffices. Without boards: which board is it?
+    """Analyse a live pair, at half the size if it is large. Without boards, recognise the one it shows.
 
-    others : say which board it is where it is none of these.
+    others : recognise another board if none of these is found.
     """
     images = [_halved(image) for image in (left, right)]
     recognised = None
@@ -103,7 +103,7 @@ def watch(left: Image, right: Image, boards: Sequence[NominalBoard], others: boo
 
 
 def seen_in(image: Image, boards: Sequence[NominalBoard], results: Sequence[Detection | NotDetected]) -> Seen:
-    """What a picture shows by what was found of each board in it."""
+    """Summary of a picture from the detection results of each board in it."""
     reason = ""
     for board, result in zip(boards, results, strict=True):
         if isinstance(result, NotDetected):
@@ -115,7 +115,7 @@ def seen_in(image: Image, boards: Sequence[NominalBoard], results: Sequence[Dete
 
 
 def off_px(outlines: FloatArray, others: FloatArray) -> float:
-    """Mean distance of corners (S, 4, 2) from others, whichever is the first, of the worse picture."""
+    """Mean distance between corners (S, 4, 2) in the worse picture, minimised over the first corner."""
     distances = [
         np.linalg.norm(outlines - np.roll(others, turn, axis=1), axis=2).mean(axis=1).max()
         for turn in range(4)
@@ -124,10 +124,10 @@ def off_px(outlines: FloatArray, others: FloatArray) -> float:
 
 
 def corners_in_space(rig: StereoRig, outlines: FloatArray) -> FloatArray:
-    """A board's corners (4, 3) in mm, rig frame, of its outlines (2, 4, 2) in both pictures.
+    """A board's corners (4, 3) in mm, rig frame, from its outlines (2, 4, 2) in both pictures.
 
-    Each outline may begin anywhere, and go either way round: of all orders the one whose rays meet best is
-    taken. NaN where they meet in none.
+    Each outline may begin at any corner and go either way round: the order whose rays meet best is used. NaN
+    if they meet in none.
     """
     left, right = outlines
     found, least_px = np.full((4, 3), np.nan), MEET_PX
@@ -146,7 +146,7 @@ def corners_in_space(rig: StereoRig, outlines: FloatArray) -> FloatArray:
 
 
 def least_off_px(outlines: FloatArray, others: Sequence[FloatArray]) -> float:
-    """Distance, as `off_px`, from the nearest of others; infinite without any."""
+    """Distance by `off_px` from the nearest of others; infinite without any."""
     return min((off_px(outlines, other) for other in others), default=np.inf)
 
 
@@ -156,28 +156,28 @@ def diagonal_px(outlines: FloatArray) -> float:
 
 
 def in_ghost(outlines: FloatArray, ghost: FloatArray) -> float:
-    """1: exactly where it should be; 0: elsewhere. Both (S, 4, 2)."""
+    """How well outlines match a ghost, both (S, 4, 2): 1 exactly, 0 elsewhere."""
     return max(0.0, 1.0 - off_px(outlines, ghost) / (GHOST_SHARE * diagonal_px(ghost)))
 
 
 def is_same(outlines: FloatArray, others: Sequence[FloatArray]) -> bool:
-    """Whether a view of these shows the board just there: once more it would tell nothing."""
+    """Whether one of the other views shows the board in the same place, so that another adds nothing."""
     return least_off_px(outlines, others) < SAME_SHARE * diagonal_px(outlines)
 
 
 def is_new(outlines: FloatArray, others: Sequence[FloatArray]) -> bool:
-    """Whether no view of these shows the board about there."""
+    """Whether none of the other views shows the board near there."""
     return least_off_px(outlines, others) >= NEW_SHARE * diagonal_px(outlines)
 
 
 class Stillness:
-    """Whether the board is held still, by one look after the other."""
+    """Tracks over successive live pairs whether the board is held still."""
 
     def __init__(self) -> None:
         self._looks: deque[tuple[float, FloatArray]] = deque()
 
     def look(self, at_s: float, watched: Watched | None) -> bool:
-        """Add a look at a time; whether it has been still for `STILL_S` until then."""
+        """Add a live pair seen at a time; return whether the board has been still for `STILL_S`."""
         if watched is None or not watched.is_seen:
             self._looks.clear()
             return False
@@ -198,7 +198,7 @@ class Stillness:
 
 
 def _halved(image: Image) -> tuple[Image, int]:
-    """The picture, and by how much it was made smaller."""
+    """The picture, halved if it is large, and the factor by which it was reduced."""
     if image.shape[1] < HALVED_FROM_PX:
         return image, 1
     half = cv2.resize(image, (image.shape[1] // 2, image.shape[0] // 2), interpolation=cv2.INTER_AREA)
@@ -219,7 +219,7 @@ def _see(image: Image, shrunk: int, boards: Sequence[NominalBoard]) -> Seen:
 
 
 def _outline_px(board: NominalBoard, found: Detection) -> FloatArray:
-    """By the homography of the marks: where corners lie outside of the picture, too."""
+    """Outline of a board by the homography of its marks, also where corners lie outside the picture."""
     from_board, _ = cv2.findHomography(board.points_mm[found.ids, :2], found.pixels)
     corners = outline_mm(board)[:, :2]
     return np.asarray(cv2.perspectiveTransform(corners[None], from_board)[0], np.float64)

@@ -1,4 +1,4 @@
-"""A rig from pairs that show a board: pairs come and go, and are solved when there are enough."""
+"""Calibrates a rig from pairs that show a board; pairs can be added and removed before solving."""
 
 from __future__ import annotations
 
@@ -39,8 +39,8 @@ from edged.vision.geometry.camera import StereoRig
 from edged.vision.geometry.rectification import make_rectification
 
 FIRST_LOOKED_AT = 3
-"""Pairs, the first, the last and between: where none shows the board, it is asked which one it is, before the
-rest is searched in vain, which takes longest."""
+"""Pairs examined first: the first, the last and between. If none shows the board, it is checked whether they
+show another one, before a long search of all the others."""
 THUMBNAIL_PX = 240
 """Width of the pictures in the report: a few kB each."""
 
@@ -50,9 +50,9 @@ Sizes = tuple[tuple[int, int], tuple[int, int]]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Looked:
-    """What a picture shows of each board. size (w, h); digest : of the pixels, to tell copies.
+    """Detection results of each board in a picture. size (w, h). digest : of the pixels, to detect copies.
 
-    small : the picture for people, THUMBNAIL_PX wide at most.
+    small : thumbnail, THUMBNAIL_PX wide at most.
     """
 
     size: tuple[int, int]
@@ -63,16 +63,16 @@ class Looked:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Remeasured:
-    """views : of all pairs, the marks of those that were used measured again.
+    """Views after a second measurement. views : of all pairs; marks of those used were measured again.
 
-    edges : of these, what lies between the marks, by the name of the pair and the side.
+    edges : the board's edges in the used ones, by the name of the pair and the side.
     """
 
     views: list[StereoView]
     edges: Mapping[tuple[str, Side], BoardEdges | None]
 
     def imaging(self, calibration: Calibration) -> tuple[Imaging, Imaging]:
-        """What the edges of the boards say of the left and of the right camera."""
+        """Imaging of the left and of the right camera, from the edges of the boards."""
         left, right = (
             imaging_of(
                 [
@@ -88,7 +88,7 @@ class Remeasured:
 
 
 class Views:
-    """The pairs of a calibration, in the order they came, and what each shows of the boards."""
+    """The pairs of a calibration, in the order they were added, with the boards found in each."""
 
     def __init__(self, boards: Sequence[NominalBoard]) -> None:
         self.boards = tuple(boards)
@@ -96,14 +96,14 @@ class Views:
 
     @property
     def pairs(self) -> list[Pair]:
-        """All of them."""
+        """All pairs."""
         return [pair for pair, _, _ in self._pairs.values()]
 
     def add(self, pairs: Sequence[Pair], progress: Progress = silent) -> None:
-        """Find one of the boards in each picture.
+        """Add pairs, and find one of the boards in each picture.
 
-        A pair of a name that is there already takes its place. Raises `ImageError`, and `CalibrationError`
-        where a few of many pairs show another board; then none of these pairs was added.
+        A pair replaces an earlier one of the same name. Raises `ImageError`, and `CalibrationError` if the
+        first of many pairs that are examined show another board; then none of these pairs is added.
         """
         some = {pair.name: pair for pair in spread(pairs, FIRST_LOOKED_AT)}
         lefts = [pair.left for pair in some.values()]
@@ -111,7 +111,7 @@ class Views:
         if (
             is_asked
             and all(shows_another(left, self.boards[0]) for left in lefts)
-            # one that is cut looks like another one, and may be found all the same
+            # a board that is cut off looks like another one, but may still be found
             and not _shows_any(look_at([*some.values()][:1], self.boards, progress)[0])
         ):
             check_board_shown(lefts, self.boards[0], progress)
@@ -124,16 +124,16 @@ class Views:
             self.put(pair, *looked[pair.name])
 
     def put(self, pair: Pair, left: Looked, right: Looked) -> None:
-        """Add a pair of which it is known what its pictures show of these boards."""
+        """Add a pair whose detection results for these boards are known."""
         self._pairs[pair.name] = pair, left, right
 
     def remove(self, name: str) -> None:
-        """Take a pair out; `KeyError` when there is none of this name."""
+        """Remove a pair. Raises `KeyError` for an unknown name."""
         del self._pairs[name]
 
     @property
     def found(self) -> list[StereoView]:
-        """One view for each pair; a copy of another pair counts for nothing."""
+        """One view for each pair; a copy of another pair counts as not detected."""
         views: list[StereoView] = []
         first_with: dict[bytes, str] = {}
         for name, (_, left, right) in self._pairs.items():
@@ -161,7 +161,7 @@ class Views:
         return left, right
 
     def check_board(self, progress: Progress = silent) -> None:
-        """Where hardly a pair shows the stated board: raises `CalibrationError` if they show another."""
+        """Check the stated board if few pairs show it. Raises `CalibrationError` if they show another."""
         seen = [not isinstance(view.left, NotDetected) for view in self.found]
         if len(self.boards) > 1 or 2 * sum(seen) > len(seen):
             return
@@ -170,11 +170,11 @@ class Views:
 
     @property
     def thumbnails(self) -> dict[str, tuple[Image, Image]]:
-        """The left and the right picture of each pair, small."""
+        """Thumbnails of the left and the right picture of each pair."""
         return {name: (left.small, right.small) for name, (_, left, right) in self._pairs.items()}
 
     def remeasured(self, calibration: Calibration, progress: Progress = silent) -> Remeasured:
-        """The views of `found`, with the marks of those that were used measured by the lenses now known."""
+        """The views of `found`; marks of those that were used are measured again with the known lenses."""
         rig = calibration.rig
         keys = [(fit, side) for fit in calibration.views for side in SIDES]
         tasks = [
@@ -193,10 +193,10 @@ class Views:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Calibrated:
-    """A calibration and what it is worth.
+    """A calibration and its quality.
 
-    views : of all pairs, also of those that were left out. found : what the boards' edges say of the cameras.
-    quality : what the rig file keeps of it. thumbnails : the pictures of all pairs, small.
+    views : of all pairs, excluded ones too. found : findings on the cameras from the boards' edges.
+    quality : figures that the rig file keeps. thumbnails : of all pairs.
     """
 
     calibration: Calibration
@@ -209,16 +209,16 @@ class Calibrated:
 
     @property
     def rig(self) -> StereoRig:
-        """The rig, which can be rectified."""
+        """The calibrated rig, checked to be rectifiable."""
         return self.calibration.rig
 
 
 def solve(
     views: Views, lens: LensWish, *, plate_shape: bool = False, progress: Progress = silent
 ) -> Calibrated:
-    """Calibrate from all pairs, and judge what came out. Raises `CalibrationError` when they give no rig.
+    """Calibrate from all pairs, and judge the result. Raises `CalibrationError` if they give no rig.
 
-    plate_shape : measure how the board is bent and misprinted, too.
+    plate_shape : also measure how the board is bent and misprinted.
     """
     sizes = views.sizes
     views.check_board(progress)
@@ -232,7 +232,7 @@ def solve(
     imaging = remeasured.imaging(calibration)
     found = findings(imaging, calibration.rig, float(depths_mm(calibration)[1]))
     calibration = replace(calibration, rig=with_response(calibration.rig, imaging))
-    # A rig that cannot be rectified is of no use to anybody: find out before it replaces the old one.
+    # A rig that cannot be rectified is useless: find out before it replaces the old one.
     make_rectification(calibration.rig)
     progress("the verdict", 0, 0)
     verdict = judge_calibration(calibration, held, imaging)
@@ -247,7 +247,7 @@ def solve(
 
 
 def report_of(calibrated: Calibrated, about: Mapping[str, str]) -> str:
-    """The report as a page. about : where the pictures come from, and when it was made."""
+    """Report as a page. about : where the pictures come from, and when it was made."""
     calibration = calibrated.calibration
     sizes = [(camera.width, camera.height) for camera in (calibration.rig.left, calibration.rig.right)]
     plain = plain_opencv([fit.view for fit in calibration.views], sizes[0], sizes[1])
@@ -258,7 +258,7 @@ def report_of(calibrated: Calibrated, about: Mapping[str, str]) -> str:
 def quality_figures(
     calibration: Calibration, held: Sequence[HeldOutView], boards: Sequence[NominalBoard]
 ) -> dict[str, Any]:
-    """What the rig file keeps about its calibration."""
+    """Figures of the calibration's quality that the rig file keeps."""
     return {
         "board": ",".join(str(board) for board in boards),
         "views": len(calibration.views),
@@ -276,7 +276,7 @@ def quality_figures(
 
 
 def _held_out_figures(held: Sequence[HeldOutView]) -> dict[str, Any] | None:
-    """Root mean squares over the views; None where no view could be held out."""
+    """Root mean squares over the held-out views; None if no view could be held out."""
     if not held:
         return None
 
@@ -297,7 +297,7 @@ def _held_out_figures(held: Sequence[HeldOutView]) -> dict[str, Any] | None:
 def look_at(
     pairs: Sequence[Pair], boards: Sequence[NominalBoard], progress: Progress = silent
 ) -> list[tuple[Looked, Looked]]:
-    """What the left and the right picture of each pair show. Raises `ImageError`."""
+    """Find the boards in both pictures of each pair. Raises `ImageError`."""
     tasks = [partial(_look, picture, boards) for pair in pairs for picture in (pair.left, pair.right)]
     looked = work_on(tasks, "finding the board", progress)
     return list(zip(looked[::2], looked[1::2], strict=True))
@@ -309,7 +309,7 @@ def _shows_any(looked: tuple[Looked, Looked]) -> bool:
 
 
 def _look(picture: Picture, boards: Sequence[NominalBoard]) -> Looked:
-    """Look for every board; after one is found the others are not tried."""
+    """Look for each board in turn; once one is found, the others are not tried."""
     image = picture.read()
     results: list[Detection | NotDetected] = []
     for board in boards:
@@ -325,7 +325,7 @@ def _view(
     left: Sequence[Detection | NotDetected],
     right: Sequence[Detection | NotDetected],
 ) -> StereoView:
-    """The view of the board that both pictures show, or of the first board with what was missed."""
+    """The view of the board that most pictures show; the first board if none is found."""
     choices = [StereoView(name, *each) for each in zip(boards, left, right, strict=True)]
     return min(
         choices, key=lambda view: isinstance(view.left, NotDetected) + isinstance(view.right, NotDetected)
@@ -335,7 +335,7 @@ def _view(
 def _remeasure(
     picture: Picture, fit: ViewFit, side: Side, rig: StereoRig
 ) -> tuple[Detection | NotDetected, BoardEdges | None]:
-    """The marks, and the edges between them."""
+    """Measure the marks of a picture again, and the edges between them."""
     board, camera, camera_from_board = nominal(fit.view.board), rig.left, fit.left_from_board
     if side == "right":
         camera, camera_from_board = rig.right, rig.right_from_left @ fit.left_from_board

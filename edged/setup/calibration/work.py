@@ -1,6 +1,6 @@
-"""What the worker process can do for calibrations. Imported there alone.
+"""Functions that the worker process runs for calibrations; imported only there.
 
-The rig is solved as the command line would write it, with how far points move by it.
+The rig is solved as on the command line; in addition, the shift of points against the former rig is computed.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ def guide(
     share: float,
     progress: Progress,
 ) -> Guided:
-    """What the views in use give, and what comes next."""
+    """Calibrate from the views in use, and suggest the next views."""
     views = views_of(pictures, list(looks), boards, looks)
     return guidance.guide(views, lens, goal_um, taken, progress, share=share)
 
@@ -59,7 +59,7 @@ def solve(
     about: Mapping[str, str],
     progress: Progress,
 ) -> Solution:
-    """The rig. former : the one in use before."""
+    """Solve the rig. former : the one in use before."""
     before = None
     with contextlib.suppress(UserError):
         before = None if former is None else former.stereo()
@@ -67,14 +67,14 @@ def solve(
 
 
 def check_board(rig: RigInUse, images: tuple[Image, Image], board: NominalBoard, limits: Limits) -> Finding:
-    """What a pair of a board says of a rig."""
+    """Check a rig with a pair of a board."""
     return checking.by_board(rig.stereo(), images, [board], limits)
 
 
 def check_part(
     rig: RigInUse, images: tuple[Image, Image], job: Job, known_mm: Mapping[str, float], limits: Limits
 ) -> Finding:
-    """What a pair of a part says of a rig."""
+    """Check a rig with a pair of a part."""
     return checking.by_part(rig.stereo(), images, job, known_mm, limits)
 
 
@@ -85,7 +85,7 @@ def solution_of(
     former: StereoRig | None = None,
     progress: Progress = silent,
 ) -> Solution:
-    """Solve, judge, and compare with the rig before. Raises `CalibrationError` when the views give no rig."""
+    """Solve, judge, and compare with the former rig. Raises `CalibrationError` if the views give no rig."""
     solved = solved_views(views, lens, progress=progress)
     progress("the report", 0, 0)
     return Solution(
@@ -126,7 +126,7 @@ def _figures(solved: Calibrated, former: StereoRig | None) -> dict[str, JsonValu
 
 
 def moved_um(calibration: Calibration, former: StereoRig) -> dict[str, JsonValue] | None:
-    """How far points of the working volume lie from where the former rig saw them in the same pixels, µm.
+    """Shift of points of the working volume against the former rig, for the same pixels, in µm.
 
     rms and max of the distance; mean of X, Y, Z. None for cameras with other pictures.
     """

@@ -1,1 +1,1 @@
-"""Cameras while a cell is set up: which is left, exposure, gain, light and focus."""
+"""Setup of a cell's cameras: assignment to sides, exposure, gain, light and focus."""

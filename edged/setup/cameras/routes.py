@@ -1,4 +1,4 @@
-"""/api/v1/cameras: which there are, which is left, exposure and gain, light and focus of live pictures."""
+"""/api/v1/cameras: list and sides of cameras, exposure and gain, light and focus of live pictures."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ SIDE = "{side:left|right}"
 
 
 class OpenNow(Answer):
-    """A camera that the cell has open. packet_bytes : null: it sends no packets.
+    """A camera that the cell has open. packet_bytes : null if it sends no packets.
 
-    resent, lost : packets since it was opened; null: not counted.
+    resent, lost : packets since it was opened; null if not counted.
     """
 
     firmware: str
@@ -28,7 +28,7 @@ class OpenNow(Answer):
 
 
 class ConfiguredCamera(Answer):
-    """As the configuration has it. chosen : by anybody, yet. tried : what is other until SETUP ends."""
+    """A camera as configured. chosen : a device is assigned. tried : values tried until SETUP ends."""
 
     chosen: bool
     device: str
@@ -40,9 +40,9 @@ class ConfiguredCamera(Answer):
 
 
 class FoundCamera(Answer):
-    """A camera that answers. address_by : persistent, DHCP or link-local; "": not known.
+    """A camera that answers. address_by : persistent, DHCP or link-local; "" if not known.
 
-    is_lost : its address is in another network. trouble : why it cannot be used. side : which one it is.
+    is_lost : its address is in another network. trouble : why it cannot be used. side : null if unassigned.
     """
 
     vendor: str
@@ -56,14 +56,14 @@ class FoundCamera(Answer):
 
 
 class Settings(Answer):
-    """In force, as read back; null: the camera has no such setting."""
+    """Settings in force, as read back; null if the camera has no such setting."""
 
     exposure_us: float | None
     gain_db: float | None
 
 
 class CameraBounds(Answer):
-    """The least and the most."""
+    """Smallest and largest possible values."""
 
     exposure_us: tuple[float, float] | None
     gain_db: tuple[float, float] | None
@@ -84,7 +84,7 @@ class BothLimits(Answer):
 
 
 class TriggerNow(Answer):
-    """What starts an exposure. line : the input, where a pulse does. rate_hz : of cameras that run free."""
+    """Trigger of exposures. line : the input, if a pulse triggers. rate_hz : of free-running cameras."""
 
     mode: str
     line: str
@@ -92,7 +92,7 @@ class TriggerNow(Answer):
 
 
 class PacketTest(Answer):
-    """How many pairs were asked for, how many came, and how the cameras are after them."""
+    """Number of pairs requested and received, and the state of the cameras afterwards."""
 
     pairs: int
     came: int
@@ -100,7 +100,7 @@ class PacketTest(Answer):
 
 
 class CamerasNow(Answer):
-    """As configured, and those that answer."""
+    """Configured cameras, and those that answer."""
 
     configured: dict[str, ConfiguredCamera]
     found: list[FoundCamera]
@@ -108,14 +108,14 @@ class CamerasNow(Answer):
 
 
 class CameraSettings(Answer):
-    """What both cameras are set to, and may be."""
+    """Settings of both cameras, and their limits."""
 
     settings: Both
     limits: BothLimits
 
 
 class Adjusting(Leased):
-    """What is to be other, until SETUP ends."""
+    """Settings of one side to change until SETUP ends."""
 
     exposure_us: float | None = Field(None, gt=0, le=10_000_000)
     gain_db: float | None = Field(None, ge=-10, le=60)
@@ -129,48 +129,48 @@ class Adjusting(Leased):
 
 
 class Addressing(Leased):
-    """Serial number of a camera that is to get an address in this machine's network; left out: a free one."""
+    """Camera to give an address in this machine's network, by serial number. address : "" for a free one."""
 
     serial: str = Field(min_length=1, max_length=64)
     address: str = Field("", max_length=15)
 
 
 class Addressed(Answer):
-    """Its new address. is_kept : also when it is switched off."""
+    """A camera's new address. is_kept : it survives power-off."""
 
     address: str
     is_kept: bool
 
 
 class Waving(Leased):
-    """Before which camera somebody waves."""
+    """The side whose camera the user waves in front of."""
 
     side: Literal["left", "right"] = "left"
 
 
 class Waved(Answer):
-    """moved : the camera with the hand, by the sides as they were. exchanged : they are not so any more."""
+    """Result of waving. moved : former side of the camera with the hand. exchanged : both were swapped."""
 
     moved: Literal["left", "right"] | None
     exchanged: bool
 
 
 class EdgeSpread(Answer):
-    """Sigma of edges, px: of the picture, and in its fields from the top left; null: too few edges."""
+    """Blur of edges as a sigma, px: of the picture, and by tile from the top left; null for too few edges."""
 
     median: float | None
     map: list[list[float | None]]
 
 
 class AdviceNow(Answer):
-    """code : good, less_light, more_light, light_for_gain. exposure_factor : for the exposure time."""
+    """Advice on light. code : good, less_light, more_light, light_for_gain. exposure_factor : suggested."""
 
     code: str
     exposure_factor: float
 
 
 class PictureFigures(Answer):
-    """Light and sharpness of one picture. sigma_z_factor : what its blur costs against a sharp one."""
+    """Light and sharpness of one picture. sigma_z_factor : increase of sigma Z by its blur."""
 
     clipped_share: float
     dark_share: float

@@ -1,4 +1,4 @@
-"""Cameras as a person sets them up: which there are, which is left, exposure, light and focus."""
+"""Setting up cameras by hand: available ones, assignment to sides, exposure, light and focus."""
 
 from __future__ import annotations
 
@@ -31,9 +31,9 @@ from edged.setup.releases.service import Activation, Mandate
 WAVE_S = 8.0
 """Time to walk to the camera, wave, and come back."""
 TEST_PAIRS = 10
-"""As many as fill the time of a walk to the switch and back, at two pairs a second."""
+"""Pairs of a packet test: at two pairs a second, enough for a walk to the network switch and back."""
 SURE = 2
-"""Consecutive pairs that must show a hand before the same camera."""
+"""Consecutive pairs that must show a hand in front of the same camera."""
 VIRTUAL = {
     "vendor": "edged",
     "model": "virtual",
@@ -43,14 +43,14 @@ VIRTUAL = {
     "is_lost": False,
     "trouble": None,
 }
-"""A camera in the daemon's own process."""
+"""Description of a virtual camera in the daemon's own process."""
 OTHER: Mapping[Side, Side] = {"left": "right", "right": "left"}
 
 
 class CameraService:
     """The cameras of a cell in SETUP; used on the event loop only.
 
-    addresses : of virtual cameras, left and right; None without.
+    addresses : of virtual cameras, left and right; None without any.
     """
 
     def __init__(
@@ -64,11 +64,11 @@ class CameraService:
         live.listen(self.judge.look)
 
     async def close(self) -> None:
-        """End what is under way."""
+        """Stop all work under way."""
         await self.judge.close()
 
     def configured(self) -> dict[Side, dict[str, Any]]:
-        """Configuration of each side, with what is tried and is not kept."""
+        """Configuration of each side, with the values being tried that are not kept."""
         cameras, changes = self._cell.files.config.cameras, self._cell.session.camera_changes
         known: dict[Side, dict[str, Any]] = {}
         for side in SIDES:
@@ -89,7 +89,7 @@ class CameraService:
         return self.judge.latest
 
     async def found(self) -> list[dict[str, Any]]:
-        """Every camera that answers, with the side that it is."""
+        """Every camera that answers, with its side."""
         if self._cell.files.config.cameras.source == "virtual-inprocess":
             return [{**VIRTUAL, "side": side} for side in SIDES]
         cameras = [] if aravis_missing() else await asyncio.to_thread(_with_addresses)
@@ -97,18 +97,18 @@ class CameraService:
         return [_described(info, heard, _side_of(info, devices)) for info, heard in cameras]
 
     async def give_address(self, token: str, serial: str, address: str = "") -> tuple[str, bool]:
-        """Give a camera an address in this machine's network, "": a free one; also whether it keeps that.
+        """Give a camera an address in this machine's network, "" for a free one; return it and if it is kept.
 
-        Raises `SetupRefused`, and `CaptureError` where it is not there, is controlled, or refuses.
+        Raises `SetupRefused`, and `CaptureError` if the camera is missing, is controlled, or refuses.
         """
         await self._cell.session.renew_setup(token)
         return await asyncio.to_thread(give_address, serial, address)
 
     async def test_packets(self, token: str) -> int:
-        """Open both cameras anew, which lets each find the largest packet that arrives, and take pairs.
+        """Reopen both cameras, which makes each determine its largest usable packet, and take pairs.
 
-        Returns how many of `TEST_PAIRS` came; what was lost is in the summary. Raises `SetupRefused`,
-        `CaptureError` where they cannot be opened.
+        Returns how many of `TEST_PAIRS` arrived; lost packets are in the summary. Raises `SetupRefused`, and
+        `CaptureError` if they cannot be opened.
         """
         kept = self._cell.session.camera_changes.items()
         changes = {
@@ -119,18 +119,18 @@ class CameraService:
         await self._try(token, changes)
         came = 0
         for _ in range(TEST_PAIRS):
-            with contextlib.suppress(CaptureError):  # a lost frame is what is looked for
+            with contextlib.suppress(CaptureError):  # lost frames are what is counted
                 await self._cell.session.capture(token)
                 came += 1
         return came
 
     @property
     def trigger(self) -> TriggerSection:
-        """What starts an exposure."""
+        """Configured trigger of exposures."""
         return self._cell.files.config.cameras.trigger
 
     def open_cameras(self) -> Mapping[str, OpenCamera]:
-        """Those that the cell has open, by side."""
+        """Cameras that the cell has open, by side."""
         return self._cell.running.summary.cameras
 
     async def limits(self, token: str, side: Side) -> CameraLimits:
@@ -138,9 +138,9 @@ class CameraService:
         return await self._cell.session.limits(token, side)
 
     async def adjust(self, token: str, side: Side, values: CameraValues) -> CameraValues:
-        """Set what is stated until SETUP ends; returns what is in force, as read back.
+        """Set the stated values until SETUP ends; return those in force, as read back.
 
-        Raises `UserError` for what is outside its limits, `SetupRefused`, `CaptureError`.
+        Raises `UserError` for values outside their limits, `SetupRefused`, `CaptureError`.
         """
         if values != CameraValues() and (problem := (await self.limits(token, side)).problem(values)):
             raise UserError(problem)
@@ -150,9 +150,9 @@ class CameraService:
     async def assign(self, token: str, side: Side, serial: str) -> None:
         """Make the camera with this serial number the left or right one, until SETUP ends.
 
-        If it was the other one, both change their places.
+        If it was on the other side, both are swapped.
 
-        Raises `UserError` when it does not answer, `SetupRefused`, `CaptureError`.
+        Raises `UserError` if it does not answer, `SetupRefused`, `CaptureError`.
         """
         self._check_exchangeable()
         cameras = await asyncio.to_thread(list_cameras)
@@ -176,7 +176,7 @@ class CameraService:
         elif (kept := self._cell.session.camera_changes.get(other)) is not None and kept.device is not None:
             changes[other] = ChosenCamera(device=kept.device, serial=kept.serial)
         elif devices[other] == UNCHOSEN[other]:
-            # neither can be tried alone: the other one is the only one left, or it takes a second camera
+            # one cannot be tried alone: the other side gets the only remaining free camera
             rest = [info for info in cameras if info is not wanted and info.control in ("", "free")]
             if len(rest) != 1:
                 raise UserError(
@@ -186,10 +186,10 @@ class CameraService:
         await self._try(token, changes)
 
     async def keep(self, token: str) -> None:
-        """Make what is tried the cell's: written beside its rig, and loaded.
+        """Make the values being tried permanent: written beside the cell's rig, and loaded.
 
-        Raises `UserError` where a rig was calibrated with other cameras, where the file cannot be written,
-        and where the cell cannot be loaded with it; then nothing has changed. Raises `SetupRefused`.
+        Raises `UserError` if a rig was calibrated with other cameras, if the file cannot be written, or if
+        the cell cannot be loaded with it; then nothing has changed. Raises `SetupRefused`.
         """
         await self._cell.session.renew_setup(token)
         changes = self._cell.session.camera_changes
@@ -202,9 +202,9 @@ class CameraService:
         await self._activation.keep_cameras(Mandate(self._cell.session.holder, "cameras", token=token))
 
     async def wave(self, token: str, side: Side) -> tuple[Side | None, bool]:
-        """Wait until a hand moves before one camera, and make it this side's.
+        """Wait until a hand moves in front of one camera, and assign that camera to this side.
 
-        Returns which it was, None when nobody waved or it was not clear, and whether both were exchanged.
+        Returns its former side, None if nobody waved or it was unclear, and whether both were swapped.
 
         Raises `UserError`, `SetupRefused`, `CaptureError`.
         """
@@ -236,10 +236,10 @@ class CameraService:
         return None
 
     async def _moves(self, token: str, first: FramePair) -> Side | None:
-        """The camera before which something is that was not there at first."""
+        """Side of the camera whose picture has changed since the first one; None if unclear."""
         try:
             pair = await self._cell.session.capture(token)
-        except ExposuresDiffer as error:  # the hand moved between two exposures that are one picture
+        except ExposuresDiffer as error:  # the hand moved between two exposures of one picture
             return next((side for side in SIDES if side == error.camera), None)
         shares: dict[Side, float] = {
             side: changed_share(first.side(side).image, pair.side(side).image) for side in SIDES
@@ -253,7 +253,7 @@ class CameraService:
         return "" if self._addresses is None else self._addresses[SIDES.index(side)]
 
     def _devices(self) -> dict[Side, str]:
-        """Serial number or address of each side's camera, as it is tried."""
+        """Serial number or address of each side's camera, including one being tried."""
         return {
             side: str(entry["tried"].get("device", entry["device"]))
             for side, entry in self.configured().items()
@@ -263,7 +263,7 @@ class CameraService:
         return next((info for info in cameras if _is_at(info, device)), None)
 
     async def _try(self, token: str, cameras: Mapping[Side, ChosenCamera]) -> None:
-        """Use other cameras, with the exposure that is tried: by `adjust`, which is undone in the end."""
+        """Use other cameras with the exposure being tried, set by `adjust`, to be undone when SETUP ends."""
         tried = self._cell.session.camera_changes
         await self._cell.session.try_cameras(token, cameras)
         for side, change in tried.items():
@@ -286,7 +286,7 @@ def _side_of(info: CameraInfo, devices: Mapping[Side, str]) -> Side | None:
 
 
 def _with_camera(info: CameraInfo) -> ChosenCamera:
-    """By its address, and not without its serial number: who swaps addresses must not swap cameras."""
+    """Choice of a camera by address, and by serial number too, as swapped addresses must not swap cameras."""
     network = info.protocol == "GigEVision"
     return ChosenCamera(device=info.address if network else info.serial, serial=info.serial)
 

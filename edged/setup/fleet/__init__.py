@@ -1,1 +1,1 @@
-"""Signed releases for many cells: a repository in a folder, what a cell takes of it, and its gate."""
+"""Signed releases for many cells: the repository, the client of a cell, and its gate."""

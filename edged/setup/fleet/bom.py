@@ -1,4 +1,4 @@
-"""The bill of materials of a folder of wheels, as CycloneDX 1.6, by its makers' own library."""
+"""Makes the bill of materials of a folder of wheels in CycloneDX 1.6, with the official library."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def bill_of(folder: Path) -> tuple[bytes, Mapping[str, bytes]]:
     bom = Bom(components=components, metadata=BomMetaData(component=about))
     bom.register_dependency(about, components)
     data = JsonV1Dot6(bom).output_as_string(indent=1).encode()
-    wheels_in(data, str(folder))  # what cells will read
+    wheels_in(data, str(folder))  # checks that cells can read it
     return data, {f"{digests[file]}.{file.name}": data for file, data in contents.items()}
 
 

@@ -1,7 +1,7 @@
-"""What a cell sees of a repository: verified by python-tuf's own client, from a web server or a folder.
+"""A cell's view of a repository, verified by python-tuf's client; on a web server or in a folder.
 
-The client keeps the newest metadata that it saw, so that an older repository is refused. Nothing of a
-target is read before its hash holds.
+The client keeps the newest metadata that it has seen, so that an older repository is refused. No target is
+read before its hash is checked.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from edged.setup.fleet.wheelset import Wheel, wheels_in
 
 CHUNK_BYTES = 1 << 20
 CONFIG = UpdaterConfig(targets_max_length=5_000_000, max_delegations=1000)
-"""A plant's metadata grow by its list of cells with each release (`tools/bench fleet --plan`)."""
+"""Limits: with each release, a plant's metadata grow by its list of cells (`tools/bench fleet --plan`)."""
 WHY = (
     (ExpiredMetadataError, "is old: what it says is no more in force, or somebody holds news back"),
     (BadVersionNumberError, "is older than what this cell has seen"),
@@ -47,10 +47,10 @@ WHY = (
 
 
 class Client:
-    """The releases of one plant, verified. folder : of the page, where the newest metadata is kept.
+    """Verified releases of one plant. folder : of the page, where the newest metadata is kept.
 
-    place : https://..., or the path of a folder. root : the first one that is trusted. Raises `UserError`
-    where the repository cannot be trusted; it names the place, and the file.
+    place : https://..., or the path of a folder. root : the initial trusted root. Raises `UserError`, naming
+    place and file, if the repository cannot be trusted.
     """
 
     def __init__(self, place: str, plant: str, root: bytes, folder: Path) -> None:
@@ -71,12 +71,12 @@ class Client:
             self._updater.refresh()
 
     def offers(self) -> dict[str, Offer]:
-        """All releases of the plant, by path, in their order."""
+        """All releases of the plant by path, in the order of their numbers."""
         found = {path: offer_of(target) for path, target in self._targets().items() if not is_part(target)}
         return dict(sorted(found.items(), key=lambda item: item[1].number))
 
     def fetch(self, path: str) -> bytes:
-        """The content of a target."""
+        """Download the content of a target."""
         target, draft = self._targets().get(path), self._kept / ".fetched"
         if target is None:
             raise UserError(f"{self._place}: {self._plant} has published no {path}")
@@ -92,7 +92,7 @@ class Client:
         return str(self._targets()[path].hashes["sha256"])
 
     def fetch_wheels(self, path: str, folder: Path) -> tuple[Wheel, ...]:
-        """Let a folder hold the wheels of a release of software, and nothing else; what is there stays."""
+        """Fill a folder with exactly the wheels of a software release; present ones are not fetched again."""
         wheels = wheels_in(self.fetch(path), f"{self._place}: {path}")
         make_folders(folder)
         targets = self._targets()
@@ -110,13 +110,13 @@ class Client:
         return wheels
 
     def stage(self, path: str, offer: Offer) -> Staged:
-        """Fetch a release of jobs or software, read it, and lay it ready for the gate."""
+        """Fetch a release of jobs or software, check that it can be read, and stage it for the gate."""
         data = self.fetch(path)
         (jobs_in_release if offer.kind == "jobs" else wheels_in)(data, f"{self._place}: {path}")
         staged = Staged(
             offer=offer, path=path, sha256=self._targets()[path].hashes["sha256"], repository=self._place
         )
-        # the note comes last: it names a content that is there
+        # the note is written last, so that the content it names exists
         write_atomically(self._kept / file_of(staged), data, is_state=True)
         for note in (STAGED, STAGED_OF.format(kind=offer.kind)):
             write_atomically(self._kept / note, staged.model_dump_json(indent=1).encode(), is_state=True)
@@ -126,9 +126,9 @@ class Client:
         return staged
 
     def _targets(self) -> dict[str, TargetFile]:
-        """What the plant has signed, and may."""
+        """Targets that the plant has signed and is allowed to sign."""
         with self._explained(f"{METADATA}/{self._plant}.json"):
-            # loads the plant's metadata, and keeps it once it is verified
+            # loads the plant's metadata, and stores it once it is verified
             self._updater.get_targetinfo(f"{self._plant}/.")
             file = self._kept / METADATA / f"{self._plant}.json"
             if not file.is_file():
@@ -142,7 +142,7 @@ class Client:
 
     @contextmanager
     def _explained(self, file: str) -> Iterator[None]:
-        """Errors of TUF and of its transport, in the words of who looks after the cell."""
+        """Translate errors of TUF and of its transport into messages for the cell's operators."""
         try:
             yield
         except (RepositoryError, DownloadError, HTTPError) as error:
@@ -156,7 +156,7 @@ class Client:
 
 
 class FolderFetcher(FetcherInterface):
-    """A repository in a folder, for example on a stick."""
+    """Fetcher for a repository in a folder, for example on a USB stick."""
 
     def _fetch(self, url: str) -> Iterator[bytes]:
         try:

@@ -1,10 +1,11 @@
-"""The gate of a cell: a fetched release is tried on its recordings, waits for leave, and has its probation.
+"""The gate of a cell: tries a fetched release on recordings, waits for permission, and supervises probation.
 
     staged -> waiting -> activating -> probation -> committed
            -> refused                            -> rolling back -> rolled back
 
-Each step is noted on disc before it is taken: whenever the power fails the cell runs by the old jobs or by
-the new ones, as `Activation` promises, and the gate goes on where it was: the cell's fingerprint tells.
+Each step is noted on disc before it is taken: whenever the power fails, the cell runs with the old jobs or
+with the new ones, as `Activation` guarantees, and the gate resumes where it was: the cell's fingerprint tells
+which.
 """
 
 from __future__ import annotations
@@ -50,7 +51,7 @@ POLL_S = 2.0
 
 
 class FleetGate:
-    """Used on the event loop. now : local time, for the window."""
+    """Gate for releases of a cell; used on the event loop. now : returns local time, for the window."""
 
     def __init__(
         self,
@@ -72,12 +73,12 @@ class FleetGate:
         return self._cell.folder / FOLDER
 
     def start(self) -> None:
-        """Look for releases from now on."""
+        """Start to look for releases."""
         self._running = asyncio.create_task(self._run(), name="fleet")
         self._running.add_done_callback(_tell_of_a_bug)
 
     async def close(self) -> None:
-        """Stop; the next start goes on."""
+        """Stop; the gate resumes at the next start."""
         if self._running is not None:
             self._running.cancel()
             await asyncio.wait({self._running})
@@ -91,13 +92,13 @@ class FleetGate:
                 last = ""
             except (EdgedError, OSError) as error:
                 if str(error) != last:
-                    # the message says what and where: a traceback says no more
+                    # the message says what and where: a traceback adds nothing
                     log.error("the gate of releases waits: %s", error)  # noqa: TRY400
                 last = str(error)
             await asyncio.sleep(POLL_S)
 
     async def step(self) -> GateNote | None:
-        """Take the next step, if there is one; returns how far it is. Raises `EdgedError`, `OSError`."""
+        """Take the next step if there is one, and return the gate's note. Raises `EdgedError`, `OSError`."""
         staged, note = await asyncio.to_thread(self._read)
         if staged is not None and (
             note is None or (note.step in DONE and note.staged.identity != staged.identity)
@@ -107,7 +108,7 @@ class FleetGate:
             return note
         try:
             return await self._next(note)
-        except SetupRefused as error:  # between the look at the lock and the cell's own
+        except SetupRefused as error:  # locked since `has_leave` was checked
             log.info("release %s waits: %s", note.staged.offer.name, error)
             return note
 
@@ -133,7 +134,7 @@ class FleetGate:
         return await self.note(note, "left", "somebody has changed the cell meanwhile: it is theirs")
 
     def has_leave(self, *, in_window: bool) -> bool:
-        """Whether the plant lets jobs change now: as it would let a person."""
+        """Whether jobs may change now: unlocked, no lease held, and in the window if in_window."""
         session, section = self._cell.session, self._cell.files.config.fleet
         is_open = section is None or section.is_open(self._now().time())
         return not session.is_locked and not session.holder and (is_open or not in_window)
@@ -141,7 +142,7 @@ class FleetGate:
     # --- steps --------------------------------------------------------------------------------------
 
     async def _try(self, note: GateNote) -> GateNote:
-        """Measure recorded cycles with it."""
+        """Measure recorded cycles with the release."""
         try:
             jobs = await asyncio.to_thread(self._jobs, note.staged)
             active = self._cell.files.contents
@@ -159,7 +160,7 @@ class FleetGate:
     async def _regression(
         self, staged: Staged, active: Contents, candidate: Contents, changed: Mapping[int, int]
     ) -> str:
-        """What recorded cycles say for it. Raises `UserError` where they speak against it."""
+        """Run a regression; return the reason to accept the release. Raises `UserError` for an objection."""
         await asyncio.to_thread(self._recorded.check, active, changed)
         what = TriedCandidate(kind="release", id=staged.offer.name)
         task, identity = await self._regressions.begin(candidate, what, AUTHOR)
@@ -202,9 +203,9 @@ class FleetGate:
             return await self.note(note, "waiting", str(error))
         except (UserError, FileFormatError) as error:
             return await self.note(note, "refused", str(error))
-        except RegressionNeeded as error:  # the cell was changed since it was tried
+        except RegressionNeeded as error:  # the cell has changed since the regression
             return await self.note(note, "staged", str(error))
-        except LinkError as error:  # whether the cell has it, its fingerprint tells
+        except LinkError as error:  # the cell's fingerprint will show whether it was installed
             log.warning("release %s: %s", note.staged.offer.name, error)
         return note
 
@@ -216,7 +217,7 @@ class FleetGate:
         return await self.note(note.model_copy(update={"former": former}), "probation", "the cell runs by it")
 
     async def judge(self, note: GateNote) -> GateNote:
-        """Count the cycles since, and decide."""
+        """Count the cycles since the last call, and decide."""
         since, cycles = await asyncio.to_thread(self._recorded.since, note)
         tally = counted(note.baseline, note.tally, cycles)
         found = judge(note.baseline, tally)
@@ -242,7 +243,7 @@ class FleetGate:
         return fetched_in(self._folder), gate_in(self._folder)
 
     async def note(self, note: GateNote, step: str, why: str, *, is_news: bool = True) -> GateNote:
-        """Note a step before it is taken."""
+        """Write down a step before it is taken."""
         noted = GateNote.model_validate(
             {**note.model_dump(), "step": step, "why": why[:2000], "at": now_text()}
         )
@@ -272,7 +273,7 @@ class FleetGate:
         AuditFile(self._cell.folder).add(entry)
 
     def _jobs(self, staged: Staged) -> Jobs:
-        """The jobs of a release. Raises `FileFormatError`."""
+        """Jobs of a staged release. Raises `FileFormatError`."""
         file = self._folder / file_of(staged)
         data = read_bytes(file, "a release", MAX_BYTES)
         if hashlib.sha256(data).hexdigest() != staged.sha256:
@@ -285,13 +286,13 @@ class FleetGate:
 
     @staticmethod
     def _changed(active: Contents, candidate: Contents) -> dict[int, int]:
-        """Numbers of the jobs that are measured otherwise, before and after."""
+        """Old and new numbers of the jobs that are measured differently."""
         there, numbers = successors(active, candidate), concerned(active, candidate)
         return {old: new for old, new in there.items() if numbers is None or old in numbers}
 
 
 def merged(there: Jobs, jobs: Jobs) -> Jobs:
-    """The cell's jobs with those of a release; others stay."""
+    """The cell's jobs with those of a release added or replaced; others stay."""
     for folder in {place.split("/")[0] for place in jobs}:
         there = with_job(there, folder, of_job(jobs, folder), None)
     return there

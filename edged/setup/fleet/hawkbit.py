@@ -1,7 +1,7 @@
-"""hawkBit says which cell takes which release, by its Direct Device Integration API; one poll at a time.
+"""Client of hawkBit, which assigns releases to cells, by its Direct Device Integration API; one poll a call.
 
-It is believed in nothing but that: what it assigns is a file's name and SHA-256, and the cell takes the
-release of its plant that is signed with both, from the repository. What the gate does goes back as feedback.
+hawkBit is trusted with nothing else: it assigns a file name and a SHA-256, and the cell takes the release of
+its plant that is signed with both from the repository. The gate's progress is sent back as feedback.
 Source: hawkBit's REST documentation of DDI v1 (controller base, deploymentBase, cancelAction, feedback).
 """
 
@@ -24,18 +24,18 @@ from edged.setup.fleet.offers import DONE, FOLDER, GateNote, Offer, gate_in
 from edged.setup.history import Kept, Text
 
 NOTE = "hawkbit.json"
-"""In the folder of releases: the action that the cell is at, and what it has said of it."""
+"""File in the folder of releases: the current action, and the feedback sent last."""
 TIMEOUT_S = 20.0
 MAX_BYTES = 4 * 1024 * 1024
 MAX_DETAIL = 500
 """hawkBit keeps 512 characters of a message."""
 AUTHORIZATION = re.compile(r"(Target|Gateway)Token \S{1,512}")
 SUCCESS, FAILURE, OPEN = ("closed", "success"), ("closed", "failure"), ("proceeding", "none")
-"""Execution and result, as DDI calls them."""
+"""Execution and result, in DDI's terms."""
 
 
 class HawkbitAction(Kept):
-    """An assignment. path : of the release; "" where none like it is signed. reported : the last words."""
+    """An assignment. path : of the release; "" if none such is signed. reported : the last feedback sent."""
 
     id: Text
     path: Text
@@ -43,7 +43,7 @@ class HawkbitAction(Kept):
 
 
 class Hawkbit:
-    """A server, as one cell asks it. folder : of the page. Raises `UserError` where it does not answer."""
+    """Client of a server for one cell. folder : of the page. Raises `UserError` if it fails to answer."""
 
     def __init__(self, url: str, authorization: str, cell: str, folder: Path) -> None:
         if AUTHORIZATION.fullmatch(authorization) is None:
@@ -54,7 +54,7 @@ class Hawkbit:
         self._opener = urllib.request.build_opener(_NoRedirect)
 
     def due(self, offers: Mapping[str, Offer], digest: Callable[[str], str]) -> dict[str, tuple[str, Offer]]:
-        """What is assigned to this cell, by kind; tells how far the gate is with it. digest : of a path."""
+        """Release assigned to this cell, by kind; also reports the gate's progress. digest : of a path."""
         try:
             return self._due(offers, digest)
         except (KeyError, TypeError, AttributeError) as error:
@@ -90,7 +90,7 @@ class Hawkbit:
             self._keep(action.model_copy(update={"reported": words}))
 
     def _cancel(self, found: Mapping[str, Any], gate: GateNote | None) -> None:
-        """An assignment is taken back: what the gate has begun goes its way, and that is said."""
+        """Answer a cancellation: rejected if the gate has begun with the release, otherwise carried out."""
         action, stopped = self._action(), str(found["cancelAction"]["stopId"])
         is_ours = action is not None and action.id == stopped
         begun = gate is not None and action is not None and gate.staged.path == action.path
@@ -138,14 +138,14 @@ class Hawkbit:
 
 
 class _NoRedirect(urllib.request.HTTPRedirectHandler):
-    """The token goes to the configured place alone."""
+    """Refuses redirects, so that the token is only sent to the configured server."""
 
     def redirect_request(self, *_: Any, **__: Any) -> None:
-        """None."""
+        """Follow no redirect."""
 
 
 def _below(link: Any) -> str:
-    """What a link says below the cell's own address: its host may be the one that hawkBit sees itself."""
+    """Path of a link relative to the cell's base URL; the link's host may be hawkBit's internal one."""
     path = urlsplit(link["href"]).path
     found = re.search(r"/controller/v1/[^/]+/((?:deploymentBase|cancelAction)/[^/]+)$", path)
     if found is None:
@@ -154,7 +154,7 @@ def _below(link: Any) -> str:
 
 
 def _assigned(found: Mapping[str, Any], offers: Mapping[str, Offer], digest: Callable[[str], str]) -> str:
-    """The release that is signed with name and hash of an assigned file; "" if none is."""
+    """Path of the release that is signed with name and hash of an assigned file; "" if none is."""
     files = {
         (artifact["filename"], artifact.get("hashes", {}).get("sha256"))
         for chunk in found["deployment"]["chunks"]

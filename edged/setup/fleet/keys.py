@@ -1,6 +1,6 @@
-"""Keys in files: Ed25519, the private half encrypted with a passphrase (PKCS #8), the public one as PEM.
+"""Signing keys in files: Ed25519, the private half encrypted with a passphrase (PKCS #8), the public as PEM.
 
-Or in a token of PKCS #11, which signs by ECDSA on P-256 or P-384, and whose private half nobody sees.
+Or in a PKCS #11 token, which signs with ECDSA on P-256 or P-384 and never reveals the private half.
 """
 
 from __future__ import annotations
@@ -26,13 +26,13 @@ from edged.errors import UserError
 from edged.files.atomic import read_bytes, write_file
 
 TOKEN, MODULE = f"{HSMSigner.SCHEME}:", "PYKCS11LIB"
-"""What begins the name of a key in a token, and the variable that names the library of the token's maker."""
+"""Prefix of a token key's name, and the environment variable with the path of the token's library."""
 MAX_KEY_BYTES = 16 * 1024
 LEAST_PASSPHRASE = 8
 
 
 def make_key(file: Path, passphrase: str) -> Path:
-    """Make a key; returns where its public half is, beside it. Raises `UserError`."""
+    """Make a key, and return the path of its public half beside it. Raises `UserError`."""
     public = file.with_suffix(".pub")
     if public == file:
         raise UserError(f"{file}: .pub is the name of the public half: choose another name")
@@ -64,11 +64,11 @@ def _token_signer(key: Path, pin: str) -> HSMSigner:
     try:
         number, label = int(stated.path), parse_qs(stated.query).get("label", [None])[0]
         signer = HSMSigner(number, HSMSigner.import_(number, label, lambda _: pin)[1], lambda _: pin, label)
-        signer.sign(b"")  # a wrong PIN is told here
+        signer.sign(b"")  # detects a wrong PIN
     except UnsupportedLibraryError as error:
         raise UserError(f"{key}: needs another package: pip install 'edged[tokens]' ({error})") from error
     except Exception as error:
-        # pkcs11's own errors have no base that is there without it
+        # pkcs11's errors have no base class that can be imported without it
         if not isinstance(error, ValueError) and not type(error).__module__.startswith("pkcs11"):
             raise
         why = f"{type(error).__name__} {error}".strip()
@@ -77,7 +77,7 @@ def _token_signer(key: Path, pin: str) -> HSMSigner:
 
 
 def signer_of(file: Path, passphrase: str) -> Signer:
-    """What signs with a private key; of a token the passphrase is its PIN. Raises `UserError`."""
+    """Signer for a private key; for a token, the passphrase is its PIN. Raises `UserError`."""
     if is_in_token(file):
         return _token_signer(file, passphrase)
     pem = read_bytes(file, "a private key", MAX_KEY_BYTES)
@@ -91,7 +91,7 @@ def signer_of(file: Path, passphrase: str) -> Signer:
 
 
 def public_key(file: Path) -> SSlibKey:
-    """A public key. Raises `UserError`."""
+    """Load a public key. Raises `UserError`."""
     try:
         key = load_pem_public_key(read_bytes(file, "a public key", MAX_KEY_BYTES))
     except (ValueError, TypeError, UnsupportedAlgorithm) as error:

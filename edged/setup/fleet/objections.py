@@ -1,4 +1,4 @@
-"""What recorded cycles say for a release and against it: before it becomes active, and in its probation."""
+"""Judges releases by recorded cycles: before they become active, and in their probation."""
 
 from __future__ import annotations
 
@@ -14,24 +14,24 @@ from edged.setup.recordings.regressiondocuments import ChangedCycle, RegressionD
 from edged.setup.recordings.setups import Contents, facts_of_jobs
 
 LEAST_GOOD = 5
-"""Good recordings that each changed job must have, else nobody knows whether it still measures as it did."""
+"""Good recordings that each changed job must have, or it is not known whether it still measures as before."""
 TURNED_DEG = 1.0
-"""A release that may move results may not turn them by more: a grip is lost before."""
+"""Limit on rotations, even for a release that may move results: larger ones make a gripper miss."""
 
 
 class RecordedJudgement:
-    """The recordings of a cell, as its gate counts them."""
+    """Recordings of a cell, as its gate evaluates them."""
 
     def __init__(self, cell: CellInUse) -> None:
         self._cell = cell
         self._records: Records | None = None
 
     def forget(self) -> None:
-        """Read all anew, the next time."""
+        """Drop the cache, so that all is read again next time."""
         self._records = None
 
     def lines(self) -> list[CycleLine]:
-        """Recorded cycles that say how the jobs do, newest first."""
+        """Recorded cycles that show how the jobs perform, newest first."""
         folder = self._cell.recordings
         if folder is None:
             return []
@@ -45,7 +45,7 @@ class RecordedJudgement:
         ]
 
     def check(self, active: Contents, changed: Mapping[int, int]) -> None:
-        """Raises `UserError` for a changed job that too little is known of."""
+        """Check the changed jobs. Raises `UserError` for one with too few good recordings."""
         good = [line.job_number for line in self.lines() if line.status == "OK" and line.has_pictures]
         for job in facts_of_jobs(active):
             if job.number in changed and good.count(job.number) < LEAST_GOOD:
@@ -63,7 +63,7 @@ class RecordedJudgement:
         ]
 
     def since(self, note: GateNote) -> tuple[int, list[JudgedCycle]]:
-        """Index of the newest recording, and what no tally has yet. Software measures every configuration."""
+        """Index of the newest recording, and cycles not counted yet; for software, of any fingerprint."""
         lines, is_software = self.lines(), note.staged.offer.kind == "software"
         return max((line.number for line in lines), default=note.since), [
             _judged(line, line.job_number)
@@ -75,7 +75,7 @@ class RecordedJudgement:
 
 
 def objection(found: RegressionDocument, may_move_mm: float) -> str:
-    """What recorded cycles say against a release; "" for nothing."""
+    """Objection to a release from its regression; "" for none."""
     counts = found.counts
     if counts.good_to_bad:
         worst = found.good_to_bad[0]

@@ -1,4 +1,4 @@
-"""What a signed release says of itself, what a cell has fetched, and how far its gate has come."""
+"""Documents of the fleet: a signed release's metadata, what a cell has fetched, and its gate's progress."""
 
 from __future__ import annotations
 
@@ -18,22 +18,23 @@ from edged.setup.releases.archive import members_of, packed
 from edged.setup.releases.jobsfolder import Jobs, of_job
 
 FOLDER, STAGED, GATE = "fleet", "staged.json", "gate.json"
-"""In the folder of the page: what was fetched, and how far the gate has come with it."""
+"""Folder inside the page's, and files in it: the fetched release, and the gate's progress with it."""
 STAGED_OF = "staged.{kind}.json"
-"""What was fetched last of a kind."""
+"""File with the last fetched release of a kind."""
 RINGS = ("none", "1", "5%", "25%", "all")
-"""By its number: the cells that take a release. Ring 1 is one cell."""
+"""Names of the rings, by number: which cells take a release. Ring 1 is one cell."""
 PERCENT = (1, 0), (2, 5), (3, 25)
-"""Ring, and how many of the cells are in it or before it; one at least."""
+"""Rings, with the percentage of the cells that are in them or in earlier ones; at least one cell."""
 
 Ring = Annotated[int, Field(ge=0, le=4)]
 
 
 class Offer(Kept):
-    """A release as its plant signs it: the `edged` of a target's custom metadata.
+    """A release as its plant signs it: the key `edged` in a target's custom metadata.
 
-    number : counts the plant's releases. ring : of `RINGS`. cells : all of the plant. may_move_um : by how
-    much results on recorded cycles may move. "file": anything else, that no cell takes by itself.
+    number : counts the plant's releases. ring : index into `RINGS`. cells : all of the plant.
+    may_move_um : by how much results on recorded cycles may move. kind : "file" is anything else, which no
+    cell takes by itself.
     """
 
     kind: Literal["jobs", "software", "file"]
@@ -56,16 +57,16 @@ class Staged(Kept):
 
     @property
     def identity(self) -> tuple[str, str, int]:
-        """What makes the gate try it, once: not its ring."""
+        """Identity by which the gate tries a release only once; it does not include the ring."""
         return self.path, self.sha256, self.offer.may_move_um
 
 
 Figure = Literal["sigma", "rows", "time", "left", "right"]
-"""A good cycle's sigma, row difference, duration, and how far each camera is from where it was taught."""
+"""Figures of a good cycle: sigma, epipolar rms, duration, and shift of each camera since teaching."""
 
 
 class UsualFigure(Kept):
-    """A figure of one job before a release: its logarithm's median (of cameras: in mm), and the scatter.
+    """A figure of one job before a release: median of its logarithm (for cameras: of mm), and the scatter.
 
     doubt : sigma of the median.
     """
@@ -76,10 +77,10 @@ class UsualFigure(Kept):
 
 
 class Baseline(Kept):
-    """The last cycles before a release, of the jobs that it changes.
+    """Statistics of the last cycles before a release, of the jobs that it changes.
 
-    sigmas, more : by the jobs' new numbers. more : figures beside sigma; left out where there are none, as
-    the version that is gone back to may not know them.
+    sigmas, more : by the jobs' new numbers. more : figures other than sigma; not written if empty, as the
+    version to roll back to may not know them.
     """
 
     good: int = 0
@@ -89,13 +90,13 @@ class Baseline(Kept):
 
     @property
     def figures(self) -> dict[Figure, dict[int, UsualFigure]]:
-        """All that are known."""
+        """All known figures, by job."""
         return {"sigma": self.sigmas, **self.more} if self.sigmas else self.more
 
 
 class FigureTally(Kept):
-    """A figure's test so far. ratio : log likelihood, stays once it decides. excess : over what is usual,
-    summed over so many cycles as `known`.
+    """State of a figure's test. ratio : log likelihood ratio; fixed once it decides. excess : over the usual
+    value, summed over `known` cycles.
     """
 
     ratio: float = 0.0
@@ -104,9 +105,9 @@ class FigureTally(Kept):
 
 
 class ProbationTally(Kept):
-    """Probation so far. rate, sigma : log likelihood ratios of two tests, which stay once they decide.
+    """State of the probation. rate, sigma : log likelihood ratios of two tests, fixed once they decide.
 
-    known, excess : sigma's, see `FigureTally`. more : figures beside sigma, as in `Baseline`.
+    known, excess : of sigma, see `FigureTally`. more : figures other than sigma, as in `Baseline`.
     """
 
     cycles: int = 0
@@ -118,7 +119,7 @@ class ProbationTally(Kept):
     more: dict[Figure, FigureTally] = Field(default_factory=dict, exclude_if=operator.not_)
 
     def of(self, figure: Figure) -> FigureTally:
-        """The test of one figure."""
+        """State of one figure's test."""
         if figure == "sigma":
             return FigureTally(ratio=self.sigma, known=self.known, excess=self.excess)
         return self.more.get(figure, FigureTally())
@@ -139,11 +140,11 @@ DONE: tuple[Step, ...] = ("committed", "rolled back", "refused", "left")
 
 
 class GateNote(Kept):
-    """How far a release has come on this cell; written before each step. why : in words.
+    """Progress of a release on this cell; written before each step. why : reason, in words.
 
-    before, wanted : fingerprints of the cell without and with it. former : this cell's own release to go back
-    to. since : index of the last recording that is judged, or was there before. jobs : the changed
-    jobs' new numbers. Of software before and wanted are names of versions, and order is the number of the
+    before, wanted : fingerprints of the cell without and with it. former : number of the cell's own release
+    to go back to. since : index of the last recording that was judged, or existed before. jobs : new numbers
+    of the changed jobs. For software, before and wanted are names of versions, and order is the number of the
     last `versions.VersionOrder`.
     """
 
@@ -162,10 +163,10 @@ class GateNote(Kept):
 
 
 def ring_of(cell: str, release: str, cells: Sequence[str], given: int | None = None) -> int:
-    """Ring of a cell, 1 to 4, the same wherever it is computed; another one for each release.
+    """Ring of a cell, 1 to 4: deterministic, but different for each release.
 
-    cells : of the plant, in order of SHA-256 of release and name; one that is not among them comes last.
-    given : what the cell's configuration says instead.
+    cells : of the plant; they are ranked by the SHA-256 of release and name. A cell that is not among them is
+    in ring 4. given : ring in the cell's configuration, used instead.
 
     >>> sorted(ring_of(cell, "r7", "abcdefgh") for cell in "abcdefgh")
     [1, 3, 4, 4, 4, 4, 4, 4]
@@ -180,12 +181,12 @@ def ring_of(cell: str, release: str, cells: Sequence[str], given: int | None = N
 
 
 def packed_jobs(jobs: Jobs) -> bytes:
-    """The target of a release of jobs: the same bytes for the same jobs."""
+    """Content of the target of a release of jobs: the same bytes for the same jobs."""
     return packed(dict(sorted(jobs.items())))
 
 
 def jobs_in_release(data: bytes, place: str) -> Mapping[str, bytes]:
-    """The jobs of a release, each of which can be read. Raises `FileFormatError`."""
+    """Job files of a release, after checking that each job can be read. Raises `FileFormatError`."""
     files = members_of(data, place)
     folders = sorted({name.split("/")[0] for name in files})
     for folder in folders:
@@ -199,24 +200,24 @@ def jobs_in_release(data: bytes, place: str) -> Mapping[str, bytes]:
 
 
 def file_of(staged: Staged) -> str:
-    """Name of its content, beside `STAGED`."""
+    """Name of the file with a staged release's content, beside `STAGED`."""
     return f"{staged.sha256}{''.join(PurePosixPath(staged.path).suffixes[-2:])}"
 
 
 def is_fetched(folder: Path, path: str, offer: Offer) -> bool:
-    """Whether a release is the last of its kind that was fetched. Raises `FileFormatError`."""
+    """Whether a release is the last one of its kind that was fetched. Raises `FileFormatError`."""
     file = folder / STAGED_OF.format(kind=offer.kind)
     there = read_model(file, Staged, "a fetched release") if file.exists() else fetched_in(folder)
     return there is not None and (there.path, there.offer.may_move_um) == (path, offer.may_move_um)
 
 
 def fetched_in(folder: Path) -> Staged | None:
-    """What was fetched last; None: nothing. Raises `FileFormatError`."""
+    """The release that was fetched last; None if there is none. Raises `FileFormatError`."""
     file = folder / STAGED
     return read_model(file, Staged, "a fetched release") if file.exists() else None
 
 
 def gate_in(folder: Path) -> GateNote | None:
-    """How far the gate has come; None: nothing was fetched yet. Raises `FileFormatError`."""
+    """The gate's note; None if nothing was fetched yet. Raises `FileFormatError`."""
     file = folder / GATE
     return read_model(file, GateNote, "the gate's note") if file.exists() else None

@@ -1,9 +1,9 @@
-"""Whether a new release does as well as what it replaced: sequential tests of the OK rate and of figures.
+"""Compares a new release with its predecessor by sequential tests of the OK rate and of figures.
 
-Wald's test of a rate, and of means whose steps are bounded: a single cycle decides nothing. Bounds that are
-alike on both sides keep his bound of false alarms: of a normal figure, l being a step before them,
-E0 exp(min(max(l, -c), c)) = 1 - (exp(c) - 1) E0 max(exp(-c) - exp(l), 0) <= 1, so that a sum of steps reaches
-log A by a chance of 1/A at most, ever (J. Ville, 1939). `tools/bench probation` counts them.
+Wald's test of a rate, and of means whose steps are bounded, so that no single cycle decides. Symmetric bounds
+preserve Wald's bound on false alarms: for a normal figure, with l being a step before bounding,
+E0 exp(min(max(l, -c), c)) = 1 - (exp(c) - 1) E0 max(exp(-c) - exp(l), 0) <= 1, so that a sum of steps ever
+reaches log A with a probability of at most 1/A (J. Ville, 1939). `tools/bench probation` counts false alarms.
 Source: A. Wald, "Sequential Tests of Statistical Hypotheses", Ann. Math. Stat. 16, 1945; P. J. Huber, "A
 Robust Version of the Probability Ratio Test", Ann. Math. Stat. 36, 1965.
 """
@@ -22,9 +22,9 @@ from edged.domain.outliers import NORMAL_MAD
 from edged.setup.fleet.offers import Baseline, Figure, FigureTally, ProbationTally, UsualFigure
 
 LAST = 200
-"""Cycles before the release that it is compared with."""
+"""Number of cycles before the release that it is compared with."""
 LEAST = 20
-"""Cycles of a job that say a figure, else it is not compared: its scatter would be a guess."""
+"""Fewest cycles of a job with a figure to compare it; with fewer, its scatter would be a guess."""
 FIGURES: tuple[Figure, ...] = get_args(Figure)
 OF_MARKS: tuple[Figure, ...] = ("left", "right")
 WORDS: Mapping[Figure, str] = {
@@ -38,14 +38,15 @@ WORDS: Mapping[Figure, str] = {
 
 @dataclass(frozen=True, slots=True)
 class ProbationParams:
-    """What is told apart, and how surely.
+    """Effects that the tests detect, and their error rates.
 
-    good_is_withdrawn, bad_is_kept : error rates of the first and second kind, of all tests together and of
-    each. odds, share : bad cycles count as more at so many times the odds, by this share at least. larger,
-    rows, slower : sigma, row difference and duration count as larger at this factor. moved_mm : a camera
-    counts as moved. baseline_sigmas : by so many of its own what is usual is taken larger: 95 % of its
-    side. most_step : of the log likelihood ratio, in one cycle; slow_step : of durations. most : cycles, then
-    the nearer decision is taken.
+    good_is_withdrawn : type I error rate, of all tests together. bad_is_kept : type II error rate, of each
+    test. odds, share : bad cycles count as more frequent at this factor of the odds, and by this share at
+    least. larger, rows, slower : factors at which sigma, epipolar rms and duration count as larger.
+    moved_mm : shift at which a camera counts as moved. baseline_sigmas : the usual value is raised by this
+    many of its sigmas, its one-sided 95 % limit. most_step : largest step of the log likelihood ratio in one
+    cycle. slow_step : the same for durations. most : number of cycles after which a release is kept unless a
+    test has decided against it.
     """
 
     good_is_withdrawn: float = 0.001
@@ -53,12 +54,12 @@ class ProbationParams:
     odds: float = 5.0
     share: float = 0.02
     larger: float = 1.3
-    rows: float = 1.41  # an error of rows as large as all that was there, in the sum of squares
-    slower: float = 1.5  # its root, 1.22, is beyond what people on the pages cost: 1.19 (docs, speed.md)
-    moved_mm: float = 0.2  # half of it, 0.1, is what 20 K do to a camera: `MarksParams.shift_mm_per_k`
+    rows: float = 1.41  # an additional epipolar error as large as the former one, in the sum of squares
+    slower: float = 1.5  # its root, 1.22, is beyond the effect of users on the pages: 1.19 (docs, speed.md)
+    moved_mm: float = 0.2  # half of it, 0.1, is the effect of 20 K on a camera: `MarksParams.shift_mm_per_k`
     baseline_sigmas: float = 1.645
     most_step: float = 1.0
-    slow_step: float = 0.1  # what loads the PC for a moment, of 80 cycles at most, is not the release's
+    slow_step: float = 0.1  # a temporary load on the PC, of up to 80 cycles, is not the release's fault
     most: int = 1000
 
 
@@ -73,14 +74,17 @@ class JudgedCycle:
 
 @dataclass(frozen=True, slots=True)
 class Probation:
-    """How it stands. why : in words."""
+    """Decision on a release's probation. why : reason, in words."""
 
     decision: Literal["go on", "commit", "roll back"]
     why: str
 
 
 def baseline_of(cycles: Sequence[JudgedCycle], *, moves_marks: bool = False) -> Baseline:
-    """What a release is compared with. moves_marks : it may; jobs cannot, but weather and people can."""
+    """Baseline for a release.
+
+    moves_marks : the release can affect the cameras' shifts. Jobs cannot, but weather and people can.
+    """
     good = sum(cycle.is_good for cycle in cycles)
     figures: dict[Figure, dict[int, UsualFigure]] = {}
     for figure in FIGURES if moves_marks else [name for name in FIGURES if name not in OF_MARKS]:
@@ -99,8 +103,9 @@ def counted(
     cycles: Iterable[JudgedCycle],
     params: ProbationParams = ProbationParams(),
 ) -> ProbationTally:
-    """A tally with further cycles, in their order. A test stops where it first decides; "as before" of marks
-    holds only until they move.
+    """Add further cycles to a tally, in their order.
+
+    A test stops when it first decides; but a decision "as before" of marks holds only until they move.
     """
     if not before.good + before.bad:
         return tally
@@ -118,7 +123,7 @@ def counted(
                 continue
             over = abs(value - own.log) if figure in OF_MARKS else value - own.log
             ratio = test.ratio
-            if low < ratio < high or (ratio <= low and figure in OF_MARKS):  # these may go away later
+            if low < ratio < high or (ratio <= low and figure in OF_MARKS):  # marks may still move later
                 ratio = max(ratio + _step(figure, over, own, params), low)
             tests[figure] = FigureTally(ratio=ratio, known=test.known + 1, excess=test.excess + over)
     sigma = tests.pop("sigma", tally.of("sigma"))
@@ -134,7 +139,7 @@ def counted(
 
 
 def judge(before: Baseline, tally: ProbationTally, params: ProbationParams = ProbationParams()) -> Probation:
-    """Compare what was counted with the cycles before."""
+    """Decide by the tally, compared with the cycles before."""
     number = before.good + before.bad
     if not number:
         return Probation("commit", "its jobs are new: there is nothing to compare them with")
@@ -151,12 +156,12 @@ def judge(before: Baseline, tally: ProbationTally, params: ProbationParams = Pro
 
 def _limits(params: ProbationParams) -> tuple[float, float]:
     """Log likelihood ratios at which a test decides for "as before", and for "worse"."""
-    share = params.good_is_withdrawn / (1 + len(FIGURES))  # Bonferroni: together not more
+    share = params.good_is_withdrawn / (1 + len(FIGURES))  # Bonferroni correction
     return math.log(params.bad_is_kept / (1 - share)), math.log((1 - params.bad_is_kept) / share)
 
 
 def _shares(before: Baseline, params: ProbationParams) -> tuple[float, float]:
-    """Shares of bad cycles: the usual one, and what counts as more."""
+    """Shares of bad cycles: the usual one, and the one that counts as worse."""
     number = before.good + before.bad
     usual = (before.bad + 0.5) / (number + 1)
     usual += params.baseline_sigmas * math.sqrt(usual * (1 - usual) / number)
@@ -172,7 +177,7 @@ def _step(figure: Figure, over: float, usual: UsualFigure, params: ProbationPara
 
 
 def _usual(known: FloatArray) -> UsualFigure:
-    """What is usual of a figure (N,), in the order of its cycles.
+    """Usual value of a figure (N,), in the order of its cycles.
 
     The variance of a sum of correlated cycles is (1 + r) / (1 - r) times larger, r from one to the next:
     G. V. Bayley and J. M. Hammersley, "The 'effective' number of independent observations in an
@@ -183,18 +188,18 @@ def _usual(known: FloatArray) -> UsualFigure:
     apart = np.clip((known - middle) / scatter, -3.0, 3.0)
     r = min(max(float(apart[1:] @ apart[:-1]) / max(float(apart @ apart), 1.0), 0.0), 0.95)
     scatter *= math.sqrt((1 + r) / (1 - r))
-    # a normal distribution's median is sqrt(pi / 2) times less sure than its mean
+    # a normal distribution's median is sqrt(pi / 2) times less certain than its mean
     return UsualFigure(log=middle, scatter=scatter, doubt=scatter * math.sqrt(math.pi / 2 / len(known)))
 
 
 def _shift(figure: Figure, params: ProbationParams) -> float:
-    """What counts as worse: of a logarithm, or in mm."""
+    """Shift of a figure that counts as worse: of its logarithm, or in mm."""
     factors = {"sigma": params.larger, "rows": params.rows, "time": params.slower}
     return math.log(factors[figure]) if figure in factors else params.moved_mm
 
 
 def _value(cycle: JudgedCycle, figure: Figure) -> float | None:
-    """A figure as it is compared: its logarithm, or mm; None: it is not known."""
+    """A figure as it is compared: its logarithm, or mm; None if it is not known."""
     value = cycle.figures.get(figure)
     if value is None or figure in OF_MARKS:
         return value

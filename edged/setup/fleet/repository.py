@@ -1,10 +1,10 @@
-"""A repository of signed releases in a folder, as The Update Framework has it; for a web server or a stick.
+"""A repository of signed releases in a folder by The Update Framework; for a web server or a USB stick.
 
     metadata/1.root.json, 1.targets.json, 3.PLANT.json, 7.snapshot.json, timestamp.json
     targets/PLANT/SHA256.NAME
 
-Each plant signs its releases with its own key, and can sign nothing of another plant's. What is signed is
-seen by cells once it is published. Source: The Update Framework Specification 1.0.34.
+Each plant signs its releases with its own key, and cannot sign those of another plant. Cells see signed
+releases once they are published. Source: The Update Framework Specification 1.0.34.
 """
 
 from __future__ import annotations
@@ -40,13 +40,13 @@ from edged.setup.fleet.offers import Offer
 ROOT, TARGETS, SNAPSHOT, TIMESTAMP = (role.type for role in (Root, Targets, Snapshot, Timestamp))
 METADATA, FILES, CUSTOM = "metadata", "targets", "edged"
 SIGNED_DAYS = 365
-"""Life of what people sign offline."""
+"""Validity of metadata that is signed offline."""
 PLANT = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}")
 S = TypeVar("S", bound=Signed)
 
 
 class Repository:
-    """A folder. Whatever writes raises `UserError`, and names the file."""
+    """A repository in a folder. Methods that write raise `UserError` that names the file."""
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
@@ -56,10 +56,10 @@ class Repository:
         self, keys: Sequence[SSlibKey], threshold: int, targets: SSlibKey, online: SSlibKey,
         signers: Sequence[Signer],
     ) -> Path:  # fmt: skip
-        """Say whose keys count, anew or for the first time. Returns the file.
+        """Create or replace the root, which states the valid keys. Return its file.
 
-        keys : of the root; threshold : how many of them must sign. targets : names the plants. online :
-        publishes.
+        keys : of the root. threshold : how many of them must sign. targets : key that delegates to plants.
+        online : key that publishes.
         """
         if not 1 <= threshold <= len(keys):
             raise UserError(
@@ -78,7 +78,7 @@ class Repository:
         return self._write(signed)
 
     def countersign(self, signer: Signer) -> int:
-        """Sign the newest root with one more key; returns how many signatures it still lacks."""
+        """Sign the newest root with one more key; return how many signatures are still missing."""
         root = self._load(ROOT)
         if signer.public_key.keyid not in root.signed.roles[ROOT].keyids:
             raise UserError(f"{self._newest(ROOT)}: this key is not among those of the root")
@@ -87,7 +87,7 @@ class Repository:
         return int(root.signed.get_verification_result(ROOT, root.signed_bytes, root.signatures).missing)
 
     def delegate(self, plant: str, key: SSlibKey, signer: Signer) -> None:
-        """Let a key, and no other, sign the releases of a plant."""
+        """Allow one key, and no other, to sign the releases of a plant."""
         if not PLANT.fullmatch(plant) or plant in (ROOT, TARGETS, SNAPSHOT, TIMESTAMP):
             raise UserError(f"{plant!r}: expected a name of letters, digits and _ . -, and none of TUF's own")
         targets = Metadata(Targets()) if self._newest(TARGETS) is None else self._load(TARGETS)
@@ -104,9 +104,10 @@ class Repository:
         self, plant: str, signer: Signer, path: str, data: bytes | None, custom: dict[str, Any],
         parts: Mapping[str, bytes] = MappingProxyType({}),
     ) -> Offer:  # fmt: skip
-        """Sign a target of a plant; data : None: as it is, with other metadata. Returns what is signed.
+        """Sign a target of a plant, and return its offer. data : None to change only its metadata.
 
-        custom : of `Offer`, without number and time. parts : further targets that belong to it, by name.
+        custom : fields of `Offer`, without number and time. parts : further targets that belong to it, by
+        name.
         """
         if not PLANT.fullmatch(path.removeprefix(f"{plant}/")):
             raise UserError(f"{path}: expected a name of letters, digits and _ . -")
@@ -136,7 +137,7 @@ class Repository:
         self._sign(there, signer, plant, self._load(TARGETS).signed)
         for target, content in files:
             place = self._folder / FILES / target.get_prefixed_paths()[0]
-            if not (place.is_file() and place.stat().st_size == len(content)):  # its name is its hash
+            if not (place.is_file() and place.stat().st_size == len(content)):  # named by its hash
                 _write_in(place.parent, place.name, content)
         return offer
 
@@ -145,7 +146,7 @@ class Repository:
         return path in self._plant(plant).signed.targets
 
     def publish(self, signer: Signer, days: float) -> Snapshot:
-        """Let cells see what is signed, for so many days; the timestamp comes last. Returns what they see."""
+        """Publish what is signed, valid for so many days; the timestamp is last. Return the snapshot."""
         root, targets = self._load(ROOT), self._load(TARGETS)
         self._check(root, ROOT, root.signed)
         self._check(targets, TARGETS, root.signed)
@@ -171,7 +172,7 @@ class Repository:
         return Metadata(Targets())
 
     def _newest(self, role: str) -> Path | None:
-        """The file of a role, of the highest version."""
+        """Metadata file of a role with the highest version; None without any."""
         if role == TIMESTAMP:
             return stamp if (stamp := self._metadata / "timestamp.json").is_file() else None
         found = re.compile(rf"([0-9]{{1,9}})\.{re.escape(role)}\.json")
@@ -180,7 +181,7 @@ class Repository:
         return max(numbered)[1] if numbered else None
 
     def _version(self, role: str) -> int:
-        """The newest; 0: none is there."""
+        """Newest version of a role's metadata; 0 without any."""
         return 0 if self._newest(role) is None else int(self._load(role).signed.version)
 
     def _load(self, role: str) -> Metadata[Any]:
@@ -217,7 +218,7 @@ class Repository:
 
 
 def metadata_at(file: Path) -> Metadata[Any]:
-    """Metadata in a file. Raises `FileFormatError`."""
+    """Load metadata from a file. Raises `FileFormatError`."""
     try:
         return Metadata[Any].from_bytes(read_bytes(file, "metadata of releases"))
     except (DeserializationError, RepositoryError) as error:
@@ -225,12 +226,12 @@ def metadata_at(file: Path) -> Metadata[Any]:
 
 
 def is_part(target: TargetFile) -> bool:
-    """Whether a target is no release, but belongs to one: a wheel."""
+    """Whether a target is a part of a release, that is a wheel, and not a release itself."""
     return target.unrecognized_fields.get("custom") is None and target.path.endswith(".whl")
 
 
 def offer_of(target: TargetFile) -> Offer:
-    """What a target says of itself. Raises `FileFormatError` for one that says nothing that is known."""
+    """Offer in a target's custom metadata. Raises `FileFormatError` for one without a valid offer."""
     custom = target.unrecognized_fields.get("custom")
     try:
         return Offer.model_validate(custom[CUSTOM] if isinstance(custom, dict) else custom)

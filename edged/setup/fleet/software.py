@@ -1,8 +1,8 @@
-"""The gate's way with a release of software, once root has installed it beside the version that runs.
+"""The gate's steps for a software release, after root has installed it beside the running version.
 
-The new version measures recorded cycles in its own environment, in a process of its own; what it finds is
-compared with what the running one finds. Who switches is root (`versions`), by the order of this gate; which
-version runs, the page's process knows by its own environment.
+The new version measures recorded cycles in its own environment and its own process; the results are compared
+with those of the running one. Root does the switching (`versions`), by order of this gate; the page's process
+knows from its own environment which version runs.
 """
 
 from __future__ import annotations
@@ -35,29 +35,29 @@ from edged.setup.recordings.setups import digest_of, facts_of_jobs
 
 MODULE = "edged.setup.recordings.again"
 MOST_S = 3600.0
-"""For measuring 200 recordings, with kernels to compile before."""
+"""Time limit for measuring 200 recordings, including the compilation of kernels."""
 AGAIN_S = 60.0
 AUTHOR = "fleet"
 RUNNING = Path(sys.prefix).resolve().name
-"""The version that runs, looked up before a link is switched."""
+"""Name of the running version, resolved at import, before a link can be switched."""
 PYTHON = Path(sys.executable)
 
 
 class GateSteps(Protocol):
-    """What the gate does with any release."""
+    """Steps of the gate that are the same for any release."""
 
     def has_leave(self, *, in_window: bool) -> bool:
-        """Whether the plant lets the cell change now."""
+        """Whether the plant allows the cell to change now."""
 
     async def note(self, note: GateNote, step: str, why: str, *, is_news: bool = True) -> GateNote:
-        """Note a step before it is taken."""
+        """Write down a step before it is taken."""
 
     async def judge(self, note: GateNote) -> GateNote:
-        """Count the cycles since, and decide."""
+        """Count the cycles since the last call, and decide."""
 
 
 class SoftwareGate:
-    """Used on the event loop. running : the version of this process."""
+    """Gate for software releases; used on the event loop. running : the version of this process."""
 
     def __init__(
         self, cell: CellInUse, regressions: Regressions, recorded: RecordedJudgement, steps: GateSteps
@@ -96,7 +96,7 @@ class SoftwareGate:
     # --- steps --------------------------------------------------------------------------------------
 
     async def _try(self, note: GateNote) -> GateNote:
-        """Let the new version measure recorded cycles."""
+        """Measure recorded cycles with the new version."""
         offer, jobs = note.staged.offer, {job.number for job in facts_of_jobs(self._cell.files.contents)}
         versions = self._versions()
         try:
@@ -106,7 +106,7 @@ class SoftwareGate:
                 )
             await asyncio.to_thread(_take_kernels, versions.folder / "versions" / offer.name / "kernels")
             begun = datetime.now(UTC)
-            # at once: a quick cell has other recordings a minute later
+            # both at the same time: a fast cell has other recordings a minute later
             before, after = await self._measured_by_both(versions.python(offer.name))
             if sum(line.get("shown", {}).get("status") == "OK" for line in before) < LEAST_GOOD:
                 raise UserError(
@@ -155,7 +155,7 @@ class SoftwareGate:
         return await self._order(note, note.order, back=True)
 
     async def _order(self, note: GateNote, number: int, *, back: bool) -> GateNote:
-        """Have root switch, once; while it may: a cell that was stopped in between asks anew."""
+        """Order root to switch, unless it was ordered lately; only while changes are allowed."""
         if await asyncio.to_thread(self._is_fresh, number):
             return note
         if not self._steps.has_leave(in_window=not back):
@@ -179,7 +179,7 @@ class SoftwareGate:
         return Versions(section.software)
 
     def _is_fresh(self, number: int) -> bool:
-        """Whether an order was written lately; one that root has missed is written again."""
+        """Whether an order was written lately; one that root has missed is written again later."""
         if self._number() < number:
             return False
         return time.time() - (self._folder / ORDER).stat().st_mtime < AGAIN_S
@@ -189,21 +189,21 @@ class SoftwareGate:
         return 0 if order is None else order.number
 
     def _failed(self, note: GateNote) -> str:
-        """Why root went back by itself; "" if it did not."""
+        """Why root went back on its own; "" if it did not."""
         switched = self._versions().switched()
         is_ours = switched is not None and switched.order.number == note.order and not switched.order.back
         return switched.why if switched is not None and is_ours and switched.state == "failed" else ""
 
     async def _measured_by_both(self, python: Path) -> tuple[list[Json], list[Json]]:
-        """What this version finds in the recorded cycles, and another one. Raises `UserError`."""
+        """Measure the recorded cycles with this version and with another one. Raises `UserError`."""
         try:
             return await both(self._measured(PYTHON), self._measured(python), MOST_S)
         except TimeoutError as error:
             raise UserError(f"{python}: recorded cycles took longer than {MOST_S:g} s") from error
 
     async def _measured(self, python: Path) -> list[Json]:
-        """What a version finds in the recorded cycles. Raises `UserError`."""
-        # not by the name that stands before it: a page's environment is of the running version
+        """Measure the recorded cycles with a version. Raises `UserError`."""
+        # without PYTHON... variables: the page's environment belongs to the running version
         environment = {name: value for name, value in os.environ.items() if not name.startswith("PYTHON")}
         process = await asyncio.create_subprocess_exec(
             "nice", str(python), "-P", "-m", MODULE, str(self._cell.path), str(LAST),
@@ -233,7 +233,7 @@ def _lines(said: bytes, python: Path) -> list[Json]:
 
 
 def _take_kernels(compiled: Path) -> None:
-    """What root has compiled, into this process' cache, as the service does at its start."""
+    """Copy the kernels that root has compiled into this process's cache, as the service does at its start."""
     cache = os.environ.get("NUMBA_CACHE_DIR", "")
     if cache and compiled.is_dir():
         shutil.copytree(compiled, cache, dirs_exist_ok=True)

@@ -1,13 +1,13 @@
-"""The versions of edged on a machine, as `tools/install` lays them out; and which of them is current.
+"""The installed versions of edged on a machine, in the layout of `tools/install`, and which one is current.
 
-    versions/NAME/            an environment each; `.complete` is its last file, with its release's SHA-256
-    current, previous, agent  links: what runs, what ran before, and what switches between both
-    order.json                of the page's folder: the version that its gate wants; `VersionOrder`
-    switched.json             beside the links: the order that was followed last, and how it ended; `Switched`
+    versions/NAME/            one environment each; `.complete` is written last, with the release's SHA-256
+    current, previous, agent  links to the version that runs, the one before, and the one that switches
+    order.json                in the page's folder: the version that its gate wants; `VersionOrder`
+    switched.json             beside the links: the order that was followed last, and its outcome; `Switched`
 
-The page decides, and may write none of this. Root follows: it switches to nothing but what it has installed,
-and back by itself where the new version does not come up. A link is exchanged in one step, so that whenever
-the power fails one version or the other is current, and whole.
+The page decides, but has no write access to the versions. Root follows: it switches only to versions that it
+has installed, and back on its own if the new version does not come up. A link is replaced in one step, so
+that whenever the power fails, one complete version is current.
 """
 
 from __future__ import annotations
@@ -34,9 +34,9 @@ from edged.setup.history import Kept, Text
 COMPLETE, ORDER, SWITCHED = ".complete", "order.json", "switched.json"
 CURRENT, PREVIOUS, AGENT = "current", "previous", "agent"
 START_S = 900.0
-"""A new version that is not judged after so long did not come up: on another processor it compiles first."""
+"""A new version not judged within this time has not come up; on another processor it compiles first."""
 RESTARTS = 3
-"""In its probation; a daemon that ends so often does not run."""
+"""Restarts during probation from which on the daemon counts as not running."""
 POLL_S = 1.0
 
 WARM = "warm"
@@ -46,7 +46,7 @@ VersionName = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.+-]{0,63}$"
 
 
 class VersionOrder(Kept):
-    """What the gate wants to run. number : counts its orders. back : to the version before."""
+    """The version that the gate wants to run. number : counts its orders. back : return to the former one."""
 
     number: Annotated[int, Field(ge=1)]
     to: VersionName
@@ -54,7 +54,7 @@ class VersionOrder(Kept):
 
 
 class Switched(Kept):
-    """An order, and whether what it wanted runs. why : it does not."""
+    """An order and its outcome. why : reason if it failed."""
 
     order: VersionOrder
     former: VersionName
@@ -63,40 +63,40 @@ class Switched(Kept):
 
 
 class Unit(Protocol):
-    """The service of a cell, as systemd runs it."""
+    """The systemd service of a cell."""
 
     def restart(self) -> str:
-        """Restart it, and wait until it is ready; returns "" or why it is not."""
+        """Restart it and wait until it is ready; return "" or why it is not."""
 
     def restarts(self) -> int:
-        """How often it has ended by itself since then."""
+        """Number of automatic restarts since then."""
 
 
 class Versions:
-    """Below a folder: /opt/edged. Whatever writes needs its owner, root. Raises `OSError`, `UserError`."""
+    """Versions installed in a folder, /opt/edged. Writing requires root. Raises `OSError`, `UserError`."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
 
     def python(self, name: str) -> Path:
-        """The interpreter of a version."""
+        """Path of a version's Python interpreter."""
         return self.folder / "versions" / name / "bin" / "python"
 
     def linked(self, link: str) -> str:
-        """The version that a link means; "" where there is none."""
+        """Name of the version that a link points to; "" if there is no link."""
         place = self.folder / link
         return place.readlink().name if place.is_symlink() else ""
 
     def digest(self, name: str) -> str | None:
-        """SHA-256 of the release that a version was installed from; None: it is not complete.
+        """SHA-256 of the release that a version was installed from; None if it is not complete.
 
-        "" of what `tools/install` made.
+        "" for one made by `tools/install`.
         """
         file = self.folder / "versions" / name / COMPLETE
         return file.read_text().strip() if file.is_file() else None
 
     def install(self, name: str, digest: str, wheels: tuple[Wheel, ...], files: Path) -> None:
-        """Make the environment of a release from a folder with its wheels, beside what runs."""
+        """Make the environment of a release from a folder with its wheels, beside the running one."""
         place = self.folder / "versions" / name
         from edged.vision.kernels.jitcache import take_over  # loads the compiler, half a second
 
@@ -105,7 +105,7 @@ class Versions:
             raise UserError(f"{place}: another software is installed by this name: sign it by another one")
         if there is not None:
             return
-        shutil.rmtree(place, ignore_errors=True)  # of a run that was cut off
+        shutil.rmtree(place, ignore_errors=True)  # left by an interrupted run
         make_folders(place.parent)
         _run([sys.executable, "-m", "venv", "--system-site-packages", place], f"{place}: cannot be made")
         wanted = place / "requirements.txt"
@@ -118,12 +118,12 @@ class Versions:
         take_over(running / "kernels", _packages(running), place / "kernels", _packages(place))
         kernels = {**os.environ, "NUMBA_CACHE_DIR": str(place / "kernels")}
         _run([place / "bin" / "edged", WARM], f"{place}: compiling", kernels)
-        os.sync()  # all of it, before the mark
+        os.sync()  # everything must be on disc before the mark
         write_atomically(place / COMPLETE, digest.encode())
         self._remove_others(name)
 
     def switch(self, name: str) -> None:
-        """Let another version be current, and the current one the previous."""
+        """Make another version current, and the current one the previous."""
         former = self.linked(CURRENT)
         if self.digest(name) is None:
             raise UserError(f"{self.folder}: version {name} is not installed, or not complete")
@@ -132,7 +132,7 @@ class Versions:
             self._link(CURRENT, name)
 
     def keep_agent(self, name: str) -> None:
-        """Let a version that is known to run be the one that switches."""
+        """Make a version that is known to run the one that switches."""
         self._link(AGENT, name)
 
     def switched(self) -> Switched | None:
@@ -141,7 +141,7 @@ class Versions:
         return read_model(file, Switched, "a switch of version") if file.exists() else None
 
     def note(self, switched: Switched) -> Switched:
-        """Keep how far it is."""
+        """Write the progress of an order."""
         write_atomically(self.folder / SWITCHED, switched.model_dump_json(indent=1).encode())
         return switched
 
@@ -153,7 +153,7 @@ class Versions:
         sync(self.folder)
 
     def _remove_others(self, name: str) -> None:
-        """Versions of releases that no link means any more: an environment has some 600 MB."""
+        """Remove versions of releases that no link points to: an environment has some 600 MB."""
         kept = {name, *map(self.linked, (CURRENT, PREVIOUS, AGENT))}
         for place in (self.folder / "versions").iterdir():
             if place.name not in kept and self.digest(place.name):
@@ -162,12 +162,12 @@ class Versions:
 
 
 def _packages(place: Path) -> Path:
-    """Where the packages of an environment lie."""
+    """Folder with the packages of an environment."""
     return next(place.resolve().glob("lib/python3*/site-packages"), place)
 
 
 def order_in(folder: Path) -> VersionOrder | None:
-    """The order of a page's gate; folder : of releases. Raises `FileFormatError`."""
+    """The order of a page's gate; None without any. folder : of releases. Raises `FileFormatError`."""
     file = folder / ORDER
     return read_model(file, VersionOrder, "an order of the gate") if file.exists() else None
 
@@ -180,9 +180,10 @@ def follow(
     poll_s: float = POLL_S,
     is_over: Callable[[], bool] = lambda: False,
 ) -> Switched | None:
-    """Follow the orders of the gate, and see a new version through its probation; None: there is no order.
+    """Follow the orders of the gate, and supervise a new version through its probation.
 
-    page : its folder. Started again at any moment, it goes on. is_over : ends the watch, for tests.
+    Returns the last order's outcome, None without any. page : its folder. Can be stopped and started again at
+    any moment. is_over : ends the supervision, for tests.
     """
     order, done = order_in(page / FOLDER), versions.switched()
     while order is not None and not (done is not None and done.order == order and done.state == "failed"):
@@ -203,7 +204,7 @@ def follow(
             if unit.restarts() >= RESTARTS:
                 return _undone(versions, done, unit, f"it ended {unit.restarts()} times by itself")
             time.sleep(10 * poll_s)
-        further = order_in(page / FOLDER)  # systemd starts nothing that runs already
+        further = order_in(page / FOLDER)  # checked here, as systemd does not start a unit that still runs
         if further == order:
             return done
         order = further
@@ -211,7 +212,7 @@ def follow(
 
 
 def _undone(versions: Versions, done: Switched, unit: Unit, why: str) -> Switched:
-    """Go back by itself."""
+    """Go back to the former version on its own."""
     versions.switch(done.former)
     done = versions.note(done.model_copy(update={"state": "failed", "why": why}))
     unit.restart()
@@ -219,7 +220,7 @@ def _undone(versions: Versions, done: Switched, unit: Unit, why: str) -> Switche
 
 
 def _confirmed(page: Path, start_s: float, poll_s: float) -> str:
-    """Wait until the gate of the new version has begun to judge it; "" or why not."""
+    """Wait until the gate of the new version has begun to judge it; return "" or why it has not."""
     end_s = time.monotonic() + start_s
     while _step(page) == "activating":
         if time.monotonic() >= end_s:
@@ -229,16 +230,16 @@ def _confirmed(page: Path, start_s: float, poll_s: float) -> str:
 
 
 def _step(page: Path) -> str:
-    """The step in the gate's note, which another version may have written: nothing else of it is read."""
+    """Step in the gate's note; only this key is read, as another version may have written the note."""
     try:
         found = json.loads(read_bytes(page / FOLDER / GATE, "the gate's note"))
         return str(found["step"])
     except (FileFormatError, ValueError, KeyError, TypeError):
-        return "activating"  # nothing says that it goes on
+        return "activating"  # unreadable: it may not have begun
 
 
 class SystemdUnit:
-    """A unit, by systemctl."""
+    """A unit controlled by systemctl."""
 
     def __init__(self, name: str) -> None:
         self._name = name

@@ -1,7 +1,7 @@
-"""A release of software: edged's own wheel and those of all that it needs, by name, version and SHA-256.
+"""A software release: edged's own wheel and those of all its dependencies, by name, version and SHA-256.
 
-What is signed is its bill of materials, in CycloneDX; each wheel is a target beside it, by its own hash, so
-that cells fetch only what they lack. `bom` makes it; here it is read.
+Its bill of materials, in CycloneDX, is signed; each wheel is a separate target with its own hash, so that
+cells fetch only missing ones. `bom` makes the bill; this module reads it.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ class _Bom(_Read):
 
 
 class Wheel(_Read):
-    """A file of a release. sha256 : of its content."""
+    """A wheel of a release. sha256 : of its content."""
 
     name: str
     version: str
@@ -49,7 +49,7 @@ class Wheel(_Read):
     sha256: Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
 
     def target(self, plant: str) -> str:
-        """Its path in the repository: the same file is there once, whatever release it is of."""
+        """Path in the repository; a file that several releases share is stored once."""
         return str(PurePosixPath(plant, f"{self.sha256}.{self.file}"))
 
 
@@ -70,7 +70,7 @@ def wheels_in(data: bytes, place: str) -> tuple[Wheel, ...]:
 
 
 def requirements(wheels: tuple[Wheel, ...]) -> str:
-    """All of them for pip, which then takes these files and no others."""
+    """Requirements file for pip, which then accepts exactly these files."""
     return "".join(f"{wheel.name}=={wheel.version} --hash=sha256:{wheel.sha256}\n" for wheel in wheels)
 
 

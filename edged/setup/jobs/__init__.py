@@ -1,1 +1,1 @@
-"""Background jobs: a worker process, and how far its tasks are."""
+"""Background jobs: a worker process, and the progress of its tasks."""

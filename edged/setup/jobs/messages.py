@@ -1,7 +1,7 @@
-"""Orders to the worker process and its answers: the values that may cross, and no others.
+"""Encoding of orders to the worker process and of its answers: only values of listed classes are accepted.
 
-The worker reads strangers' files with libraries in C++. Whoever takes it over may answer what they like; it
-comes here as a value of this list, or not at all.
+The worker reads untrusted files with C++ libraries. An attacker who takes it over may send any answer, but it
+is only accepted as a value of a class on this list.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from edged.cbor import CborBounds
 from edged.codec.codec import Codec
 
 MOST_BYTES = 256 << 20
-"""Several pictures of the largest sensors."""
+"""Largest message: several pictures of the largest sensors."""
 _KINDS = {
     "edged.domain.measurement": "Status",
     "edged.domain.picking": "Bounds Box Grasp Gripper Order Picking Tray",
@@ -64,7 +64,7 @@ _KINDS = {
     "edged.vision.shape.model": "ShapeLevel ShapeModel",
     "edged.vision.shape.params": "SearchParams",
 }
-"""Classes by their modules, which are imported when the first such value comes."""
+"""Classes by their modules, which are imported when the first such value arrives."""
 CODEC = Codec(
     "a worker",
     {name: module for module, names in _KINDS.items() for name in names.split()},
@@ -73,10 +73,10 @@ CODEC = Codec(
 
 
 def encode_message(value: object) -> bytes:
-    """A value as CBOR. Raises `TypeError` that names a kind that is not on the list."""
+    """Encode a value as CBOR. Raises `TypeError` that names a class that is not on the list."""
     return CODEC.encode(value)
 
 
 def decode_message(data: bytes) -> Any:
-    """The value. Raises `ValueError` for anything that `encode_message` does not write."""
+    """Decode a value. Raises `ValueError` for anything that `encode_message` does not write."""
     return CODEC.decode(data)

@@ -1,4 +1,4 @@
-"""Long work: its progress, its outcome, and cancelling it."""
+"""Background tasks: progress, outcome and cancellation."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ from edged.setup.pairs import Progress
 log = logging.getLogger(__name__)
 
 KEPT = 20
-"""Tasks that are known, running ones included; the oldest that have ended are forgotten."""
+"""Number of tasks kept, running ones included; the oldest ended ones are dropped first."""
 TELL_S = 1.0
-"""Also while nothing changes: who waits sees that it goes on."""
+"""Interval of notices even while nothing changes, so that users see that it is running."""
 
 
 class TaskProblem(Frozen):
-    """Why it failed. code, params : as those of a refused request."""
+    """Why a task failed. code, params : as in a refused request."""
 
     code: str
     detail: Message
@@ -36,8 +36,8 @@ class TaskProblem(Frozen):
 
 
 class TaskDocument(Frozen):
-    """A task. done : 0 to 1, of the stage that `text` names; None where that is not known. state : running,
-    done, failed, cancelled."""
+    """A task. done : 0 to 1, of the stage that `text` names; None if not known. state : running, done,
+    failed, cancelled."""
 
     id: str
     what: str
@@ -69,14 +69,14 @@ class _Task:
 
 
 class Tasks:
-    """Tasks that run, and the last that ended; used on the event loop only. Publishes "task" notices."""
+    """Running tasks, and the last that ended; used on the event loop only. Publishes "task" notices."""
 
     def __init__(self, notices: Notices) -> None:
         self._notices = notices
         self._tasks: OrderedDict[str, _Task] = OrderedDict()
 
     def start(self, what: str, work: Callable[[Progress], Awaitable[None]]) -> str:
-        """Start a task; returns its id. work : an `EdgedError` that it raises is how the task failed."""
+        """Start a task and return its id. work : an `EdgedError` that it raises becomes its problem."""
         task = _Task(secrets.token_hex(6), what, time.monotonic())
         self._tasks[task.id] = task
         ended = [old for old in self._tasks.values() if old.state != "running"]
@@ -91,11 +91,11 @@ class Tasks:
         return self._tasks[identity].document()
 
     def is_running(self, identity: str | None) -> bool:
-        """Whether there is such a task, and it runs."""
+        """Whether there is such a task and it is running."""
         return identity is not None and identity in self._tasks and self._tasks[identity].state == "running"
 
     async def cancel(self, identity: str) -> TaskDocument:
-        """End it; nothing to do for one that has ended. Returns its state. Raises `KeyError`."""
+        """Cancel a task unless it has ended, and return its state. Raises `KeyError`."""
         task = self._tasks[identity]
         if task.running is not None:
             await cancel_and_await(task.running)
@@ -105,7 +105,7 @@ class Tasks:
         return task.document()
 
     async def close(self) -> None:
-        """End all."""
+        """Cancel all tasks."""
         for identity in list(self._tasks):
             await self.cancel(identity)
 

@@ -1,4 +1,4 @@
-"""The worker process from outside: started when it is needed, one task at a time, killed to cancel it."""
+"""Control of the worker process: started on demand, runs one task at a time, killed to cancel a task."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ from edged.setup.pairs import Progress, silent
 log = logging.getLogger(__name__)
 
 IDLE_S = 300.0
-"""Without a task for so long, the process ends: it holds the memory of a second Python."""
+"""Idle time after which the process is ended, as it takes the memory of a second Python."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,15 +45,15 @@ class _OutOfTime:
 
 
 class Worker:
-    """A process for long work, so that the loop's and the PLC's turns never wait for it.
+    """A process for long work, so that the event loop and PLC commands never wait for it.
 
-    functions : what it can do, by name: "module:function", called with the arguments, and a
-    `Progress` where it takes one as `progress`.
-    cpus : how many processors a task may use, asked when it begins. limits : what else it may take.
+    functions : its functions by name, as "module:function"; they are called with the arguments, and with a
+    `Progress` if they have a parameter `progress`.
+    cpus : returns how many processors a task may use, called when it begins. limits : its other limits.
 
     A plain process with a pipe: `pebble` cancels by kill, too, but has no channel for progress, and starts
-    processes by `multiprocessing`: a fork of a daemon that has threads, or a spawn that imports the daemon's
-    main module again and keeps a third process to look after both.
+    processes by `multiprocessing`: by a fork of a daemon that has threads, or by a spawn that imports the
+    daemon's main module again and keeps a third process to manage both.
     """
 
     def __init__(
@@ -82,11 +82,11 @@ class Worker:
         return self._turn.locked()
 
     async def run(self, name: str, *arguments: Any, progress: Progress = silent) -> Any:
-        """The result of a function, after the tasks that were asked for before.
+        """Run a function after all earlier tasks, and return its result.
 
-        progress : told on the event loop. When this is cancelled, the process is killed. Raises the
-        `UserError` that the function raised, `TaskTooLarge` when it took more than it may, and `TaskFailed`
-        when it ended without a result otherwise.
+        progress : called on the event loop. If this is cancelled, the process is killed. Raises the
+        `UserError` that the function raised, `TaskTooLarge` if it exceeded its limits, and `TaskFailed` if it
+        ended without a result for another reason.
         """
         loop = asyncio.get_running_loop()
 
@@ -124,7 +124,7 @@ class Worker:
                 raise TaskFailed(f"{name}: a bug, see the log: {trace.splitlines()[-1]}")
 
     async def close(self) -> None:
-        """End the process, whatever it does."""
+        """End the process, even during a task."""
         if self._retirement is not None:
             self._retirement.cancel()
         self._kill()
@@ -136,9 +136,9 @@ class Worker:
     def _exchange(
         self, order: TaskOrder, tell: Callable[[TaskProgress], None], cancelled: threading.Event
     ) -> TaskResult | TaskRefused | TaskBug | OutOfMemory | _OutOfTime:
-        """Send an order, and wait for what comes of it. Raises `TaskFailed` when the process ends.
+        """Send an order and wait for its answer. Raises `TaskFailed` if the process ends.
 
-        Raises `TypeError` for an argument that is no message.
+        Raises `TypeError` for an argument that cannot be encoded.
         """
         message = encode_message(order)
         connection = self._connection
@@ -146,7 +146,7 @@ class Worker:
             self._clear()
             connection = self._start()
         try:
-            if cancelled.is_set():  # before there was a process to kill
+            if cancelled.is_set():  # cancelled before there was a process to kill
                 raise EOFError
             connection.send_bytes(message)
             while isinstance(answer := _received(connection), TaskProgress):
@@ -179,7 +179,7 @@ class Worker:
         return ours
 
     def _clear(self) -> str:
-        """Leave nothing of the process behind; how it ended, in words."""
+        """Kill the process and release its resources; return how it ended, in words."""
         if (connection := self._connection) is not None:
             connection.close()
             self._connection = None
@@ -193,12 +193,12 @@ class Worker:
     # --- on the loop -------------------------------------------------------------------------
 
     def _kill(self) -> None:
-        """Kill the process; the pipe's thread sees that."""
+        """Kill the process; the pipe's thread notices it."""
         if (process := self._process) is not None:
             process.kill()
 
     def _keep(self, loop: asyncio.AbstractEventLoop) -> None:
-        """Restart the time after which an idle process ends."""
+        """Restart the timer that ends an idle process."""
         if self._retirement is not None:
             self._retirement.cancel()
         self._retirement = loop.call_later(IDLE_S, self._retire)
@@ -214,7 +214,7 @@ def _too_large(name: str, most: str) -> TaskTooLarge:
 
 
 def _received(connection: Connection) -> TaskAnswer:
-    """The next answer. Raises `EOFError`, `OSError` for one too long, `ValueError` for what is none."""
+    """Receive the next answer. Raises `EOFError`, `OSError` if too long, `ValueError` if invalid."""
     answer = decode_message(connection.recv_bytes(MOST_BYTES))
     if isinstance(answer, TaskProgress | TaskResult | TaskRefused):
         return answer

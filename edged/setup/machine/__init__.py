@@ -1,1 +1,1 @@
-"""The machine of a cell, and what is kept of the cell elsewhere: findings, backup, a file for who helps."""
+"""The machine of a cell: findings of edged doctor, backup and restore, and support bundles."""

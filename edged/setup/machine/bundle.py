@@ -1,10 +1,10 @@
-"""A support bundle: a failed cycle with what it was measured by, and a document of findings, in one ZIP.
+"""Support bundles: a failed cycle with its setup, and a document of findings, in one ZIP.
 
     support.json        findings, versions, configuration, the audit's tail; SHA-256 of each other member
     cycles/NAME.zip     the recording, as the recorder wrote it
     setups/1a2b3c4d/    rig, jobs and configuration of that cycle, without secrets
 
-`edged replay` measures it again elsewhere. A bundle may come from anywhere: nothing of it is written before
+`edged replay` measures the cycle again elsewhere. A bundle may come from anywhere: nothing is written before
 all of it has been checked, and then only into a temporary folder.
 """
 
@@ -39,7 +39,7 @@ from edged.setup.releases.archive import MAX_BYTES, wrong_name
 FORMAT, VERSION = "edged-support", 2
 DOCUMENT = "support.json"
 AUDIT_TAIL = 200
-"""Records of the audit: some days of setting up."""
+"""Number of audit records included: some days of setup."""
 _SETUP = re.compile(r"setups/[0-9a-f]{8}/(.+)")
 _PRIVATE_KEY = re.compile(rb"-----BEGIN [A-Z ]*PRIVATE KEY-----")
 _DAMAGE = (
@@ -48,10 +48,10 @@ _DAMAGE = (
 
 
 def failed_cycle(folder: Path | None, number: int | None = None) -> dict[str, bytes]:
-    """The newest recording that was not good and has pictures, with its setup, by members of a bundle.
+    """The newest recording that was not good and has pictures, with its setup, as members of a bundle.
 
-    folder : of the recorder; None where nothing is recorded. number : of another one. {} where there is none.
-    Raises `UserError` where the number is not there, `FileFormatError` where it cannot be read.
+    folder : of the recorder; None if nothing is recorded. number : of a recording to take instead. Returns {}
+    if there is none. Raises `UserError` for an unknown number, and `FileFormatError` if it cannot be read.
     """
     entries = [] if folder is None else recording.entries(folder)[::-1]
     if number is not None:
@@ -65,13 +65,13 @@ def failed_cycle(folder: Path | None, number: int | None = None) -> dict[str, by
         try:
             if recording.load_snapshot(entry.path)[1]:
                 return _members(entry)
-        except FileFormatError:  # removed meanwhile, or damaged: an older one serves as well
+        except FileFormatError:  # removed meanwhile, or damaged: an older one will do
             continue
     return {}
 
 
 def _members(entry: recording.Entry) -> dict[str, bytes]:
-    """A recording and its setup. Raises `FileFormatError`."""
+    """Members with a recording and its setup. Raises `FileFormatError`."""
     setup = recording.setup_folder(entry.path.parent.parent, entry.fingerprint)
     if not setup.is_dir():
         raise FileFormatError(f"{entry.path}: its rig and jobs are not there: expected {setup}")
@@ -84,7 +84,7 @@ def _members(entry: recording.Entry) -> dict[str, bytes]:
 
 
 def about(state: Path, cell: CellFiles | UnfinishedCell, now: datetime) -> Json:
-    """What every bundle says of a cell. state : folder of its page. Raises `FileFormatError`."""
+    """Document fields about a cell in every bundle. state : folder of its page. Raises `FileFormatError`."""
     audit = AuditFile(state).verify(last=AUDIT_TAIL)
     return {
         "versions": recording.versions(),
@@ -98,12 +98,12 @@ def about(state: Path, cell: CellFiles | UnfinishedCell, now: datetime) -> Json:
 
 
 def without_remarks(text: bytes) -> bytes:
-    """A configuration without secrets, and without comments, in which people write passwords too."""
+    """A configuration without secrets, and without comments, as people write passwords in them, too."""
     return without_secrets(text, comments=False)
 
 
 def pack(document: Json, members: Mapping[str, bytes]) -> bytes:
-    """The bundle. Raises `UserError` where a secret is in it, or too much."""
+    """Pack a bundle. Raises `UserError` if it contains a secret or is too large."""
     digests = {name: hashlib.sha256(data).hexdigest() for name, data in members.items()}
     head = {"format": FORMAT, "version": VERSION, **document, "files": digests}
     whole = {DOCUMENT: json.dumps(head, indent=1, default=str).encode(), **members}
@@ -120,7 +120,7 @@ def pack(document: Json, members: Mapping[str, bytes]) -> bytes:
 
 
 def is_bundle(path: Path) -> bool:
-    """Whether a file says that it is one; False for what cannot be read."""
+    """Whether a file looks like a support bundle; False if it cannot be read."""
     try:
         with path.open("rb") as file, open_zip(file) as archive:
             return DOCUMENT in archive.namelist()
@@ -129,7 +129,7 @@ def is_bundle(path: Path) -> bool:
 
 
 def unpack(data: bytes, place: str) -> tuple[Json, dict[str, bytes]]:
-    """Document and other members, all of it checked. Raises `FileFormatError` that names place and member."""
+    """Check and read a bundle: document and other members. Raises `FileFormatError` that names the place."""
     found: dict[str, bytes] = {}
     left = MAX_BYTES
     try:
@@ -164,7 +164,7 @@ def _is_ours(name: str) -> bool:
 
 @contextmanager
 def opened(path: Path) -> Iterator[Path]:
-    """A folder of recordings for what may be a bundle, until it is left; any other path as it is.
+    """Context with a temporary folder of recordings if the path is a bundle; any other path as it is.
 
     Raises `FileFormatError`.
     """

@@ -1,4 +1,4 @@
-"""/api/v1/machine, /backup, /support: findings and mending, an archive and back, a file for who helps."""
+"""/api/v1/machine, /backup, /support: findings and repairs, backup and restore, support bundles."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from edged.setup.machine.service import ArchiveSummary, Examination, MachineServ
 from edged.setup.releases.routes import Activating, ReleaseDocument, noted, signed_mandate
 
 MOST_BYTES = 64 * 1024 * 1024
-"""The largest archive: one of a hundred jobs has a tenth of it."""
+"""Largest archive: one with a hundred jobs has a tenth of it."""
 Digest = Annotated[str, StringConstraints(pattern="^[0-9a-f]{64}$")]
 
 
@@ -34,7 +34,7 @@ class MachineCheck(Answer):
 
 
 class Findings(Answer):
-    """The last examination. at : when; null: none yet. version : of edged. now : UTC, by the machine."""
+    """The last examination. at : null if there was none yet. version : of edged. now : the machine's UTC."""
 
     at: str | None
     checks: list[MachineCheck]
@@ -43,19 +43,19 @@ class Findings(Answer):
 
 
 class Mending(Body):
-    """What is to be done."""
+    """The repair to carry out."""
 
     what: Literal["reload", "secrets"]
 
 
 class Restoring(Activating):
-    """Also the archive that was checked."""
+    """Activation of the archive that was checked, by its digest."""
 
     digest: Digest
 
 
 class MachineRoutes:
-    """The routes."""
+    """Routes of the machine, of backups and of support bundles."""
 
     def __init__(self, machine: MachineService) -> None:
         self._machine = machine
@@ -131,7 +131,7 @@ def _findings(found: Examination | None) -> Findings:
 
 
 def _known(check: Mapping[str, str]) -> dict[str, Any]:
-    """What the page has fields for: the command that found it may be another version."""
+    """The known fields of a check, as `edged doctor` may be of another version."""
     return {name: check.get(name, "") for name in MachineCheck.model_fields}
 
 

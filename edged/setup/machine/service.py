@@ -1,4 +1,4 @@
-"""What people do for a cell's machine on its page: look at findings, mend, back up, restore, ask for help."""
+"""Maintenance of a cell's machine on its page: findings, repairs, backup, restore, support bundles."""
 
 from __future__ import annotations
 
@@ -27,17 +27,17 @@ PLACE = "the archive"
 
 @dataclass(frozen=True, slots=True)
 class Examination:
-    """Findings, in the order of the checks, and when."""
+    """Findings in the order of the checks, and their time."""
 
     at: datetime
     checks: Sequence[Mapping[str, str]]
 
 
 class ArchiveSummary(Frozen):
-    """An archive that was checked. digest : by which it is restored. left_out : files that are not in it.
+    """An archive that was checked. digest : identifies it for restoring. left_out : files that are not in it.
 
-    jobs : their names. is_same : the cell runs by this already. fits_map : its PLC's program reads this
-    version's registers.
+    jobs : their names. is_same : the cell already runs with it. fits_map : its Modbus map is the same as this
+    version's.
     """
 
     digest: str
@@ -53,7 +53,7 @@ class ArchiveSummary(Frozen):
 
 
 class MachineService:
-    """Serves one cell; used on the event loop."""
+    """Maintenance of one cell's machine; used on the event loop."""
 
     def __init__(self, cell: CellInUse, activation: Activation) -> None:
         self._cell = cell
@@ -66,23 +66,23 @@ class MachineService:
         return self._cell.files.fingerprint
 
     async def examine(self) -> Examination:
-        """What `edged doctor` finds. Raises `CommandRefused`."""
+        """Run `edged doctor`. Raises `CommandRefused`."""
         checks = await self._cell.running.examine()
         self.last = Examination(datetime.now(UTC), checks)
         return self.last
 
     async def mend(self, what: Literal["reload", "secrets"]) -> Examination:
-        """Do what a finding needs, and look again. Raises `SetupRefused`, `CommandRefused`, `UserError`."""
+        """Carry out a repair, and examine again. Raises `SetupRefused`, `CommandRefused`, `UserError`."""
         await self._cell.running.mend(what)
         return await self.examine()
 
     async def backup(self) -> tuple[str, bytes]:
-        """Name and content of an archive, proven by restoring it once. Raises `UserError`."""
+        """Name and content of a new archive, checked by restoring it once. Raises `UserError`."""
         made = await asyncio.to_thread(make, self._cell.path)
         return f"{made.backup.cell}-{made.backup.created:%Y%m%d-%H%M}.tar.gz", made.archive
 
     async def check_archive(self, archive: bytes) -> ArchiveSummary:
-        """Check an archive, every checksum of it, and keep it to be restored. Raises `FileFormatError`."""
+        """Check an archive with all checksums, and keep it for restoring. Raises `FileFormatError`."""
         return await asyncio.to_thread(self._checked, archive)
 
     def _checked(self, archive: bytes) -> ArchiveSummary:
@@ -106,9 +106,9 @@ class MachineService:
         )
 
     async def restore(self, digest: str, by: Mandate) -> Release:
-        """Let the cell run by rig, cameras and jobs of the archive that was checked last.
+        """Activate rig, cameras and jobs of the archive that was checked last.
 
-        Raises as `Activation.activate`; `UserError` where another one was checked meanwhile.
+        Raises as `Activation.activate`, and `UserError` if another one was checked meanwhile.
         """
         await self._activation.check(by.token)
         taken = await asyncio.to_thread(self._uploaded, digest)
@@ -124,7 +124,7 @@ class MachineService:
         return unpack(archive, PLACE)
 
     async def support(self) -> tuple[str, bytes]:
-        """Name and content of a bundle for who helps from afar: a failed cycle, no password and no key.
+        """Name and content of a bundle for remote support: a failed cycle, without passwords and keys.
 
         Raises `CommandRefused`, `UserError`.
         """

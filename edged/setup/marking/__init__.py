@@ -1,1 +1,1 @@
-"""Reference marks on the page: looked at, and taught."""
+"""Checking and teaching reference marks on the page."""

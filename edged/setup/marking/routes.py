@@ -1,4 +1,4 @@
-"""The routes of reference marks."""
+"""Routes of reference marks."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from edged.setup.marking.service import Marking, MarksDocument, MarksLookDocumen
 
 
 class MarksRoutes:
-    """The routes."""
+    """Routes of reference marks."""
 
     def __init__(self, marking: Marking) -> None:
         self._marking = marking

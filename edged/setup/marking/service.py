@@ -1,4 +1,4 @@
-"""Reference marks over the page: a look at them, and teaching them anew from pairs that are taken for it."""
+"""Reference marks on the page: checking them, and teaching them from pairs that are taken for it."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ Pixel = tuple[float, float]
 
 
 class SeenMark(Frozen):
-    """One mark, raw px: where it was when it was taught, and where it is; null: not seen."""
+    """One mark, raw px: its position when taught, and now; null if not seen."""
 
     code: int
     was_left: Pixel
@@ -29,7 +29,7 @@ class SeenMark(Frozen):
 
 
 class MarksLookDocument(Frozen):
-    """What one pair says, as the first exposure after a start would; fields as of `marks` in results."""
+    """Result of one pair, as of the first exposure after a start; fields as in `marks` of results."""
 
     state: str
     valid: bool
@@ -44,7 +44,7 @@ class MarksLookDocument(Frozen):
 
 
 class TaughtDocument(Frozen):
-    """The last teaching by the page. sigma_um : that one exposure leaves in a part among the marks."""
+    """The last teaching on the page. sigma_um : left in a part among the marks after one exposure."""
 
     at: str
     by: str
@@ -56,7 +56,7 @@ class TaughtDocument(Frozen):
 
 
 class MarksDocument(Frozen):
-    """in_use : the cell has marks of the calibration in use. exposures : that a teaching takes."""
+    """State of the marks. in_use : there are some for the calibration in use. exposures : of a teaching."""
 
     in_use: bool
     exposures: int
@@ -67,7 +67,7 @@ class MarksDocument(Frozen):
 
 
 class Marking:
-    """Used on the event loop only."""
+    """Reference marks of a cell; used on the event loop only."""
 
     def __init__(self, cell: CellInUse) -> None:
         self._cell = cell
@@ -77,7 +77,7 @@ class Marking:
         self._teaching: str | None = None
 
     async def document(self) -> MarksDocument:
-        """How it stands."""
+        """State of the marks."""
         stated = self._cell.files.config.marks
         return MarksDocument(
             in_use=MARKS_NAME in self._cell.files.contents,
@@ -89,7 +89,7 @@ class Marking:
         )
 
     async def look(self, token: str) -> MarksLookDocument:
-        """Take a pair, and say what its marks say. Raises `SetupRefused`, `CaptureError`, `UserError`."""
+        """Take a pair, and check its marks. Raises `SetupRefused`, `CaptureError`, `UserError`."""
         rig, stated = self._cell.needed_rig("that marks were taught with"), self._cell.files.config.marks
         content = self._cell.files.contents.get(MARKS_NAME)
         if content is None:
@@ -102,7 +102,7 @@ class Marking:
         return MarksLookDocument.model_validate(found)
 
     async def teach(self, token: str, author: str) -> str:
-        """Begin to take pairs and teach the marks in them; returns the task. Raises as `look`."""
+        """Start to take pairs and teach the marks in them; return the task. Raises as `look`."""
         await self._cell.session.renew_setup(token)
         if self._cell.tasks.is_running(self._teaching):
             raise SetupRefused("marks are being taught")

@@ -1,4 +1,4 @@
-"""What the worker process does with reference marks."""
+"""Functions that the worker process runs for reference marks."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from edged.vision.marks.tracking import MarksSettings
 def look_at_marks(
     rig: RigInUse, content: bytes, stated: tuple[str, float], images: tuple[Image, Image], exposed_ns: int
 ) -> Json:
-    """What a pair says of the marks in `content`. stated : material and range, K."""
+    """Check the marks in `content` with a pair. stated : material and range, K."""
     taught = marks_of(content, Path(MARKS_NAME), rig_of(rig.content, rig.path))
     if taught is None:
         raise UserError("the marks were taught with another calibration: teach them again")
@@ -37,7 +37,7 @@ def look_at_marks(
 
 
 def teach_marks(rig: RigInUse, folder: Path, material: str, progress: Progress) -> Json:
-    """The marks that the pairs of a folder show: their file, and figures for people."""
+    """Teach the marks in the pairs of a folder: return the marks file, and figures for people."""
     taught = taught_in(folder, rig_of(rig.content, rig.path), progress)
     return {
         "content": marks_text(taught),

@@ -1,1 +1,1 @@
-"""Recorded cycles: looked at, compared, measured again."""
+"""Recorded cycles: viewing, comparing, and measuring again."""

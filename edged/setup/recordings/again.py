@@ -1,8 +1,8 @@
-"""Recorded cycles measured by the version that runs this, with the rig and jobs that the cell has now.
+"""Measures recorded cycles with the installed version, with the rig and jobs that the cell has now.
 
 `python -m edged.setup.recordings.again CONFIG MOST`: JSON lines, newest cycle first, of the last MOST with
-pictures. A release of software is tried by it in its own environment, so that what it prints is the same in
-each version: number, at, job, and skipped with detail, or shown: as a snapshot has it.
+pictures. A software release is tried with it in its own environment, so the output must be the same in each
+version: number, at, job, and either skipped with detail, or shown, as in a snapshot.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from edged.setup.recordings.setups import MeasuredBy, measured_by
 
 
 def measured_again(config: Path, most: int) -> Iterator[Json]:
-    """The last recorded cycles, measured now. Raises `EdgedError` where the cell cannot run by its files."""
+    """Measure the last recorded cycles now. Raises `EdgedError` if the cell cannot run with its files."""
     cell = read_cell(config)
     folder = None if cell.config.recorder is None else cell.config.recorder.folder
     if folder is None:
@@ -34,7 +34,7 @@ def measured_again(config: Path, most: int) -> Iterator[Json]:
         try:
             taken = recording.load(entry.path)
         except FileFormatError:
-            continue  # the recorder's own affair: no version reads it
+            continue  # damaged: no version can read it
         if taken.pair is not None and not _is_grab(taken.snapshot):
             yield _line(entry, taken, by)
             most -= 1
@@ -61,14 +61,14 @@ def _line(entry: recording.Entry, taken: recording.Recording, by: MeasuredBy) ->
 
 
 def tried(before: Sequence[Json], after: Sequence[Json]) -> list[TriedCycle]:
-    """What two versions say of the same cycles. Raises `FileFormatError`."""
+    """Pair the results of two versions for the same cycles. Raises `FileFormatError`."""
     later = {line["number"]: line for line in after}
     cycles = []
     for line in before:
         other, head = later.get(line["number"]), (line["number"], line["at"], line["job"])
-        if other is None:  # recorded, or removed, between both
+        if other is None:  # recorded or removed between the two runs
             continue
-        if "shown" not in line:  # nor could it before
+        if "shown" not in line:  # the present version cannot measure it
             cycles.append(TriedCycle(*head, skipped=line["skipped"], detail=line["detail"]))
             continue
         if "shown" not in other:

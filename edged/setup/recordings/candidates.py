@@ -1,4 +1,4 @@
-"""What is to be tried on recorded cycles, as the files that a cell would measure by."""
+"""Candidates to try on recorded cycles, as the files that a cell would measure with."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ from edged.setup.releases.releasefolder import ReleaseFolder
 Solution = Callable[[str], Awaitable[bytes]]
 """The rig that a draft of a calibration was solved to; raises `KeyError`, `EdgedError`."""
 Taught = Callable[[str], Awaitable[Candidate]]
-"""The job of a draft of a teaching, likewise."""
+"""The job of a teaching draft; raises `KeyError`, `EdgedError`."""
 
 
 class CandidateContents:
-    """What may be tried in place of what runs."""
+    """Builds the files that a cell would measure with if a candidate were active."""
 
     def __init__(self, cell: CellInUse, releases: ReleaseFolder, solution: Solution, taught: Taught) -> None:
         self._cell = cell
@@ -32,23 +32,23 @@ class CandidateContents:
         self._taught = taught
 
     async def of_calibration(self, identity: str) -> Contents:
-        """By the rig of a draft that was solved. Raises `KeyError`, `EdgedError`."""
+        """Files with the rig of a solved draft. Raises `KeyError`, `EdgedError`."""
         return {**self._cell.files.contents, RIG: await self._solution(identity)}
 
     async def of_teaching(self, identity: str) -> Contents:
-        """By the job of a draft, as it would become active. Raises `KeyError`, `EdgedError`."""
+        """Files with the job of a draft, as it would become active. Raises `KeyError`, `EdgedError`."""
         job, active = await self._taught(identity), self._cell.files.contents
         jobs = {name.removeprefix("jobs/"): data for name, data in active.items() if name.startswith("jobs/")}
         return contents_with(active, job.put(jobs))
 
     async def of_release(self, number: int) -> Contents:
-        """By rig and jobs of a release, as it would become active. Raises `KeyError`, `EdgedError`."""
+        """Files with rig and jobs of a release, as if it became active. Raises `KeyError`, `EdgedError`."""
         kept = await asyncio.to_thread(self._releases.open, number)
         jobs, active = jobs_of(kept), self._cell.files.contents
         return {**(contents_with(active, jobs) if jobs else active), RIG: rig_in(kept)}
 
     async def of_change(self, name: str, change: JobChange) -> Contents:
-        """By one job with other limits, features or contrast. Raises `UserError`."""
+        """Files with one job's limits, features or contrast changed. Raises `UserError`."""
         active = self._cell.files.contents
         place = PurePosixPath("jobs") / name
 

@@ -1,9 +1,9 @@
-"""A new job or rig against the one that runs, on recorded cycles: what stays good, and how far places move.
+"""Compares a new job or rig with the active one on recorded cycles: which stay good, and how far places move.
 
-Both measure the same pictures, so that what differs is the new one's doing. Differences of places are in
-units of both sigmas. A new rig moves all of space a little, by turn and shift of its frame: that is one
-figure for all cycles, covered by the robot's registration, and subtracted before places are compared. What
-is left is scale and shape, which nothing covers.
+Both measure the same pictures, so all differences come from the new one. Differences of places are in units
+of their combined sigma. A new rig moves all places a little, by rotation and translation of its frame: this
+is one motion for all cycles, which the robot's registration makes up for, and it is subtracted before places
+are compared. What remains are differences of scale and shape, which nothing makes up for.
 """
 
 from __future__ import annotations
@@ -30,20 +30,20 @@ from edged.setup.recordings.setups import MeasuredBy, setup_of
 from edged.vision.geometry.rigid import rotation_vector, skew
 
 APART_SIGMAS = 3.0
-"""In units of both sigmas: from here on two places differ. Both share the picture's noise, so one is much."""
+"""Combined sigmas from which on two places differ. Both share the picture's noise, so even one is much."""
 SAME_PART_MM = 20.0
-"""Farther apart are two parts, not one that is measured elsewhere."""
+"""Parts farther apart than this are different parts, not the same one measured elsewhere."""
 LEVER_MM = 5.0
-"""Spread of places below which a turn of the frame cannot be told from what is wrong with single ones."""
+"""Spread of places below which a rotation of the frame cannot be separated from errors of single places."""
 TURNED, SHIFTED = 6, 3
-"""Places that it takes to tell a turn, and a shift, of the frame."""
+"""Fewest places to estimate a rotation, and a translation, of the frame."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GoodPart:
     """A good part. position_mm (3,), rotation (3, 3), covariance (6, 6), as published; rig frame.
 
-    free_axis (3,) : about which its rotation is not known, or None.
+    free_axis (3,) : axis about which its rotation is unknown, or None.
     """
 
     position_mm: FloatArray
@@ -54,7 +54,7 @@ class GoodPart:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Found:
-    """What one setup makes of a recording. reasons : why it is not good."""
+    """Result of measuring a recording with one setup. reasons : why it is not good."""
 
     status: str
     reasons: tuple[str, ...]
@@ -63,7 +63,7 @@ class Found:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TriedCycle:
-    """A recording measured by both. skipped : why it was not, as a code; then nothing else counts.
+    """A recording measured with both setups. skipped : code of why it was not; then no other field is valid.
 
     Codes: "damaged", "no_pictures", "grab", "no_job".
     """
@@ -86,14 +86,16 @@ class FrameShift:
     turn_rad: FloatArray
 
     def of(self, points_mm: FloatArray) -> FloatArray:
-        """By how much points (N, 3) move."""
+        """Displacements of points (N, 3), mm."""
         return np.asarray(self.shift_mm + np.cross(self.turn_rad, points_mm - self.centre_mm))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Apart:
-    """How far one part's places lie apart. by_mm (3,) : after, against before. sigmas : of both, the worst
-    of X, Y, Z and the rotation. turned_deg : of the rotation; NaN where it is not known.
+    """Difference between two places of one part. by_mm (3,) : after minus before.
+
+    sigmas : largest difference of X, Y, Z and the rotation, in combined sigmas. turned_deg : rotation between
+    both, 0 where it is not known.
     """
 
     by_mm: FloatArray
@@ -103,9 +105,9 @@ class Apart:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Compared:
-    """A cycle that both measured. apart : of the worst part; None: no part is good in both.
+    """A cycle measured with both setups. apart : of the worst part; None if no part is good in both.
 
-    lost : good parts that are not there any more.
+    lost : number of good parts that are no longer found.
     """
 
     tried: TriedCycle
@@ -116,14 +118,14 @@ class Compared:
 
     @property
     def is_apart(self) -> bool:
-        """Whether it is good in both, and not the same."""
+        """Whether it is good in both, but differs."""
         far = self.apart is not None and self.apart.sigmas >= APART_SIGMAS
         return self.was_good and self.is_good and (far or self.lost > 0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CycleComparison:
-    """All cycles that were tried. motion : of the frame, which was taken out; None: none, or not known."""
+    """All cycles that were tried. motion : of the frame, already subtracted; None if none or not known."""
 
     compared: tuple[Compared, ...]
     skipped: tuple[TriedCycle, ...]
@@ -134,9 +136,9 @@ class CycleComparison:
 
 
 def try_on(entry: recording.Entry, active: MeasuredBy, candidate: MeasuredBy) -> TriedCycle:
-    """Measure a recording by both. What the very same job, rig and versions have measured is taken as it is.
+    """Measure a recording with both setups; a result by the very same job, rig and versions is reused.
 
-    candidate : with its jobs under the numbers of those that they succeed.
+    candidate : with its jobs under the numbers of those that they replace.
     """
     at = entry.recorded.isoformat(timespec="milliseconds")
     nothing = TriedCycle(entry.index, at, "")
@@ -154,7 +156,7 @@ def try_on(entry: recording.Entry, active: MeasuredBy, candidate: MeasuredBy) ->
     try:
         before = _recorded(entry, taken, active, number) or _measured(taken, active, number)
         after = _measured(taken, candidate, number)
-    except UserError as error:  # pictures of other cameras, numbers that are none
+    except UserError as error:  # pictures of other cameras, invalid numbers
         return replace(nothing, skipped="damaged", detail=str(error))
     if before is None or after is None:
         return replace(nothing, skipped="no_job")
@@ -164,12 +166,12 @@ def try_on(entry: recording.Entry, active: MeasuredBy, candidate: MeasuredBy) ->
 def _recorded(
     entry: recording.Entry, taken: recording.Recording, active: MeasuredBy, number: int
 ) -> Found | None:
-    """The recorded result, if an active job gives the very same one; None where that is not known."""
+    """The recorded result, if the active setup is known to give exactly the same; otherwise None."""
     drift = taken.snapshot.get("drift")
     if dict(taken.versions) != recording.versions() or not isinstance(drift, dict):
         return None
     if drift.get("verdict") == CalibrationHealth.INVALID.name:
-        return None  # refused for the cycles before, not for what this pair shows
+        return None  # refused because of earlier cycles, not because of this pair
     try:
         setup = setup_of(entry.path, taken.snapshot)
     except FileFormatError:
@@ -180,7 +182,7 @@ def _recorded(
 
 
 def _measured(taken: recording.Recording, by: MeasuredBy, number: int) -> Found | None:
-    """None where the setup has no such job."""
+    """Measure a recording; None if the setup has no such job."""
     job = by.job_for(number, taken.snapshot)
     if job is None or taken.pair is None:
         return None
@@ -188,7 +190,7 @@ def _measured(taken: recording.Recording, by: MeasuredBy, number: int) -> Found 
 
 
 def found_in(snapshot: Json) -> Found:
-    """What a snapshot says. Raises `FileFormatError` for numbers that are none."""
+    """Result in a snapshot. Raises `FileFormatError` for invalid numbers."""
     try:
         places = tuple(_place(target) for target in snapshot.get("targets") or [])
     except (KeyError, TypeError, ValueError) as error:
@@ -210,7 +212,7 @@ def _place(target: Any) -> GoodPart:
 
 
 def compare(tried: Sequence[TriedCycle], *, of_rig: bool) -> CycleComparison:
-    """What all recordings say. of_rig : the new one is a rig, whose motion is reported and subtracted."""
+    """Compare all recordings. of_rig : the candidate is a rig, whose motion is reported and subtracted."""
     skipped = tuple(cycle for cycle in tried if cycle.skipped)
     both = [
         (cycle, cycle.before, cycle.after)
@@ -236,7 +238,7 @@ def compare(tried: Sequence[TriedCycle], *, of_rig: bool) -> CycleComparison:
 
 
 def _pairs(before: Found, after: Found) -> list[tuple[GoodPart, GoodPart]]:
-    """Good parts of both that are one part: the nearest ones first, each once."""
+    """Match the good parts of both results, nearest ones first, each at most once."""
     ways = [
         (float(np.linalg.norm(first.position_mm - second.position_mm)), i, k)
         for i, first in enumerate(before.places)
@@ -257,7 +259,7 @@ def _apart(before: GoodPart, after: GoodPart, motion: FrameShift | None) -> Apar
     if motion is not None:
         by = by - motion.of(before.position_mm[None])[0]
         turn = turn - motion.turn_rad
-    if before.free_axis is not None:  # nobody knows by how much it turned about that axis
+    if before.free_axis is not None:  # the rotation about that axis is unknown
         turn = turn - (turn @ before.free_axis) * before.free_axis
     variance = np.diag(before.covariance) + np.diag(after.covariance)
     units = np.array(
@@ -267,23 +269,23 @@ def _apart(before: GoodPart, after: GoodPart, motion: FrameShift | None) -> Apar
 
 
 def _turn(before: GoodPart, after: GoodPart) -> FloatArray:
-    """(3,) rotation vector from before to after; zero where one of them is not known."""
+    """Rotation vector (3,) from before to after; zero if one of them is unknown."""
     rotation = after.rotation @ before.rotation.T
     return rotation_vector(rotation) if np.isfinite(rotation).all() else np.zeros(3)
 
 
 def _in_sigmas(value: float, variance: float) -> float:
-    """Nothing for what is not known; what differs without any sigma is as far apart as can be."""
+    """Absolute value in sigmas; 0 if unknown, infinite for a difference without any sigma."""
     if value == 0 or not math.isfinite(value) or not math.isfinite(variance):
         return 0.0
     return abs(value) / math.sqrt(variance) if variance > 0 else math.inf
 
 
 def motion_of(before_mm: FloatArray, after_mm: FloatArray) -> FrameShift | None:
-    """The small motion that most points (N, 3) share; None where there are too few to tell.
+    """Small motion that most points (N, 3) share; None if there are too few to estimate it.
 
-    Least squares, in which points that do not share it count less (P. J. Huber, "Robust Statistics", 1981).
-    The turn is estimated where points are many and spread enough; else there is a shift alone.
+    Robust least squares, in which outliers have less weight (P. J. Huber, "Robust Statistics", 1981). The
+    rotation is estimated if there are enough points with enough spread; otherwise only the translation.
     """
     if len(before_mm) < SHIFTED:
         return None
@@ -291,7 +293,7 @@ def motion_of(before_mm: FloatArray, after_mm: FloatArray) -> FrameShift | None:
     centre = np.median(before_mm, axis=0)
     lever = before_mm - centre
     spread = np.linalg.svd(lever - lever.mean(axis=0), compute_uv=False)[1] / math.sqrt(len(lever))
-    # shift, and with a lever turn: moved = shift + turn x lever
+    # translation, and with enough lever rotation: moved = shift + turn x lever
     columns = np.tile(np.eye(3), (len(lever), 1, 1))
     if len(lever) >= TURNED and spread >= LEVER_MM:
         columns = np.concatenate([columns, -skew(lever)], axis=2)

@@ -1,6 +1,6 @@
-"""Recorded cycles as a list for people: newest first, by status, job and reason; damaged ones are named.
+"""List of recorded cycles: newest first, filtered by status, job and reason; damaged ones are named.
 
-Files of recordings never change: what one says is read once, without its pictures.
+Files of recordings never change: each is read once, without its pictures.
 """
 
 from __future__ import annotations
@@ -19,19 +19,19 @@ from edged.payload import Json
 from edged.setup.documents import Frozen
 
 MOST = 200
-"""Recordings in one answer."""
+"""Most recordings in one answer."""
 NOT_FOUND, CAPTURE = "NOT_FOUND", "CAPTURE"
-"""Beside the names of `Reject`: nothing was like the part; the cameras gave no pair."""
+"""Reasons besides the names of `Reject`: nothing looked like the part; the cameras gave no pair."""
 REASONS = (*(str(bit.name) for bit in Reject), NOT_FOUND, CAPTURE)
 
 
 class CycleLine(Frozen):
-    """A recorded cycle. reasons : of `REASONS`; none of a good one.
+    """A recorded cycle. reasons : from `REASONS`; empty for a good one.
 
     number : of the recording; `cycle` counts from each start of the cell. kind : of its command, or "".
-    parts : good ones. sigma_um : of the first good part, the largest of X, Y, Z; rows_px : its row
-    difference. left_mm, right_mm : how far the reference marks saw each camera from where it was taught.
-    None: there is none.
+    parts : number of good ones. sigma_um : of the first good part, the largest of X, Y, Z. rows_px : its
+    epipolar rms. left_mm, right_mm : shift of each camera since teaching, by the reference marks. None where
+    not known.
     """
 
     number: int
@@ -62,9 +62,9 @@ class Damaged(Frozen):
 
 
 class CycleList(Frozen):
-    """Newest first. recorder : whether the cell records at all. counts : of all recordings, by status.
+    """Cycles, newest first. recorder : the cell records at all. counts : of all recordings, by status.
 
-    damaged : those met on the way that cannot be read. has_more : ask again with `before`.
+    damaged : unreadable ones among those read for this answer. has_more : there are older ones, see `before`.
     """
 
     recorder: bool
@@ -76,7 +76,7 @@ class CycleList(Frozen):
 
 @dataclass(frozen=True, slots=True)
 class CycleFilter:
-    """What to list; None: any. before : only recordings with a smaller number."""
+    """Conditions of a list; None for any. before : only recordings with a smaller number."""
 
     status: str | None = None
     reason: str | None = None
@@ -86,25 +86,25 @@ class CycleFilter:
 
 
 class Records:
-    """The recordings of a folder; requests wait for the disc."""
+    """Recordings in a folder; calls block while the disc is read."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
         self._known: dict[str, CycleLine | Damaged] = {}
 
     def entries(self) -> list[recording.Entry]:
-        """By their names, newest first."""
+        """All recordings by their file names, newest first."""
         return recording.entries(self.folder)[::-1]
 
     def entry(self, number: int) -> recording.Entry:
-        """Raises `KeyError` for a number that is not there."""
+        """Find a recording by its number. Raises `KeyError` if there is none."""
         found = recording.find(self.folder, number)
         if found is None:
             raise KeyError(number)
         return found
 
     def page(self, wanted: CycleFilter) -> CycleList:
-        """What is wanted of the list."""
+        """One page of the list."""
         entries = self.entries()
         names = {entry.path.name for entry in entries}
         for gone in [name for name in self._known if name not in names]:
@@ -125,7 +125,7 @@ class Records:
         return CycleList(recorder=True, cycles=lines, damaged=damaged, counts=counts, has_more=has_more)
 
     def newest_good(self, job_number: int, calibration: str, but: int) -> recording.Entry | None:
-        """A good cycle of a job, measured by a calibration, if it can be: to look at beside another one."""
+        """Newest good cycle of a job, for comparison; one with the given calibration if possible."""
         other = None
         for entry in self.entries():
             if entry.status != Status.OK or entry.index == but:
@@ -139,7 +139,7 @@ class Records:
         return other
 
     def line(self, entry: recording.Entry) -> CycleLine | Damaged:
-        """What a recording says in short."""
+        """Summary of a recording; cached."""
         name = entry.path.name
         known = self._known.get(name)
         if known is None:
@@ -213,11 +213,11 @@ def _worst_um(target: Json) -> float | None:
 
 
 def _number(table: object, key: str) -> float | None:
-    """A number of a table, whatever is there."""
+    """Number in a table; None if there is no table or no number."""
     return number_in(table.get(key)) if isinstance(table, dict) else None
 
 
 def _objects(snapshot: Json, key: str) -> list[dict[str, Any]]:
-    """A list of objects, whatever is there."""
+    """List of the objects under a key; empty if there is no list."""
     value = snapshot.get(key)
     return [item for item in value if isinstance(item, dict)] if isinstance(value, list) else []

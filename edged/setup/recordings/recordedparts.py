@@ -1,6 +1,6 @@
-"""What a recorded cycle says of each feature of its parts: taught, now, and why not; with outlines, raw px.
+"""Features of the parts in a recorded cycle: as taught, as measured, and why they failed; outlines in raw px.
 
-Everything comes from the snapshot, the rig and the job: no picture is looked at, and nothing measured again.
+Everything comes from the snapshot, the rig and the job: no picture is read, and nothing measured again.
 """
 
 from __future__ import annotations
@@ -24,10 +24,10 @@ from edged.vision.geometry.rigid import apply, invert
 from edged.vision.part.job import Job
 
 ROUND_POINTS = 72
-"""Points of an outline: 5° of a circle, whose chord is off by a thousandth of the radius."""
+"""Points of an outline: one per 5° of a circle; a chord then deviates by a thousandth of the radius."""
 MOST_PARTS = 16
 OUTSIDE, UNSEEN, TOLERANCE, NOT_FOUND = "outside", "unseen", "tolerance", "not_found"
-"""Why a feature is not as taught: beyond the picture, not measured, of another size, or there is no part."""
+"""Why a feature is not as taught: outside the picture, not measured, of wrong size, or no part was found."""
 
 Points = list[list[float]]
 _Number = float | None
@@ -35,16 +35,16 @@ _Vector = tuple[_Number, _Number, _Number]
 
 
 class OutlinePx(Frozen):
-    """Raw px of both pictures; nothing of one that does not show it."""
+    """Outline in raw px of both pictures; empty in one that does not show it."""
 
     left: Points
     right: Points
 
 
 class FeatureSight(Frozen):
-    """A feature of a part. taught, now : sizes, mm; now is null for one that was not measured.
+    """A feature of a part. taught, now : sizes, mm; now is null if it was not measured.
 
-    off_um, sigma_um : now against taught, of the first size, and how certain that is. why : see the codes.
+    off_um, sigma_um : first size, now minus taught, and its sigma. why : a code, see above.
     """
 
     key: str
@@ -71,9 +71,9 @@ class SizeSight(BaseModel):
 
 
 class PartSight(Frozen):
-    """A part, good or not. place_mm, sigma_um : X, Y, Z in the rig's frame; null for what is not known.
+    """A part, good or not. place_mm, sigma_um : X, Y, Z in the rig's frame; null where not known.
 
-    reasons : names of reject bits. at : the match, raw px of the left picture.
+    reasons : names of reject bits. at : position of the match, raw px of the left picture.
     """
 
     good: bool
@@ -150,9 +150,9 @@ class _Snapshot(_Record):
 
 
 def parts_of(snapshot: Json, rig: StereoRig, job: Job, place: str) -> list[PartSight]:
-    """The parts of a snapshot: good ones, rejected ones, those not measured, else the nearest miss.
+    """Parts of a snapshot: good ones, rejected ones, those not measured, and the nearest miss.
 
-    Raises `FileFormatError` that names the place for a snapshot that is none.
+    Raises `FileFormatError` that names the place for an invalid snapshot.
     """
     try:
         known = _Snapshot.model_validate(snapshot)
@@ -165,14 +165,14 @@ def parts_of(snapshot: Json, rig: StereoRig, job: Job, place: str) -> list[PartS
         *((target, False) for target in known.rejected),
     ]
     missed = [*known.dismissed, *([] if known.nearest is None else [known.nearest])]
-    with np.errstate(all="ignore"):  # numbers may be anything: what cannot be shown is not
+    with np.errstate(all="ignore"):  # numbers may be anything: outlines that are not finite are left out
         parts = [_measured(target, rig, job, good=good) for target, good in measured[:MOST_PARTS]]
         parts += [_missed(miss, rig, job) for miss in missed[: MOST_PARTS - len(parts)]]
     return parts
 
 
 def taught_part(rig: StereoRig, job: Job) -> PartSight:
-    """The part as it lay at teaching, seen by a rig."""
+    """The part as it lay at teaching, projected by a rig."""
     features, sizes_mm = [], taught_sizes(job)
     for name, outline in taught_outlines(job).items():
         kind, size = job.kind_of(name) or "", sizes_mm[name]
@@ -212,7 +212,7 @@ def _measured(target: _Target, rig: StereoRig, job: Job, *, good: bool) -> PartS
 
 
 def _missed(missed: _Missed, rig: StereoRig, job: Job) -> PartSight:
-    """Where the part would be, were the match one: as far away as it looks small, not tilted."""
+    """The part where it would be if the match were right: not tilted, with its distance from its size."""
     features, sizes_mm = [], taught_sizes(job)
     for name, outline in taught_outlines(job).items():
         kind, size = job.kind_of(name) or "", sizes_mm[name]
@@ -230,7 +230,7 @@ def _missed(missed: _Missed, rig: StereoRig, job: Job) -> PartSight:
 
 
 def _space(rig: StereoRig, job: Job, match: _Match, points_mm: FloatArray) -> FloatArray:
-    """Points (N, 3) of the job's own frame in the rig's frame, by a match alone."""
+    """Transform points (N, 3) from the job's own frame to the rig's frame, by a match alone."""
     rectification = make_rectification(rig)
     taught = rectification.rectify_points("left", rig.left.project(apply(job.rig_from_part, points_mm)))
     origin = rectification.rectify_points("left", np.array([[match.x_px, match.y_px]]))[0]
@@ -244,7 +244,7 @@ def _space(rig: StereoRig, job: Job, match: _Match, points_mm: FloatArray) -> Fl
 
 
 def _own(job: Job, pose: FloatArray) -> FloatArray:
-    """(4, 4) of the frame that the job's features are in, from a published pose."""
+    """Pose (4, 4) of the job's own frame, in which its features are, from a published pose."""
     reported = job.part_from_reported
     if reported is not None:
         return np.asarray(pose @ invert(reported))
@@ -256,7 +256,7 @@ def _own(job: Job, pose: FloatArray) -> FloatArray:
 def _now(
     target: _Target, rotation: FloatArray
 ) -> Mapping[str, tuple[dict[str, float], float | None, FloatArray]]:
-    """Sizes, sigma of the first one in µm, and outline (N, 3) of what was measured; rig frame."""
+    """Sizes, sigma of the first one in µm, and outline (N, 3) in the rig's frame, of measured features."""
     found: dict[str, tuple[dict[str, float], float | None, FloatArray]] = {}
     for circle in target.circles:
         radius = math.nan if circle.radius_mm is None else circle.radius_mm
@@ -276,7 +276,7 @@ def _now(
 
 
 def _is_off(job: Job, name: str, taught: Mapping[str, float], now: Mapping[str, float]) -> bool:
-    """Whether the job's limit for the size of its reference says no."""
+    """Whether the reference circle is beyond the job's limit for its size."""
     allowed = job.limits.radius_tolerance_mm
     if allowed is None or not job.circles or name != job.reference_circle.name:
         return False
@@ -296,7 +296,7 @@ def _feature(
     if now is not None and all(math.isfinite(value) for value in now.values()):
         known = {key: round(value, 5) for key, value in now.items()}
     first = next(iter(taught))
-    # an edge ends where its neighbours cut it: its taught ends are laid on the measured line
+    # an edge's length says nothing: its taught ends are projected onto the measured line
     off = None if known is None or kind == "edge" else 1e3 * (known[first] - taught[first])
     return FeatureSight(
         key=name,
@@ -311,7 +311,7 @@ def _feature(
 
 
 def outline_in(rig: StereoRig, points_mm: FloatArray) -> OutlinePx:
-    """Points (N, 3) of the rig's frame in both pictures."""
+    """Project points (N, 3) of the rig's frame into both pictures."""
     points = _thin(points_mm)
     sides: dict[Side, Points] = {}
     for side in SIDES:
@@ -325,17 +325,17 @@ def outline_in(rig: StereoRig, points_mm: FloatArray) -> OutlinePx:
 
 
 def _thin(points: FloatArray) -> FloatArray:
-    """No more points of an outline than are sent; both ends of a line."""
+    """Reduce the points of an outline to as many as are sent; a straight line to its ends."""
     if len(points) <= 2 * ROUND_POINTS:
         return points
-    # a straight edge comes as evenly spaced points: its ends say the same
+    # a straight edge comes as evenly spaced points: its ends suffice
     if np.allclose(points - points[0], np.linspace(0, 1, len(points))[:, None] * (points[-1] - points[0])):
         return np.asarray(points[[0, -1]])
     return np.asarray(points[:: max(1, len(points) // ROUND_POINTS)])
 
 
 def _is_inside(rig: StereoRig, outline: OutlinePx) -> bool:
-    """Whether both pictures have room for all of it."""
+    """Whether an outline is entirely inside both pictures."""
     for points, camera in ((outline.left, rig.left), (outline.right, rig.right)):
         if not points or not all(0 <= x < camera.width and 0 <= y < camera.height for x, y in points):
             return False

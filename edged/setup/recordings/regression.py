@@ -1,4 +1,4 @@
-"""A recorded exposure measured again: by what it was measured by then, or by what may come."""
+"""Measures a recorded exposure again: with the setup of that time, or with a candidate."""
 
 from __future__ import annotations
 
@@ -28,15 +28,15 @@ from edged.robot.picking import RobotFrame, allowed, frame_of, picked
 from edged.vision.part.job import Job
 
 COMPARED = ("status", "targets", "rejected")
-"""The pure result; times and identities of a cycle are of their own moment."""
+"""Keys of the reproducible result; times and identities of a cycle cannot be reproduced."""
 NOT_MEASURED = {"offset", "part"}
-"""What of a target follows from other pictures, too: the golden part's; on a belt which part it is."""
+"""Keys of a target that depend on other pictures too: on the golden part, and on a belt, which part it is."""
 SHOWN = (*COMPARED, "dismissed", "nearest")
-"""Also what is for people only."""
+"""Keys that are shown: also those meant for people only."""
 
 
 def inspected(taken: Recording, rig: PreparedRig, job: Job) -> PairInspection | None:
-    """What the same exposure shows; None where nothing was measured then."""
+    """Inspect the recorded exposure; None if nothing was measured then."""
     command = taken.snapshot.get("command")
     if taken.pair is None or (isinstance(command, dict) and command.get("kind") == "GRAB"):
         return None
@@ -44,7 +44,7 @@ def inspected(taken: Recording, rig: PreparedRig, job: Job) -> PairInspection | 
 
 
 def decided(taken: Recording, inspection: PairInspection | None, rig: PreparedRig, job: Job) -> Json:
-    """What of a published snapshot an inspection decides."""
+    """The part of a published snapshot that an inspection determines."""
     if inspection is None:
         return {key: taken.snapshot.get(key) for key in COMPARED}
     result = shown(taken, inspection, rig, job)
@@ -54,14 +54,14 @@ def decided(taken: Recording, inspection: PairInspection | None, rig: PreparedRi
 def shown(
     taken: Recording, inspection: PairInspection, rig: PreparedRig, job: Job, *, drifts: bool = True
 ) -> Json:
-    """What an inspection decides and what it saw besides. drifts : refuse where the rig drifted."""
+    """Result of an inspection, and what is shown besides. drifts : refuse it if the rig had drifted."""
     rig, valid = _then(taken, rig)
     outcome = decide(inspection, job, rig)
     if not valid:
         outcome = refused(outcome)
     drift = taken.snapshot.get("drift")
     if drifts and isinstance(drift, dict) and drift.get("verdict") == CalibrationHealth.INVALID.name:
-        outcome = refused(outcome)  # that comes from the cycles before, not from this pair
+        outcome = refused(outcome)  # the verdict comes from earlier cycles, not from this pair
     flange = _robot_from_flange(taken)
     if taken.belt is not None:
         robot = _frame(rig, flange)[0].robot_from_rig
@@ -70,7 +70,7 @@ def shown(
 
 
 def drawn(taken: Recording, inspection: PairInspection, rig: PreparedRig, job: Job) -> Canvas:
-    """The pair with what was measured, as `edged locate --overlay` draws it."""
+    """Draw the pair with what was measured, as `edged locate --overlay` does."""
     if taken.pair is None:
         raise ValueError("a recording without images")
     seen = within_reach(inspection, job, _frame(rig, _robot_from_flange(taken))[0])
@@ -79,7 +79,7 @@ def drawn(taken: Recording, inspection: PairInspection, rig: PreparedRig, job: J
 
 
 def within_reach(inspection: PairInspection, job: Job, frame: RobotFrame) -> PairInspection:
-    """An inspection whose parts are refused where the robot may not pick them."""
+    """The inspection with parts rejected that the robot may not pick."""
     found = [part.target for part in inspection.measured]
     parts = (
         replace(part, target=allowed(part.target, job.picking, frame, found)) for part in inspection.measured
@@ -90,14 +90,14 @@ def within_reach(inspection: PairInspection, job: Job, frame: RobotFrame) -> Pai
 def pictured(
     images: tuple[Image, Image], inspection: PairInspection, rig: PreparedRig, job: Job, status: Status
 ) -> Canvas:
-    """A pair with what was measured in it."""
+    """Draw a pair with what was measured in it."""
     nearest = None if inspection.nearest is None else inspection.nearest.ask()
     seen = inspection.measured, inspection.dismissed
     return draw_pair(*images, rig.rig, job, *seen, status, nearest=nearest)
 
 
 def _then(taken: Recording, rig: PreparedRig) -> tuple[PreparedRig, bool]:
-    """The rig as its reference marks showed it then, and whether they let results be given."""
+    """The rig as corrected by its reference marks then, and whether they allowed results."""
     if rig.marks is None or taken.marks_before is None or taken.pair is None:
         return rig, True
     now, report = rig.marks.then(taken.marks_before, taken.pair)
@@ -105,14 +105,14 @@ def _then(taken: Recording, rig: PreparedRig) -> tuple[PreparedRig, bool]:
 
 
 def _robot_from_flange(taken: Recording) -> FloatArray | None:
-    """Where the robot that carries the rig said its flange was."""
+    """Pose of the flange in the recorded command, of a robot that carries the rig; or None."""
     command = taken.snapshot.get("command")
     flange = command.get("robot_from_flange") if isinstance(command, dict) else None
     return None if flange is None else np.array(flange, np.float64)
 
 
 def _frame(rig: PreparedRig, robot_from_flange: FloatArray | None) -> tuple[RobotFrame, FloatArray | None]:
-    """The robot's frame then, and the covariance of the registration in it."""
+    """The robot's frame at that time, and the covariance of the registration in it."""
     robot, registration = rig.rig.robot_from_rig, rig.rig.registration_covariance
     if robot_from_flange is not None and rig.rig.flange_from_rig is not None:
         robot = robot_from_flange @ rig.rig.flange_from_rig
@@ -124,7 +124,7 @@ def _frame(rig: PreparedRig, robot_from_flange: FloatArray | None) -> tuple[Robo
 def _json_of(
     outcome: Outcome, rig: PreparedRig, picking: Picking, robot_from_flange: FloatArray | None = None
 ) -> Json:
-    """The part of a published snapshot that the outcome, and where the flange was, decide."""
+    """The part of a published snapshot that the outcome and the flange's pose determine."""
     frame, registration = _frame(rig, robot_from_flange)
     outcome = picked(outcome, picking, frame)
     document = snapshot_to_json(
@@ -147,12 +147,12 @@ def _json_of(
             registration_covariance=registration,
         )
     )
-    # through text, as the recorded one went
+    # converted through text, as the recorded one was
     return dict(json.loads(json.dumps({key: document[key] for key in SHOWN})))
 
 
 def compare(place: str, old: Any, new: Any) -> Iterator[str]:
-    """One line for each value that is not the same, by its path."""
+    """Yield one line for each value that differs, with its path."""
     if isinstance(old, dict) and isinstance(new, dict):
         for key in sorted((old.keys() | new.keys()) - NOT_MEASURED):
             yield from compare(f"{place}.{key}", old.get(key), new.get(key))

@@ -1,4 +1,4 @@
-"""What a regression came to, as it is kept and told."""
+"""Results of regression tests, as they are stored and sent."""
 
 from __future__ import annotations
 
@@ -14,23 +14,23 @@ from edged.setup.documents import Frozen, Message, PicturePaths
 from edged.setup.recordings.comparing import Compared, CycleComparison, FrameShift, TriedCycle
 
 MOST_LISTED = 200
-"""Cycles of each kind that are listed, worst first."""
+"""Most cycles of each kind that are listed, worst first."""
 PLACE = "/api/v1/cycles"
 
 
 class TriedCandidate(Frozen):
-    """What was tried. id : of the draft, the number of the release, or the job that was changed."""
+    """The candidate that was tried. id : of the draft, number of the release, or name of the changed job."""
 
     kind: Literal["teaching", "calibration", "release", "change"]
     id: str
 
 
 class ChangedCycle(Frozen):
-    """A cycle that comes out otherwise. before, after : status. reasons : why it is, or was, not good.
+    """A cycle with another result. before, after : status. reasons : why it is, or was, not good.
 
-    apart_sigmas : of both; null where a place has no sigma at all, or there is none to compare. apart_um : X,
-    Y, Z, after against before. lost : good parts that are not there any more. pictures : there as long as its
-    recording is kept.
+    apart_sigmas : difference in combined sigmas; null if a place has no sigma, or there is none to compare.
+    apart_um : X, Y, Z, after minus before. lost : good parts that are no longer found. pictures : available
+    as long as its recording is kept.
     """
 
     number: int
@@ -47,7 +47,7 @@ class ChangedCycle(Frozen):
 
 
 class SkippedCycle(Frozen):
-    """A recording that was not tried: "damaged", "no_pictures", "grab", "no_job"."""
+    """A recording that was not tried. why : "damaged", "no_pictures", "grab" or "no_job"."""
 
     number: int
     why: Message
@@ -55,7 +55,7 @@ class SkippedCycle(Frozen):
 
 
 class FrameMotion(Frozen):
-    """By how much a new rig moves all places: of X, Y, Z at about_mm, and about them. It was taken out."""
+    """Motion of all places by a new rig: shift at about_mm, and rotation. It was subtracted."""
 
     shift_um: list[float]
     turn_deg: list[float]
@@ -75,7 +75,7 @@ class Counts(Frozen):
 
 
 class PlaceSpread(Frozen):
-    """How places in good cycles differ, after against before: rms and largest, also in both sigmas."""
+    """Differences of places in good cycles, after minus before: rms and largest, also in combined sigmas."""
 
     rms_um: float
     max_um: float
@@ -84,7 +84,7 @@ class PlaceSpread(Frozen):
 
 
 class RegressionLine(Frozen):
-    """A regression in short. against : fingerprint of the cell then. cycles : that were tried."""
+    """Summary of a regression. against : fingerprint of the cell then. cycles : number that were tried."""
 
     id: str
     at: str
@@ -98,10 +98,10 @@ class RegressionLine(Frozen):
 
 
 class RegressionDocument(RegressionLine):
-    """All of it. The lists are worst first, of `counts` as many as are of use.
+    """A whole regression. Lists are worst first, and limited to `MOST_LISTED`; see `counts` for the totals.
 
-    motion : of a new rig's frame, null for a job, or where too few places tell. digest : of what was tried,
-    digest_active : of what ran.
+    motion : of a new rig's frame, null for a job, or with too few places. digest : of the candidate.
+    digest_active : of the active setup.
     """
 
     good_to_bad: list[ChangedCycle]
@@ -125,7 +125,7 @@ def document_of(
     digests: tuple[str, str],
     seconds: float,
 ) -> RegressionDocument:
-    """A comparison as it is kept. digests : of what ran, and of what was tried."""
+    """Document of a comparison. digests : of the active setup, and of the candidate."""
     all_of = comparison.compared
     bad = [cycle for cycle in all_of if cycle.was_good and not cycle.is_good]
     good = [cycle for cycle in all_of if cycle.is_good and not cycle.was_good]
@@ -162,7 +162,7 @@ def document_of(
 
 
 def _worst(cycle: Compared) -> tuple[int, float]:
-    """Lost parts first, then by sigmas."""
+    """Sort key, worst first: lost parts, then sigmas."""
     return -cycle.lost, -(0.0 if cycle.apart is None else cycle.apart.sigmas)
 
 

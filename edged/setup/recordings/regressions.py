@@ -1,6 +1,6 @@
-"""A new job or rig tried on the recorded cycles, and what came of it, kept; and the gate before it is used.
+"""Tries a new job or rig on the recorded cycles, keeps the results, and is the gate before activation.
 
-The worker process measures, newest first, a few seconds at a time, so that others have their turn between.
+The worker process measures, newest first, a few seconds at a time, so that other requests get their turn.
 """
 
 from __future__ import annotations
@@ -32,14 +32,14 @@ log = logging.getLogger(__name__)
 
 FUNCTIONS = {name: f"edged.setup.recordings.work:{name}" for name in ("try_recordings", "compare_releases")}
 KEPT = 30
-"""The last ones: one has a few hundred kB at most."""
+"""Number of results kept, a few hundred kB each at most."""
 CHUNK_S = 2.0
-"""Time of one order to the worker: other requests wait so long at most."""
+"""Time of one request to the worker: the longest that other requests wait for it."""
 STAGE = "measuring recorded cycles"
 
 
 class Regressions:
-    """Used on the event loop."""
+    """Regression tests of a cell; used on its event loop."""
 
     def __init__(self, cell: CellInUse) -> None:
         self._cell = cell
@@ -48,9 +48,10 @@ class Regressions:
         self._turn = asyncio.Lock()
 
     async def begin(self, candidate: Contents, what: TriedCandidate, author: str) -> tuple[str, str]:
-        """Try it on all recordings that it concerns; ids of the task and of the result to be.
+        """Try a candidate on all recordings that it affects; return the ids of the task and of the result.
 
-        Raises `UserError` where nothing runs, nothing is recorded, or nothing would be measured otherwise.
+        Raises `UserError` if nothing is in use, nothing is recorded, or nothing would be measured
+        differently.
         """
         active, fingerprint = self._cell.files.contents, self._cell.files.fingerprint
         if not self._cell.is_complete:
@@ -59,7 +60,7 @@ class Regressions:
         if not entries:
             raise UserError("it changes nothing that recorded cycles are measured with")
         now = datetime.now(UTC)
-        identity = f"{now:%Y%m%d-%H%M%S}-{now.microsecond >> 4:04x}"  # in the order of their beginnings
+        identity = f"{now:%Y%m%d-%H%M%S}-{now.microsecond >> 4:04x}"  # sorts by start time
 
         async def work(progress: Progress) -> None:
             begun_s = time.monotonic()
@@ -79,7 +80,7 @@ class Regressions:
         return self._cell.tasks.start("regression", work), identity
 
     async def listed(self) -> list[RegressionLine]:
-        """The kept ones, newest first."""
+        """Kept results, newest first."""
         return await asyncio.to_thread(
             lambda: [
                 RegressionLine.model_validate(document, from_attributes=True) for document in self._all()
@@ -87,13 +88,14 @@ class Regressions:
         )
 
     async def get(self, identity: str) -> RegressionDocument:
-        """One of them. Raises `KeyError`, `FileFormatError`."""
+        """One result. Raises `KeyError`, `FileFormatError`."""
         return await asyncio.to_thread(self._read, identity)
 
     async def check(self, candidate: Contents, signed: str | None) -> Tested | None:
-        """The gate: what is kept of it with the release; None where nothing recorded is concerned.
+        """Gate of an activation: return the record for the release; None if no recording is affected.
 
-        Raises `RegressionNeeded` unless all good cycles stay good, or somebody signs why they need not.
+        Raises `RegressionNeeded` unless all good cycles stay good, or there is a signed reason why they need
+        not.
         """
         active = self._cell.files.contents
         if not self._cell.is_complete or self._cell.recordings is None:
@@ -120,7 +122,7 @@ class Regressions:
             return await asyncio.to_thread(work)
 
     def _concerned(self, active: Contents, candidate: Contents) -> list[recording.Entry]:
-        """Recordings, newest first, that it may measure otherwise. Raises `FileFormatError`."""
+        """Recordings that a candidate may measure differently, newest first. Raises `FileFormatError`."""
         folder = self._cell.recordings
         if folder is None:
             return []
@@ -156,7 +158,7 @@ class Regressions:
     # --- results --------------------------------------------------------------------------------
 
     def keep(self, document: RegressionDocument) -> None:
-        """Keep a result, and the last ones before it. Raises `OSError`."""
+        """Keep a result, and delete the oldest ones. Raises `OSError`."""
         make_folders(self._kept)
         write_atomically(self._kept / f"{document.id}.json", document.model_dump_json().encode())
         for old in sorted(self._kept.glob("*.json"))[:-KEPT]:

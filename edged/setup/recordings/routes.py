@@ -1,6 +1,6 @@
-"""The routes of recorded cycles: the list, one with its features and pictures, what would have been.
+"""Routes of recorded cycles: the list, one cycle with its features and pictures, and what-if questions.
 
-And of regressions: a new job or rig tried on all recorded cycles that it concerns.
+Also those of regressions, in which a new job or rig is tried on all recorded cycles that it affects.
 """
 
 from __future__ import annotations
@@ -26,11 +26,11 @@ from edged.setup.recordings.whatif import Change, Features, JobChange, LimitChan
 CYCLE = "/cycles/{number:[0-9]{1,9}}"
 SMALL_PX = 160
 WHAT_IF_BYTES = 32 * 1024
-"""A job may have hundreds of features."""
+"""Limit on a question's size: a job may have hundreds of features."""
 
 
 class CycleQuery(Body):
-    """Which recorded cycles. before : older than this number."""
+    """Selection of recorded cycles. before : only older ones than this number."""
 
     status: Literal["OK", "NO_TARGET", "LOW_QUALITY", "CAPTURE_FAULT"] | None = None
     reason: Annotated[str, Field(pattern="^[A-Z_]{1,40}$")] | None = None
@@ -40,7 +40,7 @@ class CycleQuery(Body):
 
 
 class WhatIfQuestion(Body):
-    """A change of limits, features, contrast or light; nothing of it: what would have helped."""
+    """A change of limits, features, contrast or light; if empty, asks what would have helped."""
 
     limits: LimitChange | None = None
     features: Annotated[Features, Field(max_length=256)] | None = None
@@ -48,13 +48,13 @@ class WhatIfQuestion(Body):
     light: Annotated[float, Field(ge=0.1, le=10)] | None = None
 
     def change(self) -> Change | None:
-        """What is wanted; None: nothing of it was stated."""
+        """The stated change; None if nothing was stated."""
         stated = {key: value for key, value in self if value is not None}
         return Change(**stated) if stated else None
 
 
 class CycleRoutes:
-    """The routes."""
+    """Routes of recorded cycles."""
 
     def __init__(self, cycles: Cycles) -> None:
         self._cycles = cycles
@@ -116,7 +116,7 @@ LIMIT_BYTES = 32 * 1024
 
 
 class ChangedJob(Body):
-    """A job of the cell, by its folder's name, and what is to be other."""
+    """A job of the cell, by its folder's name, and the changes to it."""
 
     job: Annotated[str, Field(pattern=r"^[A-Za-z0-9_][A-Za-z0-9_. +@=-]{0,127}$")]
     limits: LimitChange = LimitChange()
@@ -125,7 +125,7 @@ class ChangedJob(Body):
 
 
 class Testing(Body):
-    """What is to be tried: one of them."""
+    """The candidate to try: exactly one of these."""
 
     teaching: Identity | None = None
     calibration: Identity | None = None
@@ -140,20 +140,20 @@ class Testing(Body):
 
 
 class RegressionBegun(Answer):
-    """Long work: the task by its id, and the result's when that is done."""
+    """A started regression: id of the task, and id that the result will have."""
 
     task: str
     regression: str
 
 
 class RegressionList(Answer):
-    """The kept ones, newest first."""
+    """Kept regressions, newest first."""
 
     regressions: list[RegressionLine]
 
 
 class RegressionRoutes:
-    """The routes."""
+    """Routes of regressions."""
 
     def __init__(self, regressions: Regressions, candidates: CandidateContents) -> None:
         self._regressions = regressions

@@ -1,6 +1,6 @@
-"""Recorded cycles of a running cell, as they are looked at: listed, shown feature by feature, and tried.
+"""Recorded cycles of a running cell: listed, shown feature by feature, and measured again with changes.
 
-The disc is read in a thread of its own, and nothing is measured outside of the worker process.
+The disc is read in a separate thread, and all measuring is done in the worker process.
 """
 
 from __future__ import annotations
@@ -31,15 +31,15 @@ from edged.vision.part.job import Job
 FUNCTIONS = {"what_if": "edged.setup.recordings.work:what_if"}
 PLACE = "/api/v1/cycles"
 JPEG_QUALITY = 90
-"""Pictures are looked at, edges of single pixels among them."""
+"""Quality high enough to see edges of single pixels."""
 T = TypeVar("T")
 
 
 class PairView(Frozen):
-    """A pair with what was seen in it, all in raw px.
+    """A pair with the parts seen in it, all in raw px.
 
     kind : "now"; "taught", as the part lay at teaching; "good", another cycle that was good. number, at : of
-    the recording. pictures : null where none are kept.
+    the recording. pictures : null if none are kept.
     """
 
     kind: str
@@ -52,7 +52,7 @@ class PairView(Frozen):
 
 
 class RecordedLimits(Frozen):
-    """What the job of a cycle allowed then; `contrast` and `min_score` are of its search."""
+    """Limits of a cycle's job at that time; `contrast` and `min_score` are of its search."""
 
     max_sigma_mm: float
     max_rms_px: float
@@ -66,10 +66,10 @@ class RecordedLimits(Frozen):
 
 
 class CycleDocument(CycleLine):
-    """A recorded cycle with its features. folder : of its job, as the cell has it now; null: not any more.
+    """A recorded cycle with its features. folder : of its job in the cell; null if there is no such job now.
 
-    trouble : why there are none: "setup", its rig or job is not kept
-    or damaged; "snapshot", its own text is. beside : the newest good cycle of the job, if there is one.
+    trouble : why there are no features: "setup" if its rig or job is missing or damaged, "snapshot" if its
+    own text is damaged. beside : the newest good cycle of the job, if there is one.
     """
 
     trouble: str | None = None
@@ -83,16 +83,16 @@ class CycleDocument(CycleLine):
 
 
 class Cycles:
-    """Used on the event loop only."""
+    """Recorded cycles of a cell; used on the event loop only."""
 
     def __init__(self, cell: CellInUse) -> None:
         self._cell = cell
         self._disc = ThreadPoolExecutor(1, thread_name_prefix="cycles")
-        # of that thread alone
+        # used in that thread only
         self._records: Records | None = None
 
     async def listed(self, wanted: CycleFilter) -> CycleList:
-        """Some of the recordings."""
+        """List the recordings that match a filter."""
         return await self._on_disc(self._listed)(wanted)
 
     async def document(self, number: int) -> CycleDocument:
@@ -100,7 +100,7 @@ class Cycles:
         return await self._on_disc(self._document)(number)
 
     async def picture(self, number: int, side: Side, width_px: int | None = None) -> bytes:
-        """A picture of it, JPEG, so wide at most. Raises `KeyError`, `FileFormatError`."""
+        """A picture of a recording as JPEG, at most this wide. Raises `KeyError`, `FileFormatError`."""
         return await self._on_disc(self._picture)(number, side, width_px)
 
     async def taught_picture(self, number: int, side: Side) -> bytes:
@@ -108,7 +108,10 @@ class Cycles:
         return await self._on_disc(self._taught_picture)(number, side)
 
     async def what_if(self, number: int, change: Change | None) -> WhatIf:
-        """By a change, or what would have helped. Raises `KeyError`, `UserError`, `TaskFailed`."""
+        """Measure a recording with a change, or find what would have helped.
+
+        Raises `KeyError`, `UserError`, `TaskFailed`.
+        """
         file = await self.file(number)
         found: WhatIf = await self._cell.worker.run("what_if", file, change)
         return found
@@ -118,7 +121,7 @@ class Cycles:
         return await self._on_disc(lambda: self._known().entry(number).path)()
 
     async def close(self) -> None:
-        """Let go of the disc."""
+        """Stop the disc's thread."""
         await asyncio.to_thread(self._disc.shutdown, wait=True, cancel_futures=True)
 
     # --- in the disc's thread ----------------------------------------------------------------
@@ -130,7 +133,7 @@ class Cycles:
         return begin
 
     def _known(self) -> Records:
-        """The recordings of the folder that is used now. Raises `KeyError` where none is."""
+        """Recordings in the folder that is used now. Raises `KeyError` if the cell records nothing."""
         folder = self._cell.recordings
         if folder is None:
             raise KeyError("the cell records nothing")
@@ -139,7 +142,7 @@ class Cycles:
         return self._records
 
     def _folder_of(self, name: str, number: int, digest: str | None) -> tuple[str | None, bool]:
-        """The folder of the job that a recorded cycle is of, and whether that measures as it did then."""
+        """Folder of a recorded cycle's job, and whether that job still measures as it did then."""
         job = job_of_cycle(facts_of_jobs(self._cell.files.contents), name, number)
         return (None, False) if job is None else (job.folder, job.digest == digest)
 
@@ -179,7 +182,7 @@ class Cycles:
         )
 
     def _beside(self, records: Records, line: CycleLine, job: Job) -> PairView | None:
-        """A good cycle; with the features of the job that it was measured by, which may be an older one."""
+        """A good cycle for comparison, with the features of its own job, which may be an older version."""
         entry = records.newest_good(job.number, line.calibration, line.number)
         good = None if entry is None else records.line(entry)
         if entry is None or not isinstance(good, CycleLine):
@@ -193,7 +196,7 @@ class Cycles:
             return None
 
     def _of_teaching(self, line: CycleLine, folder: str | None, is_same: bool) -> PicturePaths | None:
-        """Pictures of the pair that the job was taught from; None for a job that was taught again since."""
+        """Pictures of the pair that the job was taught from; None if it was taught again since."""
         if folder is None or not is_same or not self._taught_file(folder, "left").is_file():
             return None
         return PicturePaths.below(f"{PLACE}/{line.number}/taught")

@@ -1,4 +1,4 @@
-"""Rigs and jobs that recorded cycles were measured by, or may be."""
+"""Setups, that is rig and jobs, that recorded cycles were measured with or may be measured with."""
 
 from __future__ import annotations
 
@@ -27,22 +27,22 @@ from edged.setup.marks import rig_marks
 from edged.vision.part.job import Job
 
 KEPT = 4
-"""Setups in memory: a cell is changed now and then, and buffers of a rig have some MB."""
+"""Setups cached in memory: cells change now and then, and the buffers of a rig take some MB."""
 RIG, CONFIG = "rig.json", "cell.toml"
 _IDENTITY = re.compile(r"[0-9a-f]{1,64}")
-"""A fingerprint; as a name of a folder it leads nowhere else."""
+"""A fingerprint; safe as the name of a folder."""
 _OF_ROBOT = {"robot_from_rig", "registration_covariance", "flange_from_rig", "robot_map", "quality"}
-"""What of a rig's file moves no place in the rig's own frame."""
+"""Keys of a rig file that do not affect places in the rig's own frame."""
 Contents = Mapping[str, bytes]
 """The files of a setup by their names in a recording: `CellFiles.contents`."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MeasuredBy:
-    """What a cell measures by. jobs : by number. bounds : where its robot may go, whatever the job.
+    """The setup that a cell measures with. jobs : by number. bounds : where its robot may go with any job.
 
-    rig_digest, job_digests : of what results stand on; of two setups that agree in both, and in bounds,
-    results agree.
+    rig_digest, job_digests : of everything that affects results; two setups that agree in both and in bounds
+    give the same results.
     """
 
     rig: PreparedRig
@@ -57,7 +57,7 @@ class MeasuredBy:
         return _number_of_cycle(names, snapshot["job"], int(snapshot["job_number"]))
 
     def job_for(self, number: int, snapshot: Json) -> Job | None:
-        """A job, bounded as the command of a recorded cycle wanted; None: there is none."""
+        """A job with the bounds that the command of a recorded cycle asked for; None for an unknown job."""
         job, command = self.jobs.get(number), snapshot.get("command")
         if job is None:
             return None
@@ -76,7 +76,7 @@ class MeasuredBy:
         return is_same_job and self.rig_digest == other.rig_digest and self.bounds == other.bounds
 
     def in_place_of(self, successors: Mapping[int, int]) -> MeasuredBy:
-        """The setup with each job under the number of the job that it succeeds, see `successors`."""
+        """The setup with each job under the number of the job that it replaces, see `successors`."""
         known = {old: new for old, new in successors.items() if new in self.jobs}
         return replace(
             self,
@@ -86,7 +86,7 @@ class MeasuredBy:
 
 
 def measured_by(contents: Contents, place: Path) -> MeasuredBy:
-    """A setup from its files. Raises `FileFormatError`. place : for messages."""
+    """Load a setup from its files. Raises `FileFormatError`. place : for messages."""
     if RIG not in contents:
         raise FileFormatError(f"{place}: {RIG} is missing")
     rig = prepare(rig_of(contents[RIG], place / RIG))
@@ -103,9 +103,9 @@ def measured_by(contents: Contents, place: Path) -> MeasuredBy:
 
 @dataclass(frozen=True, slots=True)
 class JobFacts:
-    """What a job's files say of it. is_bounded : it says itself where a robot may go.
+    """Facts from a job's files. is_bounded : it has bounds of its own for the robot.
 
-    digest : of what its results stand on: neither its name, nor its number, nor what people remark.
+    digest : of everything that affects its results: not of its name, its number or comments.
     """
 
     folder: str
@@ -121,14 +121,14 @@ def facts_of_jobs(contents: Contents) -> list[JobFacts]:
 
 
 def job_of_cycle(jobs: Iterable[JobFacts], name: str, number: int) -> JobFacts | None:
-    """The job that a recorded cycle is of."""
+    """The job of a recorded cycle; None if there is no such job."""
     by_number = {job.number: job for job in jobs}
     names = {job.number: job.name for job in by_number.values()}
     return by_number.get(_number_of_cycle(names, name, number))
 
 
 def _number_of_cycle(names: Mapping[int, str], name: str, number: int) -> int:
-    """Number of a recorded cycle's job: by its name, which stays when the number changes, else by its number.
+    """Number of a recorded cycle's job: by its name, which survives renumbering, otherwise its own number.
 
     names : of the jobs, by their numbers.
     """
@@ -136,10 +136,11 @@ def _number_of_cycle(names: Mapping[int, str], name: str, number: int) -> int:
 
 
 def successors(active: Contents, candidate: Contents) -> dict[int, int]:
-    """By the number of each active job that of the one that a candidate has in its place.
+    """Number of the candidate's job that replaces each active job, by the active job's number.
 
-    In its place is the one in its folder; else a new one that measures the same, under whatever name; else a
-    new one of its number. A job without is retired. Raises `FileFormatError` for one that cannot be read.
+    The replacement is the job in the same folder; otherwise a new one that measures the same, under any name;
+    otherwise a new one of the same number. A job without one is retired. Raises `FileFormatError` for a job
+    that cannot be read.
     """
     return {job.number: successor.number for job, successor in _succession(active, candidate)}
 
@@ -158,11 +159,11 @@ def _succession(active: Contents, candidate: Contents) -> list[tuple[JobFacts, J
 
 
 def concerned(active: Contents, candidate: Contents) -> set[int] | None:
-    """Numbers of the active jobs in whose place a candidate has one that measures otherwise; None: all.
+    """Numbers of the active jobs that a candidate would measure differently; None for all.
 
-    What a job is called, or that it is retired, changes nothing that is measured. Where a robot stands to the
-    rig changes no measurement, only what it may pick: jobs with such bounds. Raises `FileFormatError` for a
-    job or rig that cannot be read.
+    Renaming or retiring a job changes no measurement. Another registration to the robot changes no
+    measurement either, but what the robot may pick: it affects jobs with such bounds. Raises
+    `FileFormatError` for a job or rig that cannot be read.
     """
     bounds = _bounds(active, Path("the cell"))
     if bounds != _bounds(candidate, Path("the cell")) or _cameras(active) != _cameras(candidate):
@@ -177,7 +178,7 @@ def concerned(active: Contents, candidate: Contents) -> set[int] | None:
 
 
 def _cameras(contents: Contents) -> object:
-    """What of a rig's file pictures are measured by."""
+    """The part of a rig file that affects measurements in the rig's own frame."""
     try:
         rig = json.loads(contents.get(RIG, b"{}"))
         return {key: value for key, value in rig.items() if key not in _OF_ROBOT}
@@ -196,7 +197,7 @@ def _files(contents: Contents, folder: str) -> dict[str, bytes]:
 
 
 def _measuring(files: Contents, folder: str) -> JobFacts:
-    """Raises `FileFormatError`."""
+    """Facts of a job from its files. Raises `FileFormatError`."""
     try:
         job = toml_of(files[TEXT])
         name, number, limits = str(job.pop("name")), int(job.pop("number")), job.get("limits", {})
@@ -208,7 +209,7 @@ def _measuring(files: Contents, folder: str) -> JobFacts:
 
 
 def digest_of(contents: Contents) -> str:
-    """What tells setups apart by all that results stand on."""
+    """Digest of everything in a setup that affects results."""
     jobs = sorted(job.digest for job in facts_of_jobs(contents))
     bounds = _bounds(contents, Path("the cell"))
     marks = [] if MARKS_NAME not in contents else [_rig_digest(contents).encode()]
@@ -217,7 +218,7 @@ def digest_of(contents: Contents) -> str:
 
 
 def _with_marks(prepared: PreparedRig, contents: Contents, place: Path) -> PreparedRig:
-    """The rig with its reference marks, if its setup has some."""
+    """The rig with its reference marks, if the setup has any."""
     if MARKS_NAME not in contents:
         return prepared
     taught = marks_of(contents[MARKS_NAME], place / MARKS_NAME, prepared.rig)
@@ -234,7 +235,7 @@ def _stated(contents: Contents, place: Path) -> MarksSection:
 
 
 def _rig_digest(contents: Contents) -> str:
-    """Digest of the rig, and of the marks that hold it true."""
+    """Digest of the rig, and of the reference marks that correct it."""
     if MARKS_NAME not in contents:
         return _digest(contents[RIG])
     stated = repr(_stated(contents, Path("the cell"))).encode()
@@ -242,7 +243,7 @@ def _rig_digest(contents: Contents) -> str:
 
 
 def rig_and_job(file: Path, snapshot: Json) -> tuple[PreparedRig, Job]:
-    """What a recorded cycle was measured by. Raises `FileFormatError`. file : the recording."""
+    """Rig and job that a recorded cycle was measured with. Raises `FileFormatError`. file : the recording."""
     setup = setup_of(file, snapshot)
     job = setup.job_for(setup.number_for(snapshot), snapshot)
     if job is None:
@@ -251,12 +252,12 @@ def rig_and_job(file: Path, snapshot: Json) -> tuple[PreparedRig, Job]:
 
 
 def setup_of(file: Path, snapshot: Json) -> MeasuredBy:
-    """All that a recorded cycle was measured by. Raises `FileFormatError`."""
+    """The setup that a recorded cycle was measured with. Raises `FileFormatError`."""
     fingerprint = str(snapshot.get("fingerprint"))
     folder = setup_folder(file.parent.parent, fingerprint)
     if not _IDENTITY.fullmatch(fingerprint) or not folder.is_dir():
         raise FileFormatError(f"{file}: its rig and jobs are not there: expected {folder}")
-    # a fingerprint's rig and jobs do not change, but for somebody who edits a copy to see what comes of it
+    # the setup of a fingerprint does not change, unless somebody edits a copy to try something
     return _kept(folder, max((file.stat().st_mtime_ns for file in folder.rglob("*")), default=0))
 
 
@@ -284,7 +285,7 @@ def _digest(*parts: bytes) -> str:
 
 
 def _bounds(contents: Contents, place: Path) -> Bounds:
-    """The cell's; none where it was recorded before there were any."""
+    """Bounds of the cell; none if it was recorded before there were any."""
     if CONFIG not in contents:
         return Bounds()
     try:

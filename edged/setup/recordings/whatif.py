@@ -1,7 +1,7 @@
-"""What of a recorded cycle would come out by another limit, without a feature, in another light.
+"""Measures a recorded cycle with other limits, without a feature, or in other light.
 
-One look at one pair. What would have helped is found by trying: single changes, as small as they can be, and
-only those that make the cycle OK are reported. None is free, so each carries the code of what it costs.
+What would have helped is found by trying single changes, as small as possible; only those that make the cycle
+OK are reported. None is free, so each carries the code of its cost.
 """
 
 from __future__ import annotations
@@ -33,17 +33,17 @@ from edged.vision.part.measured import MeasuredPart
 
 MOST_TRIES = 24
 MARGIN = 1.05
-"""A limit that is moved lets through what was seen, and not much more."""
+"""Factor by which a changed limit exceeds the measured value, so that it passes, and not much more."""
 LIGHTS = (1.5, 2.0, 0.7)
 CONTRASTS = (0.5, 0.25)
-"""Shares of the job's least contrast."""
+"""Contrasts to try, as shares of the job's minimum contrast."""
 MIN_CONTRAST = 0.5
-"""Grey values per px: below, noise of any camera is edges."""
+"""Grey values per px; with less, the noise of any camera gives edges."""
 Features = dict[Annotated[str, Field(pattern=r"^[A-Za-z0-9_.-]{1,64}$")], bool]
 
 
 class LimitChange(BaseModel):
-    """Limits of a job as its file has them, and the least score; null: as they are."""
+    """Limits of a job as in its file, and the minimum score; null for unchanged ones."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
     max_sigma_mm: float | None = Field(None, gt=0, le=100)
@@ -63,7 +63,7 @@ class LimitChange(BaseModel):
 
 
 class JobChange(BaseModel):
-    """A change of a job. features : false leaves one out. contrast : grey values per px, below it no edge."""
+    """A change of a job. features : false leaves one out. contrast : minimum of edges, grey values per px."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
     limits: LimitChange = LimitChange()
@@ -72,16 +72,16 @@ class JobChange(BaseModel):
 
 
 class Change(JobChange):
-    """A change of the job, and of the pair. light : factor of all grey values.
+    """A change of the job and of the pair. light : factor on all grey values.
 
-    What is brightened so has more noise than a brighter exposure, and what was clipped stays so.
+    A pair brightened like this has more noise than a brighter exposure, and clipped pixels stay clipped.
     """
 
     light: float | None = Field(None, ge=0.1, le=10)
 
 
 class CycleVerdict(Frozen):
-    """What comes out. sigma_um : X, Y, Z of the first part that was measured."""
+    """Result of a cycle. sigma_um : X, Y, Z of the first part that was measured."""
 
     status: str
     reasons: list[str]
@@ -96,8 +96,8 @@ class Remedy(Frozen):
     """A single change that makes the cycle OK.
 
     code : what is changed: a limit's name, "contrast", "light", or "feature". before, after : its value.
-    cost : "loosens": worse results pass, too; "leaves_out": a feature counts no more; "noise": weaker edges
-    count; "light": nothing but light.
+    cost : "loosens": worse results pass, too; "leaves_out": a feature no longer counts; "noise": weaker edges
+    count; "light": needs only other light.
     """
 
     code: str
@@ -110,7 +110,7 @@ class Remedy(Frozen):
 
 
 class WhatIf(Frozen):
-    """Both verdicts, and what would have helped; null where that was not asked."""
+    """Both verdicts, and what would have helped; null if not asked for."""
 
     before: CycleVerdict
     after: CycleVerdict | None = None
@@ -125,9 +125,9 @@ def what_if(
     change: Change | None,
     progress: Progress = silent,
 ) -> WhatIf:
-    """A recorded cycle measured again, and by a change; without one: what would have helped.
+    """Measure a recorded cycle again, and with a change; without one, find what would have helped.
 
-    Raises `UserError` for a cycle without pictures, and for a change that leaves nothing to measure by.
+    Raises `UserError` for a cycle without pictures, and for a change that leaves nothing to measure with.
     """
     if taken.pair is None:
         raise UserError("this cycle has no pictures: the cameras gave none")
@@ -150,7 +150,7 @@ def what_if(
 
 
 def changed_job(job: Job, change: JobChange) -> Job:
-    """The job by a change. Raises `UserError` where it leaves nothing to measure by."""
+    """The job with a change. Raises `UserError` if it leaves nothing to measure with."""
     limits = {key: value for key, value in change.limits.model_dump().items() if value is not None}
     search = job.search
     if (score := limits.pop("min_score", None)) is not None:
@@ -168,13 +168,13 @@ def changed_job(job: Job, change: JobChange) -> Job:
 
 
 def _names(job: Job) -> list[str]:
-    """Names of all features but corners, which follow from edges."""
+    """Names of all features except corners, which follow from edges."""
     names = [circle.name for circle in job.circles]
     return names + [feature.name for feature in job.slots] + [feature.name for feature in job.edges]
 
 
 def _without(job: Job, names: set[str]) -> Job:
-    """The job without some features, and without what needs them."""
+    """The job without some features, and without what depends on them."""
     changed = without_features(job, names)
     if changed.kind_of(job.reference) is None:
         raise UserError(f"{job.reference} is the reference of the job {job.name}: it must stay")
@@ -184,11 +184,11 @@ def _without(job: Job, names: set[str]) -> Job:
 
 
 def brightened(pair: FramePair, factor: float) -> FramePair:
-    """The pair with other grey values; a picture has 8 bits, whatever the light."""
+    """The pair with scaled grey values, clipped to 8 bits."""
 
     def image(grey: Image) -> Image:
         scaled = np.minimum(np.rint(grey * np.float64(factor)), 255).astype(np.uint8)
-        scaled[grey == 255] = 255  # nobody knows how bright it was
+        scaled[grey == 255] = 255  # clipped: its true brightness is unknown
         return scaled
 
     left, right = (replace(frame, image=image(frame.image)) for frame in (pair.left, pair.right))
@@ -220,7 +220,7 @@ def _look(
 
 
 def _tries(job: Job, seen: PairInspection) -> Iterator[Remedy]:
-    """Single changes that may help, those that loosen nothing first."""
+    """Single changes that may help; those that do not loosen limits come first."""
     for factor in LIGHTS:
         yield _remedy("light", [1.0], [factor], "light", Change(light=factor))
     least = job.search.min_contrast
@@ -238,7 +238,7 @@ def _tries(job: Job, seen: PairInspection) -> Iterator[Remedy]:
 
 
 def _leaving_out(job: Job, seen: PairInspection) -> Iterator[Remedy]:
-    """Each feature that may go; first those that nobody saw."""
+    """Leave out each feature that may be; those not found come first."""
     known = {fit.name for part in seen.measured for fit in part.fits}
     for name in sorted(_names(job), key=lambda name: name in known):
         change = Change(features={name: False})
@@ -250,7 +250,7 @@ def _leaving_out(job: Job, seen: PairInspection) -> Iterator[Remedy]:
 
 
 def _loosened(job: Job, part: MeasuredPart) -> Iterator[Remedy]:
-    """The limits that a measured part failed, each moved as far as it takes."""
+    """The limits that a measured part failed, each moved as far as needed."""
     limits, target, evidence = job.limits, part.target, part.evidence
     radius_mm = math.nan
     for circle in target.circles:
@@ -280,7 +280,7 @@ def _limit(name: str, before: float, after: float) -> Remedy:
 
 
 def _up(value: float) -> float:
-    """Rounded up to two digits."""
+    """Round up to two significant digits."""
     unit = 10.0 ** (math.floor(math.log10(value)) - 1)
     return round(math.ceil(value / unit) * unit, 9)
 

@@ -1,4 +1,4 @@
-"""What the worker process does with recorded cycles."""
+"""Functions that the worker process runs for recorded cycles."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from edged.setup.releases.differences import ReleaseDifference, difference
 
 
 def what_if(file: Path, change: Change | None, progress: Progress) -> WhatIf:
-    """One recording by the rig and the job that it was measured by, and by a change."""
+    """Measure one recording with its own rig and job, and with a change."""
     taken = recording.load(file)
     rig, job = rig_and_job(file, taken.snapshot)
     return whatif.what_if(file, taken, rig, job, change, progress)
@@ -27,7 +27,7 @@ def what_if(file: Path, change: Change | None, progress: Progress) -> WhatIf:
 def try_recordings(
     entries: Sequence[recording.Entry], active: Contents, candidate: Contents, most_s: float
 ) -> list[TriedCycle]:
-    """The first of some recordings by two setups: as many as the time allows, one at least."""
+    """Measure recordings with two setups: as many as the time allows, but at least one."""
     end_s = time.monotonic() + most_s
     before, after = (_measured_by(tuple(sorted(files.items()))) for files in (active, candidate))
     after = after.in_place_of(successors(active, candidate))
@@ -40,10 +40,10 @@ def try_recordings(
 
 
 def compare_releases(before: Path, after: Path) -> ReleaseDifference:
-    """What is other in one archive than in another."""
+    """Differences between two archives."""
     return difference(read(before), read(after))
 
 
-@lru_cache(maxsize=2)  # with what a rig prepares, a setup takes longer to make than a cycle
+@lru_cache(maxsize=2)  # preparing a setup takes longer than a cycle
 def _measured_by(files: tuple[tuple[str, bytes], ...]) -> MeasuredBy:
     return measured_by(dict(files), Path("a setup"))

@@ -1,1 +1,1 @@
-"""The rig registered to the robot's frame."""
+"""Registration of the rig to the robot's frame."""

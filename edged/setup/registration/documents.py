@@ -1,4 +1,4 @@
-"""The document of a registration's draft: over /api/v1, and to every open page."""
+"""Documents of registration drafts, served under /api/v1 and sent to every open page."""
 
 from __future__ import annotations
 
@@ -25,16 +25,16 @@ from edged.vision.geometry.rigid import apply
 
 PLACE = "/api/v1/registrations"
 WANTED = {"touch": 6, "poses": 10}
-"""Samples that a good registration has; fewer than it leave little to see a mistake by."""
+"""Samples that a good registration has; with fewer, mistakes are hard to detect."""
 ROBOT = "a robot's program"
-"""Author of the drafts that it fills."""
+"""Author of drafts that a robot's program fills."""
 FLAT_SHARE = 0.05
-"""Less height than this share of the longest side: points in one plane."""
+"""Points whose smallest extent is less than this share of the largest one lie in one plane."""
 MM = ("X", "Y", "Z")
 
 
 class BrandDocument(Frozen):
-    """How a maker's pendant shows a pose: labels, and the unit of each."""
+    """How a brand's pendant shows a pose: labels, and the unit of each."""
 
     id: Brand
     labels: list[str]
@@ -42,14 +42,14 @@ class BrandDocument(Frozen):
 
 
 class AtRobot(Frozen):
-    """Where a place is by the solved registration, as the robot's pendant shows positions."""
+    """Position of a place by the solved registration, as the robot's pendant shows positions."""
 
     numbers: list[float]
     text: str
 
 
 class PlaceDocument(Frozen):
-    """Something to touch. sample : that touched it in this picture. wanted : the next one had best be it."""
+    """A place to touch. sample : the one that touched it in this picture. wanted : best one to touch next."""
 
     key: str
     kind: str
@@ -63,7 +63,7 @@ class PlaceDocument(Frozen):
 
 
 class PicturesDocument(PicturePaths):
-    """A pair, as paths; places are in px of width and height."""
+    """A pair of pictures, as paths; places are in px of a picture of this width and height."""
 
     name: str
     width: int
@@ -71,8 +71,8 @@ class PicturesDocument(PicturePaths):
 
 
 class SampleDocument(Frozen):
-    """A point or a pose. why : it does not count: "left_out", "not_seen", "length" (of the board is another),
-    "no_numbers", "misfit" (numbers of another brand) or "outlier"; null: it does.
+    """A point or a pose. why : reason why it does not count: "left_out", "not_seen", "length" (the board's is
+    wrong), "no_numbers", "misfit" (numbers of another brand) or "outlier"; null: it counts.
     """
 
     name: str
@@ -91,7 +91,7 @@ class SampleDocument(Frozen):
 
 
 class ReadingDocument(Frozen):
-    """A way to read the poses. said : it is the stated one."""
+    """A way to read the poses. said : it is the one that the user stated."""
 
     code: str
     orientation: str
@@ -103,7 +103,7 @@ class ReadingDocument(Frozen):
 
 
 class ConfirmedDocument(Frozen):
-    """A place that was touched after solving. off_mm : robot minus expected, and how far."""
+    """A place that was touched after solving. off_mm : robot minus expected. distance_mm : its length."""
 
     place: str
     numbers: list[float]
@@ -112,10 +112,10 @@ class ConfirmedDocument(Frozen):
 
 
 class RegistrationDocument(DraftHead):
-    """A draft. by_program : the robot's own fills it. stale : the cell has another calibration by now.
+    """A draft. by_program : the robot's own program fills it. stale : the cell has another calibration now.
 
-    advice : what to do next, a code. conventions : ranked, best first. missing : turns that the poses lack:
-    "all", "tilt", "wrist". good : it may be solved; the figures are of all samples that count.
+    advice : code of what to do next. conventions : ranked, best first. missing : rotations that the poses
+    lack: "all", "tilt", "wrist". good : it may be solved. figures : of all samples that count.
     """
 
     by_program: bool
@@ -150,7 +150,7 @@ class RegistrationDocument(DraftHead):
 
 
 class RegistrationLine(DraftSummary):
-    """A draft of the list. trouble : why it cannot be read."""
+    """A draft in the list. trouble : why it cannot be read."""
 
     kind: str = ""
     mount: str = ""
@@ -158,14 +158,14 @@ class RegistrationLine(DraftSummary):
 
 
 class RobotMapPoint(Frozen):
-    """A place that was touched, robot's frame, mm. off_mm : what the robot showed there, minus the place."""
+    """A touched place in the robot's frame, mm. off_mm : position that the robot showed minus the place."""
 
     place_mm: list[float]
     off_mm: list[float]
 
 
 class RobotMapDocument(Frozen):
-    """The map of the robot's error that the cell runs by; figures as over Zenoh."""
+    """The map of the robot's error that the cell uses; the same figures as over Zenoh."""
 
     degree: int
     alone_mm: float
@@ -175,7 +175,7 @@ class RobotMapDocument(Frozen):
 
 
 class RegistrationList(Frozen):
-    """The youngest first. brands : that a draft may be of. robot_map : of the rig in use."""
+    """All drafts, newest first. brands : those that a draft may state. robot_map : of the rig in use."""
 
     registrations: list[RegistrationLine]
     brands: list[BrandDocument]
@@ -183,13 +183,13 @@ class RegistrationList(Frozen):
 
 
 class Conventions(Frozen):
-    """Every way to read the poses, best first; empty before four of them."""
+    """Ways to read the poses, best first; empty with fewer than four poses."""
 
     conventions: list[ReadingDocument]
 
 
 def map_of(rig: RigInUse | None) -> RobotMapDocument | None:
-    """The map of the robot's error of a rig."""
+    """Map of the robot's error in a rig; None without one."""
     made = None if rig is None else rig.stereo().robot_map
     if made is None:
         return None
@@ -206,7 +206,7 @@ def map_of(rig: RigInUse | None) -> RobotMapDocument | None:
 
 
 def brands() -> list[BrandDocument]:
-    """All that are known."""
+    """All known brands of robots."""
     return [
         BrandDocument(id=brand, labels=list(pendant.labels), units=list(pendant.units))
         for brand, pendant in PENDANTS.items()
@@ -214,7 +214,7 @@ def brands() -> list[BrandDocument]:
 
 
 def is_active(state: RegistrationState, rig: RigInUse | None) -> bool:
-    """Whether the cell runs by what it was solved to."""
+    """Whether the cell uses the rig that the draft was solved to."""
     solved = state.solved
     return solved is not None and rig is not None and solved.digest == hashlib.sha256(rig.content).hexdigest()
 
@@ -222,7 +222,7 @@ def is_active(state: RegistrationState, rig: RigInUse | None) -> bool:
 def document_of(
     state: RegistrationState, judged: Judged, rig: RigInUse | None, solved: StereoRig | None, *, judging: bool
 ) -> RegistrationDocument:
-    """A draft as it stands. solved : to which. judging : `judged` is of samples from before a change."""
+    """Document of a draft. solved : the registered rig. judging : `judged` is outdated, being recomputed."""
     in_use = None if rig is None else rig.stereo()
     pendant = None if state.brand is None else PENDANTS[state.brand]
     labels, units = (MM, ("mm",) * 3) if pendant is None else (pendant.labels, pendant.units)
@@ -261,7 +261,7 @@ def document_of(
 
 
 def readings_in(judged: Judged) -> list[ReadingDocument]:
-    """The best of them, and the stated one."""
+    """The five best readings of the poses, and the stated one."""
     shown = [*range(min(5, len(judged.readings)))]
     if judged.stated is not None and judged.stated not in shown:
         shown.append(judged.stated)
@@ -335,7 +335,7 @@ def _pictures(state: RegistrationState, name: str, rig: StereoRig | None) -> Pic
 def _places(
     state: RegistrationState, rig: StereoRig | None, solved: StereoRig | None, judged: Judged
 ) -> tuple[list[PlaceDocument], PicturesDocument | None]:
-    """What can be touched, and the pictures that show it."""
+    """Places that can be touched, and the pictures that show them."""
     if rig is None:
         return [], None
     robot_from_rig = None
@@ -345,7 +345,7 @@ def _places(
         places, name = state.looked.places, state.looked.name
         robot_from_rig = None if solved is None else solved.robot_from_rig
     elif state.mount == "flange" and solved is not None and state.brand is not None:
-        # the board lies still: the last pose shows where
+        # the board does not move: the last pose in use shows where it is
         name = next((pose for pose in reversed(state.used) if pose in judged.rows), None)
         if name is not None and solved.flange_from_rig is not None:
             view = np.array(state.samples[name].view)
@@ -378,13 +378,13 @@ def _at_robot(state: RegistrationState, robot_from_rig: FloatArray, place: Place
 
 
 def _touched_mm(state: RegistrationState) -> FloatArray:
-    """(N, 3) in the rig's frame, of the points that count."""
+    """Touched points in use, (N, 3) mm in the rig's frame."""
     places = [state.samples[name].place for name in state.used]
     return np.array([place.rig_mm for place in places if place is not None]).reshape(-1, 3)
 
 
 def _wanted(state: RegistrationState, places: Sequence[Place]) -> str | None:
-    """The place that is farthest from all that was touched: it says most."""
+    """Key of the place that is farthest from all touched ones, as it tells the most."""
     if not places:
         return None
     offered = np.array([place.rig_mm for place in places])
@@ -395,7 +395,7 @@ def _wanted(state: RegistrationState, places: Sequence[Place]) -> str | None:
 
 
 def _advice(state: RegistrationState, judged: Judged) -> str | None:
-    """What would make it better: "flat" points, turns that are missing, "more"; nothing."""
+    """Code of what would improve it: a missing rotation, "flat" for points in one plane, or "more"; None."""
     if state.kind == "poses" and judged.missing:
         return judged.missing
     there = _touched_mm(state)

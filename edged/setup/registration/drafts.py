@@ -1,9 +1,9 @@
-"""Drafts of a robot's registration: what was touched, or where the flange was, on disc after each step.
+"""Drafts of a robot's registration: touched points or flange poses, saved to disc after each step.
 
-ID/state.json             written last: what it names is there
+ID/state.json             written last, so that all files it names exist
 ID/pictures/              NAME_left.png, NAME_right.png: a folder as `edged register` takes it
 ID/small/                 the same as JPEGs
-ID/rig-DIGEST.json        what came of them
+ID/rig-DIGEST.json        the registered rig
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from edged.setup.registration.model import (
 from edged.vision.boards.board import parse_boards
 
 KEPT = 10
-"""Drafts; with one more the oldest goes."""
+"""Number of drafts kept; the oldest is deleted when there is one more."""
 
 
 class RobotDraft(DraftFile[RegistrationState]):
@@ -41,34 +41,34 @@ class RobotDraft(DraftFile[RegistrationState]):
 
     @property
     def next_sample(self) -> str:
-        """A name that no sample ever had. Raises `CalibrationError` for one too many."""
+        """Name for the next sample, never used before. Raises `CalibrationError` for too many samples."""
         stem = "point" if self.state.kind == "touch" else "pose"
         return _numbered(stem, len(self.state.samples))
 
     @property
     def next_look(self) -> str:
-        """A name that no picture of places ever had. Raises `CalibrationError` for one too many."""
+        """Name for the next picture of places, never used before. Raises `CalibrationError` for too many."""
         return _numbered("look", self.state.looks)
 
     def look(self, look: LookState) -> None:
-        """Take note of a pair in which places were looked for; its pictures are in the folder."""
+        """Record a pair in which places were searched; its pictures are in the folder."""
         self.write(self.state.changed(looked=look, looks=self.state.looks + 1))
 
     def add(self, name: str, sample: SampleState, numbers: tuple[float, ...] | None) -> None:
-        """Take note of a sample whose pictures are in the folder."""
+        """Record a sample whose pictures are in the folder."""
         operation = RegistrationOperation(what="add", sample=name, numbers=numbers)
         self.write(self.state.operated(operation, samples={**self.state.samples, name: sample}))
 
     def write_numbers(self, name: str, numbers: tuple[float, ...]) -> None:
-        """Say what the robot showed. Raises `KeyError` for no sample."""
+        """Record the numbers that the robot showed. Raises `KeyError` for an unknown sample."""
         self._operate("write", name, self.state.taken, numbers)
 
     def remove(self, name: str) -> None:
-        """Leave a sample out. Raises `KeyError` for one that is not in use."""
+        """Exclude a sample. Raises `KeyError` for one that is not in use."""
         self._operate("remove", name, self.state.used)
 
     def restore(self, name: str) -> None:
-        """Use it again. Raises `KeyError` for one that was not left out."""
+        """Use an excluded sample again. Raises `KeyError` for one that was not excluded."""
         self._operate("restore", name, set(self.state.taken) - set(self.state.used))
 
     def _operate(
@@ -83,13 +83,13 @@ class RobotDraft(DraftFile[RegistrationState]):
         self.write(self.state.operated(RegistrationOperation(what=what, sample=name, numbers=numbers)))
 
     def restate(self, **changes: Any) -> None:
-        """Brand, mount or limit are others. Raises `CalibrationError` for a mount that does not fit."""
+        """Change brand, mount or limit. Raises `CalibrationError` for a mount that does not fit."""
         state = self.state.without_outcome(**changes)
         check_kind(state.mount, state.kind)
         self.write(state)
 
     def solve(self, rig: bytes) -> None:
-        """Keep what the samples were solved to."""
+        """Keep the rig that the samples were solved to."""
         digest = hashlib.sha256(rig).hexdigest()
         state = self.state.changed(solved=SolvedState(digest=digest), confirmed=None)
         write_solved(self, state, digest, {"rig-*.json": rig})
@@ -99,7 +99,7 @@ class RobotDraft(DraftFile[RegistrationState]):
         self.write(self.state.changed(confirmed=confirmed))
 
     def rig(self) -> bytes:
-        """The rig that it was solved to. Raises as `solved_rig`."""
+        """Content of the rig file that the draft was solved to. Raises as `solved_rig`."""
         solved = self.state.solved
         return solved_rig(self.folder, None if solved is None else solved.digest, "samples")
 
@@ -121,7 +121,7 @@ class RobotDrafts(DraftFolders[RegistrationState, RobotDraft]):
         board: str,
         limit_mm: float,
     ) -> RobotDraft:
-        """Begin one. Raises `CalibrationError` for what does not fit together, and `OSError`."""
+        """Create a draft. Raises `CalibrationError` for settings that do not fit together, and `OSError`."""
         check_kind(mount, kind)
         if kind == "poses" and len(parse_boards(board)) != 1:
             raise CalibrationError("poses need one board")
@@ -140,7 +140,7 @@ class RobotDrafts(DraftFolders[RegistrationState, RobotDraft]):
 
 
 def _pictures(state: RegistrationState) -> list[str]:
-    """Those of poses: a touched place is kept in numbers."""
+    """Names of the pictures to keep: only those of poses, as touched places are kept as numbers."""
     return [f"{name}_{side}.png" for name in state.taken for side in SIDES] if state.kind == "poses" else []
 
 

@@ -1,4 +1,4 @@
-"""What a registration's draft keeps on disc: values, read with suspicion; pictures lie beside them."""
+"""State of a registration draft as kept on disc, validated on reading; pictures are stored beside it."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from edged.setup.history import Digest, History, Kept, Text
 from edged.vision.boards.board import parse_boards
 
 MOST = 200
-"""Samples, and pictures of places to touch."""
+"""Limit on samples, and on pictures of places to touch."""
 Mount = Literal["fixed", "flange"]
 Kind = Literal["touch", "poses"]
 SampleName = Annotated[str, Field(pattern=r"^(point|pose)_[0-9]{3}$")]
@@ -26,7 +26,7 @@ Pose = tuple[Row4, Row4, Row4, Row4]
 
 
 class Place(Kept):
-    """Something that a tip can touch. key : "mark-0" of a board, "circle-c0" of a part. rig_mm : where it is;
+    """A place that a tip can touch. key : "mark-1-2" of a board, "circle-c0" of a part. rig_mm : position;
     left, right : raw px."""
 
     key: Annotated[str, Field(max_length=100)]
@@ -38,9 +38,9 @@ class Place(Kept):
 
 
 class LookState(Kept):
-    """A pair in which places were looked for. reason : why there are none.
+    """A pair in which places were searched. reason : why there are none.
 
-    length_percent : by so much the board is longer than was stated, where that is why.
+    length_percent : by how much the board is longer than stated, if that is the reason.
     """
 
     name: LookName
@@ -50,9 +50,9 @@ class LookState(Kept):
 
 
 class SampleState(Kept):
-    """A point that was touched, in the pictures of a look; or a pose, with pictures of its own name.
+    """A touched point in the pictures of a look, or a pose with pictures under its own name.
 
-    view : rig_from_board; None where the board was not seen, with the reason as in a look.
+    view : rig_from_board; None where the board was not found, with the reason as in `LookState`.
     """
 
     place: Place | None = None
@@ -63,7 +63,7 @@ class SampleState(Kept):
 
 
 class RegistrationOperation(Kept):
-    """Something that can be undone. numbers : as the robot shows them, of what is added or written."""
+    """An operation that can be undone. numbers : those added or written, as the robot shows them."""
 
     what: Literal["add", "write", "remove", "restore"]
     sample: SampleName
@@ -87,7 +87,7 @@ class Confirmed(Kept):
 class RegistrationState(History[RegistrationOperation]):
     """A draft. calibration_id : of the rig that it was begun with. board : as `parse_boards` takes it, or "".
 
-    looked : the last pair of places. brand : None: not said.
+    looked : the last pair in which places were searched. brand : None if not stated.
     """
 
     outcome = ("solved", "confirmed")
@@ -118,29 +118,29 @@ class RegistrationState(History[RegistrationOperation]):
 
     @property
     def taken(self) -> tuple[str, ...]:
-        """Samples there are, in the order they came; those that were undone are not."""
+        """Names of all samples in the order they were taken, without undone ones."""
         return tuple(dict.fromkeys(step.sample for step in self.holding if step.what == "add"))
 
     @property
     def used(self) -> tuple[str, ...]:
-        """Samples that nobody left out."""
+        """Names of the samples that are not excluded."""
         last = {step.sample: step.what for step in self.holding if step.what != "write"}
         return tuple(name for name in self.taken if last[name] != "remove")
 
     @property
     def numbers(self) -> dict[str, tuple[float, ...]]:
-        """Numbers of each sample, as the robot showed them; without those that nobody has stated yet."""
+        """Numbers of each sample as the robot showed them; samples without numbers yet are missing."""
         return {step.sample: step.numbers for step in self.holding if step.numbers is not None}
 
 
 def check_kind(mount: Mount, kind: Kind) -> None:
-    """Raises `CalibrationError` where they do not fit each other."""
+    """Check that mount and kind fit together. Raises `CalibrationError` if not."""
     if mount == "flange" and kind == "touch":
         raise CalibrationError("touched points are for cameras that stand still")
 
 
 class SkyDocument(Frozen):
-    """Where the flange looked at a pose, from the first one."""
+    """Direction and rotation of the flange at a pose, relative to the first pose."""
 
     name: str
     tilt_deg: float

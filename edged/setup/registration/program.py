@@ -1,4 +1,4 @@
-"""A registration by the robot's own program, as a draft that people see grow; the program never waits."""
+"""Mirrors a registration by the robot's own program into a draft for the pages; the program never waits."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ from edged.setup.registration.service import Given, Registrations
 log = logging.getLogger(__name__)
 
 MOST_WAITING = 20
-"""Pairs of pictures; with more, one that came is left out."""
+"""Steps in the queue; while it is full, new ones are dropped."""
 
 
 class RobotProgram:
-    """Hears of what a robot's program registers; from any thread, and never makes it wait."""
+    """The `Witness` of a robot's program: called from any thread, never blocks, writes to a draft."""
 
     def __init__(self, registrations: Registrations, cell: CellInUse) -> None:
         self._registrations = registrations
@@ -35,11 +35,11 @@ class RobotProgram:
         self._writing = asyncio.create_task(self._write(), name="robot's program")
 
     async def close(self) -> None:
-        """What was not written by now is not written."""
+        """Stop writing; steps still in the queue are dropped."""
         await cancel_and_await(self._writing)
 
     def begun(self, mount: Mount, kind: Kind, board: str, limit_mm: float) -> None:
-        """It has begun anew."""
+        """The program has begun a registration: begin a new draft."""
 
         async def work() -> None:
             self._draft = None
@@ -48,7 +48,7 @@ class RobotProgram:
         self._tell(work)
 
     def posed(self, pair: FramePair, robot_from_flange: FloatArray) -> None:
-        """It has added a pose of the flange."""
+        """The program has added a pose of the flange."""
 
         async def work() -> None:
             if self._draft is not None:
@@ -57,7 +57,7 @@ class RobotProgram:
         self._tell(work)
 
     def touched(self, pair: FramePair, job: str, rig_mm: FloatArray, robot_from_tip: FloatArray) -> None:
-        """It has added a point: the reference point of a job's part."""
+        """The program has added a point: the reference point of a job's part."""
 
         async def work() -> None:
             if self._draft is not None:
@@ -67,7 +67,7 @@ class RobotProgram:
         self._tell(work)
 
     def activated(self) -> None:
-        """The cell runs by what it has registered."""
+        """The cell now uses the rig that the program has registered."""
 
         async def work() -> None:
             if self._draft is not None:

@@ -1,4 +1,4 @@
-"""Where the rig stands to the robot: solved and judged here, saved as a step of its own."""
+"""Pose of the rig relative to the robot: solved and judged here, saved in a separate step."""
 
 from __future__ import annotations
 
@@ -33,14 +33,14 @@ if TYPE_CHECKING:  # as in `files.marks`
     from edged.vision.marks.taught import TaughtMarks
 
 MIN_COMMON = 6
-"""Marks that two teachings must have in common: with fewer none that was moved could be told."""
+"""Marks that two teachings must have in common: with fewer, a moved mark could not be identified."""
 DECIDED = 3.0
-"""A reading that fits so many times better than the next is the right one."""
+"""A reading that fits this many times better than the next one is the right one."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RegisteredRig:
-    """A rig that knows the robot, not saved yet. how : what the rig file keeps of the way it was found."""
+    """A registered rig, not saved yet. how : what the rig file records about how it was registered."""
 
     rig: StereoRig
     how: Mapping[str, object]
@@ -48,11 +48,12 @@ class RegisteredRig:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FromPoints:
-    """What touched points say.
+    """Registration from touched points.
 
-    worst_mm : farthest of a point from where the others expect it; where they expect nothing, how far the
-    distances between points disagree.  checked : the others expect something.  good : within the limit.
-    doubt : the robot's lengths are not the rig's. trials : of a map of its error, where one was asked.
+    worst_mm : largest distance of a point from where the others predict it; where they cannot predict it, how
+    far the distances between points disagree.  checked : there are such predictions.  good : within the
+    limit. doubt : the robot's lengths differ from the rig's. trials : of a map of the robot's error, if one
+    was asked for.
     """
 
     found: PointRegistration
@@ -66,7 +67,7 @@ class FromPoints:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FromPoses:
-    """What poses of the flange say. held_out_rms_mm : of those that were used; good : within the limit."""
+    """Registration from flange poses. held_out_rms_mm : of those that were used; good : within the limit."""
 
     found: HandEye
     held_out_rms_mm: float
@@ -75,7 +76,7 @@ class FromPoses:
 
     @property
     def worst(self) -> int | None:
-        """Index of a pose that was rejected, or, where they do not agree, of the one that agrees least."""
+        """Index of the worst rejected pose, or, if they disagree, of the one that agrees least; or None."""
         held, used = self.found.held_out_mm, self.found.used
         if self.good and used.all():
             return None
@@ -85,10 +86,10 @@ class FromPoses:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FromMarks:
-    """What reference marks say of a rig that was calibrated anew.
+    """Registration of a recalibrated rig from reference marks.
 
-    covariance (6, 6) : as of a rig; NaN where the former one was not known. worst : code of the mark that is
-    farthest, by worst_mm, from where the others have it.  good : within the limit.
+    covariance (6, 6) : as of a rig; NaN where the former one was not known. worst : code of the mark with the
+    largest residual, worst_mm.  good : within the limit.
     """
 
     robot_from_rig: FloatArray
@@ -102,10 +103,10 @@ class FromMarks:
 
 @dataclass(frozen=True, slots=True)
 class Readings:
-    """Which way to read the poses fits, best first.
+    """Ways to read the poses, ranked by how well they fit.
 
-    stands_out : the first one does.  alike : those that mean the same for these poses as the first.
-    agrees : the stated reading is among them; True when none was stated.
+    stands_out : the first one fits clearly better than the next. alike : how many fit these poses as well as
+    the first. agrees : the stated reading is one of those; True when none was stated.
     """
 
     ranked: tuple[PoseReading, ...]
@@ -119,8 +120,9 @@ def from_points(
 ) -> FromPoints:
     """Register from touched points, (N, 3) mm in both frames. Raises `CalibrationError`.
 
-    Three points have no others: there the distances between them must agree within the limit. with_map : also
-    a map of the robot's error, where one earns its place; the limit is of points by it then.
+    Three points cannot predict each other: the distances between them must agree within the limit.
+    with_map : also make a map of the robot's error, if it improves the fit; the limit then applies to points
+    corrected by it.
     """
     found = register_points(rig_mm, robot_mm)
     checked = bool(np.isfinite(found.held_out_mm).any())
@@ -139,13 +141,13 @@ def from_points(
 
 
 def rig_from_board(rig: StereoRig, pair: Pair, board: NominalBoard) -> FloatArray | NotDetected:
-    """Where one pair shows the board, (4, 4). Raises `UserError` for pictures of another size."""
+    """Pose rig_from_board (4, 4) by one pair. Raises `UserError` for pictures of another size."""
     placed = pose_of_board(rig, view_of_board(rig, pair, board))
     return placed if isinstance(placed, NotDetected) else placed[1]
 
 
 def view_of_board(rig: StereoRig, pair: Pair, board: NominalBoard) -> StereoView:
-    """The board in both pictures, found or not. Raises `UserError` for pictures of another size."""
+    """Detect the board in both pictures. Raises `UserError` for pictures of another size."""
     sides = []
     for side in SIDES:
         picture = pair.side(side)
@@ -165,7 +167,7 @@ def from_poses(
     mount: Mount,
     limit_mm: float,
 ) -> FromPoses:
-    """Register from poses of the flange and rig_from_board, by the same names. Raises `CalibrationError`."""
+    """Register from flange poses and rig_from_board, by the same names. Raises `CalibrationError`."""
     transforms = [robot_from_flange[name] for name in views]
     found = hand_eye(transforms, list(views.values()), board.points_mm, mount)
     # a rejected pose says nothing about the registration, which does not use it
@@ -188,9 +190,9 @@ def from_poses(
 
 
 def from_marks(rig: StereoRig, taught: TaughtMarks, former: TaughtMarks, limit_mm: float) -> FromMarks:
-    """Register a rig that was calibrated anew by the reference marks that both calibrations saw.
+    """Register a recalibrated rig by the reference marks that were taught with both calibrations.
 
-    taught, former : the same plate, which stood still between both teachings. limit_mm : how far places may
+    taught, former : the same plate, which did not move between both teachings. limit_mm : how far places may
     differ. Raises `CalibrationError`.
     """
     robot_from_former = former.rig.robot_from_rig
@@ -205,12 +207,12 @@ def from_marks(rig: StereoRig, taught: TaughtMarks, former: TaughtMarks, limit_m
     fit = fit_rigid(now, then)
     robot_from_rig = robot_from_former @ fit.to_from_source
     away = np.linalg.norm(fit.residuals_mm, axis=1)
-    about = np.eye(6)  # a fit states the shift of the rig's origin
+    about = np.eye(6)  # the fit's covariance is of the shift of the rig's origin
     about[:3, 3:] = skew(fit.to_from_source[:3, 3])
     to_robot = adjoint(robot_from_former)
     covariance = to_robot @ about @ fit.covariance @ about.T @ to_robot.T
     for seen, frame, points in ((former.rig, robot_from_former, then), (rig, robot_from_rig, now)):
-        if seen.covariance is not None:  # what each calibration has wrong moves the marks as it moves parts
+        if seen.covariance is not None:  # errors of each calibration move the marks as they move parts
             moved = adjoint(frame) @ motion_of_points(seen, points)
             covariance = covariance + moved @ seen.covariance @ moved.T
     known = former.rig.registration_covariance
@@ -237,7 +239,7 @@ def which_convention(
 ) -> Readings:
     """Try every reading of the poses as the controller shows them. Raises `CalibrationError` when none fits.
 
-    views : rig_from_board at each. stated : the poses as somebody says that they are to be read.
+    views : rig_from_board at each. stated : the poses by the reading that the user stated.
     """
     ranked = rank_readings(numbers, views, board.points_mm, READINGS, LENGTH_UNITS_MM)
     best = ranked[0]
@@ -263,7 +265,7 @@ def stands_out(ranked: Sequence[PoseReading]) -> bool:
 
 
 def in_words(reading: PoseReading) -> str:
-    """How well the poses agree by a reading."""
+    """Sentence on how well the poses agree by a reading."""
     return (
         f"read as {reading.orientation}, lengths in {reading.length_unit}, {reading.mount}, the poses agree "
         f"within {reading.rms_mm:.3f} mm"
@@ -271,9 +273,9 @@ def in_words(reading: PoseReading) -> str:
 
 
 def save(source: Path, registered: RegisteredRig, output: Path) -> Path | None:
-    """Write the registered rig; what stood there before is kept beside it. Returns that copy.
+    """Write the registered rig, and keep a copy of the former file beside it. Return the path of that copy.
 
-    source : the rig file that was registered, for what it keeps of its calibration.
+    source : the rig file that was registered; its record of the calibration's quality is kept.
     """
     when = now_text()
     quality = {**load_rig_quality(source), "registration": {**registered.how, "when": when}}

@@ -23,10 +23,10 @@ if TYPE_CHECKING:  # a cell that measures does not load what calibrates
 
 
 class Witness(Protocol):
-    """Hears of what a robot's program adds, on any thread; must neither block nor raise."""
+    """Listener to what a robot's program adds; called on any thread, must neither block nor raise."""
 
     def begun(self, mount: Mount, kind: Kind, board: str, limit_mm: float) -> None:
-        """It has begun anew."""
+        """A new registration was begun."""
 
     def posed(self, pair: FramePair, robot_from_flange: FloatArray) -> None:
         """A pose was taken."""
@@ -35,11 +35,11 @@ class Witness(Protocol):
         """A point (3,) was taken, on the part of a job."""
 
     def activated(self) -> None:
-        """The cell runs by the result."""
+        """The cell now uses the result."""
 
 
 class Loaded(Protocol):
-    """What a cell measures by."""
+    """Files and jobs that a cell measures with."""
 
     @property
     def cell(self) -> CellFiles | UnfinishedCell:
@@ -55,14 +55,14 @@ class RegistrableCell(Protocol):
 
     @property
     def loaded(self) -> Loaded:
-        """What it measures by now."""
+        """Files and jobs that it measures with at present."""
 
     async def register(self, base: object, save: Callable[[], None]) -> Setup:
-        """Save the rig, and measure by it. Raises `EdgedError`, `OSError`; also when base is not loaded."""
+        """Save the rig and measure with it. Raises `EdgedError`, `OSError`; also if base is not loaded."""
 
 
 class CellRegistrar:
-    """The `Registrar` of a cell. witness : told of each step."""
+    """The `Registrar` of a cell. witness : notified of each step."""
 
     def __init__(self, cell: RegistrableCell) -> None:
         self._cell = cell
@@ -72,7 +72,7 @@ class CellRegistrar:
         self.witness: Witness | None = None
 
     def problem(self, kind: CommandKind) -> str:
-        """Why a registration cannot begin so; "" when it can."""
+        """Why a registration cannot begin with this command; "" when it can."""
         loaded = self._cell.loaded
         allowed = loaded.cell.config.registration
         if allowed is None:
@@ -84,7 +84,7 @@ class CellRegistrar:
         return _unwritable(loaded.cell.config.cell.rig)
 
     def begin(self, command: Command) -> Registered:
-        """Forget what was taken before."""
+        """Begin a registration; samples taken before are forgotten."""
         from edged.setup.registration.sampling import RegistrationSampling
 
         self._base, self._solved = self._cell.loaded, None
@@ -105,7 +105,7 @@ class CellRegistrar:
         return Registered(command, self._sampling.state, None, f"begun, by {by}; the cell is in SETUP")
 
     def add(self, command: Command, pair: FramePair) -> Registered:
-        """One pose or point, with its pictures."""
+        """Add one pose or point, with its pictures."""
         from edged.setup.registration.sampling import Step
 
         sampling, _ = self._under_way
@@ -135,13 +135,13 @@ class CellRegistrar:
         return step
 
     def solve(self, command: Command) -> Registered:
-        """Judge; nothing is saved."""
+        """Solve and judge the samples; nothing is saved."""
         step = self._under_way[0].solve()
         self._solved = step.registered
         return _answer(command, step)
 
     async def activate(self) -> Setup:
-        """Save what was solved, and take it into use. Raises `EdgedError`, `OSError`."""
+        """Save the solved rig and take it into use. Raises `EdgedError`, `OSError`."""
         _, base = self._under_way
         assert self._solved is not None
         rig, content = base.cell.config.cell.rig, base.cell.contents["rig.json"]
@@ -152,7 +152,7 @@ class CellRegistrar:
 
     @property
     def _under_way(self) -> tuple[RegistrationSampling, Loaded]:
-        assert self._sampling is not None and self._base is not None  # the loop begins first
+        assert self._sampling is not None and self._base is not None  # the loop calls `begin` first
         return self._sampling, self._base
 
 
@@ -161,14 +161,14 @@ def _answer(command: Command, step: Step) -> Registered:
 
 
 def _unwritable(rig: Path) -> str:
-    """Why the rig's file could not be exchanged; ""."""
+    """Why the rig's file could not be replaced; "" if it can."""
     if os.access(rig.parent, os.W_OK) and os.access(rig, os.W_OK):
         return ""
     return f"{rig} cannot be written by the daemon: let cell.rig be in its state directory"
 
 
 def _save(rig: Path, loaded: bytes, solved: Solved) -> None:
-    """Raises `UserError` where another rig than the loaded one is in the file: it would be lost."""
+    """Save the rig. Raises `UserError` if its file no longer holds the loaded rig, which would be lost."""
     from edged.setup.registration.registering import save
 
     if rig.read_bytes() != loaded:

@@ -1,4 +1,4 @@
-"""The routes of drafts of registrations."""
+"""Routes of registration drafts."""
 
 from __future__ import annotations
 
@@ -29,9 +29,9 @@ Typed = Annotated[tuple[float, ...], Field(min_length=3, max_length=7, strict=Fa
 
 
 class BeginningToRegister(Body):
-    """How: cameras that stand still or are carried; touched points or poses of the flange; whose robot.
+    """How to register: fixed or carried cameras; touched points or flange poses; brand of the robot.
 
-    board : that is touched, or that the flange holds; left out, with poses, that of the calibration.
+    board : the one that is touched or held by the flange; default for poses: that of the calibration.
     """
 
     mount: Literal["fixed", "flange"]
@@ -42,7 +42,7 @@ class BeginningToRegister(Body):
 
 
 class StatedOtherwise(Revised):
-    """What is left out stays. brand : null for one that is not known."""
+    """Changes to a draft; omitted fields stay as they are. brand : null for an unknown one."""
 
     brand: BrandName | None = None
     mount: Literal["fixed", "flange"] | None = None
@@ -50,13 +50,13 @@ class StatedOtherwise(Revised):
 
 
 class Looking(Leased):
-    """For marks of the draft's board, or for the part of a job."""
+    """Search for marks of the draft's board, or for the part of a job."""
 
     job: Name | None = None
 
 
 class Shown(Revised):
-    """What the robot shows: numbers in its own order and units, or a text with them."""
+    """Numbers that the robot shows, in its own order and units, or a text with them."""
 
     numbers: Typed | None = None
     text: Pasted | None = None
@@ -74,7 +74,7 @@ class Shown(Revised):
 
 
 class Sampling(Revised):
-    """A touched place with what the robot shows; or, with the token, a pose, whose numbers may follow."""
+    """A touched place with its numbers; or, with the lease's token, a pose, whose numbers may follow."""
 
     token: Token | None = None
     place: PlaceKey | None = None
@@ -93,20 +93,20 @@ class Sampling(Revised):
 
 
 class Confirming(Shown):
-    """A place, and what the robot shows with its tip there."""
+    """A place, and the numbers that the robot shows with its tip there."""
 
     place: PlaceKey
 
 
 class RegistrationRoutes:
-    """The routes."""
+    """Routes of registration drafts."""
 
     def __init__(self, registrations: Registrations, activation: Activation) -> None:
         self._registrations = registrations
         self._activation = activation
 
     def add_to(self, table: RouteTable) -> None:
-        """Add them."""
+        """Add the routes to a table."""
         see, ours = Role.VIEWER, self._registrations
         routes = DraftRoutes(table, "/registrations", ours.drafts, RegistrationDocument)
         words = {

@@ -1,7 +1,7 @@
-"""A registration pose by pose, as a robot's program makes it: what is taken, what is not, and the verdict.
+"""A registration sample by sample, as a robot's program makes it: which samples are taken, and the verdict.
 
-Nothing is saved here. What a robot says and what the cameras see are judged at once, while the robot still
-stands there: a pose that says nothing new, or a board that is not seen well, is not taken.
+Nothing is saved here. Each sample is judged at once, while the robot still stands there: a pose that adds
+nothing new, or a board that is not seen well, is not taken.
 """
 
 from __future__ import annotations
@@ -34,21 +34,21 @@ from edged.vision.geometry.camera import StereoRig
 from edged.vision.geometry.rigid import apply, rotation_vector, skew
 
 LEAST_POSES, LEAST_POINTS = 6, 4
-"""Held out, each must be seen by others that determine a fit; hand-eye's unknowns are twelve."""
+"""Fewest samples: the others must determine a fit when one is held out; hand-eye has twelve unknowns."""
 SAME_MM, SAME_DEG = 1.0, 1.0
-"""Poses of the flange that are nearer to each other than both say the same thing twice."""
+"""Poses of the flange that differ by less than both are duplicates."""
 SAME_POINT_MM = 5.0
 TRIED = 8
-"""Poses that are read in every way: enough to tell, and each more costs the robot its time."""
+"""Poses that are read in every way: enough to decide, and each further one makes the robot wait longer."""
 MAX_BLUR_PX = 3.0
-"""Edges that are wider are those of a picture out of focus, or of a board that moves."""
+"""Wider edges mean that the picture is out of focus or the board was moving."""
 MAX_RMS_PX = 1.0
-"""Rms of the marks against the board, and of both pictures' rows; beyond it the board moved or is another."""
+"""Limit on the rms reprojection and epipolar errors; beyond it the board moved or is another one."""
 
 
 @dataclass(frozen=True, slots=True)
 class Step:
-    """What a command came to. why : for people, also where it was carried out."""
+    """Result of a command. why : a message for people, present on success too."""
 
     registration: Registration
     obstacle: Obstacle | None = None
@@ -58,7 +58,7 @@ class Step:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SeenBoard:
-    """A board in both pictures, numbered alike, sharp and as the rig expects it. rig_from_board (4, 4)."""
+    """A board in both pictures, numbered alike, sharp and consistent with the rig. rig_from_board (4, 4)."""
 
     view: StereoView
     rig_from_board: FloatArray
@@ -66,12 +66,12 @@ class SeenBoard:
 
     @property
     def worst_px(self) -> float:
-        """The larger rms, of the marks against the board or of both pictures' rows."""
+        """The larger of the epipolar and reprojection rms."""
         return max(self.check.epipolar_rms_px, self.check.reprojection_rms_px)
 
 
 def see_board(rig: StereoRig, pair: Pair, board: NominalBoard) -> SeenBoard | NotDetected:
-    """Look at it as critically as a registration has to. Raises `UserError`: pictures of another size."""
+    """Find a board, as strictly as a registration needs it. Raises `UserError`: pictures of another size."""
     placed = pose_of_board(rig, view_of_board(rig, pair, board))
     if isinstance(placed, NotDetected):
         return placed
@@ -92,8 +92,9 @@ def see_board(rig: StereoRig, pair: Pair, board: NominalBoard) -> SeenBoard | No
 class RegistrationSampling:
     """One registration under way.
 
-    board : of HAND_EYE. poses : of the flange, or of the tip that touched. views : rig_from_board of each, or
-    the part's place in the rig's frame. shown : the poses as the robot wrote them, () where not known.
+    board : for HAND_EYE only. poses : of the flange, or of the tip that touched. views : rig_from_board of
+    each, or the part's position in the rig's frame. shown : the poses as the robot sent them, () where not
+    known.
     """
 
     rig: StereoRig
@@ -107,11 +108,11 @@ class RegistrationSampling:
 
     @property
     def state(self) -> Registration:
-        """Before it is solved."""
+        """State of the registration before it is solved."""
         return Registration(self.method, len(self.poses), limit_mm=self.limit_mm)
 
     def add_board(self, pair: Pair, robot_from_flange: FloatArray, shown: tuple[float, ...]) -> Step:
-        """A pose of the flange with pictures of the board. Raises `UserError`: pictures of another size."""
+        """Add a flange pose with pictures of the board. Raises `UserError` for pictures of another size."""
         assert self.board is not None
         if same := self._same(robot_from_flange):
             return Step(self.state, Obstacle.SAME_PLACE, same)
@@ -123,7 +124,7 @@ class RegistrationSampling:
         return Step(self.state, None, words)
 
     def add_part(self, outcome: Outcome, robot_from_tip: FloatArray, shown: tuple[float, ...]) -> Step:
-        """A point that the tip touched, with the part that was found there."""
+        """Add a point that the tip touched, with the part that was found there."""
         places = [pose[:3, 3] for pose in self.poses]
         for number, place in enumerate(places, 1):
             if np.linalg.norm(place - robot_from_tip[:3, 3]) < SAME_POINT_MM:
@@ -136,7 +137,7 @@ class RegistrationSampling:
         return Step(self.state, None, f"point {len(self.poses)}: the part is found")
 
     def solve(self) -> Step:
-        """The verdict; `registered` is there only where it is good."""
+        """Solve and judge; `registered` is set only if the result is good."""
         least = LEAST_POINTS if self.method is Method.TOUCH else LEAST_POSES
         if len(self.poses) < least:
             return Step(self.state, Obstacle.TOO_FEW, f"{len(self.poses)}, at least {least} are needed")
@@ -208,7 +209,7 @@ class RegistrationSampling:
         return self._judged(state, solved, f"held out {solved.held_out_rms_mm:.3f} mm")
 
     def _other_reading(self, solved: FromPoses) -> str:
-        """Which reading of the robot's numbers fits so much better that it is the right one; "" for none."""
+        """Another reading of the numbers that fits so much better that it must be right, in words, or ""."""
         assert self.board is not None
         if not all(self.shown):
             return ""
@@ -237,7 +238,7 @@ def _words_of_points(solved: FromPoints) -> str:
 
 
 def sigma_at(covariance: FloatArray, place_mm: FloatArray) -> tuple[float, ...]:
-    """One sigma of X, Y, Z (mm) of a point (3,) and of the rotation (degrees).
+    """One sigma of a point's X, Y, Z (mm), with place_mm (3,), and of the rotation (degrees).
 
     covariance (6, 6) : of a small motion about the frame's origin.
     """

@@ -1,6 +1,6 @@
-"""Drafts of registrations in a running cell: points and poses are taken, and judged after each of them.
+"""Registration drafts in a running cell: points and poses are taken, and judged after each of them.
 
-Pictures are looked at and samples judged in the worker: the loop of the cell never waits for it.
+The worker process examines pictures and judges samples, so the event loop of the cell never blocks.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ FUNCTIONS = {
 
 @dataclass(frozen=True, slots=True)
 class Given:
-    """What a robot shows: numbers, or a text that was pasted."""
+    """Numbers that a robot shows, or a pasted text with them."""
 
     numbers: tuple[float, ...] | None = None
     text: str | None = None
@@ -66,7 +66,7 @@ class Given:
 
 @dataclass(eq=False, slots=True)
 class OpenRegistration:
-    """A draft that is worked on. judge : what its samples say."""
+    """An open draft. judge : the latest verdict on its samples."""
 
     draft: RobotDraft
     judge: Latest[Judged] = field(init=False)
@@ -74,12 +74,12 @@ class OpenRegistration:
 
     @property
     def is_busy(self) -> bool:
-        """Whether its samples are judged."""
+        """Whether its samples are being judged."""
         return self.judge.is_running
 
     @property
     def solved(self) -> StereoRig | None:
-        """The registered rig."""
+        """The registered rig; None before it is solved or if its file cannot be read."""
         solved = self.draft.state.solved
         return None if solved is None else _solved(self.draft.folder, solved.digest)
 
@@ -94,19 +94,19 @@ class Registrations:
         self.drafts = OpenDrafts("registration", cell.notices, self._folders, self)
 
     def about(self) -> dict[str, object]:
-        """What the list of drafts says besides."""
+        """Further fields of the list of drafts."""
         return {"brands": brands(), "robot_map": map_of(self._cell.rig())}
 
     async def close(self) -> None:
-        """End what is under way; drafts are on disc."""
+        """Stop all work under way; drafts are on disc."""
         await self.drafts.close()
 
     async def begin(
         self, author: str, mount: Mount, kind: Kind, brand: Brand | None, board: str, limit_mm: float
     ) -> DraftHead:
-        """A new draft. board : "" for the one of the calibration, where poses need one.
+        """Begin a draft. board : "" for that of the calibration, where poses need one.
 
-        Raises `CalibrationError` for what does not fit together, and without a calibration; `OSError`.
+        Raises `CalibrationError` for settings that do not fit together and without a calibration; `OSError`.
         """
         rig = self._needed_rig()
         if not board and kind == "poses":
@@ -117,13 +117,13 @@ class Registrations:
         return self.drafts.tell(await self.drafts.begin(partial(self._folders.create, *about)))
 
     async def conventions(self, identity: str) -> Conventions:
-        """Ways to read its poses, as far as it was judged. Raises as `OpenDrafts.get`."""
+        """Ways to read its poses, by the latest verdict. Raises as `OpenDrafts.get`."""
         return Conventions(conventions=readings_in((await self.drafts.get(identity)).judge.value))
 
     async def look(self, identity: str, token: str, job: str | None) -> DraftHead:
-        """Take a pair, and look for what a tip can touch: marks of the draft's board, or the part of a job.
+        """Take a pair, and find places that a tip can touch: marks of the draft's board, or on a job's part.
 
-        Raises `SetupRefused`, `CaptureError`, `UserError` for no such job.
+        Raises `SetupRefused`, `CaptureError`, and `UserError` for an unknown job.
         """
         opened = await self.drafts.get(identity)
         self._needed_rig()
@@ -135,7 +135,7 @@ class Registrations:
         return self.drafts.tell(opened)
 
     async def touch(self, identity: str, key: str, given: Given, revision: int | None = None) -> DraftHead:
-        """A place of the last pictures was touched. Raises `CalibrationError`, `UserError`, `StaleDraft`."""
+        """Add a touched place of the last pictures. Raises `CalibrationError`, `UserError`, `StaleDraft`."""
         opened = await self.drafts.get(identity)
         self.drafts.check(opened, revision)
         state = opened.draft.state
@@ -163,14 +163,14 @@ class Registrations:
         return await self._keep_pose(opened, await self._cell.session.capture(token), numbers)
 
     async def write(self, identity: str, name: str, given: Given, revision: int | None = None) -> DraftHead:
-        """Say what the robot showed at a sample. Raises `KeyError`, `UserError`, `StaleDraft`."""
+        """Record the numbers that the robot showed. Raises `KeyError`, `UserError`, `StaleDraft`."""
         opened = await self.drafts.get(identity)
         self.drafts.check(opened, revision)
         numbers = _read(opened.draft.state, given)
         return await self.drafts.change(identity, lambda draft: draft.write_numbers(name, numbers), revision)
 
     async def solve(self, identity: str, revision: int | None = None) -> DraftHead:
-        """Keep what its samples give. Raises `CalibrationError` where that is not good, with the reason."""
+        """Keep the rig that its samples give. Raises `CalibrationError` with the reason if it is not good."""
         opened = await self.drafts.get(identity)
         self.drafts.check(opened, revision)
         await opened.judge.wait()
@@ -189,7 +189,7 @@ class Registrations:
         return await self.drafts.change(identity, lambda draft: draft.solve(solved))
 
     async def confirm(self, identity: str, key: str, given: Given, revision: int | None = None) -> DraftHead:
-        """A place was touched, to see whether it holds. Raises as `touch`."""
+        """Record a touch that checks the solved registration. Raises as `touch`."""
         opened = await self.drafts.get(identity)
         self.drafts.check(opened, revision)
         found = next((place for place in self.document(opened).places if place.key == key), None)
@@ -206,7 +206,10 @@ class Registrations:
         return await self.drafts.change(identity, lambda draft: draft.confirm(confirmed))
 
     async def solution(self, identity: str) -> bytes:
-        """The rig that a draft was solved to. Raises as `RobotDraft.rig`, and for another calibration's."""
+        """Content of the rig file that a draft was solved to.
+
+        Raises as `RobotDraft.rig`, and `CalibrationError` if the cell has another calibration by now.
+        """
         draft = (await self.drafts.get(identity)).draft
         rig = await asyncio.to_thread(draft.rig)
         if self._needed_rig().calibration_id != draft.state.calibration_id:
@@ -216,18 +219,18 @@ class Registrations:
     # --- by the robot's own program ------------------------------------------------------------------
 
     async def adopt(self, mount: Mount, kind: Kind, brand: Brand, board: str, limit_mm: float) -> str:
-        """Begin a draft that a robot's program fills; returns its id. Raises as `begin`."""
+        """Begin a draft that a robot's program fills, and return its id. Raises as `begin`."""
         return (await self.begin(ROBOT, mount, kind, brand, board, limit_mm)).id
 
     async def adopt_pose(self, identity: str, pair: FramePair, given: Given) -> None:
-        """A pose of the flange, with its pictures. Raises as `pose`."""
+        """Add a pose of the flange, with its pictures. Raises as `pose`."""
         opened = await self.drafts.get(identity)
         await self._keep_pose(opened, pair, _read(opened.draft.state, given))
 
     async def adopt_point(
         self, identity: str, pair: FramePair, job: str, rig_mm: FloatArray, given: Given
     ) -> None:
-        """A point (3,) that the tip touched, on the part of a job. Raises as `look` and `touch`."""
+        """Add a point (3,) that the tip touched, on the part of a job. Raises as `look` and `touch`."""
         opened = await self.drafts.get(identity)
         await self._keep_look(opened, pair, job)
         looked = opened.draft.state.looked
@@ -236,7 +239,7 @@ class Registrations:
             await self.touch(identity, looked.places[int(np.argmin(off))].key, given)
 
     async def adopt_solved(self, identity: str) -> None:
-        """The cell runs by what the program has solved."""
+        """Mark the draft as solved to the rig in use, which the program has solved."""
         rig = self._needed_rig()
         await self.drafts.change(identity, lambda draft: draft.solve(rig.content))
 
@@ -295,14 +298,14 @@ class Registrations:
     # --- the topic of `drafts` -----------------------------------------------------------------------
 
     def opened(self, draft: RobotDraft) -> OpenRegistration:
-        """Work on a draft."""
+        """Open a draft for work."""
         opened = OpenRegistration(draft)
         inputs, compute = partial(self._judged_by, opened), partial(self._judged, opened)
         opened.judge = Latest(Judged(), inputs, compute, partial(self.drafts.tell, opened))
         return opened
 
     def _judged_by(self, opened: OpenRegistration) -> tuple[object, ...]:
-        """What a verdict depends on."""
+        """Inputs that a verdict depends on."""
         state, rig = opened.draft.state, self._cell.rig()
         numbers = tuple((name, state.numbers.get(name)) for name in state.used)
         return numbers, state.brand, state.mount, state.limit_mm, None if rig is None else rig.content
@@ -312,7 +315,7 @@ class Registrations:
         opened.judge.refresh()
 
     async def stop(self, opened: OpenRegistration) -> None:
-        """Judge no more."""
+        """Stop judging."""
         await opened.judge.stop()
 
     def summary(self, state: RegistrationState) -> dict[str, Any]:
@@ -321,21 +324,21 @@ class Registrations:
         return {**about, "active": is_active(state, self._cell.rig())}
 
     def document(self, opened: OpenRegistration) -> RegistrationDocument:
-        """All that is known of a draft."""
+        """Full document of a draft."""
         judge, rig = opened.judge, self._cell.rig()
         return document_of(opened.draft.state, judge.value, rig, opened.solved, judging=judge.is_running)
 
 
 @lru_cache(maxsize=4)
 def _solved(folder: Path, digest: str) -> StereoRig | None:
-    """The rig that a draft was solved to; None where its file was changed since."""
+    """The rig that a draft was solved to; None if its file has a wrong format."""
     with suppress(FileFormatError):
         return rig_of(solved_rig(folder, digest, "samples"), folder)
     return None
 
 
 def _read(state: RegistrationState, given: Given, count: int | None = None) -> tuple[float, ...]:
-    """As many numbers as a point or a pose has. Raises `UserError`."""
+    """Parse the numbers of a point or a pose. Raises `UserError` for another count than it needs."""
     whole = (6, 7) if state.brand is None else (len(PENDANTS[state.brand].labels),)
     is_point = state.kind == "touch" or count == 3
     counts = (3, *whole) if is_point else whole

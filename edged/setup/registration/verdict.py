@@ -1,6 +1,6 @@
-"""What the samples of a registration say, as far as they go: after each of them, and nothing is saved.
+"""Verdict on the samples of a registration so far, computed after each of them; nothing is saved.
 
-The figures are those of `edged register`: the same functions of the same samples.
+The figures are the same as those of `edged register`: the same functions of the same samples.
 """
 
 from __future__ import annotations
@@ -45,8 +45,10 @@ _UNITS_MM = {"µm": 0.001, "mm": 1.0, "cm": 10.0, "inch": 25.4, "m": 1000.0}
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """One sample: how far it is from the fit of all, and of all others. NaN: not known, as of degrees of
-    points. is_used : it is not rejected as an outlier."""
+    """Residuals of one sample against the fit of all, and against the fit of all others.
+
+    NaN where not known, such as degrees of points. is_used : it is not rejected as an outlier.
+    """
 
     residual_mm: float = math.nan
     held_out_mm: float = math.nan
@@ -56,12 +58,12 @@ class Row:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Judged:
-    """What is known by now.
+    """Verdict on the samples so far.
 
-    rows, sky : by the sample's name. culprit : the one that is wrong, or agrees least where they disagree.
-    missing : "all" turns, "tilt", or "wrist"; "": the poses turn enough. readings : ranked, best first; empty
-    before four poses. stated : the rank of the stated one among them. figures : of the fit, mm.
-    registered : only where it is good.
+    rows, sky : by the sample's name. culprit : the sample that is wrong, or agrees least if they disagree.
+    missing : rotation that the poses lack: "all", "tilt" or "wrist"; "" if they turn enough.
+    readings : ranked, best first; empty with fewer than four poses. stated : rank of the stated one among
+    them. figures : of the fit, mm. registered : set only if the result is good.
     """
 
     rows: Mapping[str, Row] = field(default_factory=dict)
@@ -85,7 +87,7 @@ def judge_points(
     brand: Brand | None,
     limit_mm: float,
 ) -> Judged:
-    """Judge points (3,), mm in the rig's frame, against what the robot showed; without a brand in mm."""
+    """Judge points (3,), mm in the rig's frame, against the numbers of the robot; in mm without a brand."""
     names = list(touched)
     if len(names) < LEAST_POINTS:
         return Judged(trouble=_too_few(len(names), LEAST_POINTS))
@@ -177,7 +179,7 @@ def judge_poses(
     flanges = {name: transform_of(brand, numbers) for name, (_, numbers) in posed.items()}
     other = _other_reading(readings, stated)
     known = Judged(readings=readings, stated=stated)
-    if other is None:  # numbers that are read wrongly say nothing of turns
+    if other is None:  # numbers that are read wrongly tell nothing about rotations
         known = replace(known, sky=_sky(flanges), missing=_missing(list(flanges.values())))
     if len(posed) < MIN_POSES:
         return replace(known, trouble=_too_few(len(posed), MIN_POSES))
@@ -225,7 +227,7 @@ def _ranked(
     brand: Brand | None,
     mount: Mount,
 ) -> tuple[tuple[PoseReading, ...], int | None]:
-    """Every way to read the poses, and the rank of the stated one."""
+    """All ways to read the poses, best first, and the rank of the stated one."""
     if len(posed) < MIN_POSES:
         return (), None
     names = list(posed)
@@ -244,7 +246,7 @@ def _ranked(
 
 
 def _other_reading(readings: tuple[PoseReading, ...], stated: int | None) -> Trouble | None:
-    """Which reading fits so much better than the stated one that it is the right one."""
+    """Trouble naming a reading that fits so much better than the stated one that it must be right, if any."""
     if not readings:
         return None
     best = readings[0]
@@ -273,14 +275,14 @@ def _missing(flanges: list[FloatArray]) -> str:
 
 
 def _sky(flanges: Mapping[str, FloatArray]) -> dict[str, SkyDocument]:
-    """Each flange's own axis, seen from the first one, and how far it is turned about it."""
+    """Direction of each flange's axis relative to the first flange, and the rotation about it."""
     points = {}
     first = next(iter(flanges.values()), np.eye(4))
     for name, flange in flanges.items():
         turn = first[:3, :3].T @ flange[:3, :3]
         tilt = math.acos(max(-1.0, min(1.0, float(turn[2, 2]))))
         azimuth = math.atan2(turn[1, 2], turn[0, 2]) if tilt > 1e-9 else 0.0
-        # swing and twist: the twist is about z, and what is left turns z alone
+        # swing-twist decomposition: the twist is about z, the swing tilts z
         twist = 2 * math.atan2(turn[1, 0] - turn[0, 1], 1 + turn[0, 0] + turn[1, 1] + turn[2, 2])
         tilt_deg, azimuth_deg, turn_deg = map(math.degrees, (tilt, azimuth, twist))
         points[name] = SkyDocument(name=name, tilt_deg=tilt_deg, azimuth_deg=azimuth_deg, turn_deg=turn_deg)

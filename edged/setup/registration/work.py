@@ -1,6 +1,6 @@
-"""What the worker process computes for registrations.
+"""Functions that the worker process runs for registrations.
 
-Pictures are kept, and looked at: what a tip can touch in them, or where the flange holds the board.
+They store pictures and find the places that a tip can touch, or the pose of the board that the flange holds.
 """
 
 from __future__ import annotations
@@ -31,17 +31,17 @@ from edged.vision.part.job import Job
 
 Images = tuple[Image, Image]
 ACROSS = 3
-"""Marks of a board that are offered along each side: its corners, the middle, and between them."""
+"""Marks of a board that are offered along each side: both corners and the middle."""
 LENGTH_PERCENT = 0.3
-"""A board that is longer or shorter by more is another one, or the calibration's board was."""
+"""If a board is longer or shorter by more, its stated length or that of the calibration's board is wrong."""
 SAME_MM = 0.05
-"""A reference point that is nearer to a feature is that feature."""
+"""A reference point nearer than this to a feature is not offered separately."""
 WIDEST_PX = 640
 """Width of the small pictures."""
 
 
 def marks_to_touch(folder: Path, name: str, images: Images, rig: RigInUse, board: NominalBoard) -> LookState:
-    """Keep a pair, and look for marks of a board in it. Raises `CalibrationError` as `_keep`, `UserError`."""
+    """Store a pair, and find marks of a board in it. Raises `CalibrationError` as `_keep`, `UserError`."""
     seen = _see_board(folder, name, images, rig, board)
     if not isinstance(seen, SeenBoard):
         return LookState(name=name, **seen)
@@ -50,7 +50,7 @@ def marks_to_touch(folder: Path, name: str, images: Images, rig: RigInUse, board
 
 
 def features_to_touch(folder: Path, name: str, images: Images, rig: RigInUse, job: Job) -> LookState:
-    """Keep a pair, and look for the one part in it. Raises as `marks_to_touch`."""
+    """Store a pair, and find the only part in it. Raises as `marks_to_touch`."""
     _keep(folder, name, images)
     outcome = locate(FramePair.of_images(*images), job, prepare(rig.stereo()))
     good = [target for target in outcome.targets if target.reject == Reject.NONE]
@@ -63,7 +63,7 @@ def features_to_touch(folder: Path, name: str, images: Images, rig: RigInUse, jo
 def pose_with_board(
     folder: Path, name: str, images: Images, rig: RigInUse, board: NominalBoard
 ) -> SampleState:
-    """Keep a pair of the board at one pose of the flange. Raises as `marks_to_touch`."""
+    """Store a pair of the board at one pose of the flange. Raises as `marks_to_touch`."""
     seen = _see_board(folder, name, images, rig, board)
     if not isinstance(seen, SeenBoard):
         return SampleState(**seen)
@@ -71,19 +71,19 @@ def pose_with_board(
 
 
 def judge_touch(rig: RigInUse, *samples: Any) -> Judged:
-    """`judge_points` of the rig in use."""
+    """`judge_points` with the rig in use."""
     return judge_points(rig.stereo(), *samples)
 
 
 def judge_poses(rig: RigInUse, *samples: Any) -> Judged:
-    """`verdict.judge_poses` of the rig in use."""
+    """`verdict.judge_poses` with the rig in use."""
     return verdict.judge_poses(rig.stereo(), *samples)
 
 
 def _see_board(
     folder: Path, name: str, images: Images, rig: RigInUse, board: NominalBoard
 ) -> SeenBoard | dict[str, Any]:
-    """Keep a pair; the board in it, or the fields that say why it is not used."""
+    """Store a pair; return the board in it, or the fields that say why it is not used."""
     _keep(folder, name, images)
     seen = see_board(rig.stereo(), Pair.of_images(name, *images), board)
     if isinstance(seen, NotDetected):
@@ -101,7 +101,7 @@ def _see_board(
 def marks_at(
     rig: StereoRig, board: NominalBoard, rig_from_board: FloatArray, seen: Sequence[int] | None = None
 ) -> tuple[Place, ...]:
-    """Marks of a board that are offered, of those that are seen, by index; None: all of them."""
+    """Marks of a board that are offered as places to touch. seen : indices of visible marks; None for all."""
     ids = range(len(board.points_mm)) if seen is None else seen
     places = []
     for (row, column), index in _spread(board.points_mm, ids).items():

@@ -1,17 +1,17 @@
-"""All that a cell stands on in one file, and back again.
+"""Backup archive: packs all files of a cell into one file, and unpacks them again.
 
-    manifest.json     what this is, and size and SHA-256 of every other member
+    manifest.json     format and version of the archive, and size and SHA-256 of every other member
     cell.toml         the configuration under its own name; paths in it lead to the members
     rig.json, jobs/   calibration and jobs; Zenoh's own file if there is one
-    registers.csv     the Modbus map of the version that wrote it: what the PLC's program was made for
+    registers.csv     Modbus map of the version that wrote it, which the PLC's program was made for
 
-Certificates and keys belong to a machine and are not in it, nor are recordings. The hash of the status page's
-password is, so that a restored cell works, and perhaps secrets in Zenoh's own file: an archive is its
-owner's alone (mode 0600).
+Certificates and keys belong to a machine and are not in it, nor are recordings. It contains the hash of the
+status page's password, so that a restored cell works, and perhaps secrets in Zenoh's own file: only the owner
+may read an archive (mode 0600).
 
-A backup is restored once into a temporary folder before it counts: the cell in it must load, and have the
-fingerprint that its results carry. An archive may come from anywhere: nothing is written before all of it has
-been checked.
+Each new backup is first restored into a temporary folder: the cell in it must load, and have the fingerprint
+that its results carry. An archive may come from anywhere: nothing is written before all of it has been
+checked.
 """
 
 from __future__ import annotations
@@ -52,15 +52,15 @@ FORMAT = "edged-backup"
 VERSION = 1
 MANIFEST, REGISTERS = "manifest.json", "registers.csv"
 MAX_BYTES = 256 * 1024 * 1024
-"""Unpacked. A cell of a hundred jobs has a tenth of it; more is a wrong file, or one made to fill memory."""
+"""Limit when unpacked. A cell of a hundred jobs has a tenth of it; more is a wrong or malicious file."""
 MAX_MEMBERS = 10_000
 PART = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_. +@=-]{0,127}")
-"""What may be between two slashes of a member's name: nothing that leads elsewhere, nothing hidden."""
+"""One part of a member's path: excludes names that lead out of the folder, and hidden ones."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Backup:
-    """What an archive holds.
+    """Content of an archive.
 
     config : the member that is the configuration.  files : content by name, without the manifest.
     left_out : files that the configuration names and a backup does not hold, by dotted path.
@@ -75,12 +75,12 @@ class Backup:
     left_out: Mapping[str, str]
 
 
-# --- what the callers want --------------------------------------------------------------------
+# --- backups of a cell ------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Made:
-    """A backup and its archive. holds_password : the hash of a password is in it."""
+    """A backup and its archive. holds_password : it contains the hash of a password."""
 
     backup: Backup
     archive: bytes
@@ -89,7 +89,7 @@ class Made:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Parts:
-    """What people exchange of a cell: content of its files; None: there is none."""
+    """Replaceable parts of a cell, as file contents; None where there is no such file."""
 
     rig: bytes | None
     cameras: bytes | None
@@ -98,9 +98,9 @@ class Parts:
 
 
 def make(config: Path, parts: Parts | None = None) -> Made:
-    """The cell of a configuration as an archive, proven by restoring it once. Raises `UserError`.
+    """Archive the cell of a configuration, and verify it by restoring it once. Raises `UserError`.
 
-    parts : instead of those that are there; then there need not be jobs yet.
+    parts : used instead of the present ones; the cell then need not have jobs yet.
     """
     cell = read_cell(config, elsewhere=True) if parts is None else read_any_cell(config, elsewhere=True)
     if parts is None:
@@ -114,13 +114,13 @@ def make(config: Path, parts: Parts | None = None) -> Made:
 
 
 def parts_at(rig: Path, jobs: Path) -> Parts:
-    """The parts that are there now. Raises `FileFormatError`, `ConfigError`."""
+    """Read the present parts of a cell from its files. Raises `FileFormatError`, `ConfigError`."""
     content = read_rig(rig) if rig.exists() else None
     return Parts(content, read_chosen(rig), read_connections(rig), jobs_in(jobs))
 
 
 def with_parts(config: Path, parts: Parts) -> Backup:
-    """The cell of a configuration with these parts, read once where it is restored. Raises `UserError`."""
+    """Backup of a configuration's cell with these parts, checked by restoring it once. Raises `UserError`."""
     taken = _taken(config, read_any_cell(config, elsewhere=True), parts)
     return replace(taken, fingerprint=restored(taken).fingerprint)
 
@@ -135,7 +135,7 @@ def parts_of(taken: Backup) -> Parts:
 
 
 def _taken(config: Path, cell: CellFiles | UnfinishedCell, parts: Parts) -> Backup:
-    """The backup of a cell with these parts, as if it had its fingerprint. Raises `UserError`."""
+    """Backup of a cell with these parts, still with the cell's present fingerprint. Raises `UserError`."""
     files, left_out = _collect(config, cell.config, parts)
     if sum(map(len, files.values())) > MAX_BYTES // 2:
         files, left_out = _without_pairs(files, left_out)
@@ -147,7 +147,7 @@ def _taken(config: Path, cell: CellFiles | UnfinishedCell, parts: Parts) -> Back
 def _without_pairs(
     files: Mapping[str, bytes], left_out: Mapping[str, str]
 ) -> tuple[dict[str, bytes], dict[str, str]]:
-    """Members without the pairs that jobs were taught from: better than none of the cell."""
+    """Members without the pictures that jobs were taught from, so that a large cell still fits an archive."""
     smaller = without_pictures(files)
     if len(smaller) == len(files):
         return dict(files), dict(left_out)
@@ -156,7 +156,7 @@ def _without_pairs(
 
 
 def restored(taken: Backup) -> CellFiles | UnfinishedCell:
-    """The cell in a backup, as it is read where it is restored. Raises `UserError`."""
+    """Restore a backup into a temporary folder, and read the cell there. Raises `UserError`."""
     with tempfile.TemporaryDirectory(prefix="edged-backup-") as place:
         replace_folder(Path(place) / "cell", taken.files)
         return read_any_cell(Path(place) / "cell" / taken.config, elsewhere=True)
@@ -171,17 +171,17 @@ def rig_in(taken: Backup) -> bytes:
 
 
 def jobs_of(taken: Backup) -> dict[str, bytes]:
-    """The jobs in a backup."""
+    """Files of the jobs in a backup, by path in their folder."""
     folder = names_in(taken.files[taken.config], taken.config).get("cell.jobs", "")
     inside = f"{folder}/"
     return {name.removeprefix(inside): data for name, data in taken.files.items() if name.startswith(inside)}
 
 
 def read(archive: Path, signed_by: Path | None = None) -> Backup:
-    """What an archive holds, every checksum checked. Raises `FileFormatError`.
+    """Read an archive and check all checksums. Raises `FileFormatError`.
 
-    signed_by : a public key; nothing of the archive is read before its signature by that key holds. Raises
-    `UserError` where it does not.
+    signed_by : a public key; the signature by that key is checked before anything in the archive is read.
+    Raises `UserError` if it does not match.
     """
     data = read_bytes(archive, "a backup", MAX_BYTES)
     if signed_by is not None:
@@ -190,23 +190,23 @@ def read(archive: Path, signed_by: Path | None = None) -> Backup:
 
 
 def fits_map(taken: Backup) -> bool:
-    """Whether the PLC's program for that cell reads this version's Modbus map."""
+    """Whether the backup was made for the same Modbus map as this version's."""
     return taken.files.get(REGISTERS) == _registers()
 
 
 def _registers() -> bytes:
-    """The register map."""
-    # a cell that runs installs what its page hands over, and needs no templates until it does
+    """Register map of this version as CSV."""
+    # imported late: a running cell needs no templates until it installs a release
     from edged.robots.formats import render
 
     return render("csv").encode()
 
 
-# --- what belongs to a cell -------------------------------------------------------------------
+# --- files of a cell --------------------------------------------------------------------------
 
 
 def _collect(path: Path, config: Config, parts: Parts) -> tuple[dict[str, bytes], dict[str, str]]:
-    """Members by name, and what is left out."""
+    """Members by name, and the files that are left out."""
     path = path.resolve()
     text = read_bytes(path, "a configuration").decode()
     files = {REGISTERS: _registers()}
@@ -229,20 +229,20 @@ def _collect(path: Path, config: Config, parts: Parts) -> tuple[dict[str, bytes]
     files[path.name] = text.encode()
     left_out = {place: str(file) for place, file in config.machine_files().items()}
     if config.fleet is not None:
-        left_out["fleet.root"] = str(config.fleet.root)  # trust comes by another way than a backup
+        left_out["fleet.root"] = str(config.fleet.root)  # a root of trust is not distributed by backups
     if (golden := golden_file(config.cell.rig, 0).parent).is_dir():
-        left_out["golden"] = str(golden)  # it belongs to the path that the robot was taught
+        left_out["golden"] = str(golden)  # it belongs to the robot's taught path
     if (marks := marks_file(config.cell.rig)).is_file():
-        left_out["marks"] = str(marks)  # they belong to the plate as it stands there
+        left_out["marks"] = str(marks)  # they belong to the plate at its present position
     if (accepted := acceptance_file(config.cell.rig)).is_file():
-        left_out["acceptance"] = str(accepted)  # what was restored elsewhere was not tested there
+        left_out["acceptance"] = str(accepted)  # a cell restored elsewhere was not tested there
     if config.cameras.folder is not None:
         left_out["cameras.folder"] = str(config.cameras.folder)
     return files, left_out
 
 
 def _chosen_member(rig: str) -> str:
-    """Member of the cameras that were chosen for a rig."""
+    """Name of the member with the cameras that were chosen for a rig."""
     return chosen_file(Path(rig)).as_posix()
 
 
@@ -254,9 +254,9 @@ def _add(files: dict[str, bytes], member: str, path: Path, data: bytes | None = 
 
 
 def _placed(config: Path, text: str, key: str, target: Path) -> tuple[str, str]:
-    """Member for a file or folder that the configuration names, and the configuration's text to go with it.
+    """Member name for a file or folder that the configuration names, and the configuration's matching text.
 
-    What lies beside the configuration keeps its place; what lies elsewhere moves there.
+    Files under the configuration's folder keep their relative path; others move directly into it.
     """
     folder, target = config.parent, Path(os.path.abspath(target))  # noqa: PTH100  (a link keeps its own name)
     if target.is_relative_to(folder) and target != folder:
@@ -268,7 +268,7 @@ def _placed(config: Path, text: str, key: str, target: Path) -> tuple[str, str]:
     if wanted[section][key] == member:
         return member, text
     wanted[section][key] = member
-    # only this value: the comments beside it are the integrator's
+    # edit only this value, to keep the integrator's comments
     begins = rf"[ \t]*(?:{section}[ \t]*\.[ \t]*)?{key}[ \t]*=[ \t]*"
     line = re.compile(rf"^({begins})(\"[^\"\\]*\"|'[^']*')", re.MULTILINE)
     for found in line.finditer(text):
@@ -282,7 +282,7 @@ def _placed(config: Path, text: str, key: str, target: Path) -> tuple[str, str]:
 
 
 def pack(taken: Backup) -> bytes:
-    """The archive as bytes. Raises `UserError` when there is too much for one."""
+    """Archive a backup as bytes. Raises `UserError` for too many or too large files."""
     manifest = {
         "format": FORMAT,
         "version": VERSION,
@@ -361,7 +361,7 @@ def unpack(data: bytes, place: str) -> Backup:
 
 
 def members_of(data: bytes, place: str) -> dict[str, bytes]:
-    """Content of the archive by name; only plain files with harmless names."""
+    """Content of an archive's members by name. Raises `FileFormatError` for other than plain, safe files."""
     found: dict[str, bytes] = {}
     try:
         with gzip.GzipFile(fileobj=io.BytesIO(data)) as packed:
@@ -387,7 +387,7 @@ def members_of(data: bytes, place: str) -> dict[str, bytes]:
 
 
 def wrong_name(name: str) -> str:
-    """Why a member must not be called so; "" when it may."""
+    """Why a member may not have this name; "" if it may."""
     if all(PART.fullmatch(part) for part in name.split("/")) and len(name) <= 1000:
         return ""
     return "expected a relative path without .. and hidden parts, of letters, digits and _ . + @ = -"
@@ -401,7 +401,7 @@ def _table(manifest: dict[str, Any], key: str, place: str) -> dict[str, Any]:
 
 
 def names_in(text: bytes, place: str) -> dict[str, str]:
-    """What a configuration names, by dotted path. Raises `UserError` where that cannot be told."""
+    """Files that a configuration names, by dotted option. Raises `UserError` if it is not TOML."""
     try:
         document = toml_of(text)
     except (UnicodeDecodeError, tomllib.TOMLDecodeError, RecursionError) as error:

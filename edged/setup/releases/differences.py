@@ -1,4 +1,4 @@
-"""What is other in one release than in another: jobs, rig, cameras and settings, as codes with values."""
+"""Differences between two releases: jobs, rig, cameras and settings, as codes with values."""
 
 from __future__ import annotations
 
@@ -24,18 +24,18 @@ from edged.vision.geometry.triangulation import triangulate_raw
 from edged.vision.part.job import CircleFeature, EdgeFeature, Job, MeasurementSpec, SlotFeature
 
 GRID = 7
-"""Points across the left picture, at each of `DEPTHS`."""
+"""Points along each side of the left picture, at each of `DEPTHS`."""
 DEPTHS = (0.9, 1.0, 1.1)
-"""Shares of the depth at which the job's part was taught."""
+"""Depths of the points, relative to the median depth at which parts were taught."""
 SAME_MM = 1e-6
 Feature = CircleFeature | EdgeFeature | SlotFeature
 Cell = CellFiles | UnfinishedCell
 
 
 class Difference(Frozen):
-    """Something that is other. code : what it is. name : of the limit, the feature, the size or the setting.
+    """One difference. code : its kind. name : of the limit, the feature, the size or the setting.
 
-    before, after : null: it was, or is, not there.
+    before, after : null where it did not or does not exist.
     """
 
     code: str
@@ -45,14 +45,14 @@ class Difference(Frozen):
 
 
 class ChangedJobDocument(Frozen):
-    """A job that is in both."""
+    """Changes of a job that is in both releases."""
 
     name: str
     changes: list[Difference]
 
 
 class JobsDifference(Frozen):
-    """By name."""
+    """Jobs that were added, removed or changed, by name."""
 
     added: list[str]
     removed: list[str]
@@ -60,7 +60,7 @@ class JobsDifference(Frozen):
 
 
 class Moved(Frozen):
-    """How far places lie from where the former rig saw them, µm: distance, and mean of X, Y, Z."""
+    """How far points move from one rig to the other, µm: distance, and mean of X, Y, Z."""
 
     rms_um: float
     max_um: float
@@ -68,9 +68,10 @@ class Moved(Frozen):
 
 
 class RigDifference(Frozen):
-    """Calibration ids. moved : null where the cameras' pictures are of other sizes, or there is no job.
+    """Change of the rig, with both calibration ids.
 
-    robot : where the robot stands to the rig is other.
+    moved : null if the picture sizes differ, or there is no job. robot : the registration to the robot
+    differs.
     """
 
     before: str
@@ -80,7 +81,7 @@ class RigDifference(Frozen):
 
 
 class ReleaseDifference(Frozen):
-    """All that is other. rig : null: it is the same file. cameras, settings : by dotted names of options."""
+    """All differences. rig : null for the same file. cameras, settings : by dotted names of options."""
 
     jobs: JobsDifference
     rig: RigDifference | None
@@ -89,12 +90,12 @@ class ReleaseDifference(Frozen):
 
 
 def difference(before: Backup, after: Backup) -> ReleaseDifference:
-    """What is other in the second. Raises `UserError` for a backup that this version cannot read."""
+    """Differences between two backups. Raises `UserError` for one that this version cannot read."""
     return difference_of(restored(before), restored(after))
 
 
 def difference_of(before: Cell, after: Cell) -> ReleaseDifference:
-    """Differences of two cells that were read."""
+    """Differences between two cells that were read."""
     changed = changed_options(before.config.model_dump(), after.config.model_dump())
     return ReleaseDifference(
         jobs=_jobs(before, after),
@@ -105,7 +106,7 @@ def difference_of(before: Cell, after: Cell) -> ReleaseDifference:
 
 
 def changed_options(before: Mapping[str, Any], after: Mapping[str, Any]) -> list[Difference]:
-    """Options of a configuration that are other in the second, by dotted name; of secrets nothing."""
+    """Options that differ between two configurations, by dotted name; values of secrets are blank."""
     old, new = _options(before), _options(after)
     return [
         Difference(code="option", name=name, before=old.get(name), after=new.get(name))
@@ -132,7 +133,7 @@ def _jobs_of(cell: Cell) -> tuple[Job, ...]:
 
 
 def changes_of(before: Job, after: Job) -> Iterator[Difference]:
-    """What is other in a job."""
+    """Differences between two versions of a job."""
     for code in ("number", "reference", "witness", "report"):
         yield from _other(code, None, getattr(before, code), getattr(after, code))
     for code, old, new in (("limit", before.limits, after.limits), ("search", before.search, after.search)):
@@ -175,7 +176,7 @@ def _features_of(job: Job) -> tuple[Feature, ...]:
 
 
 def _size(feature: Feature | None) -> JsonValue:
-    """Millimetres."""
+    """Size of a feature in mm: diameter, or length and width, or length."""
     if feature is None:
         return None
     if isinstance(feature, CircleFeature):
@@ -205,7 +206,7 @@ def _wanted(size: MeasurementSpec) -> list[JsonValue]:
 
 
 def _tray(tray: Tray | None) -> JsonValue:
-    """Pockets along each direction, and where the first and the last ones lie."""
+    """All fields of a tray as JSON values."""
     return (
         None
         if tray is None
@@ -249,13 +250,13 @@ def _calibration_id(cell: Cell) -> str:
 
 
 def _depth_mm(cell: Cell) -> float | None:
-    """Where parts lay at teaching."""
+    """Median depth of the parts at teaching; None without jobs."""
     depths = [float(job.rig_from_part[2, 3]) for job in _jobs_of(cell)]
     return float(np.median(depths)) if depths else None
 
 
 def moved_between(before: StereoRig, after: StereoRig, depth_mm: float | None) -> Moved | None:
-    """How far a rig sees points from where another one saw them in the same pixels."""
+    """Shift between the points that two rigs triangulate from the same pixels; None if not comparable."""
     sizes = [[(camera.width, camera.height) for camera in (rig.left, rig.right)] for rig in (before, after)]
     if sizes[0] != sizes[1] or depth_mm is None:
         return None
@@ -282,7 +283,7 @@ def moved_between(before: StereoRig, after: StereoRig, depth_mm: float | None) -
 
 
 def _options(tree: Mapping[str, Any], place: str = "") -> dict[str, JsonValue]:
-    """Every option by its dotted name; of a path its name, of a secret nothing."""
+    """Every option by its dotted name; paths by their file name alone, secrets as ""."""
     found: dict[str, JsonValue] = {}
     for key, value in tree.items():
         name = f"{place}{key}"

@@ -1,12 +1,12 @@
-"""A release takes the place of a cell's files. A failure leaves them as they were, a power cut one of both.
+"""Installs a release in place of a cell's files. A failure restores the old ones; a power cut leaves either.
 
-    installing.tar.gz   the release, from before its first file is written until the cell runs by it
-    before.tar.gz       what the last one replaced, as `edged restore` reads it
+    installing.tar.gz   the release, from before its first file is written until the cell runs with it
+    before.tar.gz       the files that the last one replaced, as `edged restore` reads them
 
-The page hands a release over; what is in it is hostile until it is read here. This is done by a process of
-the cell's own, with bounds of its own, so that neither the cell's loop nor its memory has to do with it:
-`python -m edged.setup.releases.installing CONFIG DESCRIPTOR`. It writes, says so, and waits: for "undo" where
-the cell cannot run by it, else for its end. It ends with the cell, at any moment.
+The page hands a release over; its content is untrusted until it has been checked here. This runs in a child
+process of the cell with limits of its own, so that it affects neither the cell's loop nor its memory:
+`python -m edged.setup.releases.installing CONFIG DESCRIPTOR`. It writes, reports that, and waits: for "undo"
+if the cell cannot run with the release, otherwise for the end of its input. It ends with the cell.
 """
 
 from __future__ import annotations
@@ -39,12 +39,12 @@ INSTALLING, BEFORE = "installing.tar.gz", "before.tar.gz"
 PLACE = "the release"
 UNDO = "undo"
 MOST_MEMORY_BYTES, MOST_CPU_S = 4 << 30, 60
-"""Limits of its addresses and its processor time: libraries take 1 GiB, and the largest release is several
-times in memory, packed and not."""
+"""Limits on address space and processor time: libraries take 1 GiB, and the largest release is in memory
+several times, packed and unpacked."""
 
 
 class Installation:
-    """One release, on the way into a cell. config : its configuration. folder : for what the cell keeps."""
+    """Installation of one release. config : the cell's configuration. folder : the cell's state folder."""
 
     def __init__(self, config: Path, folder: Path) -> None:
         self._config = config
@@ -54,7 +54,7 @@ class Installation:
         self._former: Parts | None = None
 
     def begin(self, archive: bytes) -> None:
-        """Prove that the cell can be read with it, and write it. Raises `EdgedError`, `OSError`."""
+        """Check that the cell can be read with the release, and write it. Raises `EdgedError`, `OSError`."""
         taken = unpack(archive, PLACE)
         wanted = parts_of(taken)
         if with_parts(self._config, wanted).fingerprint != taken.fingerprint:
@@ -68,20 +68,20 @@ class Installation:
         try:
             self._write(wanted, there)
         except (EdgedError, OSError):
-            with contextlib.suppress(EdgedError, OSError):  # where nothing can be written, nothing was
+            with contextlib.suppress(EdgedError, OSError):  # if nothing can be written, nothing was
                 self._write(there, parts_at(self._rig, self._jobs))
             note_installed(self._folder)
             raise
         self._former = there
 
     def undo(self) -> None:
-        """The cell cannot run by it: its files are as before, byte for byte. Raises as `begin`."""
+        """Restore the former files, byte for byte, as the cell cannot run with it. Raises as `begin`."""
         if self._former is not None:
             self._write(self._former, parts_at(self._rig, self._jobs))
         note_installed(self._folder)
 
     def finish(self) -> bool:
-        """Do what a kill or a power cut has interrupted; whether there was something."""
+        """Finish an installation interrupted by a kill or a power cut; return whether one was finished."""
         file = self._folder / INSTALLING
         if not file.is_file():
             return False
@@ -90,13 +90,13 @@ class Installation:
             self._write(wanted, parts_at(self._rig, self._jobs))
             note_installed(self._folder)
         except (EdgedError, OSError) as error:
-            # the message names the file: a traceback says no more
+            # the message names the file: a traceback adds nothing
             log.error("the activation of a release cannot be finished: %s", error)  # noqa: TRY400
             return False
         return True
 
     def _keep_before(self, there: Parts) -> None:
-        """Keep what is replaced, where there is enough for an archive."""
+        """Archive the files that are replaced, if they make up a readable cell."""
         try:
             archive = pack(with_parts(self._config, there))
         except UserError as error:
@@ -105,16 +105,16 @@ class Installation:
         write_atomically(self._folder / BEFORE, archive, mode=0o600)
 
     def _write(self, wanted: Parts, there: Parts) -> None:
-        """Write the files of rig, cameras, connections and jobs. there : what they hold.
+        """Write the files of rig, cameras, connections and jobs. there : their present content.
 
-        Each by itself is in one step, and every mixture loads: a daemon that starts between them finishes it.
+        Each is replaced in one step, and every mixture loads: a daemon that starts in between finishes it.
         """
         try:
             make_folders(self._rig.parent)
             if wanted.cameras != there.cameras:
                 _put(chosen_file(self._rig), wanted.cameras)
             if wanted.connections != there.connections:
-                # with a password's hash: for the cell and its page, which share a group
+                # contains a password's hash: readable for the cell and its page, which share a group
                 _put(connections_file(self._rig), wanted.connections, mode=0o640)
             if wanted.rig != there.rig:
                 _put(self._rig, wanted.rig)
@@ -135,13 +135,13 @@ class Installation:
 
 
 def note_installed(folder: Path) -> None:
-    """The cell runs by its files as they are: there is nothing to finish. Raises `OSError`."""
+    """Remove the mark of an unfinished installation: the cell runs with its files. Raises `OSError`."""
     (folder / INSTALLING).unlink(missing_ok=True)
     sync(folder)
 
 
 def finish_installation(config: Path) -> None:
-    """Before a cell is loaded: a release that was being installed when the daemon ended is installed now."""
+    """Install a release whose installation was cut off when the daemon ended; call before loading a cell."""
     folder = state_folder(config)
     if (folder / INSTALLING).exists() and Installation(config, folder).finish():
         log.warning("the daemon ended while it installed a release: finished that now")
@@ -156,7 +156,7 @@ def _put(file: Path, content: bytes | None, mode: int = 0o644) -> None:
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Install what a descriptor of sealed memory has, and do what the cell says of it."""
+    """Install a release from a descriptor of sealed memory, then wait for the cell's answer."""
     config, memory = Path(arguments[0]), int(arguments[1])
     for what, most in ((resource.RLIMIT_AS, MOST_MEMORY_BYTES), (resource.RLIMIT_CPU, MOST_CPU_S)):
         hard = resource.getrlimit(what)[1]
@@ -166,7 +166,7 @@ def main(arguments: Sequence[str]) -> int:
     def listen() -> None:
         for line in sys.stdin:
             words.put(line.strip())
-        os._exit(0)  # the cell has all that it needs, or has gone: then it finishes this when it starts
+        os._exit(0)  # the cell is done, or has ended: then it finishes this at its next start
 
     threading.Thread(target=listen, daemon=True).start()
     try:
@@ -186,7 +186,7 @@ def main(arguments: Sequence[str]) -> int:
 
 
 def _say(error: EdgedError | OSError | None) -> None:
-    """One line: how it went."""
+    """Print the outcome as one line of JSON."""
     print(json.dumps(None if error is None else plain_error(error), default=str), flush=True)
 
 

@@ -30,9 +30,9 @@ log = logging.getLogger(__name__)
 
 
 class JobDocument(Frozen):
-    """A job. active : the one that is measured by now.  last_used, cycles, ok_share : since the start.
+    """A job. active : the one in use now.  last_used, cycles, ok_share : since the start.
 
-    editable : it keeps the pair that it was taught from.  retired : it is kept in a release, and not used.
+    editable : the pair that it was taught from is kept.  retired : out of use, and kept in a release.
     """
 
     folder: str
@@ -50,13 +50,13 @@ class JobDocument(Frozen):
 
 
 class JobList(Frozen):
-    """By their numbers; those that are retired after the others."""
+    """All jobs, sorted by number; retired ones come last."""
 
     jobs: list[JobDocument]
 
 
 class VersionDocument(Frozen):
-    """A release in which a job was another than in the one before. active : it is now as it was then."""
+    """A release that changed a job. active : the job is now as it was in this release."""
 
     release: int
     created: str
@@ -66,7 +66,7 @@ class VersionDocument(Frozen):
 
 
 class VersionList(Frozen):
-    """The youngest first."""
+    """Versions of a job, newest first."""
 
     versions: list[VersionDocument]
 
@@ -85,7 +85,7 @@ _KEPT = TypeAdapter(dict[str, Retired])
 
 
 class Jobs:
-    """Used on the event loop only."""
+    """Jobs of a running cell; used on the event loop only."""
 
     def __init__(self, cell: CellInUse, releases: ReleaseFolder, activation: Activation) -> None:
         self._cell = cell
@@ -94,25 +94,25 @@ class Jobs:
         self._activation = activation
 
     async def listed(self) -> JobList:
-        """All of them."""
+        """List all jobs, retired ones included."""
         return await asyncio.to_thread(self._listed)
 
     async def take(self, job: str) -> None:
-        """Measure by a job, as a PLC's command would have it, where none owns the right to write.
+        """Switch to a job, as a PLC's command does, while no PLC has the right to write.
 
         Raises `KeyError`, `SetupRefused`, `CommandRefused`.
         """
         await self._cell.running.take_job(self._cell.job_lines().line(job).number)
 
     async def keep_golden(self, job: str) -> None:
-        """Measure now, and keep where the one good part of a job lies, as the command GOLDEN does.
+        """Measure now, and keep the pose of the job's only good part, as the command GOLDEN does.
 
         Raises `KeyError`, `SetupRefused`, `CommandRefused`; then nothing has changed.
         """
         await self._cell.running.keep_golden(self._cell.job_lines().line(job).number)
 
     async def change(self, job: str, by: Mandate, *, name: str | None, number: int | None) -> Release:
-        """Rename it, or give it another number. Raises `KeyError`, `UserError`; then nothing has changed."""
+        """Rename or renumber a job. Raises `KeyError`, `UserError`; then nothing has changed."""
         jobs = self._cell.job_lines()
         line, folder = jobs.line(job), jobs.line(job).folder
         if name is not None and name != line.name:
@@ -139,7 +139,7 @@ class Jobs:
         return await self._activation.activate_jobs(copied, by)
 
     async def versions(self, job: str) -> VersionList:
-        """Versions of a job in use, in releases that were active."""
+        """Versions of a job in use, from releases that were ever active."""
         folder = self._cell.job_lines().line(job).folder
         releases, active = await self._activation.listed()
         now = next((release.digests.get(folder) for release in releases if release.number == active), None)
@@ -153,7 +153,7 @@ class Jobs:
         return VersionList(versions=found[::-1])
 
     async def retire(self, job: str, by: Mandate) -> Release:
-        """Take it out of use; its release keeps it. Raises `KeyError`, `UserError` for the last one."""
+        """Take a job out of use; its release keeps it. Raises `KeyError`; `UserError` for the last one."""
         jobs = self._cell.job_lines()
         line, folder = jobs.line(job), jobs.line(job).folder
         _check_unnamed(line, jobs)
@@ -162,12 +162,12 @@ class Jobs:
         kept = Retired(
             name=line.name, number=line.number, features=line.features, by=by.author, at=now_text()
         )
-        # first: what is in use counts as in use, whatever is noted of it
+        # noted first: a job in use never counts as retired, whatever is noted
         await asyncio.to_thread(self._note, folder, kept)
         return await self._activation.activate_jobs(lambda there: without_job(there, folder), by)
 
     async def bring_back(self, job: str, by: Mandate, *, number: int | None) -> Release:
-        """Bring back a job as it was retired; number : another than it had. Raises as `change`."""
+        """Bring back a retired job. number : a new one instead of its own. Raises as `change`."""
         retired = await asyncio.to_thread(self._kept)
         folder = job if job in retired else {former.name: name for name, former in retired.items()}[job]
         kept = retired[folder]
@@ -202,7 +202,7 @@ class Jobs:
         )
 
     def _files(self, folder: str) -> dict[str, bytes]:
-        """Files of a retired job, from the youngest release that has it. Raises `UserError` when none has."""
+        """Files of a retired job, from the newest release that has it. Raises `UserError` if none has."""
         for release in self._releases.all():
             if folder in release.jobs:
                 try:
@@ -212,7 +212,7 @@ class Jobs:
         raise UserError(f"no release has the job {folder} any more")
 
     def _kept(self) -> Mapping[str, Retired]:
-        """The retired ones, but those that are in use again."""
+        """Retired jobs by folder, without those in use again."""
         try:
             kept = _KEPT.validate_json(self._retired.read_bytes())
         except FileNotFoundError:
@@ -233,7 +233,7 @@ class Jobs:
 
 
 def _check_unnamed(line: JobLine, jobs: JobsInUse) -> None:
-    """Raises `UserError` for the job that the configuration names."""
+    """Check that the configuration does not name a job. Raises `UserError` if it does."""
     if line.name == jobs.wanted:
         raise UserError(
             f"cell.job of the configuration names {line.name}: the cell begins with it. Take that line out, "

@@ -1,4 +1,4 @@
-"""All jobs of a cell as files: read as a backup holds them, and exchanged in one step."""
+"""Job files of a cell: read as a backup holds them, and replaced in one step."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from edged.files.jobs import SHAPE, TEXT, job_folders
 from edged.files.replacing import replace_files
 
 Jobs = Mapping[str, bytes]
-"""Content by place in the folder of the jobs: FOLDER/job.toml, FOLDER/taught/left.png, ..."""
+"""File contents by path in the folder of the jobs: FOLDER/job.toml, FOLDER/taught/left.png, ..."""
 
 
 def jobs_in(folder: Path) -> dict[str, bytes]:
-    """Every file of every job; nothing of jobs that were replaced, and nothing hidden."""
+    """Read every file of every job, without replaced jobs and hidden files."""
     found = {}
     for job in job_folders(folder) if folder.is_dir() else []:
         for file in sorted(job.rglob("*")):
@@ -31,32 +31,32 @@ def jobs_in(folder: Path) -> dict[str, bytes]:
 
 
 def write_jobs(folder: Path, wanted: Jobs, there: Jobs) -> None:
-    """Let a folder hold these jobs instead of those there, in one step; others stay. Raises `OSError`."""
+    """Replace the jobs `there` of a folder by `wanted` in one step; other files stay. Raises `OSError`."""
     changed = {place: data for place, data in wanted.items() if there.get(place) != data}
     replaced = {place for place in there if place not in wanted} | (changed.keys() & there.keys())
     if not changed and not replaced:
         return
     folder = folder.resolve()
     former = folder.with_name(f".{folder.name}.former")
-    shutil.rmtree(former, ignore_errors=True)  # of a daemon that was ended
+    shutil.rmtree(former, ignore_errors=True)  # left by a daemon that was killed
     replace_files(folder, changed, replaced, former)
     shutil.rmtree(former, ignore_errors=True)
 
 
 def contents_with(contents: Mapping[str, bytes], jobs: Jobs) -> dict[str, bytes]:
-    """Files that a cell measures by, as `CellFiles` has them, with these jobs instead of those in them."""
+    """Files that a cell measures with, as in `CellFiles`, with these jobs instead of those in `contents`."""
     others = {name: data for name, data in contents.items() if not name.startswith("jobs/")}
     measured_by = {place: data for place, data in jobs.items() if place.split("/")[1:] in ([TEXT], [SHAPE])}
     return {**others, **{f"jobs/{place}": data for place, data in measured_by.items()}}
 
 
 def pictures_in(jobs: Jobs) -> dict[str, bytes]:
-    """The pairs that jobs were taught from: as much as all else together, many times, and never changed."""
+    """Pictures that jobs were taught from: many times as large as all other files, and never changed."""
     return {place: data for place, data in jobs.items() if _is_picture(place)}
 
 
 def without_pictures(jobs: Jobs) -> dict[str, bytes]:
-    """All else."""
+    """All files but the pictures that jobs were taught from."""
     return {place: data for place, data in jobs.items() if not _is_picture(place)}
 
 
@@ -65,26 +65,26 @@ def _is_picture(place: str) -> bool:
 
 
 def of_job(jobs: Jobs, folder: str) -> dict[str, bytes]:
-    """The files of one of them, by place in its folder."""
+    """Files of one job, by path in its folder."""
     return {place.removeprefix(f"{folder}/"): data for place, data in jobs.items() if _is_of(place, folder)}
 
 
 def without_job(jobs: Jobs, folder: str) -> dict[str, bytes]:
-    """The others."""
+    """Files of all other jobs."""
     return {place: data for place, data in jobs.items() if not _is_of(place, folder)}
 
 
 def with_job(jobs: Jobs, folder: str, files: Mapping[str, bytes], replaced: str | None) -> dict[str, bytes]:
-    """With a job, instead of the one in the folder `replaced` and of what is in its own."""
+    """Files of all jobs with this one added; it replaces those in `folder` and in the folder `replaced`."""
     others = without_job(jobs, folder)
     others = others if replaced is None else without_job(others, replaced)
     return {**others, **{f"{folder}/{place}": data for place, data in files.items()}}
 
 
 def renamed(files: Mapping[str, bytes], *, name: str | None, number: int | None) -> dict[str, bytes]:
-    """The files of a job with another name or number; all else that people have written stays.
+    """Files of a job with another name or number; the rest of its text stays as it was written.
 
-    Raises `UserError` for a text in which that cannot be told.
+    Raises `UserError` if the line to edit cannot be found in the text.
     """
     text = files[TEXT].decode("utf-8-sig")
     for key, value in (("name", name), ("number", number)):

@@ -1,4 +1,4 @@
-"""The jobs that a cell has read: their names and numbers, and which are free."""
+"""Jobs that a cell has loaded: names and numbers in use, and free ones."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from edged.setup.teaching.model import Content
 
 @dataclass(frozen=True, slots=True)
 class JobLine:
-    """A job of the cell. folder : its name.  digest : SHA-256 of its text.  features : how many."""
+    """A job of the cell. folder : name of its folder.  digest : SHA-256 of its text.  features : count."""
 
     folder: str
     name: str
@@ -28,14 +28,14 @@ class JobLine:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Candidate:
-    """A job as files, by place in its folder. replaced : folder of the one that makes room."""
+    """A new job as files, by path in its folder. replaced : folder of the job that it replaces."""
 
     folder: str
     replaced: str | None
     files: Mapping[str, bytes]
 
     def put(self, jobs: Jobs) -> Jobs:
-        """Jobs with this one."""
+        """Files of all jobs with this one in them."""
         return with_job(jobs, self.folder, self.files, self.replaced)
 
     @property
@@ -46,7 +46,7 @@ class Candidate:
 
 @dataclass(frozen=True, slots=True)
 class JobsInUse:
-    """folder : where they lie.  wanted : the name of the one that the cell begins with."""
+    """Jobs of a cell. folder : with all jobs.  wanted : name of the job that the cell begins with."""
 
     folder: Path
     lines: tuple[JobLine, ...]
@@ -54,49 +54,49 @@ class JobsInUse:
 
     @property
     def free_number(self) -> int:
-        """The first that no job of the cell has."""
+        """Lowest number that no job of the cell has."""
         taken = {line.number for line in self.lines}
         return next(number for number in range(1, len(taken) + 2) if number not in taken)
 
     @property
     def free_name(self) -> str:
-        """The one that the configuration asks for, or another."""
+        """A free name: the one that the configuration asks for, or another."""
         taken = {line.name for line in self.lines} | {line.folder for line in self.lines}
         names = (f"part{number}" for number in range(1, len(taken) + 2))
         return next(name for name in (self.wanted, *names) if name and name not in taken)
 
     def line(self, job: str) -> JobLine:
-        """By its folder, or by its name. Raises `KeyError`."""
+        """Find a job by its folder or its name. Raises `KeyError`."""
         by_name = {line.name: line for line in self.lines}
         return {**by_name, **{line.folder: line for line in self.lines}}[job]
 
     def candidate(
         self, name: str, number: int, replaced: str | None, files: Mapping[str, bytes]
     ) -> Candidate:
-        """A job to be, in the folder of the one that it replaces if that has its name; `TeachError`."""
+        """Make a new job, in the folder of the replaced one if the name is the same. Raises `TeachError`."""
         self.check_free(name, number, replaced)
         former = {line.folder: line for line in self.lines}.get(replaced or "")
         folder = former.folder if former is not None and former.name == name else name
         return Candidate(folder, None if former is None else former.folder, files)
 
     def named(self, base: Content | None, name: str | None, replaced: JobLine | None) -> Content:
-        """What a draft begins with: name and number of the job that is replaced, else free ones.
+        """Initial content of a draft, with the name and number of the replaced job, otherwise free ones.
 
-        base : what that one was taught by; None: nothing. Raises `TeachError`.
+        base : content that the replaced job was taught with, or None. Raises `TeachError`.
         """
         content = Content(name="a", number=1) if base is None else base
         number = self.free_number if replaced is None else replaced.number
         wanted = name or (self.free_name if replaced is None else replaced.name)
         self.check_free(wanted, number, None if replaced is None else replaced.folder)
-        # as in the job by now, not as they were when it was taught
+        # these are taken from the present job, not from when it was taught
         return content.with_(
             {"sizes": None, "gripping": None, "tilt_deg": None, "name": wanted, "number": number}
         )
 
     def check_free(self, name: str, number: int, replaced: str | None) -> None:
-        """Raises `TeachError` for a name or a number that another job has, or none can have.
+        """Check that name and number are valid and free. Raises `TeachError` if not.
 
-        replaced : folder of the job whose name and number they may be.
+        replaced : folder of a job whose name and number may be reused.
         """
         if name.endswith(REPLACED):
             raise TeachError(f"name {name!r}: what ends in {REPLACED} is a job that was replaced", "name_old")
@@ -112,7 +112,7 @@ class JobsInUse:
 
 
 def lines_in(contents: Mapping[str, bytes]) -> tuple[JobLine, ...]:
-    """Lines of the jobs among the files that a cell has read, by their names in a recording."""
+    """Lines of the jobs among a cell's files, which are given by their names in a recording."""
     texts = {name.split("/")[1]: text for name, text in contents.items() if name.endswith("/job.toml")}
     return tuple(_line(folder, text) for folder, text in texts.items())
 

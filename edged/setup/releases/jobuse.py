@@ -1,4 +1,4 @@
-"""Which job is active, and how often each was used with success."""
+"""Tracks the active job, and counts how often each job was used successfully."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class JobUse:
 
     @property
     def active(self) -> int:
-        """Number of the active job; 0: there is none."""
+        """Number of the active job; 0 if there is none."""
         return self._active
 
     def of(self, number: int) -> Use:
@@ -36,7 +36,7 @@ class JobUse:
         """Nothing to open."""
 
     def announce(self, event: Event) -> None:
-        """Count; cycles of a fault of the cameras say nothing of a job."""
+        """Count a cycle; those with a camera fault are ignored, as they tell nothing about the job."""
         match event:
             case CellState():
                 self._active = event.job_number

@@ -1,10 +1,10 @@
-"""The releases of a cell: each an archive as `edged backup` makes it, and who made it, when, and why.
+"""Releases of a cell: each an archive as `edged backup` makes it, with its author, time and reason.
 
-    0007.tar.gz     the cell, proven to load; its owner's alone, as every backup
-    0007.json       written after it: an archive without is no release
-pictures/       pairs that jobs were taught from, by their SHA-256: many releases have the same
+    0007.tar.gz     the cell, checked to load; readable by its owner only, as every backup
+    0007.json       written after the archive: an archive without it is not a release
+pictures/       pairs that jobs were taught from, by their SHA-256: many releases share them
 
-What was ever active stays; of the others the last ones.
+Releases that were ever active are kept; of the others, only the newest.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ from edged.setup.history import Kept, Text
 from edged.setup.releases.archive import Backup, Made, jobs_of, read
 
 KEPT = 50
-"""The last ones, beside those that were ever active: one has some ten kB, and a few hundred for each job; the
-pairs of jobs, a few MB each, are kept once.
+"""Number of releases kept that were never active. A release has some ten kB, and a few hundred for each job;
+the pairs of jobs, a few MB each, are kept once.
 """
 PICTURES = "pictures"
 _FILE = re.compile(r"([0-9]{4,6})\.(json|tar\.gz)")
@@ -35,9 +35,9 @@ Number = Annotated[int, Field(ge=1, le=999_999)]
 
 
 class Tested(Kept):
-    """What recorded cycles said before a release became active. regression : its id; None: none was made.
+    """Regression test on recorded cycles before a release became active. regression : its id; None without.
 
-    cycles : that it was, or would have been, tried on. signed : why it became active all the same.
+    cycles : how many it was, or would have been, tried on. signed : why it became active all the same.
     """
 
     regression: Text | None
@@ -47,11 +47,11 @@ class Tested(Kept):
 
 
 class Release(Kept):
-    """What is known of one. parent : the release that was active before.  rig : its calibration id.
+    """Description of a release. parent : the release that was active before.  rig : its calibration id.
 
-    activated : each time.  tested : before the last time; None: no recorded cycle was concerned.
-    digests : of what each job measures by, by its folder.  pictures : SHA-256 of those that its archive
-    leaves out, by their places among the jobs.
+    activated : time of each activation.  tested : before the last one; None if no recorded cycle was
+    affected. digests : of each job's files, by its folder.  pictures : SHA-256 of pictures that its archive
+    leaves out, by their paths in the folder of the jobs.
     """
 
     format: Literal["edged-release"] = "edged-release"
@@ -71,7 +71,7 @@ class Release(Kept):
 
 
 class ReleaseFolder:
-    """Releases in a folder. Whatever writes raises `OSError` where the disc refuses."""
+    """Releases in a folder. All methods that write raise `OSError`."""
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
@@ -87,7 +87,7 @@ class ReleaseFolder:
         now: datetime,
         pictures: Mapping[str, bytes] | None = None,
     ) -> Release:
-        """Keep a cell. rig : its calibration id.  pictures : of its jobs, which are not in its archive."""
+        """Add a release. rig : its calibration id.  pictures : those of its jobs, not in the archive."""
         digests = {place: hashlib.sha256(data).hexdigest() for place, data in (pictures or {}).items()}
         taken = [int(found[1]) for found in map(_FILE.fullmatch, self._names()) if found is not None]
         release = Release(
@@ -111,7 +111,7 @@ class ReleaseFolder:
         return release
 
     def note_active(self, number: int, now: datetime, tested: Tested | None = None) -> Release:
-        """It becomes active: from now on it stays, whatever comes of it. Raises `KeyError`."""
+        """Record that a release becomes active; it is never pruned from then on. Raises `KeyError`."""
         release = self.get(number)
         noted = {"activated": (*release.activated, _text(now)), "tested": tested}
         release = release.model_copy(update=noted)
@@ -119,26 +119,26 @@ class ReleaseFolder:
         return release
 
     def restore(self, release: Release) -> None:
-        """Let be known of it what was known before."""
+        """Write back an earlier description of a release."""
         self._write(release)
 
     def forget(self, number: int) -> None:
-        """Take one away; nothing to do for one that is not there."""
-        # what is a release only with it goes first
+        """Delete a release if it exists."""
+        # the description goes first: an archive without it is not a release
         for file in (self._about(number), self._archive(number)):
             file.unlink(missing_ok=True)
             if self._folder.is_dir():
                 sync(self._folder)
 
     def prune(self) -> None:
-        """Take away what is old and never was active."""
+        """Delete old releases that were never active."""
         never = [release for release in self.all() if not release.activated]
         for release in never[KEPT:]:
             self.forget(release.number)
         self._sweep()
 
     def _sweep(self) -> None:
-        """Take away pictures that no release has; none, while there is a release that cannot be read."""
+        """Delete pictures that no release uses; none while there is a release that cannot be read."""
         if not (self._folder / PICTURES).is_dir():
             return
         known = self.all()
@@ -150,7 +150,7 @@ class ReleaseFolder:
                 file.unlink(missing_ok=True)
 
     def all(self) -> list[Release]:
-        """The youngest first; without those whose files are damaged."""
+        """All releases, newest first, without damaged ones."""
         found = []
         for name in self._names():
             match = _FILE.fullmatch(name)
@@ -163,7 +163,7 @@ class ReleaseFolder:
         return sorted(found, key=lambda release: -release.number)
 
     def get(self, number: int) -> Release:
-        """What is known of one. Raises `KeyError` when there is none, `FileFormatError` for a damaged one."""
+        """Description of a release. Raises `KeyError` if there is none, `FileFormatError` if damaged."""
         file = self._about(number)
         if not file.is_file() or not self._archive(number).is_file():
             raise KeyError(number)
@@ -173,12 +173,12 @@ class ReleaseFolder:
         return release
 
     def open(self, number: int) -> Backup:
-        """The cell in it, every checksum checked. Raises `KeyError`, `FileFormatError`."""
+        """Read the archive of a release and check all checksums. Raises `KeyError`, `FileFormatError`."""
         self.get(number)
         return read(self._archive(number))
 
     def jobs(self, number: int) -> dict[str, bytes]:
-        """The jobs in it, by place; those without their pair whose pictures are gone. Raises as `open`."""
+        """Job files of a release, by path, without missing or damaged pictures. Raises as `open`."""
         found = jobs_of(self.open(number))
         for place, digest in self.get(number).pictures.items():
             file = self._picture(digest)
@@ -191,7 +191,7 @@ class ReleaseFolder:
         return self._folder / PICTURES / f"{digest}.png"
 
     def file(self, number: int) -> Path:
-        """The archive of one. Raises `KeyError`, `FileFormatError`."""
+        """Path of a release's archive. Raises `KeyError`, `FileFormatError`."""
         self.get(number)
         return self._archive(number)
 
@@ -209,12 +209,12 @@ class ReleaseFolder:
 
 
 def _jobs(cell: Backup) -> list[str]:
-    """Folders of its jobs."""
+    """Folders of the jobs in a backup."""
     return sorted({Path(name).parent.name for name in cell.files if name.endswith("/job.toml")})
 
 
 def _digests(cell: Backup) -> dict[str, str]:
-    """SHA-256 of the files that each job measures by, by its folder."""
+    """SHA-256 of each job's text and shape, by its folder."""
     found = {}
     for name in cell.files:
         if name.endswith("/job.toml"):

@@ -1,4 +1,4 @@
-"""A backup restored into a folder, in one step.
+"""Restores a backup into a folder, in one step.
 
 A folder may hold several cells: only files of the one in the archive are replaced.
 """
@@ -18,10 +18,10 @@ from edged.setup.releases.archive import REGISTERS, Backup, names_in, wrong_name
 
 
 def restore(taken: Backup, output: Path, *, force: bool) -> Path | None:
-    """Let `output` hold the restored cell, in one step; returns where its former files are kept.
+    """Restore a cell into `output` in one step; return the folder with its former files, None without any.
 
-    force : files of this cell that are there make room; others stay as they are. Raises `UserError`; then
-    nothing has changed.
+    force : replace this cell's files in it; others stay as they are. Raises `UserError`; then nothing has
+    changed.
     """
     output = by_name(output)
     with translated(FileFormatError, f"{output}: cannot be written"):
@@ -40,12 +40,12 @@ def restore(taken: Backup, output: Path, *, force: bool) -> Path | None:
 
 
 def _put(taken: Backup, place: Path, output: Path, keep: Path) -> bool:
-    """Exchange the files; returns whether any is kept. output : how messages name the place."""
+    """Replace the files; return whether former ones are kept. output : path for messages."""
     names = names_in(taken.files[taken.config], f"{taken.config} of the backup")
     replaced = _replaced(taken, place, names.get("cell.jobs", ""))
     rig = names.get("cell.rig", "")
     beside = [chosen_file(Path(rig)).as_posix(), connections_file(Path(rig)).as_posix()] if rig else []
-    # or another cell's cameras and connections would be this one's
+    # otherwise this cell would take over cameras and connections of another one
     replaced |= {name for name in beside if not wrong_name(name) and os.path.lexists(place / name)}
     _leave_others_alone(taken, place, output, replaced)
     private = {taken.config, names.get("zenoh.config_file", taken.config), *beside[1:]}
@@ -53,7 +53,7 @@ def _put(taken: Backup, place: Path, output: Path, keep: Path) -> bool:
 
 
 def _replaced(taken: Backup, output: Path, jobs: str) -> set[str]:
-    """Names of what has to make room in the folder: members, links that lead there, and all former jobs."""
+    """Names to replace in the folder: existing members, symbolic links above them, and all former jobs."""
     replaced = {name for name in taken.files if os.path.lexists(output / name)}
     parents = {str(parent) for name in taken.files for parent in PurePosixPath(name).parents}
     replaced |= {parent for parent in parents if (output / parent).is_symlink()}
@@ -67,7 +67,7 @@ def _replaced(taken: Backup, output: Path, jobs: str) -> set[str]:
 
 
 def _leave_others_alone(taken: Backup, place: Path, output: Path, replaced: set[str]) -> None:
-    """Raise `UserError` where another cell of the folder stands on a file that would change."""
+    """Raise `UserError` if another cell in the folder uses a file that would change."""
     changed = [
         (place / name).resolve()
         for name in replaced | taken.files.keys()

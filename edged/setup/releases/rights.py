@@ -1,7 +1,7 @@
-"""What a cell's configuration lets others do: addresses, networks, passwords, and Zenoh's own file.
+"""Access that a cell's configuration grants: addresses, networks, passwords, and Zenoh's own file.
 
-A fingerprint says nothing of it: it covers no password and no content of Zenoh's file, and whoever makes an
-archive writes its fingerprint and checksums, too.
+A fingerprint does not protect it: it covers neither passwords nor the content of Zenoh's file, and the author
+of an archive also writes its fingerprint and checksums.
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ from edged.errors import FileFormatError
 from edged.files.atomic import read_bytes
 
 SERVERS = ("modbus", "ethernetip", "opcua", "plc", "web", "zenoh")
-"""Sections of the configuration."""
+"""Sections of the configuration that grant access."""
 SECRET = "password_hash"
 ZENOH_FILE = "zenoh.config_file"
 MAX_VALUE = 100
-"""Letters of a value that are shown."""
+"""Number of characters of a value that are shown."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -36,13 +36,13 @@ class Rights:
     zenoh: bytes = b""
 
     def lines(self) -> list[str]:
-        """A line for each option that is set; of a password its name alone."""
+        """One line for each option that is set; for a password only its name."""
         if self.options is None:
             return ["nothing that can be read: its configuration is no TOML"]
         return [_set(name, value) for name, value in self.options.items()]
 
     def changed_from(self, before: Rights) -> list[str]:
-        """A line for each option that is other, and for Zenoh's file."""
+        """One line for each option that differs, and one for Zenoh's file if it does."""
         old, new = before.options or {}, self.options or {}
         found = []
         for name in sorted(old.keys() | new.keys()):
@@ -60,14 +60,14 @@ class Rights:
 
 
 def rights_in(files: Mapping[str, bytes], config: str) -> Rights:
-    """Rights of a cell whose files are at hand, by name."""
+    """Rights of a cell given its files by name."""
     options = _options(files[config])
     named = None if options is None else options.get(ZENOH_FILE)
     return Rights(options, files.get(named, b"") if isinstance(named, str) else b"")
 
 
 def rights_at(config: Path) -> Rights | None:
-    """Rights of a cell on the disc; None without one. What cannot be read there has none."""
+    """Rights of a cell on disc; None without one. A configuration that cannot be read has no options."""
     if not config.is_file():
         return None
     try:
@@ -77,7 +77,7 @@ def rights_at(config: Path) -> Rights | None:
     named = None if options is None else options.get(ZENOH_FILE)
     try:
         zenoh = read_bytes(config.parent / named, "Zenoh's file") if isinstance(named, str) else b""
-    except (FileFormatError, ValueError):  # a name with a zero
+    except (FileFormatError, ValueError):  # ValueError: a name with a null character
         zenoh = b""
     return Rights(options, zenoh)
 

@@ -1,4 +1,4 @@
-"""The routes of releases, by which a draft becomes what the cell runs by, and of the cell's jobs."""
+"""Routes of releases, which make a draft active in the cell, and of the cell's jobs."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ from edged.setup.teaching.model import JobName, Number
 
 
 class Activating(Body):
-    """Why; and the token, while somebody has the cell.
+    """Request to activate: the reason, and the token while there is a lease.
 
-    signed : why it may become active though recorded cycles get worse by it, or were not tried.
+    signed : why it may become active although recorded cycles get worse with it, or were not tried.
     """
 
     token: Token | None = None
@@ -34,14 +34,14 @@ AnyActivating = TypeVar("AnyActivating", bound=Activating)
 
 
 class Returning(Body):
-    """Why an older release becomes active again; and the token, while somebody has the cell."""
+    """Request to activate an older release again: the reason, and the token while there is a lease."""
 
     token: Token | None = None
     reason: Reason
 
 
 class ReleaseDocument(Answer):
-    """A release. active : the cell runs by it. rig : its calibration id. tested : on recorded cycles."""
+    """A release. active : the cell uses it. rig : its calibration id. tested : on recorded cycles."""
 
     number: int
     created: str
@@ -57,13 +57,13 @@ class ReleaseDocument(Answer):
 
 
 class ReleaseList(Answer):
-    """The youngest first."""
+    """All releases, newest first."""
 
     releases: list[ReleaseDocument]
 
 
 class ReleaseRoutes:
-    """The routes."""
+    """Routes of releases."""
 
     def __init__(self, activation: Activation, worker: Worker) -> None:
         self._activation = activation
@@ -106,7 +106,7 @@ class ReleaseRoutes:
 def add_activation(
     routes: DraftRoutes, activate: Callable[[str, Call[Activating]], Awaitable[ReleaseDocument]], what: str
 ) -> None:
-    """The route by which a draft becomes what the cell runs by; it asks for one's own password."""
+    """Add the route that makes a draft active in the cell; it asks for the user's own password."""
     routes.add(
         "POST",
         "/activate",
@@ -125,7 +125,7 @@ async def activated(
     solution: Callable[[str], Awaitable[bytes]],
     drafts: OpenDrafts[Any, Any, Any],
 ) -> ReleaseDocument:
-    """Let the cell run by the rig that a draft was solved to. Raises as `Activation.activate`; `KeyError`."""
+    """Activate the rig that a draft was solved to. Raises as `Activation.activate`, and `KeyError`."""
     await activation.check(call.body.token)
     rig = await solution(call.part("id"))
     release = await noted(call, activation.fingerprint, activation.activate(rig, signed_mandate(call)))
@@ -142,19 +142,19 @@ async def noted(call: Call[Any], fingerprint: str, asked: Awaitable[Release]) ->
 
 
 def document_of_release(release: Release, *, is_active: bool) -> ReleaseDocument:
-    """A release as it is answered."""
+    """Document of a release, as routes return it."""
     fields = release.model_dump(exclude={"format", "version", "activated", "digests", "pictures"})
     was_active = bool(release.activated) or is_active
     return ReleaseDocument(**{**fields, "jobs": list(release.jobs)}, active=is_active, was_active=was_active)
 
 
 def mandate(call: Call[Any], note: str, signed: str | None = None) -> Mandate:
-    """That of whoever calls, by their lease if they have one. note : why."""
+    """Mandate of the caller, with their lease's token if they have one. note : why."""
     return Mandate(call.visitor.name, note, signed, call.body.token)
 
 
 def signed_mandate(call: Call[AnyActivating]) -> Mandate:
-    """With why recorded cycles may get worse, if somebody signs for it; the audit has it beside the note."""
+    """Mandate with the signed reason why recorded cycles may get worse, if any; the audit records it too."""
     body = call.body
     if body.signed is not None:
         call.trail.reason = f"{body.note}; signed: {body.signed}"
@@ -165,9 +165,9 @@ JOB = "/jobs/{name:[A-Za-z0-9_][A-Za-z0-9_. +@=-]{0,127}}"
 
 
 class Changing(Body):
-    """Another name or number, or whether it is in use. note : why; left out, what was asked for.
+    """Another name or number, or retire or bring back a job. note : why; default: the change itself.
 
-    signed : why it may be so though recorded cycles get worse by it.
+    signed : why it is allowed although recorded cycles get worse with it.
     """
 
     token: Token | None = None
@@ -188,7 +188,7 @@ class Changing(Body):
 
 
 class Copying(Body):
-    """Name and number of the copy; number : left out: one that is free."""
+    """Name and number of the copy. number : default: a free one."""
 
     token: Token | None = None
     new_name: JobName
@@ -198,7 +198,7 @@ class Copying(Body):
 
 
 class JobRoutes:
-    """The routes."""
+    """Routes of the cell's jobs."""
 
     def __init__(self, jobs: Jobs, activation: Activation) -> None:
         self._jobs = jobs

@@ -1,4 +1,4 @@
-"""Another rig or other jobs for a running cell, handed to it as a release. A failure leaves it as it was."""
+"""Activates another rig or other jobs in a running cell, as a release. A failure leaves it as it was."""
 
 from __future__ import annotations
 
@@ -33,19 +33,19 @@ log = logging.getLogger(__name__)
 
 
 Gate = Callable[[Contents, str | None], Awaitable[Tested | None]]
-"""Told what the cell would measure by, and why that may make recorded cycles worse, if somebody signs for it.
+"""Takes the files that the cell would measure with, and the signed reason why recorded cycles may get worse.
 
-Returns what is kept of it; raises `RegressionNeeded`.
+Returns the record of the test; raises `RegressionNeeded`.
 """
 
 
 async def _open(_contents: Contents, _signed: str | None) -> None:
-    """The gate of a cell that records nothing."""
+    """Gate of a cell that records nothing: lets everything pass."""
 
 
 @dataclass(frozen=True, slots=True)
 class Mandate:
-    """Who activates, and why. signed : why it may make recorded cycles worse. token : of the lease."""
+    """Author and reason of an activation. signed : why recorded cycles may get worse. token : a lease's."""
 
     author: str
     note: str
@@ -54,9 +54,9 @@ class Mandate:
 
 
 class Activation:
-    """What makes rigs and jobs active, one after the other; used on the cell's event loop.
+    """Activates rigs and jobs, one at a time; used on the cell's event loop.
 
-    gate : asked before anything is written.
+    gate : called before anything is written.
     """
 
     def __init__(self, releases: ReleaseFolder, cell: CellInUse, gate: Gate = _open) -> None:
@@ -80,7 +80,7 @@ class Activation:
 
     @property
     def active(self) -> int | None:
-        """The release that the cell runs by; None for one that was changed by hand since."""
+        """Number of the release that the cell runs with; None if the cell was changed by hand since."""
         fingerprint = self._cell.files.fingerprint
         found = (
             release.number
@@ -90,15 +90,15 @@ class Activation:
         return next(found, None)
 
     async def listed(self) -> tuple[list[Release], int | None]:
-        """All releases, the youngest first, and which of them is active."""
+        """All releases, newest first, and the number of the active one."""
         return await asyncio.to_thread(lambda: (self._releases.all(), self.active))
 
     async def archives(self, *numbers: int) -> list[Path]:
-        """Archives of releases. Raises `KeyError`, `FileFormatError`."""
+        """Paths of releases' archives. Raises `KeyError`, `FileFormatError`."""
         return await asyncio.to_thread(lambda: [self._releases.file(number) for number in numbers])
 
     async def check(self, token: str | None) -> None:
-        """Raises `SetupRefused` when nothing may be changed now, by somebody without or with a token."""
+        """Check that changes are allowed now, with or without this token. Raises `SetupRefused` if not."""
         if token is not None:
             await self._cell.session.renew_setup(token)
         elif holder := self._cell.session.holder:
@@ -110,30 +110,34 @@ class Activation:
             raise SetupRefused("the plant runs: its PLC forbids changes (AUTO_LOCK is 1)")
 
     async def activate(self, rig: bytes, by: Mandate) -> Release:
-        """Let the cell run by another rig, and by the cameras that are tried with it; jobs stay.
+        """Activate another rig, and the camera settings that are being tried with it; jobs stay.
 
-        Raises `EdgedError`, `OSError`; then it runs by the former ones.
+        Raises `EdgedError`, `OSError`; then the cell keeps the former ones.
         """
         rig_of(rig, Path("the new rig"))
         return await self._activate(lambda there: replace(self._with_tried(there), rig=rig), by)
 
     async def activate_jobs(self, change: Callable[[Jobs], Jobs], by: Mandate) -> Release:
-        """Let the cell have other jobs. change : of those it has; may refuse. Raises as `activate`."""
+        """Activate other jobs. change : makes them from the present ones; may raise. Raises as `activate`."""
         return await self._activate(lambda there: replace(there, jobs=change(there.jobs)), by)
 
     async def keep_cameras(self, by: Mandate) -> None:
-        """Let the cell have the cameras that are tried. Raises as `activate`."""
+        """Activate the camera settings that are being tried. Raises as `activate`."""
         await self._activate_settings(self._with_tried, by)
 
     async def activate_connections(self, content: bytes | None, by: Mandate) -> None:
-        """Let PLCs and robots connect otherwise, and other settings hold; None: as configured.
+        """Activate other connections of PLCs and robots, and other settings; None: as configured.
 
         Raises as `activate`.
         """
         await self._activate_settings(lambda there: replace(there, connections=content), by)
 
     async def _activate_settings(self, change: Callable[[Parts], Parts], by: Mandate) -> None:
-        """As a release; without one before the first calibration, and for a password, of which none tells."""
+        """Activate settings as a release.
+
+        Without one before the first calibration, and for a change of passwords alone, which no fingerprint
+        covers.
+        """
         async with self._turn:
             self._check_unlocked()
             there = await asyncio.to_thread(parts_at, self._rig, self._jobs)
@@ -147,7 +151,7 @@ class Activation:
         return with_parts(self._cell.path, wanted).fingerprint == self._cell.files.fingerprint
 
     def _with_tried(self, there: Parts) -> Parts:
-        """With the cameras that are tried. Raises `ConfigError`."""
+        """Parts with the camera settings that are being tried. Raises `ConfigError`."""
         stated = {side: change.stated() for side, change in self._cell.session.camera_changes.items()}
         tried = {side: values for side, values in stated.items() if values}
         if not tried:
@@ -155,10 +159,10 @@ class Activation:
         return replace(there, cameras=with_changes(there.cameras, chosen_file(self._rig), tried))
 
     async def activate_again(self, number: int, by: Mandate) -> Release:
-        """Let the cell run by rig, cameras, settings and jobs of a release. Raises `KeyError`, too.
+        """Activate rig, cameras, settings and jobs of an older release. Raises as `activate`, and `KeyError`.
 
-        A release of before the first job says nothing of jobs. No password that was replaced comes back. The
-        way back is never barred: its reason is the signature.
+        A release without jobs leaves the present ones. Replaced passwords are not restored. Going back is
+        never blocked by recorded cycles: its reason counts as the signature.
         """
         kept = parts_of(await asyncio.to_thread(self._releases.open, number))
         jobs = await asyncio.to_thread(self._releases.jobs, number)
@@ -172,7 +176,7 @@ class Activation:
         return await self._activate(wanted, replace(by, note=note, signed=by.note))
 
     async def activate_backup(self, taken: Backup, by: Mandate) -> Release:
-        """Let the cell run by rig, cameras and jobs of an archive; settings stay. Raises as `activate`."""
+        """Activate rig, cameras and jobs of an archive; settings stay. Raises as `activate`."""
         parts = parts_of(taken)
 
         def wanted(there: Parts) -> Parts:
@@ -181,7 +185,7 @@ class Activation:
         return await self._activate(wanted, by)
 
     async def _activate(self, wanted: Callable[[Parts], Parts], by: Mandate) -> Release:
-        # the client may disconnect: it must not stay half done
+        # shielded: it must be completed even if the client disconnects
         return await asyncio.shield(asyncio.create_task(self._in_turn(wanted, by), name="activate"))
 
     async def _in_turn(self, change: Callable[[Parts], Parts], by: Mandate) -> Release:
@@ -195,11 +199,11 @@ class Activation:
             release = again
             if release is None:
                 release = await asyncio.to_thread(self._keep, made, wanted, former, by)
-            # first: what is cut off here, the cell may finish, and it must be known to have been active
+            # noted first: the cell may finish an installation cut off here, and it must count as active then
             await asyncio.to_thread(self._releases.note_active, release.number, datetime.now(UTC), tested)
             try:
                 await self._hand_over(wanted, by)
-            except LinkError:  # whether the cell has it, its fingerprint tells
+            except LinkError:  # the cell's fingerprint will show whether it was installed
                 raise
             except (EdgedError, OSError):
                 await asyncio.to_thread(self._withdraw, release, is_new=again is None)
@@ -209,17 +213,17 @@ class Activation:
             return await asyncio.to_thread(self._releases.get, release.number)
 
     async def _hand_over(self, wanted: Parts, by: Mandate) -> None:
-        """Let the cell install it. Raises `EdgedError`, `OSError`."""
+        """Hand the parts over to the cell, which installs them. Raises `EdgedError`, `OSError`."""
         archive = await asyncio.to_thread(lambda: pack(with_parts(self._cell.path, wanted)))
         await self._cell.running.install(archive, by.token, by.author, by.note)
 
     def _contents(self, wanted: Parts) -> Contents:
-        """What the cell would measure by."""
+        """Files that the cell would measure with."""
         contents = contents_with(self._cell.files.contents, wanted.jobs)
         return contents if wanted.rig is None else {**contents, RIG: wanted.rig}
 
     def _proven(self, wanted: Parts) -> tuple[Made, Release | None]:
-        """The cell to be, proven to load, beside the cell as it is; and the release that it is already."""
+        """Backup of the cell with these parts, checked to load, and a release with the same fingerprint."""
         if wanted.rig is None:
             raise UserError("there is no calibration: calibrate first")
         made = make(self._cell.path, replace(wanted, jobs=without_pictures(wanted.jobs)))
@@ -231,7 +235,7 @@ class Activation:
         )
 
     def _keep(self, made: Made, wanted: Parts, former: Parts, by: Mandate) -> Release:
-        """A release of the cell to be; and one of the cell as it is, if it is none: there is a way back."""
+        """Add a release of the new cell; also one of the present cell if it has none, so one can go back."""
         if self._cell.is_complete and self.active is None:
             found = make(self._cell.path, replace(former, jobs=without_pictures(former.jobs)))
             kept = self._add(found, former, Mandate("edged", "as it was found"), None)
@@ -250,7 +254,7 @@ class Activation:
         )
 
     def _withdraw(self, release: Release, *, is_new: bool) -> None:
-        """Undo that it became active."""
+        """Undo the activation of a release: delete a new one, restore the description of an old one."""
         if is_new:
             self._releases.forget(release.number)
         else:
@@ -258,5 +262,5 @@ class Activation:
 
 
 def _rig_id(made: Made) -> str:
-    """Id of the calibration."""
+    """Calibration id of the rig in a backup."""
     return rig_of(rig_in(made.backup), Path("the rig of a release")).calibration_id

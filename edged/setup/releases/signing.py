@@ -1,6 +1,6 @@
-"""Archives signed with a key of the plant: Ed25519 over the whole file, 64 bytes in a file beside it.
+"""Signatures of archives by a key of the plant: Ed25519 over the whole file, 64 bytes in a file beside it.
 
-OpenSSL makes the keys, and checks and writes the same: `openssl genpkey -algorithm ed25519`,
+OpenSSL makes the keys, and can write and check the same signatures: `openssl genpkey -algorithm ed25519`,
 `openssl pkeyutl -verify -rawin`. Source: RFC 8032, section 5.1.
 """
 
@@ -17,7 +17,7 @@ MAX_KEY_BYTES = 16 * 1024
 
 
 def signature_file(archive: Path) -> Path:
-    """Where the signature of an archive is.
+    """Path of an archive's signature.
 
     >>> signature_file(Path("cell.tar.gz")).name
     'cell.tar.gz.sig'
@@ -26,11 +26,11 @@ def signature_file(archive: Path) -> Path:
 
 
 def signature_of(data: bytes, key_file: Path) -> tuple[bytes, str]:
-    """Sign data with a private key, PEM. Returns the signature and who signed (`fingerprint_of`).
+    """Sign data with a private key, PEM. Return the signature and the signing key's `fingerprint_of`.
 
-    Raises `UserError` for a file that is no such key, or that others may read.
+    Raises `UserError` for a file that is not such a key, or that others may read.
     """
-    # what only a few backups need is loaded for these alone
+    # imported late, as few backups need it
     from cryptography.exceptions import UnsupportedAlgorithm
     from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
     from cryptography.hazmat.primitives.serialization import load_pem_private_key
@@ -48,9 +48,9 @@ def signature_of(data: bytes, key_file: Path) -> tuple[bytes, str]:
 
 
 def check_signature(data: bytes, archive: Path, key_file: Path) -> str:
-    """Check that the signature beside an archive is of this data, by a public key, PEM; returns who signed.
+    """Check the signature beside an archive with a public key, PEM; return the key's fingerprint.
 
-    Raises `UserError` where there is none, where it is of other data, or of another key.
+    Raises `UserError` if there is none, or if it is for other data or by another key.
     """
     from cryptography.exceptions import InvalidSignature, UnsupportedAlgorithm
     from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
@@ -77,5 +77,5 @@ def check_signature(data: bytes, archive: Path, key_file: Path) -> str:
 
 
 def fingerprint_of(public_key: bytes) -> str:
-    """A public key for people: 16 hex digits of the SHA-256 of its 32 bytes."""
+    """Readable form of a public key: 16 hex digits of the SHA-256 of its 32 bytes."""
     return hashlib.sha256(public_key).hexdigest()[:16]

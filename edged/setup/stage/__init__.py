@@ -1,1 +1,1 @@
-"""The stage of `edged demo --stage`: what stands before virtual cameras, moved over HTTP."""
+"""The stage of `edged demo --stage`: objects in front of virtual cameras, moved over HTTP."""

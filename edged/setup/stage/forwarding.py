@@ -1,4 +1,4 @@
-"""The stage's routes on a page of another process: each is asked of the cell, whose stage it is."""
+"""Routes of the stage on a page in another process: requests are forwarded to the cell with the stage."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from edged.identity.visitors import Role, Visitor
 from edged.setup.stage.routes import StageRobotRoutes, StageRoutes
 
 Ask = Callable[[str, dict[str, Any]], Awaitable[Mapping[str, Any]]]
-"""Ask the cell for a route, by `METHOD path`, with a body: `answer` or `problem`."""
+"""Sends a request to the cell, as `METHOD path` with a body; returns `answer` or `problem`."""
 
 
 class ForwardedStage:
-    """The routes on the page's side."""
+    """Routes on the page's side, which forward requests."""
 
     def __init__(self, ask: Ask) -> None:
         self._ask = ask
@@ -41,7 +41,7 @@ class ForwardedStage:
 
 
 class StageService:
-    """The routes on the cell's side. Bodies are read again: a page may send anything."""
+    """Routes on the cell's side. Bodies are validated again, as a page may send anything."""
 
     def __init__(self, routes: Sequence[object]) -> None:
         self._rows = {
@@ -51,7 +51,7 @@ class StageService:
         }
 
     async def answer(self, route: str, body: Mapping[str, Any]) -> dict[str, Any]:
-        """Carry out a route. Raises `CommandRefused` for what is none of the stage."""
+        """Carry out a request. Raises `CommandRefused` for an unknown route or an invalid body."""
         if route not in self._rows:
             raise CommandRefused("the stage has no such route")
         model, handler = self._rows[route]
@@ -67,7 +67,7 @@ class StageService:
 
 
 def _with_lists(value: Any) -> Any:
-    """Lists again, where the link gives tuples."""
+    """Convert tuples from the link back to lists."""
     if isinstance(value, tuple):
         return [_with_lists(part) for part in value]
     if isinstance(value, dict):

@@ -1,6 +1,6 @@
-"""The stage over HTTP, in `edged demo --stage` alone: move the virtual hand, and see the exact truth.
+"""Routes of the stage, only in `edged demo --stage`: move the virtual hand, and see the exact truth.
 
-Also its virtual robot: what the pendant shows, in the words of any brand.
+Also of its virtual robot: the numbers on its pendant, in the convention of any brand.
 """
 
 from __future__ import annotations
@@ -32,14 +32,14 @@ Name = Literal["left", "right"]
 
 
 class Rings(Body):
-    """Quarter turns of both lenses' rings from sharp."""
+    """Focus rings of both lenses, in quarter turns from sharp."""
 
     left: Turn | None = None
     right: Turn | None = None
 
 
 class ShowRequest(Body):
-    """What is to be seen. What is left out stays. waving : "none" ends it."""
+    """Objects to show to the cameras; omitted fields stay. waving : "none" ends it."""
 
     showing: Literal["part", "board", "nothing"] | None = None
     covered: bool | None = None
@@ -49,7 +49,7 @@ class ShowRequest(Body):
 
 
 class Holding(Body):
-    """Where the board is to be: on its outline in both pictures or the left one, at a pose, in the middle."""
+    """Place for the board: an outline in both pictures or the left one, a pose, or by default the middle."""
 
     left: Outline | None = None
     right: Outline | list[Corner] | None = Field(None, description="empty: not drawn")
@@ -61,7 +61,7 @@ class Laying(Body):
 
 
 class StageNow(Answer):
-    """What is before the cameras. board : as a calibration names it."""
+    """Objects in front of the cameras. board : its specification, as for a calibration."""
 
     showing: Literal["part", "board", "nothing"]
     board: str
@@ -73,7 +73,7 @@ class StageNow(Answer):
 
 
 class TruthNow(Answer):
-    """The last result beside the truth. error_mm : measured - true, rig frame; null: nothing to compare."""
+    """The last result and the truth. error_mm : measured - true, rig frame; null if nothing to compare."""
 
     at_ns: int | None = None
     showing: Literal["part", "board", "nothing"] | None = None
@@ -85,7 +85,7 @@ class TruthNow(Answer):
 
 
 class StageRoutes:
-    """Routes, and a publisher that remembers the last result. robot : those of the virtual robot."""
+    """Routes of the stage, and a publisher that remembers the last result. robot : the robot's routes."""
 
     def __init__(self, stage: Stage) -> None:
         self._stage = stage
@@ -187,7 +187,7 @@ def _tried(action: Callable[[], Any]) -> None:
 
 
 def _rigid(rows: list[list[float]]) -> FloatArray:
-    """Raises `Problem` for what is no pose."""
+    """Pose from its rows. Raises `Problem` if it is not a rigid pose."""
     pose = np.array(rows)
     turn = pose[:3, :3]
     is_rigid = np.allclose(turn @ turn.T, np.eye(3), atol=1e-3) and np.linalg.det(turn) > 0
@@ -200,9 +200,10 @@ Pixel = Annotated[float, Field(ge=-1e4, le=1e4)]
 
 
 class PendantQuery(Body):
-    """In whose words. x, y : px of the left picture: the tip on what is nearest there; else the flange.
+    """Request for the pendant's numbers. x, y : px of the left picture: the tip is placed on the nearest
+    feature; without them, the flange's pose is shown.
 
-    noise_um : standard deviation of each coordinate; of rotations as much at 100 mm.
+    noise_um : standard deviation of each coordinate; for rotations the same at 100 mm.
     """
 
     brand: Annotated[Brand, Field(strict=False)] = Brand.KUKA
@@ -219,24 +220,24 @@ class PendantQuery(Body):
 
 
 class Walking(Body):
-    """To the next pose."""
+    """Move to the next pose."""
 
 
 class Walked(Answer):
-    """number : of the pose, of ten."""
+    """Pose that was reached. number : of the pose, out of ten."""
 
     number: int
 
 
 class PendantNow(Answer):
-    """What the pendant shows; text : as it is copied."""
+    """Numbers that the pendant shows. text : the same as text, for copying."""
 
     numbers: list[float]
     text: str
 
 
 class StageRobotRoutes:
-    """The routes."""
+    """Routes of the virtual robot."""
 
     def __init__(self, stage: Stage) -> None:
         self._stage = stage

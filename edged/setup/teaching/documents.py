@@ -1,4 +1,4 @@
-"""The document of a job's draft: over /api/v1, and to every open page. Pixels are those of raw pictures."""
+"""Documents of job drafts, served under /api/v1 and sent to every open page. Pixels are of raw pictures."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ Pixel = tuple[float, float]
 
 
 class Outline(Frozen):
-    """A line in each picture."""
+    """An outline as a line in each picture."""
 
     left: Line
     right: Line
 
 
 class FeatureDocument(Frozen):
-    """A feature. size : by the name of each, mm.  sigma_um : of it, in this pair; of an edge or a corner of
-    its place. why : it was not measured: a code.
+    """A feature. size : its sizes by name, mm.  sigma_um : of its size in this pair; for edges and corners of
+    their position. why : code of why it was not measured.
     """
 
     key: str
@@ -42,14 +42,14 @@ class FeatureDocument(Frozen):
 
 
 class ContoursDocument(Frozen):
-    """What is searched for, as lines in each picture."""
+    """Contours that are searched for, as lines in each picture."""
 
     left: list[Line]
     right: list[Line]
 
 
 class ReferenceDocument(Frozen):
-    """The feature whose place is the part's, and where that is."""
+    """The feature whose position is the part's, and its position in both pictures."""
 
     key: str
     left: Pixel
@@ -57,7 +57,7 @@ class ReferenceDocument(Frozen):
 
 
 class GrippingDocument(PlaceMm):
-    """Where a tool takes the part, in the part's frame; angles about its fixed x, y, z."""
+    """Pose of the tool when it grips the part, in the part's frame; angles about its fixed x, y, z."""
 
     name: str
     approach_mm: float
@@ -68,7 +68,7 @@ class GrippingDocument(PlaceMm):
 
 
 class SizeDocument(Frozen):
-    """A size to measure; angles in degrees. witness : the rig is watched by it. ok : within its tolerance."""
+    """A size to measure; angles in degrees. witness : used to monitor the rig. ok : within its tolerance."""
 
     key: str
     kind: str
@@ -83,14 +83,14 @@ class SizeDocument(Frozen):
 
 
 class RivalDocument(Frozen):
-    """A turn after which the shape is much like itself."""
+    """A rotation after which the shape looks much like itself."""
 
     angle_deg: float
     alike_percent: float
 
 
 class WarningDocument(Frozen):
-    """What is not as it should be. at : the place in the left picture that it means."""
+    """A warning. at : the position in the left picture that it refers to."""
 
     code: str
     text: str
@@ -98,14 +98,14 @@ class WarningDocument(Frozen):
 
 
 class PredictedDocument(Frozen):
-    """The pose's sigma, as the features that are taken give it in this pair."""
+    """Sigma of the pose from the features in use, in this pair."""
 
     sigma_um: SigmaXyz
     sigma_deg: SigmaAbc
 
 
 class DrawingDocument(Frozen):
-    """What the job is learnt from instead of a region. depth_mm : of the face from the left camera."""
+    """The drawing that a job is learnt from instead of a region. depth_mm : its face from the left camera."""
 
     name: str
     depth_mm: float
@@ -113,10 +113,10 @@ class DrawingDocument(Frozen):
 
 
 class TeachingDocument(DraftHead):
-    """A draft of a job. shapes : the region; those with `add` in region, the others in exclude; none: the
-    whole picture. proposing : the task that learns it. job : the one that it replaces. further : names of
-    pairs beside the first. break_mm : width of the part's edge breaks, null where it is not known.
-    break_end : which edge of each was taught, null: either.
+    """A draft of a job. shapes : the region; empty for the whole picture. region, exclude : shapes with and
+    without `add`. proposing : the task that learns it. job : the one that it replaces. further : names of
+    further pairs. break_mm : width of the part's edge breaks, null where it is not known.
+    break_end : which edge of each was taught, null for either.
     """
 
     name: str
@@ -147,7 +147,7 @@ class TeachingDocument(DraftHead):
 
 
 class TeachingLine(DraftSummary):
-    """A draft of the list. trouble : why it cannot be read; then nothing else is known."""
+    """A draft in the list. trouble : why it cannot be read; then only its id is known."""
 
     name: str = ""
     number: int = 0
@@ -155,6 +155,6 @@ class TeachingLine(DraftSummary):
 
 
 class TeachingList(Frozen):
-    """The youngest first."""
+    """All drafts, newest first."""
 
     teachings: list[TeachingLine]

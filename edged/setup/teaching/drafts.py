@@ -1,12 +1,12 @@
-"""Drafts of jobs: what people are at, on disc after each step, so that a kill loses nothing.
+"""Drafts of jobs, saved to disc after each step, so that a killed process loses nothing.
 
-ID/state.json            written last: what it names is there
-ID/pictures/             left.png, right.png: the pair, every grey value; and as JPEG for the page; of further
-                         pairs HASH-left.png, HASH-right.png
+ID/state.json            written last, so that all files it names exist
+ID/pictures/             left.png, right.png: the pair, lossless, and as JPEG for the page; further pairs are
+                         HASH-left.png, HASH-right.png
 
-The pair and what was wanted of it stay with the job that comes of it:
+The pair and the content of the draft stay with the job that is made from it:
 
-JOB/taught/              left.png, right.png, content.json, and further pairs: `edged` reads none of them
+JOB/taught/              left.png, right.png, content.json, and further pairs: `edged` does not read them
                          to measure
 """
 
@@ -34,16 +34,16 @@ from edged.setup.pairs import write_sides
 from edged.setup.teaching.model import Content, TeachOperation, TeachState
 
 KEPT = 20
-"""Drafts; with one more the oldest goes. A pair of 1280x960 has 2 MB."""
+"""Number of drafts kept; the oldest is deleted when there is one more. A pair of 1280x960 has 2 MB."""
 TAUGHT = "taught"
-"""The folder in a job's folder."""
+"""Folder inside a job's folder with the pair that it was taught from."""
 _CONTENT = "content.json"
 JPEG_QUALITY = 90
-"""Per cent, of the pictures for people."""
+"""JPEG quality of the pictures for the page."""
 
 
 class KeptContent(Kept):
-    """What a job was taught by, beside its pair."""
+    """File with the content that a job was taught with, beside its pair."""
 
     format: Literal["edged-taught"] = "edged-taught"
     version: Literal[1] = 1
@@ -52,7 +52,7 @@ class KeptContent(Kept):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class KeptPair:
-    """Raw pictures. content : by which a job was taught from them; None: none was. further : by name."""
+    """A raw pair. content : that a job was taught with from it, or None. further : pairs by name."""
 
     left: Image
     right: Image
@@ -66,11 +66,11 @@ class TeachingDraft(DraftFile[TeachState]):
     error = TeachError
 
     def picture(self, side: str, suffix: str = "png", pair: str = "") -> Path:
-        """A raw picture; as "jpg" for people.  pair : a further one."""
+        """Path of a raw picture; suffix "jpg" for the page's copy.  pair : name of a further one, or ""."""
         return self.pictures / picture_name(side, suffix, pair)
 
     def put_further(self, pair: KeptPair) -> str:
-        """Keep the pictures of a further pair; returns its name. Raises `TeachError` for another size."""
+        """Store the pictures of a further pair, and return its name. Raises `TeachError` for another size."""
         if pair.left.shape != (self.state.height, self.state.width):
             raise TeachError("the pair is of another size than the first one", "further_size")
         pixels = pair.left.tobytes() + pair.right.tobytes()
@@ -79,12 +79,12 @@ class TeachingDraft(DraftFile[TeachState]):
         return name
 
     def propose(self, shapes: list[JsonValue]) -> None:
-        """The region that is proposed before anybody says another; nobody has changed anything by it."""
+        """Set the proposed initial region; it does not count as an operation or a change."""
         start = self.state.start.with_({"shapes": shapes})
         self.write(self.state.model_copy(update={"start": start}))
 
     def operate(self, what: str, sets: Mapping[str, JsonValue]) -> None:
-        """One step. Raises `TeachError` for what cannot be."""
+        """Apply one operation. Raises `TeachError` for invalid values."""
         try:
             operation = TeachOperation.model_validate({"what": what, "sets": dict(sets)})
         except ValidationError as error:
@@ -95,15 +95,15 @@ class TeachingDraft(DraftFile[TeachState]):
             raise TeachError("too many steps: activate it, and edit the job") from error
 
     def note_activated(self, digest: str | None) -> None:
-        """A job is to come of it, by the SHA-256 of its text; None: none is after all."""
+        """Record that its job is being activated, by the SHA-256 of its text; None takes that back."""
         self.write(self.state.changed(activated=digest))
 
     def note_job(self, folder: str) -> None:
-        """The job in this folder has come of it: from now on it is that one's draft."""
+        """Record that the job in this folder was made from it; from now on it is a draft of that job."""
         self.write(self.state.changed(job=folder, is_same_pair=True))
 
     def kept(self) -> dict[str, bytes]:
-        """What stays with the job, by its name in the job's folder."""
+        """Files that stay with the job, by path in the job's folder."""
         content = KeptContent(content=self.state.content).model_dump_json(indent=1).encode()
         pictures = {
             f"{TAUGHT}/{picture_name(side, 'png', pair)}": read_bytes(
@@ -124,7 +124,7 @@ class TeachingDrafts(DraftFolders[TeachState, TeachingDraft]):
     def create(
         self, author: str, start: Content, pair: KeptPair, now: datetime, job: str | None = None
     ) -> TeachingDraft:
-        """Begin one with a pair; the oldest beyond `KEPT` go. job : the folder that it replaces."""
+        """Create a draft from a pair, and delete any beyond `KEPT`. job : the folder that it replaces."""
         height, width = pair.left.shape
         about = {"job": job, "width": width, "height": height, "start": start}
         state = TeachState.model_validate(
@@ -135,18 +135,18 @@ class TeachingDrafts(DraftFolders[TeachState, TeachingDraft]):
             for name, images in {"": (pair.left, pair.right), **pair.further}.items():
                 _write_pair(place, images, name)
             return self.add(state)
-        except OSError:  # a disc that is full is not filled further
+        except OSError:  # leave nothing behind on a full disc
             self.clear(state.id)
             raise
 
 
 def picture_name(side: str, suffix: str, pair: str = "") -> str:
-    """A file of a pair, of a further one by its name."""
+    """File name of a picture of the first pair, or of a further one."""
     return f"{pair}-{side}.{suffix}" if pair else f"{side}.{suffix}"
 
 
 def _write_pair(place: Path, images: tuple[Image, Image], name: str) -> None:
-    """Write both pictures, for the cell and for people.  name : of a further pair, or ""."""
+    """Write both pictures, for the cell and for the page.  name : of a further pair, or ""."""
     write_sides(place, picture_name("{side}", "png", name), images)
     write_sides(place, picture_name("{side}", "jpg", name), images, partial(jpeg, quality=JPEG_QUALITY))
 
@@ -156,13 +156,13 @@ def _pictures(state: TeachState) -> list[str]:
 
 
 def keeps_pair(folder: Path) -> bool:
-    """Whether a job keeps what it was taught by."""
+    """Whether a job keeps the pair and the content that it was taught with."""
     names = _CONTENT, *(f"{side}.png" for side in SIDES)
     return all((folder / TAUGHT / name).is_file() for name in names)
 
 
 def kept_pair(folder: Path) -> KeptPair:
-    """What a job was taught by. Raises `TeachError` where it does not keep that, `FileFormatError`."""
+    """Read pair and content that a job was taught with. Raises `TeachError` if none, `FileFormatError`."""
     place = folder / TAUGHT
     if not keeps_pair(folder):
         raise TeachError(

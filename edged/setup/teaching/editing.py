@@ -1,6 +1,6 @@
-"""A taught job as people want it: features left out, another reference, a gripping point, sizes.
+"""Edits a taught job as users want it: features left out, another reference, a gripping point, sizes.
 
-And what of a job that it replaces stays.
+Also decides which properties of a replaced job are kept.
 """
 
 from __future__ import annotations
@@ -29,10 +29,10 @@ NOTHING_LEFT = (
 def edited(
     taught: Job, content: Content, marks: Mapping[str, Mark], pixel_mm: float, moved: FloatArray | None = None
 ) -> Job:
-    """The job that is wanted. marks : of the taught job's features, by name.  pixel_mm : at its depth.
+    """Apply a draft's content to a taught job; everything else stays as taught.
 
-    moved : as `lying` has it.
-    Everything else stays as taught. Raises `TeachError` for what no job can be.
+    marks : of the taught job's features, by name.  pixel_mm : size of a pixel at its depth.  moved : as in
+    `lying`. Raises `TeachError` for an impossible job.
     """
     left_out = {name for mark in content.left_out if (name := nearest(mark, marks)) is not None}
     job = _without(taught, left_out) if left_out else taught
@@ -55,7 +55,7 @@ def edited(
 
 
 def _with_tray(job: Job, tray: Tray | None) -> Job:
-    """With another tray, or none; a picture is searched for as many parts as a layer has."""
+    """The job with another tray, or none; pictures are searched for as many parts as a layer has."""
     if tray is None:
         order = Order.SCORE if job.picking.order is Order.POCKET else job.picking.order
         return replace(job, picking=replace(job.picking, order=order, tray=None))
@@ -65,7 +65,7 @@ def _with_tray(job: Job, tray: Tray | None) -> Job:
 
 
 def _without(job: Job, left_out: set[str]) -> Job:
-    """Without some features, and without what is of them. Raises `TeachError` when nothing remains."""
+    """The job without some features and those that depend on them. Raises `TeachError` if none remains."""
     job = without_features(job, left_out)
     places = [circle.name for circle in job.circles] + [slot.name for slot in job.slots]
     places += [corner.name for corner in job.corners]
@@ -75,7 +75,7 @@ def _without(job: Job, left_out: set[str]) -> Job:
 
 
 def without_features(job: Job, names: set[str]) -> Job:
-    """Without features, and without the corners and sizes that are of them; the reference may be gone."""
+    """The job without some features and their corners and sizes; the reference may be gone."""
     circles = tuple(circle for circle in job.circles if circle.name not in names)
     slots = tuple(slot for slot in job.slots if slot.name not in names)
     edges = tuple(edge for edge in job.edges if edge.name not in names)
@@ -89,7 +89,7 @@ def without_features(job: Job, names: set[str]) -> Job:
 
 
 def _referred_to(job: Job, reference: str, pixel_mm: float) -> Job:
-    """With another reference, and what follows from it: the known size, and by how much it may differ."""
+    """The job with another reference, and with the known size and tolerances that follow from it."""
     if job.kind_of(reference) in {None, "edge"}:
         raise TeachError(f"{reference}: a circle, a slot or a corner can be the reference")
     if np.any(job.place_of(reference)):
@@ -133,7 +133,7 @@ def _moved(job: Job, place: FloatArray) -> Job:
 
 
 def _with_sizes(job: Job, sizes: tuple[Size, ...], marks: Mapping[str, Mark]) -> Job:
-    """With these sizes, and that which the rig is watched by; without those of features that are gone."""
+    """The job with these sizes and its witness; sizes of features that are gone are left out."""
     known = [spec for spec in job.measurements if spec.name == job.witness]
     found: list[MeasurementSpec] = []
     for size in sizes:
@@ -161,19 +161,20 @@ def _spec(job: Job, size: Size, of: tuple[str, ...]) -> MeasurementSpec:
 
 
 def lying(job: Job, moved: FloatArray | None) -> Job:
-    """The job of a part as it lies in the pair. moved : (4, 4) in the rig's frame, from where it was taught;
-    None: it was taught there.
+    """The job with its part where it lies in the pair.
+
+    moved : (4, 4) in the rig's frame, from where it was taught; None if it was taught there.
     """
     return job if moved is None else replace(job, rig_from_part=moved @ job.rig_from_part)
 
 
 def grasp_of(gripping: Gripping, job: Job, moved: FloatArray | None = None) -> Grasp:
-    """How the tool takes the part of a job. gripping : as the part lies in the pair; moved : of `lying`."""
+    """Grasp of a job's part. gripping : for the part as it lies in the pair.  moved : as in `lying`."""
     rig_from_tcp = np.eye(4)
     rig_from_tcp[:3, :3] = gripping.rotation
     rig_from_tcp[:3, 3] = gripping.position_mm
     part_from_tcp = invert(lying(job, moved).rig_from_part) @ rig_from_tcp
-    # what a person has typed is not to come back with a tail
+    # rounded so that a typed value comes back without rounding errors
     part_from_tcp = np.round(part_from_tcp, 9)
     if moved is not None:
         rig_from_tcp = job.rig_from_part @ part_from_tcp
@@ -193,7 +194,7 @@ def gripping_at(job: Job, position_mm: FloatArray, rotation: FloatArray, wanted:
 
 @dataclass(frozen=True, slots=True)
 class FormerFiles:
-    """A job as its folder has it. is_same_pair : it was learnt from the pair that is before us."""
+    """Files of a replaced job. is_same_pair : it was learnt from the pair of this draft."""
 
     text: bytes
     shape: bytes
@@ -201,12 +202,12 @@ class FormerFiles:
     is_same_pair: bool
 
     def job(self) -> Job:
-        """Raises `FileFormatError`."""
+        """Parse the job. Raises `FileFormatError`."""
         return job_of({TEXT: self.text, SHAPE: self.shape}, self.folder)
 
 
 def with_tolerances(job: Job, was: Job) -> Job:
-    """With those of the job that is replaced, which people may have edited, for the same reference."""
+    """The job with the replaced job's tolerances, which may be edited ones, if the reference is the same."""
     if was.reference != job.reference:
         return job
     limits = replace(
@@ -218,12 +219,12 @@ def with_tolerances(job: Job, was: Job) -> Job:
 
 
 def picking_of(former: FormerFiles, taught: Job, moved: FloatArray | None) -> Picking:
-    """As in the job that is replaced; how a tool takes it only where the part lies as it did then."""
+    """Picking of the replaced job; without grasps if the part's pose against the former one is unknown."""
     was = former.job()
     was_drawn = bool(np.array_equal(was.rig_from_part[:3, :3], np.eye(3)))
     if not former.is_same_pair or (was_drawn and moved is None):
         return replace(was.picking, grasps=())
-    if was_drawn:  # each in the plane of its own face
+    if was_drawn:  # both in the plane of their own face
         there = invert(taught.rig_from_part) @ was.rig_from_part
         there[2, 3] = 0.0
     else:

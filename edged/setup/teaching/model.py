@@ -1,7 +1,7 @@
-"""What a draft of a job keeps on disc beside its pair: what people want, and each step to that.
+"""State of a job draft as kept on disc beside its pair: the wanted content and all operations leading to it.
 
-Features are named anew whenever the region changes; what people said of one is kept by where it is in the
-left picture, and holds for whatever lies there.
+Features get new names whenever the region changes; settings of a feature are therefore kept by its position
+in the left picture, and apply to whatever feature lies there.
 """
 
 from __future__ import annotations
@@ -46,15 +46,15 @@ Angle = Annotated[float, Field(ge=-360, le=360)]
 Way = Annotated[float, Field(ge=0, le=2000)]
 MOST_DRAWN_POINTS = 20_000
 PairName = Annotated[str, Field(pattern=r"^[0-9a-f]{12}$")]
-"""A further pair, by the beginning of what its pictures hash to."""
+"""Name of a further pair: the first digits of its pictures' hash."""
 MOST_FURTHER = 8
 MOST_OUTLINES = 500
-"""Outlines of a drawing: a face of one part."""
+"""Most outlines of a drawing, which shows a face of one part."""
 FeatureKind = Literal["circle", "slot", "edge", "corner"]
 
 
 class Rectangle(Kept):
-    """x, y : its upper left corner, px of the raw left image. add : it is of the part, else not."""
+    """A rectangle. x, y : its upper left corner, px of the raw left image. add : include or exclude it."""
 
     kind: Literal["rectangle"]
     add: bool = True
@@ -64,12 +64,12 @@ class Rectangle(Kept):
     height: Length
 
     def area(self) -> Area:
-        """As a region."""
+        """The rectangle as a region."""
         return Region(self.x, self.y, self.width, self.height)
 
 
 class DiscRegion(Kept):
-    """x, y : its centre."""
+    """A disc. x, y : its centre."""
 
     kind: Literal["circle"]
     add: bool = True
@@ -78,24 +78,24 @@ class DiscRegion(Kept):
     radius: Length
 
     def area(self) -> Area:
-        """As a region."""
+        """The disc as a region."""
         return CircleRegion(self.x, self.y, self.radius)
 
 
 class Corners(Kept):
-    """points : in order, either way round."""
+    """A polygon. points : in order, either way round."""
 
     kind: Literal["polygon"]
     add: bool = True
     points: Annotated[tuple[Point, ...], Field(min_length=3, max_length=MAX_CORNERS)]
 
     def area(self) -> Area:
-        """As a region."""
+        """The polygon as a region."""
         return PolygonRegion(np.array(self.points, dtype=np.float64))
 
 
 class Brush(Kept):
-    """points : the way of a round brush; they may cross their own way."""
+    """A stroke of a round brush. points : its path, which may cross itself."""
 
     kind: Literal["brush"]
     add: bool = False
@@ -103,7 +103,7 @@ class Brush(Kept):
     radius: Annotated[float, Field(ge=MIN_BRUSH_PX, le=MAX_BRUSH_PX)]
 
     def area(self) -> Area:
-        """As a region."""
+        """The stroke as a region."""
         return Stroke(np.array(self.points, dtype=np.float64), self.radius)
 
 
@@ -113,7 +113,7 @@ Shapes = Annotated[tuple[Shape, ...], Field(max_length=MOST_SHAPES)]
 
 
 class Mark(Kept):
-    """A feature by its place: its middle and half its extent, px of the raw left image."""
+    """A feature identified by its position: its middle and half its extent, px of the raw left image."""
 
     kind: FeatureKind
     x: Pixels
@@ -122,7 +122,7 @@ class Mark(Kept):
 
 
 class Size(Kept):
-    """A size to measure. nominal, tolerance : mm, of an angle degrees."""
+    """A size to measure. nominal, tolerance : mm, or degrees for an angle."""
 
     kind: MeasurementKind
     of: Annotated[tuple[Mark, ...], Field(max_length=2)]
@@ -132,7 +132,7 @@ class Size(Kept):
 
 
 class Gripping(Kept):
-    """How a tool takes the part, rig frame, as it lies in the pair. rotation : rows of rig_from_tcp."""
+    """Pose of a tool gripping the part as it lies in the pair, rig frame. rotation : rows of rig_from_tcp."""
 
     name: Text = "grip"
     position_mm: tuple[Millimetres, Millimetres, Millimetres]
@@ -143,7 +143,7 @@ class Gripping(Kept):
 
 
 class Drawing(Kept):
-    """The face of the part as it is drawn. outlines : closed, x to the right, y up, mm, as cameras see it.
+    """A drawn face of the part. outlines : closed, x to the right, y up, mm, as the cameras see it.
 
     depth_mm : nominal distance of the face from the left camera.
     """
@@ -163,11 +163,11 @@ class Drawing(Kept):
 
 
 class Content(Kept):
-    """What the job is to be. shapes : the region; None: not proposed yet; (): the whole picture.
+    """Wanted content of a job. shapes : the region; None if not proposed yet, () for the whole picture.
 
-    drawing : what it is learnt from instead; the pair then shows where its part lies.
-    further : pairs that show the part otherwise; a drawing has none.
-    sizes, gripping, tray : None: as taught, and as in the job that it replaces.
+    drawing : what it is learnt from instead; the pair then shows where the part lies.
+    further : pairs that show the part in another pose or light; not used with a drawing.
+    sizes, gripping, tray : None for as taught, or as in the job that it replaces.
     """
 
     name: JobName
@@ -183,12 +183,12 @@ class Content(Kept):
     further: Annotated[tuple[PairName, ...], Field(max_length=MOST_FURTHER)] = ()
 
     def with_(self, sets: Mapping[str, JsonValue]) -> Content:
-        """With other fields, as JSON has them."""
+        """Copy with other fields, given as JSON values."""
         return Content.model_validate_json(json.dumps({**self.model_dump(mode="json"), **sets}))
 
 
 class TeachOperation(Kept):
-    """Something that can be undone. sets : fields of the content."""
+    """An operation that can be undone. sets : the fields of the content that it sets."""
 
     what: Literal["region", "tap", "features", "about", "drawing", "further"]
     sets: dict[str, JsonValue]
@@ -202,8 +202,8 @@ class TeachOperation(Kept):
 class TeachState(History[TeachOperation]):
     """A draft of a job. job : folder of the one that it replaces.  width, height : px of the left picture.
 
-    is_same_pair : that one was taught from the same pair.  start : before the first operation.
-    activated : SHA-256 of the job's text that came of it, as long as nothing was changed since.
+    is_same_pair : the replaced one was taught from the same pair.  start : content before the first
+    operation. activated : SHA-256 of the text of the job made from it, as long as nothing has changed since.
     """
 
     outcome = ("activated",)
@@ -218,14 +218,14 @@ class TeachState(History[TeachOperation]):
 
     @property
     def content(self) -> Content:
-        """What is wanted now."""
+        """The content after all operations that are not undone."""
         sets: dict[str, JsonValue] = {}
         for operation in self.holding:
             sets |= operation.sets
         return self.start.with_(sets) if sets else self.start
 
 
-# --- parts of requests: features by the names that they have now --------------------------------------
+# --- parts of requests: features by their present names -----------------------------------------------
 
 
 class Stated(Kept):
@@ -242,8 +242,9 @@ class TapPlace(Stated):
 
 
 class GripWanted(Stated):
-    """Where a tool takes the part: in the part's frame, angles about its fixed x, y, z; or at, a point of its
-    face, raw px of the left picture.
+    """Pose of the tool gripping the part, in the part's frame, angles about its fixed x, y, z.
+
+    at : instead of x_mm, y_mm, z_mm: a point on the part's face, raw px of the left picture.
     """
 
     at: Point | None = None
@@ -260,7 +261,7 @@ class GripWanted(Stated):
 
 
 class SizeWanted(Stated):
-    """A size of features; nominal and tolerance in mm, of an angle in degrees. key : its name."""
+    """A size of features; nominal and tolerance in mm, or degrees for an angle. key : its name."""
 
     key: FeatureName | None = None
     kind: MeasurementKind
@@ -273,10 +274,10 @@ class SizeWanted(Stated):
 
 
 def region_of(shapes: Sequence[AnyShape], width: int, height: int) -> tuple[Area | None, list[Area]]:
-    """Shapes as a region, and what is left out of it; None: the whole picture.
+    """Shapes as a region, and the areas excluded from it; None for the whole picture.
 
-    One shape with what is erased of it is what `edged teach` takes; of more the later lies over the earlier.
-    Raises `TeachError` for what cannot be a region.
+    One shape with exclusions is what `edged teach` takes; with more, later shapes lie over earlier ones.
+    Raises `TeachError` for an impossible region.
     """
     if not shapes:
         return None, []
@@ -293,7 +294,7 @@ def region_of(shapes: Sequence[AnyShape], width: int, height: int) -> tuple[Area
 
 
 def nearest(wanted: Mark, marks: Mapping[str, Mark]) -> str | None:
-    """The name of the feature that lies at a mark; None without one."""
+    """Name of the feature at a mark; None if there is none near enough."""
     reach = max(3.0, 0.02 * wanted.size)
     apart = {
         name: math.dist((mark.x, mark.y, mark.size), (wanted.x, wanted.y, wanted.size))

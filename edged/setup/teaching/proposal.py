@@ -1,4 +1,4 @@
-"""A job from one stereo pair or a drawing: proposed here, and written when somebody wants it."""
+"""Proposes a job from a stereo pair, a drawing or a CAD model; writes it on request."""
 
 from __future__ import annotations
 
@@ -31,14 +31,14 @@ from edged.vision.teaching.region import Area
 from edged.vision.teaching.reteaching import carry_over
 
 MAX_CUTS = 4
-"""Named one by one; with more the report's picture says it better."""
+"""Cut edges that are named one by one; with more, the report's picture shows them better."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Proposal:
-    """A job that is complete and not written.
+    """A complete job that is not written yet.
 
-    carried : a line for each thing kept of the former one.
+    carried : a line for each property kept from the former one.
     """
 
     job: Job
@@ -49,7 +49,7 @@ class Proposal:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PartModel:
-    """What a CAD model shows to the cameras, and its name for messages."""
+    """Curves of a CAD model that the cameras can see, and its name for messages."""
 
     curves: ModelCurves
     name: str
@@ -66,11 +66,11 @@ def propose_from_pair(
     model: PartModel | None = None,
     further: Sequence[tuple[Image, Image]] = (),
 ) -> Proposal:
-    """Learn from raw images. region : where the part is, px of the raw left image; None: all of it.
+    """Learn a job from raw images. region : where the part is, px of the raw left image; None for all of it.
 
-    exclude : what of it is not the part. model : of the same part, whose numbers and frame the job takes.
-    further : pairs that show the same part otherwise; see `with_breaks_shown`.
-    Raises `TeachError` for a pair that teaches nothing, or shows another part.
+    exclude : areas of it that are not the part. model : CAD model of the part; the job takes its numbers and
+    frame. further : pairs that show the part in another pose or light, see `with_breaks_shown`.
+    Raises `TeachError` if nothing can be learnt from the pair, or it shows another part.
     """
     view = view_of(left, right, rectification, region, exclude)
     settled: tuple[str, ...] = ()
@@ -92,7 +92,7 @@ def propose_from_pair(
 
 
 def _of_one_pair(job: Job, rig: StereoRig) -> str:
-    """What one pair leaves open of a part of several heights."""
+    """Remark on what one pair cannot show of a part with several heights."""
     place = job.rig_from_part[:3, 3]
     left, right = (unit(place - eye) for eye in (np.zeros(3), invert(rig.right_from_left)[:3, 3]))
     widths = 0.5 / math.tan(0.5 * math.acos(float(left @ right)))
@@ -136,24 +136,24 @@ def propose_from_model(
 
 
 def commit(folder: Path, proposal: Proposal) -> Path | None:
-    """Write the job's folder; returns where the one that was there is kept. Raises `UserError`."""
+    """Write the job's folder; return where the former one is kept, if any. Raises `UserError`."""
     return save_job(folder, proposal.job)
 
 
 def former_job(folder: Path) -> Job | None:
-    """The job that is about to be replaced; None where there is none, or none that can be read."""
+    """The job that is about to be replaced; None if there is none, or it cannot be read."""
     if not (folder / "job.toml").is_file():
         return None
     try:
         return load_job(folder)
-    except UserError:  # it is kept as it is, and says itself what is wrong with it
+    except UserError:  # it is kept as it is, and reading it tells what is wrong
         return None
 
 
 def job_number(folder: Path, wanted: int | None, former: Job | None) -> int:
-    """The number of the job on the PLC: the former one's, or the first that no job beside the folder has.
+    """Number of the job on the PLC: the wanted one, else the former one's, else the lowest free one.
 
-    Raises `UserError` for a wanted one that a job beside it has.
+    Raises `UserError` if another job in the same folder has the wanted one.
     """
     folder = folder.resolve()
     taken: dict[int, Path] = {}
@@ -172,7 +172,7 @@ def job_number(folder: Path, wanted: int | None, former: Job | None) -> int:
 
 
 def check_name(name: str) -> None:
-    """Raises `TeachError` for what cannot be the name of a job."""
+    """Check the name of a job. Raises `TeachError` for an invalid one."""
     allowed = name and name[0].isalnum() and all(c.isalnum() or c in "_.-" for c in name) and name.isascii()
     if not allowed or len(name) > 64:
         raise TeachError(
@@ -183,7 +183,7 @@ def check_name(name: str) -> None:
 
 
 def check_tilt(tilt_deg: float | None) -> None:
-    """Raises `TeachError` for a tilt that no job can have."""
+    """Check the largest tilt of a part. Raises `TeachError` for an invalid one."""
     if tilt_deg is not None and not 0 < tilt_deg <= MAX_TILT_DEG:
         raise TeachError(
             f"tilt {tilt_deg:g}: expected more than 0 and at most {MAX_TILT_DEG:g} degrees, from the "
@@ -192,7 +192,7 @@ def check_tilt(tilt_deg: float | None) -> None:
 
 
 def cut_warnings(cuts: Sequence[Cut]) -> list[str]:
-    """What is cut, one sentence each."""
+    """Warnings about cut edges, one sentence each."""
     remarks = [
         f"The region cuts {cut.text}. Only what is inside was learnt. Make the region larger, or state none "
         "to learn from the whole picture."

@@ -1,4 +1,4 @@
-"""What a draft's pair and region teach, with all that a page shows of it."""
+"""Learns a job from a draft's pair and region, and prepares everything that a page shows of it."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ NOT_AS_DRAWN = (
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LearningOrder:
-    """What is to be learnt. pictures : folder of the pair.  former : the job that it replaces."""
+    """Input of learning a job. pictures : folder of the pair.  former : the job that it replaces."""
 
     pictures: Path
     content: Content
@@ -72,11 +72,11 @@ class LearningOrder:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class JobSeen:
-    """A draft's job, and what its pair shows of it, as a `TeachingDocument` has that.
+    """A draft's job, and how it measures in the draft's pair, in the form of a `TeachingDocument`.
 
     taught : with every feature.  job : as wanted.  marks : of the taught job's features.
-    moved : (4, 4) in the rig's frame, from where the job has the part to where it lies in this pair; None: it
-    was taught there.  features : all of them, as if every one was taken.
+    moved : (4, 4) in the rig's frame, from where the job has the part to where it lies in this pair; None if
+    it was taught there.  features : all of them, as if every one was in use.
     """
 
     taught: Job
@@ -96,13 +96,13 @@ class JobSeen:
 
 
 def propose_region(pictures: Path) -> Line | None:
-    """Corners around what is most likely the part; None: nothing is."""
+    """Corners around the most likely part in the picture; None if there is none."""
     found = likely_part(load_image(pictures / "left.png"))
     return None if found is None else line(found)
 
 
 def see(order: LearningOrder, progress: Progress = silent) -> JobSeen:
-    """Learn the job that is wanted, and look at it. Raises `TeachError`, `ImageError`, `FileFormatError`."""
+    """Learn the wanted job, and measure with it. Raises `TeachError`, `ImageError`, `FileFormatError`."""
     content, former = order.content, order.former
     progress("learn", 0, 2)
     further = () if content.drawing is not None else content.further
@@ -143,7 +143,7 @@ def see(order: LearningOrder, progress: Progress = silent) -> JobSeen:
 
 
 def _is_measured_alike(job: Job, other: Job) -> bool:
-    """Whether two jobs of one teaching measure the same of a part."""
+    """Whether two jobs of the same teaching measure the same things."""
     return (taught_sizes(job), job.reference, job.measurements) == (
         taught_sizes(other),
         other.reference,
@@ -151,14 +151,14 @@ def _is_measured_alike(job: Job, other: Job) -> bool:
     )
 
 
-# --- what a region teaches, once ---------------------------------------------------------------
+# --- learning from a region, cached ------------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Learnt:
-    """What does not depend on what people take of it. found : the part with all its features.
+    """Results that do not depend on which features are in use. found : the part with all its features.
 
-    moved : as `JobSeen` has it.
+    moved : as in `JobSeen`.
     """
 
     pair: FramePair
@@ -187,7 +187,7 @@ def _learnt(
     former: FormerFiles | None,
     further: tuple[str, ...],
 ) -> _Learnt:
-    """A step that leaves the region alone teaches nothing new."""
+    """Learn a job; cached, as most operations of a draft do not change its inputs."""
     prepared = _prepared(rig)
     rectification = prepared.rectification
     left, right = (load_image(pictures / f"{side}.png") for side in SIDES)
@@ -231,7 +231,7 @@ def _learnt(
 
 
 def _measured(pair: FramePair, job: Job, prepared: PreparedRig) -> MeasuredPart | None:
-    """The part that was taught, in its own pair; None where it is not found there."""
+    """Measure the taught part in its own pair; None if it is not found there."""
     there = job.rig_from_part[:3, 3]
     return min(
         inspect(pair, job, prepared).measured,
@@ -241,9 +241,7 @@ def _measured(pair: FramePair, job: Job, prepared: PreparedRig) -> MeasuredPart 
 
 
 def _asked_for_all(job: Job) -> Job:
-    """The job, asking for a size that takes all its features: where circles say everything, only they are
-    measured.
-    """
+    """The job with an extra size that makes all features be measured: if circles suffice, only they are."""
     edges, slots = [edge.name for edge in job.edges], [slot.name for slot in job.slots]
     of: tuple[MeasurementKind, tuple[str, ...]]
     if not job.circles or not (edges or slots):
@@ -265,7 +263,7 @@ def _warnings(proposal: Proposal) -> list[WarningDocument]:
 
 
 def _doubts(found: MeasuredPart | None) -> list[WarningDocument]:
-    """What the cell would say of this very part."""
+    """Reasons why the cell would reject the part in this pair, as warnings."""
     if found is None:
         text = "The part is not found in the pair that it was taught from."
         return [WarningDocument(code="not_found", text=text, at=None)]
@@ -284,7 +282,7 @@ def _doubts(found: MeasuredPart | None) -> list[WarningDocument]:
 
 
 def _features(job: Job, found: MeasuredPart | None, rig: StereoRig) -> list[FeatureDocument]:
-    """Every feature of a job: as measured, and where it was not, as taught."""
+    """Every feature of a job: as measured, or as taught if it was not measured."""
     outlines: dict[str, FloatArray] = {}
     sizes: dict[str, tuple[dict[str, float], float]] = {}
     if found is not None:
@@ -316,7 +314,7 @@ def _features(job: Job, found: MeasuredPart | None, rig: StereoRig) -> list[Feat
 
 
 def _measured_sizes(target: Target) -> dict[str, tuple[dict[str, float], float]]:
-    """Sizes as measured, mm, and their sigma, µm; for an edge or a corner the sigma of its place."""
+    """Measured sizes, mm, and their sigma, µm; for an edge or a corner, the sigma of its position."""
     found = {
         circle.name: ({"diameter_mm": 2 * circle.radius_mm}, 2e3 * circle.sigma_radius_mm)
         for circle in target.circles
@@ -363,7 +361,7 @@ def _size(spec: MeasurementSpec, found: Measurement | None, *, witness: bool) ->
 
 
 def _predicted(target: Target) -> PredictedDocument | None:
-    """Sigma of a pose; without that of a rotation that nothing tells."""
+    """Sigma of a pose; None for a rotation that is not determined, and None if the position is not."""
     sigma = np.sqrt(np.diag(target.covariance))
     if target.free_axis is not None:
         sigma[3 + int(np.argmax(np.abs(target.free_axis)))] = math.nan

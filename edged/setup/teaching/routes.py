@@ -1,4 +1,4 @@
-"""The routes of drafts of jobs."""
+"""Routes of job drafts."""
 
 from __future__ import annotations
 
@@ -34,12 +34,14 @@ from edged.vision.part.job import MAX_TILT_DEG
 
 REGION_BYTES = 512 * 1024
 DRAWING_BYTES = 2 * 1024 * 1024
-"""Size of a DXF file: a face of one part."""
+"""Most bytes of a DXF file, which shows a face of one part."""
 
 
 class TeachingBeginning(Body):
-    """token : take a fresh pair. cycle : take that of a recorded cycle. job : the folder of a job that is to
-    be replaced; without token or cycle from the pair that it keeps. name : left out: one that is free.
+    """Source of a new draft. token : take a fresh pair. cycle : take the pair of a recorded cycle.
+
+    job : folder of a job to replace; without token or cycle, the pair that it keeps is used. name : default:
+    a free one.
     """
 
     token: Token | None = None
@@ -57,7 +59,7 @@ class TeachingBeginning(Body):
 
 
 class Regional(Revised):
-    """Shapes, px of the raw left picture; later ones lie over earlier ones. None: the whole picture."""
+    """Region as shapes, px of the raw left picture; later ones lie over earlier ones. Empty for all of it."""
 
     shapes: Shapes
 
@@ -70,15 +72,16 @@ class Tap(Revised):
 
 
 class Taking(Revised):
-    """Features by their key: taken or left."""
+    """Whether features are used, by their key."""
 
     features: Annotated[dict[FeatureName, bool], Field(min_length=1, max_length=1000)]
 
 
 class DrawingUpload(Revised):
-    """A DXF drawing, in base64, from which the job is learnt instead of a region. depth_mm : of its face from
-    the left camera; left out: as the pair shows it. unit : where the drawing does not say it. layers : only
-    these; none: all that are switched on.
+    """A DXF drawing, in base64, from which the job is learnt instead of a region.
+
+    depth_mm : of its face from the left camera; default: as stated before, or as the pair shows it.
+    unit : used if the drawing does not state one. layers : only these; empty for all that are switched on.
     """
 
     name: Name
@@ -88,7 +91,7 @@ class DrawingUpload(Revised):
     layers: Annotated[tuple[Name, ...], Field(max_length=20)] = ()
 
     def drawn(self) -> Drawn:
-        """The drawing, for the service. Raises `Problem` for what is no base64."""
+        """Decode the drawing for the service. Raises `Problem` if it is not base64."""
         try:
             data = b64decode(self.data, validate=True)
         except ValueError as error:
@@ -97,7 +100,7 @@ class DrawingUpload(Revised):
 
 
 class AddedPair(Revised):
-    """token : take a fresh pair. cycle : take that of a recorded cycle."""
+    """A further pair. token : take a fresh one. cycle : take that of a recorded cycle."""
 
     token: Token | None = None
     cycle: Annotated[int, Field(ge=0, le=10**9)] | None = None
@@ -110,13 +113,13 @@ class AddedPair(Revised):
 
 
 class KeptPairs(Revised):
-    """Names of the further pairs that stay."""
+    """Names of the further pairs to keep."""
 
     further: Annotated[tuple[PairName, ...], Field(max_length=MOST_FURTHER)]
 
 
 class Wishing(Revised):
-    """What the job is to be; what is left out stays. null of gripping, sizes, tray, tilt_deg: as taught."""
+    """Changes to the wanted job; omitted fields stay. gripping, sizes, tray, tilt_deg : null: as taught."""
 
     name: JobName | None = None
     number: Number | None = None
@@ -128,14 +131,14 @@ class Wishing(Revised):
 
 
 class TeachingRoutes:
-    """The routes."""
+    """Routes of job drafts."""
 
     def __init__(self, teachings: Teachings, activation: Activation) -> None:
         self._teachings = teachings
         self._activation = activation
 
     def add_to(self, table: RouteTable) -> None:
-        """Add them."""
+        """Add the routes to a table."""
         routes = DraftRoutes(table, "/teachings", self._teachings.drafts, TeachingDocument)
         words = {"GET all": "All drafts of jobs, the youngest first", "GET": "A draft of a job as it stands"}
         routes.add_usual(TeachingList, "teachings", {**words, "DELETE": "Forget a draft"})
@@ -193,7 +196,7 @@ class TeachingRoutes:
         for name in ("name", "number"):
             if (value := getattr(body, name)) is not None:
                 sets[name] = value
-        # null is a wish, too
+        # an explicit null is a value too
         sets |= {name: None for name in ("gripping", "sizes", "reference") if name in stated}
         sets |= body.model_dump(mode="json", include={"tilt_deg", "tray"} & stated)
         more: dict[str, Any] = {name: getattr(body, name) for name in ("reference", "gripping", "sizes")}
@@ -203,7 +206,7 @@ class TeachingRoutes:
         await self._activation.check(call.body.token)
         candidate = await self._teachings.candidate(draft)
         call.trail.object = candidate.folder
-        # first: a kill after the exchange must not leave a draft that does not know its job
+        # noted first: if killed after the activation, the draft must still know its job
         await self._teachings.note_activated(draft, candidate)
         try:
             asked = self._activation.activate_jobs(candidate.put, signed_mandate(call))

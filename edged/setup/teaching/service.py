@@ -1,6 +1,6 @@
-"""Drafts of jobs in a running cell: a pair is kept, people say what of it is the part, the worker learns it.
+"""Job drafts in a running cell: a pair is stored, users mark the part in it, and the worker learns it.
 
-What people say is on disc before it is answered; what it comes to is sent when the worker has looked.
+Users' input is on disc before the request is answered; results are sent when the worker has computed them.
 """
 
 from __future__ import annotations
@@ -51,12 +51,12 @@ NOTHING_SEEN: Mapping[str, Any] = {
     **dict.fromkeys(("reference", "gripping", "tray", "predicted", "break_mm", "break_end")),
     "outlines": ContoursDocument(left=[], right=[]),
 }
-"""Fields of a `TeachingDocument` while the pair has not been looked at."""
+"""Fields of a `TeachingDocument` before the worker has analysed the pair."""
 
 
 @dataclass(eq=False, slots=True)
 class OpenTeaching:
-    """A draft that is worked on. seen : what `seen_of` teaches; trouble : why that is nothing."""
+    """An open draft. seen : result for the inputs `seen_of`, or None. trouble : why there is none."""
 
     draft: TeachingDraft
     seen: JobSeen | None = None
@@ -75,7 +75,7 @@ class OpenTeaching:
 class Teachings:
     """All drafts of jobs of a cell; used on its event loop.
 
-    recorded : the file of a recorded cycle; raises `KeyError`.
+    recorded : returns the file of a recorded cycle; raises `KeyError`.
     """
 
     def __init__(self, cell: CellInUse, recorded: Callable[[int], Awaitable[Path]]) -> None:
@@ -91,10 +91,10 @@ class Teachings:
     async def begin(
         self, author: str, *, token: str | None, name: str | None, job: str | None, cycle: int | None
     ) -> DraftHead:
-        """A new draft: from a fresh pair or a recorded one, else from that which a job was taught from.
+        """Begin a draft from a fresh pair or a recorded one, otherwise from the pair that a job keeps.
 
         job : the one that it replaces. Raises `TeachError`, `SetupRefused`, `CaptureError`, `OSError`, and
-        `KeyError` for a job or a cycle that there is not.
+        `KeyError` for an unknown job or cycle.
         """
         replaced = None if job is None else self._cell.job_lines().line(job)
         taken = await self._sources.take(token, cycle, replaced)
@@ -109,18 +109,18 @@ class Teachings:
         return self.drafts.tell(opened)
 
     async def job(self, identity: str) -> Job:
-        """The job that is wanted, once it is learnt. Raises `KeyError`, `TeachError` that says why not."""
+        """The wanted job, once it is learnt. Raises `KeyError`, and `TeachError` with the reason if not."""
         return (await self._seen(await self.drafts.get(identity))).job
 
     async def set_region(self, identity: str, revision: int | None, shapes: Sequence[Shape]) -> DraftHead:
-        """Where the part is. Raises `TeachError` for what is no region, `StaleDraft`."""
+        """Set the region of the part. Raises `TeachError` for an invalid one, `StaleDraft`."""
         state = (await self.drafts.get(identity)).draft.state
         await asyncio.to_thread(check_region, shapes, state.width, state.height)
         sets: JsonValue = [shape.model_dump(mode="json") for shape in shapes]
         return await self._operate(identity, revision, "region", {"shapes": sets, "drawing": None})
 
     async def draw(self, identity: str, revision: int | None, drawn: Drawn) -> DraftHead:
-        """Learn from a drawing instead. Raises `TeachError` that says what is wrong with it, `StaleDraft`."""
+        """Learn from a drawing instead. Raises `TeachError` with what is wrong with it, `StaleDraft`."""
         opened = await self.drafts.get(identity)
         self.drafts.check(opened, revision)
         depth_mm = await self._depth_mm(opened) if drawn.depth_mm is None else drawn.depth_mm
@@ -130,7 +130,7 @@ class Teachings:
         return await self._operate(identity, revision, "drawing", {"drawing": drawing})
 
     async def _depth_mm(self, opened: OpenTeaching) -> float:
-        """As it was stated before, else as the pair shows it. Raises `TeachError` where neither is known."""
+        """Depth as stated before, or else as the pair shows it. Raises `TeachError` if neither is known."""
         known = opened.draft.state.content.drawing
         if known is not None:
             return known.depth_mm
@@ -146,10 +146,10 @@ class Teachings:
     async def add_pair(
         self, identity: str, revision: int | None, *, token: str | None, cycle: int | None
     ) -> DraftHead:
-        """A further pair, fresh or of a recorded cycle: the part tilted, or in other light.
+        """Add a further pair, fresh or of a recorded cycle, of the part tilted or in other light.
 
-        Raises `TeachError`, `SetupRefused`, `CaptureError`, `StaleDraft`, and `KeyError` for a cycle that
-        there is not.
+        Raises `TeachError`, `SetupRefused`, `CaptureError`, `StaleDraft`, and `KeyError` for an unknown
+        cycle.
         """
         opened = await self.drafts.get(identity)
         self.drafts.check(opened, revision)
@@ -158,7 +158,7 @@ class Teachings:
         return await self.keep_pairs(identity, revision, [*opened.draft.state.content.further, name])
 
     async def keep_pairs(self, identity: str, revision: int | None, names: Sequence[str]) -> DraftHead:
-        """Let these further pairs stay. Raises `KeyError` for what there is not, `StaleDraft`."""
+        """Keep only these further pairs. Raises `KeyError` for an unknown one, `StaleDraft`."""
         draft = (await self.drafts.get(identity)).draft
         for name in names:
             if not draft.picture("left", pair=name).is_file():
@@ -166,9 +166,9 @@ class Teachings:
         return await self._operate(identity, revision, "further", {"further": list(dict.fromkeys(names))})
 
     async def tap(self, identity: str, revision: int | None, place: TapPlace) -> DraftHead:
-        """Let the region be what is there: the largest thing, at the next tap the next smaller one.
+        """Set the region to the largest object at a place, with each further tap to the next smaller one.
 
-        The first tap on what was proposed means that, and not a bore in it.
+        The first tap on the proposed region selects that region, not a bore in it.
         """
         opened = await self.drafts.get(identity)
         self.drafts.check(opened, revision)
@@ -182,14 +182,14 @@ class Teachings:
         return await self._operate(identity, revision, "tap", sets)
 
     async def take(self, identity: str, revision: int | None, taken: Mapping[str, bool]) -> DraftHead:
-        """Take features, or leave them. Raises `TeachError` when nothing is left, `KeyError`."""
+        """Use features or leave them out. Raises `TeachError` if nothing is left, `KeyError`."""
         opened = await self.drafts.get(identity)
         seen, before = await self._seen(opened), opened.draft.state.content.left_out
         marks = {name: seen.marks[name] for name in taken}
         left_out = {nearest(mark, seen.marks): mark for mark in before}
         left_out = {name: mark for name, mark in left_out.items() if name not in taken}
         left_out |= {name: mark for name, mark in marks.items() if not taken[name]}
-        # what lies nowhere now may lie there again in another region
+        # keep marks that match no feature now: they may match again in another region
         every = [mark for mark in before if nearest(mark, seen.marks) is None]
         every += [mark for name, mark in left_out.items() if name is not None]
         return await self._wish(opened, revision, "features", {"left_out": [kept(mark) for mark in every]})
@@ -204,7 +204,7 @@ class Teachings:
         gripping: GripWanted | None = None,
         sizes: Sequence[SizeWanted] | None = None,
     ) -> DraftHead:
-        """Anything else. sets : fields of the content as they are kept. Raises `TeachError`, `KeyError`."""
+        """Change anything else. sets : fields of the content as stored. Raises `TeachError`, `KeyError`."""
         opened, found = await self.drafts.get(identity), dict(sets)
         if reference is not None or gripping is not None or sizes is not None:
             seen = await self._seen(opened)
@@ -221,20 +221,20 @@ class Teachings:
         return await self._wish(opened, revision, "about", found)
 
     async def candidate(self, identity: str) -> Candidate:
-        """The job that is wanted, as files. Raises `KeyError`, `TeachError` that says why there is none."""
+        """The wanted job as files. Raises `KeyError`, and `TeachError` with the reason if there is none."""
         opened = await self.drafts.get(identity)
         job = (await self._seen(opened)).job
         files = {**job_files(job), **await asyncio.to_thread(opened.draft.kept)}
         return self._cell.job_lines().candidate(job.name, job.number, opened.draft.state.job, files)
 
     async def note_activated(self, identity: str, candidate: Candidate | None) -> None:
-        """The job is about to be the cell's; None: it is not after all."""
+        """Record that the job is about to become active in the cell; None takes that back."""
         digest = None if candidate is None else candidate.digest
         async with self.drafts.changing(opened := await self.drafts.get(identity)):
             await asyncio.to_thread(opened.draft.note_activated, digest)
 
     async def note_job(self, identity: str) -> None:
-        """The job that came of a draft is the cell's: it is the draft of that job from now on."""
+        """Record that the draft's job is now active in the cell: from now on it is a draft of that job."""
         opened = await self.drafts.get(identity)
         async with self.drafts.changing(opened):
             await asyncio.to_thread(self._note_job, opened.draft)
@@ -248,7 +248,7 @@ class Teachings:
     async def _wish(
         self, opened: OpenTeaching, revision: int | None, what: str, sets: Mapping[str, JsonValue]
     ) -> DraftHead:
-        """Where the job is learnt already, what cannot be is refused now."""
+        """Apply an operation; if the job is learnt already, refuse impossible ones at once."""
         seen = opened.seen
         if seen is not None:
             wanted = opened.draft.state.content.with_(sets)
@@ -263,17 +263,17 @@ class Teachings:
     # --- learning --------------------------------------------------------------------------------
 
     def _line(self, **wanted: str | None) -> JobLine | None:
-        """The job of the cell of which a field is as wanted."""
+        """The job of the cell with this value of a field; None if there is none."""
         ((name, value),) = wanted.items()
         return next((line for line in self._cell.job_lines().lines if getattr(line, name) == value), None)
 
     def _wanted(self, opened: OpenTeaching) -> tuple[object, ...]:
-        """Inputs of what is seen."""
+        """Inputs that `seen` depends on."""
         state, rig = opened.draft.state, self._cell.rig()
         return state.content, None if rig is None else rig.content, self._line(folder=state.job)
 
     async def _seen(self, opened: OpenTeaching) -> JobSeen:
-        """What is wanted, as it is seen. Raises `TeachError` that says why it is not."""
+        """Wait for the result of the present content. Raises `TeachError` with the reason if none."""
         self.refresh(opened)
         await opened.ended.wait()
         if opened.seen is None:
@@ -292,8 +292,8 @@ class Teachings:
                     opened.seen_of, opened.trouble = wanted, None
                 except EdgedError as error:
                     failed += isinstance(error, TaskFailed)
-                    failed += isinstance(error, TaskTooLarge)  # once is enough
-                    if failed == 1 and isinstance(error, TaskFailed):  # somebody ended the process
+                    failed += isinstance(error, TaskTooLarge)  # not tried again
+                    if failed == 1 and isinstance(error, TaskFailed):  # the worker process was ended: retry
                         continue
                     opened.seen, opened.seen_of = None, self._wanted(opened)
                     opened.trouble = error
@@ -303,11 +303,11 @@ class Teachings:
                     self.drafts.tell(opened)
         finally:
             opened.ended.set()
-            # when the task has ended: then nothing is being proposed any more
+            # later, when the task has ended and no longer counts as proposing
             asyncio.get_running_loop().call_soon(self.drafts.tell, opened)
 
     async def _propose(self, opened: OpenTeaching) -> None:
-        """The region before anybody has said another."""
+        """Propose the initial region, unless one is set already."""
         if opened.draft.state.content.shapes is not None:
             return
         corners = await self._worker.run("propose_region", opened.draft.pictures)
@@ -325,7 +325,7 @@ class Teachings:
         return seen
 
     def _former(self, draft: TeachingDraft) -> FormerFiles | None:
-        """The job that is replaced, as it is now; None where it is gone or cannot be read."""
+        """The replaced job as it is now; None if it is gone or cannot be read."""
         if draft.state.job is None:
             return None
         folder = self._cell.job_lines().folder / draft.state.job
@@ -338,18 +338,18 @@ class Teachings:
     # --- the topic of `drafts` -------------------------------------------------------------------
 
     def opened(self, draft: TeachingDraft) -> OpenTeaching:
-        """Work on a draft, perhaps after a kill just when a job had come of it."""
+        """Open a draft for work; note its job if the process was killed right after its activation."""
         self._note_job(draft)
         return OpenTeaching(draft)
 
     def refresh(self, opened: OpenTeaching) -> None:
-        """Learn what is wanted."""
+        """Start learning if the inputs have changed."""
         if not self._tasks.is_running(opened.task) and opened.seen_of != self._wanted(opened):
             opened.ended.clear()
             opened.task = self._tasks.start("teach", partial(self._run_look, opened))
 
     async def stop(self, opened: OpenTeaching) -> None:
-        """Learn no more."""
+        """Stop learning."""
         if self._tasks.is_running(opened.task):
             await self._tasks.cancel(str(opened.task))
 
@@ -359,11 +359,11 @@ class Teachings:
         return {**about, "active": self._is_active(state)}
 
     def _is_active(self, state: TeachState) -> bool:
-        """Whether the job that came of it is the cell's, as it is."""
+        """Whether the job that was made from it is active in the cell, unchanged."""
         return state.activated is not None and self._line(digest=state.activated) is not None
 
     def document(self, opened: OpenTeaching) -> TeachingDocument:
-        """All that is known of a draft."""
+        """Full document of a draft."""
         state, content, place = opened.draft.state, opened.draft.state.content, opened.draft.state.id
         shapes, drawing = list(content.shapes or ()), content.drawing
         return TeachingDocument(
@@ -388,7 +388,7 @@ class Teachings:
         )
 
     def _shown(self, opened: OpenTeaching) -> Mapping[str, Any]:
-        """The fields of a `TeachingDocument` that the pair tells, as far as that is known already."""
+        """Fields of a `TeachingDocument` that come from the pair, as far as they are known already."""
         seen, rig, content = opened.seen, self._cell.rig(), opened.draft.state.content
         if seen is None or rig is None:
             return NOTHING_SEEN

@@ -1,4 +1,4 @@
-"""Where the pair of a new draft of a job comes from: the cameras, a recorded cycle, or the job itself."""
+"""Sources of the pair for a new job draft: the cameras, a recorded cycle, or the replaced job."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ from edged.setup.teaching.drafts import KeptPair, kept_pair
 
 
 class Sources:
-    """recorded : the file of a recorded cycle; raises `KeyError`."""
+    """Gets pairs for job drafts. recorded : returns the file of a recorded cycle; raises `KeyError`."""
 
     def __init__(self, cell: CellInUse, recorded: Callable[[int], Awaitable[Path]]) -> None:
         self._cell = cell
         self._recorded = recorded
 
     async def take(self, token: str | None, cycle: int | None, replaced: JobLine | None) -> KeptPair:
-        """The pair of a recorded cycle, else a fresh one, else that which a job keeps.
+        """The pair of a recorded cycle, otherwise a fresh one, otherwise the one that a job keeps.
 
-        Raises `TeachError`, `SetupRefused`, `CaptureError`, `FileFormatError`, and `KeyError` for a cycle
-        that there is not.
+        Raises `TeachError`, `SetupRefused`, `CaptureError`, `FileFormatError`, and `KeyError` for an unknown
+        cycle.
         """
         if cycle is not None:
             file = await self._recorded(cycle)
@@ -39,7 +39,7 @@ class Sources:
 
 
 def recorded_pair(file: Path, calibration_id: str) -> KeptPair:
-    """The pair of a recorded cycle that the rig in use measured. Raises `TeachError`, `FileFormatError`."""
+    """The pair of a recorded cycle measured with the rig in use. Raises `TeachError`, `FileFormatError`."""
     cycle = load(file)
     if cycle.pair is None:
         raise TeachError("that cycle has no pictures: the cameras gave none", "no_pictures")

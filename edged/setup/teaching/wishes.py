@@ -1,4 +1,4 @@
-"""What people want of a draft of a job: in the words of requests and pages, and as the draft keeps it."""
+"""Converts users' wishes for a job draft between the form of requests and pages and the form on disc."""
 
 from __future__ import annotations
 
@@ -31,9 +31,9 @@ from edged.vision.teaching.region import Region, painted_region
 
 @dataclass(frozen=True, slots=True)
 class Drawn:
-    """A DXF drawing. depth_mm : of its face from the left camera; None: as the pair shows it.
+    """A DXF drawing. depth_mm : of its face from the left camera; None for as the pair shows it.
 
-    unit : where the drawing does not say it. layers : only these; empty: all that are switched on.
+    unit : used if the drawing does not state one. layers : only these; empty for all that are switched on.
     """
 
     data: bytes
@@ -44,23 +44,23 @@ class Drawn:
 
 
 def check_region(shapes: Sequence[Shape], width: int, height: int) -> None:
-    """Raises `TeachError` for what is no region of a picture of that size."""
+    """Check a region in a picture of this size. Raises `TeachError` for an invalid one."""
     region, exclude = region_of(shapes, width, height)
     painted_region(region or Region(0, 0, width, height), exclude, width, height)
 
 
 def polygon(corners: Line) -> JsonValue:
-    """A region as it is kept."""
+    """A polygon as a region in stored form."""
     return {"kind": "polygon", "add": True, "points": [[x, y] for x, y in corners]}
 
 
 def kept(mark: Mark) -> JsonValue:
-    """A feature's place, as the draft keeps it."""
+    """A feature's mark in stored form."""
     return mark.model_dump(mode="json")
 
 
 def tapped_feature(seen: JobSeen, place: TapPlace) -> str:
-    """The smallest circle or slot around a point, else the feature that is nearest to it."""
+    """Name of the smallest circle, slot or corner around a point, otherwise of the nearest one."""
     apart = {
         name: math.hypot(mark.x - place.x, mark.y - place.y)
         for name, mark in seen.marks.items()
@@ -73,14 +73,14 @@ def tapped_feature(seen: JobSeen, place: TapPlace) -> str:
 
 
 def kept_size(seen: JobSeen, wanted: SizeWanted) -> JsonValue:
-    """A size, as the draft keeps it. Raises `KeyError` for a feature that there is not."""
+    """A size in stored form. Raises `KeyError` for an unknown feature."""
     marks = tuple(seen.marks[name] for name in wanted.of)
     fields = wanted.model_dump(include={"kind", "nominal", "tolerance"})
     return Size(**fields, of=marks, name=wanted.key).model_dump(mode="json")
 
 
 def kept_grip(seen: JobSeen, rig: StereoRig, wanted: GripWanted) -> JsonValue:
-    """A gripping point where the part lies in the pair, as the draft keeps it."""
+    """A gripping point in stored form, for the part as it lies in the pair."""
     job = lying(seen.job, seen.moved)
     position_mm: FloatArray = np.array([wanted.x_mm, wanted.y_mm, wanted.z_mm])
     if wanted.at is not None:
@@ -92,7 +92,7 @@ def kept_grip(seen: JobSeen, rig: StereoRig, wanted: GripWanted) -> JsonValue:
 
 
 def gripping_in(wanted: Gripping | None, seen: JobSeen, rig: StereoRig) -> GrippingDocument | None:
-    """How a tool takes the part: as people want it, else as the job that is replaced has it."""
+    """Document of the gripping point: the wanted one, else that of the replaced job; None without any."""
     grasps = seen.job.picking.grasps
     if wanted is None and not grasps:
         return None

@@ -1,4 +1,4 @@
-"""What the worker process can do for drafts of jobs."""
+"""Functions that the worker process runs for job drafts."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ from edged.vision.teaching.foreground import parts_at
 
 
 def regions_at(pictures: Path, x: float, y: float) -> tuple[Line, ...]:
-    """Around each thing that a point of the left picture is inside of, the largest first."""
+    """Outlines of the objects around a point of the left picture, largest first."""
     return tuple(line(outline) for outline in parts_at(load_image(pictures / "left.png"), x, y))
 
 
 def read_drawing(
     data: bytes, name: str, units: str | None, layers: tuple[str, ...]
 ) -> tuple[tuple[tuple[float, float], ...], ...]:
-    """Closed outlines of a DXF drawing, mm. name : of it, for messages.
+    """Closed outlines of a DXF drawing, mm. name : of the drawing, for messages.
 
-    Raises `TeachError` that says where in the drawing it is, and what.
+    Raises `TeachError` with what is wrong and where in the drawing.
     """
     with TemporaryDirectory(prefix="edged-drawing-") as folder:
         path = Path(folder) / "drawing.dxf"

@@ -1,4 +1,4 @@
-"""What the page gets of a job that is tried: the newest pair, the still test, the working volume."""
+"""Documents of trying a job, for the page: the newest pair, the still test, the working volume."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from edged.setup.trials.tried import TriedPart, sigma_of
 
 
 class TrialDocument(Frozen):
-    """The trial as it stands. number : of the live pair. status : OK, LOW_QUALITY, NO_TARGET; null: none yet.
+    """State of the trial. number : of the live pair. status : OK, LOW_QUALITY, NO_TARGET; null if none yet.
 
-    words_code : the first of the reasons, or OK. trouble : why the pair could not be measured at all.
-    covered : places in the rig's frame, mm, where a part was good, as x, y, z; covered_share : of the working
+    words_code : the first reason, or OK. trouble : why the pair could not be measured at all.
+    covered : places in the rig's frame, mm, where a part was good, as x, y, z. covered_share : of the working
     volume, null while its map is not known.
     """
 
@@ -36,11 +36,12 @@ class TrialDocument(Frozen):
 
 
 class StillDocument(Frozen):
-    """A still test. edges_um : what the edges' share of the sigma states; noise_um : what of it is noise.
+    """A still test. edges_um : the edges' share of the stated sigma. noise_um : its part due to noise.
 
-    chi2 : scatter over the variance that the noise explains, or over the stated one where the noise is not
-    known; expected : where it should lie. larger, smaller : the scatter than that, or than what is stated.
-    covers : what is stated the scatter; null where nothing is judged. moving, vanished : the part did.
+    chi2 : variance of the scatter relative to that explained by noise, or to the stated one if the noise is
+    not known. expected : interval where it should lie. verdict : larger, smaller : the scatter is larger or
+    smaller than explained or stated; moving, vanished : the part moved, or was not found. covers : the stated
+    sigma covers the scatter; null if not judged.
     """
 
     at: str
@@ -64,9 +65,9 @@ class Stills(Frozen):
 
 
 class MapPoint(Frozen):
-    """A place of the reference point, mm, rig frame. sigma_um : null where it is not in both pictures.
+    """A position of the reference point, mm, rig frame. sigma_um : null if the part is not in both pictures.
 
-    left : raw px of the left picture; null for what its lens does not show.
+    left : raw px of the left picture; null outside its lens's field of view.
     """
 
     x: float
@@ -77,9 +78,10 @@ class MapPoint(Frozen):
 
 
 class MapDocument(Frozen):
-    """The sigma to be expected, of edges and calibration, X, Y, Z of the rig's frame; the part as taught.
+    """Expected sigma from edges and calibration, X, Y, Z in the rig's frame, of the part as at teaching.
 
-    points : x runs fastest, then y, then z. measured : by edges as clear as in the last pair, else as usual.
+    points : x runs fastest, then y, then z. measured : with the edge quality of the last pair, else a usual
+    one.
     """
 
     name: str
@@ -92,7 +94,7 @@ class MapDocument(Frozen):
 
 
 def map_document(name: str, found: SigmaMap, *, measured: bool) -> MapDocument:
-    """A map as the page gets it."""
+    """Document of a map."""
     columns, rows, layers = (len(axis) for axis in found.axes)
     points = []
     for place, sigma, left in zip(found.places_mm.tolist(), found.sigma_mm, found.left_px, strict=True):
@@ -112,7 +114,7 @@ def map_document(name: str, found: SigmaMap, *, measured: bool) -> MapDocument:
 
 
 def still_document(found: StillResult, name: str, calibration: str, at: str, by: str) -> StillDocument:
-    """A still test as the page gets it."""
+    """Document of a still test."""
     low, high = found.expected
     return StillDocument(
         at=at,

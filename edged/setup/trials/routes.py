@@ -1,4 +1,4 @@
-"""The routes of trying a job: on live pairs, by a part that lies still, in the whole working volume."""
+"""Routes of trying a job: on live pairs, by a still test, and in the whole working volume."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ Draft = Annotated[str, Field(pattern=r"^[0-9]{8}-[0-9]{6}-[0-9a-f]{4}$")]
 
 
 class TrialSubject(Body):
-    """A job by its name, or a teaching draft by its id; neither: what was tried last."""
+    """A job by its name, or a teaching draft by its id; neither for the one that was tried last."""
 
     job: Name | None = None
     teaching: Draft | None = None
@@ -29,24 +29,24 @@ class TrialSubject(Body):
         return self
 
     def what(self) -> What:
-        """The job or draft that is meant."""
+        """The job or draft to try."""
         return What(self.job, self.teaching)
 
 
 class TrialSwitch(TrialSubject, Leased):
-    """Whether live pairs are measured by it."""
+    """Whether to measure live pairs with the job."""
 
     on: bool
 
 
 class HoldingStill(TrialSubject, Leased):
-    """How many pictures of a part that nobody touches."""
+    """A still test: the number of pictures of a part that is not moved."""
 
     pictures: Annotated[int, Field(ge=LEAST, le=MOST)] = 30
 
 
 class TrialRoutes:
-    """The routes."""
+    """Routes of trying a job."""
 
     def __init__(self, trials: Trials) -> None:
         self._trials = trials

@@ -1,7 +1,7 @@
-"""A job is tried on live pairs: measured in the worker process, shown at once, never waited for.
+"""Tries a job on live pairs: they are measured in the worker process and shown at once, without blocking.
 
-While a job is tried, no board is looked for in the same pairs. A pair that comes while the worker is busy is
-left out, so that the newest is always the one that is shown.
+While a job is tried, the same pairs are not searched for a board. Pairs that arrive while the worker is busy
+are skipped, so that the newest one is always shown.
 """
 
 from __future__ import annotations
@@ -41,16 +41,16 @@ log = logging.getLogger(__name__)
 
 FUNCTIONS = {name: f"edged.setup.trials.work:{name}" for name in ("try_pair", "stand", "still", "sigmas")}
 MOST_COVERED = 2000
-"""Places that are sent: a trail of many minutes."""
+"""Most places that are sent: a trail of many minutes."""
 MOST_KNOWN = 4
-"""Jobs whose trail and map are kept."""
+"""Number of jobs whose trail and map are kept."""
 APART_MM = 0.5
-"""A part that lies still leaves one place in the trail."""
+"""Least distance of two places in the trail, so that a part that lies still leaves only one."""
 
 
 @dataclass(frozen=True, slots=True)
 class What:
-    """What is tried: a job of the cell by its name, or the draft of one by its id."""
+    """Subject of a trial: a job of the cell by its name, or a teaching draft by its id."""
 
     job: str | None = None
     teaching: str | None = None
@@ -58,7 +58,7 @@ class What:
 
 @dataclass(eq=False, slots=True)
 class _Trial:
-    """What is known of a job with a rig. content : the job, as the worker is sent it."""
+    """State of a trial of a job with a rig. content : the encoded job, as it is sent to the worker."""
 
     what: What
     job: Job
@@ -81,7 +81,7 @@ class _Trial:
         return len(self.visited & set(np.flatnonzero(self.map.seen).tolist())) / int(self.map.seen.sum())
 
     def document(self, *, on: bool) -> TrialDocument:
-        """The trial as pages get it."""
+        """Document of the trial."""
         tried = self.tried
         return TrialDocument(
             on=on,
@@ -100,7 +100,7 @@ class _Trial:
         )
 
     def note(self, number: int, tried: TriedPair) -> None:
-        """A pair was measured."""
+        """Record the result of a pair."""
         self.number, self.tried, self.trouble = number, tried, None
         self.scatters = tried.scatters or self.scatters
         for place in tried.places_mm:
@@ -110,7 +110,7 @@ class _Trial:
                 self.places.append(place)
 
     def chart(self, found: SigmaMap, *, measured: bool) -> None:
-        """What is to be expected is known; places from before count."""
+        """Set the map of the expected sigma; earlier places count as visited in it."""
         self.map, self.map_measured = found, measured
         self.visited.clear()
         for place in self.places:
@@ -123,37 +123,37 @@ class _Trial:
 
 
 class Trials:
-    """Used on the event loop only.
+    """Trials of jobs in a cell; used on the event loop only.
 
-    draft : the job of a teaching draft by its id; raises `KeyError`.
+    draft : returns the job of a teaching draft by its id; raises `KeyError`.
     """
 
     def __init__(self, cell: CellInUse, draft: Callable[[str], Awaitable[Job]]) -> None:
         self._cell = cell
         self._kept = LastDocument(cell.folder / "still.json", StillDocument, "the last still test")
         self._draft = draft
-        self._known: dict[What, _Trial] = {}  # asked for last at the end
-        self._tried = What()  # what is tried, or was last
-        self._token: str | None = None  # of the lease, while it lasts
+        self._known: dict[What, _Trial] = {}  # in the order of last use
+        self._tried = What()  # the present or last subject
+        self._token: str | None = None  # of the lease, while live pairs are measured
         self._trying: asyncio.Task[None] | None = None
         self._still: str | None = None
 
     @property
     def is_on(self) -> bool:
-        """Whether live pairs are measured by a job: then nothing else looks at them."""
+        """Whether live pairs are measured with a job; then nothing else analyses them."""
         return self._token is not None
 
     async def close(self) -> None:
-        """Nothing is tried any more."""
+        """Stop trying."""
         if self._trying is not None:
             await cancel_and_await(self._trying)
 
-    # --- what is asked -----------------------------------------------------------------------
+    # --- requests ----------------------------------------------------------------------------
 
     async def turn(self, token: str, what: What, *, on: bool) -> TrialDocument:
-        """Measure each live pair by a job from now on, or none.
+        """Start or stop measuring each live pair with a job.
 
-        Raises `SetupRefused`, `UserError`, and `KeyError` for a draft that there is not.
+        Raises `SetupRefused`, `UserError`, and `KeyError` for an unknown draft.
         """
         await self._cell.session.renew_setup(token)
         if on:
@@ -162,11 +162,11 @@ class Trials:
         return self._tell()
 
     async def document(self) -> TrialDocument:
-        """How it stands."""
+        """State of the trial."""
         return self._document()
 
     async def map(self, what: What) -> MapDocument:
-        """What is to be expected of a job in its working volume. Raises as `turn`, and `TaskFailed`."""
+        """Expected sigma of a job in its working volume. Raises as `turn`, and `TaskFailed`."""
         trial = await self._trial_of(what)
         measured = bool(trial.scatters)
         if trial.map is None or measured != trial.map_measured:
@@ -176,7 +176,7 @@ class Trials:
         return map_document(trial.job.name, trial.map, measured=trial.map_measured)
 
     async def hold_still(self, token: str, what: What, pictures: int, author: str) -> str:
-        """Begin the still test; returns the task. Raises as `turn`."""
+        """Start a still test, and return the task. Raises as `turn`."""
         await self._cell.session.renew_setup(token)
         if self._cell.tasks.is_running(self._still):
             raise SetupRefused("a still test is running")
@@ -187,13 +187,13 @@ class Trials:
         return self._still
 
     async def last_still(self) -> StillDocument | None:
-        """The last still test; None while there was none."""
+        """The last still test; None if there was none yet."""
         return await asyncio.to_thread(self._kept.read)
 
     # --- live pairs ------------------------------------------------------------------------------
 
     def offer(self, number: int, pair: FramePair) -> None:
-        """Measure a live pair, unless something else is being done."""
+        """Measure a live pair, unless the worker is busy."""
         busy = self._cell.worker.is_busy or self._cell.tasks.is_running(self._still)
         if self._token is not None and self._trying is None and not busy:
             self._trying = asyncio.create_task(
@@ -207,7 +207,7 @@ class Trials:
             trial = await self._trial_of(what)
             images = pair.images
             trial.note(number, await self._cell.worker.run("try_pair", self._setup(trial), images))
-        except (SetupRefused, KeyError):  # somebody else has the cell by now, or the draft is gone
+        except (SetupRefused, KeyError):  # the lease has ended, or the draft is gone
             self._token = None
         except (EdgedError, OSError) as error:
             if trial is not None:
@@ -220,7 +220,7 @@ class Trials:
             self._tell()
 
     async def _trial_of(self, what: What) -> _Trial:
-        """The trial of what is asked for, else of what is tried; begun anew where job or rig have changed."""
+        """The trial of a subject, or of the present one for `What()`; a new one if job or rig changed."""
         what = self._tried if what == What() else what
         job, rig = await self._job(what), self._cell.needed_rig()
         trial = self._known.pop(what, None)

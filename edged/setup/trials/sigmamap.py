@@ -1,7 +1,7 @@
-"""The working volume of a job: what its sigma will be in it, and how much of it has been proved by a part.
+"""Map of the sigma to expect in a job's working volume.
 
-Places of the reference point, rig frame, on a grid across the left picture at the nearest, the middle and the
-farthest depth that the job allows; the part lies there as it did at teaching.
+Places of the reference point, rig frame, are on a grid across the left picture at the nearest, the middle and
+the farthest depth that the job allows; the part has the same orientation as at teaching.
 """
 
 from __future__ import annotations
@@ -17,15 +17,15 @@ from edged.vision.part.expected import Scatters, expected_target
 from edged.vision.part.job import Job
 
 ACROSS, DOWN, DEEP = 9, 7, 3
-"""Places in each direction."""
+"""Number of places in each direction."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SigmaMap:
-    """places_mm (N, 3), rig frame; x runs fastest, then y, then z; axes : their values in each direction.
+    """Expected sigma on a grid. places_mm (N, 3), rig frame; x runs fastest, then y, then z.
 
-    sigma_mm (N, 3) : of X, Y, Z, edges and calibration; NaN where both pictures do not hold the part.
-    left_px (N, 2) : raw.  limit_mm : the job's, for each of them.
+    axes : values of the grid in each direction. sigma_mm (N, 3) : of X, Y, Z, from edges and calibration; NaN
+    where the part is not in both pictures. left_px (N, 2) : raw.  limit_mm : the job's limit for each sigma.
     """
 
     axes: tuple[FloatArray, FloatArray, FloatArray]
@@ -36,11 +36,11 @@ class SigmaMap:
 
     @property
     def seen(self) -> FloatArray:
-        """(N,) bool: where a part can be measured at all."""
+        """Places where a part can be measured at all, (N,) bool."""
         return np.asarray(np.isfinite(self.sigma_mm).all(axis=1))
 
     def cell_of(self, place_mm: FloatArray) -> int | None:
-        """The number of the place that is nearest to one (3,); None outside of the volume."""
+        """Index of the grid place nearest to a place (3,); None outside the volume."""
         number, stride = 0, 1
         for axis, value in zip(self.axes, place_mm, strict=True):
             step = float(axis[1] - axis[0])
@@ -52,7 +52,7 @@ class SigmaMap:
 
 
 def sigma_map(rig: PreparedRig, job: Job, scatters: Scatters, progress: Progress = silent) -> SigmaMap:
-    """What is to be expected of a job. scatters : as `expected_target` has them."""
+    """Compute the sigma to expect of a job. scatters : as in `expected_target`."""
     axes = _axes(rig, job)
     x, y, z = axes
     places = np.array([(a, b, c) for c in z for b in y for a in x])
@@ -68,7 +68,7 @@ def sigma_map(rig: PreparedRig, job: Job, scatters: Scatters, progress: Progress
 
 
 def _axes(rig: PreparedRig, job: Job) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """As wide as the left picture is at the middle depth."""
+    """Axes of the grid; it covers the left picture at the middle depth."""
     left = rig.rig.left
     near, far = job.limits.depth_mm
     z = np.linspace(near, far, DEEP)

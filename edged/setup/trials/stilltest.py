@@ -1,9 +1,9 @@
-"""Is the sigma honest? A part that lies still, measured again and again: its scatter against what is stated.
+"""Tests if the stated sigma is honest: it is compared with a still part's scatter over many pictures.
 
-Calibration and registration do not scatter from picture to picture, so it is the edges' share alone that
-must cover the scatter. Of that share, what displaces an edge alike in every picture, texture beside it, a
-wall, the light, lies as still as the part. So the scatter should be what the noise of the single edges leaves
-in the pose. A part or a camera that shakes, or light that flickers, moves all edges at once: it is more then.
+Calibration and registration do not vary from picture to picture, so only the edges' share must cover the
+scatter. Part of that share comes from effects that displace an edge equally in every picture, such as texture
+beside it, a wall or the light. The scatter should therefore be what the noise of single edges causes in the
+pose. A shaking part or camera, or flickering light, moves all edges at once and causes more.
 """
 
 from __future__ import annotations
@@ -20,27 +20,27 @@ from edged.vision.curves.edgenoise import Sighting, edge_noise
 from edged.vision.part.expected import Scatters
 
 StillVerdict = Literal["honest", "larger", "smaller", "moving", "vanished"]
-"""larger, smaller : the scatter than the stated sigma. moving, vanished : the part did: nothing is judged."""
+"""larger, smaller : the scatter, against the expected one. moving, vanished : the part; nothing is judged."""
 
 FAR = 12.0
-"""In stated sigmas: a part this far from its median place was moved."""
+"""Distance in stated sigmas from its median place at which a part counts as moved."""
 DRIFT = 3.0
-"""By what factor the variance exceeds that from one picture to the next, of a part that moves on."""
+"""Factor by which the variance exceeds that between successive pictures if a part drifts."""
 COVERAGE_SIGMA = 1.96
 REWEIGHED = 1.3
-"""What noise leaves in the pose is more, by so much in the mean of several parts, than passes through weights
-that stay: it decides a little, too, which edges count."""
+"""Factor, a mean over several parts, by which noise in the pose exceeds the prediction with fixed weights:
+noise also has some influence on which edges count."""
 LEAST_MM2 = 1e-14
-"""Least variance that counts as noise: pictures without any predict nothing."""
+"""Least variance that counts as noise: pictures without noise predict nothing."""
 LEAST, MOST = 5, 200
-"""Pictures: with fewer the verdict is open to a factor, and more take minutes."""
+"""Number of pictures: with fewer, the verdict is uncertain by a factor, and more take minutes."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Stand:
-    """A picture of the part. place_mm (3,); by_edges (3, 3) : of its covariance.
+    """One measurement of the part. place_mm (3,); by_edges (3, 3) : the edges' share of its covariance.
 
-    sightings, scatters : of its features, by name.  pose (4, 4) : rig_from_part; None: not told.
+    sightings, scatters : of its features, by name.  pose (4, 4) : rig_from_part; None if not known.
     """
 
     place_mm: FloatArray
@@ -52,11 +52,12 @@ class Stand:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StillResult:
-    """What came of it. scatter_mm, edges_mm, noise_mm (3,) : X, Y, Z; None where the part vanished.
+    """Result of a still test. scatter_mm, edges_mm, noise_mm (3,) : X, Y, Z; None if the part vanished.
 
-    edges_mm : what is stated; noise_mm : what the noise of the single edges leaves of it, None: not known.
-    chi2 : scatter over the variance that the noise explains, else over the stated one, mean of all axes;
-    expected : where 19 of 20 honest ones lie. covers : the stated sigma the scatter; None: nothing is judged.
+    edges_mm : stated sigma of the edges. noise_mm : sigma explained by the noise of single edges, None if not
+    known. chi2 : variance of the scatter relative to that explained by noise, or else to the stated one, mean
+    of all axes. expected : 95 % interval of honest ones. covers : the stated sigma covers the scatter; None
+    if not judged.
     """
 
     verdict: StillVerdict
@@ -70,16 +71,16 @@ class StillResult:
 
 
 def noises_of(stands: Sequence[Stand]) -> dict[str, tuple[float, float]]:
-    """The noise of the edges of each feature; of those that enough of the pictures show."""
+    """Noise of the edges of each feature that all pictures show, where it can be estimated."""
     names = set.intersection(*(set(stand.sightings) for stand in stands)) if stands else set()
     found = {name: edge_noise([stand.sightings[name] for stand in stands]) for name in sorted(names)}
     return {name: noise for name, noise in found.items() if noise is not None}
 
 
 def judged(stands: Sequence[Stand | None], by_noise: FloatArray | None = None) -> StillResult:
-    """The verdict over pictures, in the order they were taken; None: the part was not measured in it.
+    """Judge pictures, in the order they were taken; None for one in which the part was not measured.
 
-    by_noise (3, 3) : what the noise of the edges leaves of the place's covariance; None: not known.
+    by_noise (3, 3) : covariance of the place explained by the noise of the edges; None if not known.
     """
     count = len(stands)
     honest = low, high = interval(3 * (count - 1))
@@ -110,9 +111,9 @@ def judged(stands: Sequence[Stand | None], by_noise: FloatArray | None = None) -
 
 
 def interval(freedom: int) -> tuple[float, float]:
-    """Where chi² / freedom lies in 95 of 100 cases.
+    """95 % interval of chi² / freedom.
 
-    To half a percent from 12 degrees on. Source: E. B. Wilson, M. M. Hilferty, PNAS 17, 1931.
+    To half a percent from 12 degrees of freedom on. Source: E. B. Wilson, M. M. Hilferty, PNAS 17, 1931.
 
     >>> low, high = interval(87)
     >>> round(low, 2), round(high, 2)
@@ -124,9 +125,9 @@ def interval(freedom: int) -> tuple[float, float]:
 
 
 def _has_moved(places: FloatArray, stated: FloatArray, explained: FloatArray) -> bool:
-    """Whether the part lay elsewhere in some picture, or went on little by little.
+    """Whether the part lay elsewhere in some picture, or drifted.
 
-    From picture to picture a part that drifts, or was pushed once, differs by less than over all of them
+    A part that drifts, or was pushed once, differs less between successive pictures than over all of them
     (J. von Neumann, "Distribution of the Ratio of the Mean Square Successive Difference", 1941).
     """
     away = np.abs(places - np.median(places, axis=0))
@@ -138,5 +139,5 @@ def _has_moved(places: FloatArray, stated: FloatArray, explained: FloatArray) ->
 
 
 def _mean_square(gaps: FloatArray, covariance: FloatArray) -> float:
-    """Mean square of vectors (N, 3), in units of a covariance (3, 3), by degree of freedom."""
+    """Mean square of vectors (N, 3), in units of a covariance (3, 3), per coordinate."""
     return float(np.sum(gaps * np.linalg.solve(covariance, gaps.T).T) / gaps.size)

@@ -1,6 +1,6 @@
-"""What a job makes of one pair, as somebody sees it who pushes the part around: verdict, outlines, whiskers.
+"""Result of a job in one live pair, for a user who moves the part around: verdict, outlines, residuals.
 
-As the cell itself would judge the pair, with the job's picking and the cell's bounds.
+The pair is judged as the cell itself would, with the job's picking and the cell's bounds.
 """
 
 from __future__ import annotations
@@ -34,13 +34,13 @@ from edged.vision.part.measured import MeasuredPart
 
 MOST_PARTS = 8
 MOST_WHISKERS = 400
-"""In one picture: more cannot be told apart, and each goes over the network."""
+"""Most residuals drawn in one picture: more cannot be distinguished, and each is sent over the network."""
 UNKNOWN_DEG = 60.0
-"""A sigma from here on is that of an angle about a symmetry axis: not known."""
+"""A sigma from this value on belongs to an angle about a symmetry axis: the angle is not known."""
 
 
 class Terms(Frozen):
-    """Where the sigma comes from, µm: the squares add up to that of the sigma."""
+    """Contributions to the sigma, µm: their squares add up to that of the sigma."""
 
     edges: SigmaXyz
     calibration: SigmaXyz
@@ -56,7 +56,7 @@ class Lines(Frozen):
 
 
 class Whiskers(Frozen):
-    """Edges beside their outlines: x, y of the outline's point, and from there to the edge; raw px."""
+    """Residuals of edges: x, y of a point of the outline, and the vector from there to the edge; raw px."""
 
     left: Points
     right: Points
@@ -65,7 +65,7 @@ class Whiskers(Frozen):
 class TriedPart(Frozen):
     """A part. status : OK, or LOW_QUALITY with the reasons. left : its reference, raw px of the left picture.
 
-    frame : robot or rig, of the pose. missing : taught features that were not measured, where they should be.
+    frame : of the pose, robot or rig. missing : expected outlines of taught features that were not measured.
     """
 
     status: str
@@ -85,7 +85,7 @@ class TriedPart(Frozen):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TriedPair:
-    """What a pair gave. reasons : of all its parts, or why there is none; parts : good ones first.
+    """Result of a pair. reasons : of all its parts, or why there is none. parts : good ones first.
 
     places_mm (N, 3) : of the good parts, rig frame.  scatters : of the best part's features, empty without.
     """
@@ -103,7 +103,7 @@ def try_pair(
     """Locate the job's part. Raises `ImageError` for pictures that do not fit the rig."""
     inspection = inspect(pair, job, rig)
     outcome = picked(judge(inspection), within(job.picking, bounds), frame_of(rig.rig))
-    # the reported pose stands in for the reference point's: the match identifies each again
+    # targets now have the reported pose: each is identified by its match
     measured = {id(part.target.match): part for part in inspection.measured}
     shown = [(target, measured[id(target.match)]) for target in outcome.targets if _is_finite(target)]
     parts = tuple(_part(rig.rig, job, target, of, convention) for target, of in shown[:MOST_PARTS])
@@ -161,7 +161,7 @@ def _part(
 
 
 def _whiskers(rig: StereoRig, features: list[FeatureEvidence], side: int) -> Points:
-    """Residuals of the edges that count, evenly thinned."""
+    """Residuals of the edges in use, evenly thinned."""
     camera, from_rig = (rig.left, np.eye(4)) if side == 0 else (rig.right, rig.right_from_left)
     view = PictureView(
         np.zeros((0, 0, 3), np.uint8), camera, from_rig, (0, 0, camera.width, camera.height), 1.0
@@ -175,7 +175,7 @@ def _whiskers(rig: StereoRig, features: list[FeatureEvidence], side: int) -> Poi
         across = found.normals * found.across_px[:, None]
         whiskers.append(np.hstack([found.feet, across])[found.used])
     lines = np.concatenate(whiskers) if whiskers else np.zeros((0, 4))
-    # the feet to a tenth of a pixel, what lies across them as fine as it is measured
+    # points to a tenth of a pixel, residuals with full resolution
     return [[round(x, 1), round(y, 1), round(dx, 4), round(dy, 4)] for x, y, dx, dy in lines.tolist()]
 
 
@@ -200,7 +200,7 @@ def _angles(target: Target, reading: PartReading) -> SigmaAbc:
 
 
 def terms_of(rig: StereoRig, target: Target) -> Terms | None:
-    """Where the sigma of a target comes from, in the frame that it is given in; None: unknown."""
+    """Contributions to the sigma of a target, in the frame that it is given in; None if unknown."""
     budget = budget_of(target, rig.robot_from_rig, rig.registration_covariance)
     if budget is None:
         return None
@@ -209,7 +209,7 @@ def terms_of(rig: StereoRig, target: Target) -> Terms | None:
 
 
 def stand_of(measured: MeasuredPart) -> Stand | None:
-    """A part in one of many pictures of it; None where it is not known what its edges are worth."""
+    """The measurement of a part for a still test; None if the edges' share of its covariance is not known."""
     target = measured.target
     if target.by_edges is None or not _is_finite(target):
         return None
@@ -219,10 +219,10 @@ def stand_of(measured: MeasuredPart) -> Stand | None:
 
 
 def still_part(rig: PreparedRig, job: Job, stands: Sequence[Stand | None]) -> StillResult:
-    """The verdict over pictures of a part that lay still."""
+    """Judge the pictures of a part that lay still."""
     seen = [stand for stand in stands if stand is not None]
     noises, expected = noises_of(seen), None
     if noises and (first := seen[0]).pose is not None:
-        known = replace(job, sigma_mm=0.0)  # what nobody knows of its features does not scatter
+        known = replace(job, sigma_mm=0.0)  # errors of the job's features do not scatter
         expected = expected_target(rig.rectification, known, first.pose, first.scatters, noises)
     return judged(stands, None if expected is None else expected.covariance[:3, :3])

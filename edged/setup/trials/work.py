@@ -1,4 +1,4 @@
-"""What the worker process does with a job that is tried."""
+"""Functions that the worker process runs for trying a job."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from edged.vision.part.measured import MeasuredPart
 
 @dataclass(frozen=True, slots=True)
 class TrialSetup:
-    """By what pictures are measured. rig, path : its file; job : as bytes, so that it is known again.
+    """Setup of a trial. rig, path : content and path of the rig file. job : as bytes, as a key for the cache.
 
     bounds : where the cell's robot may go.  convention : of A, B, C.
     """
@@ -38,7 +38,7 @@ class TrialSetup:
     convention: Convention
 
 
-@lru_cache(maxsize=1)  # of one trial at a time, the rectification is worth keeping
+@lru_cache(maxsize=1)  # keeps the rectification, which takes long, for one trial at a time
 def _prepared(rig: bytes, path: Path) -> PreparedRig:
     return prepare(rig_of(rig, path))
 
@@ -50,13 +50,13 @@ def _job(content: bytes) -> Job:
 
 
 def try_pair(setup: TrialSetup, images: tuple[Image, Image]) -> TriedPair:
-    """A live pair."""
+    """Measure a live pair."""
     rig = _prepared(setup.rig, setup.path)
     return trying.try_pair(rig, _job(setup.job), FramePair.of_images(*images), setup.bounds, setup.convention)
 
 
 def stand(setup: TrialSetup, images: tuple[Image, Image]) -> Stand | None:
-    """Where the best part lies in a pair, and how well the edges say so; None without one."""
+    """Measurement of the best part in a pair, for a still test; None without one."""
     inspection = inspect(FramePair.of_images(*images), _job(setup.job), _prepared(setup.rig, setup.path))
     best = max(inspection.measured, key=_rank, default=None)
     return None if best is None else trying.stand_of(best)
@@ -67,10 +67,10 @@ def _rank(measured: MeasuredPart) -> tuple[bool, float]:
 
 
 def still(setup: TrialSetup, stands: Sequence[Stand | None]) -> StillResult:
-    """What came of many pictures of a part."""
+    """Judge the pictures of a still test."""
     return trying.still_part(_prepared(setup.rig, setup.path), _job(setup.job), stands)
 
 
 def sigmas(setup: TrialSetup, scatters: Scatters, progress: Progress) -> SigmaMap:
-    """What is to be expected in the working volume."""
+    """Sigma to expect in the working volume."""
     return sigma_map(_prepared(setup.rig, setup.path), _job(setup.job), scatters, progress)

@@ -1,13 +1,13 @@
 """A GigE Vision camera in pure Python, over real UDP.
 
-The control protocol (GVCP, port 3956) and the stream protocol (GVSP) of the GigE Vision 2.0
-specification, as far as a client needs them: discovery, control privilege with heartbeat, register and
-memory access, GenICam XML from memory; triggers by software, by lines with debouncer, delay and outputs, by
-action commands, at once or scheduled by PTP; free run; time stamps with offset and drift, or led by PTP;
-eight pixel formats, chunk data, packet resend. It answers on an address of its own, so that two of them run
-on 127.0.0.1 and 127.0.0.2 without root. `edged sim` runs some as a process.
+Implements the control protocol (GVCP, port 3956) and the stream protocol (GVSP) of the GigE Vision 2.0
+specification as far as clients need them: discovery, control privilege with heartbeat, register and
+memory access, GenICam XML in memory; triggers by software, by lines with debouncer, delay and outputs, by
+action commands, immediate or scheduled by PTP; free run; time stamps with offset and drift, or synchronised
+by PTP; eight pixel formats, chunk data, packet resend. Each camera answers on its own address, so that two
+can run on 127.0.0.1 and 127.0.0.2 without root. `edged sim` runs cameras as a process.
 
-Not responsible for: what the picture shows (`exposure` renders it).
+Not responsible for: the content of the picture (`exposure` renders it).
 """
 
 from __future__ import annotations
@@ -56,13 +56,13 @@ SHORTEST_HEARTBEAT_MS = 500
 HEADERS_BYTES = 36  # IP 20, UDP 8, GVSP 8
 FASTEST_HZ = 100.0
 ENCODER_NS = 1_000_000
-"""Its belt never stops: one count in so long, by the camera's own clock."""
-RESET, LATCH = 0x01, 0x02  # of the time stamp control register
+"""Period of the encoder's counts, by the camera's own clock; the simulated belt never stops."""
+RESET, LATCH = 0x01, 0x02  # bits of the time stamp control register
 
 
 @dataclass(frozen=True, slots=True)
 class Make:
-    """Maker, model and features of a camera that is imitated; registers with a meaning as in `genicam`."""
+    """Vendor, model and features of an imitated camera; registers with a function are those of `genicam`."""
 
     vendor: str
     model: str
@@ -73,11 +73,11 @@ class GigeCamera:
     """One virtual camera; a context manager with two threads (control, exposure).
 
     exposure : called in the exposure thread; returns the (height, width) uint8 image.
-    faults : what goes wrong; its fields may be changed at any time.
-    quirks : what its firmware does otherwise than others. make : it is called, and has the features, of
-    another maker's camera. size : width and height of a picture.
-    clock : its clock; offset, drift and PTP may be changed at any time.
-    registers : its memory. exposures : how many there were since it was made.
+    faults : active faults; the fields may be changed at any time.
+    quirks : peculiarities of its firmware. make : name and features of another maker's camera to imitate.
+    size : width and height of a picture.
+    clock : its clock; drift and PTP may be changed at any time, and it can be stepped.
+    registers : its memory. exposures : number of exposures since it was created.
     """
 
     def __init__(
@@ -99,7 +99,7 @@ class GigeCamera:
         self.faults = faults or Faults()
         self.clock = clock or DeviceClock()
         self._quirks = frozenset(quirks)
-        # two threads take chances: each its own, or no run is like another
+        # two threads draw random numbers: with one generator each, runs are reproducible
         self._chance, self._answer_chance = random.Random(0), random.Random(0)
         identity = CameraIdentity(address, serial, mac=int.from_bytes(socket.inet_aton(address), "big"))
         if make is not None:
@@ -118,7 +118,7 @@ class GigeCamera:
         self._connect()
 
     def _connect(self) -> None:
-        """Channels of a camera at this address, and memory as after power-on."""
+        """Create the channels for the present address, and reset the memory to power-on values."""
         self._control = ControlChannel(self.address, self.registers, self, self.faults, self._answer_chance)
         self._stream = StreamChannel(self.address, self.faults, self._chance)
         self._power_on()
@@ -145,10 +145,10 @@ class GigeCamera:
         if g.TEMPERATURE in self.registers:
             self.registers.put(g.TEMPERATURE, self._temperature_c)
 
-    # --- what a test or a person does with it ------------------------------------------------------
+    # --- control by tests and people ---------------------------------------------------------------
 
     def start(self) -> None:
-        """Open the sockets and begin to answer. Raises `ListenError` when the port is taken."""
+        """Open the sockets and start answering. Raises `ListenError` if the port is taken."""
         try:
             self.registers.put(g.STREAM_SOURCE_PORT, self._stream.open())
             self._running.set()
@@ -183,17 +183,17 @@ class GigeCamera:
         self.stop()
 
     def line(self, name: str) -> Wire:
-        """The wire at Line1 (input), Line2 (output) or Line3 (either): pulse it, or let it feed another's."""
+        """Wire at Line1 (input), Line2 (output) or Line3 (either), to be pulsed or connected to another."""
         return self._triggers.lines[name]
 
     @property
     def controlled(self) -> bool:
-        """Whether a client controls it."""
+        """Whether a client has control."""
         return self._control.controller is not None
 
     @property
     def temperature_c(self) -> float:
-        """Its DeviceTemperature."""
+        """The value of DeviceTemperature."""
         return self._temperature_c
 
     @temperature_c.setter
@@ -203,7 +203,7 @@ class GigeCamera:
             self.registers.put(g.TEMPERATURE, value)
 
     def reboot(self, silent_s: float = 0.5) -> None:
-        """Power off and on: control lost, every register and the clock as made, silent for a while."""
+        """Power-cycle: control is lost, all registers and the clock are reset; silent for a while."""
         self._control.be_silent(silent_s)
         self._control.end_session()
         source_port = self.registers.word(g.STREAM_SOURCE_PORT)
@@ -214,17 +214,17 @@ class GigeCamera:
         self._frame_id, self._last_image = 0, None
 
     def steal_control(self) -> None:
-        """Another host has control from now on, and keeps it until `release_control`."""
+        """Let another host take control and keep it until `release_control`."""
         self._control.seize()
 
     def release_control(self) -> None:
-        """Take the control from its client."""
+        """End the control session of the client."""
         self._control.end_session()
 
     def move_to(self, address: str) -> None:
-        """Get another IP address, as from another DHCP lease.
+        """Change to another IP address, as after a new DHCP lease.
 
-        Raises `ListenError` for one that is taken or not this machine's; then the camera stays where it is.
+        Raises `ListenError` if it is taken or not this machine's; the camera then keeps its address.
         """
         before = self.address
         self.stop()
@@ -236,7 +236,7 @@ class GigeCamera:
             raise
 
     def force_address(self, address: str) -> None:
-        """As `move_to`, from the thread that heard the command."""
+        """Run `move_to` in its own thread, as it cannot run in the thread that received the command."""
         threading.Thread(target=self.move_to, args=(address,), name=f"move-{self.serial}").start()
 
     def _start_at(self, address: str) -> None:
@@ -245,7 +245,7 @@ class GigeCamera:
         self._connect()
         self.start()
 
-    # --- registers with a meaning --------------------------------------------------------------------
+    # --- registers with side effects -----------------------------------------------------------------
 
     def _keep(self, address: int, word: int) -> int:
         self.registers.put(address, word)
@@ -298,15 +298,15 @@ class GigeCamera:
         return SUCCESS
 
     def session_ended(self) -> None:
-        """Control is lost: stop streaming."""
+        """Stop streaming, as control was lost."""
         self._stop_acquisition()
 
     def resend(self, block_id: int, first: int, last: int) -> None:
-        """Send packets again."""
+        """Resend packets of a block."""
         self._stream.resend(block_id, first, last)
 
     def act(self, keys: tuple[int, int, int], at_ticks: int | None) -> int | None:
-        """Do what an action command says, if it is for this camera."""
+        """Execute an action command if it is for this camera."""
         return self._triggers.act(keys, at_ticks)
 
     # --- images --------------------------------------------------------------------------------------
@@ -353,7 +353,7 @@ class GigeCamera:
             self.faults.drop_next -= 1
             self._triggers.exposing = False
             return
-        # what was begun before acquisition was stopped is not sent after it has been started again
+        # an exposure begun before acquisition was stopped is not sent after a restart
         sends = self.registers.acquiring and start == self._starts
         if sends and not (self.faults.stalled or self.faults.unplugged):
             self._stream.send(
@@ -363,7 +363,7 @@ class GigeCamera:
             self._triggers.exposing = False
 
     def _effective(self) -> tuple[float, float]:
-        """Exposure time and gain of this exposure."""
+        """Exposure time and gain in effect for this exposure."""
         written = self.registers.number(g.EXPOSURE_TIME), self.registers.number(g.GAIN)
         held, self._held = self._held, written
         return held if held is not None and Quirk.LATE_EXPOSURE in self._quirks else written
@@ -416,7 +416,7 @@ class GigeCamera:
         )
 
     def _block_id(self, frame_id: int) -> int:
-        """How this firmware counts: the standard's 16 bits without 0, or otherwise."""
+        """Block id of a frame: the standard's 16 bits without 0, or as a quirk demands."""
         if Quirk.EXTENDED_IDS in self._quirks:
             return 2**32 + frame_id
         if Quirk.BLOCK_ID_ZERO in self._quirks:

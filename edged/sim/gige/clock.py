@@ -1,6 +1,6 @@
-"""The clock of a virtual camera: free running with an offset and a drift, or led by PTP.
+"""Clock of a virtual camera: free-running with an offset and a drift, or synchronised by PTP.
 
-The PTP master is the host's own UTC, as a grandmaster on the cell PC would be.
+The PTP master is the host's own UTC, as with a grandmaster on the cell PC.
 """
 
 from __future__ import annotations
@@ -16,18 +16,18 @@ PTP_STATES = {
     "Uncalibrated": UNCALIBRATED,
     "Slave": SLAVE,
 }
-"""GenICam PtpStatus; the values are this camera's own, clients know them by name."""
+"""GenICam PtpStatus; the values are specific to this camera, clients refer to the names."""
 
 READINGS = 5
-"""Readings of both host clocks to choose from; each takes a third of a microsecond."""
+"""Readings of both host clocks, of which the best is used; each takes a third of a microsecond."""
 
 
 class DeviceClock:
-    """Device time as a function of the host's monotonic clock; may be changed from any thread.
+    """Device time as a function of the host's monotonic clock. Thread-safe.
 
-    offset_s : what the clock shows at power-on. drift_ppm : how much faster than the host's it runs.
-    tick_hz : of the time stamps in registers and images. ptp_error_ns : what is left between this clock
-    and its master when locked. ptp_settle_s : from PtpEnable to locked.
+    offset_s : time shown at power-on. drift_ppm : rate error relative to the host's clock.
+    tick_hz : of the time stamps in registers and images. ptp_error_ns : remaining difference from the
+    master when locked. ptp_settle_s : time from PtpEnable to locked.
     """
 
     def __init__(
@@ -47,13 +47,13 @@ class DeviceClock:
         self.power_on()
 
     def power_on(self) -> None:
-        """From the offset on, without PTP."""
+        """Restart at the offset, with PTP disabled."""
         with self._lock:
             self._ptp_since_ns: int | None = None
             self._anchor_ns, self._shown_ns = time.monotonic_ns(), self._offset_ns
 
     def reset(self) -> None:
-        """From zero on, as by GevTimestampControlReset; one led by PTP is not its own to be reset."""
+        """Restart at zero, as by GevTimestampControlReset; without effect while locked to PTP."""
         with self._lock:
             self._anchor_ns, self._shown_ns = time.monotonic_ns(), 0
 
@@ -63,16 +63,16 @@ class DeviceClock:
             return self._at(monotonic_ns)
 
     def ticks(self, device_ns: int) -> int:
-        """Device time as the camera says it."""
+        """Device time in ticks, as reported by the camera."""
         return device_ns * self.tick_hz // 10**9
 
     def monotonic_at(self, ticks: int) -> int:
-        """The host's monotonic time, ns, when a locked clock shows so many ticks."""
+        """Host monotonic time, ns, at which a locked clock shows this many ticks."""
         return ticks * 10**9 // self.tick_hz - self.ptp_error_ns - utc_minus_monotonic_ns()
 
     @property
     def drift_ppm(self) -> float:
-        """Rate relative to the host's clock; changing it makes no step."""
+        """Rate error relative to the host's clock; changing it causes no step."""
         return self._drift_ppm
 
     @drift_ppm.setter
@@ -88,7 +88,7 @@ class DeviceClock:
 
     @property
     def ptp(self) -> bool:
-        """Whether PTP is enabled. Switched off, the clock runs on from where it is."""
+        """Whether PTP is enabled. When it is switched off, the clock continues without a step."""
         return self._ptp_since_ns is not None
 
     @ptp.setter
@@ -102,7 +102,7 @@ class DeviceClock:
 
     @property
     def locked(self) -> bool:
-        """Whether it shows the PTP master's time."""
+        """Whether the clock is locked to the PTP master."""
         since_ns = self._ptp_since_ns
         return since_ns is not None and time.monotonic_ns() - since_ns >= self.ptp_settle_s * 1e9
 
@@ -130,15 +130,15 @@ class DeviceClock:
 
 
 def utc_minus_monotonic_ns() -> int:
-    """How far the host's UTC is ahead of its monotonic clock.
+    """Host UTC minus its monotonic clock, ns.
 
-    Two clocks are read one after the other, and a busy machine may do something else in between: of a few
-    readings the narrowest counts.
+    The clocks are read one after the other, and a busy machine may be interrupted in between: of a few
+    readings the shortest is used.
     """
     return min(_reading() for _ in range(READINGS))[1]
 
 
 def _reading() -> tuple[int, int]:
-    """Duration of one reading, and the difference in its middle, ns."""
+    """Duration of one reading, and the difference of the clocks at its middle, ns."""
     before_ns, utc_ns, after_ns = time.monotonic_ns(), time.time_ns(), time.monotonic_ns()
     return after_ns - before_ns, utc_ns - (before_ns + after_ns) // 2

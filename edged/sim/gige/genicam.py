@@ -1,7 +1,7 @@
-"""The features of the virtual GigE Vision camera: one table for its registers and its GenICam XML.
+"""Features of the virtual GigE Vision camera: one table for both its registers and its GenICam XML.
 
 Addresses below 0x10000 are the bootstrap registers of the GigE Vision specification (2.0, chapter 28);
-those from 0x10000 on are this camera's own and known to clients only through the XML.
+those from 0x10000 on are specific to this camera and known to clients only through the XML.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ ACTION_DEVICE_KEY, ACTION_GROUP_KEY, ACTION_GROUP_MASK = 0x10270, 0x10274, 0x102
 PTP_ENABLE, PTP_STATUS, PTP_LATCH, PTP_OFFSET = 0x10300, 0x10304, 0x10308, 0x10310
 LATCH, LATCH_VALUE, CLOCK_RESET = 0x10320, 0x10328, 0x10330
 CHUNK_MODE, CHUNK_SELECTOR, CHUNK_ENABLE = 0x10400, 0x10404, 0x10410
-# each one of several, for the choices of a selector; the virtual camera looks at the first
+# each the first of several registers, one for each choice of a selector; the virtual camera uses the first
 TRIGGER_MODE, TRIGGER_SOURCE, TRIGGER_ACTIVATION, TRIGGER_DELAY = range(0x10500, 0x10600, 0x40)
 LINE_MODE, LINE_INVERTER, LINE_DEBOUNCER, LINE_SOURCE, LINE_STATUS = range(0x10600, 0x10740, 0x40)
 
@@ -64,7 +64,7 @@ PIXEL_FORMATS = (
 )
 LINES = {"Line1": 0, "Line2": 1, "Line3": 2}
 LINE_DIRECTIONS: tuple[tuple[int, ...], ...] = ((0,), (1,), (0, 1))
-"""Line1 is wired as an input (0), Line2 as an output (1), Line3 can be either."""
+"""Directions that each line can have: Line1 input (0), Line2 output (1), Line3 either."""
 SOFTWARE, LINE1, ACTION1, LINE3 = 0, 1, 2, 3
 TRIGGER_SOURCES = {"Software": SOFTWARE, "Line1": LINE1, "Action1": ACTION1, "Line3": LINE3}
 RISING, FALLING, ANY = 0, 1, 2
@@ -73,13 +73,13 @@ OFF, EXPOSURE_ACTIVE = 0, 1
 
 @dataclass(frozen=True, slots=True)
 class GenicamNode:
-    """A GenICam node with a register.
+    """A GenICam node backed by a register.
 
-    kind : what the register holds. start : after power-on; of a command, what it is written to be done.
-    low, high : limits of a number. choices : of an enumeration. length : bytes, 4 or 8.
-    selector : enumeration that chooses one of several registers, 4 bytes apart, that this node shows.
-    chunk : where the value is found in an image's chunk data, instead of in a register.
-    menu : its name in a maker's program, where it has another.
+    kind : type of the register's value. start : value after power-on; for a command, the value that executes
+    it. low, high : limits of a number. choices : of an enumeration. length : bytes, 4 or 8.
+    selector : enumeration that selects one of several registers, 4 bytes apart, for this node.
+    chunk : id of the chunk data that hold the value, if it is not in a register.
+    menu : its name in the maker's program, if different.
     """
 
     name: str
@@ -101,7 +101,7 @@ class GenicamNode:
 
 @dataclass(frozen=True, slots=True)
 class Chunk:
-    """A kind of chunk data. index : of its ChunkSelector entry."""
+    """A type of chunk data. index : of its ChunkSelector entry."""
 
     name: str
     index: int
@@ -258,14 +258,14 @@ def _time() -> list[GenicamNode]:
 
 
 def _counter(name: str, group: str, address: int, unit: str = "") -> GenicamNode:
-    """64 bits that only the camera writes."""
+    """A read-only 64-bit integer node."""
     return GenicamNode(
         name, group, address, "integer", low=0, high=LARGEST, unit=unit, read_only=True, length=8
     )
 
 
 def _standard() -> list[GenicamNode]:
-    """Nodes that show registers of the standard."""
+    """Nodes for registers defined by the standard."""
     group = "TransportLayerControl"
     return [
         _counter("GevTimestampTickFrequency", group, TICKS_HIGH, "Hz"),

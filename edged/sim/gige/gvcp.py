@@ -1,7 +1,7 @@
-"""The control channel of a virtual camera (GVCP; GigE Vision 2.0, chapters 14 to 18).
+"""Control channel of a virtual camera (GVCP; GigE Vision 2.0, chapters 14 to 18).
 
-Discovery, control privilege with heartbeat, registers and memory, requests to send packets again, action
-commands. Not responsible for: what registers hold (`CameraRegisters`) and what an action does
+Discovery, control privilege with heartbeat, registers and memory, packet resend requests, action commands.
+Not responsible for: the content of registers (`CameraRegisters`) and the effect of an action
 (`ControlledDevice`).
 """
 
@@ -40,27 +40,27 @@ EXCLUSIVE_ACCESS, CONTROL_ACCESS = 0x01, 0x02
 POLL_S = 0.05
 Endpoint = tuple[str, int]
 SOMEBODY_ELSE: Endpoint = ("0.0.0.0", 0)
-"""A host that no datagram comes from."""
+"""Endpoint that no datagram comes from."""
 
 
 class ControlledDevice(Protocol):
-    """The device behind the control channel."""
+    """Interface of the device behind the control channel."""
 
     def resend(self, block_id: int, first: int, last: int) -> None:
-        """Packets of a block are asked for again."""
+        """Handle a request to resend packets of a block."""
 
     def act(self, keys: tuple[int, int, int], at_ticks: int | None) -> int | None:
-        """An action command; its status, or None when it is for other devices."""
+        """Handle an action command; returns its status, or None if it is for other devices."""
 
     def force_address(self, address: str) -> None:
-        """Another address was forced on the device; returns at once."""
+        """Handle a FORCEIP command to another address; returns at once."""
 
     def session_ended(self) -> None:
-        """Nobody controls the camera any more."""
+        """Handle the end of a control session."""
 
 
 class ControlChannel:
-    """Answers commands on port 3956 of one address, and broadcast ones, in a thread of its own."""
+    """Answers commands on port 3956 of one address, and broadcast commands, in its own thread."""
 
     def __init__(
         self,
@@ -83,15 +83,15 @@ class ControlChannel:
         self._broadcasts: list[socket.socket] = []
 
     def open(self) -> None:
-        """Begin to listen. Raises `ListenError` when the port is taken."""
+        """Start listening. Raises `ListenError` if the port is taken."""
         try:
             self._socket = _bound(self._address)
         except OSError as error:
             raise ListenError(
                 f"virtual camera {self._address}:{GVCP_PORT}: {error.strerror or error}"
             ) from error
-        # every camera of this machine hears a broadcast; a machine may forbid it: then the camera is found
-        # by its address only
+        # all cameras of this machine receive broadcasts; if the machine forbids that, the camera is found by
+        # its address only
         for address in ("255.255.255.255", _broadcast_of(self._address, self._registers.word(g.SUBNET_MASK))):
             try:
                 self._broadcasts.append(_bound(address, shared=True))
@@ -115,15 +115,15 @@ class ControlChannel:
 
     @property
     def controller(self) -> Endpoint | None:
-        """The controlling client."""
+        """The controlling client; None if there is none."""
         return self._controller
 
     def be_silent(self, seconds: float) -> None:
-        """Hear and say nothing for a while."""
+        """Ignore all commands for a while."""
         self._silent_until_s = time.monotonic() + seconds
 
     def end_session(self) -> None:
-        """Take the control from its client."""
+        """End the control session of the client."""
         self._controller = None
         self._last_answer = None
         self._registers.put(g.CONTROL_PRIVILEGE, 0)
@@ -131,12 +131,12 @@ class ControlChannel:
         self._device.session_ended()
 
     def seize(self) -> None:
-        """Somebody else has control from now on and keeps it, until `end_session`."""
+        """Give control to another, fictitious host until `end_session`."""
         self.end_session()
         self._registers.put(g.CONTROL_PRIVILEGE, CONTROL_ACCESS)
         self._controller = SOMEBODY_ELSE
 
-    # --- one datagram after the other ------------------------------------------------------------
+    # --- handling of datagrams -------------------------------------------------------------------
 
     def _serve(self) -> None:
         while self._running.is_set():
@@ -148,7 +148,7 @@ class ControlChannel:
                     data, sender = heard.recvfrom(2048)
                 except (TimeoutError, BlockingIOError):
                     continue
-                except OSError:  # an ICMP "port unreachable" of a client that has gone
+                except OSError:  # an ICMP "port unreachable" from a client that is gone
                     continue
                 if not self._faults.unplugged and time.monotonic() >= self._silent_until_s:
                     self._hear(data, sender, broadcast=heard is not self._socket)
@@ -173,7 +173,7 @@ class ControlChannel:
         if sender == self._controller:
             self._heard_s = time.monotonic()
         if self._last_answer is not None and self._last_answer[:2] == (sender, request):
-            # the client did not hear us: say it again, do not do it again
+            # the answer was lost: repeat the answer, but not the command
             self._say(self._last_answer[2], sender)
             return
         result = self._execute(command, flags, body, sender)
@@ -196,7 +196,7 @@ class ControlChannel:
             log.debug("virtual camera %s: answer not sent: %s", self._address, error)
 
     def _execute(self, command: int, flags: int, body: bytes, sender: Endpoint) -> tuple[int, bytes] | None:
-        """(status, body) of the answer, or None when there is to be none."""
+        """(status, body) of the answer, or None for no answer."""
         registers = self._registers
         if command == DISCOVERY:
             words = (registers.word(address) for address in range(0, g.DISCOVERY_BYTES, 4))
@@ -230,13 +230,13 @@ class ControlChannel:
         return (INVALID_PARAMETER if command in KNOWN else NOT_IMPLEMENTED), b""
 
     def _force_ip(self, body: bytes) -> tuple[int, bytes] | None:
-        """Only the camera with this MAC address obeys, and none that is controlled."""
+        """Handle FORCEIP: only for this camera's MAC address, and refused while it is controlled."""
         high, low = struct.unpack(">HI", body[2:8])
         if (high, low) != (self._registers.word(g.MAC_HIGH), self._registers.word(g.MAC_LOW)):
             return None
         if self._controller is not None:
             return ACCESS_DENIED, b""
-        if not self._moves:  # it was told on two broadcast addresses
+        if not self._moves:  # the command arrives on two broadcast addresses
             self._moves = True
             self._device.force_address(socket.inet_ntoa(body[20:24]))
         return SUCCESS, b""
@@ -251,7 +251,7 @@ class ControlChannel:
         return SUCCESS, content
 
     def _write_all(self, pairs: Iterable[tuple[int, ...]], sender: Endpoint, unit: int) -> tuple[int, bytes]:
-        """Write (address, word) pairs until one fails; the answer counts those done, in `unit`s."""
+        """Write (address, word) pairs until one fails; the answer states the number done times `unit`."""
         done = 0
         for address, word in pairs:
             status = self._write(address, word, sender)

@@ -8,19 +8,20 @@ from dataclasses import dataclass
 
 LEADER, TRAILER, PAYLOAD = 1, 2, 3
 IMAGE, IMAGE_WITH_CHUNKS, EXTENDED_CHUNK, JPEG = 0x0001, 0x4001, 0x0005, 0x0006
-"""Chunk data come behind an image as 2.0 says (bit 14 of the type), or in 1.2's type of their own."""
+"""Chunk data follow an image as in 2.0 (bit 14 of the type), or use 1.2's own payload type."""
 
 
 EXTENDED, EXTENDED_BYTES = 0x80, 12
-"""Mark of a header with long ids, and what it is longer by (GigE Vision 2.0, 24.3)."""
+"""Flag of a header with extended ids, and its additional bytes (GigE Vision 2.0, 24.3)."""
 
 
 @dataclass(frozen=True, slots=True)
 class ImageBlock:
-    """One image on its way.
+    """One image to be sent.
 
-    ticks : time stamp. pixel_format : PFNC code. data : the image's bytes, and chunk data behind them.
-    packet_bytes : bytes of data in each packet. payload_type : `IMAGE`, or another. extended : long ids.
+    ticks : time stamp. pixel_format : PFNC code. data : the image's bytes, followed by chunk data.
+    packet_bytes : bytes of data in each packet. payload_type : `IMAGE` or another. extended : 64-bit block
+    ids and 32-bit packet ids.
     """
 
     block_id: int
@@ -36,12 +37,12 @@ class ImageBlock:
 
     @property
     def packets(self) -> int:
-        """Payload packets; they are numbered from 1, the leader is 0, the trailer the next one."""
+        """Number of payload packets, which are numbered from 1; the leader is 0, the trailer is last."""
         return -(-len(self.data) // self.packet_bytes)
 
 
 def with_chunks(image: bytes, image_id: int, chunks: Sequence[tuple[int, bytes]]) -> bytes:
-    """The image as a chunk, and (id, content) of others; id and length stand behind each content."""
+    """Pack the image and other chunks (id, content); each content is followed by its id and length."""
     return b"".join(
         part
         for chunk_id, content in ((image_id, image), *chunks)
@@ -50,7 +51,7 @@ def with_chunks(image: bytes, image_id: int, chunks: Sequence[tuple[int, bytes]]
 
 
 def packet(block: ImageBlock, number: int) -> tuple[bytes, ...]:
-    """The parts of the packet with this number, 0 to `block.packets` + 1."""
+    """Parts of the packet with this number, 0 to `block.packets` + 1, to be sent as one datagram."""
     if number == 0:
         return (_leader(block),)
     if number > block.packets:
@@ -66,7 +67,7 @@ def _header(block: ImageBlock, kind: int, number: int) -> bytes:
 
 
 def _leader(block: ImageBlock) -> bytes:
-    """The leader packet: payload type, time stamp, pixel format and region."""
+    """Leader packet: payload type, time stamp, pixel format and region."""
     image = (block.pixel_format, block.width, block.height, *block.offset, 0, 0)
     time_stamp = (block.ticks >> 32 & 0xFFFFFFFF, block.ticks & 0xFFFFFFFF)
     kind = block.payload_type
@@ -74,7 +75,7 @@ def _leader(block: ImageBlock) -> bytes:
 
 
 def _trailer(block: ImageBlock) -> bytes:
-    """That was all: the number of lines; of chunk data their size and layout, too."""
+    """Trailer packet: number of lines and, with chunk data, their size and layout."""
     lines = struct.pack(">HHI", 0, block.payload_type, block.height)
     chunks = b"" if block.payload_type == IMAGE else struct.pack(">II", len(block.data), 0)
     return _header(block, TRAILER, block.packets + 1) + lines + chunks

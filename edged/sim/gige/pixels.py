@@ -1,4 +1,4 @@
-"""Grey values of a virtual sensor in the pixel formats in which cameras send them (PFNC)."""
+"""Encoding of grey values of a virtual sensor in the pixel formats of cameras (PFNC)."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from edged.vision.kernels.pixelformats import PixelFormat
 
 
 def encode(image: Image, pixels: PixelFormat) -> bytes:
-    """The bytes of an (height, width) uint8 image; grey g becomes g * 2**(bits - 8).
+    """Encode a (height, width) uint8 image; grey g becomes g * 2**(bits - 8).
 
-    A Bayer sensor sees a grey scene: each pixel the same through its filter. Slow and plain on purpose: it
-    is the other end of `vision.pixelformats`, and shares nothing with it but names, codes and layouts.
+    A Bayer sensor sees a grey scene, in which the filters have no effect. Slow and simple on purpose: it is
+    the counterpart of `vision.pixelformats`, and shares only names, codes and layouts with it.
     """
     if pixels.layout == "bytes":
         return image.tobytes()

@@ -1,4 +1,4 @@
-"""The memory of a virtual GigE Vision camera: bootstrap registers, features, and its description."""
+"""Memory of a virtual GigE Vision camera: bootstrap registers, features, and GenICam XML."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ FIXED_WHILE_ACQUIRING = (*GEOMETRY, g.CHUNK_MODE, g.CHUNK_ENABLE)
 
 @dataclass(frozen=True, slots=True)
 class CameraIdentity:
-    """Address, serial number, model and maker. mac : lower part of its MAC address, which never changes."""
+    """Address, serial number, model and vendor. mac : lower part of the MAC address, which never changes."""
 
     address: str
     serial: str
@@ -35,13 +35,14 @@ class CameraIdentity:
 
 
 class CameraRegisters:
-    """32-bit words by address.
+    """The camera's memory as 32-bit words by address.
 
-    identity : who it is from the next power-on on.
-    hooks : what happens when a register is written, instead of keeping the word; each returns a status.
-    live : registers whose content is computed when it is read.
-    table : its features. quirks : of its firmware.
-    acquiring : whether geometry must stay as it is.
+    identity : identity that takes effect at the next power-on.
+    hooks : functions called when a register is written, which return a status; outside of features, only
+    hooks store the word.
+    live : registers whose content is computed when read.
+    table : the features. quirks : of the firmware.
+    acquiring : whether geometry and similar registers are locked.
     """
 
     def __init__(
@@ -65,7 +66,7 @@ class CameraRegisters:
         self.power_on()
 
     def power_on(self) -> None:
-        """Everything as it was made."""
+        """Reset all registers to their initial values."""
         self._words = self._bootstrap()
         for address, feature in self._features.items():
             self.put(address, feature.start, feature.length)
@@ -101,7 +102,7 @@ class CameraRegisters:
         return words
 
     def put(self, address: int, value: float, length: int = 4) -> None:
-        """Set a register from inside, as its feature holds it; 64 bits for a length of 8."""
+        """Set a register from inside the camera, encoded as its feature requires; length 8: 64 bits."""
         feature = self._features.get(address)
         if feature is not None and feature.kind == "float":
             self._words[address] = int.from_bytes(struct.pack(">f", value), "big")
@@ -116,11 +117,11 @@ class CameraRegisters:
         return address in self._words
 
     def word(self, address: int) -> int:
-        """A register as it is; 0 where this camera has none."""
+        """Content of a register; 0 if this camera does not have it."""
         return self._words.get(address, 0)
 
     def number(self, address: int, default: float = 0.0) -> float:
-        """The value of a feature with a number; `default` where this camera has none."""
+        """Value of a numeric feature; `default` if this camera does not have it."""
         word, feature = self._words.get(address), self._features.get(address)
         if word is None:
             return default
@@ -128,18 +129,18 @@ class CameraRegisters:
 
     @property
     def size(self) -> tuple[int, int]:
-        """(width, height) of the image, px."""
+        """Size (width, height) of the image, px."""
         return self.word(g.WIDTH), self.word(g.HEIGHT)
 
     @property
     def chunks(self) -> tuple[g.Chunk, ...]:
-        """Chunk data behind each image; empty when chunk mode is off."""
+        """Chunks that follow each image; empty if chunk mode is off."""
         if not self.word(g.CHUNK_MODE):
             return ()
         return tuple(chunk for chunk in g.CHUNKS if self.word(g.CHUNK_ENABLE + 4 * chunk.index))
 
     def read(self, address: int, count: int) -> bytes | int:
-        """`count` bytes from `address`, or the status that says why not."""
+        """Read `count` bytes from `address`; returns an error status if that fails."""
         if address % 4 or count % 4 or not 0 < count <= MAX_READ:
             return BAD_ALIGNMENT
         if g.XML_ADDRESS <= address < g.XML_ADDRESS + len(self._xml):
@@ -154,7 +155,7 @@ class CameraRegisters:
         return b"".join(words)
 
     def write(self, address: int, word: int) -> int:
-        """Write one register as its controller; returns the status."""
+        """Write one register on behalf of the controlling client; returns the status."""
         if address % 4:
             return BAD_ALIGNMENT
         feature = self._features.get(address)
@@ -209,7 +210,7 @@ class CameraRegisters:
 
 
 def _count(feature: g.GenicamNode, table: Sequence[g.GenicamNode]) -> int:
-    """Registers that a node shows, one for each choice of its selector."""
+    """Number of registers of a node, one for each choice of its selector."""
     return next((max(other.choices.values()) + 1 for other in table if other.name == feature.selector), 1)
 
 
@@ -218,7 +219,7 @@ def _float(word: int) -> float:
 
 
 def description(table: Sequence[GenicamNode], identity: CameraIdentity) -> bytes:
-    """The XML text."""
+    """The camera's GenICam XML."""
     categories: dict[str, list[str]] = {}
     for feature in table:
         categories.setdefault(feature.category, []).append(feature.name)

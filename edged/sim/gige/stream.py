@@ -1,4 +1,4 @@
-"""The stream channel of a virtual camera: blocks to packets to a socket, with everything that goes wrong."""
+"""Stream channel of a virtual camera: sends blocks as packets through a socket, with injected faults."""
 
 from __future__ import annotations
 
@@ -13,25 +13,25 @@ from edged.sim.gige.gvsp import ImageBlock, packet
 
 log = logging.getLogger(__name__)
 
-KEPT_BLOCKS = 4  # frames whose packets can be asked for again
+KEPT_BLOCKS = 4  # frames whose packets can be resent
 BURST_BYTES = 96 * 1024
-"""Half of Linux's default receive buffer of 208 KiB: a receiver without privileges keeps up."""
+"""Half of Linux's default receive buffer of 208 KiB, so that a receiver without privileges keeps up."""
 BURST_PAUSE_S = 0.0003
 SEND_BUFFER_BYTES = 4 * 1024 * 1024
 
 
 class Pacing:
-    """Keeps a sender from overrunning receivers: pauses after bursts, and the packet delay it was told."""
+    """Keeps a sender from overrunning receivers by pauses after bursts and the configured packet delay."""
 
     def __init__(self) -> None:
         self._sent = 0
 
     def begin(self) -> None:
-        """A new block."""
+        """Start a new block."""
         self._sent = 0
 
     def wait(self, sent_bytes: int, delay_s: float) -> None:
-        """After a packet of so many bytes."""
+        """Pause as needed after a packet of this size."""
         if delay_s > 0:
             time.sleep(delay_s)
         self._sent += sent_bytes
@@ -41,7 +41,7 @@ class Pacing:
 
 
 class StreamChannel:
-    """Sends blocks; keeps the last few for requests to send packets again."""
+    """Sends blocks, and keeps the last few for resend requests."""
 
     def __init__(self, address: str, faults: Faults, chance: random.Random) -> None:
         self._address, self._faults, self._pacing, self._chance = address, faults, Pacing(), chance
@@ -50,24 +50,24 @@ class StreamChannel:
         self._blocks: OrderedDict[int, ImageBlock] = OrderedDict()
 
     def open(self) -> int:
-        """The port that packets come from. Raises `OSError`."""
+        """Open the socket; returns its source port. Raises `OSError`."""
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.bind((self._address, 0))
         self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER_BYTES)
         return int(self._socket.getsockname()[1])
 
     def close(self) -> None:
-        """Safe to call twice."""
+        """Close the socket; safe to call twice."""
         if self._socket is not None:
             self._socket.close()
         self._socket = None
 
     def forget(self) -> None:
-        """Nothing can be asked for again."""
+        """Discard all kept blocks."""
         self._blocks.clear()
 
     def send(self, block: ImageBlock, destination: tuple[str, int], delay_s: float) -> None:
-        """Send every packet of a block, `delay_s` apart."""
+        """Send all packets of a block, `delay_s` apart."""
         self._blocks[block.block_id] = block
         while len(self._blocks) > KEPT_BLOCKS:
             self._blocks.popitem(last=False)
@@ -87,12 +87,12 @@ class StreamChannel:
             self._send(packet(block, number))
 
     def send_test(self, size: int, destination: tuple[str, int]) -> None:
-        """One packet of so many bytes, to find out whether it arrives."""
+        """Send one test packet of this size."""
         self._destination = destination
         self._send((b"\0" * size,))
 
     def _order(self, count: int) -> list[int]:
-        """Packet numbers as they are sent: some twice, some after the one that follows them."""
+        """Packet numbers in sending order, with injected reordering and duplication."""
         faults, chance = self._faults, self._chance
         order = list(range(count))
         if faults.reordering > 0:
@@ -112,5 +112,5 @@ class StreamChannel:
             return
         try:
             self._socket.sendmsg(parts, [], 0, self._destination)
-        except OSError as error:  # nobody listens any more, or the datagram is larger than the path allows
+        except OSError as error:  # no listener any more, or the datagram exceeds the path's MTU
             log.debug("virtual camera %s: packet not sent: %s", self._address, error)

@@ -1,4 +1,4 @@
-"""Triggers of a virtual camera: software, pulses on lines, action commands; and its output lines."""
+"""Triggers of a virtual camera (software, line pulses, action commands), and its output lines."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ OUTPUT = 1  # LineMode
 
 
 class CameraTriggers:
-    """Turns what happens into exposures, as the registers say.
+    """Turns trigger events into exposures, as configured in the registers.
 
-    lines : the wires at the camera's pins. queue : exposures to come. exposing : from a software trigger
+    lines : the wires at the camera's pins. queue : pending exposures. exposing : True from a software trigger
     until its image has been sent.
     """
 
@@ -38,11 +38,11 @@ class CameraTriggers:
                 registers.hooks[bank + 4 * index] = partial(self._rest, name)
 
     def act(self, keys: tuple[int, int, int], at_ticks: int | None) -> int | None:
-        """An action command: done when both keys fit and the masks have a bit in common.
+        """Execute an action command if both keys match and the masks have a bit in common.
 
-        keys : device key, group key, group mask. at_ticks : when, on the PTP clock; None: at once. One that
-        comes too late is done at once, and said to be late.
-        Returns its status, None when it is for other devices. Source: GigE Vision 2.0, 14.3.
+        keys : device key, group key, group mask. at_ticks : scheduled PTP time; None: at once. A command that
+        comes too late is executed at once with the status `ACTION_LATE`.
+        Returns its status, or None if it is for other devices. Source: GigE Vision 2.0, 14.3.
         """
         registers = self._registers
         device_key, group_key, mask = keys
@@ -59,7 +59,7 @@ class CameraTriggers:
         return SUCCESS if at_ns >= now_ns else ACTION_LATE
 
     def drive_outputs(self, at_ns: int, exposure_us: float) -> None:
-        """Exposure begins at this monotonic time: outputs that show it do."""
+        """Drive the outputs set to ExposureActive for an exposure that begins at this monotonic time."""
         for name, number in g.LINES.items():
             index = 4 * number
             source = self._registers.word(g.LINE_SOURCE + index)
@@ -69,7 +69,7 @@ class CameraTriggers:
                 self.lines[name].drive(rest, at_ns + round(exposure_us * 1e3))
 
     def _expose_if(self, source: int, at_ns: int) -> Due | None:
-        """An exposure, if that is what triggers the camera."""
+        """Queue an exposure if the camera waits for this trigger source."""
         registers = self._registers
         waits = registers.word(g.TRIGGER_MODE) == 1 and registers.word(g.TRIGGER_SOURCE) == source
         if not (waits and registers.acquiring):
@@ -101,7 +101,7 @@ class CameraTriggers:
         return self._expose_if(LINE_SOURCES[line], at_ns)
 
     def _rest(self, line: str, _word: int) -> int:
-        """An output rests at the level that its inverter gives it."""
+        """Drive an output to its idle level, which its inverter determines."""
         if self._is_output(line):
             self.lines[line].drive(bool(self._registers.word(g.LINE_INVERTER + 4 * g.LINES[line])))
         return SUCCESS

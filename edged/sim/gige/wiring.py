@@ -1,7 +1,7 @@
-"""Wires between virtual cameras, and inputs that listen to them.
+"""Wires between virtual cameras, and the inputs connected to them.
 
-An edge carries the time at which it happens, on the host's monotonic clock. So both edges of a pulse are
-passed on at once, and every listener acts when the time has come: no timers, no threads.
+An edge carries its time on the host's monotonic clock. So both edges of a pulse are passed on at once, and
+each listener acts when the time has come, without timers or threads.
 """
 
 from __future__ import annotations
@@ -15,26 +15,26 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 Listener = Callable[[bool, int], None]
-"""Hears an edge: the new level, and when, monotonic ns."""
+"""Receives an edge: new level, and monotonic time in ns."""
 
 
 class Wire:
-    """A pin of a camera and what hangs on it; low at first. May be driven from any thread."""
+    """A camera's pin and its listeners; initially low. May be driven from any thread."""
 
     def __init__(self) -> None:
         self._edges: deque[tuple[bool, int]] = deque([(False, 0)], maxlen=16)
         self._listeners: list[Listener] = []
 
     def listen(self, listener: Listener) -> None:
-        """Tell the listener every edge from now on."""
+        """Call the listener for every edge from now on."""
         self._listeners.append(listener)
 
     def feeds(self, other: Wire) -> None:
-        """Connect this output to another camera's input: what is driven here is heard there."""
+        """Connect this output to another camera's input, which then follows it."""
         self.listen(other.drive)
 
     def drive(self, level: bool, at_ns: int | None = None) -> None:
-        """Go to this level, now or at a monotonic time that is not before the last edge's."""
+        """Change to this level, now or at a monotonic time that is not before the last edge."""
         if level == self._edges[-1][0]:
             return
         at_ns = time.monotonic_ns() if at_ns is None else at_ns
@@ -43,19 +43,19 @@ class Wire:
             listener(level, at_ns)
 
     def pulse(self, width_s: float = 0.001, at_ns: int | None = None) -> None:
-        """High for so long, from now or from a monotonic time on."""
+        """Drive a high pulse of this width, starting now or at a monotonic time."""
         at_ns = time.monotonic_ns() if at_ns is None else at_ns
         self.drive(True, at_ns)
         self.drive(False, at_ns + round(width_s * 1e9))
 
     def level(self, at_ns: int) -> bool:
-        """High or low at a monotonic time of the last few edges."""
+        """Level at a monotonic time within the last few edges; True for high."""
         return next((level for level, since_ns in reversed(self._edges.copy()) if since_ns <= at_ns), False)
 
 
 @dataclass(order=True, slots=True)
 class Due:
-    """An exposure that begins at this monotonic time, unless it is called off before."""
+    """An exposure due at this monotonic time unless it is cancelled before."""
 
     at_ns: int
     order: int
@@ -63,7 +63,7 @@ class Due:
 
 
 class TriggerQueue:
-    """Exposures to come, by time."""
+    """Pending exposures, ordered by time."""
 
     def __init__(self) -> None:
         self._dues: list[Due] = []
@@ -71,7 +71,7 @@ class TriggerQueue:
         self._order = itertools.count()
 
     def put(self, at_ns: int) -> Due:
-        """Expose at this monotonic time; at once when that is past."""
+        """Queue an exposure for this monotonic time; a time in the past means at once."""
         due = Due(at_ns, next(self._order))
         with self._changed:
             heapq.heappush(self._dues, due)
@@ -79,12 +79,12 @@ class TriggerQueue:
         return due
 
     def clear(self) -> None:
-        """Forget what has not begun."""
+        """Discard all pending exposures."""
         with self._changed:
             self._dues.clear()
 
     def get(self, timeout_s: float) -> int | None:
-        """The time of the next exposure once it has come, or None when it has not within the time-out."""
+        """Wait for the next exposure to become due and return its time; None after the time-out."""
         until_ns = time.monotonic_ns() + round(timeout_s * 1e9)
         with self._changed:
             while True:
@@ -100,20 +100,20 @@ class TriggerQueue:
 
 
 class Debouncer:
-    """An input: a level counts when it has lasted.
+    """Debounces an input: a level is valid once it has been stable for the debounce time.
 
-    Not responsible for: which edges trigger, and with what delay (`fire` says so: it gets the new level and
-    the time at which it began to count, and returns the exposure that comes of it, if any).
+    Not responsible for: which edges trigger, and with what delay. `fire` decides that: it gets the new level
+    and the time at which it becomes valid, and returns the resulting exposure, if any.
     """
 
     def __init__(self, fire: Callable[[bool, int], Due | None]) -> None:
         self._fire = fire
-        self._level = False  # that counts
-        self._coming: tuple[bool, int, Due | None] | None = None  # level, counts from, what comes of it
+        self._level = False  # valid level
+        self._coming: tuple[bool, int, Due | None] | None = None  # level, time it is valid from, its exposure
         self._lock = threading.Lock()
 
     def edge(self, level: bool, at_ns: int, debounce_s: float) -> None:
-        """The wire changed at this monotonic time."""
+        """Handle a change of the wire at this monotonic time."""
         with self._lock:
             if self._coming is not None:
                 coming, counts_ns, due = self._coming

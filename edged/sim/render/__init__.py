@@ -1,1 +1,1 @@
-"""Scenes as values, and their pictures."""
+"""Scene descriptions and their rendering."""

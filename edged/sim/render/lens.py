@@ -1,8 +1,8 @@
-"""The renderer's own lenses: the same physics as `edged.vision.geometry.camera`, by other algebra.
+"""The renderer's own lens models: those of `edged.vision.geometry.camera`, implemented independently.
 
-The pipeline inverts what the renderer draws, so both must not share code: a mistake in one
-would cancel. Here every inverse is the same fixed-point iteration on the defining direction
-of the model; there it is a closed form or Newton's method.
+The pipeline inverts what the renderer draws, so they must not share code: an error would cancel out.
+Here every inverse is the same fixed-point iteration on the model's defining direction; there it is
+a closed form or Newton's method.
 """
 
 from __future__ import annotations
@@ -14,14 +14,14 @@ import numpy as np
 from edged.domain.arrays import FloatArray
 from edged.vision.geometry.camera import CameraModel
 
-TOLERANCE = 1e-15  # of normalised coordinates: 3e-12 px at f = 3000 px
+TOLERANCE = 1e-15  # in normalised coordinates: 3e-12 px at f = 3000 px
 MAX_ITERATIONS = 200
 
 
 def rays_of_pixels(camera: CameraModel, pixels: FloatArray) -> FloatArray:
-    """Directions (..., 2), (X/Z, Y/Z), that pixels (..., 2) look along.
+    """Ray directions (..., 2), (X/Z, Y/Z), of pixels (..., 2).
 
-    Raises ValueError where the lens is so strong that a pixel has no single ray.
+    Raises ValueError if the distortion is so strong that a pixel has no unique ray.
     """
     x = (pixels[..., 0] - camera.cx) / camera.fx
     y = (pixels[..., 1] - camera.cy) / camera.fy
@@ -31,7 +31,7 @@ def rays_of_pixels(camera: CameraModel, pixels: FloatArray) -> FloatArray:
 
 
 def pixels_of_rays(camera: CameraModel, rays: FloatArray) -> FloatArray:
-    """Pixels (..., 2) that directions (..., 2) are seen at; inverse of `rays_of_pixels`."""
+    """Pixels (..., 2) of ray directions (..., 2); inverse of `rays_of_pixels`."""
     x, y = rays[..., 0], rays[..., 1]
     if camera.model == "division":
         x, y = _inverse(lambda u, v: _division(u, v, *camera.distortion), x, y)
@@ -41,19 +41,19 @@ def pixels_of_rays(camera: CameraModel, rays: FloatArray) -> FloatArray:
 
 
 def project(camera: CameraModel, camera_from_rig: FloatArray, points_mm: FloatArray) -> FloatArray:
-    """Pixels (..., 2) of points (..., 3) of the rig frame."""
+    """Pixels (..., 2) of points (..., 3) in the rig frame."""
     points = points_mm @ camera_from_rig[:3, :3].T + camera_from_rig[:3, 3]
     return pixels_of_rays(camera, points[..., :2] / points[..., 2:])
 
 
 def _division(x: FloatArray, y: FloatArray, kappa: float) -> tuple[FloatArray, FloatArray]:
-    """Ideal from distorted (Fitzgibbon 2001)."""
+    """Ideal from distorted coordinates (Fitzgibbon 2001)."""
     shrink = 1.0 + kappa * (x**2 + y**2)
     return x / shrink, y / shrink
 
 
 def _brown(x: FloatArray, y: FloatArray, distortion: tuple[float, ...]) -> tuple[FloatArray, FloatArray]:
-    """Distorted from ideal (Brown 1966, in OpenCV's order k1, k2, p1, p2, k3)."""
+    """Distorted from ideal coordinates (Brown 1966, in OpenCV's order k1, k2, p1, p2, k3)."""
     k1, k2, p1, p2, k3 = distortion
     q = x**2 + y**2
     radial = k1 * q + k2 * q**2 + k3 * q**3
@@ -64,7 +64,7 @@ def _brown(x: FloatArray, y: FloatArray, distortion: tuple[float, ...]) -> tuple
 def _inverse(
     forward: Callable[[FloatArray, FloatArray], tuple[FloatArray, FloatArray]], x: FloatArray, y: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Solve forward(u, v) = (x, y) by u <- u + x - forward(u); contracts where the lens bends little."""
+    """Solve forward(u, v) = (x, y) by u <- u + x - forward(u), which converges for moderate distortion."""
     u, v = np.array(x), np.array(y)
     for _ in range(MAX_ITERATIONS):
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
@@ -75,7 +75,7 @@ def _inverse(
         step = max(np.max(np.abs(du), initial=0.0), np.max(np.abs(dv), initial=0.0))
         if not np.isfinite(step):
             break
-        # one step beyond the tolerance: at convergence rounding keeps the last bit moving
+        # allow for a few units of rounding: at convergence the last bit keeps changing
         if step < TOLERANCE + 4.0 * np.finfo(np.float64).eps * np.max(np.abs(x), initial=1.0):
             return u, v
     raise ValueError("the lens folds inside the image: a pixel has no single ray")

@@ -1,13 +1,13 @@
 """Kernels of the renderer: distances to outlines, exact coverage of pixels, radiance, exposure.
 
-The picture is a stack of planar layers, each painted with shapes in order. A tile of pixels
-that lies wholly inside or outside of a shape is settled by one signed distance; only pixels that an
-edge crosses are divided into CELLS x CELLS cells, and each cell is covered by the half-plane that
-fits the distances at its corners, whose area is a closed form. What remains is the sagitta of an
-edge within a cell: 0.0003 px for a radius of 30 px.
+The picture is a stack of planar layers, each painted with shapes in order. A tile of pixels that
+lies entirely inside or outside a shape is decided by one signed distance. Only pixels crossed by an
+edge are divided into CELLS x CELLS cells, and the coverage of each cell is that of the half-plane
+fitted to the distances at its corners, whose area has a closed form. The remaining error is the
+sagitta of an edge within a cell: 0.0003 px for a radius of 30 px.
 
-A lens blurs before pixels sample. Blurring what pixels have averaged moves edges that run along rows or
-columns by up to 0.02 px, all marks on one in the same way; so each cell is spread from where it lies.
+A lens blurs before the pixels sample. Blurring the averages of pixels instead would move edges along rows or
+columns by up to 0.02 px, all marks on a row or column alike; so each cell is blurred from its own position.
 """
 
 from __future__ import annotations
@@ -30,8 +30,8 @@ KIND, CX, CY, COS, SIN, P0, P1, P2, P3, ALBEDO, CONTRAST, TRANSMISSION = range(1
 SHAPE_COLUMNS = 12
 PLANE, DISC, BOX, POLYGON, CHECKER, DOTS = range(6)
 
-# columns of a layer: (u, v, 1) ~ homography (x, y, 1); irradiance = a + b u + c v; texture, and how it lies:
-# along COS, SIN of an angle, or where RADIUS is not 0 on arcs about a point, as long there as it should be
+# columns of a layer: (u, v, 1) ~ homography (x, y, 1); irradiance = a + b u + c v; texture and its lay: along
+# an angle (COS, SIN) or, if RADIUS is not 0, on arcs about a point, with the nominal scale at that radius
 HOMOGRAPHY, IRRADIANCE, TEXTURE, TEXELS_U, TEXELS_V, FIRST, END = 0, 9, 12, 13, 14, 15, 16
 LAY_COS, LAY_SIN, LAY_U, LAY_V, LAY_RADIUS = 17, 18, 19, 20, 21
 LAYER_COLUMNS = 22
@@ -67,7 +67,7 @@ def _polygon(x: float, y: float, vertices: F64, first: int, count: int) -> float
 
 @kernel()
 def _checker(x: float, y: float, square: float, columns: int, rows: int) -> float:
-    """Dark squares where column + row is even; (0, 0) is the corner of the whole field."""
+    """Signed distance to dark squares, where column + row is even; (0, 0) is the corner of the field."""
     i = min(max(math.floor(x / square), 0), columns - 1)
     j = min(max(math.floor(y / square), 0), rows - 1)
     nearest = np.inf
@@ -83,7 +83,7 @@ def _checker(x: float, y: float, square: float, columns: int, rows: int) -> floa
 
 @kernel(inline=True)
 def signed_distance(u: float, v: float, shapes: F64, s: int, vertices: F64) -> float:
-    """Distance in mm of a point of the plane from the outline of shape s, negative inside."""
+    """Signed distance in mm of a point of the plane from the outline of shape s; negative inside."""
     kind = int(shapes[s, KIND])
     if kind == PLANE:
         return -np.inf
@@ -106,12 +106,12 @@ def signed_distance(u: float, v: float, shapes: F64, s: int, vertices: F64) -> f
 
 @kernel("f8(f8, f8, f8)")
 def half_plane_coverage(distance: float, slope_x: float, slope_y: float) -> float:
-    """Area of the unit cell |x|, |y| <= 1/2 on which distance + slope_x x + slope_y y < 0; [0, 1]."""
+    """Area [0, 1] of the unit cell |x|, |y| <= 1/2 in which distance + slope_x x + slope_y y < 0."""
     a, b = max(abs(slope_x), abs(slope_y)), min(abs(slope_x), abs(slope_y))
     rest = 0.5 * (a + b) - abs(distance)
     if rest <= 0.0:
         return 1.0 if distance < 0.0 else 0.0
-    # a line through opposite sides leaves a trapezium, one near a corner a triangle
+    # a line through opposite sides cuts off a trapezium, one near a corner a triangle
     far = 0.5 - abs(distance) / a if rest >= b else rest * rest / (2.0 * a * b)
     return 1.0 - far if distance < 0.0 else far
 
@@ -133,11 +133,11 @@ def _texture(textures: F32, t: int, u: float, v: float) -> float:
 
 @kernel(inline=True)
 def _grain(textures: F32, layers: F64, n: int, u: float, v: float) -> float:
-    """The texture of layer n at a point of its plane."""
+    """Texture value of layer n at a point of its plane."""
     du, dv = u - layers[n, LAY_U], v - layers[n, LAY_V]
     along, across = layers[n, LAY_COS] * du + layers[n, LAY_SIN] * dv, 0.0
     if layers[n, LAY_RADIUS] > 0.0:
-        # the same on both sides, so that it meets itself behind the point
+        # symmetric, so that the texture is continuous on the far side of the point
         across = math.sqrt(du * du + dv * dv)
         turn = math.acos(min(max(along / max(across, 1e-9), -1.0), 1.0))
         along = layers[n, LAY_RADIUS] * turn
@@ -150,9 +150,9 @@ def _grain(textures: F32, layers: F64, n: int, u: float, v: float) -> float:
 
 @kernel()
 def _settle_tile(rays: F64, box: I64, layers: F64, n: int, shapes: F64, vertices: F64, states: I64) -> float:
-    """Say of each shape of layer n if a tile is inside (1), outside (0) or mixed (2).
+    """Set for each shape of layer n whether a tile is inside (1), outside (0) or mixed (2).
 
-    Returns half the diagonal in mm of the largest pixel, negative where the plane is not in front.
+    Returns an upper bound of half a pixel's diagonal in mm; negative if the plane is not in front.
     """
     y0, y1, x0, x1 = box[0], box[1], box[2], box[3]
     corner_u, corner_v = np.empty(4), np.empty(4)
@@ -166,8 +166,8 @@ def _settle_tile(rays: F64, box: I64, layers: F64, n: int, shapes: F64, vertices
         corner_v[k] = (layers[n, 3] * a + layers[n, 4] * b + layers[n, 5]) / w
     u, v = corner_u.mean(), corner_v.mean()
     radius = math.sqrt(np.max((corner_u - u) ** 2 + (corner_v - v) ** 2))
-    # 1.3: perspective and distortion within one tile make some pixels larger than the mean;
-    # a tile's corners are centres of pixels, hence - 1
+    # 1.3: perspective and distortion within a tile make some pixels larger than the mean;
+    # a tile's corners are pixel centres, hence - 1
     pixel = 1.3 * radius / (max(y1 - y0, x1 - x0) - 1)
     for s in range(int(layers[n, FIRST]), int(layers[n, END])):
         distance = signed_distance(u, v, shapes, s, vertices)
@@ -180,7 +180,7 @@ def _settle_tile(rays: F64, box: I64, layers: F64, n: int, shapes: F64, vertices
 
 @kernel(inline=True)
 def _cell_corners(rays: F64, y: int, x: int, layers: F64, n: int, corners: F64) -> None:
-    """Points of the plane under the (CELLS + 1)² corners of a pixel's cells."""
+    """Points of layer n's plane at the (CELLS + 1)² corners of a pixel's cells."""
     last_y, last_x = rays.shape[0] - 1, rays.shape[1] - 1
     below, above = min(y + 1, last_y), max(y - 1, 0)
     right, left = min(x + 1, last_x), max(x - 1, 0)
@@ -189,7 +189,7 @@ def _cell_corners(rays: F64, y: int, x: int, layers: F64, n: int, corners: F64) 
         oy = (j / CELLS - 0.5) / (below - above)
         for i in range(CELLS + 1):
             ox = (i / CELLS - 0.5) / (right - left)
-            # the lens bends by 1e-5 px within a pixel: a straight step is enough
+            # distortion within a pixel is nonlinear by 1e-5 px only: a linear step suffices
             a = rays[y, x, 0] + ox * (rays[y, right, 0] - rays[y, left, 0])
             a += oy * (rays[below, x, 0] - rays[above, x, 0])
             b = rays[y, x, 1] + ox * (rays[y, right, 1] - rays[y, left, 1])
@@ -202,7 +202,7 @@ def _cell_corners(rays: F64, y: int, x: int, layers: F64, n: int, corners: F64) 
 
 @kernel(inline=True)
 def _paint_cells(corners: F64, shapes: F64, s: int, vertices: F64, paint: float, cells: F64) -> None:
-    """Blend the paint of shape s into the cells of one pixel by the area it covers of each."""
+    """Blend the paint of shape s into the cells of one pixel by its coverage of each."""
     for k in range(corners.shape[1]):
         corners[2, k] = signed_distance(corners[0, k], corners[1, k], shapes, s, vertices)
     stride = CELLS + 1
@@ -221,7 +221,7 @@ def _paint_cells(corners: F64, shapes: F64, s: int, vertices: F64, paint: float,
 def _paint_tile(
     rays: F64, box: I64, layers: F64, n: int, shapes: F64, s: int, textures: F32, radiance: F32
 ) -> None:
-    """Paint a tile over with shape s of layer n."""
+    """Paint a whole tile with shape s of layer n."""
     h0, h1, h2 = layers[n, 0], layers[n, 1], layers[n, 2]
     h3, h4, h5 = layers[n, 3], layers[n, 4], layers[n, 5]
     h6, h7, h8 = layers[n, 6], layers[n, 7], layers[n, 8]
@@ -240,7 +240,7 @@ def _paint_tile(
 
 
 class _Stack(NamedTuple):
-    """What `render_radiance` is given of a scene."""
+    """The scene as arrays, see `render_radiance`."""
 
     rays: F64
     layers: F64
@@ -250,7 +250,7 @@ class _Stack(NamedTuple):
 
 
 class _Divided(NamedTuple):
-    """A pixel in cells: corners (3, N) with u, v and distance, and the radiance of each cell."""
+    """A pixel divided into cells: corners (3, N) with u, v and distance; radiance of each cell."""
 
     corners: F64
     cells: F64
@@ -260,9 +260,9 @@ class _Divided(NamedTuple):
 def _paint_pixel(
     stack: _Stack, y: int, x: int, n: int, pixel_mm: float, states: I64, behind: float, pixel: _Divided
 ) -> tuple[float, int]:
-    """Radiance of one pixel after layer n was painted over what lies behind it, and how it came about.
+    """Radiance of one pixel after painting layer n over what is behind it, and a state.
 
-    BEHIND as it was, PAINTED all over, or DIVIDED, with the radiance of its cells in `pixel`.
+    The state is BEHIND (unchanged), PAINTED (entirely), or DIVIDED with the radiance of the cells in `pixel`.
     """
     rays, layers, shapes, vertices, textures = stack
     corners, cells = pixel
@@ -281,7 +281,7 @@ def _paint_pixel(
             if abs(distance) > pixel_mm:
                 state = 1 if distance < 0.0 else 0
         if state == 0 and s == first:
-            return behind, BEHIND  # outside of its outline there is nothing of this layer
+            return behind, BEHIND  # outside of its outline the layer is empty
         if state == 0:
             continue
         reflected = shapes[s, ALBEDO] * max(1.0 + shapes[s, CONTRAST] * grain, 0.0)
@@ -301,7 +301,7 @@ def _paint_pixel(
 
 @kernel(inline=True)
 def _spread_cells(cells: F64, mean: float, y: int, x: int, spread: F64, of_rows: F64, detail: F32) -> None:
-    """Add what the cells of one pixel, apart from their mean, bring to the pixels around it."""
+    """Add the blurred deviation of one pixel's cells from their mean to the pixels around it."""
     reach = spread.shape[1] // 2
     for j in range(CELLS):
         for t in range(2 * reach + 1):
@@ -320,7 +320,7 @@ def _spread_cells(cells: F64, mean: float, y: int, x: int, spread: F64, of_rows:
 
 @kernel()
 def _shown(layers: F64, n: int, states: I64) -> int:
-    """The shape whose paint fills the whole tile, MIXED, or NOTHING outside of the outline."""
+    """Index of the shape that fills the whole tile, MIXED, or NOTHING outside the layer's outline."""
     first, end = int(layers[n, FIRST]), int(layers[n, END])
     if states[first] == 0:
         return NOTHING
@@ -339,20 +339,20 @@ def _shown(layers: F64, n: int, states: I64) -> int:
 def render_radiance(
     rays: F64, layers: F64, shapes: F64, vertices: F64, textures: F32, spread: F64, radiance: F32, detail: F32
 ) -> None:
-    """Mean radiance of every pixel of a stack of planar layers, the first one lowest.
+    """Compute the mean radiance of every pixel for a stack of planar layers, lowest first.
 
     rays (H, W, 2): (X/Z, Y/Z) of each pixel's centre. layers (L, LAYER_COLUMNS),
-    shapes (S, SHAPE_COLUMNS), the first one of a layer is its outline and what the others paint must
-    lie within it; vertices (V, 2), textures: T tiles of TEXTURE_SIZE x TEXTURE_SIZE, flat.
-    spread (CELLS, 2 R + 1) : what a cell in each column (or row) of its pixel brings to the pixels from R
-    before to R behind; of no width where there is no blur.
-    radiance (H, W) is written: outlines by exact area, texture at the pixel's centre. detail (H, W) is added
-    to: what the blurred picture of the cells has more than that of their pixels' means.
+    shapes (S, SHAPE_COLUMNS): the first shape of a layer is its outline, which must contain the others;
+    vertices (V, 2), textures: T tiles of TEXTURE_SIZE x TEXTURE_SIZE, flat.
+    spread (CELLS, 2 R + 1) : contribution of a cell in each column (or row) of its pixel to the pixels from
+    R before to R after; of zero width without blur.
+    radiance (H, W) is written: outlines by exact area, texture at the pixel's centre. To detail (H, W) the
+    difference is added between the blurred cells and their blurred pixel means.
     """
     height, width = radiance.shape
     states = np.empty(shapes.shape[0], np.int64)
     pixel_mm = np.empty(layers.shape[0])
-    settled = np.empty(layers.shape[0], np.int64)  # the one shape a layer shows in a tile, or MIXED, NOTHING
+    settled = np.empty(layers.shape[0], np.int64)  # shape that fills the tile in a layer, or MIXED, NOTHING
     stack = _Stack(rays, layers, shapes, vertices, textures)
     pixel = _Divided(np.empty((3, (CELLS + 1) ** 2)), np.empty(CELLS**2))
     tile_cells, is_divided = np.empty((TILE, TILE, CELLS**2)), np.zeros((TILE, TILE), np.bool_)
@@ -360,10 +360,10 @@ def render_radiance(
     box = np.empty(4, np.int64)
     for y0 in range(0, height, TILE):
         for x0 in range(0, width, TILE):
-            # tiles at the far borders reach back, so that none is a single pixel
+            # tiles at the far borders overlap others, so that none is a single pixel
             top, left = max(min(y0, height - TILE), 0), max(min(x0, width - TILE), 0)
             box[:] = (top, min(top + TILE, height), left, min(left + TILE, width))
-            start = 0  # the topmost layer that hides all below
+            start = 0  # topmost layer that hides all others below it
             for n in range(layers.shape[0]):
                 pixel_mm[n] = _settle_tile(rays, box, layers, n, shapes, vertices, states)
                 settled[n] = _shown(layers, n, states) if pixel_mm[n] >= 0.0 else NOTHING
@@ -407,7 +407,7 @@ def expose(
 ) -> None:
     """Grey values of a sensor: shot and read noise, gain, black level, rounding, saturation.
 
-    chance : random 16 bits per pixel, which choose one of the 65536 quantiles of the noise.
+    chance : 16 random bits per pixel, which select one of the 65536 quantiles of the noise.
     electrons : collected per unit of radiance.
     """
     scale, shift = np.float32(electrons * grey_per_electron), np.float32(black + 0.5)

@@ -1,12 +1,12 @@
-"""Scenes as values, and their pictures: flat parts on a flat table, seen by calibrated cameras.
+"""Scene descriptions and their rendering: flat parts on a flat table, seen by calibrated cameras.
 
-A picture is made as light makes it: radiance of the planes, averaged over each pixel's area,
-blurred by the lens, collected as electrons with shot and read noise, rounded to 8 bits.
-Outlines are exact to 0.003 px; textures are attached to their surfaces, so both views of a
-stereo pair agree. What is not modelled: height of edges, shadows, highlights.
+Imaging is modelled physically: radiance of the planes is averaged over each pixel's area, blurred
+by the lens, collected as electrons with shot and read noise, and rounded to 8 bits. Outlines are
+accurate to 0.003 px; textures are fixed to their surfaces, so that both views of a stereo pair
+agree. Not modelled: height of edges, shadows, highlights.
 
 Lengths in mm. A part's frame has z away from the cameras, x and y in its face; a
-`rig_from_part` is (4, 4). Own projection on purpose: see `edged.sim.render.lens`.
+`rig_from_part` is (4, 4). It has its own projection on purpose: see `edged.sim.render.lens`.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ class Disc:
 
 @dataclass(frozen=True, slots=True)
 class RoundedBox:
-    """A rectangle with rounded corners; its own x axis turned by `angle_rad` from x to y."""
+    """A rectangle with rounded corners, turned by `angle_rad` from x to y."""
 
     x_mm: float
     y_mm: float
@@ -50,7 +50,7 @@ class RoundedBox:
 
 @dataclass(frozen=True, slots=True)
 class Slot:
-    """A long hole: two half circles `length_mm` (over all) apart, joined by straight edges."""
+    """A slot of overall length `length_mm`: two half circles joined by straight edges."""
 
     x_mm: float
     y_mm: float
@@ -61,14 +61,14 @@ class Slot:
 
 @dataclass(frozen=True, slots=True)
 class PolygonShape:
-    """A closed outline of straight edges; no two of them cross."""
+    """A closed polygon without self-intersections."""
 
     points_mm: tuple[tuple[float, float], ...]
 
 
 @dataclass(frozen=True, slots=True)
 class Checker:
-    """Dark squares of a chessboard; (x, y) is the outer corner of the first square."""
+    """The dark squares of a chessboard; (x, y) is the outer corner of the first square."""
 
     x_mm: float
     y_mm: float
@@ -93,7 +93,7 @@ Shape = Disc | RoundedBox | Slot | PolygonShape | Checker | DiscGrid
 
 
 def extent_mm(shape: Shape) -> float:
-    """Radius of a circle around the frame's origin that holds the shape."""
+    """Radius of a circle around the frame's origin that contains the shape."""
     match shape:
         case Disc():
             return math.hypot(shape.x_mm, shape.y_mm) + shape.radius_mm
@@ -118,13 +118,13 @@ def extent_mm(shape: Shape) -> float:
 
 @dataclass(frozen=True, slots=True)
 class Surface:
-    """The look of a face.
+    """Appearance of a face.
 
-    albedo : radiance under light of level 1. contrast : standard deviation of the texture
-    against it. feature_mm : its finest strong wavelength. stretch : how much longer it is along its lay
-    (brushed metal). seed : which texture. lay_rad : direction of a straight lay, from x to y. around_mm : the
-    point about which the lay runs in arcs instead (turned, milled); they are `stretch` long where they are
-    ARCS_MM farther from it than the origin, and grow with the radius.
+    albedo : radiance under light of level 1. contrast : standard deviation of the texture relative to
+    albedo. feature_mm : shortest strong wavelength of the texture. stretch : its elongation along the lay
+    (brushed metal). seed : selects the texture. lay_rad : direction of a straight lay, from x to y.
+    around_mm : centre of a lay in arcs instead (turned, milled); the elongation is `stretch` at a radius
+    ARCS_MM larger than the distance of the origin, and grows with the radius.
     """
 
     albedo: float
@@ -138,7 +138,7 @@ class Surface:
 
 @dataclass(frozen=True, slots=True)
 class Hole:
-    """An opening: what lies behind the part, darkened to `transmission` of its radiance."""
+    """An opening that shows what is behind the part, with its radiance multiplied by `transmission`."""
 
     name: str
     shape: Shape
@@ -155,7 +155,7 @@ class PaintedMark:
 
 @dataclass(frozen=True, slots=True)
 class Part:
-    """A flat workpiece: its outline, then marks, then holes; all of them within the outline."""
+    """A flat workpiece, painted in the order outline, marks, holes; all must be within the outline."""
 
     name: str
     outline: Shape
@@ -165,14 +165,14 @@ class Part:
 
     @property
     def circles(self) -> tuple[tuple[str, Disc], ...]:
-        """Its outline, as "outer", and its holes, as far as they are circles."""
+        """Those of its outline, as "outer", and its holes that are circles."""
         named = (("outer", self.outline), *((hole.name, hole.shape) for hole in self.holes))
         return tuple((name, shape) for name, shape in named if isinstance(shape, Disc))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PlacedPart:
-    """A part where it lies."""
+    """A part and its pose."""
 
     part: Part
     rig_from_part: FloatArray
@@ -180,7 +180,7 @@ class PlacedPart:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Table:
-    """The endless plane below; z = 0 of its frame."""
+    """The infinite plane below the parts, z = 0 of its frame."""
 
     surface: Surface
     rig_from_table: FloatArray
@@ -188,7 +188,7 @@ class Table:
 
 @dataclass(frozen=True, slots=True)
 class SceneLight:
-    """Irradiance level (1 + gradient · (X, Y)), X and Y of the rig frame."""
+    """Irradiance level (1 + gradient · (X, Y)), with X and Y in the rig frame."""
 
     level: float = 1.0
     gradient_per_mm: tuple[float, float] = (0.0, 0.0)
@@ -196,7 +196,7 @@ class SceneLight:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Scene:
-    """All there is to see; parts from the lowest to the topmost."""
+    """Table, parts (from lowest to topmost) and light."""
 
     table: Table
     parts: tuple[PlacedPart, ...] = ()
@@ -207,8 +207,8 @@ class Scene:
 class Sensor:
     """Lens blur and a grey 8-bit sensor.
 
-    psf_sigma_px : Gaussian, besides the pixel's own area. full_well_e : electrons at grey 255
-    without gain. white : grey value of radiance 1 after nominal_exposure_us without gain.
+    psf_sigma_px : sigma of the Gaussian blur, in addition to the pixel's area. full_well_e : electrons at
+    grey 255 without gain. white : grey value of radiance 1 after nominal_exposure_us without gain.
     """
 
     psf_sigma_px: float = 0.6
@@ -223,11 +223,11 @@ class Sensor:
 
 
 class RenderedView:
-    """One camera at its place; holds the ray of every pixel, so that pictures are quick.
+    """Renderer of one camera at a fixed pose; stores the ray of every pixel for speed.
 
-    It also holds the radiance of the scene that it saw last: a thing that lies still costs its noise alone.
-    camera_from_rig : (4, 4). Safe from any thread.
-    Raises ValueError where the lens has no single ray for a pixel.
+    It also caches the radiance of the last scene: for an unchanged scene only the noise is computed.
+    camera_from_rig : (4, 4). Thread-safe.
+    Raises ValueError if the lens has no unique ray for a pixel.
     """
 
     def __init__(
@@ -237,17 +237,17 @@ class RenderedView:
         self.camera_from_rig = np.array(camera_from_rig, dtype=np.float64)
         self.sensor = sensor or Sensor()
         self._spread = _spread(self.sensor.psf_sigma_px)
-        # a margin as wide as the blur: pixels at the border see what lies beyond it
+        # a margin as wide as the blur, whose light reaches pixels at the border
         self._margin = self._spread.shape[1] // 2
         self._rays = _rays(camera, self._margin)
         self._seen: tuple[tuple[bytes, ...], F32] = (), np.empty((0, 0), np.float32)
 
     def project(self, points_mm: FloatArray) -> FloatArray:
-        """Pixels (..., 2) of points (..., 3) of the rig frame."""
+        """Pixels (..., 2) of points (..., 3) in the rig frame."""
         return project(self.camera, self.camera_from_rig, np.asarray(points_mm, dtype=np.float64))
 
     def radiance(self, scene: Scene) -> F32:
-        """(H, W) radiance on the sensor: averaged over pixels and blurred, without noise; read-only."""
+        """Radiance (H, W) on the sensor, averaged over pixels and blurred, without noise; read-only."""
         radiance = self._radiance(scene).view()
         radiance.flags.writeable = False
         return radiance
@@ -255,7 +255,7 @@ class RenderedView:
     def _radiance(self, scene: Scene) -> F32:
         layers, shapes, vertices, seeds = _pack(scene, self.camera_from_rig)
         what = layers.tobytes(), shapes.tobytes(), vertices.tobytes(), repr(seeds).encode()
-        seen, radiance = self._seen  # one read: another thread may see something else meanwhile
+        seen, radiance = self._seen  # a single read: another thread may replace it meanwhile
         if seen != what:
             radiance = self._rendered(layers, shapes, vertices, _textures(seeds).ravel())
             self._seen = what, radiance
@@ -271,7 +271,7 @@ class RenderedView:
         at_edges = cv2.sepFilter2D(raw, cv2.CV_32F, of_pixels, of_pixels, borderType=border) + detail
         size, sigma_px = 2 * margin + 1, self.sensor.psf_sigma_px
         cv2.GaussianBlur(raw, (size, size), sigma_px, dst=raw, borderType=border)
-        # where there is no edge there is texture, which was not averaged over pixels but sampled
+        # away from edges use the Gaussian blur: texture was sampled, not averaged over pixels
         seen = np.where(detail != 0.0, at_edges, raw)
         return np.ascontiguousarray(seen[margin:-margin, margin:-margin])
 
@@ -282,9 +282,9 @@ class RenderedView:
         exposure_us: float | None = None,
         gain_db: float = 0.0,
     ) -> Image:
-        """(H, W) uint8 picture. rng : source of the noise, None for none.
+        """Render a picture (H, W) uint8. rng : source of the noise; None for no noise.
 
-        exposure_us : None for the nominal one.
+        exposure_us : exposure time; None for the nominal one.
         """
         sensor = self.sensor
         radiance = self._radiance(scene)
@@ -309,23 +309,23 @@ class RenderedView:
 
 @functools.lru_cache(maxsize=2)
 def _rays(camera: CameraModel, margin: int) -> FloatArray:
-    """(H, W, 2) the ray of every pixel and of a margin around; 20 MB, kept for the two cameras of a rig."""
+    """Rays (H, W, 2) of all pixels and a margin around; 20 MB, cached for the two cameras of a rig."""
     y, x = np.mgrid[-margin : camera.height + margin, -margin : camera.width + margin]
     return np.ascontiguousarray(rays_of_pixels(camera, np.stack([x, y], axis=-1).astype(np.float64)))
 
 
 @functools.lru_cache(maxsize=16)
 def _spread(psf_sigma_px: float) -> FloatArray:
-    """(CELLS, 2 R + 1) what each cell of a pixel brings to the pixels around it, along rows or columns.
+    """Contribution (CELLS, 2 R + 1) of each cell of a pixel to the pixels around, along rows or columns.
 
-    A Gaussian from the cell's centre, averaged over the pixel that it falls on. (CELLS, 0) without blur.
+    A Gaussian about the cell's centre, averaged over the receiving pixel. (CELLS, 0) without blur.
     """
     if psf_sigma_px <= 0.0:
         return np.empty((raster.CELLS, 0))
     reach = math.ceil(4.0 * psf_sigma_px) + 1
     centres = (np.arange(raster.CELLS) + 0.5) / raster.CELLS - 0.5
     borders = np.arange(-reach, reach + 2) - 0.5
-    # cells hold means over their width already: so much less is left to blur
+    # cells already hold means over their width: the variance of that is subtracted
     normal = NormalDist(sigma=math.sqrt(max(psf_sigma_px**2 - raster.CELLS**-2 / 12, 1e-6)))
     spread = np.diff([[normal.cdf(border - centre) for border in borders] for centre in centres])
     return np.asarray(spread / spread.sum())
@@ -333,8 +333,8 @@ def _spread(psf_sigma_px: float) -> FloatArray:
 
 @functools.cache
 def _normal_quantiles() -> F32:
-    """65536 equally likely values of a standard normal: chosen by 16 random bits, five times
-    quicker than drawing from the distribution."""
+    """65536 equally likely values of a standard normal; selecting one by 16 random bits is five times
+    faster than drawing from the distribution."""
     normal = NormalDist()
     return np.array([normal.inv_cdf((k + 0.5) / 65536) for k in range(65536)], np.float32)
 
@@ -342,7 +342,7 @@ def _normal_quantiles() -> F32:
 def _pack(
     scene: Scene, camera_from_rig: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray, tuple[int, ...]]:
-    """The scene as the flat arrays of `raster.render_radiance`, and the seeds of its textures."""
+    """Convert the scene to the flat arrays of `raster.render_radiance`, and the seeds of its textures."""
     planes = [(scene.table.rig_from_table, scene.table.surface, [_row(None, scene.table.surface, [])])]
     vertices: list[tuple[float, float]] = []
     for placed in scene.parts:
@@ -373,12 +373,12 @@ def _pack(
 
 
 def _lay(surface: Surface) -> tuple[float, float, float, float, float]:
-    """How the texture of a surface lies, as a layer has it."""
+    """Lay of a surface's texture as the values of a layer's columns."""
     if surface.around_mm is None:
         return math.cos(surface.lay_rad), math.sin(surface.lay_rad), 0.0, 0.0, 0.0
     x_mm, y_mm = surface.around_mm
     away_mm = math.hypot(x_mm, y_mm)
-    # arcs are mirrored on a line through their middle, which lies across the way to the origin
+    # arcs are mirrored at a line through their centre, which is perpendicular to the direction of the origin
     across_rad = math.atan2(y_mm, x_mm) + 0.5 * math.pi
     return math.cos(across_rad), math.sin(across_rad), x_mm, y_mm, ARCS_MM + away_mm
 
@@ -386,7 +386,7 @@ def _lay(surface: Surface) -> tuple[float, float, float, float, float]:
 def _row(
     shape: Shape | None, surface: Surface, vertices: list[tuple[float, float]], transmission: float = 0.0
 ) -> list[float]:
-    """One shape as a row; the points of a polygon go to `vertices`. None is the whole plane."""
+    """Convert a shape to a row; points of a polygon are appended to `vertices`. None: the whole plane."""
     angle_rad = 0.0
     match shape:
         case None:
@@ -419,17 +419,17 @@ def _row(
 ARCS_MM = 10.0
 """See `Surface`."""
 TEXELS_PER_FEATURE = 8.0
-"""Texture samples per `feature_mm`; the shortest wavelength has half as many."""
+"""Texels per `feature_mm`; the shortest wavelength has half as many."""
 
 
 @functools.lru_cache(maxsize=4)
 def _textures(seeds: tuple[int, ...]) -> F32:
-    """(T, N, N) periodic pink noise of mean 0 and deviation 1, no wave shorter than half a feature."""
+    """Periodic pink noise (T, N, N) of mean 0 and deviation 1, with no wave shorter than half a feature."""
     n = raster.TEXTURE_SIZE
     frequency = np.hypot(np.fft.fftfreq(n)[:, None], np.fft.rfftfreq(n)[None, :]) * TEXELS_PER_FEATURE
     with np.errstate(divide="ignore"):
         octaves = np.log2(frequency)
-    # as much power in each octave from 8 features down to half a feature, faded out at both ends
+    # equal power in each octave from 8 features down to half a feature, faded out at both ends
     inside = np.clip(np.minimum(octaves + 4.0, 1.0 - octaves), 0.0, 1.0)
     band = np.where(inside > 0.0, np.sin(0.5 * np.pi * inside) ** 2 / np.maximum(frequency, 1e-9), 0.0)
     tiles = np.empty((len(seeds), n, n), np.float32)
@@ -455,7 +455,7 @@ PLATE_WHITE, PLATE_BLACK = 0.82, 0.06
 
 
 def chessboard_plate(columns: int, rows: int, square_mm: float) -> Plate:
-    """A chessboard with columns x rows inner corners; the frame's origin is the first of them."""
+    """A chessboard with columns x rows inner corners; the frame's origin is the first corner."""
     field_mm = ((columns + 1) * square_mm, (rows + 1) * square_mm)
     centre_mm = (0.5 * (columns - 1) * square_mm, 0.5 * (rows - 1) * square_mm)
     outline = RoundedBox(*centre_mm, field_mm[0] + square_mm, field_mm[1] + square_mm)
@@ -465,9 +465,9 @@ def chessboard_plate(columns: int, rows: int, square_mm: float) -> Plate:
 
 
 def dots_plate(columns: int, rows: int, pitch_mm: float) -> Plate:
-    """A plate of columns x rows dots, half a pitch wide, in a black frame with one cut corner.
+    """A plate of columns x rows dots, half a pitch in diameter, in a black frame with one filled corner.
 
-    The frame's origin is the centre of the plate; the cut corner lies beside the first dot.
+    The frame's origin is the centre of the plate; the filled corner is beside the first dot.
     """
     origin_mm = (-0.5 * (columns - 1) * pitch_mm, -0.5 * (rows - 1) * pitch_mm)
 

@@ -1,1 +1,1 @@
-"""Calibration boards: what they are, and their marks in an image."""
+"""Calibration boards: their specifications, and the detection of their marks in an image."""

@@ -1,4 +1,4 @@
-"""What a board looks like: its ink as shapes in the board's own frame, to be printed."""
+"""Printable artwork of a board, as shapes in the board's own frame."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from edged.domain.arrays import FloatArray
 from edged.vision.boards.board import Charuco, Chessboard, CircleGrid, DotBoard, NominalBoard
 
 FRAME_OUTER, FRAME_INNER = 1.0, 0.75
-"""Pitches from the outermost dots to the edges of the frame around a grid of dots."""
+"""Distances, in pitches, from the outermost dots to the edges of the frame around a grid of dots."""
 
 
 @dataclass(frozen=True, slots=True)
 class Ink:
-    """Shapes of one shade, drawn as one. black : else white.
+    """Shapes of one shade, drawn together. black : True for black, False for white.
 
     rectangles : x, y, width, height.  circles : x, y, radius.  triangles : six coordinates.  All mm.
     """
@@ -29,7 +29,7 @@ class Ink:
 
 @dataclass(frozen=True, slots=True)
 class Artwork:
-    """A board's ink in the order in which it is laid on, in the board's frame (y down).
+    """A board's ink in drawing order, in the board's frame (y down).
 
     low, high : corners of all ink, mm.
     """
@@ -40,9 +40,9 @@ class Artwork:
 
 
 def artwork(board: NominalBoard) -> Artwork:
-    """The ink of a board."""
+    """Make the artwork of a board."""
     if isinstance(board, Chessboard):
-        # one row and column of squares around the inner corners; black beside mark 0
+        # a border of one square around the inner corners; the square beside mark 0 is black
         p = board.pitch_mm
         squares = _squares(board.columns + 1, board.rows + 1, p, (-p, -p))
         return Artwork((Ink(True, squares),), (-p, -p), (board.columns * p, board.rows * p))
@@ -59,7 +59,7 @@ def artwork(board: NominalBoard) -> Artwork:
 def _squares(
     columns: int, rows: int, side: float, origin: tuple[float, float]
 ) -> tuple[tuple[float, ...], ...]:
-    """The black squares of a chessboard, the first one in its first corner."""
+    """Black squares of a chessboard whose first corner square is black."""
     return tuple(
         (origin[0] + x * side, origin[1] + y * side, side, side)
         for y in range(rows)
@@ -81,7 +81,7 @@ def _dots(board: DotBoard, dots: tuple[tuple[float, ...], ...], far: FloatArray)
 
 
 def _charuco(board: Charuco) -> Artwork:
-    """As OpenCV draws it since 4.6: the first corner is black, markers in the white squares."""
+    """ChArUco artwork as drawn by OpenCV since 4.6: first corner black, markers in the white squares."""
     dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, f"DICT_{board.dictionary}"))
     p, size = board.pitch_mm, (board.columns, board.rows)
     drawn = cv2.aruco.CharucoBoard(size, p, board.marker_mm, dictionary)

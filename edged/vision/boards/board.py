@@ -1,7 +1,7 @@
-"""Calibration boards: what they are, and what a detection of one is.
+"""Types of calibration boards, and the result of detecting one.
 
-A board's frame has x along its columns, y along its rows, z into the board (a camera that
-looks at it sees x, y, z right-handed). Marks are numbered row by row.
+A board's frame has x along a row (across the columns), y along a column, z into the board (right-handed, as
+seen by a camera that looks at it). Marks are numbered row by row.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from edged.domain.arrays import I64, FloatArray, Side
 from edged.domain.numerals import decimal, is_whole
 from edged.errors import CalibrationError
 
-_MAX_MARKS_PER_SIDE = 100  # limit of a board's specification
+_MAX_MARKS_PER_SIDE = 100  # limit for a board specification
 _GRAMMAR = {
     "chessboard": "chessboard:COLSxROWS:SQUARE_MM (inner corners), e.g. chessboard:11x8:4.0",
     "dots": "dots:COLSxROWS:PITCH_MM[:DIAMETER_MM] (diameter half the pitch if not given), e.g. dots:7x7:5.0",
@@ -30,7 +30,7 @@ _GRAMMAR = {
 class Chessboard:
     """columns x rows inner corners, `pitch_mm` apart.
 
-    Mark 0 lies next to a black corner square, where the board has one.
+    Mark 0 lies next to a black corner square, if the board has one.
     """
 
     columns: int
@@ -44,7 +44,7 @@ class Chessboard:
 
     @property
     def is_symmetric(self) -> bool:
-        """Whether the board turned by 180° looks the same, so that one image cannot tell."""
+        """Whether the board looks the same turned by 180°, so that one image cannot resolve it."""
         return (self.columns + self.rows) % 2 == 0
 
     def __str__(self) -> str:
@@ -67,12 +67,12 @@ class DotBoard:
 
     @property
     def is_symmetric(self) -> bool:
-        """The orientation mark settles it."""
+        """False: the orientation mark resolves the orientation."""
         return False
 
     @property
     def gap_mm(self) -> float:
-        """Between the edges of neighbouring dots."""
+        """Gap between the edges of neighbouring dots."""
         return self.pitch_mm - self.diameter_mm
 
     def __str__(self) -> str:
@@ -81,9 +81,9 @@ class DotBoard:
 
 @dataclass(frozen=True, slots=True)
 class CircleGrid:
-    """Rows of round marks, each row shifted by half a step against the one before; no orientation mark.
+    """Rows of round marks, each shifted by half a step from the previous one; no orientation mark.
 
-    columns marks in each of the rows, two pitches apart; the rows are one pitch apart.
+    Each row has `columns` marks, two pitches apart; the rows are one pitch apart.
     """
 
     columns: int
@@ -93,7 +93,7 @@ class CircleGrid:
 
     @property
     def lattice(self) -> I64:
-        """(N, 2) places of all marks in whole pitches."""
+        """(N, 2) positions of all marks in whole pitches."""
         row, column = np.divmod(np.arange(self.columns * self.rows), self.columns)
         return np.column_stack([2 * column + row % 2, row])
 
@@ -104,12 +104,12 @@ class CircleGrid:
 
     @property
     def is_symmetric(self) -> bool:
-        """With an even number of rows it looks the same from the other end."""
+        """True for an even number of rows: it looks the same from the other end."""
         return self.rows % 2 == 0
 
     @property
     def gap_mm(self) -> float:
-        """Between the edges of neighbouring marks."""
+        """Gap between the edges of neighbouring marks."""
         return math.sqrt(2) * self.pitch_mm - self.diameter_mm
 
     def __str__(self) -> str:
@@ -118,7 +118,7 @@ class CircleGrid:
 
 @dataclass(frozen=True, slots=True)
 class Charuco:
-    """A chessboard of columns x rows *squares* with ArUco markers in the white ones; parts of it suffice."""
+    """A chessboard of columns x rows *squares*, ArUco markers in the white ones; may be partly visible."""
 
     columns: int
     rows: int
@@ -133,7 +133,7 @@ class Charuco:
 
     @property
     def is_symmetric(self) -> bool:
-        """The markers settle it."""
+        """False: the markers resolve the orientation."""
         return False
 
     def __str__(self) -> str:
@@ -145,19 +145,19 @@ NominalBoard = Chessboard | DotBoard | CircleGrid | Charuco
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ShapedBoard:
-    """A board whose marks were measured: points_mm (N, 3) differs a little from what was stated."""
+    """A board whose marks were measured: points_mm (N, 3) differs slightly from the nominal points."""
 
     stated: NominalBoard
     points_mm: FloatArray
 
     @property
     def pitch_mm(self) -> float:
-        """As stated."""
+        """The nominal pitch."""
         return self.stated.pitch_mm
 
     @property
     def is_symmetric(self) -> bool:
-        """Numbering has been settled when a board's shape is known."""
+        """False: the numbering was resolved before the shape was measured."""
         return False
 
     def __str__(self) -> str:
@@ -168,9 +168,9 @@ Board = NominalBoard | ShapedBoard
 
 
 def outline_mm(board: Board, margin_mm: float = 0.0) -> FloatArray:
-    """(4, 3) once around the marks, from (x_min, y_min) by (x_max, y_min), in the board's frame.
+    """Corners (4, 3) of the rectangle around the marks, from (x_min, y_min) via (x_max, y_min), board frame.
 
-    margin_mm : farther out by this; detectors want to see a pitch more than the marks.
+    margin_mm : added on all sides; detectors need to see one pitch beyond the marks.
     """
     (left, top, _), (right, bottom, _) = board.points_mm.min(axis=0), board.points_mm.max(axis=0)
     left, top, right, bottom = left - margin_mm, top - margin_mm, right + margin_mm, bottom + margin_mm
@@ -181,9 +181,9 @@ def outline_mm(board: Board, margin_mm: float = 0.0) -> FloatArray:
 class Detection:
     """A board found in one image.
 
-    ids (N,) : which of the board's points.  pixels (N, 2).
+    ids (N,) : indices of the board's points.  pixels (N, 2).
     sigma_px (N,) : standard deviation of one coordinate, from the fit of that mark.
-    blur_px : sigma of the edge spread; contrast : grey values between black and white; medians.
+    blur_px : median sigma of the edge spread.  contrast : median grey value step from black to white.
     """
 
     ids: I64
@@ -195,7 +195,7 @@ class Detection:
 
 @dataclass(frozen=True, slots=True)
 class NotDetected:
-    """No usable board in an image, and why."""
+    """No usable board was found in an image; reason says why."""
 
     reason: str
 
@@ -210,7 +210,7 @@ class StereoView:
     right: Detection | NotDetected
 
     def found(self, side: Side) -> Detection:
-        """The detection in one image; for views known to have it."""
+        """The detection in one image; raises `TypeError` if there is none."""
         detection = self.left if side == "left" else self.right
         if isinstance(detection, NotDetected):
             raise TypeError(f"{self.name}: no board in the {side} image: {detection.reason}")
@@ -218,9 +218,9 @@ class StereoView:
 
 
 def parse_board(text: str) -> NominalBoard:
-    """Read a board specification such as "chessboard:11x8:4.0".
+    """Parse a board specification such as "chessboard:11x8:4.0".
 
-    Raises `CalibrationError` that names the part that is wrong and shows the grammar.
+    Raises `CalibrationError` that names the wrong part and shows the grammar.
     """
     kind, *parts = text.strip().split(":")
     kind = kind.lower()
@@ -265,7 +265,7 @@ def parse_board(text: str) -> NominalBoard:
 
 
 def parse_boards(text: str) -> tuple[NominalBoard, ...]:
-    """Read one or more specifications, separated by commas; each view shows one of the boards."""
+    """Parse one or more specifications separated by commas; each view shows one of the boards."""
     return tuple(parse_board(part) for part in text.split(","))
 
 

@@ -1,4 +1,4 @@
-"""ChArUco boards: markers say which corner is which, so that parts of a board suffice."""
+"""ChArUco boards: markers identify the corners, so that a part of the board suffices."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ _DICTIONARIES = (
     *("4X4_1000", "5X5_1000", "6X6_1000", "7X7_1000", "ARUCO_ORIGINAL", "ARUCO_MIP_36H12"),
     *("APRILTAG_16H5", "APRILTAG_25H9", "APRILTAG_36H10", "APRILTAG_36H11"),
 )
-"""The largest of each kind: the smaller ones are the beginnings of these."""
+"""The largest dictionary of each kind; the smaller ones are subsets from its beginning."""
 
 
 def detect_charuco(image: Image, board: Charuco) -> Detection | NotDetected:
-    """Find the inner corners of a ChArUco board that are in view, and measure them.
+    """Find and measure the visible inner corners of a ChArUco board.
 
     image (H, W) uint8.
     """
@@ -44,7 +44,7 @@ def detect_charuco(image: Image, board: Charuco) -> Detection | NotDetected:
 def remeasure_charuco(
     image: Image, board: Charuco, found: Detection, camera: CameraModel
 ) -> Detection | NotDetected:
-    """Measure a detected board again, now that the lens is known."""
+    """Measure a detected board again with the lens known."""
     grid = np.full((board.rows - 1, board.columns - 1, 2), np.nan)
     grid.reshape(-1, 2)[found.ids] = found.pixels
     return _measure(image, board, grid, camera)
@@ -53,7 +53,7 @@ def remeasure_charuco(
 def _measure(
     image: Image, board: Charuco, grid: FloatArray, camera: CameraModel | None
 ) -> Detection | NotDetected:
-    # The window must end before the marker in the white square: its corner is nearest, on the diagonal.
+    # The window must not reach the marker in the white square, whose nearest point is its corner.
     share = 0.85 * math.sqrt(2) * (board.pitch_mm - board.marker_mm) / 2 / board.pitch_mm
     fits = refine_corners(image, grid, camera, radius_share=share)
     ids = np.flatnonzero(np.isfinite(grid.reshape(-1, 2)).all(axis=1))
@@ -61,7 +61,7 @@ def _measure(
 
 
 def _markers(image: Image, board: Charuco, *, legacy: bool) -> tuple[FloatArray, list[int]]:
-    """Rough corners (N, 2) and their numbers."""
+    """Approximate corners (N, 2) and their ids."""
     dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, f"DICT_{board.dictionary}"))
     pattern = cv2.aruco.CharucoBoard((board.columns, board.rows), board.pitch_mm, board.marker_mm, dictionary)
     pattern.setLegacyPattern(legacy)
@@ -71,14 +71,14 @@ def _markers(image: Image, board: Charuco, *, legacy: bool) -> tuple[FloatArray,
     return np.asarray(corners, dtype=np.float64).reshape(-1, 2), [int(i) for i in np.ravel(ids)]
 
 
-# --- boards of which nothing is known ---------------------------------------------------------------
+# --- recognition of unknown boards ------------------------------------------------------------------
 
 
 def recognise_charuco(image: Image) -> Charuco | None:
-    """A ChArUco board of any size in an image (H, W) uint8, its squares 1 mm; None where none is seen.
+    """Recognise a ChArUco board of any size in an image (H, W) uint8, with squares of 1 mm; None if none.
 
-    Its last rows may be out of view: rows is the least that the markers prove. The dictionary is the
-    largest of its kind; see `smallest_dictionary`.
+    Its last rows may be out of view: rows is the smallest number consistent with the markers. The dictionary
+    is the largest of its kind; see `smallest_dictionary`.
     """
     small, _ = reduced(image)
     every = [cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, f"DICT_{name}")) for name in _DICTIONARIES]
@@ -98,7 +98,7 @@ def recognise_charuco(image: Image) -> Charuco | None:
 
 
 def smallest_dictionary(board: Charuco) -> str:
-    """The name of the smallest dictionary that has the markers of a board."""
+    """Name of the smallest dictionary that contains all markers of a board."""
     kind, _, count = board.dictionary.rpartition("_")
     if count != "1000":
         return board.dictionary
@@ -106,7 +106,7 @@ def smallest_dictionary(board: Charuco) -> str:
 
 
 def _lattice(outlines: FloatArray) -> tuple[float, dict[int, tuple[int, int]]]:
-    """The markers' side as a share of a square's, and the place in squares of those that hang together.
+    """Side of a marker over that of a square, and positions in squares of the connected markers.
 
     outlines (N, 4, 2) px, clockwise from the upper left corner as printed.
     """
@@ -118,7 +118,7 @@ def _lattice(outlines: FloatArray) -> tuple[float, dict[int, tuple[int, int]]]:
             for homography in maps
         ]
     )
-    # (N, N, 2): places of all markers in the frame of each, in sides of a marker
+    # (N, N, 2): positions of all markers in the frame of each, in marker sides
     away = np.array([cv2.perspectiveTransform(middles[None], homography)[0] for homography in maps])
     off = np.abs(away)
     diagonal = (
@@ -126,7 +126,7 @@ def _lattice(outlines: FloatArray) -> tuple[float, dict[int, tuple[int, int]]]:
     )
     if not diagonal.any():
         return 0.0, {}
-    # the next white square is one square on both ways
+    # the diagonally next white square is one square away in both directions
     share = 1.0 / float(np.median(off[diagonal & (off.max(axis=2) < 1.3 * off[diagonal].max(axis=1).min())]))
     steps = np.rint(away * share)
     near = (np.abs(steps).max(axis=2) <= 2) & (
@@ -151,9 +151,9 @@ def _lattice(outlines: FloatArray) -> tuple[float, dict[int, tuple[int, int]]]:
 
 
 def _size_of(ids: dict[int, int], places: dict[int, tuple[int, int]]) -> tuple[int, int] | None:
-    """Columns and rows in squares of a board from the numbers of its markers, which run row by row.
+    """Columns and rows, in squares, of a board from its marker ids, which are numbered row by row.
 
-    Two rows on, the number has grown by the columns, be they even or odd.
+    Two rows further the id is larger by the number of columns, whether that is even or odd.
     """
     at = {place: ids[index] for index, place in places.items()}
     grown = Counter(at[x, y + 2] - number for (x, y), number in at.items() if (x, y + 2) in at)

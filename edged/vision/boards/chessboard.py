@@ -1,13 +1,13 @@
-"""Chessboard corners: found by OpenCV, measured by fitting the picture of a corner.
+"""Chessboard corners: found by OpenCV, measured by fitting an image model of a corner.
 
-The corner model is two straight edges that cross, each blurred by the same Gaussian:
+The model is two straight crossing edges, both blurred by the same Gaussian:
 
     I(p) = (a + b erf(n1·(p - c) / (√2 s)) erf(n2·(p - c) / (√2 s))) (1 + g·(p - c))
 
-with centre c, edge normals n1, n2, blur s, mean grey a, half contrast b and slope g of the light. It is
-symmetric about c, and so is everything it leaves out (spread of ink, saturation, sharpening, the product
-form where the edges are not square to each other): that widens the residuals and the stated
-sigma, but does not move c, as long as the pixels are close enough to sample the edges (see `_fitted`).
+with centre c, edge normals n1, n2, blur s, mean grey a, half contrast b and light gradient g. It is
+symmetric about c, and so are all effects that it neglects (spread of ink, saturation, sharpening, the
+product form for edges that are not perpendicular): they increase the residuals and the stated sigma,
+but do not move c, as long as the edges are sampled finely enough by the pixels (see `_fitted`).
 """
 
 from __future__ import annotations
@@ -24,15 +24,15 @@ from edged.vision.boards.params import DETECTION
 from edged.vision.geometry.camera import CameraModel
 
 _NEVER_ROUGH_PX = 2.0 * DETECTION.clipped_px
-"""What clipping alone gives, in two directions, with some noise: never rough, however precise
-the others are."""
+"""Sigma caused by clipping alone, in two directions, with some noise: never rejected as too rough, however
+precise the other corners are."""
 
 
 def detect_chessboard(image: Image, board: Chessboard) -> Detection | NotDetected:
     """Find all inner corners of a chessboard.
 
-    image (H, W) uint8.  The order is right-handed, and starts at the black corner square where
-    the board has one at one end only (or both at one end of a diagonal, for square boards).
+    image (H, W) uint8.  The order is right-handed and starts at the black corner square if the
+    board has one at one end only (or, for square boards, both on one diagonal).
     """
     found = _find(image, board)
     if found is None:
@@ -47,7 +47,7 @@ def detect_chessboard(image: Image, board: Chessboard) -> Detection | NotDetecte
 def remeasure_chessboard(
     image: Image, board: Chessboard, found: Detection, camera: CameraModel
 ) -> Detection | NotDetected:
-    """Measure a detected board again, now that the lens is known."""
+    """Measure a detected board again with the lens known."""
     grid = np.full((board.rows * board.columns, 2), np.nan)
     grid[found.ids] = found.pixels
     fits = refine_corners(image, grid.reshape(board.rows, board.columns, 2), camera)
@@ -55,9 +55,9 @@ def remeasure_chessboard(
 
 
 def judge_corners(fits: FloatArray, ids: I64) -> Detection | NotDetected:
-    """Keep the corners whose fit succeeded; too few, or a picture too flat, is a miss.
+    """Keep the corners whose fit succeeded; `NotDetected` if these are too few or of too low contrast.
 
-    fits (N, 6) : x, y, sigma_px, blur_px, contrast, ok, one for each of ids (N,).
+    fits (N, 6) : x, y, sigma_px, blur_px, contrast, ok, for each of ids (N,).
     """
     ok = (fits[:, 5] > 0) & np.isfinite(fits).all(axis=1)
     contrast = float(np.median(fits[ok if ok.any() else slice(None), 4]))
@@ -77,9 +77,9 @@ def judge_corners(fits: FloatArray, ids: I64) -> Detection | NotDetected:
 
 
 def recognise_chessboard(image: Image) -> Chessboard | None:
-    """A chessboard of any size in an image (H, W) uint8, its squares 1 mm, the longer side as columns.
+    """Recognise a chessboard of any size in an image (H, W) uint8; squares of 1 mm, longer side as columns.
 
-    It may be a part of a board that is cut or covered; None where fewer corners than 5x4 hang together.
+    It may be a part of a board that is cut off or covered; None if there is no connected grid of 5x4 corners.
     """
     small, _ = reduced(image)
     flags = cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_LARGER
@@ -94,7 +94,7 @@ def recognise_chessboard(image: Image) -> Chessboard | None:
 
 
 def _squares_touch(smooth: FloatArray, grid: FloatArray) -> bool:
-    """Whether most corners are half dark, half bright; between round marks there is a gap."""
+    """Whether most grid points are half dark, half bright, as corners are; between round marks is a gap."""
     centres = 0.25 * (grid[:-1, :-1] + grid[1:, :-1] + grid[:-1, 1:] + grid[1:, 1:])
     levels = smooth[tuple(np.rint(centres).astype(int)[..., ::-1].reshape(-1, 2).T)]
     x, y = np.rint(grid).astype(int).reshape(-1, 2).T
@@ -104,7 +104,7 @@ def _squares_touch(smooth: FloatArray, grid: FloatArray) -> bool:
 
 
 def _squares_hold_markers(smooth: FloatArray, grid: FloatArray) -> bool:
-    """Whether a third of the squares or more are not of one grey: half of a ChArUco board's hold a marker."""
+    """Whether a third or more of the squares are not uniform: half of a ChArUco board's hold a marker."""
     a, b, c, d = (grid[:-1, :-1], grid[:-1, 1:], grid[1:, :-1], grid[1:, 1:])
     shares = np.linspace(0.2, 0.8, 7)
     greys = []
@@ -118,7 +118,7 @@ def _squares_hold_markers(smooth: FloatArray, grid: FloatArray) -> bool:
 
 
 def reduced(image: Image) -> tuple[Image, float]:
-    """The image small enough to be searched, and its scale."""
+    """The image reduced to a size that can be searched, and its scale."""
     scale = min(1.0, math.sqrt(DETECTION.max_search_px / image.size))
     if scale == 1:
         return image, scale
@@ -127,11 +127,11 @@ def reduced(image: Image) -> tuple[Image, float]:
 
 
 def _find(image: Image, board: Chessboard) -> FloatArray | None:
-    """Corners (rows, columns, 2) to about a pixel, or None."""
+    """Corners (rows, columns, 2) to about one pixel, or None."""
     small, scale = reduced(image)
     size = (board.columns, board.rows)
     found, corners = cv2.findChessboardCornersSB(small, size, flags=cv2.CALIB_CB_NORMALIZE_IMAGE)
-    if not found:  # the older detector sees some boards that the newer one does not, and the other way round
+    if not found:  # the older detector finds some boards that the newer one misses, and vice versa
         flags = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_FAST_CHECK
         found, corners = cv2.findChessboardCorners(small, size, flags=flags)
     if not found or corners is None:
@@ -141,7 +141,7 @@ def _find(image: Image, board: Chessboard) -> FloatArray | None:
 
 
 def _in_canonical_order(image: Image, grid: FloatArray) -> FloatArray | None:
-    """The grid (rows, columns, 2) with a right-handed order and a dark first square."""
+    """Reorder the grid (rows, columns, 2) to be right-handed with a dark first square."""
     across, down = np.diff(grid, axis=1).mean(axis=(0, 1)), np.diff(grid, axis=0).mean(axis=(0, 1))
     if across[0] * down[1] - across[1] * down[0] < 0:
         grid = grid[::-1]
@@ -156,7 +156,7 @@ def _in_canonical_order(image: Image, grid: FloatArray) -> FloatArray | None:
 
 
 def _first_square_is_dark(image: Image, grid: FloatArray) -> bool:
-    """Whether the squares like the first one are darker than their neighbours (summed over the board)."""
+    """Whether the first square's colour is dark, by the sum of the differences over the board."""
     centres = 0.25 * (grid[:-1, :-1] + grid[1:, :-1] + grid[:-1, 1:] + grid[1:, 1:])
     smooth = cv2.blur(image, (3, 3))
     x = np.clip(np.rint(centres[..., 0]).astype(int), 0, image.shape[1] - 1)
@@ -171,16 +171,16 @@ def refine_corners(
     camera: CameraModel | None = None,
     radius_share: float = DETECTION.window_share,
 ) -> FloatArray:
-    """Fit the corner model at every corner of a grid.
+    """Fit the corner model at each corner of a grid.
 
-    grid (rows, columns, 2), start values within about two pixels; NaN for corners that are not there.
-    camera : if known, its lens tells how edges bend in the window; otherwise they are taken as straight.
-    radius_share : radius of the window as a part of the distance to the next edge.
+    grid (rows, columns, 2), initial values within about two pixels; NaN for missing corners.
+    camera : if known, its lens gives the curvature of edges in the window; otherwise they are straight.
+    radius_share : radius of the window over the distance to the nearest parallel edge.
     Returns (rows * columns, 6) : x, y, sigma_px, blur_px, contrast, ok (1 or 0).
     """
     across, down = _neighbour_steps(grid, 1), _neighbour_steps(grid, 0)
     lengths = np.minimum(np.linalg.norm(across, axis=-1), np.linalg.norm(down, axis=-1))
-    # The window is a disc; what limits it is the distance to the neighbouring *edges*, not only corners.
+    # The window is a disc, limited by the distance to the neighbouring *edges*, not only corners.
     sine = np.abs(across[..., 0] * down[..., 1] - across[..., 1] * down[..., 0]) / np.maximum(
         np.linalg.norm(across, axis=-1) * np.linalg.norm(down, axis=-1), 1e-9
     )
@@ -206,14 +206,14 @@ def refine_corners(
 
 
 def _fitted(image: Image, start: FloatArray) -> FloatArray:
-    """The fits (N, 6) in the picture as it is, or, of edges too sharp for its pixels, in the smoothed one.
+    """Fits (N, 6) in the original image, or in a smoothed one for edges too sharp for the pixel grid.
 
-    The model's values at the pixels tell the place only where pixels are close enough to sample the edge. If
-    they are not, or a camera's sharpening has made it so, the place found depends on where it lies between
-    the pixels, and residuals do not show it. Smoothed by a pixel, the model is close enough for any edge,
-    halos included. If the model holds in the picture as it is, the place there is the more precise one and
-    both agree (J. A. Hausman, 1978, doi:10.2307/1913827). It does not hold where the smoothed one, which has
-    lost half of what there is to know, says that it is twice as precise.
+    The model gives the position only if the pixels sample the edge finely enough. If they do not, or
+    in-camera sharpening has the same effect, the position found depends on where it lies between the pixels,
+    and the residuals do not show it. Smoothed by a pixel, the model is good enough for any edge, even with
+    halos. If the model holds in the original image, the position there is more precise and both agree (J. A.
+    Hausman, 1978, doi:10.2307/1913827). It does not hold if the smoothed fit, which has lost half of the
+    information, states twice the precision.
     """
     fits = np.empty((len(start), 6))
     fit_corners(image, np.ascontiguousarray(start), 0.0, fits)
@@ -231,7 +231,7 @@ def _fitted(image: Image, start: FloatArray) -> FloatArray:
     by_noise = np.sqrt(np.maximum(own**2 - before**2, before**2))
     sharp = failed[asked] | (smooth[:, 2] < 0.5 * before)
     sharp |= moved > np.maximum(DETECTION.disagree * by_noise, DETECTION.sampling_px)
-    # as near as smoothed ones are to the truth, or as noise may part them: the difference is a doubt
+    # the difference is within what smoothing or noise can cause: add it to the stated uncertainty
     doubtful = ~sharp & (moved > DETECTION.disagree * before)
     fits[asked[sharp]] = smooth[sharp]
     fits[asked[doubtful], 2] = np.hypot(before, moved / math.sqrt(2.0))[doubtful]
@@ -239,11 +239,12 @@ def _fitted(image: Image, start: FloatArray) -> FloatArray:
 
 
 def _between_pixels(image: Image, start: FloatArray) -> FloatArray:
-    """Standard deviation (N,) in px of what all pixels along a sharp edge have in common.
+    """Standard deviation (N,) in px of the error common to all pixels along a sharp edge.
 
-    start (N, 7) as `fit_corners` takes them. An edge along a row lies at one place between its pixels all
-    along, and errs alike all along, which no residual shows; where it crosses rows the errors alternate, and
-    the mean over n of them is left with sin(πn) / (πn). Clipped pixels have lost what they say of the place.
+    start (N, 7) as for `fit_corners`. An edge parallel to a row has the same position between pixels along
+    its whole length and so the same error, which no residual shows. Where it crosses n rows the errors
+    alternate, and their mean is reduced to sin(πn) / (πn). Clipped pixels carry no information on the
+    position.
     """
     along = np.column_stack([np.cos(start[:, 2:4]), np.sin(start[:, 2:4])]).reshape(-1, 2, 2)
     alike = np.sinc(2 * start[:, 4:5] * np.abs(along).min(axis=1)) ** 2
@@ -255,30 +256,30 @@ def _between_pixels(image: Image, start: FloatArray) -> FloatArray:
         np.clip(ends, 0, size) for ends, size in zip(((top, bottom), (left, right)), image.shape, strict=True)
     )
     lost = total[bottom, right] - total[top, right] - total[bottom, left] + total[top, left]
-    lines = np.minimum(lost / (4 * start[:, 4]), 2.0)  # of pixels along the four edges, on either side
+    lines = np.minimum(lost / (4 * start[:, 4]), 2.0)  # clipped pixels along each of the four edges
     return np.asarray(
         np.sqrt(alike.mean(axis=1) * (DETECTION.sampling_px**2 + lines * DETECTION.clipped_px**2))
     )
 
 
 def _edge_curvatures(camera: CameraModel, pixels: FloatArray, directions_rad: FloatArray) -> FloatArray:
-    """Curvature (N,) in 1/px of the images of straight lines through pixels (N, 2).
+    """Curvature (N,) in 1/px, at pixels (N, 2), of the images of straight lines.
 
-    directions_rad (N,) in the image; positive bends towards the normal (-sin, cos).
+    directions_rad (N,) of the lines in the image; positive curvature bends towards the normal (-sin, cos).
     """
     step_px = 10.0
     along = np.column_stack([np.cos(directions_rad), np.sin(directions_rad)])
     before, after = camera.normalise(pixels - step_px * along), camera.normalise(pixels + step_px * along)
     middle = camera.pixels(0.5 * (before + after))
     sideways = np.column_stack([-along[:, 1], along[:, 0]])
-    # both ends lie on the chord: the line's own middle is off it by -curvature step² / 2
+    # both ends lie on the chord: the middle of the line is off it by -curvature step² / 2
     return np.asarray(np.sum((pixels - middle) * sideways, axis=1) * 2 / step_px**2)
 
 
 def _neighbour_steps(grid: FloatArray, axis: int) -> FloatArray:
     """Mean step (rows, columns, 2) to both neighbours along an axis.
 
-    Where both are missing, that of the corners beside it; NaN where there is none of these either.
+    If both are missing, that of the adjacent corners across; NaN if these are missing, too.
     """
     step = np.diff(grid, axis=axis)
     rim = np.full_like(grid.take([0], axis), np.nan)
@@ -291,7 +292,7 @@ def _neighbour_steps(grid: FloatArray, axis: int) -> FloatArray:
 
 
 def _mean_of_known(*values: FloatArray) -> FloatArray:
-    """The mean of what is finite of some arrays, element by element; NaN where nothing is."""
+    """Elementwise mean of the finite values of several arrays; NaN where none is finite."""
     both = np.stack(values)
     known = np.isfinite(both)
     mean = np.where(known, both, 0).sum(axis=0) / np.maximum(known.sum(axis=0), 1)

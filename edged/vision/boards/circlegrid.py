@@ -1,17 +1,17 @@
 """Plates of round marks: found as a grid of ellipses, measured by fitting each dot.
 
-HALCON-like plates have a square grid and one filled corner of their frame; OpenCV's asymmetric
-grids tell their turn by the rows' shift.
+HALCON-like plates have a square grid and one filled corner of their frame; the orientation of
+OpenCV's asymmetric grids follows from the shift of their rows.
 
 The dot model is an ellipse with a blurred edge:
 
     I(p) = (a + b erf((|B (p - c)| - 1) / (√2 s))) (1 + g·(p - c))
 
-symmetric about c but for the slope g of the light (it multiplies: black stays black), so that
-blur, spread of ink and saturation do not move c. But c is the middle of the *ellipse*, and that
-is not where the circle's centre is seen: seen aslant, the near half of a circle is larger than
-the far half. The difference (up to some tenths of a pixel) is computed from the plate's
-homography, and, once lens and pose are known, from them.
+symmetric about c except for the light gradient g (which multiplies: black stays black), so that
+blur, spread of ink and saturation do not move c. But c is the centre of the *ellipse*, which is not
+the image of the circle's centre: seen obliquely, the near half of a circle is larger than the far
+half. The difference (up to some tenths of a pixel) is computed from the plate's homography or, once
+they are known, from lens and pose.
 Source of the effect: J. Heikkilä, PAMI 2000, doi:10.1109/34.879788.
 """
 
@@ -31,8 +31,8 @@ from edged.vision.boards.params import DETECTION
 from edged.vision.geometry.camera import CameraModel
 from edged.vision.geometry.rigid import apply, rotation_2d
 
-_SHAPE = [0, 1, 6, 7, 8]  # of a fit: the ellipse, as x, y, b11, b12, b22
-_CIRCLE_POINTS = 64  # exact: the ellipse of a projected circle through more than five points
+_SHAPE = [0, 1, 6, 7, 8]  # columns of a fit with the ellipse x, y, b11, b12, b22
+_CIRCLE_POINTS = 64  # five would do: a projected circle is exactly an ellipse
 
 
 Plate = DotBoard | CircleGrid
@@ -41,8 +41,8 @@ Plate = DotBoard | CircleGrid
 def detect_dots(image: Image, board: Plate) -> Detection | NotDetected:
     """Find all marks of a plate; dark on light, or light on dark.
 
-    image (H, W) uint8.  Mark 0 is the one next to the filled corner, or at the end of an asymmetric grid
-    whose row is not shifted.
+    image (H, W) uint8.  Mark 0 is next to the filled corner or, in an asymmetric grid, at the end whose row
+    is not shifted.
     """
     reasons: list[str] = []
     for picture in (image, np.asarray(255 - image)):
@@ -54,7 +54,7 @@ def detect_dots(image: Image, board: Plate) -> Detection | NotDetected:
                 continue
             ordered = _orient(picture, grid, blobs[:, :2], board) if isinstance(board, DotBoard) else grid
             if isinstance(ordered, NotDetected):
-                reasons.insert(0, ordered.reason)  # a near miss: the user's likely problem
+                reasons.insert(0, ordered.reason)  # a near miss is the user's most likely problem
                 continue
             return _measure_first(image, board, blobs[ordered])
     return NotDetected(reasons[0])
@@ -63,7 +63,7 @@ def detect_dots(image: Image, board: Plate) -> Detection | NotDetected:
 def remeasure_dots(
     image: Image, board: Plate, found: Detection, camera: CameraModel, camera_from_board: FloatArray
 ) -> Detection | NotDetected:
-    """Measure a detected plate again, with the lens and the plate's pose now known."""
+    """Measure a detected plate again with the lens and the plate's pose known."""
 
     def to_pixels(plane_mm: FloatArray) -> FloatArray:
         points = np.concatenate([plane_mm, np.zeros_like(plane_mm[..., :1])], axis=-1)
@@ -73,7 +73,7 @@ def remeasure_dots(
 
 
 def _measure_first(image: Image, board: Plate, ellipses: FloatArray) -> Detection | NotDetected:
-    """Fit the dots, learn the homography from the ellipses' middles, and once more from the result."""
+    """Fit the dots with a homography from the ellipses' centres, then again with one from the result."""
     ids = np.arange(len(ellipses))
     centres = ellipses[:, :2]
     found: Detection | NotDetected = NotDetected("no dots measured")
@@ -82,7 +82,7 @@ def _measure_first(image: Image, board: Plate, ellipses: FloatArray) -> Detectio
         homography = _homography(plane, centres)
         if homography is None:
             return NotDetected("the dots found do not lie in one plane")
-        # The homography knows the shapes; the places are the dots' own, lens and all.
+        # The homography gives the shapes; positions are the measured ones, which include the distortion.
         shift = centres - _map_plane(homography, plane)
 
         def to_pixels(
@@ -106,9 +106,9 @@ def _measure(
 ) -> Detection | NotDetected:
     """Fit the dots whose centres are expected at centres (N, 2).
 
-    to_pixels : image of points (N, K, 2) of the plate, one row for each dot.
-    The dots' size is measured, too: the stated one may be a guess, and it decides how far an ellipse's
-    middle is from the image of the circle's centre.
+    to_pixels : maps points (N, K, 2) of the plate, one row for each dot, to the image.
+    The dots' size is measured, too: the stated one may be a guess, and it determines how far an ellipse's
+    centre is from the image of the circle's centre.
     """
     for _ in range(DETECTION.size_rounds):
         expected = np.array([ellipse_of(outline) for outline in to_pixels(_circles(board, ids))])
@@ -138,9 +138,9 @@ def _measure(
 
 
 def _fit(image: Image, board: Plate, expected: FloatArray) -> FloatArray:
-    """What `fit_dots` finds (N, 9) where ellipses (N, 5) are expected; NaN and not ok where none can be."""
+    """Results (N, 9) of `fit_dots` for expected ellipses (N, 5); NaN and not ok where these are invalid."""
     usable = np.isfinite(expected).all(axis=1)
-    # The ring to the next dot, where the plate is foreshortened most, bounds the window there.
+    # The window is limited by the gap to the next dot in the direction of greatest foreshortening.
     gap = _minor_px(expected) * 2 * board.gap_mm / board.diameter_mm
     start = np.column_stack(
         [expected, _major_px(expected) + np.clip(DETECTION.dot_window_share * gap, 2.0, 8.0)]
@@ -161,7 +161,7 @@ def _circles(board: Plate, ids: I64) -> FloatArray:
 
 
 def _homography(plane: FloatArray, pixels: FloatArray) -> FloatArray | None:
-    """The (3, 3) map from the plate (N, 2) to the image (N, 2), or None if there is none."""
+    """Homography (3, 3) from plate (N, 2) to image (N, 2), or None if there is none."""
     homography, _ = cv2.findHomography(plane, pixels, 0)
     return None if homography is None else np.asarray(homography, dtype=np.float64)
 
@@ -172,9 +172,9 @@ def _map_plane(homography: FloatArray, plane: FloatArray) -> FloatArray:
 
 
 def ellipse_of(outline: FloatArray) -> FloatArray:
-    """(x, y, b11, b12, b22) of the ellipse through points (K, 2); NaN if there is none.
+    """Fit an ellipse (x, y, b11, b12, b22) to points (K, 2); NaN if there is none.
 
-    Least squares on the conic a x² + b xy + c y² + d x + e y = 1, about the points' own middle.
+    Least squares on the conic a x² + b xy + c y² + d x + e y = 1, about the points' centroid.
     """
     middle = outline.mean(axis=0)
     x, y = (outline - middle).T
@@ -196,7 +196,7 @@ def ellipse_of(outline: FloatArray) -> FloatArray:
 
 
 def _axes(ellipses: FloatArray) -> FloatArray:
-    """Inverse semi-axes (N, 2), the smaller (of the longer axis) first."""
+    """Inverse semi-axes (N, 2), that of the longer axis first."""
     b11, b12, b22 = ellipses[:, 2], ellipses[:, 3], ellipses[:, 4]
     mean, difference = 0.5 * (b11 + b22), np.hypot(0.5 * (b11 - b22), b12)
     return np.column_stack([mean - difference, mean + difference])
@@ -219,12 +219,12 @@ def _minor_px(ellipses: FloatArray) -> FloatArray:
 
 
 def _ellipses(image: Image, block_px: int) -> FloatArray:
-    """Dark elliptic blobs (M, 5) as x, y, b11, b12, b22."""
+    """Find dark elliptic blobs (M, 5) as x, y, b11, b12, b22."""
     smooth = cv2.GaussianBlur(image, (3, 3), 0)
     block = max(11, block_px | 1)
     dark = cv2.adaptiveThreshold(smooth, 255, cv2.ADAPTIVE_THRESH_MEAN_C, cv2.THRESH_BINARY_INV, block, 12)
     contours, hierarchy = cv2.findContours(dark, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
-    # Outer borders only: the border of a hole would be a light dot on a dark plate.
+    # Outer borders only: the border of a hole is a light dot on a dark plate.
     outer = (
         [contour for contour, links in zip(contours, hierarchy[0], strict=True) if links[3] < 0]
         if contours
@@ -242,7 +242,7 @@ def _blob(contour: cv2.typing.MatLike) -> FloatArray | None:
     shorter, longer = min(first, second), max(first, second)
     if not (shorter >= DETECTION.min_diameter_px and shorter >= DETECTION.min_aspect * longer):
         return None
-    # a contour runs through pixel centres: half a pixel inside the blob's edge
+    # a contour runs through pixel centres, half a pixel inside the blob's edge
     if abs(area / (0.25 * np.pi * first * second) - 1) > DETECTION.roundness:
         return None
     axes = rotation_2d(-math.radians(angle_deg))
@@ -253,7 +253,8 @@ def _blob(contour: cv2.typing.MatLike) -> FloatArray | None:
 def _grow_grid(blobs: FloatArray, board: Plate) -> I64 | NotDetected:
     """Indices into blobs of a complete, right-handed grid.
 
-    For a square grid (rows, columns), its turn still open; for an asymmetric one (N,) in the board's order.
+    For a square grid (rows, columns), its orientation still open; for an asymmetric one (N,) in the board's
+    order.
     """
     wanted = board.columns * board.rows
     if len(blobs) < wanted:
@@ -272,9 +273,10 @@ def _grow_grid(blobs: FloatArray, board: Plate) -> I64 | NotDetected:
 
 
 def recognise_dots(image: Image) -> Plate | None:
-    """A complete plate of round marks of any size in an image (H, W) uint8, its pitch 1 mm, or None.
+    """Recognise a complete plate of round marks of any size in an image (H, W) uint8, pitch 1 mm; or None.
 
-    The filled corner tells columns from rows; a square grid without it has more columns than rows.
+    The filled corner distinguishes columns from rows; a square grid without one gets at least as many columns
+    as rows.
     """
     for picture in (image, np.asarray(255 - image)):
         for share in DETECTION.blocks:
@@ -289,7 +291,7 @@ def recognise_dots(image: Image) -> Plate | None:
 
 
 def _plate_of(image: Image, places: dict[tuple[int, int], int], blobs: FloatArray) -> Plate | None:
-    """The plate whose marks have these places, if there is one."""
+    """The plate whose marks have these lattice positions, if there is one."""
     keys, seen = np.array(list(places)), blobs[list(places.values())]
     rows, columns = sorted((np.ptp(keys, axis=0) + 1).tolist())
     if len(keys) == columns * rows and rows >= 3:
@@ -308,7 +310,7 @@ def _plate_of(image: Image, places: dict[tuple[int, int], int], blobs: FloatArra
 
 
 def _diameter(lattice: I64, blobs: FloatArray) -> float:
-    """Diameter of the marks (N, 5) in steps of their lattice (N, 2), rounded to a hundredth."""
+    """Diameter of the marks (N, 5) in units of their lattice (N, 2), rounded to a hundredth."""
     design = np.column_stack([lattice, np.ones(len(lattice))])
     map_px = np.linalg.lstsq(design, blobs[:, :2], rcond=None)[0][:2]
     size_px = 2 / np.sqrt(np.median(_inverse_areas(blobs)))
@@ -318,7 +320,7 @@ def _diameter(lattice: I64, blobs: FloatArray) -> float:
 def _marked(
     image: Image, places: dict[tuple[int, int], int], centres: FloatArray, board: DotBoard
 ) -> DotBoard:
-    """The board, or the one with rows and columns exchanged if that has its filled corner where one is."""
+    """The board, or with rows and columns swapped if only then its filled corner matches the image."""
     turned = replace(board, columns=board.rows, rows=board.columns)
     for plate in (board, turned):
         grid = _rectangle(places, plate)
@@ -328,7 +330,7 @@ def _marked(
 
 
 def _grids(blobs: FloatArray) -> Iterator[dict[tuple[int, int], int]]:
-    """What grows from the blobs in the middle: places (i, j) -> index."""
+    """Grids grown from the blobs nearest the middle: positions (i, j) -> index."""
     if not len(blobs):
         return
     centres = blobs[:, :2]
@@ -339,7 +341,7 @@ def _grids(blobs: FloatArray) -> Iterator[dict[tuple[int, int], int]]:
 
 
 def _rectangle(places: dict[tuple[int, int], int], board: DotBoard) -> I64 | None:
-    """The grid (rows, columns) if it has the board's shape."""
+    """Indices as a grid (rows, columns) if it has the board's shape."""
     keys = np.array(list(places))
     low = keys.min(axis=0)
     shape = tuple(keys.max(axis=0) - low + 1)
@@ -355,13 +357,13 @@ _STEPS = [
     np.array(steps)
     for steps in ([[1, -1], [1, 1]], [[1, 0], [1, 2]], [[1, -2], [1, 0]], [[2, 1], [0, 1]], [[2, -1], [0, 1]])
 ]
-"""Steps of an asymmetric grid along the two directions grown, as columns, up to quarter turns. The nearest
-neighbours lie on its diagonals; seen aslant, the mark two rows or columns on may be nearer."""
-_QUARTER = np.array([[0, -1], [1, 0]])  # turn
+"""Steps of an asymmetric grid along the two growth directions, as columns, up to quarter turns. The nearest
+neighbours lie on its diagonals; seen obliquely, the mark two rows or columns further may be nearer."""
+_QUARTER = np.array([[0, -1], [1, 0]])  # rotation by 90°
 
 
 def _asymmetric(places: dict[tuple[int, int], int], board: CircleGrid) -> I64 | None:
-    """Indices (N,) in the board's order, if turned by some quarter the marks are the board's."""
+    """Indices (N,) in the board's order, if the marks match the board in one of four quarter turns."""
     wanted = {(int(x), int(y)): number for number, (x, y) in enumerate(board.lattice)}
     keys, indices = np.array(list(places)), np.array(list(places.values()))
     for steps in _STEPS:
@@ -377,9 +379,9 @@ def _asymmetric(places: dict[tuple[int, int], int], board: CircleGrid) -> I64 | 
 
 
 def _grow_from(seed: int, centres: FloatArray) -> dict[tuple[int, int], int]:
-    """Grid places (i, j) -> index, spreading from a seed with steps that adapt to the perspective.
+    """Grid positions (i, j) -> index, grown from a seed with steps that adapt to the perspective.
 
-    centres (M, 2) : inf for those that are out of the question.
+    centres (M, 2) : inf for blobs that are excluded.
     """
     away = centres - centres[seed]
     distances = np.linalg.norm(away, axis=1)
@@ -423,7 +425,7 @@ def _cross(a: FloatArray, b: FloatArray) -> float:
 
 
 def _orient(image: Image, grid: I64, centres: FloatArray, board: DotBoard) -> I64 | NotDetected:
-    """Indices (N,) of the marks in the board's order: mark 0 by the filled corner."""
+    """Indices (N,) of the marks in the board's order, with mark 0 at the filled corner."""
     turns = range(4) if board.columns == board.rows else (0, 2)
     marked = []
     for turn in turns:
@@ -440,7 +442,7 @@ def _orient(image: Image, grid: I64, centres: FloatArray, board: DotBoard) -> I6
 def _first_corner_is_filled(image: Image, pixels: FloatArray, board: DotBoard) -> bool:
     """Whether the plate is dark between mark 0 and the corner of the frame next to it.
 
-    The homography of the four marks at that corner serves: the lens has no say so close by.
+    Uses the homography of the four marks at that corner: over such a distance distortion is negligible.
     """
     near = np.array([0, 1, board.columns, board.columns + 1])
     homography = _homography(board.points_mm[near, :2], pixels[near])

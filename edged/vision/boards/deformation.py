@@ -1,9 +1,9 @@
-"""The shape a board really has: bent, and not printed quite to measure.
+"""The actual shape of a board: bent, and not printed exactly to size.
 
-The deviation from the stated marks is a polynomial of low degree in the place on the board, for x, y and z:
-what glue, paper, moisture and printers do is smooth. Moving, turning and scaling the board as a whole is
-not a deviation: those seven are kept out (they belong to the views' poses, and the size is the one
-stated, which no picture can prove).
+The deviation from the nominal marks, in x, y and z, is a polynomial of low degree in the position on the
+board, as the effects of glue, paper, moisture and printers are smooth. Translation, rotation and scaling of
+the whole board are no deviations: these seven are excluded (the poses belong to the views, and the size is
+taken as stated, as no picture can determine it).
 """
 
 from __future__ import annotations
@@ -21,10 +21,11 @@ _RANK_TOLERANCE = 1e-9  # relative: rounding
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PlateBasis:
-    """Ways in which a board may deviate, orthogonal to each other and to the seven similarities.
+    """Deformation modes of a board, orthogonal to each other and to the seven similarities.
 
-    weights (M, Q), similarity (7, Q) : of the monomials and of the similarities in each of Q ways, whose
-    rms deviation over the board is 1 mm.  middle, half (2,) : mm, normalise x and y to -1 .. 1.
+    weights (M, Q), similarity (7, Q) : coefficients of the monomials, and of the similarities subtracted, in
+    each of Q modes, whose rms deviation over the board is 1 mm.  middle, half (2,) : mm, normalise x and y to
+    -1 .. 1.
     """
 
     middle: FloatArray
@@ -34,11 +35,11 @@ class PlateBasis:
 
     @property
     def count(self) -> int:
-        """Q."""
+        """Number of modes, Q."""
         return int(self.weights.shape[1])
 
     def at(self, points_mm: FloatArray) -> FloatArray:
-        """(N, 3, Q): deviation in mm of stated marks (N, 3) per unit of each way."""
+        """Deviation (N, 3, Q) in mm at nominal marks (N, 3), per unit of each mode."""
         designs = (
             _monomials(self, points_mm) @ self.weights - _similarities(self, points_mm) @ self.similarity
         )
@@ -46,7 +47,7 @@ class PlateBasis:
 
 
 def plate_basis(board: Board) -> PlateBasis:
-    """The ways of a board, from all its marks."""
+    """Compute the deformation modes of a board from all its marks."""
     points = nominal(board).points_mm
     low, high = points[:, :2].min(axis=0), points[:, :2].max(axis=0)
     empty = PlateBasis(0.5 * (low + high), 0.5 * (high - low), np.zeros((0, 0)), np.zeros((0, 0)))
@@ -59,31 +60,31 @@ def plate_basis(board: Board) -> PlateBasis:
 
 
 def shaped(board: Board, basis: PlateBasis, coefficients: FloatArray) -> ShapedBoard:
-    """The board with its marks where they were found to be."""
+    """The board with its marks displaced by the estimated deformation."""
     stated = nominal(board)
     return ShapedBoard(stated, stated.points_mm + basis.at(stated.points_mm) @ coefficients)
 
 
 def nominal(board: Board) -> NominalBoard:
-    """The board as it was stated."""
+    """The nominal board, without a measured shape."""
     return board.stated if isinstance(board, ShapedBoard) else board
 
 
 def deviation_mm(board: ShapedBoard) -> tuple[float, float]:
-    """Largest difference of height on the board, and rms deviation in its plane."""
+    """Height difference between lowest and highest mark, and rms deviation in the board's plane."""
     difference = board.points_mm - board.stated.points_mm
     return float(np.ptp(difference[:, 2])), float(np.sqrt(np.mean(np.sum(difference[:, :2] ** 2, axis=1))))
 
 
 def _monomials(basis: PlateBasis, points_mm: FloatArray) -> FloatArray:
-    """(3 N, 3 K): x^i y^j for each coordinate."""
+    """Design matrix (3 N, 3 K): x^i y^j for each coordinate."""
     x, y = ((points_mm[:, :2] - basis.middle) / basis.half).T
     columns = [x**i * y**j for i in range(DETECTION.degree + 1) for j in range(DETECTION.degree + 1 - i)]
     return np.asarray(np.kron(np.stack(columns, axis=1), np.eye(3)))
 
 
 def _similarities(basis: PlateBasis, points_mm: FloatArray) -> FloatArray:
-    """(3 N, 7): shifts, small rotations and scaling about the middle."""
+    """Design matrix (3 N, 7): translations, small rotations and scaling about the middle."""
     arms = points_mm - np.append(basis.middle, 0.0)
     size = float(np.linalg.norm(basis.half))
     turns = [np.cross(axis, arms) / size for axis in np.eye(3)]

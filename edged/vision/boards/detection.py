@@ -1,4 +1,4 @@
-"""One door to the detectors of all kinds of boards."""
+"""Common interface to the detectors of all kinds of boards."""
 
 from __future__ import annotations
 
@@ -30,18 +30,18 @@ def detect_board(image: Image, board: NominalBoard) -> Detection | NotDetected:
 
 
 def recognise_board(image: Image) -> NominalBoard | None:
-    """The board in an image (H, W) uint8, whatever its kind and size, in units of its pitch; None: none seen.
+    """Recognise a board of any kind and size in an image (H, W) uint8, in units of its pitch; None if none.
 
-    Its size is what this one image proves: `agreed_board` makes one of several.
+    Its size is what this one image shows; `agreed_board` combines the boards of several images.
     """
-    # the chessboard first: its squares would each be compared with all markers there are, for seconds
+    # chessboard first: comparing each of its squares with the markers of all dictionaries takes seconds
     return recognise_chessboard(image) or recognise_charuco(image) or recognise_dots(image)
 
 
 def agreed_board(seen: Sequence[NominalBoard]) -> NominalBoard | None:
-    """The board that more than half of some images show, by what `recognise_board` says of each, or None.
+    """The board shown by more than half of several images, from their `recognise_board`, or None.
 
-    In units of its pitch, with the smallest dictionary that has its markers.
+    In units of its pitch, with the smallest dictionary that contains its markers.
     """
     if not seen:
         return None
@@ -49,7 +49,7 @@ def agreed_board(seen: Sequence[NominalBoard]) -> NominalBoard | None:
     if 2 * alike[1] <= len(seen):
         return None
     boards = [board for board in seen if _alike(board) == alike[0]]
-    # of a ChArUco board the last rows may be out of view
+    # the last rows of a ChArUco board may be out of view
     most = max(boards, key=lambda board: board.rows)
     if not isinstance(most, Charuco):
         return most
@@ -58,14 +58,14 @@ def agreed_board(seen: Sequence[NominalBoard]) -> NominalBoard | None:
 
 
 def _alike(board: NominalBoard) -> NominalBoard:
-    """The board without the values that vary between images of it."""
+    """The board without the values that vary between images of the same board."""
     if isinstance(board, Charuco):
         return replace(board, rows=0, marker_mm=0.0)
     return board if isinstance(board, Chessboard) else replace(board, diameter_mm=0.0)
 
 
 def of_size(board: NominalBoard, pitch_mm: float) -> NominalBoard:
-    """A board given in units of its pitch, with this pitch."""
+    """Scale a board given in units of its pitch to a pitch in mm."""
     if isinstance(board, Chessboard):
         return replace(board, pitch_mm=pitch_mm)
     if isinstance(board, Charuco):
@@ -78,7 +78,7 @@ def _rounded(length_mm: float) -> float:
 
 
 def in_words(board: NominalBoard) -> str:
-    """Kind and size, as one counts them on the board."""
+    """Kind and size in words, as counted on the board."""
     size = f"{board.columns}x{board.rows}"
     if isinstance(board, Chessboard):
         return f"a chessboard of {size} inner corners"
@@ -92,10 +92,10 @@ def in_words(board: NominalBoard) -> str:
 def remeasure_board(
     image: Image, board: NominalBoard, found: Detection, camera: CameraModel, camera_from_board: FloatArray
 ) -> Detection | NotDetected:
-    """Measure the marks again now that lens and pose are known roughly.
+    """Measure the marks again with lens and pose approximately known.
 
-    That takes the small errors away that come from edges bent by the lens and from
-    ellipses whose middle is not the image of the dot's centre.
+    This removes small errors due to edges curved by the lens, and to ellipses whose centre is not the
+    image of the dot's centre.
     """
     if isinstance(board, Chessboard):
         return remeasure_chessboard(image, board, found, camera)

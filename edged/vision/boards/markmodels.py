@@ -1,7 +1,7 @@
-"""The kernels that measure marks: models of a corner and of a dot, fitted to the picture.
+"""Kernels that measure marks by fitting a model of a corner or of a dot to the image.
 
 The corner model is described in `boards.chessboard`, the dot model in `boards.circlegrid`. Both are fitted by
-one routine; `kind` says which model is meant.
+the same routine; `kind` selects the model.
 
 Source of the method: Levenberg-Marquardt, K. Madsen, H. B. Nielsen, O. Tingleff, "Methods for
 non-linear least squares problems", 2004.
@@ -18,20 +18,20 @@ from edged.vision.boards.params import DETECTION
 from edged.vision.kernels.cholesky import factorise, substitute
 from edged.vision.kernels.jit import kernel
 
-CORNER, DOT = 0, 1  # models, as the kernel knows them
+CORNER, DOT = 0, 1  # values of `kind`
 _MOST_UNKNOWNS = 10  # size of the kernel's arrays
-_STEPS = 40  # of Levenberg-Marquardt, which takes a dozen: bounds a fit that does not settle
+_STEPS = 40  # limit of Levenberg-Marquardt steps; a dozen usually suffice
 # numba freezes globals when it compiles: kernels read these by name
 _RECENTRED = DETECTION.recentred
 _CENTRED_PX = DETECTION.centred_px
 _MIN_SHARE_INSIDE = DETECTION.min_share_inside
-_PIXEL_BLUR_PX = math.sqrt(1.0 / 12.0)  # of a pixel's own width: no lens makes an edge sharper
+_PIXEL_BLUR_PX = math.sqrt(1.0 / 12.0)  # blur by the width of a pixel: no lens makes an edge sharper
 _TWO_OVER_ROOT_PI = 2.0 / math.sqrt(math.pi)  # slope of the error function at 0
 
 
 @kernel(inline=True)
 def unknowns_of(kind: int) -> int:
-    """How many unknowns a model has."""
+    """Number of unknowns of a model."""
     return 9 if kind == CORNER else 10
 
 
@@ -39,10 +39,10 @@ def unknowns_of(kind: int) -> int:
 def corner_value(
     p: FloatArray, window: FloatArray, shape: FloatArray, dx: float, dy: float, row: FloatArray
 ) -> float:
-    """Grey value of a corner at (dx, dy) from its centre; fills its derivatives row (9,).
+    """Grey value of a corner at (dx, dy) from its centre; writes its derivatives to row (9,).
 
     p (9,) : x, y, directions of both edges, log blur, grey, half contrast, relative
-    slope of the light along x and y in 1/px.
+    light gradient along x and y in 1/px.
     """
     scale, sin1, cos1, sin2, cos2 = shape[0], shape[1], shape[2], shape[3], shape[4]
     along1, along2 = cos1 * dx + sin1 * dy, cos2 * dx + sin2 * dy
@@ -73,10 +73,10 @@ def corner_value(
 
 @kernel()
 def dot_value(p: FloatArray, shape: FloatArray, dx: float, dy: float, row: FloatArray) -> float:
-    """Grey value of a dot at (dx, dy) from its centre; fills its derivatives row (10,).
+    """Grey value of a dot at (dx, dy) from its centre; writes its derivatives to row (10,).
 
-    p (10,) : x, y, b11, b12, b22 (symmetric matrix that makes the ellipse a unit circle), log of the
-    edge's spread in radii, grey, half contrast, relative slope of the light along x and y in 1/px.
+    p (10,) : x, y, b11, b12, b22 (symmetric matrix that maps the ellipse to a unit circle), log of the
+    blur in radii, grey, half contrast, relative light gradient along x and y in 1/px.
     """
     q1, q2 = p[2] * dx + p[3] * dy, p[3] * dx + p[4] * dy
     radius = math.sqrt(q1 * q1 + q2 * q2)
@@ -102,7 +102,7 @@ def dot_value(p: FloatArray, shape: FloatArray, dx: float, dy: float, row: Float
 
 @kernel()
 def shape_of(kind: int, p: FloatArray, shape: FloatArray) -> None:
-    """What all pixels of a mark share: 1 / (√2 blur), and a corner's sines and cosines."""
+    """Fill shape with values common to all pixels of a mark: 1 / (√2 blur); a corner's sines and cosines."""
     shape[0] = 1.0 / (math.sqrt(2.0) * math.exp(p[4] if kind == CORNER else p[5]))
     shape[1], shape[2], shape[3], shape[4] = math.sin(p[2]), math.cos(p[2]), math.sin(p[3]), math.cos(p[3])
 
@@ -117,10 +117,10 @@ def accumulate(
     gradient: FloatArray,
     by_residual: bool,
 ) -> tuple[float, int]:
-    """Sum of squared residuals and pixel count of mark p over a disc; fills JᵀJ and Jᵀr.
+    """Sum of squared residuals and pixel count of mark p over a disc; computes JᵀJ and Jᵀr.
 
     window (5,) : x, y, radius, and for corners the curvatures of both edges in 1/px.
-    by_residual : weigh JᵀJ by each pixel's squared residual, for the covariance.
+    by_residual : weight JᵀJ by each pixel's squared residual, for the covariance.
     """
     height, width = image.shape
     n = unknowns_of(kind)
@@ -155,7 +155,7 @@ def accumulate(
 
 @kernel()
 def start_corner(image: Image, p: FloatArray, window: FloatArray) -> None:
-    """Fill p's grey and half contrast by linear fit of the unblurred corner at p's place and angles."""
+    """Set p's grey and half contrast by a linear fit of the unblurred corner at p's position and angles."""
     height, width = image.shape
     count, sum_sign, sum_grey, sum_both = 0, 0.0, 0.0, 0.0
     for y in range(
@@ -183,13 +183,13 @@ def start_corner(image: Image, p: FloatArray, window: FloatArray) -> None:
 def fit_window(
     kind: int, image: Image, p: FloatArray, window: FloatArray, smoothed_px: float, covariance: FloatArray
 ) -> float:
-    """Levenberg-Marquardt over one window; p is improved in place.
+    """Levenberg-Marquardt fit over one window; updates p in place.
 
-    smoothed_px : by how much the picture is, so that neighbouring pixels are alike; 0 for dots.
+    smoothed_px : sigma by which the image was smoothed, which correlates neighbouring pixels; 0 for dots.
     covariance (2, 2) of the centre.  Returns the noise sigma in grey values, or NaN on failure.
     """
     n = unknowns_of(kind)
-    blur = 4 if kind == CORNER else 5  # where the logarithm of the edge spread stands in p
+    blur = 4 if kind == CORNER else 5  # index of log blur in p
     normal, trial_normal, damped = np.empty((n, n)), np.empty((n, n)), np.empty((n, n))
     gradient, trial_gradient, step, trial = np.empty(n), np.empty(n), np.empty(n), np.empty(n)
     total, count = accumulate(kind, image, p, window, normal, gradient, False)
@@ -204,7 +204,7 @@ def fit_window(
         if factorise(damped, n) == 0.0:
             return math.nan
         substitute(damped, step, n)
-        # far below what noise leaves open; asked before the trial, whose sum may only differ by rounding
+        # far below the noise; tested before the trial, whose sum may differ by rounding only
         if math.fabs(step[0]) < 1e-5 and math.fabs(step[1]) < 1e-5 and math.fabs(step[blur]) < 1e-4:
             break
         trial[:] = p + step
@@ -235,11 +235,11 @@ def fit_window(
 def centre_covariance(
     kind: int, image: Image, p: FloatArray, window: FloatArray, normal: FloatArray, covariance: FloatArray
 ) -> bool:
-    """Covariance (2, 2) of the centre that holds when noise sits on the edges.
+    """Covariance (2, 2) of the centre that is also valid if the noise is concentrated at the edges.
 
-    Rough prints, shadows and sub-sampled edges put the residuals where the corner's place is
-    read from, and most pixels of the window are flat and quiet: the residuals' mean square would
-    promise too much. N^-1 (sum of r² g gᵀ) N^-1 does not. Source: H. White, 1980, doi:10.2307/1912934.
+    Rough prints, shadows and undersampled edges cause residuals just where the position is determined,
+    while most pixels of the window are flat and quiet: the mean square residual would be too optimistic.
+    N^-1 (sum of r² g gᵀ) N^-1 is not. Source: H. White, 1980, doi:10.2307/1912934.
     """
     n = unknowns_of(kind)
     meat, factor = np.empty((n, n)), normal.copy()
@@ -270,11 +270,11 @@ def smoothed_covariance(
     normal: FloatArray,
     covariance: FloatArray,
 ) -> bool:
-    """Covariance (2, 2) of a corner's centre in a picture that was smoothed by a Gaussian s.
+    """Covariance (2, 2) of a corner's centre in an image smoothed by a Gaussian of sigma s.
 
-    Noise of single pixels then has the correlation R = exp(-d² / 4 s²): the covariance is N^-1 JᵀRJ N^-1
-    times the variance. The residuals say it, as far as they lie where the place is read from; of noise, with
-    H = J N^-1 Jᵀ, they have the diagonal of (1 - H) R (1 - H)ᵀ.
+    Pixel noise then has the correlation R = exp(-d² / 4 s²), and the covariance is N^-1 JᵀRJ N^-1 times the
+    variance. The variance is estimated from the residuals, weighted by their influence on the centre: for
+    pure noise, with H = J N^-1 Jᵀ, their squares are expected to be the diagonal of (1 - H) R (1 - H)ᵀ.
     """
     side = 2 * math.ceil(window[2]) + 1
     rows, residual = np.zeros((9, side, side)), np.zeros((side, side))
@@ -296,7 +296,7 @@ def smoothed_covariance(
     middle, beside = np.zeros((9, 9)), np.empty(9)
     for y in range(side):
         for x in range(side):
-            if rows[5, y, x] != 0.0:  # the light: within the window
+            if rows[5, y, x] != 0.0:  # derivative by grey, which is zero only outside the window
                 for j in range(9):
                     beside[j] = alike[j, y, x]
                 for i in range(9):
@@ -333,7 +333,7 @@ def smoothed_covariance(
 
 @kernel()
 def correlated(rows: FloatArray, smoothed_px: float) -> FloatArray:
-    """Each of the rows (9, S, S) times the correlation exp(-d² / 4 s²) of smoothed noise."""
+    """Convolve each of the rows (9, S, S) with the correlation exp(-d² / 4 s²) of smoothed noise."""
     count, side, _ = rows.shape
     reach = math.ceil(5.0 * smoothed_px)  # exp(-25 / 4) = 0.002
     once, twice = np.zeros(rows.shape), np.zeros(rows.shape)
@@ -365,12 +365,12 @@ def product(a: FloatArray, b: FloatArray) -> FloatArray:
 
 @kernel("void(u1[:, ::1], f8[:, ::1], f8, f8[:, ::1])")
 def fit_corners(image: Image, start: FloatArray, smoothed_px: float, result: FloatArray) -> None:
-    """Fit the corner model at each start.
+    """Fit the corner model from each initial value.
 
-    smoothed_px : sigma of the Gaussian by which the picture was smoothed; 0: it is as the camera took it.
+    smoothed_px : sigma of the Gaussian by which the image was smoothed; 0 for the original image.
 
-    start (N, 7) : x, y, the directions of both edges in rad, the window's radius in px, and the
-    curvatures of both edges in 1/px, positive when they bend towards their normal.
+    start (N, 7) : x, y, directions of both edges in rad, radius of the window in px, and
+    curvatures of both edges in 1/px, positive if they bend towards their normal.
     result (N, 6) : x, y, sigma_px, blur_px, contrast, ok (1 or 0).
     """
     height, width = image.shape
@@ -412,9 +412,9 @@ def fit_corners(image: Image, start: FloatArray, smoothed_px: float, result: Flo
 
 @kernel("void(u1[:, ::1], f8[:, ::1], f8[:, ::1])")
 def fit_dots(image: Image, start: FloatArray, result: FloatArray) -> None:
-    """Fit the dot model at each start.
+    """Fit the dot model from each initial value.
 
-    start (N, 6) : x, y, b11, b12, b22 (as in `dot_value`), and the window's radius in px.
+    start (N, 6) : x, y, b11, b12, b22 (as in `dot_value`), and radius of the window in px.
     result (N, 9) : x, y, sigma_px, blur_px, contrast, ok (1 or 0), b11, b12, b22.
     """
     height, width = image.shape

@@ -1,1 +1,1 @@
-"""Stereo calibration and what it is worth: adjustment, cross-validation, next view, verification."""
+"""Stereo calibration and its quality: adjustment, cross-validation, next best view, verification."""

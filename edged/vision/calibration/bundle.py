@@ -1,8 +1,8 @@
 """Bundle adjustment of a stereo rig over views of flat boards.
 
-One least squares problem over both lenses, right_from_left and one board pose for each view.
-The normal equations are an arrow: every view touches only its own six pose unknowns and the
-rig's, so the poses are eliminated (Schur complement) and a step costs little more than the
+A single least squares problem over both lenses, right_from_left and one board pose per view.
+The normal matrix has arrow structure: each view involves only the rig's unknowns and its own six
+pose unknowns, so the poses are eliminated (Schur complement) and a step costs little more than the
 projections. Source: B. Triggs et al., "Bundle Adjustment - A Modern Synthesis", 2000.
 """
 
@@ -18,16 +18,17 @@ from edged.vision.geometry.camera import DISTORTION_NAMES, CameraModel
 from edged.vision.geometry.projection import project_with_jacobians
 from edged.vision.geometry.rigid import apply, rotation_matrix, skew, transform
 
-_MAX_STEPS = 60  # bounds a fit that does not settle
+_MAX_STEPS = 60  # limit for a fit that does not converge
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Observations:
-    """All measured marks of one camera, flat.
+    """All measured marks of one camera, in flat arrays.
 
     view (N,) : index of the view; points_mm (N, 3) in the board's frame; pixels (N, 2);
     sigma_px (N,) of one coordinate.
-    shape (N, 3, Q) : how each mark moves on its board per unit of the board's shape; None: as stated.
+    shape (N, 3, Q) : derivative of each mark's position on its board with respect to the board's shape;
+    None: the board is taken as stated.
     """
 
     view: I64
@@ -41,7 +42,7 @@ class Observations:
 class LensFreedom:
     """Which parameters of a lens are estimated.
 
-    square_pixels : fx and fy are one unknown.  distortion : names of the free ones.
+    square_pixels : fx and fy are one unknown.  distortion : names of the free coefficients.
     """
 
     square_pixels: bool
@@ -62,9 +63,10 @@ class LensFreedom:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BundleState:
-    """What is estimated: both cameras, right_from_left (4, 4), left_from_board (V, 4, 4).
+    """The unknowns: both cameras, right_from_left (4, 4), left_from_board (V, 4, 4).
 
-    shape (Q,) : of the boards, zero with a prior of shape_sigma; empty if they are taken as stated.
+    shape (Q,) : coefficients of the boards' shapes, with a prior of zero +- shape_sigma; empty if the boards
+    are taken as stated.
     """
 
     left: CameraModel
@@ -72,12 +74,12 @@ class BundleState:
     right_from_left: FloatArray
     left_from_board: FloatArray
     shape: FloatArray = field(default_factory=lambda: np.zeros(0))  # as stated
-    shape_sigma: float = 1.0  # mm; divides nothing while shape is empty
+    shape_sigma: float = 1.0  # mm; unused while shape is empty
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BundleResult:
-    """The optimum.
+    """The optimum of an adjustment.
 
     residuals_left_px, residuals_right_px (N, 2) : measured - projected.
     covariance : of StereoRig.parameter_names, for the observations' sigmas as given.
@@ -98,7 +100,7 @@ class BundleResult:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Normal:
-    """The arrow: rig block (G, G), coupling (V, G, 6), pose blocks (V, 6, 6), right-hand sides, cost."""
+    """Normal equations: rig block (G, G), coupling (V, G, 6), pose blocks (V, 6, 6), right sides, cost."""
 
     rig: FloatArray
     coupling: FloatArray
@@ -119,8 +121,8 @@ def adjust(
 ) -> BundleResult:
     """Minimise the weighted reprojection error of both cameras by Levenberg-Marquardt.
 
-    Every view needs marks in at least one image, and at least one view in both.
-    Raises `np.linalg.LinAlgError` if the unknowns cannot be told apart at all.
+    Every view needs marks in at least one image, and at least one view needs them in both.
+    Raises `np.linalg.LinAlgError` if the normal equations are singular.
     """
     selections = freedom_left.selection(state.left), freedom_right.selection(state.right)
     views = len(state.left_from_board)
@@ -134,7 +136,7 @@ def adjust(
             break
         trial = _moved(state, rig_step, pose_steps, selections)
         trial_normal = _normal_equations(trial, left, right, selections, robust=robust)
-        if trial_normal.cost <= normal.cost + CALIBRATION.negligible_gain:  # not for NaN: a point went behind
+        if trial_normal.cost <= normal.cost + CALIBRATION.negligible_gain:  # False for NaN: a point behind
             state, normal, damping = trial, trial_normal, damping / 10
         else:
             damping *= 8
@@ -163,7 +165,7 @@ def adjust(
 
 
 def residuals(state: BundleState, left: Observations, right: Observations) -> tuple[FloatArray, FloatArray]:
-    """Measured - projected (N, 2) in px, of both cameras."""
+    """Residuals measured - projected (N, 2) in px, of both cameras."""
     in_left = _in_left(state, left)[1]
     in_right = apply(state.right_from_left, _in_left(state, right)[1])
     return left.pixels - state.left.project(in_left), right.pixels - state.right.project(in_right)
@@ -176,7 +178,7 @@ def rig_information(
     freedom_left: LensFreedom,
     freedom_right: LensFreedom,
 ) -> FloatArray:
-    """What each view alone says of the rig, its board pose free: information (V, G, G).
+    """Information (V, G, G) about the rig from each view alone, with its board pose free.
 
     The G unknowns are those that `adjust` would free, in its order.
     """
@@ -187,10 +189,10 @@ def rig_information(
 def relation_information(
     state: BundleState, left: Observations, right: Observations
 ) -> tuple[FloatArray, FloatArray]:
-    """What each view alone says of right_from_left, lenses held and its board pose free.
+    """Information about right_from_left from each view alone, with lenses fixed and its board pose free.
 
     Returns information (V, 6, 6) and gradient (V, 6) of (rotation vector on the left, translation):
-    the view's own best change of right_from_left is information^-1 @ gradient.
+    the change of right_from_left that fits the view best is information^-1 @ gradient.
     """
     nothing = np.zeros((4 + len(state.left.distortion), 0)), np.zeros((4 + len(state.right.distortion), 0))
     return _information(state, left, right, nothing)
@@ -199,7 +201,7 @@ def relation_information(
 def _information(
     state: BundleState, left: Observations, right: Observations, selections: tuple[FloatArray, FloatArray]
 ) -> tuple[FloatArray, FloatArray]:
-    """Information (V, G, G) and gradient (V, G) of each view, its pose eliminated."""
+    """Information (V, G, G) and gradient (V, G) of each view, with its pose eliminated."""
     unknowns = selections[0].shape[1] + selections[1].shape[1] + 6
     views = len(state.left_from_board)
     information, gradient = np.empty((views, unknowns, unknowns)), np.empty((views, unknowns))
@@ -214,7 +216,7 @@ def _information(
 
 
 def adjust_poses(state: BundleState, left: Observations, right: Observations) -> BundleState:
-    """The state with the board poses that fit best, lenses and right_from_left held."""
+    """Fit the board poses, with lenses and right_from_left fixed."""
     nothing = np.zeros((4 + len(state.left.distortion), 0)), np.zeros((4 + len(state.right.distortion), 0))
     for _ in range(_MAX_STEPS):
         normal = _normal_equations(state, left, right, nothing, robust=True)
@@ -227,7 +229,7 @@ def adjust_poses(state: BundleState, left: Observations, right: Observations) ->
 
 
 def _of_view(seen: Observations, view: int) -> Observations:
-    """The marks of one view, as view 0."""
+    """The marks of one view, renumbered as view 0."""
     kept = seen.view == view
     first = np.zeros(int(kept.sum()), dtype=np.int64)
     shape = None if seen.shape is None else seen.shape[kept]
@@ -235,7 +237,7 @@ def _of_view(seen: Observations, view: int) -> Observations:
 
 
 def _in_left(state: BundleState, seen: Observations) -> tuple[FloatArray, FloatArray]:
-    """Turned board points R x and full points R x + t in the left camera's frame, both (N, 3)."""
+    """Rotated board points R x, and points R x + t in the left camera's frame; both (N, 3)."""
     poses = state.left_from_board[seen.view]
     marks = seen.points_mm if seen.shape is None else seen.points_mm + seen.shape @ state.shape
     turned = np.einsum("nij,nj->ni", poses[:, :3, :3], marks)
@@ -251,7 +253,7 @@ def _normal_equations(
     robust: bool,
 ) -> _Normal:
     views = len(state.left_from_board)
-    shape = len(state.shape)  # the first unknowns, then those of the left lens, the right lens, the relation
+    shape = len(state.shape)  # order of unknowns: shape, left lens, right lens, right_from_left
     right_start = shape + selections[0].shape[1]
     unknowns = right_start + selections[1].shape[1] + 6
     rig, rig_right = np.zeros((unknowns, unknowns)), np.zeros(unknowns)
@@ -298,7 +300,7 @@ def _normal_equations(
 
 
 def _huber(scaled: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Weight and loss (N,) of normalised residuals (N, 2), by their length."""
+    """Huber weight and loss (N,) of normalised residuals (N, 2), by their length."""
     length = np.linalg.norm(scaled, axis=1)
     weight = np.minimum(1.0, CALIBRATION.huber / np.maximum(length, 1e-300))
     loss = np.where(
@@ -308,7 +310,7 @@ def _huber(scaled: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def _solve(normal: _Normal, damping: float) -> tuple[FloatArray, FloatArray]:
-    """The damped step of the rig's unknowns (G,) and of the poses (V, 6)."""
+    """Damped step of the rig's unknowns (G,) and of the poses (V, 6)."""
     rig = normal.rig + damping * np.diag(np.diag(normal.rig))
     diagonal = np.einsum("vii->vi", normal.poses)
     poses = normal.poses + damping * diagonal[:, :, None] * np.eye(6)
@@ -322,7 +324,7 @@ def _solve(normal: _Normal, damping: float) -> tuple[FloatArray, FloatArray]:
 
 
 def _scaled_solve(matrix: FloatArray, right: FloatArray) -> FloatArray:
-    """Solve with unit diagonal: focal lengths and distortions differ by ten orders of magnitude."""
+    """Solve with a unit diagonal, as focal lengths and distortions differ by ten orders of magnitude."""
     scale = 1 / np.sqrt(np.diag(matrix))
     solution = np.linalg.solve(matrix * scale[:, None] * scale, (right.T * scale).T)
     return np.asarray((solution.T * scale).T)
@@ -363,7 +365,7 @@ def _moved(
 
 
 def moved_camera(camera: CameraModel, step: FloatArray) -> CameraModel:
-    """The camera with its parameters moved: fx, fy, cx, cy, then the distortion."""
+    """The camera with a step added to its parameters fx, fy, cx, cy and distortion."""
     fx, fy, cx, cy = (float(v) for v in np.array([camera.fx, camera.fy, camera.cx, camera.cy]) + step[:4])
     distortion = tuple(float(v) for v in np.array(camera.distortion) + step[4:])
     return replace(camera, fx=fx, fy=fy, cx=cx, cy=cy, distortion=distortion)

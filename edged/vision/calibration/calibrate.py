@@ -1,11 +1,11 @@
 """Stereo calibration from views of known boards (paper, 3.1).
 
-Start: Zhang's method for each camera (Z. Zhang, PAMI 2000, doi:10.1109/34.888718). Then one
-bundle adjustment over everything (`edged.vision.calibration.bundle`). Each mark counts by its own
-measured precision, joined by a common model error that is estimated from the residuals: what
-lens model, board and detector leave unexplained. Parameters that lens models often carry
-without need (fx apart from fy, k3) are only released where the data demand it, and the lens model
-itself can be left to the views (`edged.vision.calibration.lenschoice`).
+Initial values: Zhang's method for each camera (Z. Zhang, PAMI 2000, doi:10.1109/34.888718). Then one
+bundle adjustment over everything (`edged.vision.calibration.bundle`). Each mark is weighted by its own
+measured precision combined with a common model error, estimated from the residuals, for what lens
+model, board and detector leave unexplained. Parameters that are often unnecessary (fx different from
+fy, k3) are released only if the data demand it, and the lens model itself can be chosen by the views
+(`edged.vision.calibration.lenschoice`).
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ from edged.vision.geometry.rigid import apply
 class ViewFit:
     """How one view agrees with the calibration.
 
-    view : with the marks as they were measured, numbered as they were used.
+    view : the marks as measured, numbered as used in the adjustment.
     left_from_board (4, 4).
     residuals_left_px, residuals_right_px (N, 2) : measured - projected.
     """
@@ -72,14 +72,14 @@ class ViewFit:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Calibration:
-    """A calibrated rig and what there is to say about it.
+    """A calibrated rig and its quality figures.
 
-    Residual lengths are root mean squares over marks of the 2D distance, as OpenCV states them.
+    Residuals are root mean squares over the marks of the 2D distance, as in OpenCV.
     epipolar_rms_px : row difference of rectified marks.
-    model_error_px : (left, right), noise of one coordinate that the marks' own precision does not explain.
-    excluded : view name and reason.  notes : what a person should know.
-    lenses : the models that were tried, the best first; none where one was stated.
-    movements : of a camera between the views; those used are the longest run of views without one.
+    model_error_px : (left, right), noise of one coordinate not explained by the marks' own precision.
+    excluded : view name and reason.  notes : messages for the user.
+    lenses : the models tried, best first; empty if one was stated.
+    movements : camera movements between views; the views used are the longest run without one.
     """
 
     rig: StereoRig
@@ -104,13 +104,13 @@ def calibrate_stereo(
     *,
     plate_shape: bool = False,
 ) -> Calibration:
-    """Calibrate both cameras and their relation.
+    """Calibrate both cameras and right_from_left.
 
     left_size, right_size : (width, height) of the images.
-    model : "auto" chooses the lens model by the views.
-    plate_shape : estimate the boards' own shape, too (see `edged.vision.boards.deformation`).
-    Unusable views are left out and named. Raises `CalibrationError` where no trustworthy
-    calibration is possible: fewer than three usable pairs, parallel boards, swapped images,
+    model : "auto" chooses the lens model from the views.
+    plate_shape : also estimate the boards' shape (see `edged.vision.boards.deformation`).
+    Unusable views are left out and named. Raises `CalibrationError` if no trustworthy
+    calibration is possible: fewer than three usable pairs, parallel boards, swapped images, or
     a camera that moved so often that no run of views is left.
     """
     usable, excluded = usable_views(views)
@@ -132,7 +132,7 @@ def calibrate_stereo(
 
 
 def _with_shapes(solution: CalibrationSolution) -> CalibrationSolution:
-    """Estimate once more with the boards' shapes free; the views then hold boards of that shape."""
+    """Estimate again with the boards' shapes free; the resulting views hold the shaped boards."""
     problem, state = solution.problem, solution.result.state
     boards = list(dict.fromkeys(view.board for view in problem.views))
     bases = [plate_basis(board) for board in boards]
@@ -195,7 +195,7 @@ def _summarise(choice: Choice, excluded: list[tuple[str, str]]) -> Calibration:
 
 
 def _places(problem: CalibrationProblem, state: BundleState) -> FloatArray:
-    """Where marks were (N, 3), all over the volume."""
+    """Positions of marks (N, 3) spread over the calibrated volume."""
     poses = zip(problem.views, state.left_from_board, strict=True)
     marks = np.concatenate([apply(pose, view.board.points_mm) for view, pose in poses])
     return np.asarray(

@@ -1,4 +1,4 @@
-"""Which parts of the images the marks of a calibration reached: where none lay, the lens is extrapolated."""
+"""Image coverage by the marks of a calibration: where there were none, the lens model is extrapolated."""
 
 from __future__ import annotations
 
@@ -15,21 +15,21 @@ from edged.vision.geometry.rigid import apply, invert
 BoolArray = B8
 
 COLUMNS, ROWS = 8, 6
-"""Fields of an image."""
+"""Grid of fields that an image is divided into."""
 _PARTS = tuple(
     ("middle" if row == column else f"{row} {column}", rows, columns)
     for row, rows in (("upper", slice(0, 2)), ("middle", slice(2, 4)), ("lower", slice(4, 6)))
     for column, columns in (("left", slice(0, 2)), ("middle", slice(2, 6)), ("right", slice(6, 8)))
 )
-"""Name, rows and columns of the nine parts that messages speak of: the middle is half of each side."""
+"""Name, rows and columns of the nine image parts named in messages; the middle is about half of each side."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Coverage:
-    """Where marks lay in one image, field by field (ROWS, COLUMNS).
+    """Coverage of one image by marks, for each field (ROWS, COLUMNS).
 
-    reached : a mark lay there.  common : the other camera sees it too, at some depth of the views; elsewhere
-    nothing is measured.
+    reached : a mark lay there.  common : seen by the other camera, too, at some depth of the views;
+    elsewhere nothing is measured.
     """
 
     side: Side
@@ -38,12 +38,12 @@ class Coverage:
 
     @property
     def share(self) -> float:
-        """Share of the common fields that were reached."""
+        """Share of the common fields that marks reached."""
         return float(np.mean(self.reached[self.common])) if self.common.any() else 0.0
 
     @property
     def missed(self) -> tuple[str, ...]:
-        """Parts of the image of whose common fields more than half were not reached."""
+        """Parts of the image in which more than half of the common fields have no marks."""
         return tuple(
             name
             for name, rows, columns in _PARTS
@@ -53,7 +53,7 @@ class Coverage:
 
 
 def coverage_of(calibration: Calibration, side: Side) -> Coverage:
-    """Where the marks of all used views lay in one image."""
+    """Coverage of one image by the marks of all used views."""
     rig = calibration.rig
     camera, other, other_from_camera = rig.left, rig.right, rig.right_from_left
     if side == "right":
@@ -77,7 +77,7 @@ def coverage_of(calibration: Calibration, side: Side) -> Coverage:
 
 
 def coverage_in_words(both: Sequence[Coverage]) -> str:
-    """One finding of the left and the right image: of the verdict, and of the report."""
+    """Sentence about the coverage of both images, for the verdict and the report."""
     left, right = (f"{100 * coverage.share:.0f} %" for coverage in both)
     missed = [
         f"the {', '.join(coverage.missed)} of the {coverage.side} image"

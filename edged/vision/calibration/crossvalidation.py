@@ -1,8 +1,8 @@
-"""How good a calibration is on views it has not seen, in pixels and in millimetres.
+"""Cross-validation: errors of a calibration on views it was not made from, in pixels and millimetres.
 
-Residuals of the views that made a calibration flatter it. Here the views are held out in
-turn, the rest is adjusted again, and the held-out marks are measured with the result like any
-part would be: row differences, and lengths on the board against their known values.
+Residuals of the views that a calibration was made from are too optimistic. Here views are held out in
+turn, the rest is adjusted again, and the held-out marks are measured with the result as a part would
+be: row differences, and lengths on the board against their known values.
 """
 
 from __future__ import annotations
@@ -27,18 +27,18 @@ from edged.vision.geometry.camera import StereoRig
 from edged.vision.geometry.rigid import fit_rigid
 from edged.vision.geometry.triangulation import triangulate_raw
 
-_MIN_REST = 3  # views a calibration needs
+_MIN_REST = 3  # views that a calibration needs
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class HeldOutView:
-    """One view measured with a calibration that has not seen it.
+    """One view measured with a calibration made without it.
 
     scale : measured size of the board over its true size.
     flatness_mm : rms distance of the measured marks from a plane.
-    length_mm, length_error_mm : the longest distance on the board, and measured - true of it.
-    lengths_mm (K, 2) : true and measured; of every row and column the whole, the half and one step, and both
-    diagonals, as far as they were seen.
+    length_mm, length_error_mm : longest distance on the board, and its error measured - true.
+    lengths_mm (K, 2) : true and measured; for every row and column its whole length, half of it and one
+    pitch, and both diagonals, as far as they were seen.
     """
 
     name: str
@@ -54,7 +54,7 @@ class HeldOutView:
 def hold_out(calibration: Calibration) -> tuple[HeldOutView, ...]:
     """Measure every view with the calibration of the others (in up to ten groups).
 
-    Empty where there are too few views to leave any out.
+    Empty if there are too few views to leave any out.
     """
     fits = calibration.views
     folds = min(CALIBRATION.max_folds, len(fits))
@@ -70,7 +70,7 @@ def hold_out(calibration: Calibration) -> tuple[HeldOutView, ...]:
 
 
 def _calibrated_without(calibration: Calibration, rest: list[int]) -> StereoRig:
-    """The rig adjusted to the views `rest` only."""
+    """The rig adjusted to the views with the indices `rest` only."""
     rig, views = calibration.rig, [calibration.views[i].view for i in rest]
     poses = np.array([calibration.views[i].left_from_board for i in rest])
     state = BundleState(rig.left, rig.right, rig.right_from_left, poses)

@@ -1,7 +1,7 @@
-"""A rig estimated with a stated freedom, and what does not belong: wrong marks, wrong views, a moved camera.
+"""Estimation of a rig with given free parameters, and rejection of bad marks, bad views and camera movements.
 
-Each mark counts by its own measured precision, joined by a common model error that is estimated from the
-residuals: what lens model, board and detector leave unexplained.
+Each mark is weighted by its own measured precision combined with a common model error, estimated from the
+residuals, for what lens model, board and detector leave unexplained.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ Freedoms = tuple[LensFreedom, LensFreedom]
 
 @dataclass(frozen=True, slots=True)
 class CameraMovement:
-    """A camera that moved between two views, against the other. since : whether the views used are older."""
+    """Movement of one camera relative to the other between two views. since : the views used are older."""
 
     before: str
     after: str
@@ -47,9 +47,9 @@ class CameraMovement:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CalibrationProblem:
-    """Views with their observations, and which marks are kept as no outliers.
+    """Views with the observations of their marks, without the outliers removed so far.
 
-    movements : of a camera, which end the run of views that these are.
+    movements : camera movements that bound the run of these views.
     """
 
     views: Sequence[StereoView]
@@ -60,7 +60,7 @@ class CalibrationProblem:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CalibrationSolution:
-    """The best estimate with these freedoms. model_error_px : of the left and of the right camera."""
+    """Best estimate with these freedoms. model_error_px : of the left and the right camera."""
 
     problem: CalibrationProblem
     result: BundleResult
@@ -71,12 +71,12 @@ class CalibrationSolution:
 def estimate_cleaned(
     views: list[StereoView], state: BundleState, freedoms: Freedoms, excluded: list[tuple[str, str]]
 ) -> CalibrationSolution:
-    """Estimate; leave out views that contradict the others, one at a time, and marks that are mistakes.
+    """Estimate, removing views that contradict the others, one at a time, and outlying marks.
 
-    Where a camera moved, the views before or after it are used, whichever are more.
-    excluded : takes name and reason of each view that was left out.
-    Raises `Undetermined`, and `CalibrationError` for views in contradiction, and for a camera that moved with
-    no run of views from which one could calibrate.
+    If a camera moved, the views before or after the movement are used, whichever are more.
+    excluded : name and reason of each view left out are appended.
+    Raises `Undetermined`, and `CalibrationError` if views contradict each other, or a camera moved and no run
+    of views suffices for a calibration.
     """
     while True:
         solution = estimate(problem_of(views), state, freedoms)
@@ -97,12 +97,12 @@ def estimate_cleaned(
 
 
 def problem_of(views: list[StereoView]) -> CalibrationProblem:
-    """All marks of these views."""
+    """The problem with all marks of these views."""
     return CalibrationProblem(views, observations(views, "left"), observations(views, "right"))
 
 
 def observations(views: Sequence[StereoView], side: Side) -> Observations:
-    """All marks of the "left" or "right" images, with the precision their own fits state."""
+    """All marks of the "left" or "right" images, with the sigmas from their own fits."""
     found = [view.found(side) for view in views]
     return Observations(
         np.concatenate([np.full(len(seen.ids), i, dtype=np.int64) for i, seen in enumerate(found)]),
@@ -113,7 +113,7 @@ def observations(views: Sequence[StereoView], side: Side) -> Observations:
 
 
 def estimate(problem: CalibrationProblem, state: BundleState, freedoms: Freedoms) -> CalibrationSolution:
-    """Adjust and estimate the model error in turn until it settles."""
+    """Alternate between adjustment and estimation of the model error until the error converges."""
     errors = CALIBRATION.start_error_px, CALIBRATION.start_error_px
     try:
         for _ in range(CALIBRATION.estimate_rounds):
@@ -142,7 +142,7 @@ def estimate(problem: CalibrationProblem, state: BundleState, freedoms: Freedoms
 
 
 def without_outliers(solution: CalibrationSolution) -> CalibrationSolution:
-    """Drop marks that are mistakes, a few times: without the worst ones the next stand out."""
+    """Remove outlying marks and estimate again, repeatedly: without the worst, others stand out."""
     for _ in range(CALIBRATION.estimate_rounds):
         problem, result = solution.problem, solution.result
         kept_left = _inliers(problem.left, result.residuals_left_px, solution.model_error_px[0])
@@ -155,7 +155,7 @@ def without_outliers(solution: CalibrationSolution) -> CalibrationSolution:
 
 
 def with_model_error(seen: Observations, error_px: float) -> Observations:
-    """The marks with the common model error joined to their own."""
+    """The marks with the common model error added to their own sigmas (root sum of squares)."""
     return replace(seen, sigma_px=np.hypot(seen.sigma_px, error_px))
 
 
@@ -171,17 +171,17 @@ def _inliers(seen: Observations, residuals: FloatArray, error_px: float) -> B8:
 
 
 def _model_error(seen: Observations, residuals: FloatArray, share: float) -> float:
-    """The error of one coordinate, added to each mark's own, that makes chi² what it should be.
+    """Error of one coordinate which, added to each mark's own sigma, gives chi² its expected value.
 
-    share : degrees of freedom per measured value. 0 where the marks' own sigmas explain everything.
+    share : degrees of freedom per measured value. Returns 0 if the marks' own sigmas explain everything.
     """
     squares = np.sum(residuals**2, axis=1)
 
-    # clipped like the robust loss clips, so that a few mistakes do not set the scale
+    # clipped as in the robust loss, so that a few outliers do not set the scale
     def chi2(error: float) -> float:
         return float(np.minimum(squares / (seen.sigma_px**2 + error**2), 9.0).sum())
 
-    target = 2 * len(squares) * share * 0.989  # E[min(r², 9)] / 2 of a two-dimensional normal
+    target = 2 * len(squares) * share * 0.989  # E[min(r², 9)] / 2 of a two-dimensional normal distribution
     low, high = 0.0, float(np.sqrt(squares.max())) + 1e-9
     if chi2(0.0) <= target:
         return 0.0
@@ -192,9 +192,9 @@ def _model_error(seen: Observations, residuals: FloatArray, share: float) -> flo
 
 
 def _movement(solution: CalibrationSolution) -> tuple[int, CameraMovement] | None:
-    """How many views lie before a change of right_from_left that explains the residuals, and the change.
+    """Detect a change of right_from_left that explains the residuals: number of views before it, and change.
 
-    A likelihood ratio test over all places where the sequence of views can be cut.
+    A likelihood ratio test over all positions at which the sequence of views can be cut.
     """
     problem, result = solution.problem, solution.result
     errors = solution.model_error_px
@@ -219,9 +219,9 @@ def _movement(solution: CalibrationSolution) -> tuple[int, CameraMovement] | Non
 def _of_longest_run(
     solution: CalibrationSolution, cut: int, movement: CameraMovement, excluded: list[tuple[str, str]]
 ) -> CalibrationSolution:
-    """The estimate from the views before or after a camera moved, whichever leaves more of them.
+    """Estimate from the views before or after a camera movement, whichever leaves more views.
 
-    Of as many on both sides the later: they show the cameras as they stand.
+    If both leave as many, the later ones: they show the cameras in their present position.
     """
     views, state = list(solution.problem.views), solution.result.state
     runs = list[tuple[int, CalibrationSolution, list[tuple[str, str]]]]()
@@ -252,16 +252,16 @@ def _of_longest_run(
             before=movement.before,
             after=movement.after,
         )
-    _, found, left_out = max(runs, key=lambda run: run[0])  # the first of those alike
+    _, found, left_out = max(runs, key=lambda run: run[0])  # the first, that is the later run, of equal ones
     excluded.extend(left_out)
     return found
 
 
 def _worst_view(solution: CalibrationSolution) -> tuple[int, float, float] | None:
-    """Index, residual and usual residual of the view that does not belong, if there is one.
+    """Index, residual and typical residual of the worst outlying view, if there is one.
 
-    By the median over a view's marks: a few wrong marks do not condemn a view. Nor do residuals as large as
-    the marks' own precision, where the others happen to be better still.
+    Views are judged by the median over their marks, so that a few wrong marks do not reject a view. Nor do
+    residuals within `bad_view` times the marks' own precision, even if those of other views are smaller.
     """
     result, problem = solution.result, solution.problem
     view = np.concatenate([problem.left.view, problem.right.view])

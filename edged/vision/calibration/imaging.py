@@ -1,10 +1,10 @@
-"""How the cameras render an edge: response, blur, its asymmetry, light. All from pictures of a chessboard.
+"""Camera response, blur, asymmetry of the blur and light falloff, from pictures of a chessboard.
 
-The corner between four squares stays where it is, whatever the camera does to bright and dark. The edges
-between two squares do not: with a response that is not linear (a gamma), an edge that the lens has spread
-appears displaced towards the dark, and its profile is no longer the same from both ends. A line through two
-corners says where the edge is. So the exponent that puts the edges on their lines is the camera's response,
-if the shape of the profile confirms it; if not, it may as well be the board's print.
+The corner between four squares keeps its position whatever the camera's response to light. The edges between
+two squares do not: with a nonlinear response (a gamma), an edge blurred by the lens appears displaced towards
+the dark side, and its profile is no longer symmetric. The line through two corners gives the true position of
+the edge. So the exponent that puts the edges on their lines is the camera's response, provided that the shape
+of the profile confirms it; otherwise the cause may just as well be the board's print.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from edged.vision.geometry.camera import StereoRig, calibration_identity
 from edged.vision.geometry.rectification import linear_grey
 
 MIN_LENGTH_PX = 3.5 * IMAGING.reach_px
-"""A shorter edge has no room for the patch about its middle, two reaches long, off its corners."""
+"""Shortest usable edge: the patch around its middle, two reaches long, must stay clear of its corners."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -46,21 +46,21 @@ class BoardEdges:
     view: I64
 
     def some(self, chosen: B8) -> BoardEdges:
-        """Those that are chosen (M,)."""
+        """The edges selected by a mask (M,)."""
         return BoardEdges(*(getattr(self, name)[chosen] for name in self.__slots__))
 
 
 @dataclass(frozen=True, slots=True)
 class Imaging:
-    """What one camera does to an edge; NaN where the pictures do not tell.
+    """How one camera images an edge; NaN where the pictures do not determine a value.
 
-    gamma : grey value ~ light ** gamma, 1 unless displacement and profiles of the edges agree on another.
-    shift_px, sigma_shift_px : displacement of edges towards the dark, as the pictures are.
-    blur_px : sigma of the edge spread; least and largest of nine places, too.
-    asymmetry_px : by how much the spread differs between both ends of an edge, largest of the places.
-    saturated : share of edges whose bright side is clipped.  falloff : share of the light missing in the
-    darkest corner, against the brightest place.  halo : by how much the picture overshoots beside an edge, of
-    its step; a lens makes none, sharpening does.
+    gamma : grey value ~ light ** gamma; 1 unless displacement and profiles of the edges agree on another.
+    shift_px, sigma_shift_px : displacement of edges towards the dark side in the pictures as they are.
+    blur_px : sigma of the edge spread; also least and largest of nine places.
+    asymmetry_px : difference of the spread between the dark and the bright side, largest of the places.
+    saturated : share of edges whose bright side is clipped.  falloff : share of the light missing at the
+    darkest place, relative to the brightest.  halo : overshoot beside an edge as a share of its step; caused
+    by sharpening, never by a lens.
     """
 
     gamma: float
@@ -75,13 +75,13 @@ class Imaging:
     halo: float = math.nan
 
 
-UNKNOWN = Imaging(1.0, *[math.nan] * 8)  # gamma of a linear camera
+UNKNOWN = Imaging(1.0, *[math.nan] * 8)  # a linear response is assumed
 
 
 def edges_of(image: Image, board: Board, detection: Detection, view: int = 0) -> BoardEdges | None:
-    """The edges between neighbouring corners of a chessboard or ChArUco board; None where there are none.
+    """Edges between neighbouring corners of a chessboard or ChArUco board; None if there are none.
 
-    image (H, W) uint8.  view : number to keep with them.
+    image (H, W) uint8.  view : number stored with the edges.
     """
     lines = _lines(board, detection)
     if not len(lines):
@@ -120,7 +120,7 @@ def edges_of(image: Image, board: Board, detection: Detection, view: int = 0) ->
 
 
 def imaging_of(pictures: Sequence[BoardEdges], size: tuple[int, int]) -> Imaging:
-    """What the edges in all pictures of one camera say of it.
+    """Imaging properties of one camera from the edges in all of its pictures.
 
     size (w, h) of the images.
     """
@@ -167,7 +167,7 @@ def imaging_of(pictures: Sequence[BoardEdges], size: tuple[int, int]) -> Imaging
 
 
 def with_response(rig: StereoRig, imaging: tuple[Imaging, Imaging]) -> StereoRig:
-    """The rig with the cameras' responses, from which its images are made linear before they are measured."""
+    """The rig with the cameras' gammas, by which images are linearised before they are measured."""
     left, right = (
         replace(camera, gamma=measured.gamma)
         for camera, measured in zip((rig.left, rig.right), imaging, strict=True)
@@ -178,9 +178,9 @@ def with_response(rig: StereoRig, imaging: tuple[Imaging, Imaging]) -> StereoRig
 
 @dataclass(frozen=True, slots=True)
 class ImagingFinding:
-    """What is to be known of the cameras.
+    """One finding about the cameras.
 
-    cost_um : what it does to a measurement.  remedy : what to do, "" if all is well.
+    cost_um : effect on a measurement.  remedy : what to do, "" if all is well.
     """
 
     name: str
@@ -190,7 +190,7 @@ class ImagingFinding:
 
 
 def findings(imaging: tuple[Imaging, Imaging], rig: StereoRig, depth_mm: float) -> tuple[ImagingFinding, ...]:
-    """Response, blur, its asymmetry, focus and light of both cameras, with what each costs at a depth."""
+    """Findings on response, blur, asymmetry, focus and light of both cameras, with their cost at a depth."""
     focal = 0.25 * (rig.left.fx + rig.left.fy + rig.right.fx + rig.right.fy)
     across_um = 1e3 * depth_mm / focal
     depth_um = across_um * depth_mm / rig.baseline_mm
@@ -272,7 +272,7 @@ def findings(imaging: tuple[Imaging, Imaging], rig: StereoRig, depth_mm: float) 
 
 
 def _lines(board: Board, detection: Detection) -> FloatArray:
-    """(M, 2, 2) px: both ends of every edge between neighbouring corners; none for boards of dots."""
+    """Both ends (M, 2, 2) px of every edge between neighbouring corners; none for boards of dots."""
     stated = nominal(board)
     if not isinstance(stated, Chessboard | Charuco):
         return np.zeros((0, 2, 2))
@@ -288,7 +288,7 @@ def _lines(board: Board, detection: Detection) -> FloatArray:
 
 
 def _levels(across: FloatArray, grey: FloatArray, used: B8) -> tuple[FloatArray, FloatArray]:
-    """Median grey values (M,) on both sides of each edge."""
+    """Median grey values (M,) of both sides of each edge."""
     sides = (used & (across < -IMAGING.flat_px), used & (across > IMAGING.flat_px))
     low, high = (np.nanmedian(np.where(side, grey, np.nan), axis=1) for side in sides)
     return low, high
@@ -299,7 +299,7 @@ def _levels(across: FloatArray, grey: FloatArray, used: B8) -> tuple[FloatArray,
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Profile:
-    """share (B,) of the step, 0 to 1, at place_px (B,); centre_px : where it is one half; blur_px : sigma."""
+    """Edge profile: share (B,) of the step at place_px (B,); centre_px : where it is 0.5; blur_px : sigma."""
 
     place_px: FloatArray
     share: FloatArray
@@ -307,12 +307,12 @@ class _Profile:
     blur_px: float
 
     def at(self, place_px: FloatArray) -> FloatArray:
-        """The share at places from the centre."""
+        """Share at positions relative to the centre."""
         return np.interp(self.centre_px + place_px, self.place_px, self.share)
 
 
 def _profile(edges: BoardEdges) -> _Profile:
-    """The mean profile of edges across their lines, in grey values as they are."""
+    """Mean profile of edges across their lines, from the grey values as given."""
     low, high = _levels(edges.across, edges.grey, edges.used)
     share = (edges.grey - low[:, None]) / np.maximum(high - low, 1e-9)[:, None]
     bins = int(2 * IMAGING.reach_px / IMAGING.bin_px)
@@ -336,29 +336,29 @@ def _profile(edges: BoardEdges) -> _Profile:
 
 
 _HALF = np.arange(IMAGING.bin_px / 2, IMAGING.reach_px - 2.0, IMAGING.bin_px)
-"""Middles of the bins of half a profile, 2 px short of its end: its centre may lie that far off."""
+"""Bin centres of half a profile, ending 2 px short: the profile's centre may be off by that much."""
 
 
 def _halo(profile: _Profile) -> float:
-    """By how much the profile leaves the levels of its sides, the larger of both, as a share of the step."""
+    """Overshoot or undershoot of the profile, whichever is larger, as a share of the step."""
     beside = np.convolve(profile.share, np.full(IMAGING.halo_bins, 1 / IMAGING.halo_bins), "valid")
     return max(float(beside.max()) - 1.0, -float(beside.min()), 0.0)
 
 
 def _by_sector(edges: BoardEdges) -> list[BoardEdges]:
-    """The edges by their direction from dark to bright; without directions of which there are too few."""
+    """Edges grouped by direction from dark to bright, leaving out directions with too few."""
     return [sector for sector in _sectors(edges) if len(sector.view) >= IMAGING.min_edges]
 
 
 def _sectors(edges: BoardEdges) -> list[BoardEdges]:
-    """The edges of each direction, opposite ones SECTORS / 2 apart."""
+    """Edges of each direction; opposite directions are IMAGING.sectors / 2 apart."""
     angle = np.arctan2(edges.toward[:, 1], edges.toward[:, 0])
     sector = ((angle + math.pi) * IMAGING.sectors / (2 * math.pi)).astype(np.int64) % IMAGING.sectors
     return [edges.some(sector == number) for number in range(IMAGING.sectors)]
 
 
 def _odd_part(edges: BoardEdges, gamma: float) -> float:
-    """Mean square of what is not alike at both ends of the profiles, over the directions."""
+    """Mean square asymmetry of the profiles about their centres, averaged over the directions."""
     squares = []
     for sector in _by_sector(edges) or [edges]:
         profile = _profile(replace(sector, grey=linear_grey(sector.grey, gamma)))
@@ -370,7 +370,7 @@ def _odd_part(edges: BoardEdges, gamma: float) -> float:
 
 
 def _shift_px(edges: BoardEdges, gamma: float) -> float:
-    """Displacement of the edges towards the dark, the mean over the directions."""
+    """Displacement of the edges towards the dark side, averaged over the directions."""
     centres = [
         _profile(replace(sector, grey=linear_grey(sector.grey, gamma))).centre_px
         for sector in _by_sector(edges) or [edges]
@@ -379,7 +379,7 @@ def _shift_px(edges: BoardEdges, gamma: float) -> float:
 
 
 def _response(edges: BoardEdges) -> tuple[float, float, float]:
-    """Gamma (1 unless it is certain), the displacement of the edges as they are, and its sigma, px."""
+    """Gamma (1 unless certain), displacement of the edges without correction, and its sigma, px."""
     shift = _shift_px(edges, 1.0)
     views = [edges.some(edges.view == number) for number in np.unique(edges.view)]
     parts = views if len(views) > 1 else _by_sector(edges)
@@ -388,7 +388,7 @@ def _response(edges: BoardEdges) -> tuple[float, float, float]:
     if abs(shift) < max(IMAGING.min_shift_px, IMAGING.sure * sigma):
         return 1.0, shift, sigma
     low, high = np.log(IMAGING.gamma_range)
-    for _ in range(14):  # the displacement grows with the exponent that is assumed
+    for _ in range(14):  # bisection: the displacement grows with the assumed exponent
         middle = 0.5 * (low + high)
         low, high = (low, middle) if _shift_px(edges, math.exp(middle)) > 0 else (middle, high)
     gamma = round(math.exp(0.5 * (low + high)), 3)
@@ -397,7 +397,7 @@ def _response(edges: BoardEdges) -> tuple[float, float, float]:
 
 
 def _asymmetry_px(edges: BoardEdges) -> float:
-    """Largest difference between two ends of one blur: opposite directions, the tails of their profiles."""
+    """Largest asymmetry of the blur, from the tails of the profiles of opposite directions."""
     skew = []
     for sector in _sectors(edges):
         if len(sector.view) < IMAGING.min_edges // IMAGING.sectors:

@@ -1,4 +1,4 @@
-"""Start values for the bundle adjustment, and the sorting out of what cannot be used."""
+"""Initial values for the bundle adjustment, and removal of unusable views."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from edged.vision.calibration.params import CALIBRATION
 from edged.vision.geometry.camera import CameraModel, LensModel
 from edged.vision.geometry.rigid import invert, rotation_matrix, rotation_vector, transform
 
-MIN_VIEWS = 3  # two give no redundancy at all for the distortion
-MIN_MARKS = 8  # in one image: a homography and as much redundancy again
+MIN_VIEWS = 3  # two give no redundancy for the distortion
+MIN_MARKS = 8  # in one image: twice what a homography needs
 
 
 def usable_views(views: Sequence[StereoView]) -> tuple[list[StereoView], list[tuple[str, str]]]:
-    """Views with the board in both images, and (name, reason) of the others.
+    """Views that show the board in both images, and (name, reason) of the others.
 
     Raises `CalibrationError` with all reasons if fewer than `MIN_VIEWS` are left.
     """
@@ -56,7 +56,7 @@ def usable_views(views: Sequence[StereoView]) -> tuple[list[StereoView], list[tu
 def zhang(
     views: Sequence[StereoView], side: Side, size: tuple[int, int], model: LensModel
 ) -> tuple[CameraModel, list[FloatArray]]:
-    """Camera and camera_from_board for each view."""
+    """Initial camera and camera_from_board of each view by Zhang's method."""
     found = [view.found(side) for view in views]
     boards = [
         view.board.points_mm[seen.ids].astype(np.float32) for view, seen in zip(views, found, strict=True)
@@ -69,7 +69,7 @@ def zhang(
         )
     except cv2.error as error:
         raise CalibrationError(f"{side} camera: no initial values from these views: {error.err}") from error
-    # OpenCV's threads make the last digits differ from run to run. Cut off, the same views give the
+    # The last digits vary from run to run with OpenCV's threads. Rounded, the same views give the
     # same calibration, bit for bit.
     poses = [
         transform(rotation_matrix(np.round(_column(r), 6)), np.round(_column(t), 5))
@@ -77,7 +77,7 @@ def zhang(
     ]
     focal, cx, cy = (float(np.round(value, 3)) for value in (K[0, 0], K[0, 2], K[1, 2]))
     _check_tilt(poses, side)
-    # To first order both models bend alike: r (1 + k1 r²) and r (1 + kappa r²)
+    # To first order both models are the same: r (1 + k1 r²) and r (1 + kappa r²)
     k1 = float(np.round(np.ravel(distortion)[0], 6))
     values = (k1,) if model == "division" else (k1, 0.0, 0.0, 0.0, 0.0)
     camera = CameraModel(model, *size, focal, focal, cx, cy, values)
@@ -102,10 +102,10 @@ def _check_tilt(poses: Sequence[FloatArray], side: Side) -> None:
 def agree(
     views: list[StereoView], left: list[FloatArray], right: list[FloatArray]
 ) -> tuple[list[StereoView], FloatArray, float]:
-    """Which way round a symmetric board was seen, the relation most views agree on, and how well they do.
+    """Resolve the orientation of symmetric boards; views, right_from_left that most agree on, and scatter.
 
-    How well : the median of their distances from it. The relation of the cameras is the same in every view;
-    a board that was numbered from the other end in one image gives another one in each.
+    The scatter is the median distance of the views' own right_from_left from it. The true right_from_left is
+    the same in every view; numbering a board from the other end in one image gives a different one each time.
     """
     candidates: list[list[FloatArray]] = []
     for view, left_pose, right_pose in zip(views, left, right, strict=True):
@@ -116,7 +116,7 @@ def agree(
     best: tuple[float, FloatArray, list[int]] | None = None
     for relation in (relation for relations in candidates for relation in relations):
         distances = [[_distance(relation, other) for other in relations] for relations in candidates]
-        # the median, so that views that are wrong altogether have no say
+        # the median, so that completely wrong views have no influence
         score = float(np.median([min(d) for d in distances]))
         if best is None or score < best[0]:
             best = score, relation, [int(np.argmin(d)) for d in distances]
@@ -130,26 +130,26 @@ def agree(
 
 
 def _half_turn(board: Board) -> FloatArray:
-    """board_from_board (4, 4) that maps each mark to the mark with the number counted from the end."""
+    """board_from_board (4, 4) that maps each mark to the one with the same number counted from the end."""
     return transform(np.diag([-1.0, -1.0, 1.0]), board.points_mm[-1])
 
 
 def renumbered(seen: Detection, board: Board) -> Detection:
-    """The detection with its marks counted from the other end of a symmetric board."""
+    """The detection with its marks numbered from the other end of a symmetric board."""
     return replace(seen, ids=len(board.points_mm) - 1 - seen.ids)
 
 
 def _distance(a: FloatArray, b: FloatArray) -> float:
-    """How far two relations differ: angle plus shift relative to the baseline."""
+    """Distance of two relative poses: angle plus shift relative to the baseline."""
     angle = float(np.linalg.norm(rotation_vector(a[:3, :3].T @ b[:3, :3])))
     shift = float(np.linalg.norm(a[:3, 3] - b[:3, 3]))
     return angle + shift / max(float(np.linalg.norm(a[:3, 3])), 1e-9)
 
 
 def check_sides(right_from_left: FloatArray, left_from_board: Sequence[FloatArray], scatter: float) -> None:
-    """Raise `CalibrationError` where the right camera stands on the left, or where the left one does.
+    """Raise `CalibrationError` if the right camera is to the left of, or in the place of, the left one.
 
-    scatter : of the views, as `agree` says; where they disagree, it is unknown.
+    scatter : of the views, from `agree`; if it is large, the position is not known.
     """
     centre = invert(right_from_left)[:3, 3]
     distance = float(np.median([pose[2, 3] for pose in left_from_board]))

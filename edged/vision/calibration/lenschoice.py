@@ -1,10 +1,10 @@
-"""Which lens model the views speak for, and what it means for sigma that they might be wrong.
+"""Choice of the lens model from the views, and the effect of its uncertainty on the covariance.
 
-The division model (one parameter), and Brown-Conrady's with and without its tangential part, are adjusted to
-the same marks with the same weights. Akaike's criterion compares them: a parameter has to lower chi² by more
-than noise would. Its weights say how sure the choice is, and the covariance is that of the models' average
-about the one that was chosen: a model that may be simpler than the lens does not make sigma too small.
-The Bayesian criterion takes small tangential parts for none: errors of several sigma, as `tools/bench lens`
+The division model (one parameter), and Brown-Conrady with and without its tangential part, are adjusted to
+the same marks with the same weights. They are compared by Akaike's criterion: a parameter must lower chi² by
+more than noise would. The Akaike weights tell how certain the choice is. The covariance is the model-averaged
+one about the chosen model, so that a model simpler than the lens does not make sigma too small.
+The Bayesian criterion neglects small tangential parts, with errors of several sigma, as `tools/bench lens`
 shows.
 
 Sources: H. Akaike, IEEE TAC 1974, doi:10.1109/TAC.1974.1100705; K. P. Burnham and D. R. Anderson, "Model
@@ -40,17 +40,17 @@ from edged.vision.geometry.triangulation import triangulate_raw
 from edged.vision.geometry.uncertainty import shift_by_parameters
 
 LensWish = Literal["auto", "division", "brown"]
-"""A lens model, or whichever the views speak for."""
+"""A lens model, or "auto" to choose it from the views."""
 
 _TANGENTIAL = ("p1", "p2")
-_RELEASED = (*_TANGENTIAL, "k3")  # what not every lens is estimated with
+_RELEASED = (*_TANGENTIAL, "k3")  # coefficients that are not always estimated
 
 
 @dataclass(frozen=True, slots=True)
 class LensWeight:
-    """A model that was tried. name : "division", "brown", or "brown without p1, p2".
+    """A model that was tried. name : "division", "brown" or "brown without p1, p2".
 
-    aic : Akaike's criterion, above that of the best.  weight : how much the views speak for it, of 1 in all.
+    aic : Akaike's criterion minus that of the best.  weight : its Akaike weight; they add up to 1.
     """
 
     name: str
@@ -60,9 +60,9 @@ class LensWeight:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Choice:
-    """The solution with the model that was chosen. weights : of all that were tried, the best first.
+    """The solution with the chosen model. weights : of all models tried, best first.
 
-    others : weight and result of the models that were not chosen.
+    others : weight and result of the models not chosen.
     """
 
     solution: CalibrationSolution
@@ -71,7 +71,7 @@ class Choice:
 
 
 def choice_in_words(weights: Sequence[LensWeight]) -> str:
-    """Which model was chosen, and what speaks for the others."""
+    """Sentence that states the chosen model and the weights of the others."""
     best, *others = weights
     against = ", ".join(f"{other.name} {100 * other.weight:.0f} %" for other in others)
     also = f" ({100 * best.weight:.0f} %; {against})" if others else ""
@@ -79,13 +79,13 @@ def choice_in_words(weights: Sequence[LensWeight]) -> str:
 
 
 def basic_freedoms(model: LensModel) -> Freedoms:
-    """What is estimated of each lens of a model before the data ask for more."""
+    """Parameters of both lenses that are always estimated for a model."""
     basic = LensFreedom(True, tuple(name for name in DISTORTION_NAMES[model] if name != "k3"))
     return basic, basic
 
 
 def freedom_of(camera: CameraModel) -> LensFreedom:
-    """What was estimated of a camera, read off its values."""
+    """Parameters that were estimated for a camera, inferred from its values."""
     free = tuple(
         name
         for name, value in zip(DISTORTION_NAMES[camera.model], camera.distortion, strict=True)
@@ -95,9 +95,9 @@ def freedom_of(camera: CameraModel) -> LensFreedom:
 
 
 def choose(views: list[StereoView], state: BundleState, excluded: list[tuple[str, str]]) -> Choice:
-    """The model that the views speak for. state : with Brown-Conrady lenses.
+    """Choose the lens model from the views. state : with Brown-Conrady lenses.
 
-    excluded : takes name and reason of each view that was left out. Raises as `estimate_cleaned`.
+    excluded : name and reason of each view left out are appended. Raises as `estimate_cleaned`.
     """
     richest = _richest(views, state, excluded)
     errors = richest.model_error_px
@@ -108,7 +108,7 @@ def choose(views: list[StereoView], state: BundleState, excluded: list[tuple[str
         with contextlib.suppress(np.linalg.LinAlgError):
             result = adjust(_bound(begun, freedoms), left, right, *freedoms)
             tried.append((name, freedoms, result))
-    # a polynomial may fold the picture where no mark was seen: that is no lens, well as it fits
+    # a polynomial may fold the image where no mark was seen: that is no lens, however well it fits
     tried = [attempt for attempt in tried if can_be_rectified(rig_of(attempt[2]))] or tried
     aic = _criteria([result for _, _, result in tried], [freedoms for _, freedoms, _ in tried])
     weights = np.exp(-0.5 * aic) / np.exp(-0.5 * aic).sum()
@@ -132,7 +132,7 @@ def choose(views: list[StereoView], state: BundleState, excluded: list[tuple[str
 def _richest(
     views: list[StereoView], state: BundleState, excluded: list[tuple[str, str]]
 ) -> CalibrationSolution:
-    """With as much freedom as the views determine."""
+    """Solution with as many free parameters as the views determine."""
     full, division = basic_freedoms("brown"), basic_freedoms("division")
     for freedoms in (full, _without_tangential(full)):
         left_out = list[tuple[str, str]]()
@@ -145,7 +145,7 @@ def _richest(
 
 
 def _candidates(richest: CalibrationSolution) -> list[tuple[str, Freedoms]]:
-    """Name and freedoms of the richest solution, and of the models below it."""
+    """Name and freedoms of the richest solution and of the simpler models."""
     left, right = richest.freedoms
     names = DISTORTION_NAMES["division"]
     if left.distortion == names:
@@ -167,7 +167,7 @@ def _without_tangential(freedoms: Freedoms) -> Freedoms:
 
 
 def _bound(state: BundleState, freedoms: Freedoms) -> BundleState:
-    """The state with lenses of these freedoms, and nothing in what they hold back."""
+    """The state with lenses restricted to these freedoms, and all other coefficients zero."""
     left, right = (
         _of_freedom(camera, freedom)
         for camera, freedom in zip((state.left, state.right), freedoms, strict=True)
@@ -177,14 +177,14 @@ def _bound(state: BundleState, freedoms: Freedoms) -> BundleState:
 
 def _of_freedom(camera: CameraModel, freedom: LensFreedom) -> CameraModel:
     if camera.model == "brown" and freedom.distortion == DISTORTION_NAMES["division"]:
-        # to first order both models bend alike: r (1 + k1 r²) and r (1 + kappa r²)
+        # to first order both models are the same: r (1 + k1 r²) and r (1 + kappa r²)
         return replace(camera, model="division", distortion=camera.distortion[:1])
     pairs = zip(DISTORTION_NAMES[camera.model], camera.distortion, strict=True)
     return replace(camera, distortion=tuple(v if n in freedom.distortion else 0.0 for n, v in pairs))
 
 
 def _criteria(results: Sequence[BundleResult], freedoms: Sequence[Freedoms]) -> FloatArray:
-    """Akaike's criterion of each, above the least. The noise is what the best of them leaves."""
+    """Akaike's criterion of each, minus the least. The noise is estimated from the best fit."""
     least, freedom = min((result.chi2, result.freedom) for result in results)
     floor = CALIBRATION.no_noise * freedom
     aic = [
@@ -194,14 +194,15 @@ def _criteria(results: Sequence[BundleResult], freedoms: Sequence[Freedoms]) -> 
     return np.asarray(np.array(aic) - min(aic))
 
 
-# --- sigma of what might be another model --------------------------------------------------------
+# --- model-averaged covariance -------------------------------------------------------------------
 
 
 def averaged(rig: StereoRig, choice: Choice, points_mm: FloatArray) -> StereoRig:
-    """The rig with the covariance of the models' average about the chosen one.
+    """The rig with the model-averaged covariance about the chosen model.
 
-    points_mm (N, 3) : places all over the volume. Another model has other parameters: what it says of these
-    points, and how surely, is said by those parameters of the chosen one that move points most nearly so.
+    points_mm (N, 3) : points spread over the volume. As models have different parameters, another model's
+    positions of these points and their covariance are expressed by the changes of the chosen model's
+    parameters that move the points most nearly alike.
     """
     if rig.covariance is None or not choice.others:
         return rig
@@ -220,7 +221,7 @@ def averaged(rig: StereoRig, choice: Choice, points_mm: FloatArray) -> StereoRig
 
 
 def selection_of(rig: StereoRig) -> FloatArray:
-    """(P, F) matrix from what was estimated of a rig to `rig.parameter_names`."""
+    """(P, F) matrix from the estimated parameters of a rig to `rig.parameter_names`."""
     left, right = (freedom_of(camera).selection(camera) for camera in (rig.left, rig.right))
     selection = np.zeros((len(rig.parameter_names), left.shape[1] + right.shape[1] + 6))
     selection[: left.shape[0], : left.shape[1]] = left
@@ -229,11 +230,11 @@ def selection_of(rig: StereoRig) -> FloatArray:
     return selection
 
 
-# --- freedom that the data ask for ---------------------------------------------------------------
+# --- release of further parameters ---------------------------------------------------------------
 
 
 def release(solution: CalibrationSolution) -> CalibrationSolution:
-    """Free fx from fy, and k3, where the data contradict the simpler lens."""
+    """Estimate fx and fy separately, and k3, where the data contradict the simpler lens."""
     for index, side in enumerate(SIDES):
         freedom = solution.freedoms[index]
         trials = [replace(freedom, square_pixels=False)]
@@ -249,7 +250,7 @@ def release(solution: CalibrationSolution) -> CalibrationSolution:
 
 
 def _significance(result: BundleResult, side: Side, trial: LensFreedom, before: LensFreedom) -> float:
-    """|value| / sigma of what `trial` frees."""
+    """|value| / sigma of the parameter released in `trial`."""
     rig = rig_of(result)
     names = list(rig.parameter_names)
     camera = rig.camera(side)
@@ -264,7 +265,7 @@ def _significance(result: BundleResult, side: Side, trial: LensFreedom, before: 
 
 
 def check_determined(result: BundleResult) -> None:
-    """Raise `Undetermined` where a focal length is not known."""
+    """Raise `Undetermined` if a focal length is not determined."""
     rig = rig_of(result)
     sigma = np.sqrt(np.diag(result.covariance))
     for side, camera in (("left", rig.left), ("right", rig.right)):
@@ -279,6 +280,6 @@ def check_determined(result: BundleResult) -> None:
 
 
 def rig_of(result: BundleResult) -> StereoRig:
-    """The rig of a result, without a name."""
+    """The rig of a result, without a calibration id."""
     state = result.state
     return StereoRig(state.left, state.right, state.right_from_left, "", covariance=result.covariance)

@@ -1,8 +1,8 @@
-"""Which further view of the board would make a calibration better, and by how much.
+"""Next best view: which further view of the board would improve a calibration, and by how much.
 
-Every candidate is a pose of the board in the working volume. What it would tell of the rig follows
-from its projections alone, before anybody takes the picture: the rig's information and the view's
-are added, and the expected error of measured points is compared.
+Every candidate is a pose of the board in the working volume. Its information about the rig follows
+from its projections alone, before the picture is taken: it is added to the information of the
+calibration, and the expected errors of measured points are compared.
 Source of the idea: optimal experimental design (A-optimality), e.g. V. V. Fedorov, 1972.
 """
 
@@ -25,7 +25,7 @@ from edged.vision.geometry.uncertainty import shift_by_parameters
 
 BoolArray = B8
 
-TILT_DEG = 35.0  # as people are told to tilt the board
+TILT_DEG = 35.0  # the tilt that users are asked for
 TILTS = (
     ("square to the left camera", "square", (0.0, 0.0)),
     ("its right side turned towards the cameras", "right-near", (0.0, 1.0)),
@@ -33,14 +33,14 @@ TILTS = (
     ("its lower side turned away", "lower-away", (1.0, 0.0)),
     ("its upper side turned away", "upper-away", (-1.0, 0.0)),
 )
-"""In words, as a code, and the axis to turn about."""
+"""Description, code and rotation axis of each tilt."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Suggestion:
-    """A view to take. gain : share by which the calibration's part in the error of points would fall.
+    """A view to take. gain : relative reduction of the calibration's contribution to the error of points.
 
-    where : in words, for people.  code : the same for programs, as "upper-left.near.lower-away".
+    where : in words, for people.  code : the same for programs, such as "upper-left.near.lower-away".
     left_from_board (4, 4) : where the board would be.
     """
 
@@ -53,11 +53,11 @@ class Suggestion:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Plan:
-    """What a calibration is worth, and what further views would do.
+    """Uncertainty of a calibration, and how further views would improve it.
 
-    sigma_mm (3,) : standard deviations of X, Y, Z that the calibration gives to points, rms over its volume.
-    suggestions : the views that help most, the best first.  sigmas_mm (S, 3) : with each of them.
-    more_views : how many such views until no sigma is beyond the goal; None: without a goal, or out of reach.
+    sigma_mm (3,) : contribution of the calibration to the sigmas of X, Y, Z of points, rms over its volume.
+    suggestions : the most useful views, best first.  sigmas_mm (S, 3) : the same with each of them added.
+    more_views : number of such views until every sigma meets the goal; None: no goal, or out of reach.
     """
 
     sigma_mm: FloatArray
@@ -67,7 +67,7 @@ class Plan:
 
 
 def volume_points(calibration: Calibration) -> FloatArray:
-    """Points (N, 3) all over the volume that the boards were held in and both cameras see."""
+    """Points (N, 3) spread over the volume in which the boards were held and that both cameras see."""
     rig = calibration.rig
     x = np.linspace(0.05, 0.95, 5) * (rig.left.width - 1)
     y = np.linspace(0.05, 0.95, 5) * (rig.left.height - 1)
@@ -79,19 +79,19 @@ def volume_points(calibration: Calibration) -> FloatArray:
 
 
 def depths_mm(calibration: Calibration) -> FloatArray:
-    """Near, middle and far (3,): where 5, 50 and 95 % of the marks lay."""
+    """Near, middle and far depth (3,): the 5th, 50th and 95th percentile of the marks' depths."""
     marks = [apply(fit.left_from_board, fit.view.board.points_mm)[:, 2] for fit in calibration.views]
     return np.asarray(np.percentile(np.concatenate(marks), (5, 50, 95)))
 
 
 def best_next_view(calibration: Calibration) -> Suggestion | None:
-    """The candidate that helps most; None where nothing fits or the covariance is unknown."""
+    """The most useful candidate; None if no candidate fits or the covariance is unknown."""
     plan = plan_views(calibration, 1)
     return plan.suggestions[0] if plan is not None and plan.suggestions else None
 
 
 def plan_views(calibration: Calibration, count: int | None = 3, goal_mm: float | None = None) -> Plan | None:
-    """The `count` candidates that help most, and how many it takes to the goal; None without a covariance.
+    """The `count` most useful candidates, and how many views reach the goal; None without a covariance.
 
     count : None gives all of them.
     """
@@ -117,7 +117,7 @@ def plan_views(calibration: Calibration, count: int | None = 3, goal_mm: float |
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ViewCandidate:
-    """A view that might be taken."""
+    """A view that could be taken."""
 
     where: str
     code: str
@@ -126,9 +126,9 @@ class ViewCandidate:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Design:
-    """What is known of the rig (P, P), what each candidate would tell of it, and what that does to points.
+    """Information about the rig (P, P), each candidate's contribution to it, and its effect on points.
 
-    shift (N, 3, P) : of points, by the parameters that were estimated.
+    shift (N, 3, P) : derivative of points with respect to the estimated parameters.
     """
 
     board: Board
@@ -148,7 +148,7 @@ class _Design:
         return float(np.linalg.norm(self.sigma_mm(information)))
 
     def views_to(self, goal_mm: float) -> int | None:
-        """Views, each the best one then, until no coordinate's sigma is beyond the goal."""
+        """Views, chosen greedily, until every coordinate's sigma meets the goal; None if out of reach."""
         information = self.information
         for count in range(GUIDANCE.max_views + 1):
             if self.sigma_mm(information).max() <= goal_mm:
@@ -180,7 +180,7 @@ def _design(calibration: Calibration) -> _Design | None:
 
 
 def candidates(calibration: Calibration, board: Board) -> Iterator[ViewCandidate]:
-    """Places in the left image at three depths, each with five tilts, as far out as it can be found."""
+    """Positions in the left image at three depths, each with five tilts, as far out as the board is found."""
     camera = calibration.rig.left
     middle = 0.5 * (board.points_mm.min(axis=0) + board.points_mm.max(axis=0))
     for depth, distance in zip(depths_mm(calibration), ("near", "middle", "far"), strict=True):
@@ -206,7 +206,7 @@ def candidates(calibration: Calibration, board: Board) -> Iterator[ViewCandidate
 
 
 def _can_be_found(rig: StereoRig, board: Board, left_from_board: FloatArray) -> bool:
-    """Whether both images show enough of a board for its detector."""
+    """Whether both images would show enough of the board for its detector."""
     stated = board.stated if isinstance(board, ShapedBoard) else board
     if isinstance(stated, Charuco):
         points = apply(left_from_board, board.points_mm)
@@ -221,7 +221,7 @@ def _can_be_found(rig: StereoRig, board: Board, left_from_board: FloatArray) -> 
 
 
 def _observed(calibration: Calibration, board: Board, pose: FloatArray, side: Side) -> Observations:
-    """The marks that a camera would see, as precisely as it saw those before."""
+    """Marks that a camera would see, with the typical precision of those measured so far."""
     rig = calibration.rig
     points = apply(pose, board.points_mm)
     camera = rig.left
@@ -248,6 +248,6 @@ def _inside(camera: CameraModel, points: FloatArray, edge_px: float) -> BoolArra
 
 
 def _inverse(matrix: FloatArray) -> FloatArray:
-    """With unit diagonal in between: the parameters differ by ten orders of magnitude."""
+    """Inverse, computed with a unit diagonal: the parameters differ by ten orders of magnitude."""
     scale = 1 / np.sqrt(np.diag(matrix))
     return np.asarray(np.linalg.inv(matrix * scale[:, None] * scale) * scale[:, None] * scale)

@@ -1,4 +1,4 @@
-"""Plain OpenCV on the same marks: an outside witness for every calibration."""
+"""Calibration of the same marks with plain OpenCV, as an independent check of every calibration."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from edged.vision.calibration.calibrate import epipolar_errors_px, marks_in_both
 from edged.vision.geometry.camera import CameraModel, StereoRig
 from edged.vision.geometry.rigid import transform
 
-_MIN_MARKS = 6  # what OpenCV needs for a pose
+_MIN_MARKS = 6  # OpenCV's minimum for a pose
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PlainCalibration:
-    """What cv2.stereoCalibrate makes of marks: k1, k2, p1, p2; every mark counts alike."""
+    """Result of cv2.stereoCalibrate with k1, k2, p1, p2 and equal weights of all marks."""
 
     rig: StereoRig
     rms_px: float
@@ -30,13 +30,13 @@ class PlainCalibration:
 def plain_opencv(
     views: Sequence[StereoView], left_size: tuple[int, int], right_size: tuple[int, int]
 ) -> PlainCalibration | None:
-    """Calibrate with cv2.calibrateCamera and cv2.stereoCalibrate; None without a valid rig."""
+    """Calibrate with cv2.calibrateCamera and cv2.stereoCalibrate; None if that gives no valid rig."""
     boards, left, right = [], [], []
     for view in views:
         ids, in_left, in_right = marks_in_both(view)
         if len(ids) < _MIN_MARKS:
             continue
-        # as stated: OpenCV starts from flat boards only
+        # nominal points: OpenCV's initial values need flat boards
         boards.append(nominal(view.board).points_mm[ids].astype(np.float32))
         left.append(in_left.astype(np.float32).reshape(-1, 1, 2))
         right.append(in_right.astype(np.float32).reshape(-1, 1, 2))
@@ -63,7 +63,7 @@ def plain_opencv(
     rig = StereoRig(cameras[0], cameras[1], transform(np.asarray(R, dtype=np.float64), np.ravel(T)), "opencv")
     try:
         rows = np.concatenate([epipolar_errors_px(rig, view) for view in views])
-    except CalibrationError:  # lenses that no camera has: they cannot be rectified
+    except CalibrationError:  # unphysical lenses, which cannot be rectified
         return None
     return PlainCalibration(rig, float(rms), float(np.sqrt(np.mean(rows**2))))
 

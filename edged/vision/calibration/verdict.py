@@ -1,4 +1,4 @@
-"""Whether a calibration is good enough: a verdict, its reasons, and which pictures to add."""
+"""Verdict on a calibration: whether it is good enough, why, and which pictures to add."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ Grade = Literal["good", "usable", "repeat"]
 
 @dataclass(frozen=True, slots=True)
 class CalibrationVerdict:
-    """grade, and why in words.  add : the view that would help most; "" where none is worth it."""
+    """Grade and reasons in words.  add : the most useful further view; "" if none is worth it."""
 
     grade: Grade
     why: tuple[str, ...]
@@ -37,9 +37,9 @@ class CalibrationVerdict:
 def judge_calibration(
     calibration: Calibration, held: Sequence[HeldOutView], imaging: Sequence[Imaging] = ()
 ) -> CalibrationVerdict:
-    """By what views tell that were not used for their own result, by the covariance, and by the pictures.
+    """Grade a calibration by its held-out views, its covariance and the quality of the pictures.
 
-    imaging : of the left and of the right camera, where it is known.
+    imaging : of the left and the right camera, if known.
     """
     suggestion = best_next_view(calibration)
     add = ""
@@ -55,7 +55,7 @@ def judge_calibration(
 def _findings(calibration: Calibration, held: Sequence[HeldOutView]) -> list[tuple[Grade, str]]:
     views = len(calibration.views)
     findings = [(_grade(-views, -GUIDANCE.good_views, -GUIDANCE.min_views), f"{views} views")]
-    # cameras that were moved afterwards do not stand as the rig says
+    # if a camera moved after these views, the rig is out of date
     findings += [
         ("repeat" if movement.since else "usable", str(movement)) for movement in calibration.movements
     ]
@@ -94,7 +94,7 @@ def _findings(calibration: Calibration, held: Sequence[HeldOutView]) -> list[tup
 
 
 def _picture_findings(imaging: Sequence[Imaging]) -> list[tuple[Grade, str]]:
-    """Findings on cameras that alter the image: marks stay where they are, edges less so."""
+    """Findings on image processing by the cameras, which hardly displaces marks, but does displace edges."""
     found = list[tuple[Grade, str]]()
     for side, camera in zip(SIDES, imaging, strict=False):
         if camera.halo > IMAGING.max_halo:
@@ -105,7 +105,7 @@ def _picture_findings(imaging: Sequence[Imaging]) -> list[tuple[Grade, str]]:
 
 
 def _grade(value: float, good: float, worst: float) -> Grade:
-    if not value <= worst:  # a NaN is no praise
+    if not value <= worst:  # also for NaN
         return "repeat"
     return "good" if value <= good else "usable"
 

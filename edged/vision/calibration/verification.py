@@ -1,8 +1,8 @@
-"""Does a stored rig still hold? One fresh view of a board, measured like a part.
+"""Verification of a stored rig with one fresh view of a board, measured like a part.
 
-Two questions, because no single one will do. Corresponding points must lie on one row: that
-sees a camera that turned. And a known length must come out: that sees a wrong baseline or focal
-length, which scale the world and leave every point on its row.
+Two criteria, because neither suffices alone. Corresponding points must lie on the same row: this
+reveals a camera that turned. And a known length must be measured correctly: this reveals a wrong
+baseline or focal length, which scale everything but leave every point on its row.
 """
 
 from __future__ import annotations
@@ -23,14 +23,14 @@ from edged.vision.geometry.rigid import apply, fit_rigid, rotation_matrix, skew
 from edged.vision.geometry.triangulation import triangulate_raw
 
 Verdict = Literal["OK", "NOT_OK", "UNDECIDED"]
-COVERAGE = 2.0  # sigmas that an uncertainty is stated with (95 %), as ISO 14253-1 decides with
-_STEPS = 10  # of Gauss-Newton, which takes three: bounds a fit that does not settle
-_MIN_MARKS = 8  # twice the unknowns of a pose over the coordinates of a mark, and two more
+COVERAGE = 2.0  # coverage factor of an expanded uncertainty (95 %), as used in ISO 14253-1
+_STEPS = 10  # limit of Gauss-Newton steps; three usually suffice
+_MIN_MARKS = 8  # a pose has six unknowns: six marks give twice the coordinates needed; two are spare
 
 
 @dataclass(frozen=True, slots=True)
 class Length:
-    """A known length and what was measured of it; sigma_mm : from the noise of the marks."""
+    """A known length and its measured value; sigma_mm : from the noise of the marks."""
 
     name: str
     true_mm: float
@@ -48,7 +48,7 @@ class Length:
         return 100 * self.error_mm / self.true_mm
 
     def verdict(self, limit_percent: float) -> Verdict:
-        """Against a limit, with the uncertainty on the cautious side either way (ISO 14253-1)."""
+        """Compare with a limit; undecided if the uncertainty spans it (ISO 14253-1)."""
         spread = COVERAGE * 100 * self.sigma_mm / self.true_mm
         if abs(self.error_percent) + spread <= limit_percent:
             return "OK"
@@ -59,9 +59,9 @@ class Length:
 class BoardCheck:
     """A board measured with a stored rig.
 
-    epipolar_rms_px : of the marks' row differences, in rectified px.
-    reprojection_rms_px : of the marks against the board with its size left free.
-    size : the board's size as a length: its longest diagonal, by the best fit of all marks.
+    epipolar_rms_px : rms of the marks' row differences, rectified px.
+    reprojection_rms_px : rms residual of the marks against the board with free size.
+    size : the board's longest diagonal, from the best fit of all marks.
     """
 
     marks: int
@@ -71,7 +71,7 @@ class BoardCheck:
 
 
 def pose_of_board(rig: StereoRig, view: StereoView) -> tuple[StereoView, FloatArray] | NotDetected:
-    """The view with both images numbered alike, and left_from_board (4, 4) from triangulated marks."""
+    """The view with consistent mark numbers in both images, and left_from_board (4, 4) by triangulation."""
     for side, seen in (("left", view.left), ("right", view.right)):
         if isinstance(seen, NotDetected):
             return NotDetected(f"{side}: {seen.reason}")
@@ -85,7 +85,7 @@ def pose_of_board(rig: StereoRig, view: StereoView) -> tuple[StereoView, FloatAr
 
 
 def check_board(rig: StereoRig, view: StereoView, left_from_board: FloatArray) -> BoardCheck:
-    """Measure a view whose marks are numbered alike. left_from_board : a start value."""
+    """Measure a view with consistently numbered marks. left_from_board : initial value."""
     ids, left, right = marks_in_both(view)
     rows = row_difference_px(rig, left, right)
     scale, sigma, rms = _board_scale(rig, view, left_from_board)
@@ -100,7 +100,10 @@ def check_board(rig: StereoRig, view: StereoView, left_from_board: FloatArray) -
 
 
 def _numbered_alike(rig: StereoRig, view: StereoView) -> StereoView:
-    """A symmetric board may be numbered from the other end in the right image: the rows tell."""
+    """Fix the numbering of a symmetric board in the right image by the row differences.
+
+    It may have been numbered from the other end.
+    """
     if not view.board.is_symmetric:
         return view
     turned = replace(view, right=renumbered(view.found("right"), view.board))
@@ -113,10 +116,10 @@ def _numbered_alike(rig: StereoRig, view: StereoView) -> StereoView:
 
 
 def _board_scale(rig: StereoRig, view: StereoView, left_from_board: FloatArray) -> tuple[float, float, float]:
-    """Size of the board as the rig sees it over its true size; its sigma; reprojection rms in px.
+    """Measured over true size of the board; its sigma; reprojection rms in px.
 
-    Least squares over pose and size, every mark by its own precision: unlike the distances of
-    triangulated marks, the noise of their depth does not enter twice.
+    Least squares over pose and size, each mark weighted by its own precision. Unlike with distances
+    between triangulated marks, the noise of their depth does not enter twice.
     """
     pose, scale = left_from_board, 1.0
     for _ in range(_STEPS):
@@ -129,7 +132,7 @@ def _board_scale(rig: StereoRig, view: StereoView, left_from_board: FloatArray) 
         pose[:3, 3] += step[3:6]
         scale += float(step[6])
     residuals, _, sigma_px = _linearised(rig, view, pose, scale)
-    # marks that state too little (a bent board) must not make the size look surer than it is
+    # marks whose stated sigmas are too small (a bent board) must not make sigma of the size too small
     freedom = max(2 * len(residuals) - 7, 1)
     unexplained = max(1.0, float(np.sum((residuals / sigma_px[:, None]) ** 2)) / freedom)
     variance = float(np.linalg.inv(normal)[6, 6]) * unexplained
@@ -139,7 +142,7 @@ def _board_scale(rig: StereoRig, view: StereoView, left_from_board: FloatArray) 
 def _linearised(
     rig: StereoRig, view: StereoView, pose: FloatArray, scale: float
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Residuals (N, 2), their Jacobian (N, 2, 7) by rotation, translation and size, sigma_px (N,)."""
+    """Residuals (N, 2), Jacobian (N, 2, 7) with respect to rotation, translation, size; sigma_px (N,)."""
     parts: list[tuple[FloatArray, FloatArray, FloatArray]] = []
     for side, camera in zip(SIDES, (rig.left, rig.right), strict=True):
         seen: Detection = view.found(side)

@@ -1,16 +1,16 @@
 """Robust least squares over curves that two cameras see, as kernels.
 
-The samples of a curve come in parts (see `commonmode`): what both cameras see alike, what they see
-differently, what one of them sees alone. Each part scatters by its own scale and repeats itself along the
-edge (spread). A curve may be displaced slowly along its way: by texture beside the edge, by shading, by a
-second edge close by. A displacement is a combination of "waves" with sigmas that the samples tell (see
-`systematic`) and is eliminated from the normal equations, so that it ends up where it belongs: in the
-weight of the curve and in the covariance.
+The samples of a curve come in parts (see `commonmode`): the means of both cameras, their differences, and the
+points that only one of them sees. Each part has its own scale of residuals and its own correlation along the
+edge (spread). A curve may be displaced slowly along its length: by texture beside the edge, by shading, by a
+second edge close by. Such a displacement is a combination of "waves", whose sigmas are estimated from the
+samples (see `systematic`); it is eliminated from the normal equations, so that it shows where it should: in
+the weight of the curve and in the covariance.
 
-Solved by iteratively reweighted least squares; the first rounds weigh like the median
-(1 / |residual|), which a third of wrong edges does not move, then Tukey's biweight. Terms change so little
-from one sample to the next that some neighbours share theirs; values, residuals and weights are each
-sample's own.
+The problem is solved by iteratively reweighted least squares; the first rounds weigh like the median
+(1 / |residual|), which a third of wrong edges does not move, the others by Tukey's biweight. Terms change so
+little from one sample to the next that a few neighbours share theirs; values, residuals and weights are
+per sample.
 Source: P. J. Huber, "Robust Statistics", 1981.
 """
 
@@ -36,9 +36,9 @@ _MIN_BINS = 32  # ... where at least so many terms remain for a part
 
 
 def propagate(samples: Samples, solution: JointSolution, causes: FloatArray) -> FloatArray:
-    """(P, Q): how the solution moves when causes (N, Q) shift each sample, per unit of each cause.
+    """(P, Q): motion of the solution per unit of each cause, if causes (N, Q) shift each sample.
 
-    The weights are kept. With it the covariance of whatever moves all samples (a calibration) is propagated.
+    The weights are kept. It propagates the covariance of anything that moves all samples, as a calibration.
     """
     total = np.zeros((len(solution.delta), causes.shape[1]))
     weights = solution.weights * np.repeat(solution.precision, np.diff(samples.starts))
@@ -62,13 +62,13 @@ def propagate(samples: Samples, solution: JointSolution, causes: FloatArray) -> 
 
 @kernel("i8(i8)")
 def _neighbours(count: int) -> int:
-    """How many samples of a part share their terms."""
+    """Number of successive samples of a part that share their terms."""
     return max(1, min(_NEIGHBOURS, count // _MIN_BINS))
 
 
 @kernel("f8[:, ::1](f8[::1], i8[::1], i8)")
 def _terms_of(memory: F64, bins: I64, part: int) -> F64:
-    """(T, B) : the terms of one part."""
+    """Terms (T, B) of one part, a view of the memory."""
     each, first, last = len(memory) // bins[-1], bins[part], bins[part + 1]
     return memory[each * first : each * last].reshape((each, last - first))
 
@@ -113,7 +113,7 @@ def _add_part(
 
 @kernel("b1(f8[:, ::1], i8, f8[::1], f8[:, ::1])")
 def _inverse_of_own(moments: F64, wide: int, sigma: F64, inverse: F64) -> bool:
-    """Covariance of a curve's own displacement, its unknowns being known; False if it is singular."""
+    """Fill inverse: covariance of a curve's own displacement for known unknowns; False if singular."""
     many = len(sigma)
     inner = np.empty((many, many))
     for m in range(many):
@@ -140,7 +140,7 @@ def _add_curve(
     """
     wide, many = len(columns), len(sigma)
     size = wide + many
-    place, factor = np.full(size, -1), np.ones(size)  # where rows go: its unknowns, the shared displacement
+    place, factor = np.full(size, -1), np.ones(size)  # targets: its unknowns, the shared displacement
     for i in range(wide):
         place[i] = columns[i]
     for m in range(many):
@@ -175,7 +175,7 @@ def _step_of(
     delta: F64,
     step: F64,
 ) -> None:
-    """Fill step (T,): a curve's unknowns, then its most likely systematic shift, own and shared."""
+    """Fill step (T,): a curve's unknowns, then its most likely systematic shift, own plus shared."""
     wide, many = len(columns), len(sigma)
     left = np.empty(many)
     for i in range(wide):
@@ -193,7 +193,7 @@ def _step_of(
 
 @kernel("void(f8[:, ::1], i8, f8[::1], f8[::1], f8[::1])")
 def _residuals(terms: F64, together: int, step: F64, values: F64, residuals: F64) -> None:
-    """Fill residuals: what a step leaves of the values."""
+    """Fill residuals: the values minus what a step explains."""
     (size, bins), count = terms.shape, len(values)
     explained = np.zeros(bins)
     for i in range(size):
@@ -207,7 +207,7 @@ def _residuals(terms: F64, together: int, step: F64, values: F64, residuals: F64
 
 @kernel("f8(f8[::1], f8[::1], i8, f8[::1])")
 def _weigh(residuals: F64, base: F64, round_: int, weights: F64) -> float:
-    """Fill the robust weights of a part; its scale."""
+    """Fill the robust weights of a part and return its scale."""
     middle = max(robust_scale(residuals, base), MIN_SIGMA_PX)
     total, square = 0.0, 0.0
     for n in range(len(residuals)):
@@ -224,7 +224,7 @@ def _weigh(residuals: F64, base: F64, round_: int, weights: F64) -> float:
 
 @kernel("void(f8[::1], f8[::1], f8[::1])")
 def _share_weights(base: F64, first: F64, second: F64) -> None:
-    """Give both rows of a pair the product of their weights."""
+    """Give both rows of a pair the product of their robust weights."""
     for n in range(len(base)):
         if base[n] > 0.0:
             first[n] = second[n] = first[n] * second[n] / base[n]
@@ -289,7 +289,7 @@ def _add_curves(samples: Samples, memory: Memory, priors: int, solution: JointSo
 
 @kernel()
 def _step(memory: Memory, priors: int, solution: JointSolution) -> float:
-    """Solve the normal equations; the largest change of an unknown in its own sigma, -1 for none."""
+    """Solve the normal equations; the largest change of an unknown in its own sigmas, -1 if singular."""
     size = len(solution.delta)
     if not invert(memory.matrix, solution.covariance):
         return -1.0
@@ -306,7 +306,7 @@ def _step(memory: Memory, priors: int, solution: JointSolution) -> float:
 
 @kernel()
 def _reweigh(samples: Samples, memory: Memory, round_: int, solution: JointSolution) -> None:
-    """Residuals after the step, and from them weights, scales and correlations."""
+    """Update the residuals after the step, and from them weights, scales and correlation lengths."""
     starts, parts = samples.starts, samples.parts
     step = np.empty(memory.own_right.shape[1])
     for k in range(len(samples.kinds)):
@@ -329,7 +329,7 @@ def _reweigh(samples: Samples, memory: Memory, round_: int, solution: JointSolut
 
 @kernel("i8(Samples, i8, f8, JointSolution)", tuples=(Samples, JointSolution))
 def solve_samples(samples: Samples, priors: int, settled: float, solution: JointSolution) -> int:
-    """The rounds; fills the solution. Returns the number of rounds, 0 where it is singular."""
+    """Solve by rounds of reweighting; fills the solution. Returns the number of rounds, 0 if singular."""
     many = samples.waves.shape[1]
     for k in range(len(samples.kinds)):
         for f in range(samples.expected.shape[1]):
@@ -354,7 +354,7 @@ def solve_samples(samples: Samples, priors: int, settled: float, solution: Joint
 
 @kernel("b1(Samples, i8, JointSolution)", tuples=(Samples, JointSolution))
 def weigh_all(samples: Samples, priors: int, solution: JointSolution) -> bool:
-    """Fill weights and covariance for the precision and the bias that the solution has."""
+    """Fill weights and covariance for the precision and bias given in the solution; False if singular."""
     memory = _memory_for(samples, len(solution.delta))
     for q in range(len(samples.starts) - 1):
         memory.scale[q] = 1.0 / np.sqrt(solution.precision[q])

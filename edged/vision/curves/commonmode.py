@@ -1,11 +1,12 @@
-"""Edges of one curve in both cameras, as what they say in common and what they say against each other.
+"""Edges of one curve in both cameras, as their means (common mode) and differences.
 
-Both images are sampled at the same points of a curve. Whatever displaces its edge in space, the texture and
-the tool marks of the part, the roundness of the rim, displaces it in both images alike: the edges of machined
-parts correlate by 0.2 to 0.7. That says nothing about depth and tilt, which follow from the difference of the
-images, and about centre and radius it speaks as one witness, not as two. So the offsets of a point that both
-cameras see are turned into their mean and their difference; the mean is weighted so that the scatter of each
-camera alone makes them independent. A point that one camera sees alone stays as it is.
+Both images are sampled at the same points of a curve. Anything that displaces its edge in space, such as
+texture and tool marks of the part or the roundness of the rim, displaces it in both images alike: the edges
+of machined parts correlate by 0.2 to 0.7. This does not affect depth and tilt, which follow from the
+difference of the images, and for centre and radius both images count as one observation, not as two. So the
+offsets of a point that both cameras see are transformed to their mean and their difference; the mean is
+weighted by each camera's own scatter so that both are independent. A point that only one camera sees stays
+as it is.
 """
 
 from __future__ import annotations
@@ -25,18 +26,18 @@ _CLIP = FIT.clip
 _MIN_SHARE = FIT.min_camera_share
 _MIN_GAIN = FIT.min_gain
 _MIN_PRIOR_RATIO = FIT.min_prior_ratio
-LEAST_GAIN = 1e-9  # px/mm: no division by 0
+LEAST_GAIN = 1e-9  # px/mm, avoids a division by 0
 PARTS = ("means", "differences", "left alone", "right alone")
 """Parts of a curve's rows, as `Pairs.rows` numbers them."""
 
 
 class Pairs(NamedTuple):
-    """How the rows of the left and of the right image (N each) become parts of K curves.
+    """Assignment of the rows of the left and the right image (N each) to parts of K curves.
 
-    both (N,) bool : seen by both cameras.  share (N,) : of the left one in the mean.  gain (2, N) : as `pair`
-    has it.
-    rows (M,) : which of the 4 N rows (means, differences, left alone, right alone) are used, curve by curve.
-    starts (Q + 1,), parts (K + 1,), paired (K,), base (M,) : as `adjustment.Samples` has them.
+    both (N,) bool : seen by both cameras.  share (N,) : of the left one in the mean.  gain (2, N) : as in
+    `pair`, but never 0.
+    rows (M,) : indices of the 4 N rows (means, differences, left alone, right alone) in use, curve by curve.
+    starts (Q + 1,), parts (K + 1,), paired (K,), base (M,) : as in `samples.Samples`.
     """
 
     both: B1
@@ -49,7 +50,7 @@ class Pairs(NamedTuple):
     base: F1
 
     def rows_of(self, left: FloatArray, right: FloatArray) -> FloatArray:
-        """(M, ...) from what both images have: (N, ...) each."""
+        """(M, ...) rows in use, from those of both images, (N, ...) each."""
         shape = (len(self.both), -1)
         rows = rows_of(
             self, np.ascontiguousarray(left.reshape(shape)), np.ascontiguousarray(right.reshape(shape))
@@ -63,7 +64,7 @@ def pair(offset_px: F64, base: F64, gain: F64, starts: I64, together: bool) -> P
 
     offset_px, base (2, N) : along the normals, left and right, and prior weights, 0 where there is no edge.
     gain (2, N) : motion along the normals of the images per motion of the curve along its own, px/mm.
-    starts (K + 1,).  together : False keeps all edges as they are, for curves not yet in their place.
+    starts (K + 1,).  together : False keeps all edges single, for curves that are not yet in place.
     """
     count, curves = len(base[0]), len(starts) - 1
     sure, most = np.empty((2, count)), 0.0
@@ -110,7 +111,7 @@ def pair(offset_px: F64, base: F64, gain: F64, starts: I64, together: bool) -> P
 
 @kernel("f8[:, ::1](Pairs, f8[:, ::1], f8[:, ::1])", tuples=(Pairs,))
 def rows_of(pairs: Pairs, left: F64, right: F64) -> F64:
-    """(M, C) : those of the means, differences, left and right rows, (N, C) each, that are wanted."""
+    """(M, C) rows in use among means, differences, left and right rows, from left and right, (N, C) each."""
     count, columns = left.shape
     found = np.empty((len(pairs.rows), columns))
     for m in range(len(pairs.rows)):
@@ -133,9 +134,9 @@ def rows_of(pairs: Pairs, left: F64, right: F64) -> F64:
 
 @kernel("void(Pairs, f8[::1], f8[::1], f8[:, ::1], f8[:, ::1])", tuples=(Pairs,))
 def by_camera(pairs: Pairs, residuals: F64, weights: F64, seen_residuals: F64, seen_weights: F64) -> None:
-    """Fill (2, N) each, 0 where there is no edge, with residuals and weights (M,) of the rows.
+    """Fill seen_residuals, seen_weights (2, N), 0 where there is no edge, from those of the rows, (M,) each.
 
-    The weight of a pair is the lower one of both.
+    The weight of a pair is the lower of those of its mean and its difference.
     """
     count = len(pairs.both)
     full = np.zeros((2, 4 * count))
@@ -155,7 +156,7 @@ def by_camera(pairs: Pairs, residuals: F64, weights: F64, seen_residuals: F64, s
 
 @kernel("f8(f8[::1])")
 def _clipped_square(values: F64) -> float:
-    """Mean square, no value counted for more than _CLIP sigmas: steadier than a median."""
+    """Mean square of values clipped at _CLIP sigmas: steadier than a median."""
     limit, total = _CLIP * robust_scale(values, np.ones(len(values))), 0.0
     for n in range(len(values)):
         total += min(abs(values[n]), limit) ** 2
@@ -164,10 +165,10 @@ def _clipped_square(values: F64) -> float:
 
 @kernel("f8[::1](f8[:, ::1], b1[::1], i8[::1])")
 def _shares(places: F64, both: B8, starts: I64) -> F64:
-    """(N,) share of the left camera in the mean: the more, the less it scatters by itself.
+    """(N,) share of the left camera in the mean: the larger, the smaller its own scatter.
 
-    Of offsets that both cameras have in common and of their own scatter, the variances of left, right and
-    difference tell the latter: (difference + left - right) / 2 is the left one's.
+    Offsets are a common part plus each camera's own scatter. The variances of left, right and difference
+    give the latter: (difference + left - right) / 2 is that of the left camera.
     """
     share = np.full(len(both), 0.5)
     for k in range(len(starts) - 1):

@@ -1,15 +1,16 @@
 """Edge breaks: a machined rim is a pair of edges, and light decides which of them a camera sees.
 
-Between face and wall of a real part lies a chamfer or a rounding, a tenth of a millimetre wide or a few. As
-bright as the face it shows its lower edge, as dark as the wall its upper one; one that glints shows both; and
-its sides, and both cameras, may each show another. The samples cannot tell: a circle that is drawn larger in
-one image than in the other is a tilted one. So where something says that a rim is broken, its edges may lie
-anywhere between both ends, over whole arcs, in both cameras alike and in each by itself, and the lower end
-lies lower. That is added to the covariance; the fit stays what it was.
+Between face and wall of a real part lies a chamfer or a rounding, one or a few tenths of a millimetre wide.
+If it is as bright as the face, its lower edge shows; if it is as dark as the wall, its upper edge; if it
+glints, both; and this may differ around the rim and between the cameras. The samples cannot tell: a circle
+that is seen larger in one image than in the other looks like a tilted one. So where there is evidence that a
+rim is broken, its edges are taken to lie anywhere between both ends, over whole arcs, partly in both cameras
+alike and partly in each independently, and the lower end lies lower. This is added to the covariance; the
+fit is not changed.
 
-Evidence for it is a stated width (`Curve.break_mm`), a highlight that runs beside the edge, or shifts that
-cameras and curves contradict each other in and that no sharp edge shows (see `systematic`). A part is
-deburred alike all around: what one of its curves shows holds for all.
+Evidence is a stated width (`Curve.break_mm`), a highlight that runs beside the edge, or shifts in which
+cameras and curves contradict each other by more than at any sharp edge (see `systematic`). A part is
+deburred alike all around: evidence at one of its curves holds for all.
 """
 
 from __future__ import annotations
@@ -26,24 +27,25 @@ from edged.vision.curves.planestate import FitStep, State
 from edged.vision.edges.subpixel import edge_profiles
 
 EVEN = 1.0 / math.sqrt(12.0)
-"""Sigma of an edge that lies anywhere between both ends, over the width."""
+"""Sigma of an edge that lies anywhere between both ends, as a share of the width."""
 WAVE_SHARE = EVEN / math.sqrt(2.0 * sum(sigma**2 for sigma in FIT.wave_sigmas))
-"""Sigma of each wave, over the width, of which all together are that: as much of what both images have alike
-as of what each has against the other, so that each camera sees its own ends."""
+"""Factor of the width that gives the sigma of each wave, such that all waves together have the sigma EVEN:
+half of the variance is common to both images, half is opposed, so that each camera sees its own ends."""
 SEEN_SHARE = WAVE_SHARE * math.sqrt(0.5 * (1.0 + BREAKS.against**2))
-"""Sigma that the fit would estimate of them: waves against each other count half in either image."""
+"""Factor of the width that gives the sigma that the fit would estimate: in it, opposed waves count half in
+each image."""
 WAVES = len(FIT.wave_sigmas)
 HALF = math.sqrt(0.5)
 """Half of a shift's variance is the curve's own, half is common to its kind."""
 
 
 def break_widths_mm(state: State, step: FitStep) -> FloatArray:
-    """(K,) how wide the breaks of the curves may be, as the images show them; 0 for sharp edges."""
+    """(K,) largest plausible width of the curves' edge breaks, stated or by the images; 0 for sharp edges."""
     known = np.array([curve.break_mm for curve in state.curves])
     seen = np.flatnonzero(np.diff(step.solved.pairs.parts) > 0)
     px_per_mm = _px_per_mm(step)
     found = _glint_mm(state, step, seen, px_per_mm)
-    # nearer, by ratio, to what a usual break would be than to what sharp edges show
+    # shifts nearer, by ratio, to those of a usual break than to those of sharp edges
     lengths = np.diff(step.laid.starts)[seen]
     if lengths.any():
         shift_px = math.sqrt(np.average(step.solved.solution.bias[seen, 0] ** 2, weights=lengths))
@@ -53,9 +55,9 @@ def break_widths_mm(state: State, step: FitStep) -> FloatArray:
 
 
 def break_shifts(step: FitStep, widths_mm: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """(N, C) for each camera: by how much breaks of these widths (K,) move the edges, one sigma each, px.
+    """(N, C) for each camera: shifts of the edges by breaks of these widths (K,), one sigma each, px.
 
-    What the fit reckons with as systematic shifts is taken off.
+    The systematic shifts that the fit has modelled already are subtracted.
     """
     counts = np.diff(step.laid.starts)
     by_waves_px = WAVE_SHARE * widths_mm * _px_per_mm(step)
@@ -63,7 +65,7 @@ def break_shifts(step: FitStep, widths_mm: FloatArray) -> tuple[FloatArray, Floa
     waves, slant, _ = shapes_of(step.at, step.laid, *step.sides)
     lower = (
         -step.solved.pairs.gain * slant
-    )  # motion of the edges along their normals per mm that they lie lower
+    )  # motion of the edges along their normals per mm of depth below the face
     sigma = HALF * np.repeat(more_px, counts)[:, None]
     lower_mm = HALF * np.repeat(EVEN * widths_mm, counts)[:, None]
     kinds = (step.at.curves.polarity > 0).astype(np.int64)
@@ -82,13 +84,13 @@ def break_shifts(step: FitStep, widths_mm: FloatArray) -> tuple[FloatArray, Floa
 
 
 def _px_per_mm(step: FitStep) -> FloatArray:
-    """(K,) motion of the images along their normals per motion of each curve along its own, in the mean."""
+    """(K,) mean motion of the images along their normals per motion of each curve along its own normal."""
     gain = np.abs(step.solved.pairs.gain).mean(axis=0)
     return np.asarray(np.add.reduceat(gain, step.laid.starts[:-1]) / np.diff(step.laid.starts))
 
 
 def _glint_mm(state: State, step: FitStep, seen: I64, px_per_mm: FloatArray) -> float:
-    """Width of the highlight that runs beside most of the curves seen, in both images; 0 without one."""
+    """Width of a highlight that runs beside most of the curves seen, in both images; 0 without one."""
     if not step.solved.bias[:, seen].max(initial=0.0) >= BREAKS.wider_px:
         return 0.0
     widths, shares, lengths = [], [], []
@@ -111,9 +113,9 @@ def _glint_mm(state: State, step: FitStep, seen: I64, px_per_mm: FloatArray) -> 
 def _glint(
     image: Image, seen: ProjectedOutline, rows: slice, sign: int, reach_px: float
 ) -> tuple[float, float]:
-    """How far the other side of a bright line runs from its edge, px, and along which share of a curve.
+    """Distance of the far side of a bright line from the edge, px, and the share of the curve that has one.
 
-    sign : +1 brighter along the normals.
+    sign : +1 if brighter along the normals.
     """
     profiles, places = edge_profiles(
         image,

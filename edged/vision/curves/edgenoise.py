@@ -1,7 +1,7 @@
 """Scatter of a curve's edges between pictures of a part at rest.
 
-What displaces an edge alike in every picture, texture beside it, a wall, the light, is no part of it: only
-noise is.
+It contains only noise: texture beside an edge, a wall or the light displace the edge by the same amount in
+every picture.
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ Sighting = tuple[FloatArray, FloatArray]
 
 
 def edge_noise(sightings: Sequence[Sighting]) -> tuple[float, float] | None:
-    """Variance across the edge, px², of a px of arc, in the left and in the right picture; None: too few.
+    """Variance across the edge, px², of one px of arc, in the left and the right picture; None for too few.
 
-    Neighbouring samples see the same pixels: what they have in common counts as fewer samples.
+    Neighbouring samples see the same pixels: their correlation reduces the effective number of samples.
     """
     counts = np.bincount([points.shape[1] for points, _ in sightings])
     many = int(counts.argmax())
@@ -36,11 +36,11 @@ def edge_noise(sightings: Sequence[Sighting]) -> tuple[float, float] | None:
 
 
 def _of_side(points: FloatArray, weights: FloatArray) -> float | None:
-    """The noise of one side, from points (T, N, 2) and weights (T, N) of T pictures."""
+    """Noise of one side, from points (T, N, 2) and weights (T, N) of T pictures; None for too few samples."""
     points = points.astype(np.float64)
     middle = points.mean(axis=0)
     normals = _normals(middle)
-    # beside a sample without an edge the line has no direction
+    # next to a sample without an edge the line has no direction
     known = np.isfinite(points).all(axis=(0, 2)) & np.isfinite(normals).all(axis=1)
     good = np.asarray(known & (weights > FIT.used_weight).all(axis=0))
     if good.sum() < FIT.noise_samples:
@@ -64,7 +64,7 @@ def _of_side(points: FloatArray, weights: FloatArray) -> float | None:
 
 
 def _normals(line: FloatArray) -> npt.NDArray[np.float64]:
-    """(N, 2) unit, across a line of points (N, 2); NaN where its neighbours are."""
+    """Unit normals (N, 2) of a line of points (N, 2); NaN where neighbouring points are NaN."""
     along = np.gradient(line, axis=0)
     length = np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-9)
     return np.asarray(np.column_stack([along[:, 1], -along[:, 0]]) / length)

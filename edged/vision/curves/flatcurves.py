@@ -1,7 +1,7 @@
-"""Curves of one face as flat arrays: laid out as samples, and moved by a step of a fit, in kernels.
+"""Curves of one face as flat arrays: kernels that sample them, and move them by a step of a fit.
 
-The formulas are those of `Curve` and `Face`, sample by sample: a fit lays and moves its curves half a dozen
-times, and numpy takes longer to be called for a dozen numbers than to work on them.
+The formulas are those of `Curve` and `Face`, sample by sample: a fit samples and moves its curves half a
+dozen times, and for a dozen numbers a call of numpy takes longer than the arithmetic.
 """
 
 from __future__ import annotations
@@ -26,14 +26,14 @@ from edged.vision.kernels.jit import F1, F2, FLOAT, I1, I2, INT, kernel
 
 RIGID_PARAMETERS = 4
 """Parameters of a rigid part besides its plane: shift along u and v, turn, growth."""
-CIRCLE, EDGE, SLOT = 0, 1, 2  # kinds of curves, as a kernel tells them
+CIRCLE, EDGE, SLOT = 0, 1, 2  # kinds of curves, as numbers for kernels
 NUMBERS = {"circle": CIRCLE, "edge": EDGE, "slot": SLOT}
 SIZE_OF_ANY = 5  # parameters of a slot, which has most
 
 # numba freezes globals when it compiles: kernels read these by name
 PROBE_MM = FIT.probe_mm
 MARGIN_PX = FIT.margin_px
-LEAST_AROUND_PX = 2 * math.pi * FIT.min_radius_px  # of a circle
+LEAST_AROUND_PX = 2 * math.pi * FIT.min_radius_px  # least circumference of a circle
 MIN_LENGTH_PX = FIT.min_length_px
 MAX_LENGTH_PX = FIT.max_length_px
 MIN_SAMPLES_AROUND = FIT.min_samples_around
@@ -43,14 +43,14 @@ GROWTH_SIGMA = FIT.growth_sigma
 MAX_SLOPE = FIT.max_slope
 MAX_RISE = FIT.max_rise
 RUNAWAY = FIT.runaway
-_AT_ONCE = 64  # places around a circle, each from the one before; then anew, so that nothing adds up
+_AT_ONCE = 64  # points around a circle computed each from the one before: few, as rounding adds up
 
 
 class FlatCurves(NamedTuple):
-    """K curves of a face, as `Curve` has them.
+    """K curves of a face as arrays, see `Curve`.
 
-    kinds (K,) : of `NUMBERS`; parameters (K, 5), 0 where a kind has fewer; length_mm, height_mm (K,),
-    polarity (K,); signs (2, S) : of the stretches of all curves, those of each from first (K + 1,) on.
+    kinds (K,) : from `NUMBERS`; parameters (K, 5), 0 where a kind has fewer; length_mm, height_mm (K,),
+    polarity (K,); signs (2, S) : of the stretches of all curves, each curve's beginning at first (K + 1,).
     """
 
     kinds: I1
@@ -63,9 +63,9 @@ class FlatCurves(NamedTuple):
 
 
 class Freedom(NamedTuple):
-    """What a fit may change: the plane's normal, circles' radii (0: held).
+    """Quantities that a fit may change: the plane's normal, circles' radii (0: held).
 
-    rigid_mm : the curves are those of one part, see `fit_plane`; NaN: each lies where it will.
+    rigid_mm : the curves are those of one rigid part, see `fit_plane`; NaN: each curve moves independently.
     """
 
     normal: INT
@@ -74,7 +74,7 @@ class Freedom(NamedTuple):
 
 
 class CurvesAt(NamedTuple):
-    """Curves of a face (4, 3), see `Face.flat`, before two cameras, and what a fit may change."""
+    """Curves of a face (4, 3), see `Face.flat`, with both cameras, and the freedom of a fit."""
 
     left: FlatCamera
     right: FlatCamera
@@ -84,18 +84,18 @@ class CurvesAt(NamedTuple):
 
 
 class LaidCurves(NamedTuple):
-    """Samples of curves; those of each from starts (K + 1,) on."""
+    """Samples of curves, each curve's beginning at starts (K + 1,)."""
 
     outline: CurveOutline
     starts: I1
 
 
 TUPLES = (FlatCamera, CurveOutline, FlatCurves, Freedom, CurvesAt, LaidCurves)
-"""For the signatures of kernels that take them."""
+"""Tuples for the signatures of kernels that take them."""
 
 
 def flattened(curves: Sequence[Curve]) -> FlatCurves:
-    """The curves as kernels take them."""
+    """The curves as arrays for kernels."""
     parameters = np.zeros((len(curves), SIZE_OF_ANY))
     signs, first = [np.zeros((2, 0), np.int64)], [0]
     for row, curve in zip(parameters, curves, strict=True):
@@ -116,19 +116,19 @@ def flattened(curves: Sequence[Curve]) -> FlatCurves:
 
 @kernel("i8(i8)")
 def free_of(kind: int) -> int:
-    """Unknowns of a fit for a curve: an edge cannot be moved along itself."""
+    """Number of unknowns of a curve; that of an edge leaves out its motion along itself."""
     return 2 if kind == EDGE else (3 if kind == CIRCLE else SIZE_OF_ANY)
 
 
 @kernel()
 def shared_of(freedom: Freedom) -> int:
-    """Unknowns of all curves together, which come first."""
+    """Number of unknowns that all curves share, which come first."""
     return PLANE_PARAMETERS + (0 if np.isnan(freedom.rigid_mm) else RIGID_PARAMETERS)
 
 
 @kernel()
 def most_free(curves: FlatCurves) -> int:
-    """Unknowns of the curve that has most."""
+    """Largest number of unknowns of any of the curves."""
     most = 0
     for k in range(len(curves.kinds)):
         most = max(most, free_of(curves.kinds[k]))
@@ -137,14 +137,14 @@ def most_free(curves: FlatCurves) -> int:
 
 @kernel()
 def pixel_of(camera: FlatCamera, x: float, y: float, z: float) -> tuple[float, float]:
-    """Where a camera shows a point of its own frame."""
+    """Raw pixel of a point in the camera's frame."""
     place = distorted(x / z, y / z, camera.lens, camera.model)
     return place[0] * camera.focal[0] + camera.centre[0], place[1] * camera.focal[1] + camera.centre[1]
 
 
 @kernel()
 def _px_per_mm(at: CurvesAt, k: int) -> float:
-    """Scale of the left image at a curve; NaN behind the camera."""
+    """Scale of the left image at curve k; NaN behind the camera."""
     face, middle = at.face, np.empty(3)
     x, y, height = at.curves.parameters[k, 0], at.curves.parameters[k, 1], at.curves.height_mm[k]
     for i in range(3):
@@ -199,7 +199,7 @@ def _lay_edge(parameters: F64, length: float, points: F64, normals: F64, speed: 
 
 @kernel("void(f8[::1], f8, f8[:, ::1], f8[:, ::1], f8[:, ::1])")
 def _lay_slot(parameters: F64, perimeter: float, points: F64, normals: F64, speed: F64) -> None:
-    """Around from the middle of the right end: arc, upper line, left arc, lower line, arc."""
+    """Sample from the middle of the right end around: arc, upper line, left arc, lower line, arc."""
     cosine, sine = np.cos(parameters[2]), np.sin(parameters[2])
     half, radius = 0.5 * (parameters[3] - parameters[4]), 0.5 * parameters[4]
     quarter = 0.5 * np.pi * radius
@@ -228,9 +228,9 @@ def _lay_slot(parameters: F64, perimeter: float, points: F64, normals: F64, spee
 
 @kernel("LaidCurves(CurvesAt, f8)", tuples=TUPLES)
 def lay(at: CurvesAt, spacing_px: float) -> LaidCurves:
-    """Samples of all curves, so far apart in the left image; the unknowns of a rigid part come first.
+    """Samples of all curves with this spacing in the left image; a rigid part's unknowns come first in speed.
 
-    None at all where a curve lies behind the cameras, or has a size that no image can show.
+    There are none at all if a curve lies behind the cameras, or has a size that no image can show.
     """
     curves, rigid_mm = at.curves, at.freedom.rigid_mm
     count, common = len(curves.kinds), shared_of(at.freedom) - PLANE_PARAMETERS
@@ -273,7 +273,7 @@ def lay(at: CurvesAt, spacing_px: float) -> LaidCurves:
 
 @kernel("void(f8[:, ::1], f8[::1], f8[:, ::1])")
 def _move_face(face: F64, plane: F64, moved: F64) -> None:
-    """Fill moved (4, 3), as `Face.moved`: the axes stay as near to the old ones as they can."""
+    """Fill moved (4, 3), as `Face.moved`: the axes turn as little as possible."""
     long, short, along = 0.0, 0.0, 0.0
     for i in range(3):
         moved[2, i] = face[2, i] - plane[1] * face[0, i] - plane[2] * face[1, i]
@@ -294,7 +294,7 @@ def _move_face(face: F64, plane: F64, moved: F64) -> None:
 
 @kernel("b1(i8, f8[::1], f8[::1], f8[::1])")
 def _move_curve(kind: int, parameters: F64, delta: F64, moved: F64) -> bool:
-    """Fill moved (5,), as `Curve.moved`; False where it has run away or nothing is left of the curve."""
+    """Fill moved (5,), as `Curve.moved`; False if the curve has run away or its size has vanished."""
     free, size = free_of(kind), 3 if kind != SLOT else SIZE_OF_ANY
     moved[:] = parameters
     if kind == EDGE:
@@ -318,9 +318,10 @@ def _move_curve(kind: int, parameters: F64, delta: F64, moved: F64) -> bool:
 
 @kernel("b1(CurvesAt, f8[::1], f8[:, ::1], f8[:, ::1])", tuples=TUPLES)
 def move(at: CurvesAt, delta: F64, face: F64, parameters: F64) -> bool:
-    """Fill face (4, 3) and parameters (K, 5) after a step of the unknowns; False when it has run away.
+    """Fill face (4, 3) and parameters (K, 5) after a step of the unknowns; False when the fit has run away.
 
-    A curve that would run away by itself stays; of a rigid part all stay, and the face moves with the part.
+    One of several curves that would run away stays where it is. In a rigid part all curves stay, and the face
+    moves with the part.
     """
     curves, freedom = at.curves, at.freedom
     for i in range(len(delta)):

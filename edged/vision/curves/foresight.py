@@ -1,9 +1,9 @@
 """Predicted covariance of a fit of curves.
 
 The covariance of a fit depends on where the curves lie in both images and on how well their edges can be
-seen, not on where the edges are found. So the normal equations of `planefit` are formed for any place, with
-the scatter that the same edges had where they were measured last: of what both cameras have in common, of
-what they have against each other, and of the systematic shifts.
+seen, not on where the edges are found. So the normal equations of `planefit` can be formed for any place,
+with the scatter that the same edges had when they were last measured: the common scatter of both cameras,
+that of their differences, and the systematic shifts.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ NOTHING = np.zeros((0, 0), np.uint8)  # no picture
 
 @dataclass(frozen=True, slots=True)
 class ExpectedLight:
-    """How well an edge shows: contrast and noise in grey values, blur in px (one sigma)."""
+    """Visibility of an edge: contrast and noise in grey values, blur in px (one sigma)."""
 
     contrast: float
     noise: float
@@ -40,8 +40,8 @@ class ExpectedLight:
 def scatter_in(light: ExpectedLight, shift_px: float) -> Scatter:
     """Best precision of an edge: one px of arc has a variance of noise² 2 sqrt(pi) blur / contrast².
 
-    shift_px : one sigma of its systematic shifts.  That is the Cramér-Rao bound of a step under a Gaussian
-    blur and white noise; rounding to grey values is noise, too.
+    shift_px : one sigma of its systematic shifts.  The formula is the Cramér-Rao bound of a step under a
+    Gaussian blur and white noise; rounding to grey values is noise, too.
     """
     variance = (light.noise**2 + 1 / 12) * 2 * math.sqrt(math.pi) * light.blur_px / light.contrast**2
     information = np.array([2.0, 0.5, 0.0, 0.0]) / variance
@@ -59,12 +59,12 @@ def foresee_plane(
     min_support: float = 0.4,
     noises: Sequence[tuple[float, float]] | None = None,
 ) -> PlaneFit | None:
-    """The fit that pictures of these curves would give where they lie; its edges are just there.
+    """The fit that pictures of these curves would give, with edges exactly on the curves.
 
-    scatters : of each curve.  rigid_mm : as `fit_plane` has it.  min_support : share of a curve that both
-    pictures must hold.  noises : of each curve, as `edge_noise` has it: then the covariance is what this
-    noise alone leaves in the same fit, whose weights follow from the scatters. None where the pictures hold
-    no curve, or the plane would not be known.
+    scatters : of each curve.  rigid_mm : as in `fit_plane`.  min_support : share of a curve that both
+    pictures must contain.  noises : of each curve, as from `edge_noise`: if given, the covariance is that of
+    this noise alone in the same fit, whose weights follow from the scatters. None where the pictures contain
+    no curve, or the plane is not determined.
     """
     params = FitParams(min_support=min_support)
     broken = tuple(
@@ -102,7 +102,7 @@ def foresee_plane(
 
 
 def _by_noise(step: FitStep, noises: Sequence[tuple[float, float]]) -> Known:
-    """Covariance from noise, independent in each sample of each picture."""
+    """Covariance from noise that is independent in each sample of each picture."""
     solved, starts, unknowns = step.solved, step.laid.starts, len(step.solved.delta)
     counts, total, used = np.diff(starts), int(starts[-1]), step.solved.formed.used
     arcs = np.maximum(arcs_px(*step.sides, starts), FORESIGHT.min_arc_px)
@@ -116,7 +116,7 @@ def _by_noise(step: FitStep, noises: Sequence[tuple[float, float]]) -> Known:
 
 
 def _inside(rig: StereoRig, side: Side, seen: ProjectedOutline) -> B8:
-    """(N,) which samples lie in a picture, with room for an edge."""
+    """(N,) whether samples lie in a picture, with space for an edge's profile."""
     camera = rig.camera(side)
     most = np.array([camera.width, camera.height]) - 1 - FORESIGHT.border_px
     good = (seen.pixels >= FORESIGHT.border_px) & (seen.pixels <= most)  # False for NaN
@@ -130,7 +130,7 @@ def _step(
     sides: tuple[ProjectedOutline, ProjectedOutline],
     inside: B8,
 ) -> FitStep | None:
-    """The step that edges of this scatter, all of them where the curves lie, would give."""
+    """The step for edges of this scatter that lie exactly on the curves; None if it is not determined."""
     starts = laid.starts
     counts = np.diff(starts)
     pairs, precision = _pairs(scatters, starts, sides, inside)
@@ -150,7 +150,7 @@ def _pairs(
     sides: tuple[ProjectedOutline, ProjectedOutline],
     inside: B8,
 ) -> tuple[Pairs, FloatArray]:
-    """The parts of each curve of which its scatter tells anything, and their precision (Q,) by px of arc."""
+    """Parts of each curve on which its scatter has information, and their precision (Q,) per px of arc."""
     counts, total = np.diff(starts), int(starts[-1])
     arcs = np.where(inside, arcs_px(*sides, starts), 0.0)
     rows, lengths, parts, precision = [], [0], [0], []

@@ -1,7 +1,7 @@
 """One step of a joint fit as one kernel: from the edges of both cameras to the step that fits them best.
 
-Pairs of edges, shapes of systematic shifts, unknowns, solver, and what is left at each sample. The plain
-arithmetic of the same step is in `tests/naive`.
+It comprises the pairing of edges, shapes of systematic shifts, unknowns, solver, and residuals of each
+sample. A plain implementation of the same step is in `tests/naive`.
 """
 
 from __future__ import annotations
@@ -38,16 +38,16 @@ RAY_STEP = FIT.ray_step
 AGREE_PX = FIT.agree_px
 SETTLED = FIT.settled
 ROUGHLY = FIT.roughly
-SOFT_PX2 = FIT.soft_px**2  # of variances
+SOFT_PX2 = FIT.soft_px**2  # compared with variances
 SHIFTS = len(FAMILIES)
-HALF = math.sqrt(0.5)  # each of two that have half of the variance
+HALF = math.sqrt(0.5)  # factor of sigma for half of the variance
 
 
 class Shapes(NamedTuple):
-    """What displaces curves, at each sample of both images.
+    """Shapes of displacements of curves, at each sample of both images.
 
-    shifts (2, N, 12), slant (2, N) : see `fill_shifts`.  rows (2, N) : motion along the normals by a shift of
-    one image against the other across the rows.
+    shifts (2, N, 12), slant (2, N) : see `fill_shifts`.  rows (2, N) : motion along the normals for a shift
+    of one image against the other across the rows.
     """
 
     shifts: F3
@@ -56,10 +56,10 @@ class Shapes(NamedTuple):
 
 
 class Formed(NamedTuple):
-    """The problem of a step as the solver takes it.
+    """The problem of a step in the form for the solver.
 
-    used (V,) : the unknowns of the fit that are solved for, which come first.  unknowns : of the solver;
-    the last `priors` of them are expected to be 0 with a sigma of 1.
+    used (V,) : indices of the fit's unknowns that are solved for, which come first.  unknowns : their number
+    in the solver; the last `priors` of them have an expectation of 0 with a sigma of 1.
     """
 
     samples: Samples
@@ -69,11 +69,12 @@ class Formed(NamedTuple):
 
 
 class CurveSums(NamedTuple):
-    """What the samples of each curve say together.
+    """Sums and means over the samples of each curve.
 
     support (2, K) : share with an edge that agrees; total (K,) : sum of the weights in both images.
-    rms (K,) px : of the residuals, weighted; mean (2, K) px : of the offsets.
-    information (K, 4), share (K,) : see `Scatter`.  clipped, soft (2, K) : whether most samples are so.
+    rms (K,) px : of the residuals, weighted; mean (2, K) px : of the offsets, weighted.
+    information (K, 4), share (K,) : see `Scatter`.  clipped, soft (2, K) : whether most samples are clipped,
+    or soft.
     """
 
     support: F2
@@ -87,12 +88,12 @@ class CurveSums(NamedTuple):
 
 
 class Solved(NamedTuple):
-    """A step and what it stands on.
+    """A step with the samples and the problem that it comes from.
 
-    delta (U,) : 0 for what is held or not seen; moved_px (K,) : farthest that each curve moves.
-    rounds : 0 where the samples do not determine it.
+    delta (U,) : 0 for unknowns that are held or not seen; moved_px (K,) : largest motion of each curve.
+    rounds : 0 where the samples do not determine the step.
     weights, residuals, offset (2, N), points (2, N, 2), clipped, soft (2, N) : of the samples in both images.
-    bias (2, K) px : as `CameraEdges` has it.
+    bias (2, K) px : see `CameraEdges`.
     """
 
     rounds: INT
@@ -113,7 +114,7 @@ class Solved(NamedTuple):
 
 @kernel("f8(f8[:, ::1], i8, f8, f8)")
 def _by_rows(normals: F64, n: int, along_x: float, along_y: float) -> float:
-    """Motion along a sample's normal by a shift across the row, which runs along (x, y)."""
+    """Motion along a sample's normal for a shift of one sigma across its row, which runs along (x, y)."""
     across = normals[n, 1] * along_x - normals[n, 0] * along_y
     return float(0.5 * ROW_SIGMA_PX * across / np.sqrt(along_x**2 + along_y**2))
 
@@ -125,12 +126,12 @@ def _by_rows(normals: F64, n: int, along_x: float, along_y: float) -> float:
 def shapes_of(at: CurvesAt, laid: LaidCurves, left: ProjectedOutline, right: ProjectedOutline) -> Shapes:
     """Shapes of systematic shifts, and of a shift across the rows.
 
-    No place in space explains the latter: it is what a knocked camera, or a calibration that is a little
-    wrong, does to all curves alike. Without it every curve would seem displaced by itself. Half of it is each
-    camera's: which one has moved is unknown.
+    No place in space explains the latter: a knocked camera, or a slightly wrong calibration, causes it for
+    all curves alike. Without it every curve would seem displaced independently. Half of it is assigned to
+    each camera: which one has moved is unknown.
     """
     outline, pose, face = laid.outline, at.right.pose, at.face
-    camera, other = at.left, at.right  # not in the loop: every hold of an array is counted
+    camera, other = at.left, at.right  # outside the loop: each access counts references of arrays
     count = len(outline.points)
     shifts, rows = np.empty((2, count, SHIFTS)), np.empty((2, count))
     gain, slant = np.empty((2, count)), np.empty((2, count))
@@ -150,13 +151,13 @@ def shapes_of(at: CurvesAt, laid: LaidCurves, left: ProjectedOutline, right: Pro
             away[i] = pose[i, 3]
             for j in range(3):
                 away[i] += pose[i, j] * (space[j] * (1.0 + RAY_STEP))
-        # a row is what one camera shows of a ray of the other
+        # a row is the image in one camera of a ray of the other
         x, y, z = (
             space[0] + RAY_STEP * (space[0] - eye[0]),
             space[1] + RAY_STEP * (space[1] - eye[1]),
             space[2] + RAY_STEP * (space[2] - eye[2]),
         )
-        # both rays run away from each other: what is down in one image is up in the other
+        # the rays run in opposite directions: down in one image is up in the other
         beyond_x, beyond_y = pixel_of(camera, x, y, z)
         rows[0, n] = _by_rows(left.normals, n, beyond_x - left.pixels[n, 0], beyond_y - left.pixels[n, 1])
         beyond_x, beyond_y = pixel_of(other, away[0], away[1], away[2])
@@ -166,9 +167,9 @@ def shapes_of(at: CurvesAt, laid: LaidCurves, left: ProjectedOutline, right: Pro
 
 @kernel()
 def columns_of(at: CurvesAt, seen: B8) -> I64:
-    """(K, C): which unknown each column of the design is, -1 where a curve has none, or it is held.
+    """(K, C): index of the unknown of each column of the design, -1 where there is none, or it is held.
 
-    seen (K,) : of the others nothing is known.
+    seen (K,) : curves with samples; the others have no unknowns.
     """
     curves, shared = at.curves, shared_of(at.freedom)
     first = shared
@@ -195,7 +196,7 @@ def unknowns_of(at: CurvesAt) -> int:
 
 @kernel("i8[::1](i8[::1])")
 def _kinds(polarity: I64) -> I64:
-    """(K,) kinds of edges, by polarity: numbers from 0 on."""
+    """(K,) kind of each curve by its polarity, numbered from 0."""
     kinds, lowest = np.empty(len(polarity), np.int64), 1
     for k in range(len(polarity)):
         kinds[k] = 1 if polarity[k] > 0 else 0
@@ -208,12 +209,12 @@ def form(
     at: CurvesAt, laid: LaidCurves, left: ProjectedOutline, right: ProjectedOutline, pairs: Pairs,
     offset: F64, bias: F64, final: bool,
 ) -> Formed:  # fmt: skip
-    """The samples as the solver takes them.
+    """The samples in the form for the solver.
 
     offset (2, N) : NaN where there is no edge; bias (2, K) : as in `CameraEdges`.  final : with systematic
-    shifts, and with the shift of the rows as the last unknown; else the curves are not yet in their place.
-    Half of a systematic shift is the curve's own, half that of its kind, the polarity: what one kind of edge
-    has in common, it has in both images, for light and walls are the same.
+    shifts, and with the shift of the rows as the last unknown; else the curves are not yet in place.
+    Half of a systematic shift's variance is the curve's own, half is shared by its kind, the polarity: it is
+    shared across both images, as light and walls are the same.
     """
     curves, count, total = at.curves, len(at.curves.kinds), len(offset[0])
     seen = np.empty(count, np.bool_)
@@ -221,7 +222,7 @@ def form(
         seen[k] = pairs.parts[k + 1] > pairs.parts[k]
     columns = columns_of(at, seen)
     wide, more = columns.shape[1], 1 if final else 0
-    # unknowns that are held leave no gap: the solver would find them undetermined
+    # held unknowns are left out and the others renumbered: the solver would find them undetermined
     number, many, known = np.full(unknowns_of(at), -1), 0, 0
     for k in range(count):
         for i in range(wide):
@@ -231,7 +232,7 @@ def form(
         if number[u] == 0:
             number[u] = many
             many += 1
-            # of a rigid part: its growth, and each curve's own places and sizes
+            # priors of a rigid part: its growth, and each curve's own place and size
             known += shared_of(at.freedom) > PLANE_PARAMETERS and u >= shared_of(at.freedom) - 1
     used, dense = np.empty(many, np.int64), np.full((count, wide + more), -1)
     for u in range(len(number)):
@@ -278,12 +279,12 @@ def form(
 
 @kernel("f8[::1](ProjectedOutline, ProjectedOutline, i8[::1])", tuples=(ProjectedOutline,))
 def arcs_px(left: ProjectedOutline, right: ProjectedOutline, starts: I64) -> F64:
-    """(N,) length of the images of curves, mean of both, that each sample stands for; 0 where not shown."""
+    """(N,) arc length in px that each sample stands for, mean of both images; 0 where it is not shown."""
     arcs = np.zeros(starts[-1])
     for k in range(len(starts) - 1):
         a, b = starts[k], starts[k + 1]
         for n in range(a, b):
-            m = min(n, b - 2)  # not to where the next curve begins
+            m = min(n, b - 2)  # the last sample's step must not lead to the next curve
             x, y = left.pixels[m + 1, 0] - left.pixels[m, 0], left.pixels[m + 1, 1] - left.pixels[m, 1]
             u, v = right.pixels[m + 1, 0] - right.pixels[m, 0], right.pixels[m + 1, 1] - right.pixels[m, 1]
             arc = 0.5 * (np.sqrt(x * x + y * y) + np.sqrt(u * u + v * v))
@@ -296,7 +297,7 @@ def sums_of(
     starts: I64, arcs: F64, pairs: Pairs, solution: JointSolution, weights: F64, residuals: F64, offset: F64,
     clipped: B8, soft: B8,
 ) -> CurveSums:  # fmt: skip
-    """What the samples of each curve, from starts (K + 1,) on, say together; arrays (2, N), arcs (N,)."""
+    """Sums over the samples of each curve, which begin at starts (K + 1,); arrays (2, N), arcs (N,)."""
     count, samples = len(starts) - 1, len(pairs.both)
     support, mean, information = np.zeros((2, count)), np.zeros((2, count)), np.zeros((count, 4))
     total, rms, share = np.zeros(count), np.zeros(count), np.zeros(count)
@@ -332,7 +333,7 @@ def sums_of(
 
 @kernel()
 def is_finite(solution: JointSolution) -> bool:
-    """Whether step and covariance are numbers."""
+    """Whether step and covariance are finite."""
     for i in range(len(solution.delta)):
         if not np.isfinite(solution.delta[i]):
             return False
@@ -344,7 +345,7 @@ def is_finite(solution: JointSolution) -> bool:
 
 @kernel()
 def _motion(at: CurvesAt, left: ProjectedOutline, right: ProjectedOutline, starts: I64, delta: F64) -> F64:
-    """(K,) farthest that a step of the unknowns moves each curve, px; NaN where a sample is not shown."""
+    """(K,) largest motion of each curve in a step of the unknowns, px; NaN where a sample is not shown."""
     count = len(starts) - 1
     columns, moved = columns_of(at, np.ones(count, np.bool_)), np.zeros(count)
     for k in range(count):
@@ -420,7 +421,7 @@ def solve_known(
     at: CurvesAt, laid: LaidCurves, left: ProjectedOutline, right: ProjectedOutline, pairs: Pairs,
     precision: F64, shifts: F64, weights: F64, clipped: B8, soft: B8,
 ) -> Solved:  # fmt: skip
-    """The step of edges that all are where the curves lie, as precise as they are said to be: it is none.
+    """A step of zero with its covariance: for edges that lie exactly on the curves, with a given precision.
 
     precision (Q,), shifts (K, F) : `JointSolution.precision` and its bias.  weights, clipped, soft (2, N).
     """

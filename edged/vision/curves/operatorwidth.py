@@ -1,8 +1,8 @@
-"""Which operator width measures a curve best, and how far its edges may be displaced.
+"""Choice of the operator width that measures a curve best, and how far its edges may be displaced.
 
 Best is the smallest variance plus squared bias. A second edge close by (a chamfer, the wall of a disc),
-texture and shading pull a wide operator more than a narrow one, and along a whole arc: what a width says
-otherwise than the narrowest one, slowly changing around the curve, is its bias.
+texture and shading pull a wide operator more than a narrow one, and along a whole arc: the slowly varying
+difference between a width and the narrowest one is its bias.
 """
 
 from __future__ import annotations
@@ -40,8 +40,8 @@ NEXT_ROUNDS = FIT.next_rounds
 def _weigh(offset: F64, slope: F64, clipped: B8, min_slope: float, values: F64, base: F64) -> None:
     """Fill values, 0 where there is no edge, and prior weights.
 
-    Noise and texture move an edge by as much as it is weak: against the median of the curve, the mean
-    contrast of its neighbours counts, squared.
+    Noise and texture move an edge the more, the weaker it is: where the mean contrast around a sample is
+    below the median of the curve, its weight falls with the square of the ratio.
     """
     count = len(offset)
     kept, contrast = 0, np.empty(count)
@@ -52,7 +52,7 @@ def _weigh(offset: F64, slope: F64, clipped: B8, min_slope: float, values: F64, 
         if known:
             base[n] = CLIPPED_WEIGHT if clipped[n] else 1.0
     beside = min(NEIGHBOURS, (count - 1) // 2)
-    around, total, many = np.zeros(count), 0.0, 0  # of the samples within reach, which moves along the curve
+    around, total, many = np.zeros(count), 0.0, 0  # sums over a window that moves along the curve
     for n in range(-2 * beside, count):
         ahead, behind = n + beside, n - beside - 1
         ahead += count if ahead < 0 else (-count if ahead >= count else 0)
@@ -76,8 +76,9 @@ def _weigh(offset: F64, slope: F64, clipped: B8, min_slope: float, values: F64, 
 def variance_of_mean(values: F64, base: F64, waves: F64, rounds: int, shares: F64) -> tuple[float, float]:
     """Variance of the mean of samples around a curve, and the mean square of their slow changes.
 
-    Slow is what the waves (M, N) explain; it is no noise. (inf, 0) where there are too few samples.
-    shares (N,) : how far each sample is believed beyond its base, in [0, 1]; of the start, then as found.
+    Slow changes are those that the waves (M, N) explain; they are no noise. (inf, 0) for too few samples.
+    shares (N,) : robust weight of each sample in [0, 1], a factor of its base; first the start, then the
+    result.
     """
     many, count = waves.shape
     known, total = 0, 0.0
@@ -145,7 +146,11 @@ def choose(
     samples: F64,
     curves: F64,
 ) -> None:
-    """Rows of samples: offset, base; rows of curves: bias, blur²."""
+    """Choose the operator width of each curve.
+
+    Fills samples (2, N) with offset, base, and curves (2, K) with bias, blur².
+    offset, slope (W, N) : for each width, the narrowest first.  starts (K + 1,) : first sample of each curve.
+    """
     many, modes = offset.shape[0], waves.shape[1]
     for k in range(len(starts) - 1):
         a, b = starts[k], starts[k + 1]
@@ -166,7 +171,7 @@ def choose(
                     common[n] = min(base[w, n], base[0, n])
                 rounds = FIRST_ROUNDS if w == 1 else NEXT_ROUNDS
                 doubt, slow = variance_of_mean(change, common, slow_changes, rounds, alike)
-            chance = modes * doubt  # what noise alone would make of the waves
+            chance = modes * doubt  # mean square of the waves from noise alone
             square = slow - chance if slow > SIGNIFICANT * chance else 0.0
             if w == START_WIDTH:
                 at_start = square

@@ -1,9 +1,9 @@
-"""Outlines in a plane: circles, straight edges and slots; and in a raw image, through lens and pose.
+"""Outlines in a plane (circles, straight edges and slots), and their projection into a raw image.
 
-A curve lives in a face: a plane with an origin and axes u, v, normal (away from the cameras, as z of a part
-frame). What moves it in an image is only its motion across itself, so each sample carries one number per
-parameter: the speed of the curve along its own normal. The kernel that projects them has the camera models of
-`projection` point by point: a fit projects some thousand points a dozen times.
+A curve lies in a face: a plane with an origin and axes u, v, normal (away from the cameras, as z of a part
+frame). Only its motion across itself shows in an image, so each sample carries one number per parameter: the
+speed of the curve along its own normal. The projecting kernel evaluates the camera models of `projection`
+point by point: a fit projects some thousand points a dozen times.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from edged.vision.kernels.jit import F1, F2, INT, for_kernel, kernel
 Kind = Literal["circle", "edge", "slot"]
 PLANE_PARAMETERS = 3
 """Height of the plane over the face, and its slopes along u and v."""
-MIN_RADIUS_MM = 1e-3  # keeps a step of the fit from a radius of 0
+MIN_RADIUS_MM = 1e-3  # lower bound, so that no step of a fit leads to a radius of 0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -34,7 +34,7 @@ class Face:
 
     @property
     def normal(self) -> FloatArray:
-        """(3,) unit; the third axis."""
+        """Unit normal (3,); the third axis."""
         return np.asarray(self.axes[2])
 
     def to_rig(self, points: FloatArray) -> FloatArray:
@@ -46,13 +46,13 @@ class Face:
         return np.asarray((points_mm - self.origin) @ self.axes.T)
 
     def flat(self) -> FloatArray:
-        """(4, 3) axes u, v, normal and origin, as kernels take them."""
+        """(4, 3) axes u, v, normal and origin, in the form for kernels."""
         flat = np.empty((4, 3))
         flat[:3], flat[3] = self.axes, self.origin
         return flat
 
     def moved(self, plane: FloatArray) -> Face:
-        """The face after a step of height and slopes; the axes stay as near to the old ones as they can."""
+        """The face after a step of height and slopes; its axes turn as little as possible."""
         height, slope_u, slope_v = plane
         u, v, n = self.axes
         normal = n - slope_u * u - slope_v * v
@@ -66,28 +66,28 @@ class Face:
 class Curve:
     """One outline in the face.
 
-    parameters : mm and rad. Of a circle (x, y, radius); of an edge (x, y, angle): its middle, its direction
-    (u to v); of a slot (x, y, angle, length, width): its centre, its long axis, its length over all.
-    polarity : +1 brighter along the normal, -1 darker, 0 not known. The normal points outwards; of an edge
-    it is the direction turned by 90° from u to v.
-    length_mm : of an edge; its ends are no result of a fit.
-    height_mm : of its plane along the face's normal; kept.
+    parameters : mm and rad. For a circle (x, y, radius); for an edge (x, y, angle): its middle, its direction
+    (u to v); for a slot (x, y, angle, length, width): its centre, its long axis, its overall length.
+    polarity : +1 if brighter along the normal, -1 if darker, 0 if not known. The normal points outwards; for
+    an edge it is the direction turned by 90° from u to v.
+    length_mm : of an edge; a fit does not change it.
+    height_mm : of its plane along the face's normal; a fit does not change it.
     signs (2, S) : the polarity over each of S equal stretches of the outline, in the left and the right
     image, 0 where it is not to be measured; None: the polarity is that of the whole curve in both.
-    break_mm : width of the edge break either end of which it may be; 0: what the images show of one.
+    break_mm : width of an edge break of which it may be either end; 0: as the images show it.
     """
 
     name: str
     kind: Kind
     parameters: FloatArray
     polarity: int
-    length_mm: float = 0.0  # no edge
-    height_mm: float = 0.0  # in the face
+    length_mm: float = 0.0  # 0: not an edge
+    height_mm: float = 0.0  # 0: in the face
     signs: I64 | None = None
-    break_mm: float = 0.0  # as seen
+    break_mm: float = 0.0  # 0: as seen
 
     def signs_at(self, side: int, count: int) -> I64:
-        """(count,) the polarity at samples of `spread`; 0 : not known, or, of stretches, not measured."""
+        """Polarity (count,) at the samples of `spread`; 0: not known or, with `signs`, not to be measured."""
         if self.signs is None:
             return np.full(count, self.polarity)
         stretch = (np.arange(count) + 0.5) / count * self.signs.shape[1]
@@ -100,7 +100,7 @@ class Curve:
 
     @property
     def direction(self) -> FloatArray:
-        """(2,) unit: of an edge, or a slot's long axis."""
+        """Unit vector (2,) along an edge, or along a slot's long axis."""
         angle = float(self.parameters[2])
         return np.array([math.cos(angle), math.sin(angle)])
 
@@ -121,18 +121,18 @@ class Curve:
 
     @property
     def free(self) -> int:
-        """Unknowns of a fit: an edge cannot be moved along itself."""
+        """Number of unknowns in a fit; that of an edge leaves out its motion along itself."""
         return 2 if self.kind == "edge" else len(self.parameters)
 
     def lift(self) -> FloatArray:
-        """(P, free): the parameters by the unknowns of a fit."""
+        """(P, free): derivative of the parameters by the unknowns of a fit."""
         if self.kind != "edge":
             return np.eye(len(self.parameters))
         x, y = self.direction
         return np.array([[-y, 0.0], [x, 0.0], [0.0, 1.0]])
 
     def moved(self, delta: FloatArray) -> Curve | None:
-        """After a step of its unknowns; None when there is nothing left of it."""
+        """The curve after a step of its unknowns; None when its size has vanished."""
         parameters = self.parameters + self.lift() @ delta
         if not np.isfinite(parameters).all() or (parameters[2:][-1] < MIN_RADIUS_MM and self.kind != "edge"):
             return None
@@ -174,7 +174,7 @@ class CurveOutline(NamedTuple):
 
 
 Samples = tuple[FloatArray, FloatArray, FloatArray]
-"""Points (N, 2), normals (N, 2) and speed (N, free), as an `CurveOutline` has them."""
+"""Points (N, 2), normals (N, 2) and speed (N, free), see `CurveOutline`."""
 
 
 def _circle(curve: Curve, share: FloatArray) -> Samples:
@@ -189,7 +189,7 @@ def _at_phase(phase: FloatArray) -> tuple[FloatArray, FloatArray]:
     return normals, np.column_stack([normals, np.ones(len(phase))])
 
 
-@lru_cache(maxsize=64)  # of a job's few circles at two spacings
+@lru_cache(maxsize=64)  # for a job's few circles at two spacings
 def _around(count: int) -> tuple[FloatArray, FloatArray]:
     normals, speed = _at_phase(2 * np.pi * (np.arange(count) + 0.5) / count)
     normals.flags.writeable = speed.flags.writeable = False
@@ -205,7 +205,7 @@ def _edge(curve: Curve, share: FloatArray, margin_mm: float) -> Samples:
 
 
 def _slot(curve: Curve, share: FloatArray) -> Samples:
-    """Around from the middle of the right end: arc, upper line, left arc, lower line, arc."""
+    """Samples from the middle of the right end around: arc, upper line, left arc, lower line, arc."""
     x, y, _, length, width = curve.parameters
     half, radius = 0.5 * (length - width), 0.5 * width
     way = share * curve.perimeter_mm
@@ -238,17 +238,17 @@ def _slot(curve: Curve, share: FloatArray) -> Samples:
     return points @ turn + (x, y), turned, np.column_stack([turned, swing, by_length, 0.5 - by_length])
 
 
-_DIVISION, _BROWN = 0, 1  # lens models, as the kernel knows them
+_DIVISION, _BROWN = 0, 1  # lens models, as numbers for the kernel
 _NO_MOTION = np.eye(4)  # the rig frame is the left camera's
 
 
 class ProjectedOutline(NamedTuple):
     """Samples of curves of one face in one raw image.
 
-    pixels (N, 2); normals (N, 2) unit, along the curves' own normals; gain (N,) : motion along the image
-    normal by motion along the curve's own, px/mm; design (N, 3 + F) : motion along the image normal by the
-    plane's height and slopes, and by the unknowns of the sample's curve. Rows are NaN or infinite where the
-    lens cannot show a point.
+    pixels (N, 2); normals (N, 2) unit, in the sense of the curves' own normals; gain (N,) : motion along the
+    image normal per motion along the curve's own, px/mm; design (N, 3 + F) : derivative of the motion along
+    the image normal by the plane's height and slopes, and by the unknowns of the sample's curve. Rows are
+    NaN or infinite where the lens cannot show a point.
     """
 
     pixels: F2
@@ -258,7 +258,7 @@ class ProjectedOutline(NamedTuple):
 
 
 class FlatCamera(NamedTuple):
-    """A camera as kernels take it. focal (2,), centre (2,) px; lens (5,), 0 where there is no coefficient.
+    """A camera for kernels. focal (2,), centre (2,) px; lens (5,), 0 where there is no coefficient.
 
     model : of the lens.  pose (4, 4) : camera_from_rig.
     """
@@ -270,7 +270,7 @@ class FlatCamera(NamedTuple):
     pose: F2
 
 
-@lru_cache(maxsize=8)  # of the cell's rig, as calibrated and as its marks show it
+@lru_cache(maxsize=8)  # the cell's rig, as calibrated and as corrected by its marks
 def flat_cameras(rig: StereoRig) -> tuple[FlatCamera, FlatCamera]:
     """The left and the right camera of a rig."""
     left, right = (
@@ -319,7 +319,7 @@ def circle_axes(normal: FloatArray) -> FloatArray:
 
 
 def packed_lens(camera: CameraModel) -> tuple[F64, int]:
-    """A camera's lens as `distorted` takes it: coefficients (5,), 0 where there is none, and the model."""
+    """A camera's lens for `distorted`: coefficients (5,), 0 where there is none, and the model."""
     lens = np.zeros(5)
     lens[: len(camera.distortion)] = camera.distortion
     return lens, _DIVISION if camera.model == "division" else _BROWN
@@ -351,7 +351,7 @@ def distorted(u: float, v: float, lens: F64, model: int) -> tuple[float, float, 
 
 @kernel("void(f8[:, ::1], f8[::1], f8[::1])")
 def _turn(pose: F64, vector: F64, turned: F64) -> None:
-    """The rotation of a pose (4, 4) on a vector."""
+    """Fill turned (3,): vector (3,) rotated by a pose (4, 4)."""
     for i in range(3):
         turned[i] = pose[i, 0] * vector[0] + pose[i, 1] * vector[1] + pose[i, 2] * vector[2]
 
@@ -362,7 +362,7 @@ def _turn(pose: F64, vector: F64, turned: F64) -> None:
     any_order=True,
 )
 def projected(camera: FlatCamera, face: F64, outline: CurveOutline) -> ProjectedOutline:
-    """What a camera sees of samples of the curves of a face (4, 3), see `Face.flat`."""
+    """Project samples of the curves of a face (4, 3), see `Face.flat`, into a camera's raw image."""
     count, free = outline.speed.shape
     design = np.empty((count, 3 + free))
     seen = ProjectedOutline(np.empty((count, 2)), np.empty((count, 2)), np.empty(count), design)
@@ -401,7 +401,7 @@ def projected(camera: FlatCamera, face: F64, outline: CurveOutline) -> Projected
         gain = out0 * du + out1 * dv + out2 * dw
         seen.gain[n] = gain
         design[n, 0] = up
-        # a slope lifts what lies beside the origin, and moves what stands over the plane sideways
+        # a slope lifts points beside the origin, and moves points above the plane sideways
         design[n, 1] = up * px - pz * (u0 * du + u1 * dv + u2 * dw)
         design[n, 2] = up * py - pz * (v0 * du + v1 * dv + v2 * dw)
         for f in range(outline.speed.shape[1]):

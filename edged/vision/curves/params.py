@@ -1,4 +1,4 @@
-"""The tuned numbers of the stages in this package, each with its source."""
+"""Tuned parameters of the stages in this package, each with its source."""
 
 from __future__ import annotations
 
@@ -12,75 +12,76 @@ class JointFitParams:
     Where a line names no source, `tools/bench ablate --only JointFitParams` shows what the number earns.
     """
 
-    median_rounds: int = 3  # of reweighting about the median, which a third of wrong samples hardly moves
+    median_rounds: int = 3  # rounds weighted like a median, which a third of wrong samples hardly moves
     spread_rounds: tuple[int, ...] = (4, 6)
-    """First and last round in which the spread is estimated: if it changed in every round nothing would
+    """First and last round in which the spread is estimated: if it changed in every round, nothing would
     settle."""
-    max_rounds: int = 20  # of reweighting
-    settled: float = 0.001  # of each unknown's sigma: a smaller step changes nothing that can be known
-    roughly: float = 0.05  # the same while edges are still measured anew at what comes out
-    min_camera_share: float = 0.1  # of either camera in the mean of both
+    max_rounds: int = 20  # most rounds of reweighting
+    settled: float = 0.001  # of each unknown's sigma: a smaller step is without significance
+    roughly: float = 0.05  # likewise in coarse steps, after which edges are measured anew
+    min_camera_share: float = 0.1  # least share of either camera in the mean of both
     min_prior_ratio: float = 0.2
     """Least ratio of the cameras' prior weights: a clipped edge would spoil the other camera's good one."""
-    min_gain: float = 0.05  # of the largest: a camera that looks along the plane tells nothing of the curve
-    apart: int = 8  # samples: farther apart along an edge errors are independent, but for systematic shifts
-    clip: float = 2.5  # sigmas at which residuals are clipped before correlating
-    used_weight: float = 0.1  # of Tukey's weight, from which a sample counts as used
-    noise_reach: int = 8  # samples up to which noise may be alike
-    uncorrelated: float = 0.05  # correlation below which it is not
-    noise_samples: int = 12  # of one curve, for an estimate of its noise
-    noise_pictures: int = 3  # of one scene
+    min_gain: float = 0.05  # of the largest gain: a camera looking along the plane shows no motion
+    apart: int = 8  # samples along an edge beyond which errors are independent, except systematic shifts
+    clip: float = 2.5  # sigmas at which differences are clipped in a mean square
+    used_weight: float = 0.1  # Tukey weight from which a sample counts as used
+    noise_reach: int = 8  # samples along an edge up to which noise may be correlated
+    uncorrelated: float = 0.05  # correlation below which it counts as none
+    noise_samples: int = 12  # fewest samples of a curve for an estimate of its noise
+    noise_pictures: int = 3  # fewest pictures of one scene
     clipped_weight: float = 0.02
-    """Derivation: a clipped plateau hides half the step and moves the edge 0.1-0.2 px, where a good one is
-    known to 0.02."""
+    """Prior weight of an edge beside a saturated surface. Derivation: a clipped plateau hides half the step
+    and moves the edge by 0.1-0.2 px, while a good edge is known to 0.02 px."""
     bias_share: float = 1.3
-    """Rms left at the chosen width over the rms difference of widths 1.2 and 0.6: 1.2-1.4 on machined
+    """Rms shift left at the chosen width over the rms difference of widths 1.2 and 0.6: 1.2-1.4 on machined
     outlines, bolt holes, bores, chamfers (shifts of 0.03-0.2 px)."""
     min_bias_px: float = 0.0003
-    """Left by interpolation and 8 bits: 0.0007 px and more on rendered discs without noise."""
+    """Bias left by interpolation and 8 bits: 0.0007 px and more on rendered discs without noise."""
     significant: float = 1.6  # chi² / 5 of 5 that noise exceeds in one case of six: counts as a bias
     certain: float = 3.0  # chi² / 5 of 5 that noise exceeds in one case of a hundred: rules a width out
     start_width: int = 2  # index into `EDGE.widths_px` of the operator that finds an edge
-    contrast_neighbours: int = 4  # samples on both sides over which an edge's contrast is averaged
-    first_rounds: int = 4  # of reweighting at the first width
-    next_rounds: int = 2  # at each further one, which starts from what was found
+    contrast_neighbours: int = 4  # samples on either side over which an edge's contrast is averaged
+    first_rounds: int = 4  # rounds of reweighting at the first width
+    next_rounds: int = 2  # rounds at each further one, which starts from the weights found before
     clipped_px: float = 0.15  # a step clipped at half its height moves by 0.2 px
-    clipped_apart: float = 0.3  # share of that which both cameras do not have in common
+    clipped_apart: float = 0.3  # share of this shift that differs between the cameras
     soft_shift_px: float = 0.15
-    """A soft edge's shift: a tenth of its blur, as by something with a tenth of the contrast."""
-    coarse_spacing_px: float = 3.0  # of the samples while the curves still move
+    """Sigma of a soft edge's shift: a tenth of its blur, as by a neighbour with a tenth of its contrast."""
+    coarse_spacing_px: float = 3.0  # sample spacing while the curves still move
     still_px: float = 0.2  # edges measured anew at curves that moved by less come out the same, to 0.003 px
-    agree_px: float = 0.5  # an edge that scatters more is another edge
-    margin_px: float = 5.0  # of an edge at both ends: the corner's blur, seen through the widest operator
-    min_samples: int = 24  # of a straight edge
-    max_samples: int = 2000  # of any curve
-    min_samples_around: int = 48  # of a closed curve
-    min_radius_px: float = 3.0  # of a circle: smaller than the operator
-    min_length_px: float = 3.0  # of an edge
-    max_length_px: float = 1000000.0  # beyond it the pose has run away
+    agree_px: float = 0.5  # residual from which an edge point belongs to another edge
+    margin_px: float = 5.0  # left out at both ends of an edge: blur of a corner in the widest operator
+    min_samples: int = 24  # fewest samples of a straight edge
+    max_samples: int = 2000  # most samples of any curve
+    min_samples_around: int = 48  # fewest samples of a closed curve
+    min_radius_px: float = 3.0  # least radius of a circle: a smaller one is no larger than the operator
+    min_length_px: float = 3.0  # least length of an edge, without its margins, or a slot's outline
+    max_length_px: float = 1000000.0  # a longer curve means that the pose has run away
     runaway: float = 0.5
-    """Share of its size: a curve that would move by more in one step stays and does not pull the others."""
-    max_slope: float = 0.5  # of the plane in one step
-    max_rise: float = 0.2  # share of the distance in one step
+    """Share of its radius: a circle that would move by more in one step stays where it is."""
+    max_slope: float = 0.5  # largest slope of the plane in one step
+    max_rise: float = 0.2  # largest motion of the plane in one step, as a share of its distance
     growth_sigma: float = 0.01
-    """How far a part may be larger than taught, or a rig wrong, before the edges are asked."""
-    probe_mm: float = 0.01  # distance of two points that tell the image's scale: small against any curvature
+    """Prior sigma of a rigid part's growth: it is larger than taught, or the rig is wrong."""
+    probe_mm: float = 0.01  # distance of two points that give the image's scale: small against any curvature
     soft_px: float = 1.1
-    """Blur from which an edge merges with its surroundings (`operatorwidth` tells up to 1.2)."""
-    row_sigma_px: float = 0.3  # how far the rows of both images may lie apart before anything was measured
-    ray_step: float = 1e-3  # of the distance: along the left camera's ray, the right image shows the row
+    """Blur from which an edge merges with its surroundings (`operatorwidth` measures up to 1.2)."""
+    row_sigma_px: float = 0.3  # prior sigma of the row shift between both images
+    ray_step: float = 1e-3  # of the distance: step along one camera's ray that gives the other's row
     wave_sigmas: tuple[float, ...] = (1.5, 1.0, 1.0, 0.5, 0.5)
-    """Relative; what displaces one side of a curve, sin+, has 1/pi, 1/2, 2/(3 pi) of them, and light from all
-    sides adds to the mean (holes and discs of path-traced parts: 0.08, 0.05, 0.03 px)."""
+    """Relative sigmas of the waves. A displacement of one side of a curve, max(sin, 0), has 1/pi, 1/2, 2/(3
+    pi) of mean, first and second wave, and light from all sides adds to the mean (holes and discs of
+    path-traced parts: 0.08, 0.05, 0.03 px)."""
     wall_sigma: float = 1.5
-    """Relative, at its largest: a wall displaces a fifth of the curve and not the rest."""
+    """Relative sigma of the shift by a wall where it is largest: over a fifth of the curve, not the rest."""
     wall_slant: float = 0.05
-    """Tangent of the viewing angle at which a wall displaces most: 1 px of a wall of 1-4 mm."""
+    """Tangent of the viewing angle at which a wall displaces an edge most: 1 px of a wall of 1-4 mm."""
     doubt_px: float = 0.03
-    """Start of the search for the variance: from above it settles within the solver's rounds."""
+    """Least initial sigma of systematic shifts: from above, the estimate settles within the rounds."""
     expected_waves: float = 1.0
-    """Weight of the expected variance, in waves: just enough to leave an answer where no sample tells any."""
-    alike: float = 0.5  # share of its kind's displacement that every curve has at least
+    """Weight of the expected variance, in waves: just enough for an answer where no sample contains any."""
+    alike: float = 0.5  # least displacement of every curve, as a share of its kind's
 
 
 FIT = JointFitParams()
@@ -95,20 +96,20 @@ class BreakParams:
 
     usual_mm: float = 0.22  # width of an unknown break: geometric mean of 0.1 and 0.5 mm, usual by ISO 13715
     max_mm: float = 0.5  # a second edge farther off is something else
-    against: float = 2.0  # `fill_shifts` has half of the waves against each other in either image
+    against: float = 2.0  # factor of opposed waves: `fill_shifts` gives each image only half of them
     sharp_px: float = 0.01
-    """Sigma of a sharp edge's waves: the median of all circles in `tools/table3.py`; rms of a whole part up
-    to 0.05 px, of broken ones 0.06-0.3 (`tools/bench breaks`)."""
+    """Sigma of a sharp edge's waves: median of all circles in `tools/table3.py`; the rms of a whole part is
+    up to 0.05 px, with broken edges 0.06-0.3 (`tools/bench breaks`)."""
     wider_px: float = 0.08
-    """Shift of a wide operator against a narrow one that shows a highlight: `tools/bench breaks` has 0.08-0.3
-    px beside glints, else 0.03 in the median."""
-    sectors: int = 24  # around a curve, whose profiles are averaged
-    step_px: float = 0.5  # of a profile
-    own_px: float = 1.5  # nearer lies the edge itself
-    glint_slope: float = 0.4  # of a highlight's far side over that of the edge
-    min_slope: float = 2.0  # grey values per px of it
+    """Shift of a wide operator against a narrow one that indicates a highlight: `tools/bench breaks` has
+    0.08-0.3 px beside glints, else 0.03 in the median."""
+    sectors: int = 24  # sectors around a curve, over each of which profiles are averaged
+    step_px: float = 0.5  # sample spacing along a profile
+    own_px: float = 1.5  # a maximum nearer than this is the edge itself
+    glint_slope: float = 0.4  # least slope of a highlight's far side, relative to that of the edge
+    min_slope: float = 2.0  # that slope in grey values per px, at least
     glint_share: float = 0.6
-    """Share of the curves in both images with a far side beside them: one neighbour's edge does not count."""
+    """Share of the curves in both images with a highlight beside them: a neighbour's edge is too little."""
 
 
 BREAKS = BreakParams()
@@ -116,15 +117,15 @@ BREAKS = BreakParams()
 
 @dataclass(frozen=True, slots=True)
 class ForesightParams:
-    """What a measurement's sigma is going to be, from geometry and light.
+    """Prediction of a measurement's sigma from geometry and light.
 
     Where a line names no source, `tools/bench ablate --only ForesightParams` shows what the number earns.
     """
 
-    spacing_px: float = 6.0  # of the samples: what a curve is worth changes slowly along it
-    border_px: float = 4.0  # nearer to a picture's border there is no room for an edge's profile
-    min_samples: int = 8  # of a curve that counts
-    min_arc_px: float = 0.1  # of a sample, so that no weight is infinite
+    spacing_px: float = 6.0  # sample spacing: precision changes slowly along a curve
+    border_px: float = 4.0  # nearer to a picture's border there is no space for an edge's profile
+    min_samples: int = 8  # fewest visible samples of a curve that is used
+    min_arc_px: float = 0.1  # least arc of a sample, so that no weight is infinite
 
 
 FORESIGHT = ForesightParams()
@@ -132,12 +133,13 @@ FORESIGHT = ForesightParams()
 
 @dataclass(frozen=True, slots=True)
 class FitParams:
-    """How curves are measured.
+    """Parameters of a fit of curves.
 
     reach_px : search range along the normals, one iteration each; the last one is repeated until the curves
-    stand still, `repeats` times at most; with 0 repeats the curves are only laid where they are.
-    spacing_px : of the samples. min_slope : grey values per px below which there is no edge. min_support :
-    share of its samples that a curve must show in each image.
+    stand still, `repeats` times at most; with 0 repeats there are only coarse steps, without systematic
+    shifts.
+    spacing_px : of the samples.  min_slope : grey values per px below which there is no edge.
+    min_support : share of its samples that a curve must show in each image.
     """
 
     reach_px: tuple[float, ...] = (6.0, 4.0, 2.5, 2.0)
@@ -145,7 +147,7 @@ class FitParams:
     spacing_px: float = 1.0  # chosen: more leaves small holes few samples, less takes longer
     min_slope: float = 1.5  # chosen: more loses dark edges, less takes noise for some
     min_support: float = 0.4  # chosen: more refuses covered curves, less trusts short arcs
-    repeats: int = 4  # chosen: more takes longer, less leaves a start from far off on its way
+    repeats: int = 4  # chosen: more takes longer, less does not converge from far off
 
 
 DEFAULT_PARAMS = FitParams()

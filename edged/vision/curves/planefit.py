@@ -7,12 +7,12 @@ measured across the projected curves, and their offsets along the normals are th
 least-squares problem. Nothing is rectified, no ellipse is formed, no point needs a partner in the other
 image.
 
-One solution for all curves gives what distances and angles between features need: their joint covariance, in
-which the errors that they share, of the plane, of the light and of the calibration, cancel as they do in the
-result. What both cameras say in common and what they say against each other are different witnesses (see
-`commonmode`), each with a scatter and a correlation along the edge of its own. Half of the variance of the
-systematic edge shifts is each curve's own, half is shared by the curves of one kind: five holes in one light
-are not five independent witnesses (see `systematic`).
+One solution for all curves gives the joint covariance that distances and angles between features need: in it,
+shared errors of the plane, the light and the calibration cancel as they do in the result. Means and
+differences of both cameras are separate observations (see `commonmode`), each with its own scatter and its
+own correlation along the edge. Half of the variance of the systematic edge shifts is each curve's own, half
+is shared by the curves of one kind: five holes in one light are not five independent observations (see
+`systematic`).
 """
 
 from __future__ import annotations
@@ -40,12 +40,12 @@ from edged.vision.geometry.projection import shifts_by_calibration
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Scatter:
-    """How well the edges of a curve can be seen, wherever it lies.
+    """Precision of a curve's edges, independent of where the curve lies.
 
-    information (4,) : 1/px² by px of arc, of what both images have in common, of what they have against each
-    other, and of what the left or the right one shows alone.  share : of the left image in what they have in
-    common.  shift_px (F,) : sigmas of the systematic shifts.  clipped, soft : most samples of the left and
-    of the right image are so.  break_mm : width of the edge break that was reckoned with.
+    information (4,) : 1/px² per px of arc, of the means of both images, of their differences, and of points
+    that only the left or the right one shows.  share : of the left image in the means.  shift_px (F,) :
+    sigmas of the systematic shifts.  clipped, soft : whether most samples of the left and of the right image
+    are clipped, or soft.  break_mm : width of the edge break that was taken into account.
     """
 
     information: FloatArray
@@ -57,17 +57,17 @@ class Scatter:
 
 
 UNKNOWN = Scatter(np.zeros(len(PARTS)), 0.5, np.zeros(FAMILIES.max() + 1), (False, False), (False, False))
-"""For curves that were laid but not measured."""
+"""Scatter of curves that were fitted by coarse steps alone."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CurveFit:
-    """A fitted curve and how well it is supported.
+    """A fitted curve and its support by edges.
 
-    support (2,), left and right : share of the samples with an edge that agrees.  rms_px : weighted,
-    of those.  mismatch_px : mean offset in the left image minus that in the right one.
+    support (2,), left and right : share of the samples with an edge that agrees.  rms_px : weighted rms of
+    the residuals.  mismatch_px : mean offset in the left image minus that in the right one.
     points (2, N, 2) raw px, NaN where there is no edge; weights (2, N) in [0, 1].
-    scatter : how well its edges could be seen.
+    scatter : precision of its edges.
     """
 
     curve: Curve
@@ -91,10 +91,10 @@ class CurveFit:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RigidMotion:
-    """The part as a whole in a rigid fit.
+    """Pose and growth of the part as a whole in a rigid fit.
 
     covariance, edge_covariance (7, 7) : of its plane (height, slopes), its shift along u and v (mm), its turn
-    about the normal (rad) and its growth (share).  growth : by which share it is larger than taught.
+    about the normal (rad) and its growth.  growth : relative excess of its size over the taught one.
     """
 
     covariance: FloatArray
@@ -104,15 +104,15 @@ class RigidMotion:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PlaneFit:
-    """A face and its curves.
+    """A fitted face and its curves.
 
-    fits : in the order asked for, without those that the images do not show.
+    fits : in the order of the given curves, without those that the images do not show.
     covariance (P, P) : of the plane (height, slopes along u and v, see `Face.moved`), then of the parameters
     of each fit's curve, mm and rad, correlations included.
-    edge_covariance (P, P) : what of it comes from the edges, not from the calibration.
-    row_shift_px, row_sigma_px : by which the right image shows all curves farther across the rows than the
-    left one, raw px; sigma with the calibration's; NaN where the curves were only laid where they are.
-    rigid : how well the pose of the whole is known, where the curves were fitted as one rigid part.
+    edge_covariance (P, P) : the share of it that comes from the edges, not from the calibration.
+    row_shift_px, row_sigma_px : shift of all curves across the rows in the right image against the left, raw
+    px; the sigma includes the calibration's; NaN after coarse steps alone.
+    rigid : pose of the whole, if the curves were fitted as one rigid part.
     """
 
     face: Face
@@ -124,17 +124,17 @@ class PlaneFit:
     rigid: RigidMotion | None = None
 
     def by_edges(self) -> PlaneFit:
-        """The fit with the edges' covariance alone, to compare with measurements of the same rig."""
+        """The fit with the edges' covariance alone, for comparison with measurements by the same rig."""
         rigid = self.rigid and replace(self.rigid, covariance=self.rigid.edge_covariance)
         return replace(self, covariance=self.edge_covariance, rigid=rigid)
 
     @property
     def parameters(self) -> FloatArray:
-        """(P,) : 0 for the plane, then each curve's."""
+        """(P,) parameters: 0 for the plane, then those of each curve."""
         return np.concatenate([np.zeros(PLANE_PARAMETERS), *(fit.curve.parameters for fit in self.fits)])
 
     def place(self, name: str) -> slice | None:
-        """The slice of a curve's parameters in `parameters` and `covariance`."""
+        """Slice of a curve's parameters in `parameters` and `covariance`; None if it was not measured."""
         first = PLANE_PARAMETERS
         for fit in self.fits:
             last = first + len(fit.curve.parameters)
@@ -159,13 +159,13 @@ def fit_plane(
     fixed_radius: bool = False,
     rigid_mm: float | None = None,
 ) -> PlaneFit | None:
-    """Measure curves of one plane together; None when the images show none, or too few to know the plane.
+    """Measure curves of one plane together; None when the images show none, or too few for the plane.
 
     images : left and right, raw (H, W) uint8.  face, curves : a start, as good as params.reach_px[0].
     fixed_normal : the plane's direction is known better from elsewhere (a small hole in a large face).
-    fixed_radius : circles keep theirs; rivals beside a rim then do not fit.
-    rigid_mm : the curves are those of one part, its places and sizes known to this sigma; it moves, turns and
-    grows as a whole. None: each curve lies where it will.
+    fixed_radius : circles keep their radii, so that rivals beside a rim do not fit.
+    rigid_mm : the curves are those of one part, whose places and sizes are known to this sigma; it moves,
+    turns and grows as a whole. None: each curve moves independently.
     """
     start = state_of(
         rig,
@@ -183,9 +183,9 @@ def fit_plane(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CircleGuess:
-    """Where a circle may be. centre_mm, normal (3,) : rig frame; the normal points towards the cameras.
+    """Initial guess of a circle. centre_mm, normal (3,) : rig frame; the normal points towards the cameras.
 
-    polarity : +1 brighter outside, -1 darker outside, 0 whichever most of its edge shows.
+    polarity : +1 if brighter outside, -1 if darker outside, 0 to take that of most of its edge.
     """
 
     centre_mm: FloatArray
@@ -204,7 +204,7 @@ def fit_circle(
     fixed_normal: bool = False,
     fixed_radius: bool = False,
 ) -> PlaneFit | None:
-    """Measure one circle near a first guess; the rest as `fit_plane`."""
+    """Measure one circle near an initial guess; other arguments as in `fit_plane`."""
     axes = np.vstack([circle_axes(-guess.normal), -guess.normal])
     circle = Curve(guess.name, "circle", np.array([0.0, 0.0, guess.radius_mm]), guess.polarity)
     face = Face(np.asarray(guess.centre_mm, np.float64), axes)
@@ -214,7 +214,7 @@ def fit_circle(
 
 
 def result_of(state: State, step: FitStep, known: Known | None = None) -> PlaneFit | None:
-    """The measured fit, or None.  known : covariance to use instead of the step's own."""
+    """The result of a fit; None without a supported curve.  known : covariance instead of the step's own."""
     kept = step.supported(state.params.min_support)
     if not kept:
         return None
@@ -280,8 +280,10 @@ def _scatters_of(step: FitStep, numbers: Sequence[int], breaks_mm: FloatArray) -
 
 
 class Known(NamedTuple):
-    """covariance, edge_covariance (U, U) : of all unknowns, 0 for what is held or not seen.  row_sigma_px :
-    of the shift of the rows, raw px; NaN where the curves were only laid.
+    """Uncertainty of a step.
+
+    covariance, edge_covariance (U, U) : of all unknowns, 0 for those held or not seen.  row_sigma_px : of the
+    shift of the rows, raw px; NaN after coarse steps alone.
     """
 
     covariance: FloatArray
@@ -290,7 +292,7 @@ class Known(NamedTuple):
 
 
 def _known(step: FitStep, state: State, breaks_mm: FloatArray) -> Known:
-    """How well a step is known.  breaks_mm (K,) : how wide the edge breaks of its curves may be."""
+    """Uncertainty of a step.  breaks_mm (K,) : largest plausible width of the edge breaks of its curves."""
     rig, unknowns, solved = state.rig, len(step.solved.delta), step.solved
     formed, solution, pairs = solved.formed, solved.solution, solved.pairs
     used = formed.used
@@ -323,11 +325,11 @@ def _known(step: FitStep, state: State, breaks_mm: FloatArray) -> Known:
 
 
 def _poor_light(step: FitStep) -> tuple[FloatArray, FloatArray]:
-    """(N, 4) for each camera: by how much saturation and blur move the edges, one sigma, px.
+    """(N, 4) for each camera: shifts of the edges by saturation and blur, one sigma, px.
 
-    A saturated sensor moves all of them towards the dark, in both cameras much alike: they see one light.
-    A blurred edge is one with what lies beside it, a chamfer, a wall, a shadow: to one side of the part,
-    in each camera by itself. Along the rows that is a depth.
+    A saturated sensor moves all edges towards the dark side, much alike in both cameras, as they see one
+    light. A blurred edge merges with a chamfer, a wall or a shadow beside it: it moves to one side of the
+    part, in each camera independently. Along the rows that is an error of depth.
     """
     solved = step.solved
     towards = -np.repeat(step.at.curves.polarity.astype(np.float64), np.diff(step.laid.starts))
@@ -344,7 +346,7 @@ def _poor_light(step: FitStep) -> tuple[FloatArray, FloatArray]:
 
 
 def _rigid_lift(state: State, curves: Sequence[Curve]) -> FloatArray:
-    """(P, U) : plane and parameters of the kept curves by the unknowns of a rigid fit that are theirs."""
+    """(P, U) : derivative of plane and kept curves' parameters by the unknowns of a rigid fit."""
     assert state.rigid_mm is not None
     own = _block_diagonal([state.rigid_mm * curve.lift() for curve in curves])
     rows = []
@@ -378,7 +380,7 @@ def derived(
 ) -> tuple[FloatArray, FloatArray]:
     """Values (M,) of a function of `fit.parameters` and their covariance (M, M), to first order.
 
-    of : the curves, beside the plane, that the function asks for; None: any.
+    of : names of the curves on which, besides the plane, the function depends; None: any.
     """
     values, jacobian = differentiated(fit, function, of)
     return values, np.asarray(jacobian @ fit.covariance @ jacobian.T)
@@ -387,7 +389,7 @@ def derived(
 def differentiated(
     fit: PlaneFit, function: Callable[[FloatArray], FloatArray], of: Sequence[str] | None = None
 ) -> tuple[FloatArray, FloatArray]:
-    """Values (M,) and their derivative (M, P) by the parameters."""
+    """Values (M,) of a function of `fit.parameters`, and their derivative (M, P); `of` as in `derived`."""
     parameters = fit.parameters
     step = 1e-5  # mm and rad; curves are smooth over far more
     asked = np.ones(len(parameters), bool)

@@ -1,6 +1,6 @@
-"""Plane and curves at one moment of a fit: sampled, measured, and the step that fits best.
+"""State of a fit: plane and curves, their samples and edges, and the step that fits best.
 
-The steps of a fit, one after the other until the curves stand still, are one kernel.
+All steps of a fit, one after the other until the curves stand still, run in one kernel.
 """
 
 from __future__ import annotations
@@ -38,11 +38,11 @@ STILL_PX = FIT.still_px  # numba freezes globals when it compiles: kernels read 
 
 
 class Steps(NamedTuple):
-    """Where the last of some steps began, what it saw, and where it led.
+    """Result of a sequence of steps: start, samples and outcome of the last one.
 
-    coarse, fine : how many were made, both 0 where the curves were lost.  numbers (K,) : the curves that are
-    left.  before (4, 3), places (K, 5) : face and parameters where the last one began, face and parameters
-    after it; polarity (K,).
+    coarse, fine : number of steps made, both 0 if the curves were lost.  numbers (K,) : indices of the curves
+    that are left.  before (4, 3), places (K, 5) : face and parameters at the start of the last step; face,
+    parameters : after it; polarity (K,).
     """
 
     coarse: INT
@@ -61,7 +61,7 @@ class Steps(NamedTuple):
 
 @kernel("CurvesAt(CurvesAt, f8[:, ::1], f8[:, ::1], i8[::1])", tuples=TUPLES)
 def laid_at(at: CurvesAt, face: F64, parameters: F64, polarity: I64) -> CurvesAt:
-    """The curves elsewhere, and with other signs."""
+    """The curves with another face, other parameters and other polarity."""
     old = at.curves
     curves = FlatCurves(old.kinds, parameters, old.length_mm, old.height_mm, polarity, old.signs, old.first)
     return CurvesAt(at.left, at.right, face, curves, at.freedom)
@@ -74,7 +74,7 @@ def laid_at(at: CurvesAt, face: F64, parameters: F64, polarity: I64) -> CurvesAt
 def signs_of(
     at: CurvesAt, laid: LaidCurves, left: Image, right: Image, reach: float, min_slope: float
 ) -> I64:
-    """(K,) the polarity of each curve; where it is not known, the sign of most of its contrast."""
+    """(K,) polarity of each curve; if unknown, the sign of its total contrast in both images."""
     polarity, unknown = at.curves.polarity.copy(), 0
     for k in range(len(polarity)):
         unknown += polarity[k] == 0
@@ -89,7 +89,7 @@ def signs_of(
 
 @kernel()
 def shown(sums: CurveSums, share: float) -> I64:
-    """The curves of which both images show at least this share."""
+    """Indices of the curves of which both images show at least this share."""
     kept, many = np.empty(len(sums.total), np.int64), 0
     for k in range(len(kept)):
         if sums.total[k] >= MIN_SAMPLES and min(sums.support[0, k], sums.support[1, k]) >= share:
@@ -100,7 +100,7 @@ def shown(sums: CurveSums, share: float) -> I64:
 
 @kernel()
 def some_of(curves: FlatCurves, numbers: I64) -> FlatCurves:
-    """The curves of these numbers (M,)."""
+    """The curves with indices numbers (M,)."""
     first = np.zeros(len(numbers) + 1, np.int64)
     for m in range(len(numbers)):
         first[m + 1] = first[m] + curves.first[numbers[m] + 1] - curves.first[numbers[m]]
@@ -128,10 +128,11 @@ def take_steps(
 ) -> Steps:  # fmt: skip
     """Coarse steps, one for each of the first reaches, then fine ones within the last; fewer once still.
 
-    coarse, fine : at most so many, together at least one.  spacings_px (2,) : of coarse and of fine samples.
-    Far away there is one dominant edge; from the second step on each curve keeps its sign. In a fine step
-    each chooses its operator width, systematic shifts are reckoned with, and curves that the images do not
-    show are left out: what is not there must not pull the others.
+    coarse, fine : largest number of each, together at least one.  spacings_px (2,) : sample spacing of
+    coarse and fine steps. The first step takes an edge of either sign, as one edge dominates from far away;
+    from the second step on each curve has its sign. In a fine step each curve gets its operator width,
+    systematic shifts are modelled, and curves that the images do not show are left out, so that they do not
+    pull the others.
     """
     numbers, made, refined, final = np.arange(len(at.curves.kinds)), 0, 0, coarse == 0
     while True:
@@ -170,10 +171,10 @@ def take_steps(
 
 
 class FitStep(NamedTuple):
-    """One step of the joint problem, of curves as they lay.
+    """One step of the joint problem, with the curves before it.
 
     sides : the samples in both images.  final : with systematic shifts, and with the shift of the rows as the
-    last unknown of the solver.  coarse, fine : how many were made, with those before it.
+    last unknown of the solver.  coarse, fine : number of steps made so far, including this one.
     """
 
     at: CurvesAt
@@ -186,11 +187,11 @@ class FitStep(NamedTuple):
 
     @property
     def row_shift_px(self) -> float:
-        """As `PlaneFit` has it."""
+        """Row shift as in `PlaneFit`; NaN in a coarse step."""
         return FIT.row_sigma_px * float(self.solved.solution.delta[-1]) if self.final else math.nan
 
     def supported(self, share: float) -> list[int]:
-        """The curves of which both images show at least this share."""
+        """Indices of the curves of which both images show at least this share."""
         sums = self.solved.sums
         seen = (sums.total >= MIN_SAMPLES) & (np.minimum(*sums.support) >= share)
         return [int(k) for k in seen.nonzero()[0]]
@@ -200,8 +201,8 @@ class FitStep(NamedTuple):
 class State:
     """Plane and curves at one moment of the fit.
 
-    curves : as they were given; where they lie by now, and with which polarity, is in `at`. Of a rigid part
-    they stay as they were taught, and the face moves with the part.
+    curves : as they were given; their present places and polarities are in `at`. In a rigid part they stay as
+    they were taught, and the face moves with the part.
     """
 
     rig: StereoRig
@@ -212,21 +213,21 @@ class State:
 
     @property
     def rigid_mm(self) -> float | None:
-        """Sigma of places and sizes of the curves of one part; None: each curve lies where it will."""
+        """Sigma of places and sizes of the curves of a rigid part; None: each curve moves independently."""
         return None if math.isnan(self.at.freedom.rigid_mm) else self.at.freedom.rigid_mm
 
     @property
     def face(self) -> Face:
-        """The plane as it lies."""
+        """The plane at present."""
         return Face(self.at.face[3], self.at.face[:3])
 
     @property
     def shared(self) -> int:
-        """Unknowns of all curves together, which come first."""
+        """Number of unknowns that all curves share, which come first."""
         return PLANE_PARAMETERS if self.rigid_mm is None else PLANE_PARAMETERS + RIGID_PARAMETERS
 
     def curve(self, k: int) -> Curve:
-        """A curve as it lies."""
+        """Curve k at present."""
         curve, flat = self.curves[k], self.at.curves
         return Curve(
             curve.name,
@@ -240,7 +241,7 @@ class State:
         )
 
     def fitted(self) -> tuple[State, FitStep] | None:
-        """The state after all steps of the fit, and the last of them; None where the curves were lost."""
+        """The state after all steps of the fit, and the last step; None if the curves were lost."""
         params, at = self.params, self.at
         coarse = len(params.reach_px) - (params.repeats > 0)
         spacings_px = np.array([max(params.spacing_px, FIT.coarse_spacing_px), params.spacing_px])
@@ -260,7 +261,7 @@ class State:
         return replace(state, at=at), step
 
     def _only(self, numbers: I64) -> State:
-        """The state with some of its curves."""
+        """The state with only these of its curves."""
         curves = tuple(self.curves[k] for k in numbers)
         return replace(self, curves=curves, at=self.at._replace(curves=flattened(curves)))
 
@@ -276,7 +277,7 @@ def state_of(
     fixed_radius: bool = False,
     rigid_mm: float | None = None,
 ) -> State:
-    """The state that a fit starts from; arguments as `fit_plane` has them."""
+    """The state that a fit starts from; arguments as in `fit_plane`."""
     own_mm = math.nan if rigid_mm is None else float(rigid_mm)
     freedom = Freedom(int(not fixed_normal), int(not fixed_radius), own_mm)
     at = CurvesAt(*flat_cameras(rig), face.flat(), flattened(curves), freedom)

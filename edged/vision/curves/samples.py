@@ -1,6 +1,6 @@
-"""What the robust least squares over curves work on: samples, working arrays, and the solution.
+"""Data of the robust least squares over curves: samples, working arrays and solution.
 
-Each is a tuple of arrays, as kernels take them.
+Each is a named tuple of arrays, to be passed to kernels.
 """
 
 from __future__ import annotations
@@ -14,15 +14,15 @@ class Samples(NamedTuple):
     """Samples of K curves in Q parts, for `solve_samples`.
 
     design (N, C) : derivatives of each sample by the unknowns that its curve depends on; columns (K, C) :
-    which those are, -1 for none.
-    starts (Q + 1,) : where each part begins; parts (K + 1,) : with which of them each curve begins;
-    paired (K,) : its first two have the same points row by row, and what is wrong in one is so in the other.
+    indices of these unknowns, -1 for none.
+    starts (Q + 1,) : first sample of each part; parts (K + 1,) : first part of each curve; paired (K,) : its
+    first two parts have the same points row by row, so that an outlier in one is an outlier in the other.
     values, base (N,) : samples and prior weights (0: no sample).
-    waves (N, A) : systematic shifts; families (A,) : numbers below F; those of a family are as large as each
-    other. expected (K, F) : the sigma to expect of them.
-    shared (K,) : the first of the A unknowns for the shift that a curve has in common with others, in
-    units of its sigma; -1 for none.  kinds (K,) : numbers below K; the shifts of a kind are as large
-    as each other, in units of what is expected.
+    waves (N, A) : shapes of systematic shifts; families (A,) : family of each, below F; the shifts of a
+    family have one sigma. expected (K, F) : its expected value.
+    shared (K,) : the first of the A unknowns for the shift that a curve has in common with others, in units
+    of its sigma; -1 for none.  kinds (K,) : kind of each curve, below K; within a kind, sigmas are
+    proportional to the expected ones.
     """
 
     design: F2
@@ -42,9 +42,9 @@ class Samples(NamedTuple):
 class JointSolution(NamedTuple):
     """A solved step.
 
-    delta (P,), covariance (P, P) of the unknowns; weights, residuals (N,) of the samples, systematic
-    shifts taken out; precision (Q,) : what a sample of weight 1 in a part counts, 1 / (scale² spread).
-    bias (K, F) : sigmas of the systematic shifts, as they came out.
+    delta (P,), covariance (P, P) of the unknowns; weights, residuals (N,) of the samples, without systematic
+    shifts; precision (Q,) : information of a sample of weight 1 in each part, 1 / (scale² spread).
+    bias (K, F) : estimated sigmas of the systematic shifts.
     """
 
     delta: F1
@@ -58,11 +58,12 @@ class JointSolution(NamedTuple):
 class Memory(NamedTuple):
     """Working arrays of the rounds. T terms: the C of a curve's design, then the A waves.
 
-    together (Q,) : samples of a part that share their terms; bins (Q + 1,) : where the shared terms of each
-    part begin in terms, of each part (T, B), so that sums run along its samples.
-    matrix (P, P), right_side (P,) : normal equations.  moments (K, T, T), own_right (K, T) : of each curve.
-    sigma (K, A), inverse (K, A, A) : of its own systematic shift, and its covariance if the unknowns were
-    known.  scale, spread (Q,) : of the residuals of each part.
+    together (Q,) : number of successive samples of a part that share their terms; bins (Q + 1,) : first bin
+    of each part in terms, which holds (T, B) for each part, so that sums run along its samples.
+    matrix (P, P), right_side (P,) : normal equations.  moments (K, T, T), own_right (K, T) : those of each
+    curve. sigma (K, A), inverse (K, A, A) : sigmas of a curve's own systematic shift, and its covariance if
+    the unknowns were known.  scale, spread (Q,) : scale of the residuals of each part, and their correlation
+    length.
     """
 
     together: I1

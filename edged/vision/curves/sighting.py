@@ -1,4 +1,4 @@
-"""What a camera shows of laid curves: where they lie in its raw image, and the edges across them."""
+"""Curves in one camera: their projection into its raw image, and the edges found across them."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from edged.vision.kernels.jit import B1, F1, kernel
 
 # numba freezes globals when it compiles: kernels read these by name
 FINE_STEP_PX = OPERATOR.fine_step_px
-COARSE_STEP_PX = 1.0  # finds an edge to 0.02 px in half of the time
+COARSE_STEP_PX = 1.0  # finds an edge to 0.02 px in half the time
 WAVES = 5  # up to two waves around a closed curve, or half waves along an edge
 
 
@@ -25,8 +25,8 @@ class CameraEdges(NamedTuple):
     """Samples of curves in one image, and the edges across them.
 
     offset (N,) px along the normals, NaN where there is no edge; base (N,) : prior weights.
-    bias (K,) px : sigma to expect of systematic shifts; blur2 (K,) px² : of the image across the edges.
-    clipped (N,) : beside a saturated surface.
+    bias (K,) px : expected sigma of systematic shifts; blur2 (K,) px² : variance of the blur across edges.
+    clipped (N,) : whether a sample lies beside a saturated surface.
     """
 
     seen: ProjectedOutline
@@ -39,7 +39,7 @@ class CameraEdges(NamedTuple):
 
 @kernel()
 def _signs(curves: FlatCurves, side: int, starts: I64) -> I32:
-    """(N,) the polarity at each sample; 0 : not known, or, of stretches, not measured."""
+    """(N,) polarity at each sample; 0 : not known or, where stretches have signs, not to be measured."""
     signs = np.empty(starts[-1], np.int32)
     for k in range(len(curves.kinds)):
         count, first = starts[k + 1] - starts[k], curves.first[k]
@@ -54,7 +54,7 @@ def _signs(curves: FlatCurves, side: int, starts: I64) -> I32:
 
 @kernel()
 def _waves_of(curves: FlatCurves, normals: F64, starts: I64) -> F64:
-    """(N, 5): what tells a systematic shift from scatter; an edge, of one direction, has half waves."""
+    """(N, 5) waves that separate systematic shifts from scatter; for a straight edge, half waves along it."""
     waves = np.empty((len(normals), WAVES))
     fill_waves(normals, waves)
     for k in range(len(curves.kinds)):
@@ -72,9 +72,9 @@ def _waves_of(curves: FlatCurves, normals: F64, starts: I64) -> F64:
 def look(
     at: CurvesAt, laid: LaidCurves, image: Image, side: int, reach: float, min_slope: float, final: bool
 ) -> CameraEdges:
-    """Look for edges within reach along the normals. side : 0 left, 1 right.
+    """Find edges within reach along the normals. side : 0 left, 1 right.
 
-    final : each curve chooses its operator width, and its bend is corrected.
+    final : the operator width is chosen for each curve, and the effect of its curvature is corrected.
     """
     curves, starts = at.curves, laid.starts
     seen = projected(at.left if side == 0 else at.right, at.face, laid.outline)
@@ -96,8 +96,8 @@ def look(
     waves = _waves_of(curves, seen.normals, starts) if final else np.zeros((total, 0))
     choose(found[:many], found[many : 2 * many], clipped, starts, waves, min_slope, samples, by_curve)
     if final:
-        # blur averages over a disc: where the edge is bent, the extremum of the slope lies nearer to the
-        # centre of the bend by blur² x curvature / 2
+        # blur averages over a disc: where the edge is curved, the extremum of the slope lies nearer to the
+        # centre of curvature by blur² x curvature / 2
         bend = curvatures(seen.pixels, seen.normals, starts)
         for k in range(len(curves.kinds)):
             for n in range(starts[k], starts[k + 1] if curves.kinds[k] != EDGE else 0):
@@ -109,7 +109,7 @@ def look(
 def add_contrasts(
     at: CurvesAt, laid: LaidCurves, left: Image, right: Image, reach: float, min_slope: float, total: F64
 ) -> None:
-    """Add the slopes across each curve in both images to total (K,), those below min_slope left out."""
+    """Add the slopes across each curve in both images to total (K,), without those below min_slope."""
     starts, widths = laid.starts, np.empty(1)
     widths[0] = WIDTHS_PX[START_WIDTH]
     free = np.zeros(starts[-1], np.int32)

@@ -1,17 +1,17 @@
-"""Systematic edge shifts along a curve: their shapes, and how large they are in this picture.
+"""Systematic edge shifts along a curve: their shapes, and estimates of their size in a picture.
 
-What lies beside an edge displaces it over whole arcs, on all curves of one kind alike: texture, tool marks
-and round rims in space, so that both cameras see the same; gloss and shading for each camera in its own way;
-and of a hole's wall, or of a disc's, each camera sees the side that is turned to it. A strip of wall that is
-narrower than the blur cannot be told from the edge, whatever the operator; it moves the edge by its share of
-the contrast times its width (0.03 to 0.2 px), and only along the arc where it is seen at a glancing angle.
-Where that is follows from the pose.
+The surroundings of an edge displace it over whole arcs, on all curves of one kind alike. Texture, tool marks
+and rounded rims do so in space, so that both cameras see the same; gloss and shading do so differently in
+each camera; and each camera sees that side of a hole's or a disc's wall that is turned to it. A strip of
+wall that is narrower than the blur cannot be separated from the edge, whatever the operator; it moves the
+edge by its share of the contrast times its width (0.03 to 0.2 px), and only along the arc where it is seen
+at a glancing angle, which follows from the pose.
 
-How large the shifts are is in the samples: two cameras see one circle under different angles, and
-several circles share one plane, so that most shifts contradict each other. Their variance is what
-they show, in proportion to how much of each the samples tell, with one wave's worth of what was expected
-beforehand; what no sample tells (both cameras see a hole too small) is then taken to be as large as what
-they do tell.
+The size of the shifts is estimated from the samples: two cameras see one circle under different angles, and
+several circles share one plane, so that most shifts contradict each other. Their variance is that of the
+estimated shifts, relative to how well the samples determine each of them, with one wave of the expected
+variance added; shifts that no sample shows (both cameras see a hole too small) are then taken to be as large
+as those that do show.
 Sources: C. R. Rao, "Estimation of Variance and Covariance Components in Linear Models", JASA 67, 1972
 (squares against their expectations); D. J. C. MacKay, "Bayesian Interpolation", Neural Computation 4, 1992
 (how much of a parameter is determined).
@@ -39,8 +39,8 @@ ALIKE = FIT.alike
 def fill_waves(normals: F64, waves: F64) -> None:
     """Fill (N, 5): up to two waves around a curve by the direction of its normals (N, 2) in the image.
 
-    What a wrong circle looks like, and a displacement: light and view have one direction in the image. Each
-    has a mean square of 1 around a closed curve.
+    An error of the circle has this form, and so has a displacement, as light and view have one direction in
+    the image. Each wave has a mean square of 1 around a closed curve.
     """
     root2 = np.sqrt(2.0)
     for n in range(len(normals)):
@@ -50,19 +50,19 @@ def fill_waves(normals: F64, waves: F64) -> None:
 
 
 FAMILIES = np.repeat([0, 1], [2 * len(FIT.wave_sigmas), 2])
-"""Family of each column of `fill_shifts`: 0 waves, 1 walls; each is as large as it shows in the picture."""
+"""Family of each column of `fill_shifts`: 0 waves, 1 walls; the sigma of each is estimated per picture."""
 
 
 @kernel("void(f8[:, ::1], f8[:, ::1], f8[:, ::1], f8[:, :, ::1])")
 def fill_shifts(normals: F64, gain: F64, slant: F64, shifts: F64) -> None:
-    """Fill shifts (2, N, 12), left and right image: shapes of what displaces a curve, each with a sigma of 1.
+    """Fill shifts (2, N, 12), left and right image: shapes of displacements of a curve, for a sigma of 1.
 
-    First waves that displace the curve in space and hence in both images alike, then such as displace it
-    against each other, then the walls. `FAMILIES` numbers these.
+    First waves that displace the curve in space and hence in both images alike, then waves that displace it
+    in opposite senses, then the walls of holes and of discs. `FAMILIES` numbers these.
     normals (N, 2) : outwards, in the left image.  gain (2, N) : motion along the normals of both images per
     motion of the curve along its own normal.
     slant (2, N) : tangent of the angle between the plane's normal and the ray from each camera, positive
-    where the ray runs outwards: a hole's wall is seen there, and a disc's where it is negative.
+    where the ray runs outwards: a hole's wall is seen there, a disc's wall where it is negative.
     """
     many = len(WAVE_SIGMAS)
     waves = np.empty((len(normals), many))
@@ -78,13 +78,13 @@ def fill_shifts(normals: F64, gain: F64, slant: F64, shifts: F64) -> None:
                 tangent = slant[side, n] if wall == 0 else -slant[side, n]
                 seen = max(tangent / WALL_SLANT, 0.0)
                 found[2 * many + wall] = 0.0
-                if seen != 0.0:  # also NaN; the exponential is what costs
+                if seen != 0.0:  # True for NaN, too; skips the costly exponential
                     found[2 * many + wall] = WALL_SIGMA * seen * np.exp(1.0 - seen) * scale
 
 
 @kernel("f8[::1](f8[::1], i8[::1])")
 def shrunk(expected_px: F64, kinds: I64) -> F64:
-    """(K,) expected sigmas, of which none is far below the rms of its kind (K,), numbers below K."""
+    """(K,) expected sigmas, raised so that none is far below the rms of its kind; kinds (K,), below K."""
     count = len(kinds)
     square, many, result = np.zeros(count), np.zeros(count), np.empty(count)
     for k in range(count):
@@ -98,7 +98,7 @@ def shrunk(expected_px: F64, kinds: I64) -> F64:
 
 @kernel("void(f8[:, ::1], f8[:, ::1], f8[:, ::1], f8[:, ::1], f8[::1])")
 def fill_slants(points: F64, normals: F64, face: F64, pose: F64, slant: F64) -> None:
-    """Fill slant (N,) of one camera, as `fill_shifts` wants them.
+    """Fill slant (N,) of one camera for `fill_shifts`.
 
     points (N, 3), normals (N, 2) : samples of curves and their normals in a face (4, 3).  pose (4, 4) :
     camera_from_rig.
@@ -128,23 +128,23 @@ def shift_of(
 ) -> None:
     """Add a curve's estimated displacement to found (F, 3). shared : as in `Samples`, or -1 to leave it out.
 
-    A wave is known by the share g by which the samples narrow its variance; its estimate is g times what the
-    samples say. Of a displacement of variance v and noise alone the square is g² v and g (1 - g) bias² in the
-    mean; found are for each family the sums of the squares, of g², and of g (1 - g) bias². What is
-    known of the curve: moments and own_right of its design (C) and waves (A), the covariance (A, A) of the
-    displacement if its unknowns were known, the solution and its covariance.
+    A wave is determined by the share g by which the samples reduce its prior variance; its estimate is g
+    times the value in the samples. The mean square of the estimate is g² v for a displacement of variance v,
+    and g (1 - g) bias² for noise alone; found gets, for each family, the sums of the squares, of g², and of
+    g (1 - g) bias². Used are the moments and own_right of the curve's design (C) and waves (A), the
+    covariance (A, A) of the displacement if its unknowns were known, the solution and its covariance.
     """
     columns, families, bias = samples.columns[curve], samples.families, solution.bias[curve]
     inverse, moments, own_right = memory.inverse[curve], memory.moments[curve], memory.own_right[curve]
     delta, covariance = solution.delta, solution.covariance
     wide, size, many = len(columns), len(own_right), len(inverse)
-    # displacement = inverse (own_right - moments x solution), so that both their errors are in its variance
+    # displacement = inverse (own_right - moments x solution): its variance includes the errors of both
     place, factor = np.full(size, -1), np.ones(size)
     for i in range(wide):
         place[i] = columns[i]
     for m in range(many if shared >= 0 else 0):
         place[wide + m], factor[wide + m] = shared + m, bias[families[m]]
-    step, known = np.zeros(size), np.zeros((size, size))  # of its unknowns, 0 where there is none
+    step, known = np.zeros(size), np.zeros((size, size))  # of its unknowns; 0 where there is none
     for i in range(size):
         if place[i] < 0:
             continue
@@ -176,9 +176,9 @@ def shift_of(
 
 @kernel("void(Samples, Memory, JointSolution)", tuples=(Samples, Memory, JointSolution))
 def estimate_variance_components(samples: Samples, memory: Memory, solution: JointSolution) -> None:
-    """Set the sigmas of each curve's shifts, bias (K, F), to what all of its kind show beyond noise.
+    """Set the sigmas of each curve's shifts, bias (K, F), to what all curves of its kind show beyond noise.
 
-    expected (K, F) : the sigmas expected beforehand; within a kind the proportions stay.
+    expected (K, F) : the prior sigmas; their proportions within a kind are kept.
     """
     shared, kinds, families, expected = samples.shared, samples.kinds, samples.families, samples.expected
     delta, covariance, bias = solution.delta, solution.covariance, solution.bias
@@ -190,7 +190,7 @@ def estimate_variance_components(samples: Samples, memory: Memory, solution: Joi
         shift_of(samples, memory, solution, k, first, own)
         for other in range(k):
             if shared[other] == first:
-                first = -1  # counted with the other
+                first = -1  # already counted with the other curve
         for m in range(many if first >= 0 else 0):
             f, square = families[m], bias[k, families[m]] ** 2
             share = max(1.0 - covariance[first + m, first + m], 0.0)

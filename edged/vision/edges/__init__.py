@@ -1,1 +1,1 @@
-"""From pixels to sub-pixel edges, contours, lines, arcs and ellipses (paper, 4.1)."""
+"""Sub-pixel edges, contours, lines, arcs and ellipses from pixels (paper, 4.1)."""

@@ -1,7 +1,7 @@
-"""All edges of either sign across samples of curves: what each of several rivals may be.
+"""All candidate edges, of either sign, across samples of curves.
 
-Unlike `subpixel`, which finds the one edge that a curve is, to a hundredth of a pixel, this is for choosing
-among edges: profiles are averaged along their curve, and places are good to about a tenth of a pixel.
+Unlike `subpixel`, which finds the one edge of a curve to a hundredth of a pixel, this serves to choose among
+several edges: profiles are averaged along their curve, and positions are good to about a tenth of a pixel.
 """
 
 from __future__ import annotations
@@ -21,15 +21,13 @@ STEP_PX = EDGE.candidate_step_px
 MIN_SLOPE = EDGE.candidate_slope
 RIVAL_SHARE = EDGE.rival_share
 MOST = 5
-"""Candidates of one profile."""
-_RADIUS = round(3 * EDGE.candidate_blur_px / STEP_PX)  # of the operator: 3 sigma have 99.7 % of it
+"""Most candidates of one profile."""
+_RADIUS = round(3 * EDGE.candidate_blur_px / STEP_PX)  # of the operator: 3 sigma contain 99.7 % of it
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EdgeCandidates:
-    """All edges across N samples, strongest first: offset_px and slope (N, MOST), NaN and 0 where there are
-    no more.
-    """
+    """All edges across N samples, strongest first: offset_px and slope (N, MOST), padded with NaN and 0."""
 
     offset_px: FloatArray
     slope: FloatArray
@@ -43,10 +41,10 @@ def candidates(
     reach_px: float,
     together: int,
 ) -> EdgeCandidates:
-    """All edges of either sign within reach of samples of closed or open curves.
+    """Find all edges of either sign within reach of samples of closed or open curves.
 
-    pixels, normals (N, 2) : of the samples; starts (K + 1,) : where each curve begins.  together : so many
-    profiles that follow each other along their curve are averaged, at its end those of its beginning.
+    pixels, normals (N, 2) : of the samples; starts (K + 1,) : first sample of each curve.  together : number
+    of successive profiles averaged along a curve, wrapping around at its ends.
     """
     half = reach_px + 3 * EDGE.candidate_blur_px + STEP_PX
     with np.errstate(invalid="ignore"):
@@ -64,7 +62,7 @@ def candidates(
 def _find(
     profiles: F64, starts: I64, together: int, operator: F64, reach: int, offset_px: F64, slope: F64
 ) -> None:
-    """Fill offset_px and slope from profiles (N, S): extrema of their mean's slope within reach samples."""
+    """Fill offset_px and slope from profiles (N, S): slope extrema of the averaged profiles within reach."""
     count = profiles.shape[1]
     middle, inner = count // 2, reach + 1
     mean, slopes = np.empty(count), np.empty(2 * inner + 1)
@@ -88,7 +86,7 @@ def _find(
 
 @kernel("void(f8[::1], f8[::1], f8[::1])")
 def _strongest(slopes: F64, offset_px: F64, slope: F64) -> None:
-    """Fill in the extrema of slopes (2 R + 1,), the middle one at offset 0, strongest first."""
+    """Fill offset_px and slope with the extrema of slopes (2 R + 1,), strongest first; the middle is at 0."""
     middle, many, best = len(slopes) // 2, 0, 0.0
     for s in range(1, len(slopes) - 1):
         size = abs(slopes[s])

@@ -1,8 +1,8 @@
-"""Linked sub-pixel contours (XLD), and their split into lines and arcs (paper, 4.1).
+"""Linked sub-pixel contours (XLD), and their segmentation into lines and arcs (paper, 4.1).
 
-Edge pixels are linked to chains, measured to sub-pixel precision along their gradients, and cut where they
+Edge pixels are linked to chains, measured to sub-pixel precision along their gradients, and split where they
 bend: U. Ramer, "An iterative procedure for the polygonal approximation of plane curves", 1972. Neighbouring
-pieces that lie on one circle are then joined to arcs.
+pieces on one circle are then joined to arcs.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ class Contour:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Piece:
-    """A line or an arc of a contour.
+    """A line or an arc fitted to a part of a contour.
 
     indices : of its points in the contour, in order.  start, end (2,) : ends of the fitted curve.
     centre (2,), radius : of an arc; NaN for a line.
@@ -54,14 +54,14 @@ class Piece:
 
     @property
     def length_px(self) -> float:
-        """From end to end, straight."""
+        """Straight distance from end to end."""
         return float(np.linalg.norm(self.end - self.start))
 
 
 def find_contours(image: Image, mask: Image, thresholds: EdgeThresholds | None = None) -> list[Contour]:
     """Contours of the strong edges inside a mask, longest first.
 
-    image, mask : (H, W) uint8.  thresholds : as in `strong_edges`.  Chains end at junctions, and where an
+    image, mask : (H, W) uint8.  thresholds : as in `strong_edges`.  Chains end at junctions and where the
     edge fades.
     """
     edges = strong_edges(image, mask, thresholds)
@@ -85,20 +85,20 @@ def find_contours(image: Image, mask: Image, thresholds: EdgeThresholds | None =
 
 
 def link(thin: Image) -> tuple[I64, I64, B8]:
-    """Chains of the set pixels of an image (H, W) of thin lines.
+    """Link the set pixels of an image (H, W) of thin lines to chains.
 
-    Returns pixels (N, 2), (y, x) in order, starts (K + 1,) of the chains, and closed (K,).
+    Returns pixels (N, 2) as (y, x) in chain order, starts (K + 1,) of the chains, and closed (K,).
     """
     pixels, starts, closed = _link(np.ascontiguousarray(thin, dtype=np.uint8))
     return pixels, starts, closed > 0
 
 
 def ramer(points: FloatArray, tolerance_px: float) -> I64:
-    """Indices of the points (N, 2) of an open chain between which all others lie near straight lines.
+    """Ramer's algorithm: indices of those points (N, 2) of an open chain that approximate it as a polygon.
 
-    OpenCV's `approxPolyDP` is no substitute: when it is done it takes out corners that look superfluous, and
-    points are then up to a third farther away than the tolerance; it begins loops elsewhere; it returns
-    points in single precision, and finding their indices takes several times as long as all of this
+    OpenCV's `approxPolyDP` is no substitute: it finally removes corners that look superfluous, after which
+    points may deviate by a third more than the tolerance; it starts loops elsewhere; it returns points in
+    single precision, and finding their indices takes several times as long as all of this
     (`tools/bench kernels`).
     """
     keep = _ramer(np.ascontiguousarray(points, dtype=np.float64), float(tolerance_px))
@@ -106,15 +106,15 @@ def ramer(points: FloatArray, tolerance_px: float) -> I64:
 
 
 def misfit_px(points: FloatArray) -> float:
-    """Farthest distance of points (N, 2) from the line or circle through them that fits better.
+    """Largest distance of points (N, 2) from the fitted line or circle, whichever is better.
 
-    Both in closed form: the line by total least squares, the circle after I. Kåsa (1976).
+    Both are fitted in closed form: the line by total least squares, the circle after I. Kåsa (1976).
     """
     return float(_misfit(np.ascontiguousarray(points, dtype=np.float64)))
 
 
 def split(contour: Contour) -> list[Piece]:
-    """Cut a contour into lines and arcs, in order; pieces of fewer than `MIN_PIECE` points are left out."""
+    """Split a contour into lines and arcs, in order; leaves out pieces below `OUTLINES.min_piece` points."""
     order = _opened(contour)
     points = contour.points[order]
     corners = ramer(points, OUTLINES.tolerance_px)
@@ -124,7 +124,7 @@ def split(contour: Contour) -> list[Piece]:
 
 
 def _opened(contour: Contour) -> I64:
-    """The order of the points in which a closed contour begins at a corner: the point farthest out."""
+    """Order of the points in which a closed contour begins and ends at a corner, the point farthest out."""
     count = len(contour.points)
     if not contour.closed:
         return np.arange(count)
@@ -133,7 +133,7 @@ def _opened(contour: Contour) -> I64:
 
 
 def _joined(points: FloatArray, spans: list[tuple[int, int]]) -> list[tuple[int, int]]:
-    """Neighbouring spans joined wherever one line or circle passes through both; best fits first."""
+    """Join neighbouring spans wherever one line or circle fits both, best fits first."""
     spans = list(spans)
 
     def misfit(first: int) -> float:
@@ -157,7 +157,7 @@ def _piece(points: FloatArray, order: I64, span: tuple[int, int]) -> Piece | Non
     if len(own) < OUTLINES.min_piece:
         return None
     indices = order[span[0] : span[1] + 1]
-    inner = own[1:-1] if len(own) > OUTLINES.min_piece + 2 else own  # the ends belong to the corners
+    inner = own[1:-1] if len(own) > OUTLINES.min_piece + 2 else own  # the end points belong to the corners
     line, circle = fit_line(inner), fit_circle(inner)
     way = float(np.linalg.norm(own[-1] - own[0]))
     if line is not None and np.abs(line.distances).max() <= OUTLINES.tolerance_px:
@@ -174,7 +174,7 @@ def _piece(points: FloatArray, order: I64, span: tuple[int, int]) -> Piece | Non
 
 
 def pieces(contours: list[Contour]) -> Iterator[tuple[Contour, Piece]]:
-    """Every piece of every contour."""
+    """All pieces of all contours."""
     for contour in contours:
         for piece in split(contour):
             yield contour, piece
@@ -185,7 +185,7 @@ def pieces(contours: list[Contour]) -> Iterator[tuple[Contour, Piece]]:
 
 @kernel("i8(u1[:, ::1], u1[:, ::1], i8, i8)")
 def _next(thin: Image, used: Image, y: int, x: int) -> int:
-    """Flat index of the next unused neighbour, those beside it before those across a corner; -1: none."""
+    """Flat index of the next unused neighbour, direct neighbours before diagonal ones; -1: none."""
     height, width = thin.shape
     for diagonal in range(2):
         for dy in range(-1, 2):
@@ -200,7 +200,7 @@ def _next(thin: Image, used: Image, y: int, x: int) -> int:
 
 @kernel("i8(u1[:, ::1], u1[:, ::1], i8, i8[:, ::1], i8)")
 def _follow(thin: Image, used: Image, place: int, pixels: I64, filled: int) -> int:
-    """Append the chain from a flat index, -1: none, to pixels (N, 2); returns how many are filled then."""
+    """Append the chain from a flat index (-1: none) to pixels (N, 2); returns the new number filled."""
     width = thin.shape[1]
     while place >= 0:
         v, u = place // width, place % width
@@ -239,7 +239,7 @@ def _link(thin: Image) -> tuple[I64, I64, Image]:
                 last = filled - 1
                 near = max(abs(pixels[last, 0] - y), abs(pixels[last, 1] - x)) <= 1
                 closed[chains] = loops and near and filled - first > 7
-                # a loop that was entered beside a gap goes on at the other side of its start
+                # a loop entered beside a gap continues on the other side of its start
                 place = -1 if closed[chains] or not loops else _next(thin, used, y, x)
                 if place >= 0:
                     for i in range((filled - first) // 2):
@@ -271,7 +271,7 @@ def _ramer(points: npt.NDArray[np.float64], tolerance: float) -> Image:
         farthest, where = tolerance, -1
         for n in range(a + 1, b):
             px, py = points[n, 0] - points[a, 0], points[n, 1] - points[a, 1]
-            # of a chain that comes back to its start, the way from there
+            # distance to the chord; if the chain returns to its start, distance to that point
             gap = abs(px * dy - py * dx) / length if length > 1e-9 else np.sqrt(px * px + py * py)
             if gap > farthest:
                 farthest, where = gap, n

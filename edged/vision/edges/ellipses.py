@@ -1,4 +1,4 @@
-"""Ellipses among the edges of an image: where circles of a face may be (teaching)."""
+"""Detection of ellipses among the edges of an image: possible circles of a face, for teaching."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from edged.vision.geometry.rigid import rotation_2d
 
 @dataclass(frozen=True, slots=True)
 class ImageEllipse:
-    """Centre (x, y) px, semi-axes px, angle of the first axis in rad; polarity +1: brighter outside."""
+    """An ellipse: centre (x, y) and semi-axes in px, angle of the first axis in rad; +1: brighter outside."""
 
     x: float
     y: float
@@ -25,7 +25,7 @@ class ImageEllipse:
     polarity: int
 
     def outline(self, count: int) -> tuple[FloatArray, FloatArray]:
-        """Points (N, 2) on it and outward unit normals (N, 2)."""
+        """Points (N, 2) on the ellipse and outward unit normals (N, 2)."""
         t = np.arange(count) * (2 * np.pi / count)
         turn = rotation_2d(self.angle)
         points = np.column_stack([self.a * np.cos(t), self.b * np.sin(t)]) @ turn.T + (self.x, self.y)
@@ -33,7 +33,7 @@ class ImageEllipse:
         return points, normals / np.linalg.norm(normals, axis=1, keepdims=True)
 
     def distance(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Signed distance (N,), to first order, and the angle (N,) around the centre."""
+        """Signed distance (N,) to first order, and angle (N,) around the centre."""
         local = (points - (self.x, self.y)) @ rotation_2d(self.angle)
         scaled = local / (self.a, self.b)
         value = np.linalg.norm(scaled, axis=1)
@@ -42,7 +42,10 @@ class ImageEllipse:
 
 
 def find_ellipses(image: Image, mask: Image, thresholds: EdgeThresholds | None = None) -> list[ImageEllipse]:
-    """Ellipses among the strong edges inside a mask, largest first; both edges of a chamfer are given."""
+    """Find ellipses among the strong edges inside a mask, largest first; lists both edges of a chamfer.
+
+    thresholds : of the edges; what they leave open follows from the region.
+    """
     edges = strong_edges(image, mask, thresholds)
     if edges is None:
         return []
@@ -62,7 +65,7 @@ def find_ellipses(image: Image, mask: Image, thresholds: EdgeThresholds | None =
 
 
 def _ransac(points: FloatArray, gradients: FloatArray) -> tuple[ImageEllipse | None, B8]:
-    """The ellipse with the best covered circumference, and its inliers."""
+    """RANSAC: the ellipse with the most of its circumference covered, and its inliers."""
     best: ImageEllipse | None = None
     best_inliers = np.zeros(len(points), bool)
     best_coverage = OUTLINES.min_coverage
@@ -89,7 +92,7 @@ def _ransac(points: FloatArray, gradients: FloatArray) -> tuple[ImageEllipse | N
         return None, best_inliers
     outward = points[best_inliers] - (best.x, best.y)
     brighter = float(np.sum(np.sign(np.sum(outward * gradients[best_inliers], axis=1))))
-    if abs(brighter) < 0.6 * best_inliers.sum():  # a line of texture, not the border of something
+    if abs(brighter) < 0.6 * best_inliers.sum():  # a line of texture, not an object's border
         return None, best_inliers
     return ImageEllipse(best.x, best.y, best.a, best.b, best.angle, 1 if brighter > 0 else -1), best_inliers
 
@@ -113,7 +116,7 @@ def _fit(points: FloatArray) -> ImageEllipse | None:
 
 
 def _coverage(around: FloatArray, ellipse: ImageEllipse) -> float:
-    """Share of the circumference that has an inlier, in steps of about 2 px."""
+    """Share of the circumference covered by inliers, in bins of about 2 px."""
     bins = int(np.clip(np.pi * (ellipse.a + ellipse.b) / 2, 16, 720))
     return len(np.unique(((around + np.pi) / (2 * np.pi) * bins).astype(int) % bins)) / bins
 

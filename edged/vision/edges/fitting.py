@@ -1,7 +1,7 @@
-"""Lines and circles through image points, by orthogonal distance and Tukey's weights (paper, eq. 5).
+"""Lines and circles fitted to image points by orthogonal distance with Tukey's weights (paper, eq. 5).
 
-Eq. 5 is printed as a mixture of two weight functions: Tukey's biweight is zero beyond the threshold, Huber's
-is threshold / |distance| there. Here it is Tukey's, which forgets a wrong point.
+Eq. 5 as printed mixes two weight functions: beyond the threshold Tukey's biweight is zero, Huber's is
+threshold / |distance|. Tukey's is used here, as it fully rejects a wrong point.
 """
 
 from __future__ import annotations
@@ -15,13 +15,13 @@ from edged.domain.arrays import FloatArray
 from edged.vision.edges.params import OUTLINES
 from edged.vision.kernels.robust import mad_sigma, tukey_weights
 
-MIN_SCATTER_PX = 1e-6  # of points that lie on the curve to rounding
-SETTLED_PX = 1e-10  # rounding
+MIN_SCATTER_PX = 1e-6  # scatter of points that lie on the curve up to rounding
+SETTLED_PX = 1e-10  # steps below it are rounding errors
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Fit:
-    """What both fits tell: signed distances and weights (N,) of the points."""
+    """Common result of both fits: signed distances and weights (N,) of the points."""
 
     distances: FloatArray
     weights: FloatArray
@@ -34,7 +34,7 @@ class Fit:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LineFit(Fit):
-    """Points x with normal . x = offset; normal (2,) of length 1."""
+    """Line of points x with normal . x = offset; normal (2,) of length 1."""
 
     normal: FloatArray
     offset: float
@@ -42,14 +42,14 @@ class LineFit(Fit):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CircleFit(Fit):
-    """centre (2,), radius; distances are positive outside."""
+    """Circle with centre (2,) and radius; distances are positive outside."""
 
     centre: FloatArray
     radius: float
 
 
 def fit_line(points: FloatArray) -> LineFit | None:
-    """Fit a line to points (N, 2) by orthogonal distance; None for fewer than 2 different points."""
+    """Fit a line to points (N, 2) by orthogonal distance; None for fewer than 2 distinct points."""
     points = _finite(points)
     if len(points) < 2 or not np.ptp(points, axis=0).max() > 0:
         return None
@@ -71,9 +71,9 @@ def fit_line(points: FloatArray) -> LineFit | None:
 
 
 def fit_circle(points: FloatArray) -> CircleFit | None:
-    """Fit a circle to points (N, 2) by orthogonal distance; None where they do not determine one.
+    """Fit a circle to points (N, 2) by orthogonal distance; None if they do not determine one.
 
-    Reweighted Gauss-Newton from the algebraic circle.
+    Reweighted Gauss-Newton, starting from the algebraic circle.
     """
     points = _finite(points)
     circle = _algebraic_circle(points)
@@ -112,14 +112,14 @@ def _median_weights(distances: FloatArray) -> FloatArray:
 
 
 def _from_circle(points: FloatArray, circle: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Signed distances (N,) from a circle (x, y, radius) and their derivatives by it (N, 3)."""
+    """Signed distances (N,) from a circle (x, y, radius), and their derivatives (N, 3) with respect to it."""
     arm = points - circle[:2]
     length = np.maximum(np.linalg.norm(arm, axis=1), 1e-12)
     return length - circle[2], np.column_stack([-arm / length[:, None], -np.ones(len(points))])
 
 
 def _algebraic_circle(points: FloatArray) -> FloatArray | None:
-    """(x, y, radius) of the least-squares solution of x² + y² + d x + e y + f = 0 (I. Kåsa, 1976)."""
+    """Circle (x, y, radius) by least squares of x² + y² + d x + e y + f = 0 (I. Kåsa, 1976)."""
     if len(points) < 3:
         return None
     mean = points.mean(axis=0)

@@ -1,4 +1,4 @@
-"""Which edges of a region belong to what is taught: the strong, connected ones."""
+"""Selection of the strong, connected edges of a region for teaching."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ from edged.errors import TeachError
 from edged.vision.edges.params import OUTLINES
 
 FINE = 16.0
-"""Gradient steps per grey value: a faint edge, smoothed to whole grey values, would be a staircase."""
-UNIT = 8 * FINE  # weights of a Sobel operator add to 8 on a slope of 1 grey value per px
+"""Integer gradient steps per grey value: in whole grey values a faint edge would become a staircase."""
+UNIT = 8 * FINE  # a Sobel operator gives 8 on a slope of 1 grey value per px
 AXES = ((1, 0), (0, 1))  # x, y
-MIN_CONTRAST, MAX_CONTRAST = 0.1, 255.0  # of a threshold, grey values per px
+MIN_CONTRAST, MAX_CONTRAST = 0.1, 255.0  # range of a threshold, grey values per px
 
 
 @dataclass(frozen=True, slots=True)
 class EdgeThresholds:
-    """Which edges count. None means "auto": it follows from the region itself.
+    """Thresholds that select edges. None means "auto": derived from the region itself.
 
-    contrast_low, contrast_high : hysteresis thresholds, slope of an edge in grey values per px. What exceeds
-        the low one counts if it is connected to what exceeds the high one.
-    min_component_px : connected edges shorter than this are texture.
+    contrast_low, contrast_high : hysteresis thresholds for the slope of an edge in grey values per px. Edges
+        above the low one count if they are connected to edges above the high one.
+    min_component_px : shorter connected edges count as texture.
     Wrong values raise `TeachError` that names them.
     """
 
@@ -48,7 +48,7 @@ class EdgeThresholds:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StrongEdges:
-    """thin (H, W) uint8, 1 on the edges that were kept; gx, gy (H, W) int16, `UNIT` x the slope per px."""
+    """Selected edges: thin (H, W) uint8, 1 on these edges; gx, gy (H, W) int16, `UNIT` x the slope per px."""
 
     thin: Image
     gx: npt.NDArray[np.int16]
@@ -61,10 +61,10 @@ def strong_edges(
     thresholds: EdgeThresholds | None = None,
     smoothing_px: float = OUTLINES.smoothing_px,
 ) -> StrongEdges | None:
-    """The strong, connected edges inside a mask; None when there are nearly none.
+    """Find the strong, connected edges inside a mask; None if there are hardly any.
 
-    image, mask : (H, W) uint8.  thresholds : what they leave open follows from the region.
-    Texture is weak and machining marks are narrow; what outlines a part is strong and connected.
+    image, mask : (H, W) uint8.  thresholds : those not given are derived from the region.
+    Texture is weak and machining marks are narrow; the outline of a part is strong and connected.
     """
     thresholds = thresholds or EdgeThresholds()
     if np.count_nonzero(mask) < OUTLINES.min_points:
@@ -99,23 +99,23 @@ def strong_edges(
 def _room(
     ys: npt.NDArray[np.intp], xs: npt.NDArray[np.intp], gx: npt.NDArray[np.int16], gy: npt.NDArray[np.int16]
 ) -> npt.NDArray[np.float64]:
-    """(N,) px that the picture shows to both sides of an edge; much, of one that runs into its border."""
+    """Distance (N,) in px from each edge, across it, to the image border; large for edges running into it."""
     height, width = gx.shape
     slope_x, slope_y = np.abs(gx[ys, xs].astype(np.float64)), np.abs(gy[ys, xs].astype(np.float64))
     slope = np.hypot(slope_x, slope_y)
     room_x, room_y = np.minimum(xs, width - 1 - xs), np.minimum(ys, height - 1 - ys)
     with np.errstate(divide="ignore", invalid="ignore"):
-        room = np.fmin(room_x * slope / slope_x, room_y * slope / slope_y)  # 0 / 0: it meets the border
+        room = np.fmin(room_x * slope / slope_x, room_y * slope / slope_y)  # 0 / 0: runs into the border
     return np.asarray(np.nan_to_num(room, nan=np.inf), np.float64)
 
 
 def _thresholds(
     slopes: npt.NDArray[np.float64], width_px: float, thresholds: EdgeThresholds
 ) -> tuple[float, float]:
-    """Hysteresis: a share of the slope that the part's outline reaches.
+    """Hysteresis thresholds (low, high), as shares of the slope that the part's outline reaches.
 
-    That is the slope of the strongest edges, by length and not by number: on a textured table the part's
-    own edges may be one in a hundred.
+    That is the slope exceeded by the strongest edges of the outline's length, not by a percentage of all
+    edges: on a textured table the part's own edges may be one in a hundred.
     """
     outline = max(1, round(min(OUTLINES.outline_share * width_px, OUTLINES.strongest_share * len(slopes))))
     reached = float(np.partition(slopes, len(slopes) - outline)[len(slopes) - outline])
@@ -125,10 +125,10 @@ def _thresholds(
 
 
 def _faintest(image: Image, mask: Image, smoothing_px: float) -> float:
-    """Slope, grey values per px, at which noise ends and an edge may begin: four sigma, within bounds.
+    """Smallest slope, grey values per px, that is above the noise: four sigma, within bounds.
 
-    The noise is the median response of J. Immerkaer's mask (CVIU 64, 1996); white noise, smoothed by s, has
-    slopes of its sigma / (sqrt(8 pi) s^2).
+    The noise is estimated from the median response of J. Immerkaer's mask (CVIU 64, 1996). White noise
+    smoothed by s has slopes of its sigma / (sqrt(8 pi) s^2).
     """
     ripple = cv2.sepFilter2D(image, cv2.CV_16S, np.array([1, -2, 1]), np.array([1, -2, 1]))
     noise = float(np.median(np.abs(ripple[mask > 0]))) / (6 * 0.6745)

@@ -1,9 +1,9 @@
-"""How sharp a picture is, in px, wherever it has edges: whatever they are, and however bright.
+"""Sharpness of a picture, in px, from any edges in it, independent of contrast and exposure.
 
-A blurred step that is differentiated by a Gaussian of width s is a hill of variance b² + s², b the spread of
-the edge (lens, focus, and the pixel's own area). The hill's logarithm is a parabola: three samples tell its
-variance, and contrast and exposure cancel. Two widths must tell the same of one edge: texture, corners and
-edges with others beside them do not, and are left out.
+A blurred step differentiated by a Gaussian of width s is a peak of variance b² + s², with b the spread of
+the edge (lens, focus, and the pixel's own area). Its logarithm is a parabola: three samples give the
+variance, and contrast and exposure cancel. Two widths must give the same result for an edge: those of
+texture, corners and edges with others beside them do not, and are left out.
 """
 
 from __future__ import annotations
@@ -24,10 +24,10 @@ BoolArray = B8
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sharpness:
-    """Spread of the edges of a picture: the sigma of their slope, in px.
+    """Edge spread in a picture: sigma of the edge's derivative, in px.
 
-    spread_px : median; NaN where there are too few edges. fields_px (R, C) : of each field of the picture,
-    rows from the top; NaN likewise. edges : how many places it stands on.
+    spread_px : median; NaN if there are too few edges. fields_px (R, C) : the same in each field of the
+    picture, rows from the top. edges : number of edge points used.
     """
 
     spread_px: float
@@ -36,10 +36,10 @@ class Sharpness:
 
 
 def sharpness(image: Image, noise_grey: float, fields: tuple[int, int] = (6, 8)) -> Sharpness:
-    """The spread of edges in a picture (H, W) uint8 whose noise is known, in fields of rows x columns.
+    """Measure the edge spread in a picture (H, W) uint8 with known noise, in fields of rows x columns.
 
-    Within 4 % for spreads from 0.65 to 1.5 px, within 5 % up to 2.5 px; within 8 % where the lens is sharper
-    than its pixels (0.5 px).
+    Accurate to 4 % for spreads from 0.65 to 1.5 px, to 5 % up to 2.5 px, and to 8 % if the lens is sharper
+    than the pixels (0.5 px).
     """
     grey, usable = image.astype(np.float32), _usable(image)
     found = np.concatenate([*_edges(grey, usable, noise_grey)], axis=1)
@@ -57,10 +57,10 @@ def sharpness(image: Image, noise_grey: float, fields: tuple[int, int] = (6, 8))
 
 
 def cost_of_spread(spread_px: float) -> float:
-    """By which factor the sigma of an edge's place, and so of Z, is larger than in a sharp picture.
+    """Factor by which the sigma of an edge position, and so of Z, is larger than in a sharp picture.
 
-    Of a step of spread b in white noise, at the best of the pipeline's widths s: sigma² ~ (b² + s²)³ / s⁵;
-    what edges really scatter agrees to 10 %.
+    For a step of spread b in white noise sigma² ~ (b² + s²)³ / s⁵, with the best of the pipeline's widths s;
+    the actual scatter of edges agrees to 10 %.
 
     >>> [round(cost_of_spread(b), 2) for b in (0.55, 0.9, 1.5)]
     [1.0, 1.3, 2.12]
@@ -87,7 +87,7 @@ def _usable(image: Image) -> BoolArray:
 
 
 def _edges(grey: F32, usable: BoolArray, noise_grey: float) -> Iterator[FloatArray]:
-    """Rows x, y, variance of the edge itself in px², height of the step; a column for each place. By axis."""
+    """For each axis an array with rows x, y, variance of the edge in px², step height; a column per point."""
     slopes = [_slopes(grey, width_px, noise_grey) for width_px in SHARPNESS.operators_px]
     high = usable & (slopes[0].size > slopes[0].least) & (slopes[1].size > slopes[1].least)
     for axis in (0, 1):
@@ -104,7 +104,7 @@ def _edges(grey: F32, usable: BoolArray, noise_grey: float) -> Iterator[FloatArr
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Slopes:
-    """Slope of a picture (H, W) along x and y, by a Gaussian, and its size. least : more is no noise."""
+    """Gaussian derivatives of a picture (H, W) along x and y, and their size. least : limit of the noise."""
 
     dx: F32
     dy: F32
@@ -125,7 +125,7 @@ def _slopes(grey: F32, width_px: float, noise_grey: float) -> _Slopes:
 
 
 def _peaks(size: F32, axis: int) -> BoolArray:
-    """Where (H, W) it is highest along an axis (0: y, 1: x); never at the picture's border."""
+    """Mask (H, W) of maxima along an axis (0: y, 1: x); never at the picture's border."""
     peaks = np.zeros(size.shape, bool)
     along, peaks_along = (size, peaks) if axis == 0 else (size.T, peaks.T)
     rising = along[1:] >= along[:-1]
@@ -134,13 +134,13 @@ def _peaks(size: F32, axis: int) -> BoolArray:
 
 
 def _variance(slopes: _Slopes, y: I64, x: I64, axis: int) -> F32:
-    """Variance in px² of hills across an axis, at these places (N,); NaN where there is no such hill."""
+    """Variance in px² of the peaks along an axis at points (N,); NaN where there is no peak."""
     size, down, right = slopes.size[y, x], int(axis == 0), int(axis == 1)
     before, after = slopes.size[y - down, x - right], slopes.size[y + down, x + right]
     across, along = (slopes.dx, slopes.dy) if axis == 1 else (slopes.dy, slopes.dx)
     with np.errstate(divide="ignore", invalid="ignore"):
         bend = 2.0 * np.log(size) - np.log(before) - np.log(after)
-        # a hill that is crossed at an angle looks wider by 1 / cos
+        # a peak that is crossed at an angle looks wider by 1 / cos
         variance = (across[y, x] / size) ** 2 / bend
     steep = np.abs(across[y, x]) > SHARPNESS.steep * np.abs(along[y, x])
     return np.where(steep & (bend > 0), variance, np.float32(np.nan))

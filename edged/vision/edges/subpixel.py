@@ -1,12 +1,12 @@
-"""Sub-pixel edges along given normals, straight from the raw image.
+"""Sub-pixel edges along given normals, measured directly in the raw image.
 
 No rectification, no smoothing of the whole image: a profile is sampled across each predicted
 edge point with bicubic interpolation, and the edge is the extremum of the profile's convolution
-with the derivative of a Gaussian (J. Canny, PAMI 1986). A blurred step gives a Gaussian hill there,
+with the derivative of a Gaussian (J. Canny, PAMI 1986). A blurred step gives a Gaussian peak there,
 so the extremum is refined by the Gaussian through it and its neighbours: a parabola would pull it
 towards the sample by up to 0.023 px. At its best width, sqrt(5) times the blur, that operator is
 within 1.2 x of the Cramér-Rao bound for an edge in white noise. Beside texture a narrower one is
-better, so an edge can be measured at several widths from one profile; who fits the curve sees which
+better, so an edge can be measured at several widths from one profile; the curve fit then shows which
 of them scatters least.
 """
 
@@ -24,19 +24,19 @@ from edged.vision.kernels.jit import for_kernel, kernel
 # numba freezes globals when it compiles: kernels read these by name
 WIDTHS_PX = EDGE.widths_px
 _HILL_SHARE = EDGE.hill_share
-_TOGETHER = 128  # profiles that are worked on side by side
-_EXTREMUM = 1 << 16  # more than a profile has samples, so that one number holds a count and a place
+_TOGETHER = 128  # profiles processed side by side
+_EXTREMUM = 1 << 16  # more than the samples of a profile, so that one number holds a count and a position
 _CLIP_REACH_PX = EDGE.clip_reach_px
 _WHITE, _BLACK = 254.5, 0.5  # grey values of clipped 8-bit pixels
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EdgeSamples:
-    """Edges across N points, at W widths of the operator.
+    """Edges across N points, at W operator widths.
 
     offset_px (W, N) : along the normal, NaN where there is no edge.
     slope (W, N) : grey values per px at the edge, signed.
-    clipped (N,) bool : the sensor is saturated (or black) beside the edge, which moves it.
+    clipped (N,) bool : the sensor is saturated (or black) beside the edge, which displaces it.
     """
 
     offset_px: FloatArray
@@ -58,7 +58,7 @@ def edges_along_normals(
     polarity : +1 brighter along the normal, -1 darker, 0 either.
     Returns offset_px (N,) along the normal, NaN where there is no extremum or the profile leaves
     the image, and slope (N,), grey values per px at the edge (signed, NaN likewise).
-    An extremum counts less the farther it is from the point (Gaussian of width reach), so that of
+    Extrema are weighted down with their distance from the point (Gaussian of width reach), so that of
     two equal edges the nearer one is taken.
     """
     step_px = 1.0 if sigma_px >= 1.0 else EDGE.fine_step_px
@@ -75,10 +75,10 @@ def edges_at_widths(
     widths_px: Sequence[float] = WIDTHS_PX,
     step_px: float = EDGE.fine_step_px,
 ) -> EdgeSamples:
-    """`edges_along_normals` for several operators at once, with saturation noted.
+    """`edges_along_normals` for several operator widths at once, with a flag for saturation.
 
-    polarity : as there, or one for each point (N,).  step_px : of the samples across the edge; with 1 px
-    an edge is found to 0.02 px in half of the time.
+    polarity : as there, or one for each point (N,).  step_px : sampling across the edge; with 1 px
+    an edge is found to 0.02 px in half the time.
     """
     return _measured(image, points_px, normals, reach_px, polarity, widths_px, step_px)
 
@@ -90,7 +90,7 @@ def edge_profiles(
     half_px: float,
     step_px: float = EDGE.fine_step_px,
 ) -> tuple[FloatArray, FloatArray]:
-    """Grey values (N, S) across each point and their places (S,) in px; NaN rows leave the image."""
+    """Grey values (N, S) across each point, and positions (S,) in px; rows that leave the image are NaN."""
     half = round(half_px / step_px)
     places = np.asarray(np.arange(-half, half + 1) * step_px, dtype=np.float64)
     return _profiles(_pixels(image), _columns(points_px), _columns(normals), half, step_px), places
@@ -120,13 +120,13 @@ def _columns(points: FloatArray) -> FloatArray:
 
 
 def _pixels(image: Image) -> Image:
-    """As the kernels take it: a copy of what is a view or read-only."""
+    """The image as the kernels need it: copied if it is a view or read-only."""
     return for_kernel(image, np.uint8)
 
 
 @kernel(inline=True)
 def _cubic(f: np.float32) -> tuple[np.float32, np.float32, np.float32, np.float32]:
-    """Catmull-Rom weights of the four values around a place f past the second (R. Keys, 1981, a = -0.5)."""
+    """Catmull-Rom weights of four values at a fraction f past the second (R. Keys, 1981, a = -0.5)."""
     one, three = np.float32(1.0), np.float32(3.0)
     half = np.float32(0.5) * f
     square = half * f
@@ -140,7 +140,7 @@ def _cubic(f: np.float32) -> tuple[np.float32, np.float32, np.float32, np.float3
 
 @kernel("void(f8[::1], f8[::1], f8, f4[::1], i4[::1])", any_order=True)
 def _split(middle: F64, step: F64, s: float, fraction: F32, before: I32) -> None:
-    """Sample s of each profile on one axis: how far past a pixel, and which one comes before that pixel."""
+    """Split the coordinate of sample s of each profile into a fraction and the index of the first pixel."""
     for n in range(len(middle)):
         place = middle[n] + s * step[n]
         whole = np.floor(place)
@@ -150,7 +150,7 @@ def _split(middle: F64, step: F64, s: float, fraction: F32, before: I32) -> None
 
 @kernel(inline=True)
 def _four_pixels(flat: Image, at: np.uint64) -> np.int32:
-    """Neighbours on a row as one number; the compiler makes one load of it."""
+    """Four neighbours on a row packed into one number; the compiler makes a single load of it."""
     return np.int32(
         np.uint32(flat[at])
         | np.uint32(flat[at + np.uint64(1)]) << np.uint32(8)
@@ -161,11 +161,11 @@ def _four_pixels(flat: Image, at: np.uint64) -> np.int32:
 
 @kernel("void(u1[::1], i8, i4[::1], i4[::1], i4[:, ::1])", any_order=True)
 def _fetch(flat: Image, width: int, left: I32, top: I32, rows: I32) -> None:
-    """The 4 x 4 pixels from (left, top): four numbers, one for each row, of four bytes."""
+    """Fetch the 4 x 4 pixels from (left, top) on as four numbers of four bytes, one for each row."""
     a, b, c, d = rows[0], rows[1], rows[2], rows[3]
     down = np.uint64(width)
     for n in range(len(left)):
-        # inside the image: as unsigned numbers they need no check for negative indices
+        # always inside the image; unsigned indices need no check for negative values
         at = np.uint64(top[n]) * down + np.uint64(left[n])
         a[n] = _four_pixels(flat, at)
         b[n] = _four_pixels(flat, at + down)
@@ -204,9 +204,10 @@ def _sample_profiles(
     profiles: F32,
     inside: B8,
 ) -> bool:
-    """Fill profiles (2 half + 1, B), one in each column, across the points from the first on.
+    """Sample profiles (2 half + 1, B), one per column, across the points from index `first` on.
 
-    inside (B,) : whether there is such a point and its profile stays in the image; returns whether any does.
+    inside (B,) : set to whether the point exists and its profile stays in the image. Returns True if any
+    does.
     """
     height, width = image.shape
     many, some = len(inside), False
@@ -253,7 +254,7 @@ def _profiles(image: Image, points: FloatArray, normals: FloatArray, half: int, 
 
 @kernel("void(f4[:, ::1], f4[::1], i8, i8, i8, f4[:, ::1])", any_order=True)
 def _slopes(profiles: F32, derivative: F32, radius: int, half: int, inner: int, slopes: F32) -> None:
-    """Profiles (S, B), one in each column, times the derivative of a Gaussian, at the inner places."""
+    """Convolve profiles (S, B), one per column, with the derivative of a Gaussian, at the inner samples."""
     side_by_side = profiles.shape[1]
     for s in range(2 * inner + 1):
         middle, total = half - inner + s, slopes[s]
@@ -266,7 +267,7 @@ def _slopes(profiles: F32, derivative: F32, radius: int, half: int, inner: int, 
 
 @kernel("void(f4[:, ::1], i4[::1], i4[::1])", any_order=True)
 def _extrema(slopes: F32, polarity: I32, extrema: I32) -> None:
-    """For each column, _EXTREMUM times the number of extrema of its polarity, plus the sum of their rows."""
+    """For each column, _EXTREMUM times the number of extrema of its polarity plus the sum of their rows."""
     extrema[:] = 0
     for s in range(1, len(slopes) - 1):
         before, here, after = slopes[s - 1], slopes[s], slopes[s + 1]
@@ -283,7 +284,7 @@ def _extrema(slopes: F32, polarity: I32, extrema: I32) -> None:
 
 @kernel(inline=True)
 def _log_share(share: float) -> float:
-    """The logarithm of a number in [_HILL_SHARE, 1], to 4e-9: of its fourth root four terms are enough."""
+    """Logarithm of a number in [_HILL_SHARE, 1] to 4e-9, by a short series for its fourth root."""
     root = np.sqrt(np.sqrt(share))
     z = (root - 1.0) / (root + 1.0)
     z2 = z * z
@@ -293,7 +294,10 @@ def _log_share(share: float) -> float:
 
 @kernel(inline=True)
 def _top(before: float, here: float, after: float) -> tuple[float, float]:
-    """Place, in samples from the middle, and height of a maximum: a hill's is the Gaussian's."""
+    """Position, in samples from the middle one, and height of a maximum through three samples.
+
+    By a Gaussian, or by a parabola if a neighbour is too low for a Gaussian peak.
+    """
     rise, fall = _log_share(before / here), _log_share(after / here)
     lead = rise - fall
     fraction = 0.5 * lead / (rise + fall)
@@ -307,10 +311,10 @@ def _top(before: float, here: float, after: float) -> tuple[float, float]:
 
 @kernel("void(f8[:, ::1], f8[::1], f8[::1])", any_order=True)
 def tops(three: F64, fraction: F64, peak: F64) -> None:
-    """Fill place and height, as of `_top`, of three samples (3, B) for each profile.
+    """Fill position and height, as by `_top`, from three samples (3, B) of each profile.
 
-    Series are sums and products, which the compiler works out for several profiles at once: five times as
-    fast as with the library's logarithm and exponential (`tools/bench kernels`).
+    The series consist of sums and products, which the compiler vectorises over several profiles: five times
+    as fast as with the library's logarithm and exponential (`tools/bench kernels`).
     """
     before, here, after = three[0], three[1], three[2]
     for n in range(len(peak)):
@@ -320,7 +324,7 @@ def tops(three: F64, fraction: F64, peak: F64) -> None:
 
 @kernel("UniTuple(f8, 2)(f4[:, ::1], i8, f8, i8, f8)")
 def _best_extremum(slopes: F32, n: int, reach: float, polarity: int, step: float) -> tuple[float, float]:
-    """(offset px, slope) of the strongest extremum in column n of the slopes; NaN if there is none."""
+    """Offset in px and slope of the strongest extremum in column n of the slopes; NaN if there is none."""
     inner = len(slopes) // 2
     best_weight, best_offset, best_slope = 0.0, np.nan, np.nan
     for s in range(1, 2 * inner):
@@ -365,7 +369,7 @@ def _measure_slopes(slopes: F32, polarity: I32, reach: float, step: float, offse
 
 @kernel("void(f4[:, ::1], b1[::1])", any_order=True)
 def _may_clip(profiles: F32, may: B8) -> None:
-    """Whether the sensor is saturated, or black, anywhere on each profile."""
+    """Set whether the sensor is saturated, or black, anywhere on each profile."""
     high, low = profiles[0].copy(), profiles[0].copy()
     for s in range(1, len(profiles)):
         row = profiles[s]
@@ -395,7 +399,7 @@ def _radius(width: float, step: float) -> int:
 
 @kernel("void(f8, f8, f4[::1])")
 def _derivative(width: float, step: float, taps: F32) -> None:
-    """Fill taps with the derivative of a Gaussian, so that a ramp of 1 per px gives 1."""
+    """Fill taps with the derivative of a Gaussian, normalised so that a ramp of 1 per px gives 1."""
     radius, gain = _radius(width, step), 0.0
     for i in range(-radius, radius + 1):
         gain += i * step * (i * np.exp(-0.5 * (i * step / width) ** 2))
@@ -407,10 +411,10 @@ def _derivative(width: float, step: float, taps: F32) -> None:
 def edge_offsets(
     image: Image, points: F64, normals: F64, reach: float, widths: F64, polarity: I32, step: float
 ) -> F64:
-    """Rows: the offset at each width, then the slope at each width, then 1 where the sensor clips."""
+    """Measure edges; rows: offset at each width, slope at each width, then 1 where the sensor clips."""
     count, many = points.shape[0], widths.shape[0]
     found = np.full((2 * many + 1, count), np.nan)
-    inner = int(np.ceil(reach / step)) + 1  # one more on each side: an extremum has two neighbours
+    inner = int(np.ceil(reach / step)) + 1  # one more on each side: an extremum needs two neighbours
     half = inner
     for width in widths:
         half = max(half, inner + _radius(width, step))

@@ -29,11 +29,11 @@ DISTORTION_NAMES: dict[str, tuple[str, ...]] = {
 
 @dataclass(frozen=True, slots=True)
 class CameraModel:
-    """A pinhole with a lens.
+    """A pinhole camera with lens distortion.
 
     width, height : image size in px.  fx, fy, cx, cy : px, integer = pixel centre.
     distortion : (k1, k2, p1, p2, k3) for "brown", (kappa,) for "division", normalised.
-    gamma : grey value ~ light ** gamma; 1 for a linear camera, as it should be.
+    gamma : grey value ~ light ** gamma; 1 for a linear camera, the recommended setting.
     """
 
     model: LensModel
@@ -74,7 +74,7 @@ class CameraModel:
         return self.undistort(centred)
 
     def distort(self, undistorted: FloatArray) -> FloatArray:
-        """Distorted normalised points (..., 2) of undistorted ones; NaN where the lens has none."""
+        """Distorted normalised points (..., 2) of undistorted ones; NaN where the lens model has none."""
         if self.model == "division":
             (kappa,) = self.distortion
             radius2 = np.sum(undistorted**2, axis=-1, keepdims=True)
@@ -97,14 +97,14 @@ class StereoRig:
     """Two calibrated cameras.
 
     right_from_left : (4, 4), mm.  robot_from_rig : (4, 4), mm, or None if not registered.
-    calibration_id : short name of this very calibration, carried by every result.
+    calibration_id : short name of this particular calibration, carried by every result.
     covariance : (P, P) of `parameter_names`, or None if unknown. Order: for each camera
     left, right: fx, fy, cx, cy, then its distortion; then the rotation vector (rad, applied on
     the left of R) and the translation (mm) of right_from_left.
-    flange_from_rig : (4, 4), mm, of a rig that the robot carries; then there is no robot_from_rig.
+    flange_from_rig : (4, 4), mm, for a rig that the robot carries; then robot_from_rig is None.
     registration_covariance : (6, 6) of a small motion (shift mm, rotation rad) about the robot's (flange's)
-    origin that follows robot_from_rig (flange_from_rig), or None if unknown.
-    robot_map : of the robot's error, by the same registration; None: there is none.
+    origin, applied after robot_from_rig (flange_from_rig), or None if unknown.
+    robot_map : map of the robot's error, from the same registration; None: there is none.
     """
 
     left: CameraModel
@@ -138,7 +138,7 @@ class StereoRig:
 
 
 def calibration_identity(left: CameraModel, right: CameraModel, right_from_left: FloatArray) -> str:
-    """A name that follows from the values: the same calibration has the same name anywhere."""
+    """Name derived from the values by a hash: the same calibration has the same name anywhere."""
     cameras = [(c.model, c.width, c.height, c.fx, c.fy, c.cx, c.cy, c.distortion) for c in (left, right)]
     responses = tuple(camera.gamma for camera in (left, right))
     text = repr((cameras, right_from_left.tolist(), *(responses if responses != (1.0, 1.0) else ())))

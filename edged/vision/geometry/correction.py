@@ -1,8 +1,8 @@
-"""Cameras that stand elsewhere than when they were calibrated: the rig as it is now, and what that is worth.
+"""Correction of a rig whose cameras have moved since they were calibrated, with its covariance.
 
-A displacement (14,) has for the left and then the right camera: rotation vector (rad) and shift (mm), applied
-on the left of camera_from_rig, about the camera's centre; and the growth of its focal length. World is the
-rig's frame as calibrated: there the left camera was at the origin.
+A displacement (14,) holds for the left and then for the right camera: rotation vector (rad) and shift (mm),
+applied on the left of camera_from_rig, about the camera's centre; and the relative growth of its focal
+length. World is the frame of the rig as calibrated, with the left camera at its origin.
 """
 
 from __future__ import annotations
@@ -16,34 +16,34 @@ from edged.vision.geometry.camera import CameraModel, StereoRig
 from edged.vision.geometry.projection import project_with_jacobians
 from edged.vision.geometry.rigid import apply, invert, rotation_matrix, skew, transform
 
-OF_CAMERA = 7  # elements for each camera, see the top
+OF_CAMERA = 7  # elements for each camera, see the module's docstring
 DISPLACEMENT = 2 * OF_CAMERA  # elements for both
 
 
 def of_side(side: Side) -> slice:
-    """The elements of a displacement that are of one camera."""
+    """The elements of a displacement that belong to one camera."""
     start = OF_CAMERA * SIDES.index(side)
     return slice(start, start + OF_CAMERA)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RigCorrection:
-    """Where the cameras are now against the calibrated rig.
+    """Present displacement of the cameras from the calibrated rig.
 
-    displacement (14,), covariance (14, 14) of it: see the top.
+    displacement (14,), see the module's docstring; covariance (14, 14) of it.
     """
 
     displacement: FloatArray
     covariance: FloatArray
 
     def camera_from_world(self, rig: StereoRig, side: Side) -> FloatArray:
-        """(4, 4) where a camera is now. rig : as calibrated."""
+        """Present pose (4, 4) of a camera. rig : as calibrated."""
         vector = self.displacement[of_side(side)]
         moved = transform(rotation_matrix(vector[:3]), vector[3:6])
         return moved if side == "left" else np.asarray(moved @ rig.right_from_left)
 
     def camera(self, rig: StereoRig, side: Side) -> CameraModel:
-        """A camera with its focal length of now."""
+        """A camera with its present focal length."""
         model, grown = rig.camera(side), 1.0 + float(self.displacement[of_side(side)][6])
         return replace(model, fx=model.fx * grown, fy=model.fy * grown)
 
@@ -54,7 +54,7 @@ class RigCorrection:
     def applied(self, rig: StereoRig) -> StereoRig:
         """The rig as it is now; its frame is the left camera as it is now.
 
-        What is not known of the calibration stays as little known as it was.
+        The covariance of the calibration is unchanged.
         """
         left, right = (self.camera(rig, side) for side in SIDES)
         right_from_left = self.camera_from_world(rig, "right") @ self.world_from_left(rig)
@@ -64,10 +64,10 @@ class RigCorrection:
 def seen_with_slopes(
     rig: StereoRig, displacement: FloatArray, side: Side, points_mm: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Pixels (N, 2) of points (N, 3) of the world, and how they move.
+    """Pixels (N, 2) of points (N, 3) of the world, and their derivatives.
 
-    Returns also d pixels / d displacement of this camera (N, 2, 7) and d pixels / d point (N, 2, 3). A turn
-    is taken as one that follows the displacement: of 10 mrad that is exact to 0.5 %.
+    Returns also d pixels / d displacement of this camera (N, 2, 7) and d pixels / d point (N, 2, 3). The
+    derivative by rotation is that of a small rotation after the displacement: at 10 mrad exact to 0.5 %.
     """
     correction = RigCorrection(displacement, np.empty((0, 0)))
     camera, pose = correction.camera(rig, side), correction.camera_from_world(rig, side)
@@ -83,9 +83,9 @@ def seen_with_slopes(
 
 
 def shift_by_displacement(rig: StereoRig, correction: RigCorrection, points_mm: FloatArray) -> FloatArray:
-    """(N, 3, 14): how a triangulated point of the world (N, 3) moves per unit of the displacement, in mm.
+    """(N, 3, 14): motion in mm of triangulated points of the world (N, 3) per unit of the displacement.
 
-    To first order: the image stays, the cameras are elsewhere than thought, the point follows.
+    To first order, for fixed images: the cameras are elsewhere than assumed, and the point follows.
     """
     by_point, by_cameras = [], np.zeros((len(points_mm), 4, DISPLACEMENT))
     for row, side in zip((0, 2), SIDES, strict=True):

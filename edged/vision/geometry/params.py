@@ -1,4 +1,4 @@
-"""The tuned numbers of the stages in this package, each with its source."""
+"""Tuned parameters of the stages in this package, each with its source."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ class RectificationParams:
     Where a line names no source, `tools/bench ablate --only RectificationParams` shows what the number earns.
     """
 
-    border_points: int = 65  # per image side: the border of a lens is smooth, exact to 0.1 px
-    band_rows: int = 16  # of a map at a time, which stays in the cache: 2.4 times as fast as in one piece
+    border_points: int = 65  # per image side: an undistorted border is smooth, exact to 0.1 px
+    band_rows: int = 16  # rows of a map computed at a time, to stay in the cache: 2.4 times as fast
     size_multiple: int = 16  # four pyramid levels halve the image without a remainder
-    max_growth: float = 4.0  # pixels over the raw image's: wide-angle corners beyond it only cost time
+    max_growth: float = 4.0  # most pixels, over the raw image's: further wide-angle corners only cost time
     min_shrink: float = 0.5
-    """Least factor on the focal length that keeps within that growth; below it the views hardly overlap."""
+    """Least factor on the focal length used to keep that limit; below it the views hardly overlap."""
 
 
 RECTIFICATION = RectificationParams()

@@ -1,4 +1,4 @@
-"""Projection with its derivatives: what estimation and error propagation need of a camera."""
+"""Projection with its derivatives, for estimation and error propagation."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from edged.vision.geometry.camera import CameraModel, StereoRig
 def project_with_jacobians(
     camera: CameraModel, points_mm: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Project points of the camera's frame, and differentiate.
+    """Project points of the camera's frame, with derivatives.
 
     points_mm (N, 3).  Returns pixels (N, 2); d pixels / d point (N, 2, 3); and d pixels / d parameter
     (N, 2, P) with the parameters fx, fy, cx, cy and then the model's distortion.
@@ -42,7 +42,7 @@ def project_with_jacobians(
 def shifts_by_calibration(
     rig: StereoRig, points_mm: FloatArray, normals_left: FloatArray, normals_right: FloatArray
 ) -> FloatArray:
-    """(2, N, Q): how edges move against the projected curve, along its normals, per unit of each parameter.
+    """(2, N, Q): motion of edges against the projected curve, along its normals, per unit of each parameter.
 
     points_mm (N, 3) rig frame; normals (N, 2) in the raw images; left first. The parameters are those of
     `rig.parameter_names`.

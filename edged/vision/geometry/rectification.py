@@ -1,4 +1,4 @@
-"""Rectification: both views turned so that corresponding points lie on one row (paper, 3.2).
+"""Rectification: both views are rotated so that corresponding points lie on one row (paper, 3.2).
 
 The rectified frame has its x axis along the baseline and its z axis between both optical
 axes. Both rectified cameras share the rotation, the focal length and the principal row, but
@@ -26,16 +26,16 @@ Maps = tuple[F32, F32]
 
 @dataclass(frozen=True, eq=False)  # no slots: cached properties live in the instance's dictionary
 class Rectification:
-    """Two ideal cameras side by side, and the way from the raw images to theirs.
+    """Two ideal cameras side by side, and the mapping from the raw images to theirs.
 
     size (w, h) of both rectified images.  focal_px, for x and y.
     centre_left_px, centre_right_px (cx, cy): principal points; cy is the same.
     baseline_mm : the right camera lies at (baseline_mm, 0, 0) of the rectified frame.
     rectified_from_left, rectified_from_right (3, 3): rotations.
-    maps_left, maps_right : raw x and y (h, w) float32 of each rectified pixel; computed when first asked for:
-    they are as large as eight images, and a cell needs those of its left camera only.
+    maps_left, maps_right : raw x and y (h, w) float32 of each rectified pixel; computed on first use, as they
+    are as large as eight images, and a cell needs only those of its left camera.
     valid_left, valid_right (h, w) uint8 : 255 where the raw image has a value, else 0.
-    borrowed : whose maps are used; None: its own.
+    borrowed : rectification whose maps are used; None: its own.
 
     A point with rectified columns x_l, x_r on one row has the parallax
     (x_l - cx_l) - (x_r - cx_r) = focal_px baseline_mm / Z_rectified.
@@ -52,9 +52,9 @@ class Rectification:
     borrowed: Rectification | None = None
 
     def near(self, rig: StereoRig) -> Rectification:
-        """The rectification of a rig that differs little, with the pictures of this one.
+        """The rectification of a slightly different rig, with the image maps of this one.
 
-        Points are exact; pictures are off by as much as the rigs differ, and take no time.
+        Points are exact; images are off by as much as the rigs differ, but need no new maps.
         Raises `CalibrationError`.
         """
         left_axes = _rectified_axes(rig)
@@ -69,7 +69,7 @@ class Rectification:
 
     @property
     def pictured(self) -> Rectification:
-        """The rectification that pictures are made by: this one, or that which lends its maps."""
+        """The rectification whose maps are used for images: this one, or the one that it borrows from."""
         return self if self.borrowed is None else self.borrowed
 
     @property
@@ -177,10 +177,10 @@ def check_size(camera: CameraModel, image: Image, side: Side) -> None:
 def make_rectification(rig: StereoRig) -> Rectification:
     """Choose the rectified cameras of a rig.
 
-    The z axis halves the angle between both optical axes, the focal length keeps the mean
-    pixel area of the raw images at their centres, the rows are those that both views have,
-    and the columns hold each view completely, so that no point seen by both is lost. Wide-angle views whose
-    corners would make the images huge get a shorter focal length.
+    The z axis bisects the angle between both optical axes, the focal length keeps the mean pixel area of the
+    raw images at their centres, the rows are those that both views share, and the columns contain each view
+    completely, so that no point seen by both is lost. Wide-angle views whose corners would make the images
+    huge get a shorter focal length.
     Raises `CalibrationError` for a rig whose views cannot be put side by side (one camera
     looks along the baseline, or both share no row).
     """
@@ -244,12 +244,12 @@ def _common_view(rig: StereoRig) -> tuple[FloatArray, FloatArray, float]:
 
 
 def _size(bounds_left: FloatArray, bounds_right: FloatArray) -> tuple[int, int]:
-    """(width, height) in px that holds both views' columns and their common rows."""
+    """(width, height) in px that contains both views' columns and their common rows."""
     top, bottom = max(bounds_left[0, 1], bounds_right[0, 1]), min(bounds_left[1, 1], bounds_right[1, 1])
     if not bottom - top >= RECTIFICATION.size_multiple:
         raise CalibrationError("this rig cannot be rectified: both cameras see no common row")
     span = np.array([max(np.ptp(bounds_left[:, 0]), np.ptp(bounds_right[:, 0])), bottom - top])
-    # The multiple is rounded up, plus the half pixel on each side that a pixel centre needs.
+    # rounded up to the multiple, with the half pixel on each side that a pixel centre needs
     width, height = (
         int(n) for n in np.ceil((span + 1) / RECTIFICATION.size_multiple) * RECTIFICATION.size_multiple
     )
@@ -271,13 +271,13 @@ def _rectified_axes(rig: StereoRig) -> FloatArray:
 
 
 def _focal_keeping_area(camera: CameraModel, axes: FloatArray) -> float:
-    """The focal length in px at which the image centre keeps its pixel area."""
+    """Focal length in px at which the image centre keeps its pixel area."""
     centre = np.array([(camera.width - 1) / 2, (camera.height - 1) / 2])
     step = np.array([[-0.5, 0.0], [0.5, 0.0], [0.0, -0.5], [0.0, 0.5]])
     mapped = _rays_to_pixels(axes, camera.normalise(centre + step))
     across, down = mapped[1] - mapped[0], mapped[3] - mapped[2]
     area = across[0] * down[1] - across[1] * down[0]
-    if not area > 0:  # NaN, too, when the centre ends up behind
+    if not area > 0:  # also NaN, when the centre ends up behind
         raise CalibrationError("this rig cannot be rectified: a camera looks away from the common view")
     return float(1 / np.sqrt(area))
 
@@ -299,8 +299,8 @@ def border_bounds(camera: CameraModel, axes: FloatArray) -> FloatArray:
 
 
 def _rays_to_pixels(rotation: FloatArray, normalised: FloatArray) -> FloatArray:
-    """Turn the rays (x, y, 1) of normalised points (..., 2); NaN for those that end up behind."""
-    # without a matrix product, whose result would be interleaved: points keep their layout in memory
+    """Rotate the rays (x, y, 1) of normalised points (..., 2); NaN for those that end up behind."""
+    # no matrix product, as its result would be interleaved: points keep their layout in memory
     normalised = np.asarray(normalised, dtype=np.float64)
     x, y = normalised[..., 0], normalised[..., 1]
     depth = rotation[2, 0] * x + rotation[2, 1] * y + rotation[2, 2]
@@ -339,13 +339,14 @@ def lens_maps(
     centre: tuple[float, float],
     size: tuple[int, int],
 ) -> tuple[Maps, Image]:
-    """Where a camera's picture has the pixels of one without distortion, and 255 where it has them at all.
+    """Maps from an ideal image without distortion to a camera's image, and a mask, 255 for valid pixels.
 
-    axes (3, 3) : of the latter, by those of the camera.  focal : px, one or (2,).  centre, size : px.
+    axes (3, 3) : those of the ideal camera, in the camera's frame.  focal : px, one or (2,).  centre, size :
+    px.
     """
     (width, height), (fx, fy) = size, np.broadcast_to(focal, 2)
-    # Far outside instead of NaN, whose conversion to an integer is undefined in cv2.remap; and never
-    # beyond what its 16-bit coordinates hold.
+    # far outside instead of NaN, whose conversion to an integer is undefined in cv2.remap; and never
+    # beyond the range of its 16-bit coordinates
     outside = np.float32(-1e4)
     map_x, map_y = np.empty((height, width), np.float32), np.empty((height, width), np.float32)
     valid = np.empty((height, width), np.uint8)
@@ -370,7 +371,7 @@ def lens_maps(
 class StereoImages:
     """Raw images (H, W) and rectified ones (h, w), uint8, with the rectification between them.
 
-    Their grey values are in proportion to the light: the response of the cameras is taken out. An image is
+    Their grey values are proportional to the light: the response of the cameras is removed. An image is
     rectified on demand: finding a part needs the left one, measuring it needs neither.
     """
 
@@ -400,7 +401,7 @@ class StereoImages:
 
     @property
     def raw(self) -> tuple[Image, Image]:
-        """Left and right, as the cameras deliver them."""
+        """Left and right, not rectified."""
         return self.left, self.right
 
     def rays(self, side: Side, rectified_px: FloatArray) -> FloatArray:
@@ -411,7 +412,7 @@ class StereoImages:
 
 
 def linear_image(image: Image, gamma: float) -> Image:
-    """An image (H, W) uint8 with grey values in proportion to the light; the same one of a linear camera."""
+    """An image (H, W) uint8 with grey values proportional to the light; unchanged for a linear camera."""
     if gamma == 1.0:
         return image
     return np.asarray(cv2.LUT(image, _inverse(gamma)), np.uint8)
@@ -426,10 +427,10 @@ def linear_pair(rig: StereoRig, left: Image, right: Image) -> tuple[Image, Image
 
 @lru_cache(maxsize=8)
 def _inverse(gamma: float) -> Image:
-    """(256,) uint8: the linear grey value of each."""
+    """(256,) uint8: table of linear grey values."""
     return np.rint(linear_grey(np.arange(256.0), gamma)).astype(np.uint8)
 
 
 def linear_grey(grey: FloatArray, gamma: float) -> FloatArray:
-    """Grey values, 0 to 255, that are in proportion to the light."""
+    """Grey values, 0 to 255, made proportional to the light."""
     return np.asarray(255.0 * (grey / 255.0) ** (1.0 / gamma))

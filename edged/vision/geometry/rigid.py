@@ -20,7 +20,7 @@ Angles = TypeVar("Angles", float, FloatArray)
 
 
 def wrapped(angle: Angles, period: float = 2 * math.pi) -> Angles:
-    """The angle without whole periods, in [-period / 2, period / 2); in the unit of the period.
+    """The angle modulo the period, in [-period / 2, period / 2); in the unit of the period.
 
     >>> wrapped(350.0, 360.0)
     -10.0
@@ -29,7 +29,7 @@ def wrapped(angle: Angles, period: float = 2 * math.pi) -> Angles:
 
 
 def angle_between(one_rad: float, other_rad: float) -> float:
-    """By how much two directions of a plane differ, in [0, pi].
+    """Angle between two directions in a plane, in [0, pi].
 
     >>> round(angle_between(math.radians(350), math.radians(10)), 6) == round(math.radians(20), 6)
     True
@@ -38,7 +38,7 @@ def angle_between(one_rad: float, other_rad: float) -> float:
 
 
 def rotation_2d(angle_rad: float) -> FloatArray:
-    """The rotation (2, 2) of a plane, positive from x to y."""
+    """Rotation matrix (2, 2) in a plane, positive from x to y."""
     cosine, sine = math.cos(angle_rad), math.sin(angle_rad)
     return np.array([[cosine, -sine], [sine, cosine]])
 
@@ -52,19 +52,19 @@ def skew(vectors: FloatArray) -> FloatArray:
 
 
 def cross(a: FloatArray, b: FloatArray) -> FloatArray:
-    """a x b of two vectors (3,); numpy's takes ten times as long for a pair."""
+    """a x b of two vectors (3,); for a single pair numpy's function takes ten times as long."""
     ax, ay, az = a.tolist()
     bx, by, bz = b.tolist()
     return np.array([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx])
 
 
 def length_of(vector: FloatArray) -> float:
-    """Length of a vector (N,): numpy's own function is six calls."""
+    """Length of a vector (N,); faster than numpy's own function, which makes six calls."""
     return math.sqrt(vector @ vector)
 
 
 def unit(vector: FloatArray) -> FloatArray:
-    """A vector (3,) in its direction with length 1."""
+    """The unit vector (3,) in the direction of a vector."""
     return np.asarray(vector / math.sqrt(vector @ vector))
 
 
@@ -85,7 +85,7 @@ def rotation_matrix(vectors_rad: FloatArray) -> FloatArray:
 def quaternion(rotation: FloatArray) -> FloatArray:
     """The unit quaternion (4,), scalar first and not negative, of a rotation matrix (3, 3).
 
-    By its largest component, so that no digits are lost, neither at no turn nor at half a turn.
+    Computed from its largest component, so that no digits are lost near 0° and 180°.
     Source: S. W. Shepperd, "Quaternion from Rotation Matrix", 1978.
 
     >>> quaternion(about_z(math.pi)).round(6).tolist()
@@ -110,7 +110,7 @@ def quaternion(rotation: FloatArray) -> FloatArray:
 
 
 def rotation_vector(rotation: FloatArray) -> FloatArray:
-    """The rotation vector (3,) of a rotation matrix (3, 3), of length in [0, pi]; exact at both."""
+    """The rotation vector (3,) of a rotation matrix (3, 3), with length in [0, pi]; exact at both ends."""
     q = quaternion(rotation)
     half_sine = float(np.linalg.norm(q[1:]))
     if half_sine < 1e-150:
@@ -120,7 +120,7 @@ def rotation_vector(rotation: FloatArray) -> FloatArray:
 
 
 def turn_between(first: FloatArray, second: FloatArray) -> float:
-    """The angle, rad in [0, pi], that turns one rotation (3, 3) or transform (4, 4) to the other.
+    """Angle, rad in [0, pi], between two rotations (3, 3) or transforms (4, 4).
 
     >>> round(turn_between(about_z(1.0), transform(about_z(-0.5), np.zeros(3))), 9)
     1.5
@@ -168,7 +168,7 @@ class RigidFit:
 
     to_from_source (4, 4); scale : 1 for a rigid fit, the best scale for a similarity.
     residuals_mm (N, 3) : to - fitted, in the frame `to`.
-    sigma_mm : residual per coordinate over the degrees of freedom; NaN where none are left.
+    sigma_mm : rms residual per coordinate, by the degrees of freedom; NaN where none are left.
     covariance (6, 6) : of (translation in mm, rotation vector in rad applied on the left),
     from sigma_mm; the scale is taken as known.
     """
@@ -230,7 +230,7 @@ class Plane:
 
     @classmethod
     def through(cls, point: FloatArray, normal: FloatArray) -> Self:
-        """The plane with this normal (3,) that a point (3,) lies on."""
+        """The plane with this normal (3,) through a point (3,)."""
         return cls(normal, float(normal @ point))
 
     def meet(self, rays: FloatArray) -> FloatArray:

@@ -1,4 +1,4 @@
-"""From corresponding image points to points in space (paper, eq. 1-3, with the principal point)."""
+"""Triangulation of corresponding image points (paper, eq. 1-3, with the principal point)."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def triangulate(rectification: Rectification, left_px: FloatArray, right_x_px: F
     left_px (N, 2) : (x, y) in the rectified left image; right_x_px (N,) : column in the
     rectified right image, on the same row.
     NaN where the parallax is not positive: such rays do not meet in front of the cameras.
-    The paper's eq. 3 leaves out the principal point; here it is in.
+    The paper's eq. 3 leaves out the principal point; here it is included.
     """
     left = np.asarray(left_px, dtype=np.float64)
     parallax = _parallax(rectification, left, right_x_px)
@@ -33,7 +33,7 @@ def triangulate(rectification: Rectification, left_px: FloatArray, right_x_px: F
 def triangulation_covariance(
     rectification: Rectification, left_px: FloatArray, right_x_px: FloatArray, covariance_px: FloatArray
 ) -> FloatArray:
-    """Covariance (N, 3, 3) in mm² of what `triangulate` returns, to first order.
+    """Covariance (N, 3, 3) in mm² of the points from `triangulate`, to first order.
 
     covariance_px : (3, 3) or (N, 3, 3), of (x_left, y, x_right) in px². The rig is taken as exact.
     """
@@ -54,7 +54,7 @@ def triangulation_covariance(
 def triangulate_raw(rig: StereoRig, left_px: FloatArray, right_px: FloatArray) -> FloatArray:
     """Points (N, 3) in mm, rig frame, that minimise the squared reprojection error in both raw images.
 
-    left_px, right_px (N, 2). The maximum-likelihood point for equal noise in all coordinates.
+    left_px, right_px (N, 2). These are the maximum-likelihood points for equal noise in all coordinates.
     NaN where the rays do not meet in front of both cameras.
     """
     left, right = np.asarray(left_px, dtype=np.float64), np.asarray(right_px, dtype=np.float64)
@@ -91,7 +91,7 @@ def _parallax(rectification: Rectification, left: FloatArray, right_x_px: FloatA
 
 
 def _midpoints(rig: StereoRig, left: FloatArray, right: FloatArray) -> FloatArray:
-    """The middle of the shortest line between both rays; NaN where that lies behind a camera."""
+    """Midpoints (N, 3) of the shortest lines between both rays; NaN where one lies behind a camera."""
     rotation, translation = rig.right_from_left[:3, :3], rig.right_from_left[:3, 3]
     ray_left = np.column_stack([rig.left.normalise(left), np.ones(len(left))])
     ray_right = np.column_stack([rig.right.normalise(right), np.ones(len(right))]) @ rotation
@@ -114,7 +114,7 @@ def _pairs(a: FloatArray, b: FloatArray) -> tuple[tuple[FloatArray, FloatArray],
 def _reprojection(
     rig: StereoRig, points: FloatArray, left: FloatArray, right: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Residuals (N, 4), measured - projected, and their Jacobian (N, 4, 3) by the point, of projected."""
+    """Residuals (N, 4), measured - projected, and the Jacobian (N, 4, 3) of the projection by the point."""
     in_left, by_left, _ = project_with_jacobians(rig.left, points)
     in_right, by_right, _ = project_with_jacobians(rig.right, apply(rig.right_from_left, points))
     residuals = np.concatenate([left - in_left, right - in_right], axis=1)

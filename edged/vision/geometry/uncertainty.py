@@ -1,4 +1,4 @@
-"""What the uncertainty of a calibration does to a measured point."""
+"""Propagation of a calibration's uncertainty to measured points and poses."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from edged.vision.geometry.rigid import skew
 
 
 def shift_by_parameters(rig: StereoRig, points_mm: FloatArray) -> FloatArray:
-    """(N, 3, P): how a triangulated point moves per unit of each of `rig.parameter_names`, in mm.
+    """(N, 3, P): motion in mm of triangulated points per unit of each of `rig.parameter_names`.
 
-    points_mm (N, 3), rig frame. To first order: the image stays, the rig changes, the point follows.
+    points_mm (N, 3), rig frame. To first order, for fixed images: the rig changes, and the point follows.
     """
     points = np.asarray(points_mm, dtype=np.float64)
     rotated = points @ rig.right_from_left[:3, :3].T
@@ -32,21 +32,21 @@ def shift_by_parameters(rig: StereoRig, points_mm: FloatArray) -> FloatArray:
 
 
 def levered_covariance(covariance: FloatArray, arm_mm: FloatArray) -> FloatArray:
-    """(6, 6) of a pose whose origin lies by an arm (3,) beside that of another one of the same body.
+    """Covariance (6, 6) of a pose whose origin lies an arm (3,) away from that of a known pose of the body.
 
     covariance : of (x, y, z in mm, rotation vector in rad), the small rotation applied on the left; arm_mm in
     the same axes. A rotation w of the body moves the end of the arm by w x arm.
     """
     jacobian = np.eye(6)
     jacobian[:3, 3:] = -skew(arm_mm)
-    with np.errstate(invalid="ignore", over="ignore"):  # what is not known stays NaN
+    with np.errstate(invalid="ignore", over="ignore"):  # unknown entries stay NaN
         return np.asarray(jacobian @ covariance @ jacobian.T)
 
 
 def calibration_covariance(rig: StereoRig, points_mm: FloatArray) -> FloatArray:
-    """Covariance (N, 3, 3) in mm² that the rig's own covariance gives to triangulated points (N, 3).
+    """Covariance (N, 3, 3) in mm² of triangulated points (N, 3) that follows from the rig's own covariance.
 
-    The errors of neighbouring points are nearly the same: distances between them are far more certain.
+    The errors of neighbouring points are nearly equal: distances between them are far more certain.
     Zero for a rig of unknown covariance.
     """
     if rig.covariance is None:

@@ -1,1 +1,1 @@
-"""Compiled arithmetic without a model: how kernels are compiled, Cholesky, median, robust weights, pixels."""
+"""Compilation of kernels, and general ones: Cholesky, median, robust weights, pixel formats."""

@@ -1,7 +1,7 @@
-"""Cholesky's factor of a small symmetric positive matrix, in kernels: factorise, substitute, invert.
+"""Cholesky decomposition of small symmetric positive matrices, in kernels: factorise, substitute, invert.
 
-Sums are added up one after the other, whatever the place and the caller: equal systems have bit-equal
-solutions.
+`factorise` and `substitute` add their sums in a fixed order, whatever the caller: equal systems have
+bit-equal solutions.
 """
 
 from __future__ import annotations
@@ -18,10 +18,10 @@ _TINY_PIVOT = 1e-10  # of a matrix scaled to a unit diagonal
 
 @kernel("f8(f8[:, ::1], i8)")
 def factorise(matrix: F64, size: int) -> float:
-    """Put the factor L of matrix = LLᵀ, upper left size x size, in the place of its lower triangle.
+    """Replace the lower triangle of a matrix, upper left size x size, by its factor L: matrix = LLᵀ.
 
-    Only the lower triangle is read.  Returns the smallest pivot relative to its diagonal element, so that the
-    unit of an unknown does not matter, in [0, 1]; 0 if the matrix is not positive.
+    Only the lower triangle is read.  Returns the smallest pivot in [0, 1] relative to its diagonal element,
+    so that the units of unknowns do not matter; 0 if the matrix is not positive.
     """
     smallest = 1.0
     for j in range(size):
@@ -43,7 +43,7 @@ def factorise(matrix: F64, size: int) -> float:
 
 @kernel("void(f8[:, ::1], f8[::1], i8)")
 def substitute(factor: F64, vector: F64, size: int) -> None:
-    """Solve LLᵀ x = vector in place, L being what `factorise` left."""
+    """Solve LLᵀ x = vector in place, with L from `factorise`."""
     for i in range(size):
         for k in range(i):
             vector[i] -= factor[i, k] * vector[k]
@@ -58,7 +58,7 @@ def substitute(factor: F64, vector: F64, size: int) -> None:
 def invert(matrix: F64, inverse: F64) -> bool:
     """Invert a symmetric positive matrix, scaled to a unit diagonal; False if it is singular.
 
-    By the inverse of the factor, row by row, then its square: every inner loop runs along a row.
+    It inverts the factor, row by row, then forms the product: every inner loop runs along a row.
     """
     size = matrix.shape[0]
     scale, row = np.empty(size), np.empty(size)

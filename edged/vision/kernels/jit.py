@@ -1,6 +1,6 @@
-"""The one way kernels are compiled: for declared types, without the GIL, cached on disk, loaded when used.
+"""Compilation of kernels: for declared types, without the GIL, cached on disk, loaded on first use.
 
-`for_both` runs the work of both cameras side by side, in one further thread that its first use starts.
+`for_both` runs the work for both cameras in parallel, in one further thread that its first use starts.
 """
 
 from __future__ import annotations
@@ -26,9 +26,9 @@ from edged.vision.kernels.jitcache import QuickCache, load_quickly, say_compilin
 
 F = TypeVar("F", bound=Callable[..., Any])
 WRAPPED = ("__wrapped__", "__func__", "fget", "func")
-"""Where a cache, a static method and two kinds of property keep their function."""
+"""Attributes in which a cache, a static method and two kinds of property keep their function."""
 TYPE_NAME = re.compile(r"\w+(?:\[[^]]*\])?")
-"""A type within a signature, with its dimensions."""
+"""Matches a type within a signature, with its dimensions."""
 Tuples = tuple[type[tuple[Any, ...]], ...]
 
 load_quickly()
@@ -46,7 +46,7 @@ G2 = Annotated[npt.NDArray[np.float32], "f4[:, ::1]"]
 N2 = Annotated[npt.NDArray[np.int32], "i4[:, ::1]"]
 INT = Annotated[int, "i8"]
 FLOAT = Annotated[float, "f8"]
-"""Fields of a `NamedTuple` that a kernel takes: contiguous arrays of so many dimensions, a number."""
+"""Types for fields of a `NamedTuple` argument of a kernel: contiguous arrays by dimensions, numbers."""
 
 
 def kernel(
@@ -57,13 +57,14 @@ def kernel(
 ) -> Callable[[F], F]:
     """Compile a plain-loop function to machine code.
 
-    signatures : numba signatures, e.g. "f8(f4[:, ::1], f8, f8)", and no other is ever compiled; loaded, or
-    compiled where it is not stored, when it is first called. `load_called` does so ahead, so that no image
-    waits. Without a signature it is compiled for what it is called with (helpers called by other kernels).
-    tuples : `NamedTuple` classes that the signatures name, their fields annotated as `F1`, `I2`, ..., or as a
-    class that comes earlier among them.
-    any_order : sums may be added side by side, in an order that is fixed when it is compiled; four times
-    faster. Otherwise no fastmath: NaN marks missing values in edged.
+    signatures : numba signatures, e.g. "f8(f4[:, ::1], f8, f8)"; no other is ever compiled. The code is
+    loaded, or compiled if it is not stored, at the first call; `load_called` does so in advance, so that no
+    image waits. Without a signature it is compiled for the types of each call (helpers called by other
+    kernels).
+    tuples : `NamedTuple` classes used in the signatures, their fields annotated as `F1`, `I2`, ..., or as a
+    class earlier in this tuple.
+    any_order : sums may be vectorised, in an order that is fixed at compilation; four times as fast. No other
+    fastmath is used: NaN marks missing values in edged.
     Results are bit-equal on replay.
     """
     options: dict[str, Any] = {
@@ -86,33 +87,33 @@ def kernel(
 
 
 class _Deferred:
-    """A kernel whose machine code is loaded, or compiled, with its first call."""
+    """A kernel whose machine code is loaded, or compiled, at its first call."""
 
     def __init__(self, dispatcher: Any, signatures: tuple[str, ...], tuples: Tuples) -> None:
         self._dispatcher, self._signatures, self._tuples = dispatcher, signatures, tuples
         self._lock = threading.Lock()
-        # both stay: a thread may be on its way to them while another one loads
+        # both stay in place: a thread may be about to call them while another one loads
         dispatcher._compile_for_args = self._called
         dispatcher.get_call_template = self._named
         dispatcher.deferred = self
 
     def load(self) -> None:
-        """Get the machine code, once."""
+        """Load or compile the machine code, once."""
         with self._lock:
             if not self._dispatcher.signatures:
                 if not isinstance(self._dispatcher._cache, QuickCache):
-                    say_compiling()  # there is no place to store it
+                    say_compiling()  # there is no cache to load it from
                 for signature in self._signatures:
                     self._dispatcher.compile(_parsed(signature, self._tuples))
                 self._dispatcher.disable_compile(True)
 
     def _called(self, *_arguments: Any) -> Any:
-        """Load at the first call: numba then calls the dispatcher it gets with the same arguments."""
+        """Load at the first call; numba then calls the returned dispatcher with the same arguments."""
         self.load()
         return self._dispatcher
 
     def _named(self, arguments: Any, named: Any) -> Any:
-        """Load when a kernel that calls this one is compiled."""
+        """Load while a kernel that calls this one is compiled."""
         self.load()
         return type(self._dispatcher).get_call_template(self._dispatcher, arguments, named)
 
@@ -125,9 +126,9 @@ def load_all(module: ModuleType) -> None:
 
 
 def load_called(*packages: str) -> None:
-    """Load what the Python code of packages calls, as far as they are imported.
+    """Load the kernels that the Python code of packages calls, as far as they are imported.
 
-    A kernel that only other kernels call is compiled into those: four of five are never called by themselves.
+    A kernel that only other kernels call is compiled into those: four of five are never called from Python.
     """
     modules = [
         module
@@ -142,7 +143,7 @@ def load_called(*packages: str) -> None:
 
 
 def _python_of(module: ModuleType) -> Iterator[CodeType]:
-    """The code of the functions and methods of a module; a kernel's is not Python any more."""
+    """Code of the functions and methods of a module, without that of its kernels."""
     for value in vars(module).values():
         for member in vars(value).values() if isinstance(value, type) else (value,):
             for function in _unwrapped(member):
@@ -151,7 +152,7 @@ def _python_of(module: ModuleType) -> Iterator[CodeType]:
 
 
 def _unwrapped(value: object, deep: int = 2) -> Iterator[FunctionType]:
-    """A function, also inside of what decorators made of it."""
+    """The function in a value, also if decorators have wrapped it."""
     if isinstance(value, FunctionType):
         yield value
     elif deep and not isinstance(value, Dispatcher | ModuleType):
@@ -160,7 +161,7 @@ def _unwrapped(value: object, deep: int = 2) -> Iterator[FunctionType]:
 
 
 def _names(code: CodeType) -> set[str]:
-    """What a function names, and what is defined in it."""
+    """All names that a function uses, including those in functions nested in it."""
     inner = (const for const in code.co_consts if isinstance(const, CodeType))
     return set(code.co_names).union(*(_names(nested) for nested in inner))
 
@@ -185,30 +186,30 @@ def _parsed(signature: str, tuples: Tuples) -> Any:
 
 
 def _type(text: str) -> Any:
-    """A type by numba's name of it, as "f8[:, ::1]"."""
+    """The numba type of a name such as "f8[:, ::1]"."""
     arguments, _ = normalize_signature(f"({text},)")
     return arguments[0]
 
 
 def for_kernel(array: npt.ArrayLike, dtype: type[np.generic]) -> npt.NDArray[Any]:
-    """The array as kernels take it: a copy of what is a view or read-only. `np.require` takes far longer."""
+    """The array as kernels need it, contiguous and writable: a copy if needed. `np.require` is far slower."""
     plain = np.ascontiguousarray(array, dtype)
     return plain if plain.flags.writeable else plain.copy()
 
 
 def _cache_is_usable() -> bool:
-    """numba raises at import where its cache directory cannot be written; run uncached there."""
+    """Whether numba's cache can be used: it raises at import if the directory cannot be written."""
     directory = os.environ.get("NUMBA_CACHE_DIR")
     return directory is None or os.access(directory, os.W_OK) or not Path(directory).exists()
 
 
 T = TypeVar("T")
 
-_RIGHT = ThreadPoolExecutor(1, thread_name_prefix="right-camera")  # the left one has the caller's thread
+_RIGHT = ThreadPoolExecutor(1, thread_name_prefix="right-camera")  # the left camera uses the caller's thread
 
 
 def for_both(work: Callable[[int], T]) -> tuple[T, T]:
-    """(work(0), work(1)), the second one in its own thread. An error of either is raised when both ended.
+    """(work(0), work(1)), the second in its own thread. An error of either is raised after both have ended.
 
     The work must not call `for_both` itself.
     """

@@ -1,9 +1,9 @@
-"""Kernels from numba's disk cache in less than half of the time, because every start waits for them.
+"""Faster loading of kernels from numba's disk cache, as every start waits for it: less than half the time.
 
-A cached kernel is object code, which runs, and bitcode, which only another kernel needs that calls it and is
-compiled later. numba 0.68 parses the bitcode at every load, and before each load it registers all that it can
-compile. Here both wait until something is compiled. What is stored, and what runs, stays the same
-(`tools/bench kernels`).
+A cached kernel consists of object code, which runs, and bitcode, which is only needed when another kernel
+that calls it is compiled later. numba 0.68 parses the bitcode at every load, and before each load it
+registers everything that it can compile. Here both are deferred until something is compiled. The stored
+files and the code that runs are unchanged (`tools/bench kernels`).
 """
 
 from __future__ import annotations
@@ -37,28 +37,28 @@ _said = itertools.count()
 
 
 def say_compiling() -> None:
-    """Once in a process, before the first kernel that is compiled: whoever waits knows for what."""
-    if next(_said) == 0:  # one step: both cameras' threads may come here
+    """Log once per process, before the first kernel is compiled, what the user is waiting for."""
+    if next(_said) == 0:  # atomic: the threads of both cameras may come here
         log.warning(COMPILING)
 
 
 class RealPlace(UserProvidedCacheLocator):  # type: ignore[misc]  # numba ships no types
-    """Where kernels of a source are stored, by whatever link it was reached, as `current` to a version."""
+    """Cache location of a source file by its real path, even if it is reached by a link such as `current`."""
 
     @classmethod
     def get_suitable_cache_subpath(cls, py_file: str) -> str:
-        """A folder's name for that of the source."""
+        """Name of the cache folder for the folder of a source file."""
         return str(super().get_suitable_cache_subpath(os.path.realpath(py_file)))
 
 
 class StoredResult(CompileResultCacheImpl):  # type: ignore[misc]  # as above
-    """What is stored of a kernel, and where."""
+    """Storage of compiled kernels, at the places of `RealPlace` first."""
 
     _locator_classes = (RealPlace, *CompileResultCacheImpl._locator_classes)
 
 
 class QuickCache(FunctionCache):  # type: ignore[misc]  # as above
-    """numba's cache of one function, of which kernels are loaded without getting ready to compile."""
+    """numba's cache of one function, which loads kernels without preparing the compiler."""
 
     _impl_class = StoredResult
 
@@ -68,20 +68,20 @@ class QuickCache(FunctionCache):  # type: ignore[misc]  # as above
         self._cache_file = StoredIndex(self._cache_path, self._impl.filename_base, stamp)
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
-        """The compiled kernel of a signature, or None where it has not been stored."""
-        rtsys.initialize(target_context)  # a kernel asks it for the memory of new arrays
+        """The compiled kernel of a signature, or None if it is not stored."""
+        rtsys.initialize(target_context)  # kernels get the memory of new arrays from it
         stored = self._load_overload(sig, target_context)
         if stored is None:
             say_compiling()
         return stored
 
     def _index_key(self, sig: Any, codegen: Any) -> tuple[Any, ...]:
-        """numba's key, and what is frozen into the code, which may come from another file."""
+        """numba's key, extended by what is frozen into the code, possibly from other files."""
         return (*super()._index_key(sig, codegen), frozen_into(self._py_func))
 
 
 class StoredIndex(IndexDataCacheFile):  # type: ignore[misc]  # as above
-    """What is stored of one function; nothing where a class in its types has been renamed or moved since."""
+    """Index of one function's stored kernels; empty if a class in its types was renamed or moved since."""
 
     def _load_index(self) -> dict[Any, str]:
         try:
@@ -91,10 +91,10 @@ class StoredIndex(IndexDataCacheFile):  # type: ignore[misc]  # as above
 
 
 def take_over(compiled: Path, packages: Path, kernels: Path, own: Path) -> None:
-    """Give sources in another folder what is compiled of the same sources; numba tells by their hash.
+    """Copy compiled kernels to the cache of the same sources in another folder; numba compares their hashes.
 
-    compiled, kernels : numba's caches. packages, own : where the packages lie of which they are. A cache has
-    a folder for each folder of sources, named by its path.
+    compiled, kernels : numba's caches, from and to. packages, own : the folders of the packages that they
+    belong to. A cache has a folder for each folder of sources, named by its path.
     """
     for folder in {file.parent for file in packages.glob("edged/**/*.py")}:
         before, after = (
@@ -106,9 +106,10 @@ def take_over(compiled: Path, packages: Path, kernels: Path, own: Path) -> None:
 
 
 def frozen_into(function: FunctionType) -> str:
-    """Global numbers that a kernel reads, the kernels that it calls, and what is frozen into those.
+    """Global numbers that a kernel reads, the kernels that it calls, and the same for those.
 
-    numba asks for a kernel's own file only: called ones from another file would stay as they were.
+    numba checks only a kernel's own file: without this, changed callees in other files would stay as
+    compiled.
     """
     found: dict[tuple[str, str], str] = {}
     functions, seen = [function], {function}
@@ -129,14 +130,14 @@ def frozen_into(function: FunctionType) -> str:
 
 @functools.cache
 def _digest(code: CodeType) -> str:
-    """Tells one function's code from another's, wherever its lines stand."""
+    """Hash of a function's code, independent of its line numbers."""
     constants = [_digest(value) if isinstance(value, CodeType) else repr(value) for value in code.co_consts]
     identity = repr((code.co_code, code.co_names, code.co_varnames, code.co_freevars, constants))
     return hashlib.sha256(identity.encode()).hexdigest()
 
 
 class StoredLibrary(JITCodeLibrary):  # type: ignore[misc]  # as above
-    """Compiled code; what comes from the cache keeps its bitcode unparsed until a kernel links it."""
+    """Compiled code; code from the cache keeps its bitcode unparsed until a kernel links it."""
 
     _bitcode: bytes | None = None
 
@@ -155,8 +156,8 @@ class StoredLibrary(JITCodeLibrary):  # type: ignore[misc]  # as above
     def get_pointer_to_function(self, name: str) -> int:
         """The address of a function of this kernel.
 
-        numba asks its list of symbols first, for which the bitcode would have to be parsed. Of a kernel from
-        the cache it asks for nothing but the function that the kernel was stored for.
+        numba first consults its list of symbols, for which the bitcode would have to be parsed. For a kernel
+        from the cache, it asks only for the function that the kernel was stored for.
         """
         if self._bitcode is None:
             return int(super().get_pointer_to_function(name))
@@ -171,5 +172,5 @@ class StoredLibrary(JITCodeLibrary):  # type: ignore[misc]  # as above
 
 
 def load_quickly() -> None:
-    """Let all code that numba loads in this process from now on be a `StoredLibrary`."""
+    """Make numba use `StoredLibrary` for all code that it loads in this process from now on."""
     cpu_target.target_context.codegen()._library_class = StoredLibrary

@@ -1,4 +1,4 @@
-"""Pixels as cameras send them, as 8-bit grey.
+"""Conversion of cameras' pixel formats to 8-bit grey.
 
 Names, codes and bit layouts are those of the Pixel Format Naming Convention (PFNC 2.4, EMVA) and, for the
 older `Packed` formats, of GigE Vision 1.2 (appendix D).
@@ -21,9 +21,9 @@ Layout = Literal["bytes", "words", "pairs", "bits"]
 
 @dataclass(frozen=True, slots=True)
 class PixelFormat:
-    """One format.
+    """A pixel format.
 
-    code : its PFNC number. bits : of a pixel's value.
+    code : its PFNC number. bits : per pixel value.
     layout : "bytes", "words" (16 bits, little-endian), "pairs" (two pixels in three bytes, the low bits of
     both in the middle one), "bits" (one after the other, low bit first).
     """
@@ -86,16 +86,16 @@ BY_CODE = {pixel_format.code: pixel_format for pixel_format in FORMATS.values()}
 
 
 def grey8(data: npt.NDArray[np.uint8], pixels: PixelFormat, width: int, height: int) -> Image:
-    """The image of a camera's bytes, (height, width) uint8, in memory of its own.
+    """Image (height, width) uint8 from a camera's bytes, in memory of its own.
 
     data : (n,) uint8, exactly `pixels.size(width * height)` of them (`ValueError` otherwise).
     More than 8 bits are rounded to the nearest of 256 values, not cut off: no bias of half a grey value.
     data is not kept.
 
-    A Bayer mosaic is smoothed with the binomial kernel [1 2 1] x [1 2 1] / 16. Wherever that stands, red,
-    green and blue enter it with 1/4, 1/2 and 1/4: a patch of one colour becomes one grey, an edge keeps its
-    place (the kernel is symmetric), and neither the order of the colours nor white balance matters. What it
-    costs is a blur of sigma 0.7 px, hardly more than any interpolation of colours does.
+    A Bayer mosaic is smoothed with the binomial kernel [1 2 1] x [1 2 1] / 16. At any pixel, red, green and
+    blue enter it with 1/4, 1/2 and 1/4: a patch of one colour becomes one grey, an edge keeps its place (the
+    kernel is symmetric), and neither the order of the colours nor white balance matters. The cost is a blur
+    of sigma 0.7 px, hardly more than that of any interpolation of colours.
     """
     count = width * height
     if data.size != pixels.size(count):
@@ -105,12 +105,12 @@ def grey8(data: npt.NDArray[np.uint8], pixels: PixelFormat, width: int, height: 
     else:
         data = np.require(
             data, requirements=["C", "W"]
-        )  # what the kernels are compiled for; bytes are read-only
+        )  # as the kernels are compiled for; bytes are read-only
         image = np.empty((height, width), np.uint8)
         round_to_8(_values(data, pixels, count), pixels.bits - 8, image.reshape(-1))
     if not pixels.bayer:
         return image
-    # mirrored at the border pixel: the mosaic's pattern goes on
+    # mirrored at the border pixel, which continues the mosaic's pattern
     return np.asarray(cv2.GaussianBlur(image, (3, 3), 0, borderType=cv2.BORDER_REFLECT_101), np.uint8)
 
 
@@ -124,7 +124,7 @@ def _values(data: npt.NDArray[np.uint8], pixels: PixelFormat, count: int) -> npt
 
 @kernel("void(u1[::1], i8, u2[::1])")
 def unpack_pairs(data: npt.NDArray[np.uint8], bits: int, out: npt.NDArray[np.uint16]) -> None:
-    """Two pixels in three bytes: the high eight bits of each outside, their low bits in the middle."""
+    """Unpack two pixels per three bytes: high eight bits in the outer bytes, low bits in the middle."""
     low_bits = np.uint16(bits - 8)
     mask = np.uint16((1 << low_bits) - 1)
     pairs = out.size // 2
@@ -138,7 +138,7 @@ def unpack_pairs(data: npt.NDArray[np.uint8], bits: int, out: npt.NDArray[np.uin
 
 @kernel("void(u1[::1], i8, u2[::1])")
 def unpack_bits(data: npt.NDArray[np.uint8], bits: int, out: npt.NDArray[np.uint16]) -> None:
-    """Pixel k begins at bit k * bits; 10 and 12 bits begin at an even bit and so lie in two bytes."""
+    """Unpack pixels that begin at bit k * bits, which is even for 10 and 12 bits: each lies in two bytes."""
     mask = np.uint32((1 << bits) - 1)
     for k in range(out.size):
         start = k * bits
@@ -149,7 +149,7 @@ def unpack_bits(data: npt.NDArray[np.uint8], bits: int, out: npt.NDArray[np.uint
 
 @kernel("void(u2[::1], i8, u1[::1])")
 def round_to_8(values: npt.NDArray[np.uint16], shift: int, out: npt.NDArray[np.uint8]) -> None:
-    """The nearest of 256 values; shift : bits that are dropped, at least 1. Stray high bits saturate."""
+    """Round to the nearest of 256 values; shift : dropped bits, at least 1. Stray high bits saturate."""
     half, drop = np.uint32(1 << (shift - 1)), np.uint32(shift)
     for k in range(values.size):
         out[k] = min(np.uint32(values[k] + half) >> drop, np.uint32(255))

@@ -1,8 +1,7 @@
 """Robust statistics: scale and weights of residuals, and the correlation of samples along a curve.
 
-Samples of an edge scatter (scale) and repeat each other along the edge (correlation); both are estimated
-without the samples that are wrong. The solver that stands on them is `curves.adjustment`. Other fits take
-scale and weights of whole arrays.
+Samples of an edge scatter (scale) and are correlated along the edge; both are estimated robustly against
+outliers. The solver `curves.adjustment` is based on them. Other fits use scale and weights of whole arrays.
 Source: P. J. Huber, "Robust Statistics", 1981; J. W. Tukey's biweight with c = 4.685.
 """
 
@@ -24,17 +23,17 @@ SIGMA_PER_MEDIAN = 1.4826
 MIN_SIGMA_PX = 0.01
 """No edge is better than this in an 8-bit image: floor of the robust scale."""
 MAX_LAG = 24  # samples: size of the kernel's array of correlations
-MIN_SAMPLES = 12.0  # of a median with a sigma of a third of itself
-_AT_ONCE = 192  # samples whose terms stay in the fastest memory
+MIN_SAMPLES = 12.0  # for a robust scale that is known to a third
+_AT_ONCE = 192  # samples whose terms stay in the fastest cache
 
 
 def mad_sigma(residuals: F64) -> float:
-    """The sigma of normal errors, from the median of |residuals| (N,), N >= 1."""
+    """Sigma of normal errors, from the median of |residuals| (N,), N >= 1."""
     return SIGMA_PER_MEDIAN * middle_of(np.abs(residuals))
 
 
 def middle_of(values: F64) -> float:
-    """The median of values (N,), N >= 1, NaN with one among them: numpy's is 36 calls."""
+    """Median of values (N,), N >= 1; NaN if one is NaN. Faster than numpy's, which makes 36 calls."""
     ordered, half = np.array(values), len(values) // 2
     ordered.sort()
     if math.isnan(ordered[-1]):
@@ -43,13 +42,13 @@ def middle_of(values: F64) -> float:
 
 
 def tukey_weights(residuals: F64, sigma: float) -> F64:
-    """Tukey's biweight (N,) of residuals (N,), in [0, 1]; 0 from `TUKEY` sigma on."""
+    """Tukey's biweight (N,) of residuals (N,), in [0, 1]; 0 from `TUKEY` sigmas on."""
     return np.asarray(np.clip(1 - (residuals / (TUKEY * sigma)) ** 2, 0, None) ** 2)
 
 
 @kernel("f8(f8[::1], f8[::1])")
 def robust_scale(residuals: F64, base: F64) -> float:
-    """The sigma of normal errors, from the median of |residuals| where base > 0; 0 if there is none."""
+    """Sigma of normal errors, from the median of |residuals| where base > 0; 0 if there is none."""
     count = 0
     kept = np.empty(len(residuals))
     for n in range(len(residuals)):
@@ -62,7 +61,7 @@ def robust_scale(residuals: F64, base: F64) -> float:
 
 @kernel("f8(f8)")
 def biweight(share: float) -> float:
-    """Tukey's biweight of a residual as a share of the one from which on the weight is 0."""
+    """Tukey's biweight of a residual as a share of the limit at which the weight becomes 0."""
     near = max(1.0 - share * share, 0.0)
     return near * near
 
@@ -75,11 +74,10 @@ def tukey_weight(ratio: float) -> float:
 
 @kernel("f8(f8[::1], f8[::1])", any_order=True)
 def correlation_length(residuals: F64, weights: F64) -> float:
-    """How many neighbours on a closed curve say the same thing: 1 + 2 sum of the autocorrelation.
+    """Correlation length of samples around a closed curve: 1 + 2 times the sum of their autocorrelation.
 
-    Texture and machining marks displace an edge over several px along its length; taking such samples
-    for independent would state a sigma that is too small. Summed up to the first lag that is not more than
-    chance.
+    Texture and machining marks displace an edge over several px along its length; if such samples counted as
+    independent, the stated sigma would be too small. The sum ends at the first lag that is not significant.
     """
     count = len(residuals)
     kept, known = np.zeros(count), np.zeros(count)  # 0 where there is no edge: it adds nothing

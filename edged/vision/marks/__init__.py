@@ -1,1 +1,1 @@
-"""Reference marks: coded dots around the pick area that show where the cameras are in each exposure."""
+"""Reference marks: coded dots around the pick area from which each exposure shows the cameras' positions."""

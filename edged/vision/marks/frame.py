@@ -1,8 +1,8 @@
 """A frame of coded dots to print, etch or engrave around the pick area.
 
-Each mark is a dot, whose place is measured, and beside it a code, an ArUco marker as wide as the dot, which
-says which one it is. Seen along its code's own x axis, a dot lies `CODE_AWAY` diameters before the code: a
-mark can be cut out and glued anywhere by itself.
+Each mark is a dot, whose position is measured, and beside it a code, an ArUco marker as wide as the dot,
+which identifies it. Along the code's own x axis the dot lies `CODE_AWAY` diameters before the code, so that
+a single mark can be cut out and glued anywhere.
 """
 
 from __future__ import annotations
@@ -20,17 +20,17 @@ from edged.vision.boards.artwork import Artwork, Ink
 
 DICTIONARY = "5X5_1000"
 """Any two of its codes differ by at least 5 of 25 squares (OpenCV's `aruco_dictionary.cpp`)."""
-CODES = 1000  # of the dictionary
+CODES = 1000  # number of codes in the dictionary
 CODE_AWAY = 1.75
-"""Diameters from a dot's centre to its code's: three quarters of one are white between them."""
+"""Distance between the centres of a dot and its code, in diameters, with a white gap of three quarters."""
 MIN_MARKS, MAX_MARKS = 6, 24
-"""Six must agree before a knock is believed; beyond 24 the gain in sigma is below a tenth of what 8 have."""
+"""Six must agree to accept a knock; beyond 24 marks sigma improves by less than a tenth of that of 8."""
 GRAMMAR = "WIDTHxHEIGHT:COUNT:DIAMETER_MM[:FIRST_CODE], mm between the outermost dots, e.g. 120x90:8:4:0"
 
 
 @dataclass(frozen=True, slots=True)
 class MarkFrame:
-    """Dots along a rectangle; the frame's origin is its middle, x to the right, y down.
+    """Dots along a rectangle, whose centre is the origin; x to the right, y down.
 
     first : code of the mark at the upper left corner; the others follow clockwise.
     """
@@ -39,16 +39,16 @@ class MarkFrame:
     height_mm: float
     count: int
     diameter_mm: float
-    first: int = 0  # of the printed codes
+    first: int = 0  # first printed code
 
     @property
     def codes(self) -> range:
-        """Codes of its marks."""
+        """Codes of the frame's marks."""
         return range(self.first, self.first + self.count)
 
     @property
     def places(self) -> FloatArray:
-        """(N, 4) centres of the dots, mm, and unit vectors from dot to code, along the frame's side."""
+        """Centres of the dots in mm, and unit vectors from dot to code, along the frame's side; (N, 4)."""
         w, h = self.width_mm, self.height_mm
         beside = (self.count - 4) // 2
         across = round(beside * w / (w + h))
@@ -67,7 +67,7 @@ class MarkFrame:
 
 
 def parse_frame(text: str) -> MarkFrame:
-    """Read such as "120x90:8:4:0". Raises `CalibrationError` that names the part that is wrong."""
+    """Parse a specification such as "120x90:8:4:0". Raises `CalibrationError` that names the wrong part."""
 
     def wrong(what: str) -> CalibrationError:
         return CalibrationError(f"marks {text!r}: {what}; expected {GRAMMAR}")
@@ -99,7 +99,7 @@ def parse_frame(text: str) -> MarkFrame:
 
 @cache
 def code_squares(code: int) -> B8:
-    """(7, 7) of a code with its border: True where it is white; rows from the top."""
+    """Squares (7, 7) of a code with its border, rows from the top; True for white."""
     dictionary = dictionary_of_marks()
     picture = cv2.aruco.generateImageMarker(dictionary, code, dictionary.markerSize + 2)
     white = np.asarray(picture) > 127
@@ -109,19 +109,19 @@ def code_squares(code: int) -> B8:
 
 @cache
 def dictionary_of_marks() -> cv2.aruco.Dictionary:
-    """OpenCV's dictionary."""
+    """OpenCV's dictionary of the codes."""
     return cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, f"DICT_{DICTIONARY}"))
 
 
 def frame_artwork(frame: MarkFrame) -> Artwork:
-    """The ink of a frame, in its own coordinates."""
+    """Artwork of a frame, in its own coordinates."""
     d, black, white, dots = frame.diameter_mm, [], [], []
     for code, (x, y, along_x, along_y) in zip(frame.codes, frame.places.tolist(), strict=True):
         dots.append((x, y, d / 2))
         at = np.array([x, y]) + CODE_AWAY * d * np.array([along_x, along_y])
         black.append((*(at - d / 2).tolist(), d, d))
         squares = code_squares(code)
-        # quarter turns from the code's own x axis to the frame's; np.rot90 turns the other way, y down
+        # quarter turns from the code's x axis to the frame's; with y down np.rot90 turns the other way
         turned = np.rot90(squares, -round(np.degrees(np.arctan2(along_y, along_x)) / 90))
         cell = d / len(squares)
         white += [

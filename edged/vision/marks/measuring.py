@@ -1,4 +1,4 @@
-"""Dots and codes of reference marks in one picture: searched for, or measured where they are expected."""
+"""Search for dots and codes of reference marks in one picture, or measure them at expected positions."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ from edged.vision.marks.params import MARKS
 from edged.vision.marks.rims import fit_rims
 
 _OUTLINE = np.linspace(0.0, 2.0 * np.pi, 16, endpoint=False)
-"""More than the five points that an ellipse has."""
+"""Angles of rim points; an ellipse needs at least five."""
 _FREE = 2.0 * (CODE_AWAY - 1.0)
-"""White from a dot to its code, in radii."""
+"""Width of the white gap between a dot and its code, in radii."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PlacedMarks:
     """N marks in space.
 
-    places_mm (N, 3) : centres of the dots. along_mm (N, 3) : to those of their codes. normal (3,) unit : of
-    the plane they lie in, away from the cameras. radius_mm (N,) : of the dots.
+    places_mm (N, 3) : centres of the dots. along_mm (N, 3) : from these to the centres of their codes.
+    normal (3,) : unit normal of their plane, away from the cameras. radius_mm (N,) : of the dots.
     """
 
     codes: tuple[int, ...]
@@ -38,14 +38,14 @@ class PlacedMarks:
     radius_mm: FloatArray
 
     def outlines_mm(self) -> FloatArray:
-        """(N, K, 3) rims of the dots."""
+        """Rims (N, K, 3) of the dots."""
         along = self.along_mm / np.linalg.norm(self.along_mm, axis=1, keepdims=True)
         across = np.cross(self.normal, along)
         rim = np.cos(_OUTLINE)[:, None] * along[:, None] + np.sin(_OUTLINE)[:, None] * across[:, None]
         return np.asarray(self.places_mm[:, None] + self.radius_mm[:, None, None] * rim)
 
     def squares_mm(self) -> FloatArray:
-        """(N, 7, 7, 3) centres of the squares of the codes, rows from the top."""
+        """Centres (N, 7, 7, 3) of the squares of the codes, rows from the top."""
         count = len(code_squares(0))
         side = self.along_mm / CODE_AWAY
         steps = (np.arange(count) + 0.5) / count - 0.5
@@ -60,12 +60,12 @@ class PlacedMarks:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MarksLook:
-    """How N marks look to one camera near one place: they hardly change their form when it moves by a little.
+    """Appearance of N marks to one camera near one pose; it hardly changes when the camera moves slightly.
 
-    shapes (N, 3) : ellipses b11, b12, b22 as `fit_dots` has them. eccentric_px (N, 2) : from where a dot's
-    centre is seen to the middle of its ellipse (Heikkilä, doi:10.1109/34.879788). squares_px (N, 49, 2) :
-    from the dot's centre to the squares of its code; white (N, 49) : which of these are. blur_px : sigma of
-    the edges.
+    shapes (N, 3) : ellipses b11, b12, b22 as in `fit_dots`. eccentric_px (N, 2) : from the image of a dot's
+    centre to the centre of its ellipse (Heikkilä, doi:10.1109/34.879788). squares_px (N, 49, 2) : from the
+    dot's centre to the squares of its code; white (N, 49) : which of these are white. blur_px : sigma of the
+    edge spread.
     """
 
     shapes: FloatArray
@@ -82,7 +82,7 @@ def look_of(
     shapes: FloatArray,
     blur_px: float,
 ) -> MarksLook:
-    """How a camera sees marks, whose shapes and blur were measured; NaN for those behind it."""
+    """Compute the appearance of marks with measured shapes and blur; NaN for those behind the camera."""
     centres = _project(camera, camera_from_world, marks.places_mm)
     ellipses = np.array(
         [
@@ -102,17 +102,17 @@ def look_of(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SeenDots:
-    """Dots in one picture: pixels (N, 2) of their centres, sigma_px (N,) of a coordinate; NaN: not seen."""
+    """Dots in one picture: centres pixels (N, 2), sigma_px (N,) of one coordinate; NaN if not seen."""
 
     pixels: FloatArray
     sigma_px: FloatArray
 
 
 def measure_marks(image: Image, look: MarksLook, centres_px: FloatArray) -> SeenDots:
-    """Measure dots near where they are expected, and read their codes.
+    """Measure dots near their expected positions, and check their codes.
 
-    image (H, W) uint8, linear.  centres_px (N, 2) : NaN for those not to be looked for.
-    A dot that is covered in part, cut by the border or beside another code counts as not seen.
+    image (H, W) uint8, linear.  centres_px (N, 2) : NaN for dots to skip.
+    A dot that is partly covered, cut off by the border or beside another code counts as not seen.
     """
     seen = SeenDots(np.full_like(centres_px, np.nan), np.full(len(centres_px), np.nan))
     some = np.flatnonzero(np.isfinite(centres_px + look.eccentric_px).all(axis=1))
@@ -131,7 +131,7 @@ def measure_marks(image: Image, look: MarksLook, centres_px: FloatArray) -> Seen
 
 
 def rough_dots(image: Image, look: MarksLook, centres_px: FloatArray) -> FloatArray:
-    """(N, 2) centres of dots that lie some pixels from where they are looked for; NaN where there is none."""
+    """Centres (N, 2) of dots that may lie some pixels from the expected position; NaN where none is found."""
     fits = fitted(
         image,
         np.column_stack([centres_px + look.eccentric_px, look.shapes, np.zeros(len(centres_px))]),
@@ -140,7 +140,7 @@ def rough_dots(image: Image, look: MarksLook, centres_px: FloatArray) -> FloatAr
 
 
 def fitted(image: Image, start: FloatArray) -> FloatArray:
-    """`fit_dots` of ellipses (N, 6), whose last column is filled in here; not ok where there is none."""
+    """Run `fit_dots` on ellipses (N, 6), whose last column is set here; not ok where there is no ellipse."""
     fits = np.full((len(start), 9), np.nan)
     fits[:, 4:6] = 0.0
     with np.errstate(invalid="ignore"):
@@ -159,14 +159,14 @@ def fitted(image: Image, start: FloatArray) -> FloatArray:
 
 
 def _project(camera: CameraModel, camera_from_world: FloatArray, points_mm: FloatArray) -> FloatArray:
-    """Pixels; NaN behind the camera."""
+    """Project to pixels; NaN behind the camera."""
     places = apply(camera_from_world, points_mm)
     with np.errstate(invalid="ignore", divide="ignore"):
         return np.asarray(np.where(places[..., 2:] > 0.0, camera.project(places), np.nan))
 
 
 def _read(image: Image, squares_px: FloatArray, white: B8) -> B8:
-    """Whether squares (M, 49, 2) show these codes (M, 49)."""
+    """Whether the image shows these codes (M, 49) at squares (M, 49, 2); (M,) bool."""
     height, width = image.shape
     with np.errstate(invalid="ignore"):
         inside = np.asarray(((squares_px >= 0) & (squares_px <= (width - 1, height - 1))).all(axis=(1, 2)))
@@ -180,10 +180,10 @@ def _read(image: Image, squares_px: FloatArray, white: B8) -> B8:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FoundMarks:
-    """Marks of any kind in one picture.
+    """Marks with any code found in one picture.
 
-    codes (N,) : each once. centres_px (N, 2) and away_px (N, 2) : where the dot should be, and the way from
-    there to the code. twice : codes that are there more than once, and in none of the others.
+    codes (N,) : those found exactly once. centres_px (N, 2), away_px (N, 2) : expected centre of the dot, and
+    vector from there to the code. twice : codes found more than once, which are not in the other fields.
     """
 
     codes: tuple[int, ...]
@@ -193,7 +193,7 @@ class FoundMarks:
 
 
 def search_marks(image: Image) -> FoundMarks:
-    """Find all codes in a picture (H, W) uint8, 10 ms or so."""
+    """Find all codes in a picture (H, W) uint8; takes about 10 ms."""
     corners, ids, _ = _detector().detectMarkers(image)
     numbers = [] if ids is None else [int(number) for number in np.ravel(ids)]
     outlines = np.asarray(corners, np.float64).reshape(-1, 4, 2)
@@ -201,7 +201,7 @@ def search_marks(image: Image) -> FoundMarks:
     kept = [index for index, number in enumerate(numbers) if number not in twice]
     kept.sort(key=lambda index: numbers[index])
     chosen = outlines[kept]
-    # the code's own x axis: from its left corners to its right ones
+    # the code's x axis: from its left corners to its right ones
     along = 0.5 * (chosen[:, 1] + chosen[:, 2] - chosen[:, 0] - chosen[:, 3])
     away = CODE_AWAY * along
     middle = chosen.mean(axis=1)

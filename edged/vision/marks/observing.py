@@ -1,7 +1,7 @@
-"""What dots in a pair say to a track of the reference marks: where they should be, and how far off they are.
+"""Measurement model of the tracking of reference marks: expected dots in a pair, and their innovation.
 
-The taught places (2, N, 2), and what a dot's place in the pixels does to it, are considered, never updated:
-see `edged.vision.marks.tracking`.
+The errors of the taught positions (2, N, 2), and those due to a dot's position in the pixel grid, are
+consider parameters, which are never updated: see `edged.vision.marks.tracking`.
 """
 
 from __future__ import annotations
@@ -19,15 +19,15 @@ from edged.vision.marks.params import MARKS
 from edged.vision.marks.taught import TaughtMarks
 
 GRID = np.tile([1e-5, 1e-5, 1e-5, 0.005, 0.005, 0.005, 1e-5], 2)
-"""Steps of a displacement (rad, mm, share): half of one moves a dot by 0.1 px at most."""
+"""Grid steps of a displacement (rad, mm, share): half a step moves a dot by at most 0.1 px."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DotsInPair:
-    """What both pictures show: pixels (2, N, 2), sigma_px (2, N), NaN where a dot was not seen.
+    """Dots in both pictures: pixels (2, N, 2), sigma_px (2, N); NaN where a dot was not seen.
 
-    strange : codes in the pictures that were not taught; known only after a search. unlike : codes that were
-    taught, and have no dot as it was taught.
+    strange : codes in the pictures that were not taught; known only after a search. unlike : taught codes
+    whose dot does not look as taught.
     """
 
     pixels: FloatArray
@@ -38,10 +38,11 @@ class DotsInPair:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ObservedDots:
-    """Chosen dots against a track: innovation (M,) and its covariance, and what they are worth.
+    """Selected dots compared with a track: innovation (M,), its covariance and the gain.
 
-    slopes (M, 14).  rows (M,) : of the taught places.  root (M, M) : the inverse of the covariance is
-    root^T root.  common (M, 8 N) : covariance of what is considered of these dots with all of it.
+    slopes (M, 14) : Jacobian.  rows (M,) : indices into the taught coordinates.  root (M, M) : the inverse of
+    the covariance is root^T root.  common (M, 8 N) : covariance of these coordinates' consider parameters
+    with all consider parameters.
     """
 
     innovation: FloatArray
@@ -61,10 +62,11 @@ class ObservedDots:
         marks: I64,
         at: FloatArray | None = None,
     ) -> ObservedDots:
-        """Dots of some marks, linearised at a displacement: the track's own, or `at`.
+        """Observation of some marks' dots, linearised at a displacement: the track's own, or `at`.
 
-        considered (4 N, 4 N) : covariance of the taught places; the pixels' doing is `bias_share` of as many
-        biases, each with twice the variance of one: that of then, and that of now.
+        considered (4 N, 4 N) : covariance of the taught positions. The error from the pixel grid is
+        `bias_share` times one of 4 N biases with twice the variance of a single one, as it is the difference
+        of the bias at teaching and the present one.
         """
         here = track.displacement if at is None else at
         count = len(taught.codes)
@@ -92,7 +94,7 @@ class ObservedDots:
 
     @property
     def count(self) -> int:
-        """Coordinates."""
+        """Number of coordinates."""
         return len(self.innovation)
 
     @property
@@ -102,7 +104,7 @@ class ObservedDots:
         return float(whitened @ whitened)
 
     def applied(self, track: MarksTrack) -> MarksTrack:
-        """The track with what these dots say; what is considered stays as it is."""
+        """Update the track with these dots; the consider parameters stay as they are."""
         whitened = self.gain @ self.root.T  # K S^(1/2)
         K = whitened @ self.root
         covariance = track.covariance - whitened @ whitened.T
@@ -115,9 +117,9 @@ class ObservedDots:
         )
 
     def worst(self, marks: I64) -> int:
-        """Which of these marks, by its place among them, the others agree best without.
+        """Index, within `marks`, of the mark whose removal reduces the misfit most.
 
-        Leaving out rows B takes w_B' (S^-1)_BB^-1 w_B from the misfit, with w = S^-1 innovation.
+        Removing rows B reduces the misfit by w_B' (S^-1)_BB^-1 w_B, with w = S^-1 innovation.
         """
         count = self.common.shape[1] // 8
         inverse = self.root.T @ self.root
@@ -131,10 +133,11 @@ class ObservedDots:
 
 
 def bias_share(taught: TaughtMarks, dots: DotsInPair) -> FloatArray:
-    """(2, N, 2) how much of a bias is left of the difference between the teaching's and this exposure's.
+    """Share (2, N, 2) of the bias that remains in the difference between teaching and this exposure.
 
-    A dot that lies where it was taught has the same one; over a pixel both have nothing to do with each
-    other. Of a wave over each pixel the variance is as 1 - cos(2 pi d), at first 1 - exp(-2 pi^2 d^2).
+    A dot that lies where it was taught has the same bias; after moving by a pixel the two are uncorrelated.
+    For a bias that is a wave over each pixel the variance goes as 1 - cos(2 pi d), which is
+    1 - exp(-2 pi^2 d^2) for small d.
     """
     moved = np.sum((dots.pixels - taught.pixels) ** 2, axis=2, keepdims=True)
     still = MARKS.bias_still**2
@@ -143,10 +146,10 @@ def bias_share(taught: TaughtMarks, dots: DotsInPair) -> FloatArray:
 
 
 def expected_dots(taught: TaughtMarks, displacement: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Where the dots should be seen (2, N, 2), and how that moves with the displacement (2, N, 2, 14).
+    """Expected positions of the dots (2, N, 2), and their Jacobian by the displacement (2, N, 2, 14).
 
-    From the nearest of a grid of displacements, so narrow that what is not linear within it is below 1e-5 px:
-    the cameras of a cell stay near one for minutes.
+    Linearised at the nearest point of a grid of displacements, so fine that the nonlinearity within a step is
+    below 1e-5 px, and cached: the cameras of a cell stay near one grid point for minutes.
     """
     near = np.round(displacement / GRID) * GRID
     pixels, slopes = _on_grid(taught, near.tobytes())
@@ -168,6 +171,6 @@ def _on_grid(taught: TaughtMarks, displacement: bytes) -> tuple[FloatArray, Floa
 
 
 def chance_limit(count: int) -> float:
-    """chi² of `count` that chance exceeds once in a million (E. B. Wilson, M. M. Hilferty, PNAS 17, 1931)."""
+    """Quantile 1 - 1e-6 of chi² with `count` degrees of freedom (Wilson and Hilferty, PNAS 17, 1931)."""
     share = 2.0 / (9.0 * count)
     return float(count * (1.0 - share + MARKS.chance * math.sqrt(share)) ** 3)

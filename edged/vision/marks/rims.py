@@ -1,8 +1,8 @@
-"""The kernel that measures dots whose form is known: only the pixels around their rims are looked at.
+"""Kernel that measures dots of known shape from the pixels around their rims only.
 
-The model is the dot of `boards.markmodels` with the form of its ellipse and its blur held, which are what
-they were when it was taught: seven unknowns instead of ten, on a ring of a few pixels, by Gauss-Newton from
-where the dot is expected. Nothing that is symmetric about the centre, as another blur, moves it.
+The model is the dot of `boards.markmodels` with the shape of the ellipse and the blur fixed to the taught
+ones: seven unknowns instead of ten, on a ring of a few pixels, by Gauss-Newton from the expected position.
+Effects that are symmetric about the centre, such as a different blur, do not move it.
 """
 
 from __future__ import annotations
@@ -29,9 +29,9 @@ _UNKNOWNS = 7  # see `rim_sums`
 def rim_sums(
     image: Image, p: FloatArray, ring: FloatArray, normal: FloatArray, meat: FloatArray, gradient: FloatArray
 ) -> tuple[float, int]:
-    """Sum of squared residuals and pixel count over a ring; fills JᵀJ, Jᵀr and the sum of r² g gᵀ.
+    """Sum of squared residuals and pixel count over a ring; computes JᵀJ, Jᵀr and the sum of r² g gᵀ.
 
-    p (10,) as `dot_value` has it.  ring (7,) : centre, b11, b12, b22, radius and half width in px.
+    p (10,) as in `dot_value`.  ring (7,) : centre, b11, b12, b22, radius and half width in px.
     """
     height, width = image.shape
     row, own, shape = np.empty(10), np.empty(_UNKNOWNS), np.empty(1)
@@ -40,7 +40,7 @@ def rim_sums(
     meat[:] = 0.0
     gradient[:] = 0.0
     determinant = ring[2] * ring[4] - ring[3] * ring[3]
-    # half sizes of the box around an ellipse that is wider by the ring
+    # half sizes of the bounding box of the ellipse enlarged by the ring
     grown = 1.0 + ring[6] / ring[5]
     reach_x = grown * math.sqrt(ring[3] * ring[3] + ring[4] * ring[4]) / determinant
     reach_y = grown * math.sqrt(ring[2] * ring[2] + ring[3] * ring[3]) / determinant
@@ -70,11 +70,11 @@ def rim_sums(
 
 @kernel("void(u1[:, ::1], f8[:, ::1], f8[:, ::1])")
 def fit_rims(image: Image, start: FloatArray, result: FloatArray) -> None:
-    """Fit dots of known form.
+    """Fit dots of known shape.
 
     start (N, 7) : x, y, b11, b12, b22 (as in `dot_value`), blur in px, half width of the ring in px.
-    result (N, 5) : x, y, sigma_px of a coordinate, contrast, ok (1 or 0). Of the sigma: H. White, 1980,
-    doi:10.2307/1912934.
+    result (N, 5) : x, y, sigma_px of one coordinate, contrast, ok (1 or 0). Source of the sigma: H. White,
+    1980, doi:10.2307/1912934.
     """
     height, width = image.shape
     p, ring = np.empty(10), np.empty(7)

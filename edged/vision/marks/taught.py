@@ -1,8 +1,8 @@
-"""Teaching reference marks: where they are seen, and where they are, while the calibration is fresh.
+"""Teaching of reference marks: their image positions and their places, while the calibration is fresh.
 
-What the marks show later is compared with what they showed then, picture with picture. So a correction is of
-what has changed since, and none of it is the calibration's own error: a cell in which nothing has changed
-measures what it measured without marks.
+Later images of the marks are compared with those of the teaching. So a correction contains only what has
+changed since, and not the calibration's own error: a cell in which nothing has changed measures the same as
+without marks.
 """
 
 from __future__ import annotations
@@ -36,15 +36,15 @@ from edged.vision.marks.measuring import (
 from edged.vision.marks.params import MARKS
 
 
-@dataclass(frozen=True, eq=False)  # no slots: cached properties live in the instance's dictionary
+@dataclass(frozen=True, eq=False)  # no slots: cached properties need the instance's __dict__
 class TaughtMarks:
     """Reference marks as they were taught.
 
-    placed : in the frame of the rig as calibrated ("world").  pixels (2, N, 2) : where left and right camera
-    saw the dots, mean of `exposures`; sigma_px (2, N) of a coordinate of these means.  shapes (2, N, 3) :
-    their ellipses, as `fit_dots` has them; blur_px : of the edges, left and right.  noise : of one exposure
-    against what its fit says, at least 1.  covariance (3 N, 3 N) : of the places in the marks' own frame, in
-    mm².  exposed_ns : of the last exposure, UTC.
+    placed : in the frame of the rig as calibrated ("world").  pixels (2, N, 2) : positions of the dots in
+    left and right images, mean of `exposures`; sigma_px (2, N) of one coordinate of these means.
+    shapes (2, N, 3) : their ellipses, as in `fit_dots`; blur_px : of the edges, left and right.  noise :
+    actual over stated noise of one exposure, at least 1.  covariance (3 N, 3 N) : of the places in the marks'
+    own frame, mm².  exposed_ns : time of the last exposure, UTC.
     """
 
     rig: StereoRig
@@ -65,23 +65,23 @@ class TaughtMarks:
 
     @cached_property
     def looks(self) -> tuple[MarksLook, MarksLook]:
-        """How both cameras see them."""
+        """Appearance of the marks to both cameras."""
         return _looks(self.rig, self.placed, self.shapes, self.blur_px)
 
     @cached_property
     def residual_px(self) -> FloatArray:
-        """(2, N, 2) : where they were seen against where the calibrated rig sees their places."""
+        """Residuals (2, N, 2): taught pixels minus the projection of their places by the calibrated rig."""
         nothing = np.zeros(DISPLACEMENT)
         seen = [seen_with_slopes(self.rig, nothing, side, self.placed.places_mm)[0] for side in SIDES]
         return np.asarray(self.pixels - np.stack(seen))
 
     @cached_property
     def world_from_marks(self) -> FloatArray:
-        """(4, 4) : the marks' own frame; see `own_frame`."""
+        """Pose (4, 4) of the marks' own frame; see `own_frame`."""
         return own_frame(self.placed.places_mm, self.placed.normal)
 
     def by_growth(self) -> FloatArray:
-        """(2, N, 2) px : how the dots move per unit of the plate's growth about the marks' middle."""
+        """Shift (2, N, 2) px of the dots per unit of relative growth of the plate about the marks' middle."""
         arms = self.placed.places_mm - self.world_from_marks[:3, 3]
         nothing = np.zeros(DISPLACEMENT)
         slopes = [seen_with_slopes(self.rig, nothing, side, self.placed.places_mm)[2] for side in SIDES]
@@ -89,7 +89,7 @@ class TaughtMarks:
 
 
 def own_frame(places_mm: FloatArray, normal: FloatArray) -> FloatArray:
-    """(4, 4) world_from_marks: origin in their middle, z along the normal, x the world's in their plane."""
+    """world_from_marks (4, 4): origin in their middle, z along the normal, x the world's x in their plane."""
     x = unit(np.array([1.0, 0.0, 0.0]) - normal[0] * normal)
     return transform(np.column_stack([x, np.cross(normal, x), normal]), places_mm.mean(axis=0))
 
@@ -101,7 +101,7 @@ def _pose(rig: StereoRig, side: str) -> FloatArray:
 def _looks(
     rig: StereoRig, placed: PlacedMarks, shapes: FloatArray, blur_px: tuple[float, float]
 ) -> tuple[MarksLook, MarksLook]:
-    """How both cameras see marks."""
+    """Appearance of marks to both cameras."""
     left, right = (
         look_of(rig.camera(side), _pose(rig, side), placed, shape, blur)
         for side, shape, blur in zip(SIDES, shapes, blur_px, strict=True)
@@ -115,7 +115,7 @@ def _looks(
 def teach_marks(
     pairs: Iterable[tuple[Image, Image]], rig: StereoRig, exposed_ns: int, *, least: int = MARKS.min_exposures
 ) -> TaughtMarks:
-    """Teach the marks that all of at least `least` exposures of a still cell show.
+    """Teach the marks seen in at least `least` exposures of a still cell.
 
     pairs : raw left and right images (H, W) uint8.
     Raises `CalibrationError` that says what is wrong with the marks or the pictures.
@@ -147,9 +147,9 @@ def taught_of(
     blur_px: tuple[float, float],
     exposed_ns: int,
 ) -> TaughtMarks:
-    """What measured dots teach: pixels (E, 2, N, 2), sigma_px (E, 2, N); NaN where a dot was not seen.
+    """Teach from measured dots: pixels (E, 2, N, 2), sigma_px (E, 2, N); NaN where a dot was not seen.
 
-    placed : the marks, roughly; shapes, blur_px : as in `TaughtMarks`. Raises `CalibrationError`.
+    placed : approximate marks; shapes, blur_px : as in `TaughtMarks`. Raises `CalibrationError`.
     """
     codes = placed.codes
     shown = np.isfinite(pixels).all(axis=(1, 3)).sum(axis=0)
@@ -186,14 +186,14 @@ def taught_of(
 
 
 def _counts(codes: tuple[int, ...], shown: FloatArray, exposures: int) -> str:
-    """In words, how often each was seen."""
+    """How often each mark was seen, in words."""
     return ", ".join(f"{code} in {seen} of {exposures}" for code, seen in zip(codes, shown, strict=True))
 
 
 def first_look(
     images: Sequence[Image], rig: StereoRig
 ) -> tuple[PlacedMarks, FloatArray, FloatArray, tuple[float, float]]:
-    """The marks in both pictures, roughly; of their dots centres (2, N, 2), shapes (2, N, 3) and blur."""
+    """Approximate marks in both pictures; centres (2, N, 2), shapes (2, N, 3) and blur of their dots."""
     found = [search_marks(image) for image in images]
     codes = tuple(sorted(set(found[0].codes) & set(found[1].codes)))
     if len(codes) < MARKS.min_agreeing:
@@ -230,7 +230,7 @@ def first_look(
     along -= np.outer(along @ normal, normal)
     b11, b12, b22 = shapes[0][kept].T
     radius_px = 1.0 / np.sqrt(b11 * b22 - b12**2)
-    # a circle of radius r looks like an ellipse of area pi (r f / z)² (ray . normal) / (ray . axis)
+    # a circle of radius r is imaged as an ellipse of area pi (r f / z)² (ray . normal) / (ray . axis)
     rays = centres[kept]
     aslant = np.sqrt(rays[:, 2] / np.abs(rays @ normal))
     radius_mm = radius_px * rays[:, 2] / math.sqrt(rig.left.fx * rig.left.fy) * aslant
@@ -240,7 +240,7 @@ def first_look(
 
 
 def _why_so_few(images: Sequence[Image], found: list[FoundMarks], codes: tuple[int, ...]) -> str:
-    """In words, why marks cannot be taught."""
+    """Why marks cannot be taught, in words."""
     counted = f"{len(codes)} reference marks are in both pictures, at least {MARKS.min_agreeing} are needed"
     twice = sorted({code for marks in found for code in marks.twice})
     if twice:
@@ -255,13 +255,13 @@ def _why_so_few(images: Sequence[Image], found: list[FoundMarks], codes: tuple[i
 
 
 def _normal(places_mm: FloatArray) -> FloatArray:
-    """(3,) of the plane nearest to points, away from the cameras."""
+    """Unit normal (3,) of the plane fitted to points, away from the cameras."""
     normal = np.linalg.svd(places_mm - places_mm.mean(axis=0))[2][2]
     return np.asarray(normal if normal[2] > 0 else -normal)
 
 
 def _own_covariance(rig: StereoRig, places_mm: FloatArray, sigma_px: FloatArray) -> FloatArray:
-    """(3 N, 3 N) of places in the marks' own frame: what moves all of them as one is not in it."""
+    """Covariance (3 N, 3 N) of places in the marks' own frame, without common rigid motions."""
     count = len(places_mm)
     apart = np.zeros((count, 3, count, 3))
     each = raw_covariance(rig, places_mm, np.sqrt(np.mean(sigma_px**2, axis=0)))
@@ -281,5 +281,5 @@ def _own_covariance(rig: StereoRig, places_mm: FloatArray, sigma_px: FloatArray)
 
 
 def places_in_own_frame(taught: TaughtMarks) -> FloatArray:
-    """(N, 3) of the dots, in the marks' own frame."""
+    """Centres (N, 3) of the dots in the marks' own frame."""
     return apply(invert(taught.world_from_marks), taught.placed.places_mm)

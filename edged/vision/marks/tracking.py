@@ -1,15 +1,16 @@
-"""Where the cameras are, exposure by exposure: a small filter over what the reference marks show.
+"""Tracking of both cameras from exposure to exposure: a small Kalman filter on the reference marks.
 
 The state is the displacement of both cameras since the marks were taught (14, see `geometry.correction`). It
-walks at random, as fast as weather drives it; each exposure updates it with the dots that are seen. What is
-wrong with all exposures alike does not average out, and the filter knows: the taught places of the dots in
-the pictures (2, N, 2) with the plate's growth, and what their place in the pixels does to them (as many), are
-never updated, but their correlation with the state is carried along (S. F. Schmidt, "Application of
+is a random walk as fast as temperature changes cause; each exposure updates it with the dots seen. Errors
+common to all exposures do not average out, and the filter takes this into account: the taught positions of
+the dots in the pictures (2, N, 2) with the plate's expansion, and their biases from the pixel grid (as many),
+are never updated, but their correlation with the state is propagated (S. F. Schmidt, "Application of
 state-space methods to navigation problems", Advances in Control Systems 3, 1966: the consider filter).
 
-Before an update all dots together must agree with what is expected (chi² at 1e-6). If they do not, either
-some marks are wrong, and most of the others agree, or the cameras were moved, and at least six marks agree on
-where to; else nothing is believed. Pure and without a clock: the same state and pictures give the same bits.
+Before an update all dots together must agree with the prediction (chi² at 1e-6). If they do not, either some
+marks are wrong and most of the others agree, or the cameras were moved and at least six marks agree on the
+movement; otherwise the exposure is rejected. Pure and without a clock: the same state and pictures give
+bitwise the same result.
 """
 
 from __future__ import annotations
@@ -36,38 +37,38 @@ from edged.vision.marks.params import EXPANSION_PER_K, MARKS
 from edged.vision.marks.taught import TaughtMarks
 
 _FOCAL = [OF_CAMERA * index + 6 for index in range(2)]
-"""Elements of a displacement."""
+"""Indices of the focal lengths in a displacement."""
 _STEPS = 5
-"""Gauss-Newton steps for a knock of some mm: it converges quadratically, three reach 1e-9 px."""
+"""Gauss-Newton steps for a knock of some mm; convergence is quadratic, and three steps reach 1e-9 px."""
 
 
 @dataclass(frozen=True, slots=True)
 class MarksSettings:
-    """What a cell says of its marks.
+    """A cell's settings for its marks.
 
-    material : of the plate. range_k : how far temperatures differ from those of the teaching.
-    heals : whether results are given again after a knock; else only after another teaching.
+    material : of the plate. range_k : largest temperature difference from the teaching.
+    heals : whether results resume after a knock without another teaching.
     """
 
     material: str = "steel"
-    range_k: float = 10.0  # chosen: a hall by day and night; more makes sigma larger, less too small
+    range_k: float = 10.0  # a hall by day and night; more makes sigma larger, less makes it too small
     heals: bool = True
 
 
 class MarksFilter:
-    """The filter of one teaching; holds nothing that changes."""
+    """The filter for one teaching; immutable."""
 
     def __init__(self, taught: TaughtMarks, settings: MarksSettings | None = None) -> None:
         self.taught, self.settings = taught, settings or MarksSettings()
         self.considered = np.diag(np.repeat(taught.sigma_px.reshape(-1) ** 2, 2))
         grown = taught.by_growth().reshape(-1)
-        # the whole range is a sigma: at the warmest hour of a day that is what the plate is off by
+        # the whole range counts as one sigma: at the warmest hour of a day the plate is off by that much
         growth = EXPANSION_PER_K[self.settings.material] * self.settings.range_k
         self.considered += growth**2 * np.outer(grown, grown)
         self._weather = _by_camera(MARKS.shift_mm_per_k, MARKS.turn_rad_per_k, MARKS.focal_per_k) ** 2
 
     def begin(self) -> MarksTrack:
-        """Before the first exposure: all that weather can have done since the teaching, and nothing else."""
+        """Initial track before the first exposure: any effect of temperature since the teaching, no knock."""
         prior = np.diag(self._weather * self.settings.range_k**2)
         nothing = np.zeros(DISPLACEMENT)
         return MarksTrack(nothing, prior, np.zeros((DISPLACEMENT, 2 * len(self.considered))), nothing)
@@ -77,7 +78,7 @@ class MarksFilter:
     def step(
         self, track: MarksTrack, left: Image, right: Image, exposed_ns: int
     ) -> tuple[MarksTrack, MarksReport]:
-        """What a pair of linear raw images (H, W) uint8 says; `exposed_ns` UTC."""
+        """Process one pair of linear raw images (H, W) uint8; `exposed_ns` UTC."""
         track = self.predicted(track, exposed_ns)
         dots, track = self.look(track, left, right)
         track, report = self.updated(track, dots)
@@ -86,13 +87,13 @@ class MarksFilter:
         return track, report
 
     def predicted(self, track: MarksTrack, exposed_ns: int) -> MarksTrack:
-        """As time passes. A clock that goes back adds nothing, one that jumps on a day at most."""
+        """Predict the track at a later time. A clock set back adds nothing; a jump ahead at most a day."""
         if not track.exposed_ns:
             return replace(track, exposed_ns=exposed_ns)
         hours = min(max((exposed_ns - track.exposed_ns) / 3.6e12, 0.0), MARKS.longest_h)
         swing = self._weather * self.settings.range_k**2
         walked = swing * MARKS.daily**2 * hours
-        # the marks hardly see focal lengths: walking for months they would be lost, but weather returns
+        # the marks hardly determine focal lengths: an unbounded walk would lose them, but temperature returns
         share = math.exp(-0.5 * MARKS.daily**2 * hours)
         kept = np.ones(DISPLACEMENT)
         kept[_FOCAL] = share
@@ -106,7 +107,7 @@ class MarksFilter:
         )
 
     def updated(self, track: MarksTrack, dots: DotsInPair) -> tuple[MarksTrack, MarksReport]:
-        """What dots say; the track as `predicted` gave it."""
+        """Update a predicted track with dots, testing for wrong marks and knocks."""
         seen = np.isfinite(dots.pixels).all(axis=2)
         marks = np.flatnonzero(seen.any(axis=0))
         if not len(marks):
@@ -167,7 +168,7 @@ class MarksFilter:
     def _coasting(
         self, track: MarksTrack, dots: DotsInPair, fit: float | None, marks: I64
     ) -> tuple[MarksTrack, MarksReport]:
-        """Too few marks are seen. Codes of another plate are no weather."""
+        """Outcome if too few marks are seen; codes of another plate make it a contradiction."""
         if not len(marks) and (dots.strange or len(dots.unlike) >= MARKS.min_of_camera):
             shown = ", ".join(map(str, (dots.strange or dots.unlike)[:8]))
             why = f"another plate: codes {shown} were not taught here"
@@ -205,9 +206,9 @@ class MarksFilter:
         return found, replace(report, valid=False, excluded=excluded)
 
     def _as_a_whole(self, track: MarksTrack, dots: DotsInPair, marks: I64) -> tuple[float, float] | None:
-        """Growth of the plate, and its sigma, if all is as before but for the plate; None if it is not.
+        """Relative growth of the plate, and its sigma, if only the plate changed; None otherwise.
 
-        The plate may lie elsewhere (as it seems when the rig was moved), and be of another size.
+        The plate may have moved (as it seems to when the rig was moved) and be of another size.
         """
         taught = self.taught
         observed = self._observed(track, dots, marks)
@@ -257,7 +258,7 @@ class MarksFilter:
     def _without_wrong(
         self, track: MarksTrack, dots: DotsInPair, marks: I64
     ) -> tuple[ObservedDots | None, I64]:
-        """Leave out, one by one, the mark without which the others agree best; None where none agree."""
+        """Remove the worst mark repeatedly until the others agree; None if they never do."""
         kept = marks
         while len(kept) > MARKS.min_of_camera:
             kept = np.delete(kept, self._observed(track, dots, kept).worst(kept))
@@ -269,9 +270,9 @@ class MarksFilter:
     def _moved(
         self, track: MarksTrack, dots: DotsInPair, marks: I64, hit: Sequence[Side]
     ) -> tuple[MarksTrack | None, I64]:
-        """Where the marks alone say that cameras are that were hit: lenses as before, poses forgotten.
+        """Estimate the poses of the cameras hit from the marks alone; lenses keep their prior, poses do not.
 
-        Returns at least `min_agreeing` marks that agree on it; None and none where there are not so many.
+        Also returns the marks that agree, at least `min_agreeing`; None and no marks if there are fewer.
         """
         known = np.ones(DISPLACEMENT)
         for side in hit:
@@ -294,7 +295,7 @@ class MarksFilter:
     # --- pictures ------------------------------------------------------------------------------------------
 
     def look(self, track: MarksTrack, left: Image, right: Image) -> tuple[DotsInPair, MarksTrack]:
-        """Measure all dots; where half of them are not where they should be, search the whole pictures."""
+        """Measure all dots; if fewer than half are at their expected positions, search the whole pictures."""
         images, taught = (left, right), self.taught
         expected = self.expected_px(track.displacement)
         seen = [
@@ -308,13 +309,13 @@ class MarksFilter:
             return _both(seen), replace(track, searched=track.searched - 1)
         dots = self._searched(images, seen)
         again = min(int(np.isfinite(pixels).all(axis=1).sum()) for pixels in dots.pixels)
-        if again > found or dots.strange or dots.unlike:  # what another plate is must be said each time
+        if again > found or dots.strange or dots.unlike:  # another plate must be reported each time
             return dots, replace(track, searched=0, blank=0)
         blank = min(2 * track.blank + 1, MARKS.farthest_search)
         return dots, replace(track, searched=blank, blank=blank)
 
     def _searched(self, images: tuple[Image, Image], seen: list[SeenDots]) -> DotsInPair:
-        """Dots found anywhere, in place of those not seen."""
+        """Dots with those not seen replaced by dots found anywhere in the pictures."""
         codes, both = self.taught.codes, []
         strange, unlike = set[int](), set[int]()
         for image, look, dots in zip(images, self.taught.looks, seen, strict=True):
@@ -342,12 +343,12 @@ class MarksFilter:
         )
 
     def expected_px(self, displacement: FloatArray) -> FloatArray:
-        """(2, N, 2) where the dots should be seen."""
+        """Expected positions (2, N, 2) of the dots."""
         return expected_dots(self.taught, displacement)[0]
 
 
 def _moved_px(taught: TaughtMarks, displacement: FloatArray) -> float:
-    """How far a small displacement moves what is in the pictures, at most."""
+    """Upper bound of the image shift that a small displacement causes, px."""
     depth_mm = float(taught.placed.places_mm[:, 2].min())
     most = 0.0
     for side in SIDES:
@@ -359,7 +360,7 @@ def _moved_px(taught: TaughtMarks, displacement: FloatArray) -> float:
 
 
 def correction_of(track: MarksTrack) -> RigCorrection:
-    """The cameras as they are."""
+    """Correction of the rig by a track."""
     return RigCorrection(track.displacement, track.covariance)
 
 
@@ -368,17 +369,17 @@ def _both(seen: list[SeenDots]) -> DotsInPair:
 
 
 def _by_camera(mm: float, rad: float, focal: float) -> FloatArray:
-    """(14,) for both cameras alike."""
+    """Displacement vector (14,) with the same values for both cameras."""
     return np.tile([rad, rad, rad, mm, mm, mm, focal], 2)
 
 
 def _refused(taught: TaughtMarks, moved: MarksTrack, whole: tuple[float, float] | None) -> str:
-    """Why a knock cannot be believed; "" if it can.
+    """Why a knock cannot be accepted; "" if it can.
 
-    whole : growth of the plate and its sigma, if that explains it.
+    whole : growth of the plate and its sigma, if a moved plate explains the pictures.
 
-    A camera that moves along the baseline looks like a plate that grew and moved away by just as much; so
-    only what one camera alone does not explain is taken for another plate.
+    A camera that moves along the baseline looks the same as a plate that grew and moved away accordingly; so
+    another plate is assumed only if a movement of one camera does not explain the pictures.
     """
     far_mm, far_rad = _relative(taught, moved.displacement)
     if far_mm > MARKS.largest_mm or far_rad > MARKS.largest_rad:
@@ -392,7 +393,7 @@ def _refused(taught: TaughtMarks, moved: MarksTrack, whole: tuple[float, float] 
 
 
 def _relative(taught: TaughtMarks, displacement: FloatArray) -> tuple[float, float]:
-    """By how much (mm, rad) the cameras were moved against each other."""
+    """Change of the baseline (mm) and relative rotation (rad) of the cameras to each other."""
     rig = taught.rig
     now = RigCorrection(displacement, np.empty((0, 0))).applied(rig).right_from_left
     turn = now[:3, :3] @ rig.right_from_left[:3, :3].T

@@ -1,4 +1,4 @@
-"""The surface of a part whose CAD model is known, as its job keeps it. What it hides is `bodysight`'s."""
+"""The surface of a part whose CAD model is known, as its job keeps it; for occlusion see `bodysight`."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ import numpy.typing as npt
 from edged.domain.arrays import I64, FloatArray
 
 MAX_TRIANGLES = 40_000
-"""The most that a job keeps; with more a part is taught without its surface."""
-MAX_SIZE_MM = 1e4  # limit of a job file
-MAX_BREAK_MM = 10.0  # the same
+"""Most triangles that a job keeps; a part with more is taught without its surface."""
+MAX_SIZE_MM = 1e4  # largest coordinate in a job file
+MAX_BREAK_MM = 10.0  # largest edge break in a job file
 BREAKS = ("breaks_mm", "sigma_break_mm")
 MERGED = "merged_mm"
 
@@ -24,21 +24,21 @@ class PartBody:
     """A part's surface in its part frame, mm.
 
     points_mm (N, 3).  triangles (M, 3) : counter-clockwise seen from outside.
-    lines (L, 4) : the sharp edges: both ends, as points, and the triangles on both sides.
-    breaks_mm (L,) : width of the edge break that the real part has there and the surface has not; None: none.
-    sigma_break_mm : of these widths.
-    merged_mm : narrower ones show no form: a chamfer and a rounding look alike.
+    lines (L, 4) : the sharp edges: indices of both end points, and of the triangles on both sides.
+    breaks_mm (L,) : width of the edge break that the real part has there and the surface lacks; None: none.
+    sigma_break_mm : sigma of these widths.
+    merged_mm : breaks narrower than this show no form: a chamfer and a rounding look alike.
     """
 
     points_mm: FloatArray
     triangles: I64
     lines: I64
     breaks_mm: FloatArray | None = None
-    sigma_break_mm: float = 0.0  # as stated
-    merged_mm: float = 0.0  # none is
+    sigma_break_mm: float = 0.0  # the widths are exact
+    merged_mm: float = 0.0  # all breaks show their form
 
     def to_arrays(self) -> dict[str, npt.NDArray[Any]]:
-        """For a file; single precision is a nanometre of a part of a centimetre."""
+        """Arrays for a file; single precision resolves a nanometre on a part of a centimetre."""
         arrays: dict[str, npt.NDArray[Any]] = {
             "points_mm": self.points_mm.astype(np.float32),
             "triangles": self.triangles.astype(np.uint32),
@@ -53,7 +53,7 @@ class PartBody:
 
     @staticmethod
     def from_arrays(arrays: Mapping[str, npt.NDArray[Any]]) -> PartBody:
-        """Inverse of `to_arrays`; raises `ValueError` that names what is wrong."""
+        """Inverse of `to_arrays`. Raises `ValueError` that names the fault."""
         points = checked(arrays, "points_mm", 3, np.dtype(np.float32)).astype(np.float64)
         triangles = checked(arrays, "triangles", 3, np.dtype(np.uint32)).astype(np.int64)
         lines = checked(arrays, "lines", 4, np.dtype(np.uint32)).astype(np.int64)
@@ -83,12 +83,12 @@ class PartBody:
 
     @property
     def sides(self) -> tuple[I64, I64]:
-        """Sides (K, 2) that two triangles share, as their points, and the numbers of both (K, 2)."""
+        """Sides (K, 2) shared by two triangles, as point indices, and the indices of both (K, 2)."""
         return neighbours(self.triangles)
 
     @property
     def normals(self) -> FloatArray:
-        """(M, 3) of the triangles, outwards, 0 where a triangle has no area."""
+        """(M, 3) unit normals of the triangles, outwards; 0 where a triangle has no area."""
         corners = self.points_mm[self.triangles]
         normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         length = np.linalg.norm(normals, axis=1, keepdims=True)
@@ -96,7 +96,7 @@ class PartBody:
 
 
 def checked(arrays: Mapping[str, npt.NDArray[Any]], name: str, wide: int, kind: np.dtype[Any]) -> Any:
-    """The array (N, wide) of a name; raises `ValueError` where it is missing or another one."""
+    """The array (N, wide) of a name. Raises `ValueError` if it is missing or of another kind or shape."""
     if name not in arrays:
         raise ValueError(f"{name}: missing")
     value = arrays[name]
@@ -106,14 +106,14 @@ def checked(arrays: Mapping[str, npt.NDArray[Any]], name: str, wide: int, kind: 
 
 
 def neighbours(triangles: I64) -> tuple[I64, I64]:
-    """Sides (K, 2) that two triangles (M, 3) share, as their points, and the numbers of both (K, 2)."""
+    """Sides (K, 2) shared by two of triangles (M, 3), as point indices, and the indices of both (K, 2)."""
     sides, owner, start, count = all_sides(triangles)
     start = start[count == 2]
     return sides[start], np.stack([owner[start], owner[start + 1]], axis=1)
 
 
 def all_sides(triangles: I64) -> tuple[I64, I64, I64, I64]:
-    """Sides (K, 2) in order with their triangles (K,); where each other one begins, and how often it is."""
+    """Sides (K, 2) of all triangles, sorted, with their triangles (K,); start and count of equal ones."""
     sides = np.sort(np.stack([triangles, np.roll(triangles, -1, axis=1)], axis=2).reshape(-1, 2), axis=1)
     owner = np.repeat(np.arange(len(triangles)), 3)
     sides, owner = sides[sides[:, 0] != sides[:, 1]], owner[sides[:, 0] != sides[:, 1]]

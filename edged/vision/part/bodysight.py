@@ -1,9 +1,9 @@
 """Self-occlusion of a part with a CAD model, and edges close beside its curves.
 
-From aside a boss covers holes, and a wall its foot: what a camera cannot see is neither looked for nor
-missed. And an edge of the model that runs beside a curve, nearer than a picture keeps two edges apart,
-displaces it to somewhere between both: the lower edge of a chamfer, seen at a slant. No picture tells such a
-stretch from a good one; the model does.
+Seen at a slant, a boss covers holes and a wall its own foot: curves that a camera cannot see are not looked
+for, and do not count as missing. And an edge of the model that runs beside a curve, nearer than a picture can
+resolve, displaces it to somewhere between both: the lower edge of a chamfer, seen at a slant. No picture
+tells such a stretch from a good one; the model does.
 """
 
 from __future__ import annotations
@@ -24,17 +24,17 @@ from edged.vision.part.params import SOLID
 from edged.vision.part.zbuffer import hidden_points
 
 APART_PX = 2.6 * math.hypot(0.55, WIDTHS_PX[1])
-"""Two steps nearer than twice the blur have one extremum of slope, at the mean of both, each counted by its
-height; from 2.6 times on, one as strong draws the other by less than a twentieth of the way. Blur: of a
-focused lens, seen through a narrow operator."""
+"""Distance within which one edge displaces another. Two steps closer than twice the blur have a single
+extremum of slope, at their mean weighted by height; from 2.6 times on, two of equal height shift each other
+by less than a twentieth of their distance. Blur: that of a focused lens, seen through a narrow operator."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BodySight:
     """Visibility, in one camera, of a part's curves at a pose.
 
-    hidden (N,) : samples that the part covers.  merged (N,) : samples beside which another edge runs so near
-    that both are seen as one, somewhere between them.
+    hidden (N,) : samples that the part itself covers.  merged (N,) : samples beside which another edge runs
+    so near that both are seen as one, somewhere between them.
     """
 
     hidden: B8
@@ -42,7 +42,7 @@ class BodySight:
 
 
 def hidden_samples(body: PartBody, rig: StereoRig, pose: FloatArray, points_mm: FloatArray) -> B8:
-    """(2, N) which points (N, 3) of the part frame a part at rig_from_part (4, 4) hides from each camera."""
+    """(2, N) whether a part at rig_from_part (4, 4) hides points (N, 3), part frame, from each camera."""
     eyes = [_eye(camera_pose(rig, side)[1] @ pose) for side in SIDES]
     return np.stack([hidden_points(body.points_mm, body.triangles, points_mm, eye) for eye in eyes])
 
@@ -50,9 +50,9 @@ def hidden_samples(body: PartBody, rig: StereoRig, pose: FloatArray, points_mm: 
 def sight_of(
     body: PartBody, rig: StereoRig, side: str, pose: FloatArray, outline: CurveOutline, seen: ProjectedOutline
 ) -> BodySight:
-    """Visibility of curve samples (part frame) in a camera, and their places in its image.
+    """Visibility in one camera of curve samples.
 
-    pose (4, 4) : rig_from_part.
+    pose (4, 4) : rig_from_part.  outline : the samples, part frame.  seen : their places in the image.
     """
     points_mm = outline.points
     camera, camera_from_rig = camera_pose(rig, side)
@@ -70,12 +70,12 @@ def sight_of(
 
 
 def _eye(camera_from_part: FloatArray) -> FloatArray:
-    """(3,) the camera in the part frame."""
+    """(3,) projection centre of the camera in the part frame."""
     return np.asarray(invert(camera_from_part)[:3, 3])
 
 
 def _drawn(body: PartBody, eye: FloatArray, step_mm: float) -> FloatArray:
-    """(K, 3) points along the sharp edges that face a camera at eye (3,), on one of their sides at least."""
+    """(K, 3) points along the sharp edges that have at least one side turned to a camera at eye (3,)."""
     start, end = body.points_mm[body.lines[:, 0]], body.points_mm[body.lines[:, 1]]
     to_eye = eye - 0.5 * (start + end)
     faces = body.normals[body.lines[:, 2:]]
@@ -94,11 +94,11 @@ def _drawn(body: PartBody, eye: FloatArray, step_mm: float) -> FloatArray:
 def find_beside(
     pixels: F64, lines: F64, seen: ProjectedOutline, outline: CurveOutline, limits: F64, beside: F64
 ) -> None:
-    """Fill beside (N,): where across a sample the nearest point of another edge is, NaN where none is near.
+    """Fill beside (N,): px across each sample to the nearest point of another edge; NaN if none is near.
 
     pixels (K, 2), lines (K, 3) : points of edges in the image, and in the part.  seen, outline : the samples
-    of the curves.  limits : px up to which an edge is near, across; px along the curve; mm off a sample's
-    tangent within which an edge is the curve itself.
+    of the curves.  limits : px across the curve, and px along it, within which an edge is near; mm off a
+    sample's tangent within which an edge is the curve itself.
     """
     samples, normals = seen.pixels, seen.normals
     apart, along, own = limits[0], limits[1], limits[2]

@@ -44,8 +44,8 @@ from edged.vision.shape.search import ShapeMatch
 def measure(images: StereoImages, job: Job, match: ShapeMatch) -> MeasuredPart | None:
     """Measure one found part; None when the right camera does not show what the left one found.
 
-    First the reference circle, for the plane of the face; then the other circles near the places where
-    the pose puts them; then all that were found, together.
+    First the reference circle, for the plane of the face; then the other circles near the places predicted by
+    the pose; then all that were found, together.
     """
     main = _reference(images, job, match)
     if main is None:
@@ -75,7 +75,7 @@ def measure(images: StereoImages, job: Job, match: ShapeMatch) -> MeasuredPart |
 
 
 def placed(job: Job, match: Match, fit: PlaneFit, start: FloatArray) -> tuple[list[FoundCircle], Target]:
-    """The circles of a fit besides the reference that agree with it, and the target.
+    """The target of a fit, and the other circles of the fit that agree with the reference.
 
     start (3, 3) : rig_from_part's rotation, but for its turn about the normal.  Raises ValueError for a fit
     without the reference circle.
@@ -100,7 +100,7 @@ def placed(job: Job, match: Match, fit: PlaneFit, start: FloatArray) -> tuple[li
 
 
 def _growth(images: StereoImages, job: Job, fit: PlaneFit) -> tuple[float, float]:
-    """Relative excess of the circles over the taught ones, and its sigma, the depth's included."""
+    """Relative excess of the circles over the taught ones, and its sigma, including that of the depth."""
     same_rig = job.calibration_id == images.rig.calibration_id
     found = circles_in_rig(by_edges_alone(fit) if same_rig else fit)
     growth, sigma = scale_deviation(job, tuple(circle.circle for circle in found))
@@ -113,8 +113,8 @@ def _reference(images: StereoImages, job: Job, match: ShapeMatch) -> FoundCircle
     """The reference circle, measured on its own, from the start that both cameras agree with best.
 
     The foot of a thick disc's wall, a shadow or a chamfer beside the rim is an edge, too, and in one view it
-    may be the stronger one over a third of the circle. From a poor start a tilted circle through both
-    would be found; so each start locks on with the taught radius first.
+    may be the stronger one over a third of the circle. From a poor start a tilted circle through both would
+    be found; so each start is first fitted with the taught radius fixed.
     """
     best: FoundCircle | None = None
     for start in _starts(images, job, match):
@@ -138,7 +138,7 @@ def _plausible(found: FoundCircle, start: _Start) -> bool:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Start:
-    """A start for the reference circle: centre and normal (3,), rig frame; and the search range."""
+    """A start for the reference circle: centre and normal (3,), rig frame; polarity and fit parameters."""
 
     centre_mm: FloatArray
     normal: FloatArray
@@ -149,8 +149,8 @@ class _Start:
 def _starts(images: StereoImages, job: Job, match: ShapeMatch) -> Iterator[_Start]:
     """Likely places of the reference circle, best first.
 
-    The match has two poses in space. Where they fail, the right image tells by itself where the outline's
-    plane is.
+    The match allows two poses in space. Where both fail, the plane of the outline is found by its rows in
+    both images.
     """
     reference = job.reference_circle
     expected = _polarity(reference, match)
@@ -180,9 +180,9 @@ def _face_curves(job: Job, main: FoundCircle, rotation: FloatArray) -> tuple[Fac
 def _others(
     images: StereoImages, job: Job, match: ShapeMatch, main: FoundCircle, rotation: FloatArray
 ) -> list[CurveFit]:
-    """The other circles of the face that are where this rotation of the part puts them; with its axes.
+    """The other circles of the face that lie where this rotation of the part puts them, in its axes.
 
-    A circle that was taught off the face keeps that distance.
+    A circle that was taught off the face keeps its height.
     """
     face, first = _face_curves(job, main, rotation)
     wanted = {}
@@ -213,12 +213,12 @@ def _others(
 
 
 def tolerance_mm(job: Job) -> float:
-    """How far from its place, and from its size, a circle may be."""
+    """Largest deviation of a circle from its place, and of its radius."""
     return MEASURING.place_tolerance * job.reference_circle.radius_mm + MEASURING.place_margin_mm
 
 
 def rival_turns(job: Job) -> list[float]:
-    """Turns about the reference circle's axis that lay one circle of the part on another one's place."""
+    """Turns about the reference circle's axis that put one circle of the part in the place of another."""
     arms = np.array([c.centre_mm[:2] - job.reference_circle.centre_mm[:2] for c in job.circles])
     lengths = np.linalg.norm(arms, axis=1)
     tolerance = tolerance_mm(job)
@@ -235,7 +235,7 @@ def rival_turns(job: Job) -> list[float]:
 def _together(
     images: StereoImages, job: Job, main: FoundCircle, others: list[CurveFit], rotation: FloatArray
 ) -> PlaneFit | None:
-    """Measure all circles in one common plane, now with free radii. others : in the axes of the rotation."""
+    """Measure all circles in one common plane, now with free radii.  others : in the axes of the rotation."""
     face, first = _face_curves(job, main, rotation)
     curves = [first, *(other.curve for other in others)]
     fit = fit_plane(images.rig, images.raw, face, curves, MEASURING.together)
@@ -250,11 +250,11 @@ def _together(
 
 
 def _other_end_mm(images: StereoImages, job: Job, fit: PlaneFit) -> float:
-    """Difference of the radii from the taught ones where edges are broken; 0 for sharp edges.
+    """Largest difference of a radius from its taught one if edges are broken; 0 for sharp edges.
 
-    No light displaces a sharp edge so far: it is seen at another end of its break than it was taught at. What
-    all sizes have alike is the distance's doubt, not theirs; beyond the tolerance of the job it is no edge of
-    this part's.
+    A larger difference than light can cause means that an edge is seen at the other end of its break than it
+    was taught at. A common growth of all sizes is a doubt about the distance and is removed; a reference
+    beyond the tolerance of the job is no edge of this part.
     """
     taught = {circle.name: circle.radius_mm for circle in job.circles}
     found = [circle.circle for circle in circles_in_rig(by_edges_alone(fit))]
@@ -285,7 +285,7 @@ def _outline(circle: CircleFeature, count: int) -> FloatArray:
 
 
 def _face(images: StereoImages, job: Job, match: ShapeMatch, polarity: int) -> Plane | None:
-    """The plane of the part's face, from the reference circle's outline in both rectified images."""
+    """Plane of the part's face, from the reference circle's outline in both rectified images."""
     rectification = images.rectification
     points, normals = _predicted_outline(rectification, job, match)
     depth = seen_depth_mm(rectification, job, match)
@@ -323,7 +323,7 @@ def _polarity(circle: CircleFeature, match: ShapeMatch) -> int:
 
 
 def _start_rotation(images: StereoImages, job: Job, match: ShapeMatch, main: Circle3D) -> FloatArray:
-    """rig_from_part rotation from the match alone: the part's x axis, drawn on the measured face."""
+    """Rotation of rig_from_part from the match alone: the part's axes projected onto the measured face."""
     face = Plane.through(main.centre_mm, main.normal)
     radius = job.reference_circle.radius_mm
     tips = np.array([[radius, 0.0, 0.0], [-radius, 0.0, 0.0], [0.0, radius, 0.0], [0.0, -radius, 0.0]])
@@ -332,7 +332,7 @@ def _start_rotation(images: StereoImages, job: Job, match: ShapeMatch, main: Cir
 
 
 def _frame(normal: FloatArray, along_x: FloatArray, along_y: FloatArray) -> FloatArray:
-    """Columns x, y, z with z away from the cameras and x as both directions in the face want it."""
+    """Columns x, y, z: z away from the cameras, x the mean of what both directions in the face give."""
     z = -normal
     x = unit(along_x) + cross(unit(along_y), z)
     x = unit(x - (x @ z) * z)
@@ -340,9 +340,9 @@ def _frame(normal: FloatArray, along_x: FloatArray, along_y: FloatArray) -> Floa
 
 
 class _Turned(NamedTuple):
-    """rotation (3, 3) rig_from_part; sigma about the normal, rad, and what of it comes from the edges.
+    """rotation (3, 3) rig_from_part; sigma about the normal, rad, and its share that comes from the edges.
 
-    agreeing : the indices of the circles that agree.
+    agreeing : indices of the circles that agree.
     """
 
     rotation: FloatArray
@@ -356,8 +356,8 @@ def _rotation(
 ) -> _Turned:
     """Turn the start rotation about the normal until the circles lie where they were taught.
 
-    A part with one circle, or only concentric ones, keeps the shape's rotation. The edges of each circle
-    err by themselves; a rig that is wrong turns all of them alike.
+    A part with one circle, or only concentric ones, keeps the rotation of the match. The edges of each circle
+    err independently; an error of the rig turns all of them alike.
     """
     taught = {circle.name: circle.centre_mm for circle in job.circles}
     reference = taught[job.reference]
@@ -391,7 +391,7 @@ def _rotation(
     turn = float(np.sum(values[good] * weights[good]) / np.sum(weights[good]))
     chi2 = float(np.sum(weights[good] * (values[good] - turn) ** 2)) / max(int(good.sum()) - 1, 1)
     gain = weights[good] @ rows[good] / np.sum(weights[good])
-    # no result is known better than the least that one hole is taken to be
+    # no result is better than the smallest sigma that is assumed for one hole
     by_edges = max(chi2, 1.0) * max(float(gain @ fit.edge_covariance @ gain), 1 / float(weights[good].sum()))
     by_rig = float(gain @ (fit.covariance - fit.edge_covariance) @ gain)
     agreeing = [index for index, use in zip(indices, good, strict=True) if use]
@@ -404,7 +404,7 @@ def _rotation(
 
 
 def _pose_covariance(main: FoundCircle, sigma_turn: float) -> FloatArray:
-    """(6, 6) of position (mm) and rotation vector (rad, rig axes)."""
+    """Covariance (6, 6) of position (mm) and rotation vector (rad, rig axes)."""
     covariance = main.pose_covariance.copy()
     covariance[3:, 3:] += sigma_turn**2 * np.outer(main.circle.normal, main.circle.normal)
     return covariance
@@ -413,8 +413,8 @@ def _pose_covariance(main: FoundCircle, sigma_turn: float) -> FloatArray:
 def _epipolar_rms(rectification: Rectification, fit: CurveFit) -> float:
     """Rms row difference of the reference circle's stretches, left against right.
 
-    Stretches, not single edge points: noise is no mismatch. Both cameras measure the same points of the
-    circle only up to a motion along the edge, so that edges which run down the image are left out.
+    It is taken over stretches, not single edge points: noise is no mismatch. Both cameras measure the same
+    points of the circle only up to a motion along the edge, so edges that run down the image are left out.
     """
     both = fit.weights.min(axis=0) > 0.1
     if both.sum() < 8:
@@ -435,7 +435,7 @@ def _epipolar_rms(rectification: Rectification, fit: CurveFit) -> float:
 
 
 def _chords(points: FloatArray) -> FloatArray:
-    """(N, 2) from the point before to the one after, of a closed line (N, 2)."""
+    """(N, 2) chords of a closed line (N, 2), from the point before each point to the one after it."""
     chords = np.empty_like(points)
     chords[1:-1] = points[2:] - points[:-2]
     chords[0], chords[-1] = points[1] - points[-1], points[0] - points[-2]

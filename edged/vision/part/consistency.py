@@ -1,20 +1,20 @@
-"""Whether a result is good: the job's limits, and what a picture says against its own rig.
+"""Acceptance of a result: the limits of the job, and contradictions between the pictures and the rig.
 
-That is rows that do not meet, and sizes that are all wrong alike.
+Such contradictions are rows that do not meet, and sizes that are all wrong by one factor.
 
 A camera that was knocked, or a right image that is older than the left one while the part moved on, still
-shows one part in both images; only its distance is wrong, and nothing in the residuals tells. Two things do:
+shows one part in both images; only its distance is wrong, and the residuals do not show it. Two things do:
 
-* Rows. A camera that has moved across the rows has moved along them, too, by an unknown amount, and along
-  the rows a shift is a distance.
-* Sizes. A part that is found at a wrong distance is too large, or too small, in all of its features by one
-  factor: radii and places differ as they would seen from elsewhere. A part out of tolerance
-  differs otherwise. (A warm part differs just so, 0.02 % for 20 K in steel: no picture tells it from a
-  nearer one.) A rig that measured the taught sizes shares its calibration's errors with them: between both
-  only what the edges leave open counts.
+* Rows. A camera that has moved across the rows has also moved along them, by an unknown amount, and a shift
+  along the rows is an error of distance.
+* Sizes. A part found at a wrong distance is too large, or too small, in all of its features by one factor,
+  in radii and positions alike. A part out of tolerance differs in another way. (A warm part differs in just
+  this way, 0.02 % for 20 K in steel: no picture tells it from a nearer one.) If the taught sizes were
+  measured by this rig, they share the errors of its calibration: then only the uncertainty of the edges
+  counts.
 
-Neither makes the result wrong; both make it less certain. They are doubts about one number, the distance in
-shares of itself, by which everything grows about the left camera.
+Neither makes the result wrong; both make it less certain. Both are doubts about one number, the relative
+error of the distance, by which everything is scaled about the left camera.
 """
 
 from __future__ import annotations
@@ -41,8 +41,9 @@ Feature = TypeVar("Feature", Circle3D, Edge3D, Slot3D, Corner3D)
 def scale_deviation(job: Job, circles: tuple[Circle3D, ...]) -> tuple[float, float]:
     """Relative excess of circles' sizes and distances over the taught ones, its sigma; NaN for too few.
 
-    The median by weight: one worn hole, or one that was drilled elsewhere, is the part's own. Its sigma comes
-    from the scatter, and from the stated sigmas as if all erred alike, as they do in one light.
+    It is the weighted median: a worn hole, or one drilled elsewhere, is a fault of the part and has no
+    effect. Its sigma comes from the scatter, and from the stated sigmas as if all errors were fully
+    correlated, as they are under one light.
     """
     by_name = {circle.name: circle for circle in circles}
     seen = [(circle, by_name[circle.name]) for circle in job.circles if circle.name in by_name]
@@ -66,7 +67,7 @@ def scale_deviation(job: Job, circles: tuple[Circle3D, ...]) -> tuple[float, flo
 
 
 def _distance(first: Circle3D, second: Circle3D) -> tuple[float, float]:
-    """Between two centres, and its sigma."""
+    """Distance of two centres, and its sigma."""
     gap = second.centre_mm - first.centre_mm
     length = length_of(gap)
     along = gap / length
@@ -75,7 +76,7 @@ def _distance(first: Circle3D, second: Circle3D) -> tuple[float, float]:
 
 
 def doubt_by_rows(rectification: Rectification, target: Target, shift_px: float, sigma_px: float) -> float:
-    """Sigma of the distance, in shares of itself, for a shift across the rows; 0 for an explained one."""
+    """Relative sigma of the distance implied by a shift across the rows; 0 if that shift is explained."""
     depth = float(rectification.rectified_from_left[2] @ target.position_mm)
     floor_px = MEASURING.min_rows_px if rectification.rig.covariance is not None else MEASURING.wall_px
     beyond_px = MEASURING.along_per_across * _beyond(shift_px, max(MEASURING.certain * sigma_px, floor_px))
@@ -83,24 +84,24 @@ def doubt_by_rows(rectification: Rectification, target: Target, shift_px: float,
 
 
 def distance_share(place_mm: FloatArray, covariance: FloatArray) -> float:
-    """Sigma of a distance against the taught one, in shares of it; of a place (3,), covariance (3, 3)."""
+    """Relative sigma of the distance of a place (3,) over the taught one, if both have covariance (3, 3)."""
     distance = length_of(place_mm)
     ray = place_mm / distance
     return math.sqrt(2 * max(float(ray @ covariance @ ray), 0.0)) / distance
 
 
 def doubt_by_sizes(growth: float, sigma: float) -> float:
-    """Sigma of the distance, in shares of itself, for sizes that are wrong alike; 0 for explained ones."""
+    """Relative sigma of the distance implied by a common growth of all sizes; 0 if that is explained."""
     return _beyond(growth, MEASURING.certain * sigma)
 
 
 def _beyond(value: float, explained: float) -> float:
-    """The value where nothing explains it; then it is a contradiction as a whole. 0 for one not known."""
+    """Full magnitude of a value that exceeds what is explained; 0 otherwise, and for NaN."""
     return abs(value) if abs(value) > explained else 0.0
 
 
 def doubted(target: Target, share: float, baseline_mm: float) -> Target:
-    """The target with a doubt about its distance, a share of it, in every covariance."""
+    """The target with a relative doubt about its distance added to every covariance."""
     if share == 0:
         return target
     doubt_mm = share * float(np.linalg.norm(target.position_mm))
@@ -108,7 +109,7 @@ def doubted(target: Target, share: float, baseline_mm: float) -> Target:
 
 
 def undoubted(target: Target, baseline_mm: float) -> Target:
-    """The target as if the rig were beyond doubt: for who wants to know from it whether the rig is."""
+    """The target without the doubt about its distance, for callers that judge the rig by it."""
     share = target.doubt_mm / float(np.linalg.norm(target.position_mm))
     return replace(_widened(target, -(share**2), baseline_mm), doubt_mm=0.0, by_doubt=np.zeros((6, 6)))
 
@@ -116,8 +117,8 @@ def undoubted(target: Target, baseline_mm: float) -> Target:
 def _widened(target: Target, square: float, baseline_mm: float) -> Target:
     """The target with a relative variance of the distance added to every covariance.
 
-    What moves one image by s moves the mean of both by s / 2: the place across the ray is in doubt, too, by
-    the share of half a baseline.
+    A shift of one image by s moves the mean of both by s / 2: the position across the ray is in doubt, too,
+    by the same share of half a baseline.
     """
     normal = target.rig_from_part[:3, 2]
     covariance, by_doubt = target.covariance.copy(), target.by_doubt.copy()
@@ -148,9 +149,10 @@ def _widened(target: Target, square: float, baseline_mm: float) -> Target:
 
 
 def _grown(feature: Feature, square: float, aside: FloatArray, *lengths_mm: FloatArray | float) -> Feature:
-    """A feature whose covariance is of these lengths, all of which grow with the distance.
+    """The feature with a relative variance of the distance added to its covariance.
 
-    aside (k, k) : variance of the first of them that does not come from the distance.
+    lengths_mm : the quantities of its covariance, all of which grow with the distance.  aside (k, k) :
+    further variance of the first k of them.
     """
     growth = np.hstack(lengths_mm)
     covariance = feature.covariance + square * np.outer(growth, growth)
@@ -159,7 +161,7 @@ def _grown(feature: Feature, square: float, aside: FloatArray, *lengths_mm: Floa
 
 
 def _aside_of(edge: Edge3D, normal: FloatArray, aside: FloatArray) -> FloatArray:
-    """(1, 1) of a variance in space (3, 3): across an edge."""
+    """(1, 1) variance across an edge, from a covariance in space (3, 3)."""
     across = _direction_across(edge, normal)
     return np.array([[across @ aside @ across]])
 
@@ -170,7 +172,7 @@ def _direction_across(edge: Edge3D, normal: FloatArray) -> FloatArray:
 
 
 def _across(edge: Edge3D, normal: FloatArray) -> float:
-    """How far the edge lies from the camera's foot on the face, across itself."""
+    """Offset of the edge's middle from the left camera, across the edge within the face."""
     return float(_direction_across(edge, normal) @ (0.5 * (edge.start_mm + edge.end_mm)))
 
 
@@ -181,10 +183,10 @@ def _measurement(size: Measurement, square: float) -> Measurement:
 
 
 def judged(job: Job, rectification: Rectification, target: Target, evidence: Evidence) -> Target:
-    """The target with every limit that it fails among its reasons, and with its doubts in every covariance.
+    """The target with a reject reason for every failed limit, and with its doubts added to every covariance.
 
-    A doubt that by itself makes a result too vague is a reason of its own kind: rows that do not meet are a
-    mismatch, sizes that are wrong alike are out of tolerance.
+    A doubt that by itself makes a result too uncertain has a reason of its own: LEFT_RIGHT_MISMATCH for rows
+    that do not meet, TOLERANCE for sizes that are all wrong by one factor.
     """
     limits = job.limits
     reject = target.reject | _reasons(job, target, evidence)
@@ -211,9 +213,9 @@ def size_reasons(measurements: tuple[Measurement, ...]) -> Reject:
 
 
 def vaguest_mm(job: Job, target: Target) -> float:
-    """The largest sigma of a coordinate, and of how high each end of the part's face lies.
+    """Largest sigma of the position's coordinates and of the heights of the ends of the part's face.
 
-    A normal that stands on a small hole is a vague one, and at the far end of the part so is the height. The
+    A normal measured on a small hole is uncertain, and so then is the height of the far end of the part. The
     turn about the normal is left out: a round part has none.
     """
     normal, reference = target.rig_from_part[:3, 2], job.place_of(job.reference)
@@ -228,7 +230,7 @@ def vaguest_mm(job: Job, target: Target) -> float:
 
 @lru_cache(maxsize=16)
 def _ends_mm(job: Job) -> FloatArray:
-    """(N, 3) part frame: how far the features reach."""
+    """(N, 3) extreme points of the features, part frame."""
     cross = np.array([[1.0, 0.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, -1.0, 0.0]])
     ends = [circle.centre_mm + circle.radius_mm * cross for circle in job.circles]
     ends += [slot.centre_mm + 0.5 * slot.length_mm * cross for slot in job.slots]
@@ -252,7 +254,7 @@ def _reasons(job: Job, target: Target, evidence: Evidence) -> Reject:
 
 
 def _out_of_tolerance(job: Job, target: Target, evidence: Evidence) -> Reject:
-    """Whether the reference circle's size, or the form of a part without circles, is not the taught one."""
+    """TOLERANCE if the reference circle's size, or the form of a part without circles, is off."""
     allowed = job.limits.radius_tolerance_mm
     if job.circles and allowed is not None:
         taught = job.reference_circle

@@ -1,8 +1,8 @@
-"""Whether the reference circle was found on another edge than the taught one.
+"""Test whether the reference circle was found on another edge than the taught one.
 
 A chamfer, a step or a burr has two edges, and the farther one may have just the radius that was taught. Both
-cameras agree on it, and its residuals are small. But the other circles of the face then lie off its plane, in
-their own size and at their own places; and where there are none, a second edge runs beside it that was not
+cameras agree on it, and its residuals are small. But then the other circles of the face, with their right
+sizes and places, lie off its plane; and where there are no others, a second edge runs beside it that was not
 there at teaching.
 """
 
@@ -56,9 +56,10 @@ def is_double(images: StereoImages, found: FoundCircle) -> bool:
 
 
 def _rival_share(slopes: FloatArray, places: FloatArray) -> float:
-    """Share of the sectors, rows of slopes (K, S), with a second maximum on one common curve.
+    """Share of the sectors, rows of slopes (K, S), with a second maximum that lies on one common curve.
 
-    One plane lies over the other: the distance varies around the circle as a shift does.
+    The second edge lies at another height: seen at a slant, it is shifted, so that its distance varies around
+    the circle as a cosine.
     """
     own = np.where(np.abs(places) <= MEASURING.own_px, slopes, -np.inf).max(axis=1)
     peak = np.zeros(slopes.shape, bool)
@@ -88,7 +89,7 @@ def stands_off(
 ) -> bool:
     """Whether most of the job's circles lie off the plane of the reference circle.
 
-    main, others : what was found in one plane.  rotation (3, 3) : of the part.
+    main, others : the circles found in one plane.  rotation (3, 3) : rig_from_part.
     """
     found = {circle.circle.name for circle in (main, *others)}
     missing = [circle for circle in job.circles if circle.name not in found]
@@ -105,7 +106,7 @@ def _is_off(
     circle: CircleFeature,
     rotation: FloatArray,
 ) -> bool:
-    """Whether both images show the whole circle in its size above or below its place."""
+    """Whether both images show most of the circle, in its size, above or below its place."""
     normal = main.circle.normal
     place = main.circle.centre_mm + rotation @ (circle.centre_mm - job.reference_circle.centre_mm)
     guess = CircleGuess(place, normal, circle.radius_mm, name=circle.name)

@@ -1,7 +1,7 @@
 """Predicted precision of a part's measurement at any pose.
 
-The same terms as those of a measured target, from the same equations, but for the pictures: the edges are
-where the pose puts them, and as clear as they were where the job was measured last.
+It has the terms of a measured target, from the same equations, but without pictures: the edges are where the
+pose puts them, and as clear as they were when the job was last measured.
 """
 
 from __future__ import annotations
@@ -27,18 +27,18 @@ from edged.vision.part.pose import circle_curve, edge_curve, find_motion, slot_c
 from edged.vision.part.solid import curves_of, target_of, taught_sigma_mm
 
 GOOD_LIGHT = ExpectedLight(contrast=80.0, noise=2.0, blur_px=0.8)
-"""Chosen: a good picture's; what is foreseen by it holds in such light."""
+"""Chosen: that of a good picture; predictions by it hold in such light."""
 USUAL = scatter_in(GOOD_LIGHT, FIT.doubt_px)
-"""For a job without measurements."""
+"""Scatter assumed for a job that was never measured."""
 
 Scatters = Mapping[str, Scatter]
-"""By feature name."""
+"""Edge scatter by feature name."""
 Noises = Mapping[str, tuple[float, float]]
-"""By feature name, as `edge_noise` returns them."""
+"""Edge noise by feature name, as `edge_noise` returns it."""
 
 
 def scatters_of(fits: Sequence[CurveFit]) -> Scatters:
-    """How well the features of a measured part could be seen."""
+    """Scatter of the features of a measured part: how well each could be seen."""
     return {fit.name: fit.scatter for fit in fits}
 
 
@@ -51,10 +51,10 @@ def expected_target(
 ) -> Target | None:
     """The target that a job would give of a part at a pose, with its covariance and its terms.
 
-    rig_from_part (4, 4) : as `Target` has it, of the reference point.  scatters : of features that were
-    measured; the others are as clear as the middle one of these, or as usual.  Its sizes are the taught ones.
-    noises : then its covariance is what they alone leave: the scatter of a part that lies still.
-    None where both pictures do not hold enough of it.
+    rig_from_part (4, 4) : as in `Target`, of the reference point.  scatters : of features that were measured;
+    for the others the median of these is taken, or `USUAL`.  Its sizes are the taught ones.
+    noises : if given, the covariance is that of these alone: the scatter of a part that lies still.
+    None where the two pictures do not contain enough of the part.
     """
     own = rig_from_part @ job.reference_from_part
     x, y = rectification.rig.left.project(rig_from_part[None, :3, 3])[0]
@@ -76,7 +76,7 @@ def expected_target(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Sight:
-    """A job's part at a pose of the job's own frame, rig_from_own (4, 4)."""
+    """A job's part at a pose.  rig_from_own (4, 4) : of the frame that the job's features are in."""
 
     rectification: Rectification
     job: Job
@@ -92,7 +92,7 @@ class _Sight:
         return None if fit is None else with_free_axis(self.job, target_of(self.job, self.match, fit))
 
     def circles(self) -> Target | None:
-        """A part of one face with circles: these together, then what they do not say."""
+        """A part of one face with circles: first these together, then what they leave undetermined."""
         main = self.job.reference_circle
         job = replace(self.job, reference=main.name)
         face, curves = self._face(main.centre_mm), []

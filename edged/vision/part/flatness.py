@@ -1,8 +1,8 @@
-"""Flatness of a face: how far it is bent, from points matched by NCC.
+"""Flatness of a face, as far as it is bent, from points matched by NCC.
 
-A surface of second order is fitted to the points; flatness is the distance of its highest from its lowest
-point, over the best plane. Unlike the farthest points themselves, which grow with their number and noise, it
-converges to the form of the face; roughness and dents smaller than a window are not in it.
+A surface of second order is fitted to the points; flatness is the height of its highest point over its
+lowest, relative to the best plane. Unlike the range of the points themselves, which grows with their number
+and noise, it converges to the form of the face; roughness and dents smaller than a window do not enter.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from edged.vision.part.pointcloud import face_points, heights_mm
 
 
 def with_flatness(measured: MeasuredPart, images: StereoImages, job: Job) -> MeasuredPart:
-    """A measured part with the flatness of its face in place of each one that the job asks for."""
+    """A measured part with the flatness of its face for each such measurement of the job."""
     target = measured.target
     depth = float(target.position_mm[2])
     slope = float(np.linalg.norm(target.rig_from_part[:2, 2]))
@@ -42,7 +42,7 @@ def with_flatness(measured: MeasuredPart, images: StereoImages, job: Job) -> Mea
 
 
 def form_of(points: FloatArray, sigma_mm: FloatArray) -> tuple[float, float]:
-    """Flatness and its sigma, mm, of points (N, 3) with heights of sigma (N,); NaN for too few of them."""
+    """Flatness and its sigma, mm, of points (N, 3) with height sigmas (N,); NaN for too few points."""
     if len(points) < MEASURING.flatness_points or not np.ptp(points[:, :2], axis=0).min() > 0:
         return math.nan, math.nan
     centre, size = points[:, :2].mean(axis=0), float(np.ptp(points[:, :2], axis=0).max())
@@ -57,7 +57,7 @@ def form_of(points: FloatArray, sigma_mm: FloatArray) -> tuple[float, float]:
         scale = max(mad_sigma(pull), 1e-9)
         weights = base * tukey_weights(pull, scale)
     kept = weights > 0
-    # what bends, over the plane that fits it best
+    # the curved part of the surface, minus the plane that fits it best
     flat = design[kept][:, :3]
     lift = design[kept][:, 3:] - flat @ np.linalg.lstsq(flat, design[kept][:, 3:], rcond=None)[0]
     bend = lift @ coefficients[3:]
@@ -67,7 +67,7 @@ def form_of(points: FloatArray, sigma_mm: FloatArray) -> tuple[float, float]:
 
 
 def _extent_mm(measured: MeasuredPart) -> float:
-    """Farthest that the part reaches from its reference point, as far as it was measured."""
+    """Largest distance of the measured features from the part's reference point."""
     target = measured.target
     places = [circle.centre_mm for circle in target.circles]
     places += [edge.start_mm for edge in target.edges] + [edge.end_mm for edge in target.edges]

@@ -1,4 +1,4 @@
-"""Features and sizes of a face in the rig frame, with the covariance that they have there."""
+"""Features and sizes of a face in the rig frame, with their covariances."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ _PLACE_AND_RADIUS = np.ix_([0, 1, 2, 6], [0, 1, 2, 6])  # of (7, 7): without the
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FoundCircle:
-    """A circle in the rig frame, and the edges it stands on.
+    """A circle in the rig frame, with the fit it comes from.
 
-    pose_covariance (6, 6) : of its centre (mm) and of the rotation of its plane (rad, rig axes), in which
-    nothing turns about the normal.
+    pose_covariance (6, 6) : of its centre (mm) and of the rotation of its plane (rad, rig axes), without a
+    rotation about the normal.
     """
 
     circle: Circle3D
@@ -32,18 +32,18 @@ class FoundCircle:
 
 
 def circle_in_rig(fit: PlaneFit, name: str) -> FoundCircle | None:
-    """A circle of a fit in the rig frame; None when it was not measured."""
+    """The circle of this name in a fit, rig frame; None if it was not measured."""
     return next((found for found in _circles(fit) if found.circle.name == name), None)
 
 
 def circles_in_rig(fit: PlaneFit) -> list[FoundCircle]:
-    """All circles of a fit, in its order."""
+    """All circles of a fit in the rig frame, in the order of the fit."""
     return list(_circles(fit))
 
 
-@lru_cache(maxsize=4)  # asked for again and again while one part is measured
+@lru_cache(maxsize=4)  # called repeatedly while one part is measured
 def by_edges_alone(fit: PlaneFit) -> PlaneFit:
-    """`PlaneFit.by_edges`."""
+    """`PlaneFit.by_edges`, cached."""
     return fit.by_edges()
 
 
@@ -62,7 +62,7 @@ def _circles(fit: PlaneFit) -> tuple[FoundCircle, ...]:
     height = np.array([found.curve.height_mm for found in circles])
     face, where = fit.face, np.array(columns)
     u, v, n = face.axes
-    # by height and slopes of the plane, x, y, radius: as the plane tilts, what stands on it moves sideways
+    # derivatives by the plane's height and slopes, x, y, radius; as it tilts, points above it move sideways
     lift = np.zeros((len(circles), 7, 6))
     lift[:, :3, 0], lift[:, :3, 3], lift[:, :3, 4] = n, u, v
     lift[:, :3, 1] = x[:, None] * n - height[:, None] * u
@@ -139,18 +139,18 @@ def lifted(face: Face, parameters: FloatArray, point: FloatArray) -> FloatArray:
 Size = Callable[[FloatArray], float]
 """A size as a function of the parameters of a `PlaneFit`."""
 APART = ("height", "flatness")
-"""Kinds that are measured separately, not from the curves together."""
+"""Kinds of measurement that are taken separately, not from the joint fit of the curves."""
 Place = Callable[[FloatArray], FloatArray]
 
 
 def measure_sizes(job: Job, fit: PlaneFit | None, circles: Sequence[Circle3D]) -> tuple[Measurement, ...]:
-    """Every measurement of a job but those `APART`, in its order; NaN where its features were not seen."""
+    """All measurements of a job except those `APART`, in its order; NaN where features were not seen."""
     by_name = {circle.name: circle for circle in circles}
     return tuple(_measured(job, spec, fit, by_name) for spec in job.measurements if spec.kind not in APART)
 
 
 def as_measurement(spec: MeasurementSpec, value: float, sigma: float) -> Measurement:
-    """A measured size in the units for people: angles in degrees."""
+    """A measured size in display units: angles in degrees."""
     unit, scale = ("deg", math.degrees(1)) if spec.kind == "angle" else ("mm", 1.0)
     nominal = None if spec.nominal is None else spec.nominal * scale
     tolerance = None if spec.tolerance is None else spec.tolerance * scale
@@ -203,7 +203,7 @@ def place(job: Job, fit: PlaneFit, name: str) -> Place | None:
 
 
 def _meet(first: FloatArray, second: FloatArray) -> FloatArray:
-    """(2,) where two edges (x, y, angle) meet."""
+    """Intersection (2,) of two edges (x, y, angle)."""
     normals = np.array([[-math.sin(edge[2]), math.cos(edge[2])] for edge in (first, second)])
     offsets = np.array([normals[0] @ first[:2], normals[1] @ second[:2]])
     return np.asarray(np.linalg.solve(normals, offsets))

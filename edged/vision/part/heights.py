@@ -1,8 +1,8 @@
-"""How high one circle of a part stands over another one: each measured by itself, at its own distance.
+"""Height of one circle of a part above another: each is measured by itself, at its own distance.
 
-Everything else of a part is laid as one whole onto the pictures, with the heights that were taught. A height
-that is asked for must not come from there: each of both circles is fitted alone, free to lie nearer or
-farther, in the direction that the part is known to face.
+The pose of a part is fitted with the heights that were taught. A height to be measured must not come from
+there: each of both circles is fitted alone, free to lie nearer or farther, in the direction that the part is
+known to face.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from edged.vision.part.params import MEASURING
 
 
 def with_heights(measured: MeasuredPart, images: StereoImages, job: Job) -> MeasuredPart:
-    """A measured part with each height that the job asks for, NaN where a circle is not seen by itself."""
+    """A measured part with each height of its job; NaN where a circle cannot be measured by itself."""
     by_name = {size.name: size for size in measured.target.measurements}
     fits = {fit.name: fit for fit in measured.fits}
     sizes = tuple(
@@ -46,7 +46,7 @@ def _height(
             return as_measurement(spec, math.nan, math.nan)
         heights.append(float(normal @ found.circle.centre_mm))
         variances.append(float(normal @ found.circle.covariance[:3, :3] @ normal))
-    # the normal is known with the pose: what it is off by, the farther circle is wrongly high
+    # the normal comes from the pose: its error times the distance of the circles is an error of the height
     arm = np.subtract(*(job.place_of(name)[:2] for name in spec.of))
     axes = measured.target.rig_from_part[:3, :2]
     across = axes @ np.array([-arm[1], arm[0]])
@@ -57,7 +57,7 @@ def _height(
 def _circle_alone(
     measured: MeasuredPart, images: StereoImages, job: Job, fit: CurveFit
 ) -> FoundCircle | None:
-    """One circle of a measured part, free to lie at any height; None where the pictures do not show it."""
+    """One circle of a measured part, fitted at any height; None where the pictures do not show it."""
     pose = measured.target.rig_from_part
     taught = job.place_of(fit.name) - job.place_of(job.reference)
     curve = replace(fit.curve, parameters=np.array([0.0, 0.0, fit.curve.parameters[2]]), height_mm=0.0)

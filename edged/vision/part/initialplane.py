@@ -1,8 +1,8 @@
-"""Where is the face? A first plane from one contour, seen by both cameras.
+"""Initial plane of a face, from one contour seen by both cameras.
 
-Each point of a contour in the rectified left image has its partner on the same row of the right
-one, but which of the edges there it is, a row alone does not tell. The points of a planar contour
-have disparities d = a x + b y + c: a vote finds c, and a RANSAC over the remaining rivals the plane.
+Each point of a contour in the rectified left image has its partner on the same row of the right one, but a
+row alone does not tell which of the edges on it that is. The points of a planar contour have disparities
+d = a x + b y + c: a vote finds c, and a RANSAC over the remaining rivals finds the plane.
 Points on edges along the row have no disparity of their own and are left out.
 """
 
@@ -62,7 +62,7 @@ def find_plane(
 def _rivals(
     right: Image, points: FloatArray, sign: FloatArray, low: float, high: float, min_slope: float
 ) -> FloatArray:
-    """(N, RIVALS) disparities of the strongest edges of the right sign on each row, NaN where fewer."""
+    """(N, START.rivals) disparities of each row's strongest edges with the right sign, NaN where fewer."""
     image = for_kernel(right, np.uint8)
     return row_edges(
         image, np.ascontiguousarray(points), np.ascontiguousarray(sign), low, high, min_slope, START.rivals
@@ -117,7 +117,7 @@ def row_edges(
 
 
 def _vote_and_fit(points: FloatArray, rivals: FloatArray, low: float, high: float) -> FloatArray | None:
-    """(a, b, c) of d = a x + b y + c with the most points within TOLERANCE_PX."""
+    """(a, b, c) of d = a x + b y + c with the most points within START.tolerance_px; None for too few."""
     extent = float(np.linalg.norm(np.ptp(points, axis=0)))
     window = max(4.0, 0.5 * START.max_slope * extent)
     centre = points.mean(axis=0)

@@ -1,4 +1,4 @@
-"""Where a part without circles lies: its plane from the rows of its edges, its pose from the match."""
+"""Initial pose of a part without circles: its plane from the rows of its edges, its pose from the match."""
 
 from __future__ import annotations
 
@@ -22,9 +22,10 @@ from edged.vision.shape.search import ShapeMatch
 def starts(
     images: StereoImages, job: Job, match: ShapeMatch, curves: Sequence[Curve]
 ) -> Iterator[FloatArray | None]:
-    """Likely rig_from_part (4, 4) of the face of these curves, best first; None: the rows show no plane.
+    """Likely rig_from_part (4, 4) of the face of these curves, best first; None where the rows show no plane.
 
-    Of a flat face the rows tell more; of a steep one they tell nothing, and its picture in one camera does.
+    For a flat face the rows are the better source; for a steep one they tell nothing, but its picture in one
+    camera does.
     """
     if job.tilt_rad is None:
         yield start_pose(images, job, match, curves)
@@ -46,7 +47,7 @@ def start_pose(
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     seen = np.isfinite(points).all(axis=1) & np.isfinite(normals).all(axis=1)
     part, points, normals = part[seen], points[seen], normals[seen]
-    # each edge has its own sign: turned so that all are brighter along their normals
+    # edges differ in sign: normals are turned so that all edges get brighter along them
     _, slopes = edges_along_normals(images.rectified_left, points, normals, START.reach_px, 0)
     normals = normals * np.where(np.nan_to_num(slopes) < 0, -1.0, 1.0)[:, None]
     depth = seen_depth_mm(rectification, job, match)
@@ -61,7 +62,7 @@ def start_pose(
 
 
 def _samples(curves: Sequence[Curve]) -> FloatArray:
-    """(N, 2, 3): points of the curves, part frame, and a point ahead of each along its normal."""
+    """(N, 2, 3): points of the curves, part frame, each with a second point 0.1 mm along its normal."""
     total = sum(curve.perimeter_mm for curve in curves)
     samples = []
     for curve in curves:

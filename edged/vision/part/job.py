@@ -24,8 +24,8 @@ class CircleFeature:
     """A circle of the part.
 
     centre_mm (3,) : in the part frame.  radius_mm.
-    polarity : +1 brighter outside than inside (a hole), -1 darker outside (a disc), as taught.
-    double : a second edge ran beside it at teaching, as of a chamfer: only its radius tells which one it is.
+    polarity : +1 if brighter outside than inside (a hole), -1 if darker outside (a disc), as taught.
+    double : a second edge, as of a chamfer, ran beside it at teaching: only the radius tells which one it is.
     """
 
     name: str
@@ -39,7 +39,7 @@ class CircleFeature:
 class EdgeFeature:
     """A straight edge of the part, between two points (3,) of the part frame.
 
-    polarity : +1 brighter on the side 90° from its direction, turned from x to y; -1 darker.
+    polarity : +1 if brighter on the side 90° from its direction, turned from x to y; -1 if darker.
     """
 
     name: str
@@ -49,12 +49,12 @@ class EdgeFeature:
 
     @property
     def length_mm(self) -> float:
-        """From start to end."""
+        """Length from start to end."""
         return float(np.linalg.norm(self.end_mm - self.start_mm))
 
     @property
     def angle_rad(self) -> float:
-        """Direction in the face, from x to y."""
+        """Angle of its direction in the face, from x to y."""
         x, y, _ = self.end_mm - self.start_mm
         return float(np.arctan2(y, x))
 
@@ -63,8 +63,8 @@ class EdgeFeature:
 class SlotFeature:
     """A slot of the part: two half circles joined by straight edges.
 
-    centre_mm (3,) : part frame.  angle_rad : of its long axis, from x to y.  length_mm : over all.
-    polarity : +1 brighter outside than inside (a hole), -1 darker outside.
+    centre_mm (3,) : part frame.  angle_rad : of its long axis, from x to y.  length_mm : overall.
+    polarity : +1 if brighter outside than inside (a hole), -1 if darker outside.
     """
 
     name: str
@@ -77,7 +77,7 @@ class SlotFeature:
 
 @dataclass(frozen=True, slots=True)
 class CornerFeature:
-    """Where two straight edges meet."""
+    """A corner: the intersection of two straight edges, given by their names."""
 
     name: str
     edges: tuple[str, str]
@@ -85,7 +85,7 @@ class CornerFeature:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ModelPoint:
-    """A point (3,) of the CAD model's frame that a person has named."""
+    """A named point (3,) in the frame of the CAD model."""
 
     name: str
     position_mm: FloatArray
@@ -96,7 +96,7 @@ Report = Literal["reference", "model"]
 
 
 MAX_TILT_DEG = 45.0
-"""From the bisector of both cameras; with 24° between them, one camera may then see a face at 57°."""
+"""Largest tilt from the bisector of both cameras; with 24° between them, one may then see a face at 57°."""
 
 BreakEnd = Literal["face", "wall"]
 MeasurementKind = Literal["radius", "distance", "angle", "width", "length", "height", "flatness"]
@@ -109,14 +109,14 @@ MEASURES: dict[MeasurementKind, tuple[tuple[str, ...], ...]] = {
     "height": (("circle",), ("circle",)),
     "flatness": (),
 }
-"""Kinds of features that each kind of measurement takes."""
+"""Kinds of features that each kind of measurement takes, one tuple per feature."""
 
 
 @dataclass(frozen=True, slots=True)
 class MeasurementSpec:
-    """A size to measure: mm, of an angle rad.
+    """A size to measure, in mm or, for an angle, rad.
 
-    of : names of features, as `MEASURES` wants them.  nominal, tolerance : None: not judged.
+    of : names of features, of the kinds in `MEASURES`.  nominal, tolerance : None: not judged.
     """
 
     name: str
@@ -132,11 +132,11 @@ class ResultLimits:
 
     depth_mm : (nearest, farthest) of the reference point, rig z.
     min_support : share of the reference circle's edge that each camera must see.
-    max_rms_px : of the reference circle's edges.  max_sigma_mm : of each coordinate, and of how
-    high each end of the face lies.
+    max_rms_px : of the reference circle's edges.  max_sigma_mm : of each coordinate, and of the height of
+    each end of the face.
     max_epipolar_px : rms row difference of corresponding points.
     radius_tolerance_mm : deviation of the reference radius from the taught one; None: not checked.
-    form_tolerance_mm : of a part without circles, deviation of its edges and slots from their taught places.
+    form_tolerance_mm : for a part without circles, deviation of edges and slots from their taught places.
     """
 
     depth_mm: tuple[float, float]
@@ -149,16 +149,17 @@ class ResultLimits:
 
 
 FINE_TOLERANCES_MM = ((6.0, 0.05), (30.0, 0.1), (120.0, 0.15), (400.0, 0.2), (1000.0, 0.3), (math.inf, 0.5))
-"""Sizes up to, and by how much they may differ: ISO 2768-1, class f; workshops keep it unasked."""
+"""(size up to, permissible deviation): ISO 2768-1, class f, which workshops keep without being asked."""
 LIGHT_PX = MEASURING.displaced_px / 3
-"""By which another light displaces edges: see `MeasuringParams.displaced_px`."""
+"""How far a change of light displaces edges: see `MeasuringParams.displaced_px`."""
 
 
 def usual_tolerance_mm(size_mm: float, pixel_mm: float, sigma_mm: float = 0.0) -> float:
     """Distance of an edge from its taught place beyond which it is another edge.
 
-    Half of what the whole size may differ by, but no less than pictures can tell. size_mm : of the part, or
-    diameter.  pixel_mm : of a pixel at its depth.  sigma_mm : of the taught place.
+    Half of the permissible deviation of the whole size, but no less than pictures can tell.
+    size_mm : of the part, or diameter.  pixel_mm : size of a pixel at its depth.  sigma_mm : of the taught
+    place.
     """
     fine = next(tolerance for largest, tolerance in FINE_TOLERANCES_MM if size_mm <= largest)
     return round(max(0.5 * fine, MEASURING.displaced_px * pixel_mm) + 3 * sigma_mm, 4)
@@ -168,21 +169,22 @@ def usual_tolerance_mm(size_mm: float, pixel_mm: float, sigma_mm: float = 0.0) -
 class Job:
     """A taught part.
 
-    number : how the PLC calls it.  circles : largest first.  reference : name of the circle, slot or corner
-    whose place is the reported position.  rig_from_part (4, 4) : pose at teaching.
-    witness : name of the measurement whose size is known and does not change, for the drift of the rig.
-    calibration_id : of the rig that measured the taught sizes: they share its errors; None where they come
-    from a drawing, or unknown.
-    tilt_rad : how far it may lie tilted, to the bisector of both cameras; None: the taught look alone is
+    number : by which the PLC selects it.  circles : largest first.  reference : name of the circle, slot or
+    corner whose place is the reported position.  rig_from_part (4, 4) : pose at teaching.
+    witness : name of the measurement whose size is known and constant, by which drift of the rig is detected.
+    calibration_id : calibration of the rig that measured the taught sizes, which share its errors; None if
+    they come from a drawing, or the rig is unknown.
+    tilt_rad : largest tilt of the part from the bisector of both cameras; None: only the taught view is
     searched for.
     picking : which of several parts a robot gets first.
-    part_from_model (4, 4) : the frame of the CAD model that it was taught with; None: without one.
-    points : of that frame.  report : whose pose is published: "reference", "model" or the name of a point.
-    body : its surface, where its CAD model is known; None: what it hides of itself is not known.
-    sigma_mm : of all features together, of a job from a model alone: the part's edge breaks are unknown.
-    break_mm : width of the edge breaks, of a job taught from pictures alone; None: not known.
-    break_end : which edge of each break was taught, that in the face or that in the wall; None: not known.
-    traced : outlines of such a job that are no features; it is looked for by them, too.
+    part_from_model (4, 4) : from the frame of the CAD model that it was taught with; None: no model.
+    points : named points in that frame.  report : the frame whose pose is published: "reference", "model" or
+    the name of a point.
+    body : the part's surface, if its CAD model is known; None: self-occlusion is unknown.
+    sigma_mm : common sigma of all features of a job taught from a model alone, whose edge breaks are unknown.
+    break_mm : width of the edge breaks of a job taught from pictures alone; None: not known.
+    break_end : which edge of each break was taught, the one in the face or in the wall; None: not known.
+    traced : outlines of a job taught from pictures that are no features, but serve to find the part.
     """
 
     name: str
@@ -205,7 +207,7 @@ class Job:
     points: tuple[ModelPoint, ...] = ()
     report: str = "reference"
     body: PartBody | None = None
-    sigma_mm: float = 0.0  # none: taught from a pair
+    sigma_mm: float = 0.0  # 0: taught from a pair
     break_mm: float | None = None
     break_end: BreakEnd | None = None
     traced: tuple[TracedCurve, ...] = ()
@@ -220,12 +222,12 @@ class Job:
 
     @property
     def reference_from_part(self) -> FloatArray:
-        """(4, 4) to axes like the part's, but at its reference: where a `Target` has its pose."""
+        """(4, 4) from the part frame to that of a `Target`: the same axes, with the reference as origin."""
         return transform(np.eye(3), -self.place_of(self.reference))
 
     @property
     def part_from_reported(self) -> FloatArray | None:
-        """(4, 4) of the frame whose pose is published: the model's, or its axes at a point; None: neither."""
+        """(4, 4) from the published frame: the model's, or its axes at a point; None for the reference."""
         if self.report == "reference" or self.part_from_model is None:
             return None
         places = {"model": np.zeros(3), **{point.name: point.position_mm for point in self.points}}
@@ -233,7 +235,7 @@ class Job:
 
     @property
     def solid(self) -> bool:
-        """Whether its features have several heights, so that it is measured as one rigid whole."""
+        """Whether its features lie at several heights, so that it is measured as one rigid whole."""
         heights = [float(circle.centre_mm[2]) for circle in self.circles]
         heights += [float(edge.start_mm[2]) for edge in self.edges]
         heights += [float(slot.centre_mm[2]) for slot in self.slots]
@@ -270,8 +272,8 @@ USUAL_SEARCH = SearchParams(
     max_matches=8,
     polarity="local",
 )
-"""A job as taught is looked for at all depths that its limits let through. A dark part on a bright table
-inverts its outline, but not the shadow in its holes."""
+"""Default search of a taught job: at all depths within its limits, with local polarity. A dark part on a
+bright table inverts its outline, but not the shadow in its holes."""
 
 
 def usual_limits(
@@ -282,7 +284,7 @@ def usual_limits(
     reference: str,
     sigma_mm: float = 0.0,
 ) -> ResultLimits:
-    """The limits of a job that was taught at this depth, where a pixel has this size.
+    """Default limits of a job that was taught at this depth, where a pixel has this size.
 
     reference : as in the job.  sigma_mm : of the taught radius.
     """
@@ -299,9 +301,10 @@ def usual_limits(
 def known_radius(
     circles: Sequence[CircleFeature], reference: str, *, is_broken: bool = False
 ) -> tuple[tuple[MeasurementSpec, ...], str | None]:
-    """The reference circle's radius as a size that is known: the default witness of the rig's scale.
+    """The reference circle's radius as a measurement, and its name as default witness of the rig's scale.
 
-    is_broken : its rim is: light decides which of both edges is measured, and nobody knows its size.
+    is_broken : its rim has an edge break, so that light decides which of two edges is measured: its size is
+    not known, and there is no witness.
     """
     for circle in circles:
         if circle.name == reference:
@@ -313,7 +316,7 @@ def known_radius(
 
 
 def crossing(first: EdgeFeature, second: EdgeFeature) -> FloatArray:
-    """(3,) where the lines of two edges meet in the face; NaN for parallel ones."""
+    """Intersection (3,) of the lines of two edges in the face; NaN for parallel ones."""
     a, b = first.end_mm - first.start_mm, second.end_mm - second.start_mm
     area = a[0] * b[1] - a[1] * b[0]
     if abs(area) < 1e-6 * np.linalg.norm(a) * np.linalg.norm(b):
@@ -323,7 +326,7 @@ def crossing(first: EdgeFeature, second: EdgeFeature) -> FloatArray:
 
 
 def nominal_size(job: Job, kind: MeasurementKind, of: tuple[str, ...]) -> float:
-    """The size that the taught features of a job have: mm, of an angle rad; 0 for the flatness."""
+    """Size between the taught features of a job, mm or, for an angle, rad; 0 for flatness."""
     if kind == "height":
         return float(job.place_of(of[0])[2] - job.place_of(of[1])[2])
     if kind == "flatness":
@@ -348,9 +351,9 @@ def nominal_size(job: Job, kind: MeasurementKind, of: tuple[str, ...]) -> float:
 
 
 def angle_of_lines(turn: float, nominal: float | None) -> float:
-    """The angle between two lines, rad: of all that may be meant, the one nearest to the nominal value.
+    """Angle between two lines, rad: of all equivalent ones, the one nearest to the nominal value.
 
-    Without one it is within [0, pi / 2]. Folded there, 89.9° and 90.1° would be the same.
+    Without a nominal value it is within [0, pi / 2]; folded there, 89.9° and 90.1° would be the same.
     """
     turn = turn % math.pi
     meant = [turn, turn - math.pi, -turn, math.pi - turn]

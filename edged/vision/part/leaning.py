@@ -1,8 +1,8 @@
-"""Other poses that a match of a thick part may mean: leaning by up to 30 degrees more, nearer and farther.
+"""Other poses that a match of a thick part may stand for: leaning by up to 30° more, and farther away.
 
-Where walls are as bright as the face, the outline that the search finds is that of the whole body. What it
-fits the taught face to is then tilted and larger than the face: by up to 30 degrees, and by some percent of
-the distance. Both cameras together tell the right pose from there, if they are asked about enough of them.
+Where walls are as bright as the face, the outline that the search finds is that of the whole body. The pose
+that fits the taught face to it is then tilted by up to 30°, and too near by some percent of the distance.
+Both cameras together find the right pose from there, if enough starts are tried.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ def leaning(
     tilt_rad: float,
     unknowns: int = ALL,
 ) -> list[FloatArray]:
-    """The likeliest poses (4, 4) about several starts, those that most of the curves agree with first.
+    """Likeliest poses (4, 4) around several starts, best agreement with the curves first.
 
     tilt_rad : largest lean from the bisector of both cameras.
     """
@@ -45,7 +45,7 @@ def leaning(
 def _about(
     images: StereoImages, pose: FloatArray, middle: FloatArray, tilt_rad: float
 ) -> Iterator[FloatArray]:
-    """Poses that lean, lie nearer and farther, with a point of the part (3,) on the same ray."""
+    """Poses that lean and lie farther away, with a point of the part (3,) kept on its ray."""
     turn, place = pose[:3, :3], pose[:3, :3] @ middle + pose[:3, 3]
     if place[2] <= 0:
         return

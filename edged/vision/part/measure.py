@@ -1,8 +1,8 @@
-"""All features of a part: straight edges, slots and corners beside its circles, and what follows from them.
+"""Measure all features of a part: circles, straight edges, slots, corners; and its pose and sizes from them.
 
-The circles come measured, with the plane of the face (see `circles`); a part without circles gets its
-plane from the rows of its edges (see `initialpose`). Then every curve of the face is measured in one fit, and
-from it come the pose, the features in the rig frame, and the sizes with their tolerances.
+The circles are measured first, with the plane of the face (see `circles`); a part without circles gets its
+plane from the rows of its edges (see `initialpose`). Then every curve of the face is measured in one fit,
+which yields the pose, the features in the rig frame, and the sizes with their tolerances.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ from edged.vision.part.solid import curves_of, measure_solid
 from edged.vision.shape.params import EACH_EDGE_ITSELF
 from edged.vision.shape.search import ShapeMatch
 
-UNKNOWN_TURN = math.pi / math.sqrt(3)  # sigma of an angle of which nothing is known
+UNKNOWN_TURN = math.pi / math.sqrt(3)  # sigma of an entirely unknown angle
 
 
 def measure_part(images: StereoImages, job: Job, match: ShapeMatch) -> MeasuredPart | Reject:
@@ -49,7 +49,7 @@ def measure_part(images: StereoImages, job: Job, match: ShapeMatch) -> MeasuredP
     if job.solid:
         return _in_model(job, _measured_whole(images, job, match))
     result = _measured_flat(images, job, match)
-    # walls may hide each curve by itself, or displace it in one camera, and yet not where the whole part is
+    # walls may hide single curves, or displace them in one camera, while the whole part can still be located
     if isinstance(result, Reject) or result.target.reject is Reject.LEFT_RIGHT_MISMATCH:
         whole = _measured_whole(images, job, match)
         if isinstance(whole, MeasuredPart) and _is_beyond_doubt(job, whole):
@@ -60,8 +60,8 @@ def measure_part(images: StereoImages, job: Job, match: ShapeMatch) -> MeasuredP
 def _is_beyond_doubt(job: Job, whole: MeasuredPart) -> bool:
     """Whether nothing contradicts a part that was measured as a whole, its rows included.
 
-    Broken rims do that glint, most of which are seen with the other sign than taught: all may lie on other
-    ends alike.
+    Glinting broken rims do, if most of them are seen with the opposite of the taught sign: all of them may
+    have been measured on the other ends of their breaks.
     """
     taught = {curve.name: curve.polarity for curve in curves_of(job)}
     odd = sum(found.curve.polarity != taught[found.name] for found in whole.fits)
@@ -78,7 +78,7 @@ def _in_model(job: Job, result: MeasuredPart | Reject) -> MeasuredPart | Reject:
 
 
 def published(job: Job, target: Target) -> Target:
-    """The target with where the job's CAD model lies, and with the pose that the job wants published."""
+    """The target with the pose of the job's CAD model, and with the pose that the job is set to publish."""
     if job.part_from_model is None:
         return target
     from_reference = job.reference_from_part
@@ -90,9 +90,9 @@ def published(job: Job, target: Target) -> Target:
 
 
 def _with_reported(job: Job, target: Target, rig_from_own: FloatArray) -> Target:
-    """The target with the pose that the job publishes; rejected where that is too uncertain.
+    """The target with the pose that the job publishes; rejected where that pose is too uncertain.
 
-    rig_from_own (4, 4) : of the frame that the job's features are in.
+    rig_from_own (4, 4) : pose of the frame that the job's features are in.
     """
     if job.part_from_reported is None:
         return target
@@ -107,9 +107,9 @@ def _with_reported(job: Job, target: Target, rig_from_own: FloatArray) -> Target
 
 
 def _with_teaching_uncertainty(job: Job, target: Target) -> Target:
-    """The target of a job whose features are themselves known no better than by a sigma.
+    """The target with the uncertainty of the taught features (`Job.sigma_mm`) added.
 
-    An edge break draws opposite edges towards each other, and may lower all of them alike.
+    An edge break moves opposite edges towards each other, and may lower all of them alike.
     """
     names = [feature.name for feature in job.circles] + [feature.name for feature in job.edges]
     size_mm = np.linalg.norm(np.ptp(np.array([job.place_of(name)[:2] for name in names]), axis=0))
@@ -126,7 +126,7 @@ def _with_teaching_uncertainty(job: Job, target: Target) -> Target:
 
 
 def _measured_flat(images: StereoImages, job: Job, match: ShapeMatch) -> MeasuredPart | Reject:
-    """A part of one face, whose curves are measured free: each says by itself where it is."""
+    """Measure a part of one face, each curve with its own position; judged."""
     result: MeasuredPart | Reject
     if job.circles:
         first = job.reference_circle.name
@@ -147,7 +147,7 @@ def _measured_flat(images: StereoImages, job: Job, match: ShapeMatch) -> Measure
 
 
 def with_sizes_apart(measured: MeasuredPart, images: StereoImages, job: Job) -> MeasuredPart:
-    """A part with its heights and its flatness, if they are asked for."""
+    """The measured part with its heights and its flatness, if the job has them."""
     kinds = {spec.kind for spec in job.measurements}
     if "height" in kinds:
         measured = with_heights(measured, images, job)
@@ -155,7 +155,7 @@ def with_sizes_apart(measured: MeasuredPart, images: StereoImages, job: Job) -> 
 
 
 def _measured_whole(images: StereoImages, job: Job, match: ShapeMatch) -> MeasuredPart | Reject:
-    """A part measured as one rigid whole, judged."""
+    """Measure a part as one rigid whole; judged."""
     result = measure_solid(images, job, match)
     if isinstance(result, Reject):
         return result
@@ -168,7 +168,7 @@ def _measured_whole(images: StereoImages, job: Job, match: ShapeMatch) -> Measur
 
 
 def _completed(images: StereoImages, job: Job, measured: MeasuredPart) -> MeasuredPart:
-    """A part whose circles are measured, with its other features and its sizes."""
+    """A part whose circles are measured, completed by its other features and its sizes."""
     fit = None
     if needs_all(job, measured.target):
         polarity = {found.name: found.curve.polarity for found in measured.fits}
@@ -184,7 +184,7 @@ def needs_all(job: Job, target: Target) -> bool:
 
 
 def completed(job: Job, target: Target, fit: PlaneFit | None) -> Target:
-    """A target of measured circles with its other features and its sizes, from one fit of them all."""
+    """A target of measured circles completed by its other features and its sizes, from one fit of all."""
     if fit is not None and not _is_turn_known(job, target):
         target = _turned(job, fit, target)
     if job.measurements:
@@ -202,7 +202,7 @@ def _is_turn_known(job: Job, target: Target) -> bool:
 
 
 def _circles_tell_rotation(job: Job, found: set[str]) -> bool:
-    """Whether one circle that was found lies so far from the reference that it says how the part is turned.
+    """Whether a found circle lies far enough from the reference to determine the part's rotation.
 
     Holes do that better than outer edges, whose side walls one of the cameras sees.
     """
@@ -215,7 +215,7 @@ def _circles_tell_rotation(job: Job, found: set[str]) -> bool:
 
 
 def _sizes_need_all(job: Job) -> bool:
-    """Whether the job asks for something that circles alone do not give."""
+    """Whether the job has measurements or a reference that circles alone do not provide."""
     kinds = {spec.kind for spec in job.measurements}
     return bool(kinds - {"radius", *APART}) or job.kind_of(job.reference) != "circle"
 
@@ -236,7 +236,7 @@ def all_curves(job: Job, target: Target, polarity: dict[str, int]) -> tuple[Face
 
 
 def _part_pose(job: Job, target: Target) -> FloatArray:
-    """(4, 4) rig_from_part with the origin of the job's own coordinates, not the reference point's."""
+    """(4, 4) rig_from_part with its origin at that of the job's coordinates, not at the reference point."""
     rotation = target.rig_from_part[:3, :3]
     return transform(rotation, target.position_mm - rotation @ job.reference_circle.centre_mm)
 
@@ -257,7 +257,7 @@ def _turned(job: Job, fit: PlaneFit, target: Target) -> Target:
 
 
 def _with_turn(covariance: FloatArray, normal: FloatArray, variance: float) -> FloatArray:
-    """The covariance (6, 6) of a pose, but for the turn about the normal (3,), which has this variance."""
+    """The covariance (6, 6) of a pose with the variance of the turn about the normal (3,) replaced."""
     known = normal @ covariance[3:, 3:] @ normal
     turned = covariance.copy()
     turned[3:, 3:] += (variance - known) * np.outer(normal, normal)
@@ -265,7 +265,7 @@ def _with_turn(covariance: FloatArray, normal: FloatArray, variance: float) -> F
 
 
 def _referred(job: Job, fit: PlaneFit | None, target: Target) -> Target:
-    """The target with its position in a slot or a corner instead of a circle."""
+    """The target with its position at a slot or a corner instead of a circle."""
     point = None if fit is None else place(job, fit, job.reference)
     if fit is None or point is None:
         offset = target.rig_from_part[:3, :3] @ (job.place_of(job.reference) - job.reference_circle.centre_mm)
@@ -286,14 +286,14 @@ def _referred(job: Job, fit: PlaneFit | None, target: Target) -> Target:
 
 
 def _with_place(covariance: FloatArray, place: FloatArray) -> FloatArray:
-    """The covariance (6, 6) of a pose whose position, known apart from its rotation, has this one (3, 3)."""
+    """The covariance (6, 6) of a pose with its position's replaced by (3, 3), independent of the rotation."""
     placed = np.zeros((6, 6))
     placed[:3, :3], placed[3:, 3:] = place, covariance[3:, 3:]
     return placed
 
 
 def with_free_axis(job: Job, target: Target) -> Target:
-    """A round part's turn about its axis is not known."""
+    """The target of a round part with its free axis, and an unknown turn about it; others unchanged."""
     if not _is_round(job):
         return target
     axis = target.rig_from_part[:3, 2]
@@ -317,7 +317,7 @@ def _is_round(job: Job) -> bool:
 
 
 def _from_edges(images: StereoImages, job: Job, match: ShapeMatch) -> MeasuredPart | Reject:
-    """A part of which only edges and slots are known."""
+    """Measure a part that has only edges and slots."""
     free = job.search.polarity in EACH_EDGE_ITSELF
     sign = -1 if match.inverted and not free else 1
     curves = [edge_curve(edge, free, sign) for edge in job.edges]
@@ -366,7 +366,7 @@ def _from_start(
 def _growth(
     images: StereoImages, job: Job, fit: PlaneFit, motion: InPlaneMotion, match: Match
 ) -> tuple[float, float]:
-    """Relative growth of the features' distances since teaching, and its sigma, the depth's included."""
+    """Relative growth of the features' distances since teaching, and its sigma, including the depth's."""
     if job.calibration_id == images.rig.calibration_id:
         fit = fit.by_edges()
     growth, sigma = scale_of_features(job, fit)
@@ -377,7 +377,7 @@ def _growth(
 def target_from(
     rectification: Rectification, job: Job, match: Match, fit: PlaneFit, motion: InPlaneMotion
 ) -> Target:
-    """A part without circles where the motion of its features puts it."""
+    """The target of a part without circles, from the fit of its face and the motion of its features in it."""
     face = fit.face
     reference = job.place_of(job.reference)[:2]
     point = place(job, fit, job.reference)
@@ -391,7 +391,7 @@ def target_from(
     values, jacobian = differentiated(fit, pose)
     covariance = jacobian @ fit.covariance @ jacobian.T
     by_edges = jacobian @ fit.edge_covariance @ jacobian.T
-    if point is None:  # hidden: it lies where the others say
+    if point is None:  # the reference is hidden: its position follows from the other features
         arm = np.array([[1.0, 0.0, -reference[1]], [0.0, 1.0, reference[0]]])
         in_rig = face.axes[:2].T @ arm
         covariance[:3, :3] += in_rig @ motion.covariance @ in_rig.T
@@ -412,16 +412,16 @@ def target_from(
 
 
 def _mean_support(curves: list[Curve], fit: PlaneFit) -> float:
-    """Share of all edges that the camera which sees less of them shows."""
+    """Visible share of all edges in the camera that sees less of them."""
     lengths = {curve.name: curve.perimeter_mm for curve in curves}
     seen = sum(found.support * lengths[found.curve.name] for found in fit.fits)
     return float(np.min(seen) / sum(lengths.values()))
 
 
 def _row_mismatch_px(fit: PlaneFit, rectification: Rectification) -> float:
-    """Rms row difference of the edges that have a row of their own; NaN where there are none.
+    """Rms row difference of the edges whose row is well defined; NaN where there are none.
 
-    The plane takes up what differs along the rows, not across them.
+    The fitted plane absorbs differences along the rows, but not across them.
     """
     differences = []
     for found in fit.fits:
@@ -435,10 +435,10 @@ def _row_mismatch_px(fit: PlaneFit, rectification: Rectification) -> float:
 
 
 def _has_rows(rectification: Rectification, job: Job, face: Face, motion: InPlaneMotion) -> bool:
-    """Whether the part, as it lies, has an edge that should tell its row.
+    """Whether the part, as it lies, has an edge whose row should be well defined.
 
-    Where rows do not meet by more than the search reaches, it is just these edges that are not found, and the
-    others know of no contradiction.
+    If the rows are off by more than the search range, just these edges are not found, and the others show no
+    contradiction.
     """
     for edge in job.edges:
         ends = np.stack([motion.apply(edge.start_mm[:2]), motion.apply(edge.end_mm[:2])])

@@ -11,7 +11,7 @@ from edged.vision.curves.planefit import CurveFit
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MeasuredPart:
-    """A target, what it stands on, and the fitted curves with their edges (for pictures)."""
+    """A target, the evidence for it, and the fitted curves with their edges (for pictures)."""
 
     target: Target
     evidence: Evidence
@@ -22,10 +22,10 @@ class MeasuredPart:
 class Evidence:
     """Evidence for a target; NaN where it is undetermined.
 
-    support : share of the edges that the camera which sees less shows.  rms_px : of those edges.
-    row_shift_px, row_sigma_px : right against left.
-    scale, sigma_scale : by which share all sizes exceed the taught ones, and what edges and the stated
-    distance explain of that.
+    support : visible share of the edges in the camera that sees less of them.  rms_px : of those edges.
+    row_shift_px, row_sigma_px : of the right image against the left.
+    scale, sigma_scale : relative excess of all sizes over the taught ones, and its sigma from the edges and
+    the distance.
     form_mm : largest deviation of a straight edge or slot from its taught place.
     break_mm : width of the edge breaks of a part without a CAD model: either end may be measured.
     """
@@ -37,4 +37,4 @@ class Evidence:
     scale: float = math.nan
     sigma_scale: float = math.nan
     form_mm: float = math.nan
-    break_mm: float = 0.0  # sharp, or known
+    break_mm: float = 0.0  # 0: sharp, or known

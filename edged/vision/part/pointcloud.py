@@ -1,8 +1,8 @@
-"""Points in space of a measured part: its contours, and its faces by NCC (paper, 5.2 and Fig. 9).
+"""Point cloud of a measured part: its contours, and its faces by NCC (paper, 5.2 and Fig. 9).
 
-Contour points are edges that both cameras measured on one curve. Face points are matched by NCC with
-least-squares matching along their rows (see `stereo`), on a grid over the part, within the depth
-limits of its job.
+Contour points are edges that both cameras measured on one curve. Face points are matched by NCC and refined
+by least-squares matching along their rows (see `stereo`), on a grid over the part, within the depth limits
+of its job.
 """
 
 from __future__ import annotations
@@ -28,8 +28,9 @@ CONTOUR, FACE = 0, 1  # kinds of points, in files too
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PointCloud:
-    """points_mm (N, 3) rig frame; kinds (N,), CONTOUR or FACE; sigma_mm (N,) of each point's depth.
+    """Points of all measured parts.
 
+    points_mm (N, 3) : rig frame.  kinds (N,) : CONTOUR or FACE.  sigma_mm (N,) : of each point's depth.
     refused : how many points of the grid could not be matched, by reason.
     """
 
@@ -71,7 +72,7 @@ def point_cloud(images: StereoImages, job: Job, measured: Sequence[MeasuredPart]
 
 
 def edge_pairs(part: MeasuredPart) -> list[tuple[FloatArray, FloatArray]]:
-    """For each curve of a part the raw edge points (N, 2), left and right, that agree with it in both."""
+    """For each curve of a part, the raw edge points (N, 2), left and right, that fit it in both images."""
     pairs = []
     for fit in part.fits:
         left, right = fit.points[:, fit.weights.min(axis=0) > MEASURING.cloud_min_weight]
@@ -80,7 +81,7 @@ def edge_pairs(part: MeasuredPart) -> list[tuple[FloatArray, FloatArray]]:
 
 
 def contour_points(rectification: Rectification, left: FloatArray, right: FloatArray) -> FloatArray:
-    """(M, 3) in the rig frame of edge points (N, 2) of both raw images, without those that have no depth."""
+    """Points (M, 3), rig frame, of edge points (N, 2) in both raw images; those without depth are omitted."""
     points = triangulate_raw(rectification.rig, left, right)
     return np.asarray(points[np.isfinite(points).all(axis=1)])
 
@@ -141,5 +142,5 @@ def _ranges(images: StereoImages, grid: FloatArray, depth_mm: tuple[float, float
 
 
 def heights_mm(points_mm: FloatArray, rig_from_part: FloatArray) -> FloatArray:
-    """(N, 3): points in the part's frame; the third column is how far behind its face they lie."""
+    """Points (N, 3) in the part frame; the third column is how far behind its face they lie."""
     return apply(invert(rig_from_part), points_mm)

@@ -10,17 +10,17 @@ from edged.domain.arrays import FloatArray
 from edged.domain.measurement import Circle3D, Target
 
 AROUND = np.array([(math.cos(t), math.sin(t)) for t in np.arange(8) * math.pi / 4])
-"""(8, 2) around a circle: enough that it matters little where the first one lies."""
+"""(8, 2) points on the unit circle: enough that it matters little where the first one lies."""
 
 
 def rim_of(circle: Circle3D) -> FloatArray:
-    """(8, 3) around a circle, rig frame."""
+    """Points (8, 3) around a circle, rig frame."""
     across = np.linalg.svd(circle.normal[None])[2][1:]
     return np.asarray(circle.centre_mm + circle.radius_mm * AROUND @ across)
 
 
 def points_of(target: Target) -> FloatArray:
-    """(N, 3) of a part's circles, edges and slots, rig frame."""
+    """Points (N, 3) on a part's circles, edges and slots, rig frame."""
     points: list[FloatArray] = []
     for circle in target.circles:
         points += [*rim_of(circle)]

@@ -1,4 +1,4 @@
-"""How a part lies in its measured face: taught features laid onto the measured ones."""
+"""In-plane pose of a part in its measured face: taught features fitted to the measured ones."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from edged.vision.part.params import MEASURING
 class Observation(NamedTuple):
     """One curve: measured minus taught, its derivative by (shift, turn, growth), its inverse covariance.
 
-    by_fit (M, P) : how it moves with the parameters of the fit.  taught (M, M) : of the taught place.
+    by_fit (M, P) : derivative by the parameters of the fit.  taught (M, M) : covariance of the taught place.
     """
 
     gap: FloatArray
@@ -31,10 +31,11 @@ class Observation(NamedTuple):
 
 
 class _Solved(NamedTuple):
-    """The unknowns by robust least squares, and their covariance as if all curves erred independently.
+    """The unknowns by robust least squares, and their covariance if all curves erred independently.
 
-    by_fit (U, P) : how they move with the parameters of the fit.  taught (U, U) : what the taught places add.
-    excess : by which the curves' scatter exceeds what is expected of them, a factor of at least 1.
+    by_fit (U, P) : derivative by the parameters of the fit.
+    taught (U, U) : covariance from the taught places.
+    excess : variance of the curves over what is expected of them, a factor of at least 1.
     """
 
     values: FloatArray
@@ -68,10 +69,10 @@ def slot_curve(slot: SlotFeature, free_polarity: bool, sign: int = 1) -> Curve:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class InPlaneMotion:
-    """How the part lies in the fitted face against where the face's axes put it.
+    """Motion of the part within the fitted face, relative to the face's axes.
 
-    shift (2,) mm, turn in rad; covariance (3, 3) of (shift, turn), edge_covariance what of it comes from the
-    edges and not from the calibration.
+    shift (2,) mm, turn in rad; covariance (3, 3) of (shift, turn), edge_covariance the share of it that comes
+    from the edges, not from the calibration.
     """
 
     shift: FloatArray
@@ -80,16 +81,16 @@ class InPlaneMotion:
     edge_covariance: FloatArray
 
     def apply(self, point: FloatArray) -> FloatArray:
-        """(2,) where a taught point lies."""
+        """Place (2,) of a taught point after the motion."""
         return np.asarray(rotation_2d(self.turn) @ point + self.shift)
 
 
 def find_motion(job: Job, fit: PlaneFit) -> InPlaneMotion | None:
-    """The motion in the face that lays the taught features onto the measured ones; robust.
+    """The motion in the face that brings the taught features onto the measured ones; robust.
 
-    A feature that lies elsewhere (another edge beside it, a worn corner) loses its weight as a whole.
-    A rig that is wrong turns all features alike: what they have in common, the covariance has, too.
-    None when the features leave the rotation open.
+    A feature that lies elsewhere (another edge beside it, a worn corner) loses all of its weight.
+    An error of the rig turns all features alike: the covariance contains this common error.
+    None when the features leave the rotation undetermined.
     """
     solved = _solved(_observations(job, fit), 3)
     if solved is None:
@@ -111,7 +112,7 @@ def scale_of_features(job: Job, fit: PlaneFit) -> tuple[float, float]:
 
 
 def form_mm(job: Job, fit: PlaneFit, motion: InPlaneMotion) -> float:
-    """Farthest that an edge or slot lies from its taught outline, laid there by the motion; at its middle."""
+    """Largest deviation of an edge's or slot's middle from its taught place, or of half a slot's size."""
     unknowns = np.append(motion.shift, motion.turn)
     far = [
         float(np.linalg.norm((observation.gap - observation.rows[:, :3] @ unknowns)[:-1]))
@@ -126,7 +127,7 @@ def form_mm(job: Job, fit: PlaneFit, motion: InPlaneMotion) -> float:
 
 
 def _solved(observations: list[Observation], unknowns: int) -> _Solved | None:
-    """The first unknowns: 3: shift and turn; 4: and growth."""
+    """Solve for 3 unknowns (shift and turn) or 4 (also growth); None if they are undetermined."""
     motion, weights, far = np.zeros(unknowns), np.ones(len(observations)), np.zeros(len(observations))
     normal = np.zeros((unknowns, unknowns))
     for _ in range(MEASURING.pose_rounds):

@@ -1,9 +1,9 @@
 """Predicted positions of a taught part, from its match, in the left and in the right image.
 
-The right camera is a second witness of how a part is turned. The search decides in the left image. A bar that
-lies over the part may have its edge just where another rotation has one, and seen from one side nothing tells
-it from the part's own. From the other side it lies elsewhere, as it is nearer to the cameras: what only one
-of two rotations expects must be there in both views.
+The right image is an independent check of a part's rotation, which the search decides in the left image
+alone. A bar that lies over the part may have its edge just where another rotation expects one, and a single
+view cannot tell it from the part's own. In the other view it lies elsewhere, as it is nearer to the cameras:
+edges that only one of two rotations expects must show in both views.
 """
 
 from __future__ import annotations
@@ -57,22 +57,22 @@ def poses_of_match(
 
 
 def seen_depth_mm(rectification: Rectification, job: Job, match: ShapeMatch) -> float:
-    """Rectified depth that the size of a match tells, with a tilt of up to 25° to about 5 %."""
+    """Rectified depth from the scale of a match, good to about 5 % at tilts of up to 25°."""
     taught_mm = float((rectification.rectified_from_left @ job.rig_from_part[:3, 3])[2])
     if job.tilt_rad is None:
         return taught_mm / float(np.sqrt(match.scale_x * match.scale_y))
-    # steeper, one side is much shortened; the longest one is not
+    # at steep tilts one direction is much foreshortened; the longest one is not
     return taught_mm / float(np.linalg.norm(match.linear, 2))
 
 
 def match_in_raw(rectification: Rectification, match: ShapeMatch) -> Match:
-    """A match as it is reported: its place in the left image as the camera delivers it."""
+    """The match as it is reported, with its position in the raw left image."""
     x, y = rectification.raw_points("left", np.array([[match.x_px, match.y_px]]))[0]
     return Match(float(x), float(y), match.angle_rad, match.scale_x, match.scale_y, match.score)
 
 
 def is_contradicted(images: StereoImages, job: Job, match: ShapeMatch, target: Target) -> bool:
-    """Whether the right image supports another rotation than the measured match has."""
+    """Whether the right image supports another rotation than that of the measured match."""
     model = job.shape
     all_turns = turns(model)
     if model.round or not len(all_turns.motions):
@@ -86,7 +86,7 @@ def is_contradicted(images: StereoImages, job: Job, match: ShapeMatch, target: T
         return False
     light = surroundings(sight, job.search.min_contrast)
     known = light.shows(sight).astype(np.float64) - light.denies(sight)
-    # in numbers that are whole: no sum of theirs depends on the order
+    # whole numbers: their sums do not depend on the order
     count, theirs_count = (flags.sum(axis=1) for flags in (all_turns.own, all_turns.foreign))
     mine = all_turns.own @ known / np.maximum(count, 1)
     open_ = (count >= ROTATIONS.min_apart) & (mine <= MEASURING.clear) & (theirs_count >= ROTATIONS.min_apart)
@@ -118,7 +118,7 @@ def _look(images: StereoImages, job: Job, face: Plane, pose: FloatArray, points:
         seen = in_right(np.concatenate([places, places + along]))
         middle, step = seen[: len(places)], seen[len(places) :] - seen[: len(places)]
         length = np.linalg.norm(step, axis=1)
-        across = np.column_stack([step[:, 1], -step[:, 0]]) / length[:, None]  # no image is a mirror's
+        across = np.column_stack([step[:, 1], -step[:, 0]]) / length[:, None]  # no image is mirrored
     if not np.isfinite(across).all():
         return None
     scale = middle_of(length)

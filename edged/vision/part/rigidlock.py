@@ -1,10 +1,10 @@
-"""The pose of a whole taught part from the edges of both cameras: six unknowns, however many curves.
+"""Pose of a whole taught part from the edges of both cameras: six unknowns, however many curves.
 
-One curve alone is easily misled: beside a thick part's rim runs the foot of its wall, beside a hole's its
-ground, and a chamfer in the light is brighter than the face. Either may be the stronger edge over half of the
+One curve alone is easily misled: beside a thick part's rim runs the foot of its wall, beside a hole's rim its
+ground, and a lit chamfer is brighter than the face. Any of these may be the stronger edge over half of the
 curve. But rivals mislead each curve in its own way, while all true edges fit one pose, and over some of each
-curve there is but one edge. So the part is laid as a rigid whole onto what both images show, all edges near a
-curve being candidates; what has rivals counts less.
+curve there is only one edge. So the part is fitted as a rigid whole to both images, with all edges near a
+curve as candidates; samples with rivals count less.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from edged.vision.kernels.median import median
 from edged.vision.kernels.robust import SIGMA_PER_MEDIAN, tukey_weight
 from edged.vision.part.params import SOLID
 
-STILL_STEPS = 10  # the last so many of `SOLID.near_px`
+STILL_STEPS = 10  # number of steps at the end of `SOLID.near_px`
 # numba freezes globals when it compiles: kernels read these by name
 ODD_PX = SOLID.odd_px
 ODD_SHARE = SOLID.odd_share
@@ -43,7 +43,7 @@ ALL, TURN_HELD = 6, 5
 class Lock:
     """A pose rig_from_part (4, 4), and the share of the curves that agree with it in each camera (2,).
 
-    by_curve (2, K) : the same share of each curve.  moved_px : by which the last step moved the curves, rms.
+    by_curve (2, K) : that share for each curve.  moved_px : rms by which the last step moved the curves.
     """
 
     pose: FloatArray
@@ -53,7 +53,7 @@ class Lock:
 
     @property
     def share(self) -> float:
-        """Agreement of the camera that agrees less."""
+        """Agreement in the camera where it is lower."""
         return float(self.agreeing.min())
 
     @property
@@ -70,11 +70,11 @@ def lock(
     *,
     unknowns: int = ALL,
 ) -> Lock | None:
-    """Lay curves of the part's frame onto the edges of both images, from a pose rig_from_part (4, 4).
+    """Fit curves of the part frame to the edges of both images, from a pose rig_from_part (4, 4).
 
-    unknowns : `TURN_HELD` for circles about one axis.  rival_of : another pose; this one is good to a few px,
-    and asked for only if it comes near to that one in what agrees with it.
-    None where the images do not show so many of the curves, or the pose runs away.
+    unknowns : `TURN_HELD` for circles about one axis.  rival_of : the lock of another pose, if this start is
+    a rival of it: good to a few px, and given up if it agrees much less.
+    None where the images do not show enough of the curves, or the pose runs away.
     """
     found: Lock | None = None
     phases: tuple[tuple[tuple[float, ...], float], ...] = (
@@ -128,7 +128,7 @@ def glance(
     reach_px: float = SOLID.glance_px,
     unknowns: int = ALL,
 ) -> float:
-    """Share of the curves that the cameras agree with about a pose that is good to a few px; 0: none."""
+    """Mean agreement of both cameras after one step from a pose good to a few px; 0 if the step fails."""
     if pose[2, 3] <= 0:
         return 0.0
     laid = spread(images, curves, pose, SOLID.far_spacing_px)
@@ -140,7 +140,7 @@ def glance(
 def spread(
     images: StereoImages, curves: Sequence[Curve], pose: FloatArray, spacing_px: float
 ) -> tuple[CurveOutline, I64]:
-    """Samples of all curves with their motion by shift and turn in the face; where each begins (K + 1,)."""
+    """Samples of all curves, with their motion by shift and turn in the face; starts of curves (K + 1,)."""
     px_per_mm = images.rig.left.fx / float(pose[2, 3])
     return _spread(tuple(curves), round(math.log(px_per_mm) / SOLID.alike), spacing_px)
 
@@ -170,9 +170,10 @@ def _step(
     most_sigma_px: float = math.inf,
     unknowns: int = ALL,
 ) -> Lock | None:
-    """The pose that fits the edges within reach best, and how many agree with it.
+    """One step to the pose that best fits the edges within reach; None where they do not determine it.
 
-    most_sigma_px : by which edges scatter that are taken for the curves' own.
+    together : samples along a curve whose profiles are averaged.  most_sigma_px : ceiling of the robust
+    scale.
     """
     (outline, starts), face = laid, Face(pose[:3, 3], pose[:3, :3].T)
     expected = np.repeat([float(curve.polarity) for curve in curves], np.diff(starts))
@@ -194,7 +195,7 @@ def _step(
     height, slope_u, slope_v, shift_u, shift_v, turn = delta
     if max(abs(slope_u), abs(slope_v), abs(turn)) > SOLID.max_step_rad:
         return None
-    # a rise of a u + b v turns the face about v by -a, and about u by b
+    # a plane of height a u + b v is the face turned about v by -a, and about u by b
     motion = transform(
         rotation_matrix(np.array([slope_v, -slope_u, turn])), np.array([shift_u, shift_v, height])
     )
@@ -206,10 +207,11 @@ def _step(
 
 @kernel("b1(f8[:, ::1], f8[:, ::1], b1[:, ::1], f8, f8[::1], f8[::1])")
 def _settle(design: F64, offset: F64, odd: B8, most_sigma_px: float, delta: F64, left: F64) -> bool:
-    """Fill delta (6,), the step that fits most samples best, of whose edges the nearest is taken each time.
+    """Fill delta, the step (up to 6,) by robust least squares, each round to the nearest edge of each sample.
 
-    offset, odd (N, MOST) : all edges of a sample, and which are of the other sign than taught.  left (N,) :
-    what the step leaves of the nearest edge, NaN where there is none. False where the edges do not tell.
+    offset, odd (N, MOST) : all edges of a sample, and which of them have the opposite of the taught sign.
+    left (N,) : residual of the nearest edge after the step, NaN where there is none.
+    False where the edges do not determine the step.
     """
     count, size = design.shape
     chosen, trust = np.zeros(count, np.int64), np.zeros(count)
@@ -234,7 +236,7 @@ def _settle(design: F64, offset: F64, odd: B8, most_sigma_px: float, delta: F64,
                 ahead += design[n, i] * delta[i]
             for m in range(MOST):
                 away = abs(offset[n, m] - ahead) + (ODD_PX if odd[n, m] else 0.0)
-                if away < nearest:  # not where there is no edge: that is NaN
+                if away < nearest:  # False where there is no edge (NaN)
                     nearest, chosen[n] = away, m
             values[n] = offset[n, chosen[n]]
             kept[many] = left[n] = values[n] - ahead

@@ -1,9 +1,9 @@
-"""Thick parts and parts of several heights: measured from where the whole part was locked as a rigid one.
+"""Thick parts and parts of several heights: measured as one rigid whole, from a locked pose.
 
-Walls, edge breaks and shadows give a curve a second edge beside it, over some of its length, and turn its
-contrast round over other. So each stretch of each curve is looked at from the locked pose, in each camera by
-itself: which sign its edge has, and whether it has a rival. Where the picture does not tell which of two is
-meant, that stretch is not measured.
+Walls, edge breaks and shadows give a curve a second edge beside it over some of its length, and invert its
+contrast elsewhere. So each stretch of each curve is examined from the locked pose, in each camera separately:
+which sign its edge has, and whether it has a rival. A stretch is not measured where the picture does not tell
+which of two edges is the right one.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ def measure_solid(images: StereoImages, job: Job, match: ShapeMatch) -> Measured
     """Measure a found part as one rigid whole; the reason when that is not possible.
 
     Its pose comes from all curves together. Its sizes do not: each curve that has enough edges without rivals
-    is measured again, free, and the others are not measured.
+    is measured again, freely, and the others have no size.
     """
     locked = best_lock(images, job, match)
     if locked is None:
@@ -112,10 +112,10 @@ def measure_solid(images: StereoImages, job: Job, match: ShapeMatch) -> Measured
 
 
 def best_lock(images: StereoImages, job: Job, match: ShapeMatch) -> tuple[Lock, float] | None:
-    """The pose that most of the part agrees with, and by which share more than with any other turn.
+    """The pose that most of the part agrees with, and its lead in agreement over any other turn.
 
-    0 where several turns agree and it is not the one that the search has decided for; and where the search
-    could not tell turns apart, and the features have none to try.
+    The lead is 0 where several turns agree and the best is not the one that the search decided on; and where
+    the search could not tell turns apart and the features offer none to try. None where too little agrees.
     """
     curves = curves_of(job)
     best = _best_of(images, curves, _starts(images, job, match))
@@ -150,17 +150,17 @@ def best_lock(images: StereoImages, job: Job, match: ShapeMatch) -> tuple[Lock, 
     )
     if other is None:
         return best, 1.0
-    # a single curve tells them apart, and on a face full of edges it may agree by chance: 0.85 was seen
+    # a single curve may tell turns apart, and on a face full of edges it may agree by chance: 0.85 was seen
     is_open = match.ambiguous or _is_turned(images, job, match, best)
     return best, 0.0 if is_open else best.mean - other.mean
 
 
 def _leaning(images: StereoImages, job: Job, match: ShapeMatch, tilt_rad: float) -> Lock | None:
-    """The lock that most of the part agrees with, from poses with other leans than the match has."""
+    """The lock that most of the part agrees with, from poses with other leans than that of the match."""
     curves, main = curves_of(job), _main_face(job)
     by_rows = start_pose(images, job, match, main)
     starts = _by_match(images, job, match, main)[:1] + ([] if by_rows is None else [by_rows])
-    if _is_roundish(job):  # what is round about its axis first, then its turn
+    if _is_roundish(job):  # first the circles about the axis, then the turn
         axis = _about_axis(job)
         leant = leaning(images, axis, starts, tilt_rad, TURN_HELD)
         locks = [lock(images, axis, pose, unknowns=TURN_HELD) for pose in leant]
@@ -175,7 +175,7 @@ def _leaning(images: StereoImages, job: Job, match: ShapeMatch, tilt_rad: float)
 
 
 def _about_axis(job: Job) -> list[Curve]:
-    """The circles about the reference."""
+    """The circles concentric with the reference."""
     centre = job.place_of(job.reference)[:2]
     return [
         curve
@@ -191,7 +191,7 @@ def _best_of(
     poses: Iterable[FloatArray],
     best: Lock | None = None,
 ) -> Lock | None:
-    """The lock that most of the part agrees with, of several starts; the first good one settles it."""
+    """The lock that most of the part agrees with, from several starts; the first good one ends the search."""
     for pose in poses:
         candidate = lock(images, curves, pose)
         if candidate is not None and (best is None or candidate.mean > best.mean):
@@ -202,15 +202,15 @@ def _best_of(
 
 
 def _is_roundish(job: Job) -> bool:
-    """Whether its outline hardly determines its turn: then every turn is a rival."""
+    """Whether the outline hardly determines the part's turn: then every turn is a rival."""
     around = 2 * math.pi * max((circle.radius_mm for circle in job.circles), default=0.0)
     return sum(edge.length_mm for edge in job.edges) < around
 
 
 def _tells_turn(job: Job, found: Lock) -> bool:
-    """Whether the eccentric curves agree: concentric ones, a rim or a bore, do so at any turn.
+    """Whether the eccentric curves agree: concentric ones, such as a rim or a bore, do so at any turn.
 
-    Where one feature lies at the place of another one like it, `_rival_motions` has that turn.
+    Turns that put one feature in the place of another like it are left to `_rival_motions`.
     """
     curves, centre = curves_of(job), job.place_of(job.reference)[:2]
     lengths = np.array([curve.perimeter_mm for curve in curves])
@@ -222,7 +222,7 @@ def _tells_turn(job: Job, found: Lock) -> bool:
 def _turned(
     images: StereoImages, curves: Sequence[Curve], job: Job, poses: Sequence[FloatArray]
 ) -> list[FloatArray]:
-    """Starts turned about the part's normal, likely ones first: of a round part a match may be turned."""
+    """Starts turned about the part's normal, likely ones first: the match of a round part may be turned."""
     centre = job.place_of(job.reference)
     turned = [pose @ _about(turn, centre, centre) for pose in poses for turn in SOLID.turns_rad]
     order = np.argsort([-glance(images, curves, pose, SOLID.turn_reach_px) for pose in turned], kind="stable")
@@ -230,9 +230,9 @@ def _turned(
 
 
 def _rival_motions(job: Job) -> list[FloatArray]:
-    """Motions (4, 4) in the face that lay one feature of the part on the place of another one like it.
+    """Motions (4, 4) in the face that put one feature of the part in the place of another like it.
 
-    Those about its middle, more or less: beside it lies the next part.
+    Only those that keep the part's middle about where it is: farther away lies the next part.
     """
     places = np.array([curve.parameters[:2] for curve in curves_of(job)])
     middle = np.append(0.5 * (places.min(axis=0) + places.max(axis=0)), 0.0)
@@ -254,13 +254,13 @@ def _rival_motions(job: Job) -> list[FloatArray]:
 
 
 def _about(turn: float, source: FloatArray, to: FloatArray) -> FloatArray:
-    """The motion (4, 4) in the face that turns and lays one point on another."""
+    """The motion (4, 4) in the face that turns by an angle and moves source to `to`."""
     rotation = about_z(turn)
     return transform(rotation, to - rotation @ source)
 
 
 def _is_turned(images: StereoImages, job: Job, match: ShapeMatch, found: Lock) -> bool:
-    """Whether a lock contradicts the rotation of a match that has one."""
+    """Whether a lock contradicts the rotation of its match; False for a symmetric one."""
     if match.symmetric:
         return False
     turns = []
@@ -296,8 +296,8 @@ def _main_face(job: Job) -> list[Curve]:
 class _Whole:
     """All curves of a part fitted as one.
 
-    curves : with their signs.  clear : names of those of which enough has no rival.  shown : of those of
-    which both cameras must see something good.  params, rigid_mm : as they were fitted with.
+    curves : with their signs.  clear : names of curves of which enough has no rival.  shown : names of curves
+    that both cameras should see well.  params, rigid_mm : as used in the fit.
     """
 
     fit: PlaneFit
@@ -308,14 +308,14 @@ class _Whole:
     rigid_mm: float
 
     def alone(self, images: StereoImages) -> PlaneFit | None:
-        """Free fits of the curves that can be measured separately; None without any."""
+        """Free fits of the curves that can be measured separately; None if there are none."""
         curves = [curve for curve in self.curves if curve.name in self.clear]
         if not curves:
             return None
         return fit_plane(images.rig, images.raw, self.fit.face, curves, SOLID.alone_fit)
 
     def with_breaks(self, images: StereoImages) -> tuple[_Whole, PlaneFit | None]:
-        """This fit and the separate curves, both with the widest edge break that either shows."""
+        """This fit and that of the separate curves, both with the widest edge break that either shows."""
         alone = self.alone(images)
         widths = [
             {found.scatter.break_mm for found in fit.fits} for fit in (self.fit, alone) if fit is not None
@@ -348,8 +348,8 @@ def _with_signs(
 ) -> tuple[list[Curve], frozenset[str], frozenset[str]]:
     """The curves with the sign of each stretch as both images show it at a pose rig_from_part (4, 4).
 
-    And the names of those with enough stretches that have no rival in either image: only these are used; and
-    of those that the part's body neither hides nor blurs, as far as it is known.
+    Further, the names of curves with enough stretches without a rival in either image: only these stretches
+    are used; and the names of curves that the part's body, if known, neither hides nor blurs.
     """
     outline, starts = spread(images, curves, pose, SOLID.spacing_px)
     face = Face(pose[:3, 3], pose[:3, :3].T)
@@ -403,7 +403,7 @@ def _with_signs(
 
 
 def _beside_glare(image: Image, pixels: FloatArray) -> B8:
-    """(N,) which points (N, 2) of an image lie beside a saturated surface."""
+    """(N,) whether points (N, 2) of an image lie beside a saturated surface."""
     bright = cv2.dilate(
         (image >= SOLID.saturated).astype(np.uint8), np.ones((2 * SOLID.glare_px + 1,) * 2, np.uint8)
     )
@@ -413,12 +413,12 @@ def _beside_glare(image: Image, pixels: FloatArray) -> B8:
 
 
 def target_of(job: Job, match: Match, fit: PlaneFit) -> Target:
-    """The part where a rigid fit puts it."""
+    """The target of a rigid fit, still without features and sizes."""
     assert fit.rigid is not None
     face = fit.face
     u, v, n = face.axes
     x, y, z = job.place_of(job.reference)
-    lift = np.zeros((6, 7))  # by height, slopes, shift, turn, growth
+    lift = np.zeros((6, 7))  # derivatives by height, slopes, shift, turn, growth
     lift[:3, 0] = n
     lift[:3, 1], lift[:3, 2] = x * n - z * u, y * n - z * v
     lift[:3, 3], lift[:3, 4], lift[:3, 5] = u, v, x * v - y * u

@@ -1,4 +1,4 @@
-"""How a taught face looks tilted: the views that a search needs to find it up to an angle."""
+"""Views of a taught face under tilt, as a search needs them to find it at tilts up to an angle."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def bisector(rectification: Rectification, place_mm: FloatArray) -> FloatArray:
 
 @lru_cache(maxsize=16)  # a job and a rig stay the same from image to image
 def views_of(job: Job, rectification: Rectification) -> ShapeViews | None:
-    """The views of a job's face, tilted as far as it may lie; None where one is enough."""
+    """Views of a job's face, tilted as far as the job allows; None where one is enough."""
     if job.tilt_rad is None:
         return None
     return tilted_views(rectification, job.shape, job.rig_from_part, job.tilt_rad)
@@ -35,11 +35,11 @@ def views_of(job: Job, rectification: Rectification) -> ShapeViews | None:
 def tilted_views(
     rectification: Rectification, shape: ShapeModel, rig_from_part: FloatArray, tilt_rad: float
 ) -> ShapeViews | None:
-    """The fewest views, of a regular choice, that any face within tilt_rad of the bisector is like.
+    """Few views, chosen from a regular grid, so that any face within tilt_rad of the bisector is like one.
 
-    Like: after the best similarity, which a scan tries anyway, it differs by no more than `MISFIT_PX` on the
-    top level. The first view is the taught one. None where this rig does not see the taught face from above:
-    it was taught with another, or edited.
+    Like: after the best similarity, which a scan tries anyway, it differs by no more than `misfit_px` on the
+    top level, and `misfit_share` of its size. The first view is the taught one. None where this rig does not
+    see the taught face from above: it was taught with another rig, or edited.
     """
     place, axes = _face(rectification, shape, rig_from_part)
     if (
@@ -67,11 +67,11 @@ def tilted_views(
     alike = _misfit(outlines) <= np.minimum(START.misfit_share * size_px, START.misfit_px * top)
     chosen = _chosen(alike[:, 1:])
     kept = np.array([maps[view] for view in chosen])
-    # a face leans far from the line of sight only to the other camera's side: not every turn of a view is met
+    # a face leans far from the line of sight only to the other camera's side: not all turns of a view occur
     half = _half_turns(leans, tilt_rad, apart)
     own = np.array([sides[view - 1] if view else 0.0 for view in chosen])
     lean = np.array([leans[view - 1] if view else 0.0 for view in chosen])
-    # what several views are like is left to the one that leans least: that is met in most turns anyway
+    # a face like several views is left to the one that leans least: that is searched at most turns anyway
     of_view = np.argmin(np.where(alike[chosen, 1:], lean[:, None], np.inf), axis=0)
     reach = np.zeros(len(chosen))
     np.maximum.at(reach, of_view, half + np.abs(wrapped(sides - own[of_view])))
@@ -81,7 +81,10 @@ def tilted_views(
 
 
 def _half_turns(leans: FloatArray, tilt_rad: float, apart: float) -> FloatArray:
-    """(N,) how far to both sides of the bisector a face may lean from the line of sight, rad in [0, pi]."""
+    """(N,) half the range of directions to which a face with this lean may lean, rad in [0, pi].
+
+    Directions are relative to that of the bisector; there the face is within tilt_rad of the bisector.
+    """
     down = np.sin(leans) * math.sin(apart)
     cosine = (math.cos(tilt_rad) - np.cos(leans) * math.cos(apart)) / np.maximum(down, 1e-12)
     return np.asarray(np.arccos(np.clip(cosine, -1.0, 1.0)))
@@ -89,9 +92,9 @@ def _half_turns(leans: FloatArray, tilt_rad: float, apart: float) -> FloatArray:
 
 @dataclass(frozen=True, slots=True)
 class Reach:
-    """The space that a part takes up at its taught place when tilted as far as allowed, to any side.
+    """Space that a part takes up at its taught place when tilted as far as allowed, in any direction.
 
-    depth_mm : from its nearest to its farthest point.  outside : the cameras whose image it then leaves.
+    depth_mm : from its nearest to its farthest point.  outside : cameras whose image it may then leave.
     """
 
     depth_mm: float
@@ -99,7 +102,7 @@ class Reach:
 
 
 def reach_of(job: Job, rectification: Rectification, tilt_rad: float) -> Reach:
-    """The reach of a part that is turned and tilted about the centre of its disc."""
+    """Reach of a part, taken as its enclosing disc, that is turned and tilted about the disc's centre."""
     place, axes = _face(rectification, job.shape, job.rig_from_part)
     back = np.linalg.inv(_seen(rectification, place, axes))
     points = np.column_stack([job.shape.levels[0].points, np.ones(len(job.shape.levels[0].points))]) @ back.T
@@ -130,7 +133,7 @@ def reach_of(job: Job, rectification: Rectification, tilt_rad: float) -> Reach:
 def _face(
     rectification: Rectification, shape: ShapeModel, rig_from_part: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Where the shape's origin lies on the taught face, (3,) rig frame, and the part's axes as columns."""
+    """The shape's origin on the taught face, (3,) rig frame, and the part's axes as columns."""
     axes, on_face = rig_from_part[:3, :3], rig_from_part[:3, 3]
     pixel = rectification.raw_points("left", shape.origin_px[None])
     ray = np.append(rectification.rig.left.normalise(pixel)[0], 1.0)
@@ -149,7 +152,7 @@ def _seen(rectification: Rectification, place: FloatArray, axes: FloatArray) -> 
 
 
 def _shortest_turn(source: FloatArray, to: FloatArray) -> FloatArray:
-    """The rotation (3, 3) about an axis across both that lays a unit vector on another, not opposite one."""
+    """The shortest rotation (3, 3) from one unit vector to another, which must not be its opposite."""
     axis = cross(source, to)
     sine = float(np.linalg.norm(axis))
     if sine < 1e-12:
@@ -158,7 +161,7 @@ def _shortest_turn(source: FloatArray, to: FloatArray) -> FloatArray:
 
 
 def _polar_grid(reach_rad: float) -> tuple[FloatArray, FloatArray]:
-    """Leans and sides, rad, (N,) each: about evenly spaced on the cap of the sphere, its rim included."""
+    """Leans and their directions, rad, (N,) each: about evenly spaced on a spherical cap with its rim."""
     leans, sides = [], []
     for lean in np.linspace(0.0, reach_rad, 1 + math.ceil(reach_rad / START.grid_step_rad)):
         count = max(1, math.ceil(2 * math.pi * math.sin(lean) / START.grid_step_rad))
@@ -168,7 +171,7 @@ def _polar_grid(reach_rad: float) -> tuple[FloatArray, FloatArray]:
 
 
 def _without_turn(view: FloatArray) -> FloatArray:
-    """The homography (3, 3) after the turn in the picture that removes the rotation of its linear part."""
+    """The homography (3, 3) followed by the turn in the picture that removes its own rotation."""
     (a, b), (c, d) = view[:2, :2]
     turned = view.copy()
     turned[:2] = rotation_2d(-math.atan2(c - b, a + d)) @ view[:2]
@@ -176,7 +179,7 @@ def _without_turn(view: FloatArray) -> FloatArray:
 
 
 def _outlines(shape: ShapeModel, maps: FloatArray) -> npt.NDArray[np.complex128]:
-    """(V, N) points of the shape's finest level as each view shows them, about their mean, x + i y."""
+    """(V, N) points of the shape's finest level in each view, relative to their mean, as x + i y."""
     points = shape.levels[0].points[: START.outline_points]
     seen = np.column_stack([points, np.ones(len(points))]) @ np.swapaxes(maps, 1, 2)
     flat = (seen[..., 0] + 1j * seen[..., 1]) / seen[..., 2]
@@ -184,7 +187,7 @@ def _outlines(shape: ShapeModel, maps: FloatArray) -> npt.NDArray[np.complex128]
 
 
 def _misfit(outlines: npt.NDArray[np.complex128]) -> FloatArray:
-    """(V, V) rms, px, by which each outline differs from the best similarity of each other one."""
+    """(V, V) rms, px, of each outline minus the best similarity of each other one."""
     products = np.abs(outlines.conj() @ outlines.T) ** 2
     power = np.sum(np.abs(outlines) ** 2, axis=1)
     left = power[None] - products / power[:, None]
@@ -192,10 +195,10 @@ def _misfit(outlines: npt.NDArray[np.complex128]) -> FloatArray:
 
 
 def _chosen(alike: B8) -> list[int]:
-    """Views: the first one, and then always the one that adds most, until all are like one of them."""
+    """Greedy choice of views: first view 0, then always the one that adds most, until all are like one."""
     alike = alike | np.eye(
         alike.shape[0], alike.shape[1], k=-1, dtype=np.bool_
-    )  # each is like itself, so it comes to an end
+    )  # each is like itself, so the loop ends
     left = np.ones(alike.shape[1], np.bool_)
     chosen = [0]
     while True:

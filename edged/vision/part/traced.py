@@ -1,4 +1,4 @@
-"""Outlines of a part that are no features: it is looked for by them. `teaching.tracing` finds them."""
+"""Outlines of a part that are no features but serve to find it. `teaching.tracing` finds them."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from edged.domain.arrays import FloatArray
 from edged.vision.part.body import MAX_SIZE_MM, checked
 
 MAX_POINTS = 20_000
-"""The most that a job keeps of all its outlines."""
+"""Most points that a job keeps, of all its outlines together."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TracedCurve:
     """A stretch of an outline, at one height, as taught; nothing is measured on it.
 
-    points_mm (N, 3) : part frame, one behind the other.
-    polarity : +1 brighter on the side 90° from its direction, turned from x to y; -1 darker.
+    points_mm (N, 3) : part frame, in order along the curve.
+    polarity : +1 if brighter on the side 90° from its direction, turned from x to y; -1 if darker.
     """
 
     points_mm: FloatArray
@@ -29,12 +29,12 @@ class TracedCurve:
 
     @property
     def length_mm(self) -> float:
-        """Along its points."""
+        """Length along its points."""
         return float(np.linalg.norm(np.diff(self.points_mm, axis=0), axis=1).sum())
 
 
 def to_arrays(curves: Sequence[TracedCurve]) -> dict[str, npt.NDArray[Any]]:
-    """For a file: all points (N, 3), and points and polarity of each curve (K, 2)."""
+    """Arrays for a file: all points (N, 3), and the number of points and polarity of each curve (K, 2)."""
     return {
         "points_mm": np.concatenate([curve.points_mm for curve in curves]).astype(np.float32),
         "curves": np.array([[len(curve.points_mm), curve.polarity] for curve in curves], np.int32),
@@ -42,7 +42,7 @@ def to_arrays(curves: Sequence[TracedCurve]) -> dict[str, npt.NDArray[Any]]:
 
 
 def from_arrays(arrays: Mapping[str, npt.NDArray[Any]]) -> tuple[TracedCurve, ...]:
-    """Inverse of `to_arrays`; raises `ValueError` that names what is wrong."""
+    """Inverse of `to_arrays`. Raises `ValueError` that names the fault."""
     points = checked(arrays, "points_mm", 3, np.dtype(np.float32)).astype(np.float64)
     curves = checked(arrays, "curves", 2, np.dtype(np.int32)).astype(np.int64)
     counts, polarity = curves[:, 0], curves[:, 1]

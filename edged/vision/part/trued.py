@@ -1,8 +1,8 @@
-"""A part measured by corrected cameras, in the frame of the rig as calibrated, with what the correction adds.
+"""A part measured by corrected cameras, in the calibrated rig's frame and with the correction's uncertainty.
 
-The cameras' displacement is known with a covariance; pictures held, a displacement moves each point of the
-part by its slopes (`geometry.correction`). All of a part's covariances get what that makes of theirs: errors
-of both cameras that cancel at the part cancel in it.
+The cameras' displacement is known with a covariance; for fixed pictures, a displacement moves each point of
+the part linearly (`geometry.correction`). This is propagated into all covariances of the part: errors of both
+cameras that cancel at the part cancel there, too.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ Feature = TypeVar("Feature", Circle3D, Slot3D, Corner3D)
 
 
 def trued(job: Job, target: Target, rig: StereoRig, correction: RigCorrection) -> Target:
-    """The target in the rig's own frame; rejected where the correction leaves it too uncertain.
+    """The target in the calibrated rig's frame; rejected where the correction leaves it too uncertain.
 
     target : in the frame of the left camera as it is now. rig : as calibrated.
     """
@@ -42,7 +42,7 @@ def trued(job: Job, target: Target, rig: StereoRig, correction: RigCorrection) -
 
 
 def moved(target: Target, to_from_rig: FloatArray) -> Target:
-    """The target in another frame (4, 4); it has no grasp and no offset yet."""
+    """The target in another frame, by to_from_rig (4, 4); it has no grasp and no offset yet."""
     R = to_from_rig[:3, :3]
     reported = target.reported
     if reported is not None:
@@ -72,7 +72,7 @@ def moved(target: Target, to_from_rig: FloatArray) -> Target:
 
 
 def _placed(feature: Feature, to_from_rig: FloatArray, point: str, *directions: str) -> Feature:
-    """The feature in another frame, by the names of its place and directions."""
+    """The feature in another frame; point, directions : names of its attributes to be transformed."""
     R = to_from_rig[:3, :3]
     changed = {name: R @ getattr(feature, name) for name in directions}
     changed[point] = apply(to_from_rig, getattr(feature, point))
@@ -80,16 +80,16 @@ def _placed(feature: Feature, to_from_rig: FloatArray, point: str, *directions: 
 
 
 def _turned(covariance: FloatArray, R: FloatArray, vectors: int = 1) -> FloatArray:
-    """A covariance whose first rows are of this many vectors in space, seen in turned axes."""
+    """A covariance in rotated axes; its first rows are those of this many vectors in space."""
     jacobian = np.eye(len(covariance))
     for start in range(0, 3 * vectors, 3):
         jacobian[start : start + 3, start : start + 3] = R
-    with np.errstate(invalid="ignore", over="ignore"):  # what is not known stays NaN
+    with np.errstate(invalid="ignore", over="ignore"):  # unknown entries stay NaN
         return np.asarray(jacobian @ covariance @ jacobian.T)
 
 
 def _widened(target: Target, rig: StereoRig, correction: RigCorrection) -> Target:
-    """The target with the covariance of the correction in all of its own."""
+    """The target with the covariance of the correction propagated into all of its covariances."""
     place = target.position_mm
     points = points_of(target)
     if len(points) < 3:
@@ -133,18 +133,18 @@ def _widened(target: Target, rig: StereoRig, correction: RigCorrection) -> Targe
 
 
 _TRIPOD_MM = np.array([[0.0, 0.0, 0.0], [10.0, 0.0, 0.0], [0.0, 10.0, 0.0]])
-"""In place of a part's own points: a part of some size turns as they do."""
+"""Points used for a part that has fewer than three of its own: any part of some size turns as they do."""
 
 
 def _circle(circle: Circle3D, shifts: FloatArray, P: FloatArray) -> Circle3D:
-    """shifts (8, 3, 14) : of its rim."""
+    """The circle with the correction's covariance P.  shifts (8, 3, 14) : of points on its rim."""
     radial = (rim_of(circle) - circle.centre_mm) / circle.radius_mm
     motion = np.concatenate([shifts.mean(axis=0), np.einsum("ni,nij->j", radial, shifts)[None] / len(radial)])
     return replace(circle, covariance=circle.covariance + motion @ P @ motion.T)
 
 
 def _edge(edge: Edge3D, normal: FloatArray, shifts: FloatArray, P: FloatArray) -> Edge3D:
-    """shifts (2, 3, 14) : of its ends."""
+    """The edge with the correction's covariance P.  shifts (2, 3, 14) : of its ends."""
     along = edge.end_mm - edge.start_mm
     length = float(np.linalg.norm(along))
     across = np.cross(normal, along / length)
@@ -153,7 +153,10 @@ def _edge(edge: Edge3D, normal: FloatArray, shifts: FloatArray, P: FloatArray) -
 
 
 def _slot(slot: Slot3D, shifts: FloatArray, P: FloatArray) -> Slot3D:
-    """shifts (2, 3, 14) : of its ends, along its direction first. Its width grows as its length does."""
+    """The slot with the correction's covariance P; its width is taken to grow as its length does.
+
+    shifts (2, 3, 14) : of its ends, first the one along its direction.
+    """
     length = slot.direction @ (shifts[0] - shifts[1])
     motion = np.stack([*shifts.mean(axis=0), length, length * slot.width_mm / slot.length_mm])
     return replace(slot, covariance=slot.covariance + motion @ P @ motion.T)
@@ -164,7 +167,7 @@ def _corner(corner: Corner3D, shift: FloatArray, P: FloatArray) -> Corner3D:
 
 
 def _size(size: Measurement, growth: float) -> Measurement:
-    """growth : variance of the part's size by the correction, in shares of it."""
+    """The size with the correction's uncertainty.  growth : relative variance of the part's size."""
     if size.unit != "mm":
         return size
     return replace(size, sigma=math.sqrt(size.sigma**2 + growth * size.value**2))

@@ -1,7 +1,7 @@
-"""Points of a body that its own surface hides from a camera: a z-buffer over its triangles.
+"""Self-occlusion: points of a body that its own surface hides from a camera, by a z-buffer of its triangles.
 
-The buffer looks along the line from the camera to the body's middle, with a pinhole of its own: lens
-distortion moves what hides and what is hidden alike.
+The buffer is a pinhole view along the line from the camera to the body's middle: lens distortion is left out,
+as it moves a hidden point and the surface in front of it alike.
 Source: W. Strasser, "Schnelle Kurven- und Flaechendarstellung auf graphischen Sichtgeraeten", 1974;
 E. Catmull, "A Subdivision Algorithm for Computer Display of Curved Surfaces", 1974.
 """
@@ -27,11 +27,11 @@ def hidden_points(
     camera_mm: FloatArray,
     size_px: int = SOLID.size_px,
 ) -> B8:
-    """(N,) whether the surface of a body hides points (N, 3) from a camera at camera_mm (3,).
+    """(N,) whether the surface of a body hides each of points (N, 3) from a camera at camera_mm (3,).
 
     vertices_mm (K, 3), triangles (M, 3) : the body; all in one frame. A point on the surface is not hidden by
-    the surface about it.  size_px : side of the buffer.
-    Nothing is hidden where the camera is inside, or too close.
+    the surface around it.  size_px : side of the buffer.
+    Nothing counts as hidden if the camera is inside the body or too close to it.
     """
     result = np.zeros(len(points_mm), np.bool_)
     vertices, points, eye = (for_kernel(each, np.float64) for each in (vertices_mm, points_mm, camera_mm))
@@ -41,7 +41,7 @@ def hidden_points(
 
 @kernel("void(f8[:, ::1], f8[:, ::1], f8[::1], i8[:, ::1], i8, b1[::1])")
 def hide(vertices: F64, points: F64, eye: F64, triangles: I64, size: int, hidden: B8) -> None:
-    """Fill hidden (N,), of False, as in `hidden_points`."""
+    """Fill hidden (N,), all False on entry, as in `hidden_points`."""
     middle, towards, frame = np.empty(3), np.empty(3), np.empty((3, 3))
     reach = distance = 0.0
     for i in range(3):
@@ -65,7 +65,7 @@ def hide(vertices: F64, points: F64, eye: F64, triangles: I64, size: int, hidden
         frame[2, i] = towards[i] / distance
         if abs(frame[2, i]) < abs(frame[2, least]):
             least = i
-    # across the axis that is farthest from the line of sight
+    # perpendicular to the coordinate axis that is farthest from the line of sight
     i, j = (least + 1) % 3, (least + 2) % 3
     length = np.sqrt(frame[2, i] ** 2 + frame[2, j] ** 2)
     frame[0, least], frame[0, i], frame[0, j] = 0.0, -frame[2, j] / length, frame[2, i] / length
@@ -81,7 +81,7 @@ def hide(vertices: F64, points: F64, eye: F64, triangles: I64, size: int, hidden
 
 @kernel()
 def _in_buffer(points: F64, eye: F64, frame: F64, scale: float, size: int) -> F64:
-    """(N, 3): column, row, and depth along the line of sight."""
+    """(N, 3): column and row in the buffer, and depth along its line of sight."""
     result = np.zeros((len(points), 3))
     for n in range(len(points)):
         for i in range(3):
@@ -96,7 +96,7 @@ def _in_buffer(points: F64, eye: F64, frame: F64, scale: float, size: int) -> F6
 def fill_nearness(vertices: F64, triangles: I64, buffer: F64) -> None:
     """Raise a buffer (H, W) to the inverse depth of triangles; vertices (K, 3) of column, row, depth.
 
-    Inverse depth is linear in the picture. Pixels whose centre a triangle has are its own.
+    Inverse depth is linear in the picture. A triangle covers the pixels whose centres lie in it.
     """
     height, width = buffer.shape
     for n in range(len(triangles)):
@@ -112,7 +112,7 @@ def fill_nearness(vertices: F64, triangles: I64, buffer: F64) -> None:
         top = max(int(np.ceil(min(a[1], b[1], c[1]))), 0)
         bottom = min(int(np.floor(max(a[1], b[1], c[1]))), height - 1)
         for row in range(top, bottom + 1):
-            low, high = np.inf, -np.inf  # of the row within the triangle
+            low, high = np.inf, -np.inf  # columns of the row within the triangle
             for k in range(3):
                 p, q = (a, b) if k == 0 else ((b, c) if k == 1 else (c, a))
                 if (p[1] < row and q[1] < row) or (p[1] > row and q[1] > row):
@@ -132,7 +132,10 @@ def fill_nearness(vertices: F64, triangles: I64, buffer: F64) -> None:
 
 @kernel("void(f8[:, ::1], f8[:, ::1], f8, i8, b1[::1])")
 def find_hidden(buffer: F64, points: F64, behind: float, around: int, hidden: B8) -> None:
-    """Fill hidden (N,): points (N, 3) deeper than a margin behind a nearby pixel of inverse depths."""
+    """Fill hidden (N,): whether points (N, 3) lie deeper, by a margin, than a nearby buffer pixel.
+
+    buffer (H, W) : inverse depths.
+    """
     height, width = buffer.shape
     for n in range(len(points)):
         hidden[n] = False

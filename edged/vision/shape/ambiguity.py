@@ -1,9 +1,8 @@
-"""Rotations of a part that its outline may be mistaken for: does the image tell them apart?
+"""Decide between rotations of a part for which its outline may be mistaken.
 
-A shape covers a part of itself at every rotation: the rim of a disc at any, its holes at some. Between two
-rotations only what they do not share decides: the edges that one expects and the other does not. Each of
-them is seen, or denied by the bare face of the part or the bare table, or hidden; what is hidden speaks for
-neither.
+A shape coincides with part of itself at every rotation: the rim of a disc at any, its holes at some. Only the
+edges that one of two rotations expects and the other does not can decide. Each of them is seen, or denied by
+the bare face of the part or the bare table, or hidden; hidden ones count for neither.
 """
 
 from __future__ import annotations
@@ -35,8 +34,8 @@ Flags = B8
 class RivalTurns:
     """Rotations of a shape, most similar first.
 
-    motions (K, 3) : dx, dy, angle in the model's plane.  own (K, N) : points of the model that lie off its
-    outline so turned; foreign (K, N) : points that, turned, lie off the model's outline.
+    motions (K, 3) : dx, dy, angle in the model's plane.  own (K, N) : points of the model that lie off the
+    turned outline; foreign (K, N) : points that, after the turn, lie off the model's outline.
     """
 
     motions: FloatArray
@@ -55,8 +54,8 @@ class RotationSight:
 
     placed (N, 4) : x, y, nx, ny of the model's points.  slope (N,) : at the edge there, grey values per px,
     signed, 0 without one.  beside (N, 3) : grey values before, at and behind the place of the edge, NaN
-    outside the image.  inward (N,) : on the rim of the part 1 or -1, whichever way along the normal is into
-    the part, 0 elsewhere.  gap_px : between neighbouring points.
+    outside the image.  inward (N,) : 1 or -1 on the rim of the part, if the part lies along or against the
+    normal, 0 elsewhere.  gap_px : between neighbouring points.
     """
 
     placed: FloatArray
@@ -70,8 +69,8 @@ class RotationSight:
 class Surroundings:
     """Thresholds for an edge of the part, and for bare surface, in the light of one image.
 
-    strong : slope, grey values per px.  face, around : grey value, and by how much it may vary, of the part's
-    face and of what lies around it; NaN where they are not even.
+    strong : slope, grey values per px.  face, around : grey value, and how much it may vary, of the part's
+    face and of its surroundings; NaN where they are not even.
     """
 
     strong: float
@@ -83,7 +82,7 @@ class Surroundings:
         return np.asarray(np.abs(sight.slope) >= self.strong)
 
     def denies(self, sight: RotationSight) -> Flags:
-        """Points (N,) where the bare face is, or instead of the rim the bare table, without an edge."""
+        """Points (N,) without an edge that show the bare face or, at the rim, the bare table."""
         bare, empty = (
             (np.abs(sight.beside - level) < vary).all(axis=1)  # False for NaN
             for level, vary in (self.face, self.around)
@@ -94,7 +93,10 @@ class Surroundings:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Odds:
-    """Chance edges on the face of a part; and the shares (T, K) of what K `turns` have of their own."""
+    """Chance edges on the face of a part.
+
+    own, foreign (T, K) : shares of these points of K `turns` that show an edge by chance.
+    """
 
     chance: Chance
     own: FloatArray
@@ -106,7 +108,7 @@ def look(
 ) -> RotationSight:
     """Look for the model's edges in an image (H, W) uint8 at a pose; sign as in `edges_along_normals`.
 
-    points : indices of those that are looked for, default all.
+    points : indices of the model's points that are looked for; None: all.
     """
     level = model.levels[0]
     chosen = slice(None) if points is None else points
@@ -117,7 +119,7 @@ def look(
 
 
 def _scale(pose: FloatArray) -> float:
-    """Scale from the image's px to the model's."""
+    """Magnification of a pose: px of the image by px of the model."""
     return float(np.sqrt(abs(pose[2] * pose[5] - pose[3] * pose[4])))
 
 
@@ -131,7 +133,7 @@ def look_at(
 ) -> RotationSight:
     """Look for the model's edges, or those of `points`, where they are placed (N, 4): x, y, nx, ny.
 
-    scale : of the image's px to the model's.
+    scale : px of the image by px of the model.
     """
     offsets, slopes = edges_along_normals(image, placed[:, :2], placed[:, 2:], ROTATIONS.reach_px, sign)
     there = np.abs(offsets) < refine.AGREES_PX  # False for NaN
@@ -142,9 +144,9 @@ def look_at(
 
 
 def surroundings(sight: RotationSight, min_contrast: float, by_chance: float = 0.0) -> Surroundings:
-    """What the edges that a pose shows say about the part's edges and surface.
+    """Estimate thresholds for the part's edges and bare surface from the edges that a pose shows.
 
-    by_chance : slope of an edge that the face shows now and then where the part has none.
+    by_chance : slope of edges that the face occasionally shows where the part has none.
     """
     strong = _strong(sight.slope, min_contrast)
     beside = _beside_rim(sight, strong)
@@ -156,7 +158,7 @@ def surroundings(sight: RotationSight, min_contrast: float, by_chance: float = 0
 
 
 def _face_greys(sight: RotationSight, strong: float) -> tuple[float, float]:
-    """Between which grey values the face lies, whatever its texture."""
+    """Range of grey values of the face, texture included; unlimited where little is seen."""
     beside = _beside_rim(sight, strong)
     if beside is None:
         return -math.inf, math.inf
@@ -192,7 +194,7 @@ def _even(greys: FloatArray, step: float) -> tuple[float, float]:
 def odds_on_face(
     image: Image, model: ShapeModel, pose: FloatArray, sign: int, min_contrast: float, slopes: FloatArray
 ) -> Odds:
-    """Chance edges on the face, at a pose, among those that distinguish its rotations.
+    """Measure chance edges on the face at a pose, by the points that distinguish its rotations.
 
     slopes (N,) : at the edges where the pose expects them, 0 where there is none.
     """
@@ -216,10 +218,10 @@ def odds_on_face(
 
 @lru_cache(maxsize=16)
 def _telling(model: ShapeModel) -> Flags:
-    """Points (2 K + 1, N) of the model that tell it from the K rotations that are most like it.
+    """Sets of points (2 K + 1, N) that distinguish the model from the K rotations that are most like it.
 
-    What it has of its own, then what they have; and nothing, for rotations that are less alike and differ all
-    over: they are judged by all that was looked at.
+    Its own points against each, then theirs; then an empty set for rotations that are less alike and differ
+    all over: these are judged by all points that were looked at.
     """
     found = turns(model)
     nothing = np.zeros((1, len(model.levels[0].points)), np.bool_)
@@ -235,11 +237,11 @@ def open_turns(
     slopes: FloatArray,
     odds: Odds,
 ) -> list[int]:
-    """Indices of `turns` that the image does not rule out against a pose, those first that it speaks for.
+    """Indices of `turns` that the image does not rule out against a pose, the most likely ones first.
 
     slopes (N,) : at the edges where the pose expects them, 0 where there is none.
-    First by what the pose alone expects: where the image shows so much of that, no other rotation can be.
-    Where some of it is hidden, by what the other one expects there, too.
+    First by the edges that only the pose expects: if the image shows enough of them, no other rotation is
+    possible. Where some of them are hidden, by the edges that only the other rotation expects, too.
     """
     all_turns = turns(model)
     own = all_turns.own
@@ -280,7 +282,7 @@ def _look_at_each(
 ) -> RotationSight:
     """`look` at several poses of one size, each at points of its own, all of them one after the other.
 
-    Forty rotations of a dozen points each at once take a fifth of the time.
+    Forty rotations of a dozen points each, looked at together, take a fifth of the time.
     """
     level, size = model.levels[0], [len(indices) for indices in points]
     placed = np.empty((sum(size), 4))
@@ -296,7 +298,7 @@ def _strong(slopes: FloatArray, min_contrast: float) -> float:
 
 
 def _percentile(values: FloatArray, percent: int) -> float:
-    """The value below which this share of them lies, by rank: ten times as quick as numpy's."""
+    """The value below which this percentage of values lies, by rank: ten times as quick as numpy's."""
     rank = len(values) * percent // 100
     return float(np.partition(values, rank)[rank])
 
@@ -311,7 +313,7 @@ def decides(
 ) -> bool | None:
     """Whether an image favours the first of two poses of a model; None where they hardly differ.
 
-    signs : as in `edges_along_normals`, one for each.  odds : of the part that both are of.
+    signs : as in `edges_along_normals`, one for each.  odds : of the part at this place.
     """
     first, second = (look(image, model, pose, sign) for pose, sign in zip(poses, signs, strict=True))
     only_first = ~lies_on(first.placed, second.placed, second.gap_px)
@@ -333,9 +335,10 @@ def decides(
 
 
 def _lead(shown: Flags, denied: Flags, others_shown: Flags, others_denied: Flags) -> float:
-    """By how much more than needed what only one of two rotations expects is there, and the other's is not.
+    """Margin by which edges expected by only one of two rotations outweigh those expected only by the other.
 
-    Texture and things that lie there show edges anywhere, to both alike: the difference counts.
+    Negative if it is smaller than required. Texture and clutter show edges to both alike: the difference
+    counts.
     """
     excess, fewest = 0.0, math.inf
     for there, bare, side in ((shown, denied, 1), (others_shown, others_denied, -1)):
@@ -346,7 +349,7 @@ def _lead(shown: Flags, denied: Flags, others_shown: Flags, others_denied: Flags
 
 
 def turned(pose: FloatArray, motion: FloatArray) -> FloatArray:
-    """The pose after a motion dx, dy, angle in the model's own plane; the tilt turns along."""
+    """The pose after a motion dx, dy, angle in the model's own plane; the tilt turns with it."""
     turn = rotation_2d(motion[2])
     linear = pose[2:6].reshape(2, 2)
     moved = pose.copy()
@@ -358,9 +361,9 @@ def turned(pose: FloatArray, motion: FloatArray) -> FloatArray:
 
 @lru_cache(maxsize=16)
 def turns(model: ShapeModel) -> RivalTurns:
-    """Every rotation at which the outline of a model may be laid on itself, from its points alone.
+    """Every rotation at which the outline of a model can be laid on itself, from its points alone.
 
-    What teaching found similar is only where they begin: the search bends a shape in perspective and takes
+    The rotations that teaching found similar are only some of the starts: the search allows perspective and
     edges of either sign, and so it may accept a rotation that teaching did not list.
     """
     level = model.levels[0]
@@ -392,7 +395,7 @@ def turns(model: ShapeModel) -> RivalTurns:
     return RivalTurns(np.array(motions)[best], own[best], foreign[best])
 
 
-_IDENTITY = refine.start_pose(0.0, 0.0, 0.0, 1.0, 1.0)  # not moved, not turned, as large
+_IDENTITY = refine.start_pose(0.0, 0.0, 0.0, 1.0, 1.0)  # no motion, no turn, same size
 
 
 def about(centre: FloatArray, angle_rad: float) -> FloatArray:
@@ -401,7 +404,7 @@ def about(centre: FloatArray, angle_rad: float) -> FloatArray:
 
 
 def _settled(model: ShapeModel, motion: FloatArray, outline: FloatArray, gap: float) -> FloatArray:
-    """The motion near this one that lays most of the outline on itself; the same where none does."""
+    """The motion near this one that lays most of the outline on itself; unchanged if there is none."""
     points, normals = model.levels[0].points, model.levels[0].normals
     pose = turned(_IDENTITY, motion)
     placed, edges = np.empty((len(points), 4)), np.empty((len(points), 2))
@@ -427,7 +430,7 @@ def lies_on(placed: FloatArray, other: FloatArray, gap_px: float) -> Flags:
 
 @lru_cache(maxsize=16)
 def _inward(model: ShapeModel) -> I64:
-    """1 or -1 for the points (N,) on the convex hull: along or against the normal is into the part."""
+    """1 or -1 for points (N,) on the convex hull, if the part lies along or against the normal; else 0."""
     points, normals = model.levels[0].points, model.levels[0].normals
     hull = points[cv2.convexHull(points.astype(np.float32), returnPoints=False)[:, 0]]
     along = np.roll(hull, -1, axis=0) - hull
@@ -462,7 +465,7 @@ def meet(
         edges[n, 0], edges[n, 1] = np.nan, 0.0
         nearest = np.inf
         m, end = 0, outline.shape[0]
-        while m < end:  # the first that is not left of all within reach
+        while m < end:  # binary search: the first one that is within reach along x
             middle = (m + end) // 2
             if outline[middle, 0] < x - reach:
                 m = middle + 1

@@ -1,6 +1,6 @@
-"""The few poses worth refining, from the exhaustive scan of the top level; and which matches remain.
+"""Choose the few poses of the top level's exhaustive scan to refine, and the matches that remain.
 
-One part stays at each place, and each edge belongs to one part.
+One part remains at each place, and each edge belongs to one part.
 """
 
 from __future__ import annotations
@@ -26,9 +26,9 @@ from edged.vision.shape.workspace import Workspace
 class ShapeViews:
     """Views of one shape, the taught one first.
 
-    linear (V, 2, 2), tilt (V, 2) : how a model point looks, linear p / (1 + tilt . p), px of the finest
-    level; linear has no turn of its own.  turns (V, 2) : middle and half width, rad, of the rotations in
-    which a view can be met.
+    linear (V, 2, 2), tilt (V, 2) : image of a model point p, linear p / (1 + tilt . p), px of the finest
+    level; linear has no turn of its own.  turns (V, 2) : middle and half width, rad, of the range of
+    rotations at which a view can occur.
     """
 
     linear: FloatArray
@@ -43,7 +43,7 @@ class ShapeViews:
 
     @cached_property
     def groups(self) -> I64:
-        """(V,) the quarter of the compass to which a view leans: leaning to and fro looks much alike."""
+        """(V,) number of the quadrant to which a view leans: leans to opposite sides look much alike."""
         return np.asarray(np.floor(-self.turns[:, 0] / (0.5 * np.pi) + 0.5).astype(np.int64) % 4)
 
     def on_level(self, view: int, level: int) -> FloatArray:
@@ -70,7 +70,7 @@ class ShapeMatch:
     model : index of the model among those looked for.
     symmetric : the taught shape looks the same at other angles; this is the one nearest to the taught.
     covariance (5, 5) : of x_px, y_px, angle_rad, scale_x, scale_y, from the residuals of the edges; NaN
-        where the mode leaves one at rest or nothing was refined.
+        for those that the mode does not fit, or if nothing was refined.
     """
 
     x_px: float
@@ -102,15 +102,15 @@ class Hypothesis:
     """A pose vector (see `refine`) in px of its level, the sign of the contrast, the score so far.
 
     scanned : its score in the scan.  slopes (N,) : of the edges that agree with it on the finest level, 0
-    elsewhere.  ambiguous : another rotation explains the image as well.  view : which one it was found in.
-    odds : what the face shows by chance, where that was measured.
+    elsewhere.  ambiguous : another rotation explains the image as well.  view : number of the view it was
+    found in.  odds : of chance edges on the face, if measured.
     """
 
     pose: FloatArray
     sign: int
     score: float
     covariance: FloatArray | None = None
-    scanned: float = 0.0  # by none
+    scanned: float = 0.0  # not scanned
     slopes: FloatArray | None = None
     ambiguous: bool = False
     view: int = 0  # the first
@@ -204,7 +204,7 @@ class _Look:
     tilt: FloatArray
 
     def pose(self, similarity: FloatArray) -> FloatArray:
-        """The pose vector of the taught shape that is seen in this view under a similarity of it."""
+        """Pose vector of the taught shape where this view of it is seen under a similarity."""
         linear = similarity[2:6].reshape(2, 2) @ self.linear
         return np.concatenate([similarity[:2], linear.ravel(), self.tilt])
 
@@ -213,10 +213,10 @@ class _Look:
 class _Plan:
     """The part of a scan that does not depend on the image.
 
-    looks : one of each view, all of as many points; poses (P, 3), steps (3,): see `pose_grid`; views (P,) :
-    that of each pose; sectors (P,), those of each of the `groups` of views on their own; offsets (P, N) of
-    the points in the flat maps, whose grids have rows x columns with `pad` px of zeros.  coarse : with the
-    steps of a large top level.
+    looks : one of each view, all with the same number of points; poses (P, 3), steps (3,): see `pose_grid`;
+    views (P,) : view of each pose; sectors (P,) : numbered separately in each of the `groups` of views;
+    offsets (P, N) of the points in the flat maps, whose grids have rows x columns with `pad` px of zeros.
+    coarse : with the steps of a large top level.
     """
 
     looks: tuple[_Look, ...]
@@ -312,7 +312,7 @@ def _choose(
 ) -> tuple[FloatArray, I64]:
     """(N <= limit, 6) x, y, angle, scale x, scale y, sign: the best peak of each place and rotation.
 
-    And (N,) the grid's pose that each is of.
+    Also (N,) index of each one's pose in the grid.
     """
     order = np.lexsort((peaks[:, 4], peaks[:, 3], peaks[:, 2], peaks[:, 1], -peaks[:, 0]))
     _, sign, sector, y, x = peaks[order].T
@@ -325,7 +325,7 @@ def _choose(
 
 @dataclass(frozen=True, eq=False)
 class PlacedMatch:
-    """A match and the model that it is of."""
+    """A match and its model."""
 
     match: ShapeMatch
     model: ShapeModel
@@ -346,10 +346,10 @@ class PlacedMatch:
 
 
 def without_overlap(matches: Iterable[PlacedMatch], params: SearchParams) -> list[ShapeMatch]:
-    """The best of each place, best first.
+    """Keep the best match at each place, best first.
 
-    Dropped is what shares more than max_overlap of its area with a better one, and what consists of edges
-    that better matches of its model explain already.
+    A match is dropped if it shares more than max_overlap of its area with a better one, or if it consists of
+    edges that better matches of its model explain already.
     """
     kept: list[PlacedMatch] = []
     for placed in sorted(matches, key=lambda p: (-p.match.score, p.match.model, p.match.x_px, p.match.y_px)):

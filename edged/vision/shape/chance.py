@@ -1,9 +1,9 @@
-"""Edges by chance: what the bare face of a part shows, in this picture, where the part has no edge.
+"""Measure edges by chance: those that the bare face shows, in this picture, where the part has no edge.
 
 Grinding, turning and milling leave a texture that is full of edges. How many of them a curve meets depends on
-the surface, the light and the curve: rings are met all along by a curve about their middle and by no other,
-streaks by what runs with them. So it is measured where it matters: the very points that tell two rotations
-apart are turned about the part's middle to where the face has no edge of its own, and looked at there.
+the surface, the light and the curve: a curve concentric with rings meets them all along, others do not;
+streaks are met by curves along them. So chance is measured where it matters: the very points that distinguish
+two rotations are turned about the part's middle to where the face has no edge of its own, and examined.
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ from edged.vision.shape.model import ShapeModel
 from edged.vision.shape.params import ROTATIONS
 
 EVIDENCE = -math.log(ROTATIONS.mistakes)
-"""Nats that speak for a rotation when chance would show so much once in 1 / MISTAKES pictures."""
+"""Nats of evidence that decide for a rotation: chance shows as much in a share `mistakes` of pictures."""
 PLACES = 23
-"""Rotations at which points are looked at elsewhere: a prime, so that none is a part's own symmetry."""
+"""Number of rotations at which points are looked at elsewhere: prime, so that none is a part's symmetry."""
 Array = npt.NDArray[Any]
 Flags = B8
 
@@ -36,8 +36,8 @@ Flags = B8
 class Elsewhere:
     """Points of a model, turned about its middle to where its face has no edge.
 
-    points, normals (C, 2) : as `ShapeLevel`.  of (C,) : which point of the model it is.  place (C,) : number
-    of the rotation, of PLACES.
+    points, normals (C, 2) : as `ShapeLevel`.  of (C,) : index of the model's point.  place (C,) : number of
+    the rotation, below PLACES.
     """
 
     points: FloatArray
@@ -50,28 +50,29 @@ class Elsewhere:
 class Chance:
     """Edges that the model's points show elsewhere on its face.
 
-    known (U,) : which points of the model.  looked (U,), met (T, U) : at how many places the bare face was
-    seen there, and at how many of them an edge.  thresholds (T,) : slopes from which an edge may count,
-    ascending; chance exceeds the first at the first of the shares RARE, and so on.  repeated, many : by how
-    much more than of independent points the number of edges of a set scatters, and of how many that was told.
+    known (U,) : indices of the model's points.  looked (U,), met (T, U) : number of places where the bare
+    face was seen, and of those with an edge.  thresholds (T,) : slopes from which an edge may count,
+    ascending; chance exceeds the first at the first of the shares `rare`, and so on.  repeated, many : factor
+    by which the number of edges of a set scatters more than that of independent points, and the mean number
+    of points that it was estimated from.
     """
 
     known: I64
     looked: FloatArray
     met: FloatArray
     thresholds: FloatArray
-    repeated: float = 1.0  # as independent ones
-    many: float = 1.0  # of each by itself
+    repeated: float = 1.0  # independent points
+    many: float = 1.0  # single points
 
     @staticmethod
     def of(known: I64, slope: FloatArray, thresholds: FloatArray, scatter: tuple[float, float]) -> Chance:
-        """From the slope (PLACES, U) of the edge at each place, 0 without one, NaN where no face was seen."""
+        """From slopes (PLACES, U) of the edges at each place, 0 without one, NaN where no face was seen."""
         looked = np.count_nonzero(np.isfinite(slope), axis=0).astype(np.float64)
         met = np.count_nonzero(slope >= thresholds[:, None, None], axis=1).astype(np.float64)  # False for NaN
         return Chance(known, looked, met, thresholds, *scatter)
 
     def shares(self, sets: Flags) -> FloatArray:
-        """Share (T, K) of each of K sets (K, N) of the model's points that shows an edge by chance."""
+        """Shares (T, K) of K sets (K, N) of the model's points that show an edge by chance."""
         members = sets[:, self.known].T.astype(np.float64)
         looked, met = self.looked @ members, self.met @ members
         few = looked < ROTATIONS.few_looks
@@ -79,13 +80,13 @@ class Chance:
         return np.asarray(np.where(looked > 0, (met + 0.5) / (looked + 1.0), ROTATIONS.unknown))
 
     def evidence(self, sets: Flags, slopes: FloatArray, strong: float, shares: FloatArray) -> FloatArray:
-        """How unlikely it is, in nats (K,), of as many chance edges in each of K sets of points.
+        """Nats (K,) by which chance is unlikely to show as many edges in each of K sets of points.
 
         sets (K, N) : points of the model, with their `shares`.  slopes (N,) or (K, N) : strength of the edge
-        that each shows.  strong : slope from which one counts at least.
+        that each shows.  strong : lower limit of the slopes that count.
         A share s of n independent points, where chance shows a share p, is reached with a probability below
-        exp(-n KL(s, p)) (H. Chernoff, 1952). Of all thresholds the one that tells most decides, at the price
-        of having chosen it.
+        exp(-n KL(s, p)) (H. Chernoff, 1952). The threshold with most evidence decides, less the price of
+        having chosen it.
         """
         count = np.maximum(np.count_nonzero(sets, axis=1), 1)
         levels = np.maximum(self.thresholds, strong)
@@ -104,12 +105,12 @@ class Chance:
 
 
 def clumping(slope: FloatArray, known: I64, sets: Flags, often: float) -> tuple[float, float]:
-    """By how much more than of independent points the number of edges of a set scatters; of how many points.
+    """Excess scatter of the number of edges of a set over independent points, and its mean number of points.
 
     slope (PLACES, U), known (U,) : as in `Chance.of`.  sets (K, N) : points that lie on a curve or two.
-    often : slope that chance exceeds often enough to tell.
+    often : slope that chance exceeds often enough for an estimate.
     Rings and streaks are met by many points at once, or by none: the number of edges scatters from place to
-    place like that of so many fewer points (beta-binomial).
+    place like that of fewer points (beta-binomial).
     """
     members = sets[:, known].T.astype(np.float32)
     looked = np.isfinite(slope).astype(np.float32) @ members
@@ -139,9 +140,9 @@ def look_elsewhere(
     """Look at points of a model elsewhere on the face of the part at a pose, in an image (H, W) uint8.
 
     sets (K, N) : which of its points; those of one set lie together.  sign : as in `edges_along_normals`.
-    reach_px : how far from a point its edge is looked for, and how far grey values beside it.  face : lowest
-    and highest grey value of the face; beside what is darker or brighter lies a hole, or something that is no
-    texture.  strong : slope from which an edge may be the part's.
+    reach_px : how far from a point its edge is looked for, and grey values beside it are taken.  face :
+    lowest and highest grey value of the face; where it is darker or brighter, there is a hole or something
+    else that is no texture.  strong : slope from which an edge may be the part's.
     """
     all_places = elsewhere(model)
     chosen = _chosen(all_places, np.asarray(sets.any(axis=0)))
@@ -172,7 +173,7 @@ def _exceeded(slope: FloatArray) -> FloatArray:
 
 
 def _chosen(all_places: Elsewhere, points: Flags) -> I64:
-    """Indices of what is looked at: curves as whole as may be, at as many places as there is time for."""
+    """Indices of the points to look at: curves as whole as possible, at as many places as time allows."""
     # the model's points come in random order: the first ones are as good as any
     some = points & (np.cumsum(points) <= ROTATIONS.max_points)
     found = np.flatnonzero(some[all_places.of])
@@ -182,7 +183,7 @@ def _chosen(all_places: Elsewhere, points: Flags) -> I64:
 
 @lru_cache(maxsize=16)
 def elsewhere(model: ShapeModel) -> Elsewhere:
-    """Places on the face to which the points of a model may be turned."""
+    """Places on the face, clear of the model's edges, to which its points may be turned."""
     level, centre = model.levels[0], model.centre_px
     points, normals = level.points, level.normals
     low = np.floor(points.min(axis=0)) - 2.0

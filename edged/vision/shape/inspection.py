@@ -16,10 +16,10 @@ class ModelInspection:
     """Facts about a model.
 
     rivals (K, 2) : rotation in rad and similarity of the shape with itself there, most similar first.
-    symmetric : the rivals cannot be told apart; round : no rotation can.
-    reserve : how many times the contrast may fall before an edge counts as none.
+    symmetric : the best rival cannot be distinguished; round : no rotation can.
+    reserve : factor by which the contrast may fall before edges no longer count.
     sigma_x_px, sigma_y_px, sigma_angle_rad, sigma_scale : Cramer-Rao bound of the pose in one image with
-    noise `NOISE`, as far as the model's edges say; a rotation of a round shape is infinite.
+    noise `LearningParams.noise`, from the model's edges; infinite for the rotation of a round shape.
     warnings : in plain words, worst first.  codes : one for each of them, for programs.
     """
 
@@ -81,7 +81,7 @@ def _warnings(
     reserve: float,
     sigmas: tuple[float, float, float, float],
 ) -> list[tuple[str, str]]:
-    """Code and text of each."""
+    """Code and text of each warning."""
     worded: list[tuple[str, str]] = []
     number = len(model.levels[0].points)
     if model.round:

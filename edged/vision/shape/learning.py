@@ -1,7 +1,7 @@
-"""Learning a shape from a picture: which edges, on which levels, and what it may be mistaken for.
+"""Learn a shape from a picture: which edges, on which levels, and what it may be mistaken for.
 
 Thin lines vanish in the averages of the pyramid: their two edges come so close that a pose half a grid step
-off meets the wrong one. The exhaustive scan must not begin on a level that the shape does not survive.
+off meets the wrong one. The exhaustive scan must not begin on a level on which the shape is lost.
 """
 
 from __future__ import annotations
@@ -60,13 +60,13 @@ def create_model(
 
 
 def _corner(low: FloatArray) -> I64:
-    """Upper left corner of what is looked at: a pixel that the averages of every level begin with."""
+    """Upper left corner of the picture around a region, aligned with the pixels of every level."""
     step = 2 ** (MAX_LEVELS - 1)
     return np.asarray(np.maximum(np.floor((low - LEARNING.margin_px) / step), 0) * step, np.int64)
 
 
 def _learnt(image: Image, mask: Image, origin: FloatArray, params: ModelParams) -> ShapeModel:
-    """The model of a region in the picture around it."""
+    """Learn the model of a region from the picture around it."""
     levels, contrast = _levels(image, mask, origin, params)
     if not levels:
         raise TeachError(
@@ -92,7 +92,7 @@ def _learnt(image: Image, mask: Image, origin: FloatArray, params: ModelParams) 
 def _levels(
     image: Image, mask: Image, origin: FloatArray, params: ModelParams
 ) -> tuple[list[ShapeLevel], float]:
-    """Points of each level, finest first, as far up as there are enough; the finest's median slope."""
+    """Points of each level, finest first, as far up as there are enough; also the finest's median slope."""
     levels: list[ShapeLevel] = []
     contrast = 0.0
     apart_px = np.zeros(image.shape, np.float32)  # to the nearest edge of the finest level, once it is known
@@ -128,7 +128,7 @@ def _levels(
 
 @kernel("f8(f8[:, ::1])")
 def repetition(points: FloatArray) -> float:
-    """Sum of the correlations of a point's noise with all points', averaged; 1 for points (N, 2) far apart.
+    """Sum of correlations of a point's noise with that of all points, averaged; 1 for points far apart.
 
     Bicubic samples of white noise half a pixel apart correlate by about 0.6: a Gaussian of sigma 0.5 px.
     """
@@ -144,7 +144,7 @@ def repetition(points: FloatArray) -> float:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _EdgePoints:
-    """points (N, 2), normals (N, 2) unit gradients, their median slope; thin (H, W), their pixels."""
+    """points (N, 2), normals (N, 2) unit gradients; slope : median there; thin (H, W) : their pixels."""
 
     points: FloatArray
     normals: FloatArray
@@ -173,7 +173,7 @@ def _edge_points(
 
 
 def _measured(image: Image, points: FloatArray, normals: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """`edges_along_normals`; near the border, in a template cut tightly, as if the picture went on."""
+    """`edges_along_normals`; at the border of a tightly cut template, with its border pixels replicated."""
     offsets, slopes = edges_along_normals(image, points, normals, 1.5, 1)
     height, width = image.shape
     inside = np.minimum(points, np.array([width - 1.0, height - 1.0]) - points).min(axis=1)

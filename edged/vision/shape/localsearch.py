@@ -1,6 +1,6 @@
-"""A better place beside the one where the refinement settled.
+"""Search for a better place near the one where the refinement settled.
 
-A part that lies off its table, or casts a shadow, has each of its outer edges twice. Far up the pyramid the
+A part that lies above its table, or casts a shadow, shows each of its outer edges twice. On coarse levels the
 two are one, and the least squares that follow keep to whichever was nearer: half of the part and half of its
 shadow. So a fit that explains the image badly is compared with every place around it.
 """
@@ -33,13 +33,13 @@ def best_nearby(
     stretched: bool,
     view: FloatArray | None = None,
 ) -> FloatArray:
-    """The pose vector (8,) around `pose` at which the model agrees best with a gradient image.
+    """The pose vector (8,) near `pose` at which the model agrees best with a gradient image.
 
-    points, normals (N, 2) : of the model on this level.  stretched : keep the sizes along x and y apart,
-    where they are looked for.
-    Only place and size are tried; shear, tilt and, unless `stretched`, a stretch are taken back:
-    they are what a fit to half of two outlines shows. view (6,) : linear part and tilt, px of this level, of
-    the view that was found, and which is taken back to; None: as taught.
+    points, normals (N, 2) : of the model on this level.  stretched : keep separate sizes along x and y, as
+    the search looks for them.
+    Only place and size are tried; shear, tilt and, unless `stretched`, a stretch are undone: a fit to halves
+    of two outlines produces them. view (6,) : linear part and tilt, px of this level, of the view that was
+    found, which is restored; None: as taught.
     """
     points, normals = points[: CLIMB.nearby_points], normals[: CLIMB.nearby_points]
     poses = _around(points, pose, stretched) if view is None else _around_view(points, pose, view)
@@ -73,7 +73,7 @@ def _around(points: FloatArray, pose: FloatArray, stretched: bool) -> FloatArray
 
 
 def _around_view(points: FloatArray, pose: FloatArray, view: FloatArray) -> FloatArray:
-    """Poses around one of a shape in a tilted view."""
+    """`_around` for a shape in a tilted view."""
     looks, tilt = view[:4].reshape(2, 2), view[4:]
     seen = points @ looks.T / (1 + points @ tilt)[:, None]
     similarity = np.zeros(8)

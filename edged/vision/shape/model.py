@@ -46,7 +46,7 @@ class ShapeModel:
 
     @property
     def same_score(self) -> float:
-        """Similarity from which two rotations cannot be told apart."""
+        """Similarity from which two rotations cannot be distinguished."""
         return LEARNING.same_score
 
     def to_arrays(self) -> dict[str, npt.NDArray[Any]]:
@@ -100,7 +100,7 @@ class ShapeModel:
 
 @lru_cache(maxsize=16)
 def reach_px(model: ShapeModel) -> float:
-    """Farthest point of a model from the one about which it turns, wherever its origin is."""
+    """Distance of a model's farthest point from the centre about which it turns, wherever its origin is."""
     return float(np.linalg.norm(model.levels[0].points - model.centre_px, axis=1).max())
 
 

@@ -1,4 +1,4 @@
-"""What to look for, what was found, and the tuned numbers of the search, each with its source."""
+"""Parameters of models and searches, and the tuned numbers of the search, each with its source."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class ModelParams:
 Polarity = Literal["same", "global", "local", "ignore"]
 SubPixel = Literal["none", "rigid", "similarity", "stretch", "affine", "projective"]
 EACH_EDGE_ITSELF: tuple[Polarity, ...] = ("local", "ignore")
-"""Where the sign of one edge says nothing about that of another."""
+"""Polarities by which the sign of one edge says nothing about that of another."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,7 +46,7 @@ class SearchParams:
     scale_min, scale_max : range of the size.
     scale_y_min, scale_y_max : range of the size along the model's y axis, independent of x; None: as along x.
     min_score : (0, 1], share of the model that must be seen and agree.
-    max_matches : the best ones are returned.
+    max_matches : so many are returned at most, the best ones.
     max_overlap : of two matches that share more than this of their area, the better one remains.
     polarity : contrast "same" as taught; "global": all may be inverted together; "local": each
         stretch of the outline by itself; "ignore": each edge by itself, which clutter imitates most easily.
@@ -59,11 +59,11 @@ class SearchParams:
 
     angle_start_rad: float = -np.pi
     angle_extent_rad: float = 2 * np.pi  # any
-    scale_min: float = 0.9  # chosen: a tenth of the distance either way; a wider range takes longer
+    scale_min: float = 0.9  # chosen: the distance may differ by a tenth; a wider range takes longer
     scale_max: float = 1.1  # the same
-    min_score: float = 0.6  # chosen: 0.4 of it hidden; more misses covered parts, less takes clutter
+    min_score: float = 0.6  # chosen: 0.4 of it may be hidden; more misses covered parts, less accepts clutter
     max_matches: int = 1  # one part
-    max_overlap: float = 0.5  # chosen: parts that lie on one another; more returns one part twice
+    max_overlap: float = 0.5  # chosen: parts may lie on one another; more returns one part twice
     polarity: Polarity = "global"
     min_contrast: float = 2.0  # chosen: more loses dark edges, less counts noise
     scale_y_min: float | None = None
@@ -104,23 +104,23 @@ def _in_range(name: str, value: float, low: float, high: float) -> None:
 
 @dataclass(frozen=True, slots=True)
 class ScanParams:
-    """The exhaustive scan of the top level, and which poses of it are refined.
+    """The exhaustive scan of the top level, and the choice of poses that are refined.
 
     Where a line names no source, `tools/bench ablate --only ScanParams` shows what the number earns.
     """
 
     share: float = 0.55
     """Share of min_score that a pose reaches on the grid at worst: half a step off in everything."""
-    polished_share: float = 0.62  # the same between the poses of the grid
-    large_top: int = 1  # level of a small part's scan, which takes nearly all of a search's time
-    large_step_px: float = 3.4  # there: a third of the poses, each up to 0.7 px farther off
-    large_share: float = 0.5  # so a little less is asked of them
-    large_polished_share: float = 0.58  # the same between the poses
+    polished_share: float = 0.62  # the same after polishing between the poses of the grid
+    large_top: int = 1  # top levels up to this are large: their scan takes nearly all of a search's time
+    large_step_px: float = 3.4  # step_px there: a third of the poses, each up to 0.7 px farther off
+    large_share: float = 0.5  # share there: a little less, therefore
+    large_polished_share: float = 0.58  # polished_share there
     view_step_px: float = 4.0
-    """As `step_px` for tilted views, which overlap, and whose first steps move in all ways."""
+    """`step_px` for tilted views: these overlap, and their first steps are free in all unknowns."""
     max_polished: int = 40  # poses, and two more for each match that is asked for
     step_px: float = 2.0
-    """Motion of the outermost point from one angle or scale to the next: what the stride of 2 px is."""
+    """Motion of the outermost point from one angle or scale to the next: as much as the stride of 2 px."""
     trial_poses: tuple[tuple[float, float, float], ...] = (
         (0.35, 0.3, 0.6),
         (1.2, 0.7, 0.1),
@@ -144,42 +144,44 @@ class ClimbParams:
     """
 
     refinement_gain: float = 0.3
-    """Score that refinement may add to a grid pose: quantised directions, half steps in all directions."""
+    """Score that refinement may add to a pose of the grid: its directions are quantised, it is half a step
+    off."""
     coarse_share: float = 0.65  # of min_score on coarse levels, where a pose may still be half a pixel off
     near_finest_share: float = 0.8
     """Share of min_score on the last level but one, where a right pose agrees as on the finest."""
     nearby_levels: tuple[int, ...] = (1, 2)  # on which places around a pose are tried, too
     clear_score: float = 0.85  # skip the neighbourhood search above it
     rival_margin: tuple[float, ...] = (0.06, 0.12, 0.25)
-    """A pose at a better one's place is dropped this far below it: finest level, next, coarser ones."""
+    """A pose at a better one's place is dropped if it scores this much less: finest level, next, coarser."""
     tilt_prior: float = 0.02
     """Sigma of the change of magnification from origin to rim: 10° on a part of a fifth of the distance."""
-    steep_prior: float = 0.06  # the same of a shape tilted by up to 45°
+    steep_prior: float = 0.06  # the same for a shape tilted by up to 45°
     steep_reach_px: tuple[float, ...] = (3.0, 3.0, 2.0, 2.0, 2.0)
-    """By step, from a view some degrees off: it moves farther, in all ways. Below the top the first two."""
+    """Reach of each step from a view some degrees off: it moves farther, in all unknowns. Below the top level
+    the first two."""
     max_stretch: float = 1.25  # derivation: 1 / cos 35°
-    stretches: int = 4  # cells of the radius over this, in which local polarity has one sign
+    stretches: int = 4  # local polarity has one sign within cells of the radius over this
     first_points: int = 128  # of the first step on the finest level: they are in random order
-    clipped_px: float = 0.5  # displacement of an edge beside clipped pixels
+    clipped_px: float = 0.5  # sigma of an edge beside clipped pixels
     max_clipped: float = 0.7  # share of all edges that may be left out for it
     decided_share: float = 0.5
     """Share of the expected difference of two nearly symmetric poses below which the image is undecided."""
-    min_loss: float = 0.02  # least of that distance
+    min_loss: float = 0.02  # lower limit of that difference
     max_rivals: int = 12  # rotations tried against one pose; where more are possible it is in doubt
-    max_changes: int = 3  # of the rotation that is taken to be the right one
+    max_changes: int = 3  # of the rotation that counts as the right one
     same_place: float = 0.25
-    """Share of the radius: parts farther apart interlock, and are not one part seen in two ways."""
-    scan_error: float = 0.1  # of the scan's score, by the pose's place on the grid
-    agrees_px: float = 1.0  # residual up to which an edge is taken for the model's; px of the level
+    """Share of the radius: poses farther apart are two interlocking parts, not one part seen in two ways."""
+    scan_error: float = 0.1  # error of the scan's score by the pose's place on the grid
+    agrees_px: float = 1.0  # residual up to which an edge counts as the model's; px of the level
     settled_px: float = 0.5
-    """A shorter step leaves less than a tenth of itself: no further step is worth its time."""
+    """After a shorter step less than a tenth of it is left: a further step is not worth its time."""
     nearby_reach_px: int = 6  # px of the level along x and y that are searched around a pose
     nearby_stride_px: int = 2  # in steps that the refinement bridges
     size_step_px: float = 1.5  # motion of the farthest point from one size to the next
     sizes: int = 3  # steps to both sides
     nearby_points: int = 120  # enough to rank poses; they are in random order
     claimed_share: float = 0.5
-    """Share of a match's evidence; where better matches explain more of it, it is made of their edges."""
+    """Share of a match's evidence: if better matches explain more of it, it is made of their edges."""
 
 
 CLIMB = ClimbParams()
@@ -192,50 +194,50 @@ class RotationParams:
     Where a line names no source, `tools/bench ablate --only RotationParams` shows what the number earns.
     """
 
-    apart_px: float = 2.0  # farther from the outline of another rotation a point is its own rotation's
+    apart_px: float = 2.0  # a point farther from another rotation's outline is its own rotation's only
     alike: float = 0.8  # cosine between normals of points on one smooth outline
     min_apart: int = 8  # points of its own that a rotation needs for the image to show or deny it
-    turns: int = 72  # rotations compared, besides the taught ones: each comes to rest on the best one near it
+    turns: int = 72  # rotations compared, besides the taught ones: each settles on the best one near it
     min_turn_rad: float = 0.2  # a smaller turn is the same pose
-    same_turn_rad: float = 0.04  # between two turns that came to rest on one
-    telling: int = 6  # rotations whose differences from the taught one stand for what tells them apart
+    same_turn_rad: float = 0.04  # between two settled turns that are one
+    telling: int = 6  # most similar rotations, whose points that differ from the taught one are looked at
     meeting_px: tuple[float, ...] = (8.0, 4.0, 2.5)
-    """How far, step by step, a turned outline looks for its own: the centre is known to some px."""
+    """How far, step by step, a turned outline is matched with itself: its centre is known to some px."""
     accidents: float = 0.3  # share of n points where texture or clutter shows foreign edges, at most
     accident_spread: float = 4.0  # spread of that share, times 1 / sqrt(n)
     decided: float = 0.25  # lead in own points, shown minus denied, by which a rotation wins
     chance: float = 1.5  # added to it, times 1 / sqrt(n), for n points
     seen_percent: int = 70  # percentile of all slopes where a half hidden part still shows its own edges
-    strong_share: float = 0.2  # share of that, below which there are texture and shadows
+    strong_share: float = 0.2  # share of that, below which edges are texture and shadows
     reach_px: float = 1.5  # along a normal, for a rotation's own edges
     beside_px: float = 3.0
     """From an edge to the grey values beside it: outside its blur, before the next edge."""
     surface_share: float = 0.35
     """Most that the surface may vary by, as a share of the contrast of the part's weaker edges."""
-    even_share: float = 0.1  # that it may always vary by
-    spreads: float = 4.0  # in between, times its own sigma
+    even_share: float = 0.1  # share that it may always vary by
+    spreads: float = 4.0  # between these limits, it may vary by so many of its own sigmas
     textured_share: float = 0.75
-    """Share of that contrast: nearer to the face's grey value it is texture, farther another surface."""
+    """Share of that contrast: grey values nearer to the face's are texture, others another surface."""
     weaker_percent: int = 25  # percentile of the part's edges that stands for its weaker ones
     mistakes: float = 1e-6  # wanted share of wrong rotations that chance makes look right
     clear_px: float = 4.0  # from every edge of the model: reach and width of the operator
     rare: tuple[float, ...] = (0.05, 0.02, 0.005)
-    """Shares of places on the face where chance shows an edge as strong as one that counts."""
-    often: float = 0.2  # share at which edges are frequent enough to show how far they go together
+    """Shares of places where chance may show an edge that counts: each gives a threshold of its strength."""
+    often: float = 0.2  # share at which edges are frequent enough to show how they cluster
     max_looks: int = 960  # places looked at elsewhere: a tenth of a millisecond
     max_points: int = 128  # points of the model that take part
-    stride: int = 7  # in this order places lie all around, however many are used
-    few_looks: int = 40  # with fewer, a set of points is judged by all looks
+    stride: int = 7  # of the order of places, which then lie all around, however many are used
+    few_looks: int = 40  # with fewer, a set of points is judged by the looks of all points
     few_places: int = 4  # with fewer no scatter is estimated
-    curve_points: int = 64  # of more points than these, others lie on other curves
+    curve_points: int = 64  # points beyond this number lie on other curves
     min_slope: float = 1e-6  # grey values per px: below it there is no edge
-    unknown: float = 0.3  # share of points with an edge by chance where nothing of the face is seen bare
+    unknown: float = 0.3  # share of points with an edge by chance if no bare face is seen
     confusable: float = 0.82
-    """Self-similarity, relative to the true pose, from which a rotation is watched in every search."""
+    """Self-similarity, relative to the true pose, from which a rotation is checked in every search."""
     round: float = 0.93  # a shape at least as similar at any rotation is round
     min_contrast: float = 2.0
-    """Grey values per px: as weak an edge as a search accepts may pass for the model's."""
-    max_rotations: int = 24  # watched; more are a round part
+    """Grey values per px: edges as weak as a search accepts may be mistaken for the model's."""
+    max_rotations: int = 24  # that are checked; a part with more is round
 
 
 ROTATIONS = RotationParams()
@@ -243,24 +245,24 @@ ROTATIONS = RotationParams()
 
 @dataclass(frozen=True, slots=True)
 class LearningParams:
-    """How a region becomes a model, and how the model is assessed.
+    """Learning of a model from a region, and its assessment.
 
     Where a line names no source, `tools/bench ablate --only LearningParams` shows what the number earns.
     """
 
     smoothing_px: tuple[float, ...] = (2.0, 1.2, 0.7)
-    """By level, before edges are chosen: coarse levels are averages already, and their parts are small."""
-    support_px: float = 3.0  # from an edge of a level to one of the finest; without that it is texture
+    """By level, before edges are chosen: coarse levels are averages already, and details there are small."""
+    support_px: float = 3.0  # from an edge of a level to one of the finest; an edge without one is texture
     min_pixels: int = 64  # of a region
-    max_origin: float = 4.0  # of half the region's diagonal: a farther origin makes every angle a leap
+    max_origin: float = 4.0  # of half the region's diagonal: a small turn moves a farther origin by much
     margin_px: int = 32  # around the region's disc: what smoothing and the search for symmetries see
     padding_px: int = 10  # reach of the measuring operator
     min_top_radius_px: float = 14.0  # of the shape on the scanned level
     max_points: tuple[int, ...] = (600, 400, 240, 160, 160)
-    """By level: enough for the finest's precision, few for the exhaustive top."""
-    same_score: float = 0.985  # above it the difference is less than what noise and sampling change
+    """By level: enough for the precision of the finest, few for the exhaustive scan of the top."""
+    same_score: float = 0.985  # above it the difference is less than the effect of noise and sampling
     noise: float = 3.0  # grey values, 1 sigma: an ordinary industrial camera at usual gain
-    weak_reserve: float = 3.0  # times the least contrast, below which edges count as weak
+    weak_reserve: float = 3.0  # factor on the least contrast, below which edges count as weak
     few_points: int = 120  # of the finest level
     confusable: float = 0.9  # self-similarity from which another rotation is reported
     lopsided: float = 3.0  # precision along one axis over the other

@@ -1,4 +1,4 @@
-"""From a rough pose to a precise one: robust least squares on sub-pixel edges along the model's normals.
+"""Refine a rough pose to a precise one: robust least squares on sub-pixel edges along the model's normals.
 
 A pose maps a model point p to the image: origin + A p / (1 + tilt . p). Its parameters are one vector
 (x, y, a11, a12, a21, a22, tilt1, tilt2).
@@ -28,7 +28,7 @@ SETTLED_PX = CLIMB.settled_px
 
 
 class Gradient(NamedTuple):
-    """A gradient image and what of it is an edge. gx, gy : Sobel (H, W).
+    """A gradient image, and what counts as an edge in it. gx, gy : Sobel (H, W).
 
     sign : +1 as taught, -1 inverted, 0 either.  minimum : gradient below which there is no edge.
     """
@@ -40,7 +40,7 @@ class Gradient(NamedTuple):
 
 
 class StepResult(NamedTuple):
-    """What a step came to, written by it.
+    """Result of a step, which fills it.
 
     summary (3,) : score (mean cos of the agreeing points over all points), share that agrees, sigma of a
     residual px.  matrix (8, 8) : J^T W J of the last iteration.
@@ -51,7 +51,7 @@ class StepResult(NamedTuple):
 
 
 def no_step() -> StepResult:
-    """To be written."""
+    """A result that a step is to fill."""
     return StepResult(np.zeros(3), np.zeros((8, 8)))
 
 
@@ -64,7 +64,7 @@ def start_pose(x_px: float, y_px: float, angle_rad: float, scale_x: float, scale
 
 
 def one_level_finer(pose: FloatArray) -> FloatArray:
-    """The pose in pixels of half the size; centres of pixels are integers."""
+    """The pose in pixels of half the size, those of the next finer level; centres of pixels are integers."""
     finer = pose.copy()
     finer[:2] = (pose[:2] + 0.5) * 2 - 0.5
     finer[6:] = pose[6:] / 2
@@ -72,7 +72,7 @@ def one_level_finer(pose: FloatArray) -> FloatArray:
 
 
 def covariance(matrix: FloatArray, freedom: int, sigma: float, pose: FloatArray) -> FloatArray:
-    """(5, 5) of x, y, angle, scale x, scale y from the normal matrix of the fit."""
+    """Covariance (5, 5) of x, y, angle, scale x, scale y from the normal matrix of the fit."""
     found = np.full((5, 5), np.nan)
     if not freedom:
         return found
@@ -135,7 +135,7 @@ def gradient_edges(
 
     sign : +1 as taught, -1 inverted, 0 either.  minimum : gradient (Sobel) below which there is no edge.
     edges (N, 2) : offset px, NaN where there is none, and cos between gradient and normal.
-    An edge counts less the farther it is (Gaussian of width reach): of two equal ones the nearer is taken.
+    An edge counts less the farther off it is (Gaussian of width reach): of equal ones the nearer is taken.
     """
     height, width = gx.shape
     inner = int(np.ceil(reach)) + 1
@@ -289,7 +289,7 @@ def motion(
     far_x = far_y = 0.0
     for n in range(points.shape[0]):
         far_x, far_y = max(far_x, abs(points[n, 0])), max(far_y, abs(points[n, 1]))
-    # the tilt turns a little of the size into distance
+    # a change of tilt scales the part by a little
     reach = 1.0 + far_x * abs(after[6] - before[6]) + far_y * abs(after[7] - before[7])
     x = abs(after[0] - before[0]) + far_x * abs(after[2] - before[2]) + far_y * abs(after[3] - before[3])
     y = abs(after[1] - before[1]) + far_x * abs(after[4] - before[4]) + far_y * abs(after[5] - before[5])
@@ -309,8 +309,8 @@ def robust_step(
 ) -> bool:
     """Move `pose` by one robust (Tukey) least-squares step towards the measured edges.
 
-    edges (N, 2) : offset and cos.  tilt_prior : expected |tilt|, px^-1, keeps a tilt that the edges do
-    not show at zero.  iterations : at most, of the weights.
+    edges (N, 2) : offset and cos.  tilt_prior : expected |tilt|, px^-1; keeps a tilt that the edges do not
+    show at zero.  iterations : most rounds of reweighting.
     Returns False when the edges do not determine the pose.
     """
     count, normal_matrix = points.shape[0], result.matrix
@@ -396,8 +396,8 @@ def settle(
 ) -> bool:
     """Move `pose` by robust steps on one gradient image; False when the edges do not determine it.
 
-    steps (S, 2) : reach in px and degrees of freedom of each; one that would repeat a step of less than
-    SETTLED_PX is left out.  result : of the last step.
+    steps (S, 2) : reach in px and degrees of freedom of each; they end before one that would repeat a step
+    of less than SETTLED_PX.  result : of the last step.
     """
     placed, edges = np.empty((points.shape[0], 4)), np.empty((points.shape[0], 2))
     before = np.empty(8)

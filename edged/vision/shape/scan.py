@@ -19,7 +19,7 @@ from edged.vision.kernels.jit import kernel
 ORIENTATIONS = 16  # maps; their layout is the kernel's
 PEAK = 7  # response of full agreement
 GROUP = 16  # points whose responses fit into a signed byte together
-SECTORS = 12  # rivals of another 30° sector, as far apart as the hours of a clock face, never hide a pose
+SECTORS = 12  # of 30°: a pose is never hidden by a rival in another sector
 TOP_POINTS = 96  # a multiple of GROUP
 BLOCK = 512  # positions per block: few enough that the points of one pose stay in the first-level cache
 
@@ -89,7 +89,7 @@ def fill_responses(
             u = directions[0, parity >> 1, parity & 1].reshape(-1)[first:last]
             v = directions[1, parity >> 1, parity & 1].reshape(-1)[first:last]
             for i in range(len(inner)):
-                # rounds to nearest: truncation of what is made positive first
+                # rounds to nearest: truncates after the value is made positive
                 inner[i] = np.int32(u[i] * cosine + v[i] * sine + np.float32(8.5)) - 8
 
 
@@ -106,8 +106,8 @@ def add_group(
 ) -> None:
     """Add the responses of points n to n + 15 of pose p at `length` positions from `first` to `words`.
 
-    With n = 0 the words begin anew.  sums : scratch, int8, as many.
-    The compiler makes vectors of it as it stands here, in one expression: unsigned, no index needs a check.
+    n = 0 starts from zero.  sums : scratch, int8, of the same length.
+    The compiler vectorises it as written here, in one expression: unsigned indices need no check.
     """
     s0 = np.uint64(offsets[p, n] + first)
     s1 = np.uint64(offsets[p, n + 1] + first)
@@ -168,7 +168,8 @@ def scan(
     """Best score and pose per position, sign and sector.
 
     maps : flat response maps.  offsets : (P, N) where in `maps` each point of each pose begins.
-    best, pose : (2, SECTORS, positions), zero on entry; poses below threshold are not entered.
+    sectors : (P,) of each pose.  best, pose : (2, number of sectors, positions); best is zero on entry, and
+    poses below threshold are not entered.
     """
     count = offsets.shape[1]
     sums, words = np.empty(BLOCK, np.int8), np.empty(BLOCK, np.int16)
@@ -181,7 +182,7 @@ def scan(
                 done = n + GROUP
                 if 2 * GROUP <= done <= 4 * GROUP or done == count:
                     top = highest(words, length, both)
-                    # points come in random order: the share seen so far tells the whole to within SPREAD
+                    # points come in random order: the share seen so far predicts the sum to within SPREAD
                     expected = threshold * done / count
                     if top < expected - SPREAD * np.sqrt(done * (1 - done / count)):
                         break
@@ -207,20 +208,20 @@ def collect_peaks(
     threshold: int,
     peaks: Array,
 ) -> int:
-    """Local maxima (3x3) of the best scores as rows (value, sign, sector, row, column); returns their number.
+    """Write local maxima (3x3) of the best scores as rows (value, sign, sector, row, column); their number.
 
     When there are more than `peaks` holds, the highest are kept, of equal ones the first.
     """
     histogram = np.zeros(PEAK * TOP_POINTS + 2, np.int64)
     cut = threshold
-    # turns: count; enter what is above the cut; fill up with what lies on it
+    # three turns: count; enter peaks above the cut; fill up with peaks at it
     number = 0
     for turn in range(3):
         for sign in range(2):
             for sector in range(best.shape[1]):
                 score = best[sign, sector]
                 for y in range(rows):
-                    # most rows hold nothing: their maximum takes a tenth of the time
+                    # most rows hold no peak: their maximum alone takes a tenth of the time
                     if highest(score[y * stride : y * stride + columns], columns, False) < max(cut, 1):
                         continue
                     for x in range(columns):
@@ -356,7 +357,8 @@ def best_of_each_place(
     apart_rad: float,
     kept: Array,
 ) -> int:
-    """Number of rows (x, y, angle, ., ., sign), best first, that no better one is near; `kept`: which."""
+    """Fill kept with the rows (x, y, angle, ., ., sign), best first, that have no better one near; return
+    their number."""
     number = 0
     for i in range(rows.shape[0]):
         hidden = False
@@ -379,7 +381,7 @@ def best_of_each_place(
 def pose_offsets(
     points: Array, directions: Array, poses: Array, rows: int, columns: int, pad: int, offsets: Array
 ) -> None:
-    """Where each point of poses (P, 3), angle, scale x, scale y, begins in the flat maps: offsets (P, N)."""
+    """Write offsets (P, N) in the flat maps of each point of poses (P, 3): angle, scale x, scale y."""
     placed = np.empty((points.shape[0], 3), np.int64)
     for p in range(poses.shape[0]):
         place_on_maps(points, directions, poses[p, 0], poses[p, 1], poses[p, 2], pad, placed)

@@ -1,7 +1,8 @@
-"""Finding taught shapes in an image (paper, eq. 6 and 7).
+"""Find taught shapes in an image (paper, eq. 6 and 7).
 
-Exhaustive on the top of the pyramid (`scan`), then each of the few best poses goes straight to robust
-least squares on sub-pixel edges (`refine`), level by level. Rivals are dropped as soon as the score tells.
+The top of the pyramid is searched exhaustively (`scan`); then each of the few best poses goes straight to
+robust least squares on sub-pixel edges (`refine`), level by level. Rivals are dropped as soon as the score
+decides.
 """
 
 from __future__ import annotations
@@ -43,7 +44,7 @@ FREEDOM = {
     "affine": refine.AFFINE,
     "projective": refine.PROJECTIVE,
 }
-"""Unknowns of the refinement."""
+"""Number of unknowns of the refinement."""
 STEEP_STEPS = tuple((reach, refine.PROJECTIVE) for reach in CLIMB.steep_reach_px)
 
 DEFAULTS = SearchParams()
@@ -98,7 +99,7 @@ class _Search:
         found: list[Hypothesis] = []
         for candidate in scan_top(self.work, self.model, top, self.params, valid, self.views):
             good = sorted((h.score for h in found if h.score >= self.params.min_score), reverse=True)
-            # the rest comes in order: not even a perfect refinement makes one of them better
+            # candidates come in order: even a perfect refinement makes none of the rest better
             if (
                 len(good) >= self.params.max_matches
                 and candidate.score + CLIMB.refinement_gain < good[self.params.max_matches - 1]
@@ -113,7 +114,7 @@ class _Search:
         return [match for h in self._one_of_each_place(matches) if (match := self._to_match(h, index))]
 
     def _climb(self, candidate: Hypothesis, top: int, found: list[Hypothesis]) -> Hypothesis | None:
-        """Follow one candidate down the pyramid; None as soon as it fails or a better one is in its place."""
+        """Refine one candidate down the pyramid; None as soon as it fails or a better one is in its place."""
         hypothesis: Hypothesis | None = candidate
         for level in range(top, 0, -1):
             if hypothesis is None:
@@ -144,7 +145,7 @@ class _Search:
         """Robust steps on the gradient of a coarse level."""
         points, normals = self.model.levels[level].points, self.model.levels[level].normals
         limit = self._freedom() or refine.SIMILARITY
-        # a few points do not carry a tilt
+        # few points do not determine a tilt
         coarse = min(limit, refine.AFFINE if level > 1 else refine.PROJECTIVE)
         start = min(limit, refine.STRETCH if self._stretches() else refine.SIMILARITY)
         steps: tuple[tuple[float, int], ...]
@@ -163,7 +164,7 @@ class _Search:
         return replace(hypothesis, pose=pose, score=score)
 
     def _best_nearby(self, hypothesis: Hypothesis, level: int) -> Hypothesis:
-        """A pose that explains a coarse level badly, or a better one beside it."""
+        """Look for a better pose near one that explains a coarse level badly; the better of both."""
         shape = self.model.levels[level]
         place = nearby.best_nearby(
             self._gradient(hypothesis, level),
@@ -208,7 +209,7 @@ class _Search:
             if clipped.any():
                 sigma = max(sigma, CLIMB.clipped_px)
             if last and 0 < clipped.sum() <= CLIMB.max_clipped * known.sum():
-                # edges of the part, so they count for its score, but not where it ends: others tell its place
+                # these edges count for the score, but clipping displaces them: others determine the pose
                 edges[clipped, 0] = np.nan
                 sure = pose.copy()
                 if refine.robust_step(
@@ -217,7 +218,7 @@ class _Search:
                     trial, sigma = sure, float(result.summary[2])
             if freedom:
                 pose = trial
-        # a match stays where the search found it: far moves are a slide along clutter
+        # a match stays where the search found it: a far move is a slide along clutter
         if score < CLIMB.coarse_share * self.params.min_score or not self._plausible(pose, 0.03):
             return None
         covariance = refine.covariance(result.matrix, freedom, sigma * math.sqrt(self.model.repetition), pose)
@@ -231,7 +232,7 @@ class _Search:
         return self.params.scale_y_min is not None
 
     def _freedom(self) -> int:
-        """Degrees of freedom of the refinement: also those that the search sampled."""
+        """Degrees of freedom of the refinement, including those that the search sampled."""
         asked = FREEDOM[self.params.sub_pixel]
         if asked and self._stretches():
             return max(asked, refine.STRETCH)
@@ -243,7 +244,7 @@ class _Search:
         return float(self.model.radius_px / 2.0**level)
 
     def _plausible(self, pose: FloatArray, slack: float) -> bool:
-        """Whether size, stretch, angle and place are within the asked ranges, with a refinement's slack."""
+        """Whether size, stretch and angle are within the wanted ranges, with slack for the refinement."""
         a, b, c, d = pose[2:6].tolist()
         p, determinant = self.params, a * d - b * c
         if not (determinant > 0 and np.isfinite(pose).all()):
@@ -251,7 +252,7 @@ class _Search:
         size_x, size_y = math.hypot(a, c), math.hypot(b, d)
         low, high = 1 - slack, 1 + slack
         if self.views is not None:
-            # a tilt only shortens, and not to all sides: the longest side tells the distance
+            # a tilt only shortens, and not in all directions: the longest one shows the distance
             longest = _longest(a, b, c, d)
             fits = low * p.scale_min <= longest <= high * p.scale_max
             fits = fits and longest**2 < CLIMB.max_stretch * self.views.max_stretch * determinant
@@ -269,7 +270,7 @@ class _Search:
     # --- rivals ------------------------------------------------------------------------------------
 
     def _middle(self, h: Hypothesis, level: int) -> tuple[float, float]:
-        """Where the point is about which the shape could be turned, px of the finest level."""
+        """Place of the point about which the shape could be turned, px of the finest level."""
         shrink, (x, y) = 2.0**level, self.model.centre_px.tolist()
         u, v, a, b, c, d = h.pose[:6].tolist()
         return (u + 0.5) * shrink - 0.5 + a * x + b * y, (v + 0.5) * shrink - 0.5 + c * x + d * y
@@ -287,7 +288,7 @@ class _Search:
         return clear and self._same_place(candidate, top, better)
 
     def _hopeless(self, h: Hypothesis, level: int, found: list[Hypothesis]) -> bool:
-        """Whether a finished hypothesis is the same pose or a tried variant, or much better at this place."""
+        """Whether a hypothesis repeats a finished one or a variant of it, or is much worse at its place."""
         shrink = 2.0**level
         radius = self.model.radius_px
         origin = [(place + 0.5) * shrink - 0.5 for place in h.origin]
@@ -300,7 +301,7 @@ class _Search:
             near = h.sign == better.sign and distance + turned < 0.1 * radius + 1.5 * shrink
             if near or (level and self._covered(h, better, distance)):
                 return True
-            # the right one of two rotations may look worse far up, where little of what decides is left
+            # on coarse levels the right one of two rotations may look worse: little of what decides is left
             if level and better.ambiguous and self._same_place(h, level, better):
                 continue
             if h.score < better.score - margin and disc_overlap(distance, radius) > self.params.max_overlap:
@@ -317,7 +318,7 @@ class _Search:
         )
 
     def _prune(self, hypotheses: list[Hypothesis]) -> list[Hypothesis]:
-        """Best first; without those that a better one at their place makes hopeless."""
+        """Sort hypotheses, best first, and drop those that a better one at their place makes hopeless."""
         hypotheses.sort(key=lambda h: (-h.score, h.pose[0], h.pose[1], h.angle, h.sign))
         kept: list[Hypothesis] = []
         for h in hypotheses:
@@ -326,7 +327,7 @@ class _Search:
         return kept
 
     def _one_of_each_place(self, hypotheses: list[Hypothesis]) -> list[Hypothesis]:
-        """The one rotation at each place that the image speaks for, or the best, which is then in doubt."""
+        """Keep at each place the rotation that the image favours, or else the best, marked ambiguous."""
         kept: list[Hypothesis] = []
         for h in hypotheses:
             index = next((k for k, known in enumerate(kept) if self._same_place(h, 0, known)), None)
@@ -344,11 +345,11 @@ class _Search:
         return angle_between(first.angle, second.angle) > 0.1 and not same
 
     def _equal(self) -> list[FloatArray]:
-        """The motions after which the shape looks the same."""
+        """Motions after which the shape looks the same."""
         return [row for row in self.model.symmetries if row[3] >= self.model.same_score]
 
     def _with_odds(self, hypothesis: Hypothesis, found: list[Hypothesis]) -> Hypothesis:
-        """The hypothesis with its odds of chance: from an equally good one at its place, or measured."""
+        """Add to a hypothesis its odds of chance, from an equally good one at its place, or measured."""
         if self.model.round or hypothesis.slopes is None or hypothesis.score < self.params.min_score:
             return hypothesis
         for known in found:
@@ -362,9 +363,9 @@ class _Search:
         return replace(hypothesis, odds=odds)
 
     def _decided(self, hypothesis: Hypothesis, climbed: bool) -> Hypothesis:
-        """The right one of the rotations that the search could accept, and whether it is in doubt.
+        """Choose between the rotations that the search could accept; ambiguous if the image does not decide.
 
-        What the hypothesis shows settles most of them; the others are tried and compared with it.
+        The edges of the hypothesis rule out most of them; the others are tried and compared with it.
         """
         odds = hypothesis.odds
         if odds is None:
@@ -405,18 +406,18 @@ class _Search:
         if odds is None:
             raise ValueError("rotations of a part whose face was not looked at")
         verdict = rivals.decides(image, self.model, poses, signs, self.params.min_contrast, odds)
-        if verdict is None:  # they hardly differ: only all edges together can tell
+        if verdict is None:  # they hardly differ: only all edges together can decide
             return first.score - second.score >= CLIMB.decided_share * self._loss(first, second) * first.score
         return verdict
 
     def _loss(self, first: Hypothesis, second: Hypothesis) -> float:
-        """Share of the score that the wrong one of two rotations lacks, as teaching measured it."""
+        """Share of the score that the wrong one of two rotations loses, as measured at teaching."""
         turn = first.angle - second.angle
         known = [1 - row[3] for row in self.model.symmetries if angle_between(turn, float(row[2])) < 0.1]
         return max(*known, CLIMB.min_loss) if known else CLIMB.min_loss
 
     def _variant(self, hypothesis: Hypothesis, motion: FloatArray, climbed: bool) -> Hypothesis | None:
-        """The pose after a motion of the model in its own plane, refined as a candidate is."""
+        """The pose after a motion of the model in its own plane, refined like a candidate."""
         moved = hypothesis.at(rivals.turned(hypothesis.pose, motion))
         if not climbed:
             return self._finest(moved, climbed=False)
@@ -427,7 +428,7 @@ class _Search:
         return None if coarse is None else self._finest(coarse, climbed=True)
 
     def _canonical(self, hypothesis: Hypothesis) -> Hypothesis:
-        """The angle nearest to the taught one among those at which the shape looks the same."""
+        """Turn a hypothesis to the angle nearest to the taught one at which the shape looks the same."""
         if self.model.round:
             back = rivals.about(self.model.centre_px, -hypothesis.angle)
             return hypothesis.at(rivals.turned(hypothesis.pose, back))
@@ -473,7 +474,7 @@ def _longest(a: float, b: float, c: float, d: float) -> float:
 
 
 def _drop_odd_signs(points: FloatArray, slopes: FloatArray, cell_px: float, edges: FloatArray) -> None:
-    """Take away, in edges (N, 2), each edge whose contrast is opposite to that of the edges around it."""
+    """Remove from edges (N, 2) each edge whose contrast is opposite to that of the edges around it."""
     cells = np.floor((points - points.min(axis=0)) / cell_px).astype(np.int64)
     cell = cells[:, 0] * (cells[:, 1].max() + 1) + cells[:, 1]
     signs = np.sign(np.where(np.isfinite(edges[:, 0]), slopes, 0.0))

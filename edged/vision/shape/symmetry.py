@@ -1,4 +1,4 @@
-"""At which rotations a taught shape looks like itself: measured on the teaching image."""
+"""Rotations at which a taught shape looks like itself, measured on the teaching image."""
 
 from __future__ import annotations
 
@@ -30,8 +30,9 @@ class Level(Protocol):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Symmetry:
-    """rotations (K, 4) : dx, dy, angle, similarity of each motion in the model's plane that confuses.
+    """Rotations at which a shape may be mistaken for itself.
 
+    rotations (K, 4) : dx, dy, angle, similarity of each such motion in the model's plane.
     centre_px (2,) : the point about which they turn.  round : every rotation looks the same.
     """
 
@@ -98,7 +99,7 @@ def find_symmetry(image: Image, origin_px: FloatArray, levels: Sequence[Level], 
 
 
 def _with_inverses(rotations: FloatArray) -> FloatArray:
-    """If a motion confuses, so does its inverse."""
+    """Add missing inverses: after the inverse of such a motion, the shape looks as similar."""
     complete = list(rotations)
     for dx, dy, angle, similarity in rotations:
         if not any(angle_between(other[2], -angle) < 0.1 for other in complete):

@@ -14,7 +14,7 @@ import numpy.typing as npt
 from edged.domain.arrays import Image
 from edged.vision.shape.params import SCAN
 
-_ALL_VALID = np.ones((1, 1), np.uint8)  # a mask of one pixel: there is none
+_ALL_VALID = np.ones((1, 1), np.uint8)  # a mask of one pixel stands for no mask
 
 
 class Workspace:
@@ -43,11 +43,11 @@ class Workspace:
         self._gradients = [None] * len(self.images)
 
     def forget(self) -> None:
-        """Let go of the image; the buffers stay."""
+        """Release the image; the buffers are kept."""
         self.images, self._gradients = [], []
 
     def gradient(self, level: int) -> tuple[npt.NDArray[np.int16], npt.NDArray[np.int16]]:
-        """Sobel x and y (H, W) int16 of a level, computed when first asked for."""
+        """Sobel x and y (H, W) int16 of a level, computed on first use."""
         found = self._gradients[level]
         if found is None:
             shape = self.images[level].shape
@@ -60,7 +60,7 @@ class Workspace:
     def mask(self, valid: Image | None, level: int) -> Image:
         """A mask (H, W) uint8 on a level, shrunk so that its border is no edge; (1, 1) for none.
 
-        The last read-only mask is kept, as it cannot change.
+        The last read-only mask is cached, as it cannot change.
         """
         if valid is None:
             return _ALL_VALID
@@ -88,14 +88,14 @@ class Workspace:
 
 
 class WorkspacePool:
-    """Work spaces for as many searches as run at once, from any thread; the last used is lent first."""
+    """Workspaces for as many searches as run at once, from any thread; the last one used is lent first."""
 
     def __init__(self) -> None:
         self._free: list[Workspace] = []
 
     @contextmanager
     def lend(self) -> Iterator[Workspace]:
-        """A work space for exclusive use until the block ends."""
+        """A workspace for exclusive use until the block ends."""
         try:
             work = self._free.pop()  # one step under the GIL: two threads never get the same
         except IndexError:

@@ -1,1 +1,1 @@
-"""Any machined part as one solid: found, laid and measured by all its edges in both cameras at once."""
+"""Find, align and measure any machined part as one solid, by all its edges in both cameras at once."""

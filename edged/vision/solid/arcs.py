@@ -1,9 +1,10 @@
-"""Where on the arc of a rounding, or of a worn chamfer, light shows an edge: other in each picture.
+"""Unknown places at which light shows edges on the arcs of roundings and worn chamfers, by picture.
 
-A chamfer's edges lie where its faces end. An arc has none: grey values change all along it, and most where
-light and view have it. What faces one way is drawn alike: so all profiles of a curve whose break leads one
-way in a picture share one unknown, how far along their breaks they are shown. How far such unknowns go is no
-constant: the pair itself tells it, as it does the variance of any random effect.
+A chamfer's edges lie where its faces end. An arc has no edges: grey values change all along it, and most at a
+place that depends on light and view. Surfaces that face the same way look alike: so all profiles of a curve
+whose break leads one way in a picture share one unknown, the place along their breaks where they are shown.
+The variance of these unknowns is not a constant: it is estimated from the pair itself, as for any random
+effect.
 """
 
 from __future__ import annotations
@@ -21,11 +22,11 @@ from edged.vision.solid.visible import VisibleSamples
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ArcShifts:
-    """Unknown shifts of the profiles of one fit along their breaks, in shares of these.
+    """Unknown shifts of the profiles of one fit along their breaks, as shares of these.
 
-    across_px (M,) : across the whole break, along the profile's normal; 0 of an edge without one.
-    group (M,) : number of the unknown, from 0 on; any where there is no break.
-    sigma : of the unknowns, before anything is seen.
+    across_px (M,) : across the whole break, along the profile's normal; 0 for an edge without one.
+    group (M,) : number of the unknown, from 0 on; arbitrary where there is no break.
+    sigma : prior sigma of the unknowns.
     """
 
     across_px: FloatArray
@@ -34,11 +35,11 @@ class ArcShifts:
 
     @classmethod
     def none(cls, count: int) -> ArcShifts:
-        """Those of profiles whose edges lie where the model has them."""
+        """No shifts: the edges of all profiles lie where the model has them."""
         return cls(np.zeros(count), np.zeros(count, np.int64))
 
     def free(self, weights: FloatArray, values: FloatArray) -> FloatArray:
-        """What the unknowns leave of values (M,) or (M, K) of the profiles, weighted (M,)."""
+        """Eliminate the unknowns from values (M,) or (M, K) of the profiles, with weights (M,)."""
         if not self.across_px.any():
             return values
         pulled = self._sums(weights, values) / self._whole(weights)
@@ -47,13 +48,13 @@ class ArcShifts:
     def learnt(
         self, weights: FloatArray, left: FloatArray, design: FloatArray, inverse: FloatArray
     ) -> ArcShifts:
-        """With the unknowns' sigma anew, by what profiles are off; at most that of anywhere on an arc.
+        """Estimate the unknowns' sigma again from the residuals; at most that of a uniform place on an arc.
 
         Source: A. Dempster, N. Laird, D. Rubin, "Maximum likelihood from incomplete data via the EM
         algorithm", Journal of the Royal Statistical Society B, 1977: variance components.
 
-        left (M,) px : shifts without what the other unknowns explain, whose design is (M, K) and whose
-        inverse normal equations are (K, K).
+        left (M,) px : shifts minus what the other unknowns explain.  design (M, K) : of these.
+        inverse (K, K) : of their normal equations.
         """
         if not self.across_px.any():
             return self
@@ -65,7 +66,7 @@ class ArcShifts:
         return replace(self, sigma=min(sigma, PROFILE.on_arc))
 
     def _sums(self, weights: FloatArray, values: FloatArray) -> FloatArray:
-        """(G,) or (K, G) of each group, of values (M,) or (M, K)."""
+        """Weighted sums (G,) or (K, G) over each group of values (M,) or (M, K)."""
         weighted = weights * self.across_px * values.T
         return np.apply_along_axis(lambda row: np.bincount(self.group, row), -1, weighted)
 
@@ -75,7 +76,7 @@ class ArcShifts:
 
 
 def across_breaks(model: EdgeModel, samples: EdgePoints, seen: VisibleSamples) -> FloatArray:
-    """(M,) px along the normals from either end of the break to the other, for what a camera sees of samples.
+    """(M,) px along the normals from one end of the break to the other, for the samples that a camera sees.
 
     A chamfer leads along the difference of its faces' normals.
     """
@@ -84,11 +85,11 @@ def across_breaks(model: EdgeModel, samples: EdgePoints, seen: VisibleSamples) -
 
 
 def if_rounded(model: EdgeModel, samples: EdgePoints, seen: VisibleSamples) -> FloatArray:
-    """(M,) px by which edges shift if breaks of open form are roundings: a sigma, all are alike.
+    """(M,) px, sigma of the common shift of edges if breaks of unresolved form are roundings.
 
     A rounding glints in a part of its arc, which then looks like a narrow chamfer, but lies farther inside:
-    its middle r (1 - cos 45) from either face, that of a chamfer half its width. Holes seem larger by it, and
-    what stands out smaller: so the pair itself tells.
+    its middle r (1 - cos 45) from either face, that of a chamfer half its width. Holes then appear larger and
+    bosses smaller, so the pair itself determines it.
     """
     first, second = _normals(samples, seen)
     narrow = _widths(model.breaks_mm < model.merged_mm, model, seen)
@@ -96,10 +97,10 @@ def if_rounded(model: EdgeModel, samples: EdgePoints, seen: VisibleSamples) -> F
 
 
 def deeper(model: EdgeModel, seen: VisibleSamples) -> FloatArray:
-    """(M,) px by which edges of breaks of open form shift where all lie deeper by the rms radius of one.
+    """(M,) px by which edges of unresolved breaks shift if all lie deeper by the rms radius of one.
 
-    Light from above shows all arcs nearer their upper ends: a pair that shows how far the edges of each curve
-    wander does not tell how far all do. A radius is anything up to the width that stays open.
+    Light from above shows all arcs nearer their upper ends: a pair shows how far the edges of single curves
+    wander, but not how far all do. The radius may be anything up to the width that is not resolved.
     """
     narrow = _widths(model.breaks_mm < model.merged_mm, model, seen)
     depth_mm = model.merged_mm / math.sqrt(3)
@@ -115,14 +116,14 @@ def _shift(seen: VisibleSamples, motion_mm: FloatArray) -> FloatArray:
 
 
 def _widths(of_segments: FloatArray | B8, model: EdgeModel, seen: VisibleSamples) -> FloatArray:
-    """(M,) what the segment's curve has, where that is broken; 0 elsewhere."""
+    """(M,) value of each sample's curve if that is broken; 0 elsewhere."""
     by_curve = np.zeros(int(model.chain.max()) + 1)
     by_curve[model.chain] = of_segments
     return np.where(are_unbroken(seen.curve), 0.0, by_curve[chains_of(seen.curve)])
 
 
 def arc_shifts(seen: VisibleSamples, camera: I64, across_px: FloatArray) -> ArcShifts:
-    """Those of all profiles of a pair: one for each curve, camera and way that the break leads there."""
+    """Unknowns of all profiles of a pair: one for each curve, camera and direction of the break there."""
     way = seen.normals * np.sign(across_px)[:, None]
     turns = np.arctan2(way[:, 1], way[:, 0]) / (2 * np.pi)
     sector = np.round(turns * PROFILE.ways).astype(np.int64) % PROFILE.ways

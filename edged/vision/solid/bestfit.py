@@ -1,4 +1,4 @@
-"""The pose by profiles with the blur that fits best, and what its blocks of curves say of its error."""
+"""Fit the pose to profiles with the best blur, and estimate its covariance from blocks of curves."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ class ProfileFit:
     """A pose rig_from_part (4, 4) by profiles.
 
     edges (6, 6) : covariance of the twist (turn about the part's axes and centre, shift along them) by the
-    edges, jackknifed, by light that draws all of them alike, and by the widths of the edge breaks.
-    calibration (6, 6).
+    edges (jackknife), by light that shifts all of them alike, and by the widths of the edge breaks.
+    calibration (6, 6) : the same by the rig's covariance.
     rms_px : of the residuals, weighted.
-    row_shift_px, row_sigma_px : by which the right picture shows the part across its rows.
-    growth, growth_sigma : by which share the part seems larger.
+    row_shift_px, row_sigma_px : shift of the part in the right picture, across its rows, and sigma.
+    growth, growth_sigma : share by which the part appears larger, and sigma.
     """
 
     pose: FloatArray
@@ -48,7 +48,7 @@ def best_fit(
     pose: FloatArray,
     held: FloatArray | None = None,
 ) -> ProfileFit | None:
-    """The fit of profiles with the blur that leaves least; None where they say too little."""
+    """Fit profiles with the blur that gives the smallest residuals; None if they show too little."""
     best: AdjustedPose | None = None
     for blur in PROFILE.blurs_px:
         fit = adjusted(model, pyramids, images, pose, blur, held, alike=False)
@@ -59,35 +59,35 @@ def best_fit(
 
 
 def _with_covariance(model: EdgeModel, images: StereoImages, fit: AdjustedPose) -> ProfileFit:
-    """A fit with what its blocks of curves, light, the part's breaks and the rig say of its error."""
+    """Add to a fit its covariance by blocks of curves, light, the part's breaks and the rig."""
     profiles = fit.profiles
     design, left, weights = fit.design, fit.left, fit.weights
     inverse, freed = fit.inverse[:6], fit.arcs.free(weights, design)
-    response = inverse @ (weights[:, None] * freed).T  # (6, M): of the twist to each shift
+    response = inverse @ (weights[:, None] * freed).T  # (6, M): motion of the twist by each shift
     by_light = PROFILE.light_px * (response @ np.sign(profiles.height))
     block = _blocks(2 * profiles.seen.curve + profiles.camera, fit.arcs)
     edges = _jackknife(design, freed, weights, left, fit.inverse, block)[:6, :6] + np.outer(
         by_light, by_light
     )
-    if model.taught_px:  # what single curves are off by, light may draw all of them by, as at teaching
+    if model.taught_px:  # light may shift all curves by what single ones are off, as at teaching
         drawn_px = math.hypot(model.taught_px, disagreement_px(profiles, left + fit.aside))
         for camera, axis in itertools.product((0, 1), (0, 1)):
             by_camera = response @ np.where(profiles.camera == camera, profiles.seen.normals[:, axis], 0.0)
             edges += drawn_px**2 * np.outer(by_camera, by_camera)
-    # how much more the edges scatter than their weights say, as the jackknife has seen it
+    # how much more the edges scatter than their weights say, by the jackknife
     excess = max(float(np.trace(edges @ np.linalg.inv(inverse[:, :6]))) / 6, 1.0)
     by_breaks = model.sigma_break_mm * profiles.by_width[None]
     if model.sigma_own_mm:
         by_breaks = np.vstack([by_breaks, model.sigma_own_mm * by_curve(profiles, profiles.by_width)])
     by_breaks = np.vstack([by_breaks, fit.arcs.sigma * deeper(model, profiles.seen)])
-    # widths that were settled, and what the edges leave open of the rest
+    # known widths by their sigma, and what the edges leave open of the nuisance unknowns
     moves = np.hstack([response @ by_breaks.T, PROFILE.correlated * inverse[:, 6:]])
     edges += moves @ moves.T
-    # what moved curves of one face apart at teaching moved all of them as far
+    # what moved curves of one face apart at teaching may have moved all of them as far
     edges[5, 5] += model.height_mm**2
     units = np.outer(fit.scale, fit.scale)
     calibration = _by_calibration(images, fit.before, profiles, response)
-    # a width that a pair has shown explains no growth; roundings of other radii do, where edges wander
+    # a width that a pair has shown cannot explain growth; roundings of other radii can, where edges wander
     unknown = by_breaks if model.sigma_own_mm or model.merged_mm else by_breaks[:0]
     rounded = fit.arcs.sigma / PROFILE.on_arc * by_curve(profiles, profiles.rounded_px)
     unknown = np.vstack([unknown, rounded])
@@ -96,10 +96,10 @@ def _with_covariance(model: EdgeModel, images: StereoImages, fit: AdjustedPose) 
 
 
 def disagreement_px(profiles: Profiles, left: FloatArray) -> float:
-    """By how much the cameras see single curves elsewhere than the pose has it, along either axis, rms.
+    """Rms by which the cameras disagree about the places of single curves, along the worse image axis.
 
-    Where their views differ, light shows the upper end of a break to one of them and the lower one to the
-    other: a curve is then off in parallax as a whole. 0 where no curve is seen by both.
+    Where their views differ, light shows the upper end of a break to one camera and the lower one to the
+    other: the curve as a whole is then off in parallax. 0 if no curve is seen.
 
     left (M,) : residuals of the fit.
     """
@@ -107,14 +107,14 @@ def disagreement_px(profiles: Profiles, left: FloatArray) -> float:
     squares, expected = (
         np.zeros(2),
         np.zeros(2),
-    )  # of differences, and what they are where a shift has sigma 1
+    )  # of differences, and their expectation for a shift of sigma 1
     for number in np.unique(chain[good]):
         apart, shares = np.zeros(2), np.zeros(2)
         for camera, sign in ((0, 1.0), (1, -1.0)):
             own = good & (chain == number) & (profiles.camera == camera)
             normals = profiles.seen.normals[own]
             information = normals.T @ normals / PROFILE.correlated
-            known = np.linalg.inv(np.eye(2) + information)  # a straight edge tells of its shift across only
+            known = np.linalg.inv(np.eye(2) + information)  # a straight edge shows only its shift across
             apart += sign * (known @ (normals.T @ left[own])) / PROFILE.correlated
             shares += np.square(known @ information).sum(axis=1)
         squares += apart**2
@@ -125,7 +125,7 @@ def disagreement_px(profiles: Profiles, left: FloatArray) -> float:
 def _blocks(curve: I64, arcs: ArcShifts) -> I64:
     """(M,) numbers of the blocks of a jackknife: each curve in each camera, long ones cut.
 
-    What shares an unknown of an arc is one block.
+    Profiles that share an unknown of an arc form one block.
     """
     longest = max(PROFILE.block, len(curve) // PROFILE.most_blocks)
     _, number, count = np.unique(curve, return_inverse=True, return_counts=True)
@@ -144,11 +144,11 @@ def _jackknife(
     inverse: FloatArray,
     block: I64,
 ) -> FloatArray:
-    """Covariance of the unknowns, each block left out once.
+    """Covariance of the unknowns by the jackknife: each block is left out once.
 
     Source: C. F. J. Wu, "Jackknife, bootstrap and other resampling methods", Annals of Statistics, 1986.
 
-    freed (M, 6 + K) : what the arcs leave of the design.  left (M,) : residuals of the fit.
+    freed (M, 6 + K) : the design with the arcs' unknowns eliminated.  left (M,) : residuals of the fit.
     """
     count, size = int(block.max()) + 1, design.shape[1]
     normals, rights = np.zeros((count, size, size)), np.zeros((count, size))
@@ -168,7 +168,7 @@ def _jackknife(
 def _by_calibration(
     images: StereoImages, pose: FloatArray, profiles: Profiles, response: FloatArray
 ) -> FloatArray:
-    """(6, 6) of the twist by the rig's covariance."""
+    """Covariance (6, 6) of the twist by that of the rig."""
     covariance = images.rig.covariance
     if covariance is None:
         return np.zeros((6, 6))
@@ -179,7 +179,7 @@ def _by_calibration(
 
 
 def _added(model: EdgeModel, images: StereoImages, profiles: Profiles) -> tuple[FloatArray, FloatArray]:
-    """(M,) motion along the normals by a shift of the right picture across its rows, and by growth."""
+    """Motions (M,) along the normals by a shift of the right picture across its rows, and by growth."""
     rows, right = np.zeros(len(profiles.camera)), profiles.camera == 1
     rows[right] = profiles.seen.normals[right] @ _across_rows(images)
     return rows, np.einsum("mj,mj->m", profiles.seen.design[:, 3:], profiles.points - model.centre)
@@ -194,8 +194,9 @@ def _extra(
 ) -> tuple[float, float, float, float]:
     """Row shift and growth with their sigmas: each as one more unknown beside the pose.
 
-    freed (M, 6 + K) : what the arcs leave of the design.  excess : how much more the edges scatter than their
-    weights say.  drawn (K, M) : px, by which what is not known of the part moves its edges, one sigma each.
+    freed (M, 6 + K) : the design with the arcs' unknowns eliminated.  excess : how much more the edges
+    scatter than their weights say.  drawn (K, M) px : motion of the edges by each unknown of the part, one
+    sigma each.
     """
     found, weights = [], fit.weights
     for column in added:
@@ -214,7 +215,7 @@ def _extra(
 
 
 def _across_rows(images: StereoImages) -> FloatArray:
-    """(2,) unit: in the right raw picture, across the rows, at its middle."""
+    """(2,) unit vector across the rectified rows, in the middle of the raw right picture."""
     camera, rectification = images.rig.right, images.rectification
     middle = rectification.rectify_points("right", np.array([[0.5 * camera.width, 0.5 * camera.height]]))
     ends = rectification.raw_points("right", np.vstack([middle, np.add(middle, (0.0, 1.0))]))

@@ -1,9 +1,9 @@
-"""A body laid on the pair that a part was taught from, and the edge breaks that its file does not know.
+"""Fit a body to the pair that a part was taught from, and find the edge breaks that its file does not have.
 
-Which width is right cannot be told by the share of edges that are found: with no breaks a model of a broken
-part agreed by 0.93, half a millimetre off. It is told by the profiles, which see both edges of a break apart
-or together: the pose and the widths of all curves are fitted from several common widths, and those are taken
-that leave least of the same profiles. Breaks are believed where they leave half of what sharp edges do.
+The share of edges found does not show which width is right: without breaks, a model of a broken part agreed
+by 0.93, half a millimetre off. The profiles do, since they show both edges of a break apart or together: the
+pose and the widths of all curves are fitted from several common widths, and the fit with the smallest
+residuals of the same profiles is taken. Breaks are accepted if they leave half of what sharp edges do.
 """
 
 from __future__ import annotations
@@ -34,10 +34,10 @@ from edged.vision.solid.params import BREAKS, DECISION, LEAVINGS, PROFILE
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LaidBody:
-    """A body on a pair: the model with its breaks, and its fit.
+    """A body fitted to a pair: the model with its breaks, and its fit.
 
-    sigma_break_mm : of the widths.  merged_mm : of narrower ones the pair does not show the form.
-    evidence : what the pair says for it.
+    sigma_break_mm : of the widths.  merged_mm : width below which the pair does not show the form of a break.
+    evidence : of the pair for it.
     """
 
     model: EdgeModel
@@ -48,7 +48,7 @@ class LaidBody:
 
 
 def lay_with_breaks(images: StereoImages, model: EdgeModel, pose: FloatArray) -> LaidBody | None:
-    """Lay a model on a pair from rig_from_part (4, 4), good to a millimetre, and find its edge breaks.
+    """Fit a model to a pair from rig_from_part (4, 4), good to a millimetre, and find its edge breaks.
 
     None where the pair does not show it there.
     """
@@ -70,17 +70,17 @@ def lay_with_breaks(images: StereoImages, model: EdgeModel, pose: FloatArray) ->
     if fit is None:
         return None
     evidence = evidence_of(laid_model, pyramids, fit.pose)
-    # another light moves the seen ends of a break against each other
+    # other light moves the two visible ends of a break against each other
     by_light_mm = PROFILE.light_px / scale_at(images.rig, fit.pose, model) if found.sigma_mm else 0.0
     sigma_break_mm = math.hypot(found.sigma_mm, 2 * by_light_mm)
     return LaidBody(laid_model, fit, sigma_break_mm, merged_mm, evidence)
 
 
 def _starts(pose: FloatArray, width_mm: float) -> list[FloatArray]:
-    """Where a model with breaks of one width may lie: as given, and higher by that width.
+    """Possible poses of a model with breaks of one width: as given, and higher by that width.
 
-    The lower edges of breaks have the model's radii: where curves were taught by those, they lie a width
-    below where the model has them, and nothing about them says so.
+    The lower edges of breaks have the model's radii: curves that were taught by them lie a width below where
+    the model has them, and nothing else shows it.
     """
     return [pose, pose @ transform(np.eye(3), np.array([0.0, 0.0, -width_mm]))]
 
@@ -88,7 +88,7 @@ def _starts(pose: FloatArray, width_mm: float) -> list[FloatArray]:
 def _laid_from(
     starts: Sequence[FloatArray], model: EdgeModel, images: StereoImages, pyramids: Pyramids
 ) -> list[LaidPair]:
-    """The pair at the poses that a model comes to from several starts, each once."""
+    """The pair at each of the different poses that a model is locked at from several starts."""
     found: list[LaidPair] = []
     for start in starts:
         laid = lay(model, pyramids, start, BREAKS.steps)
@@ -103,15 +103,15 @@ def _is_same(model: EdgeModel, pose: FloatArray, other: FloatArray) -> bool:
 
 
 def _cost(form: RefinedForm) -> float:
-    """What a form leaves, in px; with breaks a model can take the form of one without."""
+    """Cost of a form, px; raised for breaks, since a model with them can imitate one without."""
     share = 1.0 + BREAKS.better_whole if form.model.breaks_mm.any() else 1.0
     return share * math.sqrt(form.cost)
 
 
 def _with_most(form: RefinedForm) -> RefinedForm:
-    """A form with the breaks of most of its curves at all of them, where they explain more.
+    """Give all curves of a form the median width of its breaks, if that explains more.
 
-    Those of a part are mostly alike: half of them explain less, and hold a pose where it is.
+    Breaks of a part are mostly alike; breaks at only half of the curves explain less, and hold the pose.
     """
     width = float(np.median(form.model.breaks_mm[form.model.breaks_mm > 0]))
     again = refined(with_breaks(form.model, width), form.views)
@@ -119,11 +119,11 @@ def _with_most(form: RefinedForm) -> RefinedForm:
 
 
 def _explaining_most(forms: Sequence[RefinedForm]) -> RefinedForm:
-    """The form that leaves least of the profiles, each curve's breaks by themselves.
+    """The form with the smallest residuals of the profiles, with each curve's own break width.
 
-    One without breaks lies well on one end of each, and no profile of its own tells of the other end: the
-    same profiles are asked of all. But two steps take more of any profile than one does, so breaks must take
-    half of what is left, or less of it and lessen the misfit.
+    A form without breaks fits one edge of each well, and its own profiles do not show the other edge: so all
+    forms are compared on the same profiles. But two steps explain more of any profile than one, so breaks
+    must halve the residual, or take a smaller part of it and also reduce the misfit.
     """
     sharp = min(forms, key=lambda form: (form.model.breaks_mm.any(), _cost(form)))
     leaves = Leavings.of(with_breaks(sharp.model, 0.0), sharp.views)
@@ -139,9 +139,9 @@ def _explaining_most(forms: Sequence[RefinedForm]) -> RefinedForm:
 
 
 def _each_by_itself(found: RefinedForm, leaves: Leavings) -> RefinedForm:
-    """The breaks anew, each curve's width from a grid and by itself, in turn with the poses.
+    """Fit the breaks again, each curve's width by itself from a grid, in turn with the poses.
 
-    No rounded or glinting one pulls the others off any more: a fit weighs each by its own scatter.
+    A rounded or glinting curve no longer pulls the others off: the fit weights each by its own scatter.
     """
     for _ in range(BREAKS.rounds):
         after = [view.fitted(found.model, alike=False) for view in found.views]
@@ -155,7 +155,7 @@ def _each_by_itself(found: RefinedForm, leaves: Leavings) -> RefinedForm:
 
 
 def _likeliest_widths(model: EdgeModel, views: Sequence[LaidPair], leaves: Leavings) -> FloatArray:
-    """(E,) the width of a grid that leaves least of each curve; 0 where none leaves less."""
+    """(E,) width of the grid with the smallest residuals for each curve; 0 where none is clearly better."""
     gains = [leaves.gains(with_breaks(model, mm), views, LEAVINGS.blurs_px) for mm in BREAKS.grid_mm]
     by_curve = np.array([leaves.by_curve(np.nan_to_num(gain)) for gain in gains])
     needed = by_curve.max(axis=0) > by_curve[0] + LEAVINGS.doubt
@@ -164,7 +164,7 @@ def _likeliest_widths(model: EdgeModel, views: Sequence[LaidPair], leaves: Leavi
 
 
 def likeliest(images: StereoImages, model: EdgeModel, poses: Sequence[FloatArray]) -> int | None:
-    """Which of several rig_from_part (4, 4), good to a millimetre, a pair shows; None: it does not tell."""
+    """Which of several rig_from_part (4, 4), good to a millimetre, a pair shows; None if it is not clear."""
     pyramids = Pyramids(images.rig, images.raw, BREAKS.levels)
     model = with_breaks(model, BREAKS.usual_mm)
     laid = [lay(model, pyramids, pose, BREAKS.steps) for pose in poses]

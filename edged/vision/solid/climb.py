@@ -1,6 +1,6 @@
-"""Views that one camera suggests, held against both: along the line of sight, then by small steps up.
+"""Refine views that one camera suggests by both pictures: along the line of sight, then by hill climbing.
 
-What a view alone leaves open, the distance above all, the other camera's picture has: the sum of both
+The other camera's picture shows what a view alone leaves open, above all the distance: the sum of both
 cameras' responses is compared, and climbed, before any edge is looked for.
 """
 
@@ -24,9 +24,9 @@ HALVINGS = CLIMB.halvings
 ROUNDS = CLIMB.rounds
 SOUGHT_EVERY = CLIMB.every
 HALF_BIN, HALF_BIN_MORE = math.tan(math.pi / 16), math.tan(3 * math.pi / 16)
-"""Tangents of 11.25 and 33.75 degrees: the borders between directions."""
+"""Tangents of 11.25 and 33.75 degrees: borders between directions."""
 FULL = 15
-"""Response of a gradient that fits where chance is least: sums of 16 fit a byte."""
+"""Largest response, of a gradient that fits where chance is least: sums of 16 fit a byte."""
 
 
 class Eye(NamedTuple):
@@ -36,15 +36,15 @@ class Eye(NamedTuple):
 
 
 def eye_of(camera: CameraModel, from_rig: FloatArray) -> Eye:
-    """A camera whose picture has been `straightened` as the kernels take it."""
+    """The camera of an undistorted picture in the form that kernels take."""
     return Eye(for_kernel(camera.matrix @ from_rig[:3], np.float64))
 
 
 class Straight(NamedTuple):
-    """The camera of a picture without distortion, where its pixels are in the distorted one, and which.
+    """An undistorted picture: its camera, and where its pixels lie in the distorted one.
 
     camera : of the same focal lengths, large enough for all of the distorted picture.
-    maps : column and row (H, W) px.  inside (H, W).
+    maps : column and row (H, W) px in that.  inside (H, W) : pixels that lie in it.
     """
 
     camera: CameraModel
@@ -52,9 +52,9 @@ class Straight(NamedTuple):
     inside: B8
 
 
-@lru_cache(maxsize=8)  # two cameras at two levels, of a rig and of the one before
+@lru_cache(maxsize=8)  # two cameras at two levels, of a rig and of the previous one
 def straight(camera: CameraModel) -> Straight:
-    """How a camera's picture loses its distortion."""
+    """The undistorted picture of a camera."""
     size, focal = np.array([camera.width, camera.height]), np.array([camera.fx, camera.fy])
     reach = border_bounds(camera, np.eye(3)) * focal + (camera.cx, camera.cy)
     low = np.floor(np.maximum(reach[0], -CLIMB.wider * size)).astype(np.int64)
@@ -68,7 +68,7 @@ def straight(camera: CameraModel) -> Straight:
 
 @kernel("i8(f8, f8)", inline=True)
 def direction_of(up: float, aside: float) -> int:
-    """The one of eight directions, 22.5 degrees apart and sign aside, that a vector is nearest to."""
+    """Number of the nearest of eight directions, 22.5 degrees apart, to a vector of either sign."""
     size_up, size_aside = abs(up), abs(aside)
     if size_up < HALF_BIN * size_aside:
         return 0
@@ -82,7 +82,7 @@ def direction_of(up: float, aside: float) -> int:
 def response_of(points: F64, along: F64, pose: F64, eye: Eye, maps: U8, every: int) -> float:
     """Mean response in [0, 1] of one camera's maps (8, H, W) to a part at rig_from_part (4, 4).
 
-    points, along (P, 3) : what is seen of its edges.  every : of the points that is asked for.
+    points, along (P, 3) : visible points of its edges, and directions there.  every : one of so many is used.
     """
     _, height, width = maps.shape
     move = np.empty((3, 4))
@@ -122,7 +122,7 @@ def response_in_both(
 
 @kernel("void(f8[:, ::1], f8[::1], i8, f8, f8[:, ::1])")
 def step_of(pose: F64, middle: F64, axis: int, by: float, moved: F64) -> None:
-    """Fill moved (4, 4): axes 0 to 2 turn the part about its own, at its middle, 3 to 5 shift it along."""
+    """Fill moved (4, 4) with the pose after a step: 0 to 2 turn the part about its axes, 3 to 5 shift it."""
     moved[:] = pose
     if axis >= 3:
         for i in range(3):
@@ -146,10 +146,10 @@ def seek(
     points: F64, along: F64, view: I64, poses: F64, left: Eye, right: Eye, left_maps: U8, right_maps: U8,
     eyes: F64, middle: F64, shares: F64, scores: F64,
 ) -> None:  # fmt: skip
-    """Move each pose (K, 4, 4) along a line of sight, to where both cameras' response is best: scores (K,).
+    """Move each pose (K, 4, 4) along a line of sight to the best response of both cameras; fill scores (K,).
 
-    points, along (V, P, 3) : of views.  view (K,) : of each pose.  eyes (K, 3) : from where it is seen, rig
-    frame.  middle (3,) : of the part.  shares (N,) : of its distance.
+    points, along (V, P, 3) : of views.  view (K,) : of each pose.  eyes (K, 3) : the camera it is seen from,
+    rig frame.  middle (3,) : of the part.  shares (N,) : distances that are tried, over its own.
     """
     trial, best = np.empty((4, 4)), np.empty((4, 4))
     for k in range(len(poses)):

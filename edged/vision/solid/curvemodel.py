@@ -1,7 +1,7 @@
-"""The edges of a part that was taught from pictures alone: its circles, straight edges and slots.
+"""Edge model of a part that was taught from pictures alone: its circles, slots, straight and traced edges.
 
-Its surface is not known, so nothing hides: what a camera does not see of them is left to the evidence, which
-needs no curve as a whole. A taught curve is one edge of a break, if there is one: mostly that in the face.
+Its surface is not known, so hidden stretches cannot be predicted: they are left to the evidence, which needs
+no curve as a whole. A taught curve is one edge of an edge break, if there is one: mostly that in the face.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ UP = np.array([0.0, 0.0, -1.0])
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Rim:
-    """A taught curve as points (N, 3) one behind the other; outwards (N - 1, 3): away from the face."""
+    """A taught curve as a polyline of points (N, 3).  outwards (N - 1, 3) : unit, away from the face."""
 
     points: FloatArray
     outwards: FloatArray
@@ -35,13 +35,13 @@ class _Rim:
         return float(self.points[0, 2])
 
     def other(self, break_mm: float) -> FloatArray:
-        """(N - 1, 3) middles of the pieces of the edge beside it, in the wall."""
+        """(N - 1, 3) middles of the pieces of the other edge of its break, in the wall."""
         middles = 0.5 * (self.points[:-1] + self.points[1:])
         return np.asarray(middles + break_mm * (self.outwards - UP))
 
 
 def has_enough_curves(job: Job) -> bool:
-    """Whether the circles, straight edges and slots of a job tell its part from chance."""
+    """Whether a job has enough curves to distinguish its part from chance."""
     return len(job.circles) + len(job.edges) + len(job.slots) + len(job.traced) >= CURVES.fewest
 
 
@@ -51,10 +51,10 @@ def curve_points(job: Job) -> list[FloatArray]:
 
 
 def unevenness_mm(job: Job) -> float:
-    """By how much curves of one face were taught higher and lower than most of it, rms; 0: it is flat.
+    """Rms by which curves were taught higher or lower than the median of their face; 0 if faces are flat.
 
-    Where walls are as bright as the face, each camera has the edges of holes and of what stands out where
-    its wall darkens: deeper by half a millimetre, and each by another part of it.
+    Where walls are as bright as the face, each camera sees the edges of holes and bosses where their walls
+    darken: deeper by up to half a millimetre, and by a different amount for each.
     """
     return _unevenness_mm(list(_rims(job)))
 
@@ -66,7 +66,7 @@ def curve_model(job: Job, break_mm: float = 0.0, is_lower: bool = False) -> Edge
     walls, not those in the faces.  Curves have the numbers of the job's: its circles come first.
     """
     rims = list(_rims(job))
-    if job.break_end == "face":  # of all; the lower edges of some may have been taught besides
+    if job.break_end == "face":  # true of all; the lower edges of some may have been taught, too
         lower = [_has_upper(rim, rims, break_mm) for rim in rims]
     else:
         lower = [is_lower or _is_lower(rim, rims, break_mm) for rim in rims]
@@ -101,7 +101,7 @@ def _unevenness_mm(rims: list[_Rim]) -> float:
 
 
 def _is_lower(rim: _Rim, rims: list[_Rim], break_mm: float) -> bool:
-    """Whether a curve lies as much below a face as its broken edges are wide."""
+    """Whether a curve lies one break's width below another curve, and none lies as far below it."""
     if break_mm < 2 * CURVES.level_mm:
         return False
     below = [rim.level - other.level for other in rims]
@@ -111,7 +111,7 @@ def _is_lower(rim: _Rim, rims: list[_Rim], break_mm: float) -> bool:
 
 
 def _has_upper(rim: _Rim, rims: list[_Rim], break_mm: float) -> bool:
-    """Whether the edge above a lower one was taught, too: then the model has the lower one by that."""
+    """Whether the upper edge of a lower one was taught, too: then the model has the lower one by that."""
     middles = 0.5 * (rim.points[:-1] + rim.points[1:])
     for other in rims:
         if other is rim:
@@ -134,7 +134,10 @@ def _rims(job: Job) -> Iterator[_Rim]:
 
 
 def _is_hole(job: Job, circle: CircleFeature) -> bool:
-    """Whether other curves of its face, or of one hardly above it, run around a circle."""
+    """Whether a circle is a hole: other curves of its face, or of one hardly above, run around it.
+
+    Decided by its polarity where there are too few.
+    """
     x, y, z = circle.centre_mm
     for other in job.circles:
         apart = math.dist((x, y), other.centre_mm[:2])
@@ -155,7 +158,7 @@ def _is_hole(job: Job, circle: CircleFeature) -> bool:
 
 
 def _is_slot_hole(job: Job, slot: SlotFeature) -> bool:
-    """Whether nothing lies within a slot's outline: else it is the part's."""
+    """Whether a slot is a hole: with a circle within it, it is the part's outline."""
     along = np.array([math.cos(slot.angle_rad), math.sin(slot.angle_rad)])
     reach = 0.5 * (slot.length_mm - slot.width_mm)
     for circle in job.circles:
@@ -173,7 +176,7 @@ def _circle(circle: CircleFeature, outwards: float) -> _Rim:
 
 
 def _slot(slot: SlotFeature, outwards: float) -> _Rim:
-    """Both half circles and the edges between them, cut as finely."""
+    """Rim of a slot: both half circles, cut as finely as circles, and the straight edges between them."""
     radius = 0.5 * slot.width_mm
     reach = 0.5 * slot.length_mm - radius
     turns = _turns(math.pi, radius) - 0.5 * math.pi
@@ -188,14 +191,14 @@ def _slot(slot: SlotFeature, outwards: float) -> _Rim:
 
 
 def _edge(edge: EdgeFeature) -> _Rim:
-    """In a few pieces; the face is its brighter side."""
+    """Rim of a straight edge, in a few pieces; its brighter side is taken for the face."""
     points = edge.start_mm + np.linspace(0, 1, CURVES.pieces + 1)[:, None] * (edge.end_mm - edge.start_mm)
     along = (edge.end_mm - edge.start_mm) / edge.length_mm
     return _Rim(points, np.repeat(np.cross(along, -UP)[None] * edge.polarity, CURVES.pieces, axis=0))
 
 
 def _traced(curve: TracedCurve) -> _Rim:
-    """The face is its brighter side, as an edge's."""
+    """Rim of a traced curve; its brighter side is taken for the face."""
     along = np.diff(curve.points_mm, axis=0)
     along /= np.linalg.norm(along, axis=1, keepdims=True)
     return _Rim(curve.points_mm, np.cross(along, -UP) * curve.polarity)

@@ -1,8 +1,8 @@
 """All edges of a solid part, as curves in its frame with both faces beside each.
 
-A machined edge is a pair of edges: where two faces meet, an edge break (chamfer, rounding) of width b makes
-two of one, b away from it within either face. Which of both a picture shows depends on light and view, so
-the model holds both.
+A machined edge is a pair of edges: where two faces meet, an edge break (chamfer, rounding) of width b turns
+the edge into two, each b away from it within one of the faces. Which of them a picture shows depends on light
+and view, so the model holds both.
 """
 
 from __future__ import annotations
@@ -22,22 +22,22 @@ from edged.vision.solid.params import MODEL
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EdgeModel:
-    """Edges of a part as segments, those of one smooth curve behind each other, and the surface between.
+    """Edges of a part as segments, in order along each smooth curve, and the surface between them.
 
-    sides (E, 2) : both ends, as vertices.  start, end (E, 3) mm.
+    sides (E, 2) : vertices of both ends.  start, end (E, 3) mm.
     normals (E, 2, 3) : of both faces, outwards.  chain (E,) : number of the curve.
-    sharp (E,) : an edge from all sides; otherwise a piece of a curved wall, seen where it is the outline.
-    breakable (E,) : an outer edge, and none of the two ends of a break itself.
-    by_break (E, 2, 3) : where both edges of a break lie, of the segment, by its width.
+    sharp (E,) : an edge from all sides; otherwise part of a curved wall, visible only on the outline.
+    breakable (E,) : an outer edge that is not itself one of the two edges of a break.
+    by_break (E, 2, 3) : motion from the segment to both edges of its break, by the width.
     breaks_mm (E,) : width of the edge break that the surface does not have.
     vertices (V, 3), triangles (T, 3) : the surface; empty where it is not known, and nothing hides.
     centre (3,), size_mm : of the part; poses are turned about the centre.
-    taught_px : sigma of the place at which either camera had all of its edges at teaching.
-    height_mm : by which a pair had curves of one face higher and lower than that, rms; 0: they were even.
-    sigma_break_mm : of the widths of all breaks together.  sigma_own_mm : of each curve's besides.
-    merged_mm : breaks narrower than that, of which a picture shows no form, may be chamfers or roundings.
-    upwards (E, 3) : from the lower to the upper edge of a break too narrow to be seen, by its width, where
-    the upper face looks to the cameras; 0 elsewhere. None: no such breaks.
+    taught_px : sigma of a shift of all edges together in each camera at teaching.
+    height_mm : rms by which curves of one face were taught higher or lower than it; 0: they were even.
+    sigma_break_mm : of the widths of all breaks together.  sigma_own_mm : of each curve's own, in addition.
+    merged_mm : width below which pictures do not resolve breaks, which may be chamfers or roundings.
+    upwards (E, 3) : motion from the lower to the upper edge of a break too narrow to be seen, by its width,
+    where the upper face is turned to the cameras; 0 elsewhere. None: no such breaks.
     """
 
     sides: I64
@@ -65,8 +65,8 @@ class EdgePoints(NamedTuple):
     """Points along the edges of a model.
 
     points (N, 3), along (N, 3) unit; normals (N, 6) : of both faces.  by_break (N, 3) : motion by the width
-    of the edge break; of an edge without one as `EdgeModel.upwards`.  curve (N,) : number of the edge, other
-    for both edges of a break; samples of one follow each other.  sharp (N,) : as in the model.
+    of the edge break; `EdgeModel.upwards` for an edge without one.  curve (N,) : number of the edge, a
+    different one for each edge of a break; samples of an edge are consecutive.  sharp (N,) : as in the model.
     """
 
     points: F2
@@ -78,7 +78,7 @@ class EdgePoints(NamedTuple):
 
 
 EDGES = 3
-"""Edges by curve: itself where it is unbroken, and both ends of its break."""
+"""Edge numbers per curve: the unbroken edge, and both edges of its break."""
 
 
 def chains_of(curve: I64) -> I64:
@@ -87,12 +87,12 @@ def chains_of(curve: I64) -> I64:
 
 
 def are_unbroken(curve: I64) -> B8:
-    """(N,) which edges (N,) that are numbered as in `EdgePoints` are no ends of a break."""
+    """(N,) which edges (N,) that are numbered as in `EdgePoints` are not edges of a break."""
     return np.asarray(curve % EDGES == 0)
 
 
 def model_of(body: PartBody) -> EdgeModel:
-    """The edges of a part's surface."""
+    """Edge model of a part's surface."""
     sides, beside = body.sides
     normals = body.normals
     flat = np.einsum("ej,ej->e", normals[beside[:, 0]], normals[beside[:, 1]])
@@ -109,7 +109,7 @@ def model_of(body: PartBody) -> EdgeModel:
         inward[:, k] = np.cross(normals[beside[:, k]], along)
         away = middles[beside[:, k]] - 0.5 * (start + end)
         inward[:, k] *= np.sign(np.einsum("ej,ej->e", inward[:, k], away))[:, None]
-    # an outer edge, and none of the two ends of a break itself
+    # an outer edge that is not itself one of the two edges of a break
     outer = np.einsum("ej,ej->e", inward[:, 0], normals[beside[:, 1]]) < MODEL.convex
     steep = np.einsum("ej,ej->e", normals[beside[:, 0]], normals[beside[:, 1]]) < MODEL.steep
     breakable, breaks = sharp & outer & steep, np.zeros(len(sides))
@@ -125,7 +125,7 @@ def model_of(body: PartBody) -> EdgeModel:
 
 
 def _upwards(normals: FloatArray, by_break: FloatArray, breakable: B8) -> FloatArray:
-    """(E, 3) of `EdgeModel`."""
+    """`EdgeModel.upwards` (E, 3)."""
     height, rows = normals[:, :, 2], np.arange(len(normals))  # a part's z leads away from the cameras
     upper = height.argmin(axis=1)
     is_open = breakable & (height.min(axis=1) < -MODEL.steep)
@@ -133,9 +133,9 @@ def _upwards(normals: FloatArray, by_break: FloatArray, breakable: B8) -> FloatA
 
 
 def widths_of(sides: I64, known: I64, widths_mm: FloatArray) -> FloatArray:
-    """(E,) widths of the edge breaks along sides (E, 2), given as vertices, from those of known ones (K, 2).
+    """(E,) break widths along sides (E, 2), given as vertices, looked up among those of known sides (K, 2).
 
-    Either way round; 0 along sides that are not known.
+    The order of the vertices does not matter; 0 along sides that are not known.
     """
     widths = {
         (min(a, b), max(a, b)): width
@@ -147,7 +147,7 @@ def widths_of(sides: I64, known: I64, widths_mm: FloatArray) -> FloatArray:
 def _chained(points: FloatArray, sides: I64, sharp: B8) -> tuple[I64, B8, I64]:
     """Order (E,) in which the sharp sides of one smooth curve follow each other, head to tail.
 
-    And which sides (E,) are to be flipped for that, and the number of each one's curve (E,).
+    Also which sides (E,) must be flipped for that, and the number (E,) of each one's curve.
     """
     at: dict[int, list[int]] = defaultdict(list)
     for side in np.flatnonzero(sharp).tolist():
@@ -215,7 +215,7 @@ def sampled(model: EdgeModel, spacing_mm: float) -> EdgePoints:
 
 
 def _along(model: EdgeModel, rows: I64, side: int | None, spacing_mm: float) -> EdgePoints:
-    """Samples of some segments; of broken ones, of the edge within one of both faces."""
+    """Samples of some segments; side: of the break's edge within that face."""
     if side is not None:
         by_break = model.by_break[rows, side]
     else:

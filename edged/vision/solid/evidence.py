@@ -1,8 +1,8 @@
-"""What both pictures say for a pose, against chance and against each other pose.
+"""Evidence of both pictures for a pose, against chance and against other poses.
 
-Edges are looked for at every sample that a pose predicts. An edge within a pixel may be there by chance, the
-more often the more edges the surroundings have; and an edge that is there may not show, where two surfaces
-happen to be as bright. Neighbouring samples see the same thing: they say together what one would.
+Edges are looked for at every sample that a pose predicts. An edge within a pixel may be there by chance, more
+often where the surroundings have many edges; and an edge that is there may not show where two surfaces happen
+to be equally bright. Neighbouring samples see the same thing: together they count as one.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ from edged.vision.solid.visible import find_neighbours
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PoseEvidence:
-    """What the samples of a pose say, both cameras behind each other.
+    """Evidence of the samples of a pose, those of the left camera first.
 
     hit (M,) : an edge lies within a pixel.  chance (M,) : probability of that by chance.
     curve (M,) : number of the model's curve.  pixels (M, 2), camera (M,).
-    walled (M,) : both faces look at the camera.
+    walled (M,) : both faces are turned to the camera.
     """
 
     hit: B8
@@ -37,7 +37,7 @@ class PoseEvidence:
     walled: B8
 
     def log_ratio(self, chosen: B8 | None = None) -> FloatArray:
-        """(K,) log likelihood of the part against chance, of each block of the chosen samples."""
+        """(K,) log likelihood ratio of the part against chance, of each block of the chosen samples."""
         rows = np.arange(len(self.hit)) if chosen is None else np.flatnonzero(chosen)
         if not len(rows):
             return np.zeros(0)
@@ -56,9 +56,9 @@ class PoseEvidence:
         )
 
     def shown(self) -> tuple[I64, B8]:
-        """(K,) which of the model's curves are in the pictures' range, and which of these they rather show.
+        """Numbers (K,) of the model's curves that have samples, and whether (K,) the evidence is for each.
 
-        Both edges of each together.
+        Both edges of a break count together.
         """
         of_sample = chains_of(self.curve)
         numbers = np.unique(of_sample)
@@ -67,13 +67,13 @@ class PoseEvidence:
 
 
 def evidence_of(model: EdgeModel, pyramids: Pyramids, pose: FloatArray) -> PoseEvidence:
-    """What both pictures show of a part at a pose, rig_from_part (4, 4)."""
+    """Evidence of both pictures for a part at a pose, rig_from_part (4, 4)."""
     hits, chances, curves, pixels, cameras, walled = [], [], [], [], [], []
     for k, seen in enumerate(seen_by(model, pyramids, pose, EVIDENCE.spacing_px)):
         offsets = edges_beside(pyramids, k, seen, EVIDENCE.reach_px, EVIDENCE.together)
         away = np.abs(offsets)
         hits.append(np.nanmin(np.where(np.isfinite(away), away, np.inf), axis=1) < EVIDENCE.agree_px)
-        # edges per px, without the own one and the part's others there, over a stretch of the curve
+        # density of edges per px that are not the part's, averaged over a stretch of the curve
         near = np.empty((len(seen.row), 4))
         find_neighbours(
             seen.pixels,
@@ -121,13 +121,13 @@ def apart(mine: PoseEvidence, other: PoseEvidence, shapes: list[tuple[int, int]]
 
 
 def margin_over(first: PoseEvidence, other: PoseEvidence, shapes: list[tuple[int, int]]) -> float:
-    """Sigmas by which one pose is likelier than another, where only one of them predicts an edge."""
+    """Sigmas by which one pose is likelier than another, by the samples that only one of them predicts."""
     mine = first.log_ratio(apart(first, other, shapes))
     theirs = other.log_ratio(apart(other, first, shapes))
     return sigmas_of(np.concatenate([mine, -theirs]))
 
 
 def sigmas_of(ratios: FloatArray) -> float:
-    """A sum of log ratios in its own sigmas."""
+    """A sum of log ratios divided by its standard deviation, which is taken to be at least 1."""
     spread = math.sqrt(len(ratios)) * float(ratios.std()) if len(ratios) else 0.0
     return float(ratios.sum()) / max(spread, 1.0)

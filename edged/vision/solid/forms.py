@@ -1,8 +1,8 @@
-"""How a form of the edge breaks explains what pairs show: widths in turn with the poses, and what is left.
+"""Fit forms of the edge breaks to pairs: widths in turn with the poses, and the misfit that is left.
 
-A picture tells forms apart by its profiles, which see both edges of a break apart or together: tilted by ten
-degrees, a wrong form leaves several times the misfit of the right one. Face-on several may explain a pair
-alike: then what lies between the poses that they give belongs to the sigma.
+Profiles distinguish forms, since they show both edges of a break apart or together: on a part tilted by ten
+degrees, a wrong form has several times the misfit of the right one. Seen face-on, several forms may explain a
+pair equally well: then the differences between their poses belong to the sigma.
 """
 
 from __future__ import annotations
@@ -33,11 +33,11 @@ class LaidPair:
     pose: FloatArray
 
     def profiles(self, model: EdgeModel) -> Profiles:
-        """What the pictures show along the edges of the model at the pose."""
+        """Profiles of the pictures along the edges of the model at the pose."""
         return profiles_of(model, self.pyramids, self.images, self.pose, BREAKS.blur_px)
 
     def fitted(self, model: EdgeModel, held: FloatArray | None = None, *, alike: bool) -> LaidPair | None:
-        """At the pose that the profiles of a model give; see `pose_by_profiles`."""
+        """The pair at the pose fitted to the profiles of a model; see `pose_by_profiles`."""
         pose = pose_by_profiles(
             model, self.pyramids, self.images, self.pose, BREAKS.blur_px, held, alike=alike
         )
@@ -46,12 +46,12 @@ class LaidPair:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RefinedForm:
-    """A model with its own breaks, and the poses at which pairs show it.
+    """A model with fitted breaks, and the pairs at the fitted poses.
 
     sigma_mm : of each curve's width.  sigma_common_mm : of all together.
-    squares : of each pair (M,) the square misfit of each profile, px², at most 1, which is that of one that
-    shows nothing.  contradicts : mean of those that show something.  cost : mean of all, where one that shows
-    nothing of an end of a break counts half: light shows either end as often as not.
+    squares : for each pair, (M,) square misfits of the profiles, px², at most 1, which a profile that shows
+    nothing has.  contradicts : mean over profiles that show something.  cost : mean over all, where one that
+    shows nothing of an edge of a break counts half: light shows each edge only about half of the time.
     """
 
     model: EdgeModel
@@ -68,9 +68,9 @@ class RefinedForm:
         return float(np.concatenate(self.squares).mean())
 
     def sigmas_behind(self, better: RefinedForm, k: int | None = None) -> float:
-        """Sigmas by which the misfit exceeds that of another form; profiles that err alike count once.
+        """Sigmas by which the misfit exceeds that of another form; profiles with a common error count once.
 
-        k : by this pair alone; None: by all.
+        k : of this pair alone; None: of all.
         """
         mine, others = (
             np.concatenate(form.squares) if k is None else form.squares[k] for form in (self, better)
@@ -87,9 +87,9 @@ def refined(
     *,
     needed: bool = True,
 ) -> RefinedForm | None:
-    """The poses and the breaks in turn, from breaks of one width; None where pairs say too little.
+    """Fit poses and breaks in turn, from breaks of one width; None if the pairs show too little.
 
-    held : as in `pose_by_profiles`.  needed : without the breaks that a sharp edge explains as well.
+    held : as in `pose_by_profiles`.  needed : drop the breaks that a sharp edge explains as well.
     """
     sigma = common = 0.0
     now: list[LaidPair] = list(views)
@@ -115,9 +115,9 @@ def refined(
 
 
 def contradiction(model: EdgeModel, view: LaidPair) -> float:
-    """`RefinedForm.contradicts` of a model where it lies, wherever on arcs its breaks are shown.
+    """`RefinedForm.contradicts` of a model at its pose, with free places of its edges on arcs of breaks.
 
-    0 where no profile shows anything.
+    0 if no profile shows anything.
     """
     profiles = view.profiles(model)
     arcs = arc_shifts(profiles.seen, profiles.camera, profiles.across_px)
@@ -143,12 +143,12 @@ def _without_needless(model: EdgeModel, views: Sequence[LaidPair]) -> EdgeModel:
 
 
 def are_needed(with_own: FloatArray, without: FloatArray) -> B8:
-    """(C,) of which curves the breaks must be believed: two edges can take the form of one."""
+    """(C,) which curves need their breaks: two edges can imitate one, so they must be clearly better."""
     return np.asarray(with_own < without * (1 - BREAKS.better))
 
 
 def mean_misfits(model: EdgeModel, views: Sequence[LaidPair]) -> FloatArray:
-    """(C,) mean square misfit of each curve's profiles, px²; 1 of one without any."""
+    """(C,) mean square misfit of each curve's profiles, px²; 1 for a curve without any."""
     edge, square, _ = _misfits(model, views)
     curve, count = chains_of(edge), int(model.chain.max()) + 1
     many = np.bincount(curve, minlength=count)
@@ -156,19 +156,19 @@ def mean_misfits(model: EdgeModel, views: Sequence[LaidPair]) -> FloatArray:
 
 
 def with_breaks(model: EdgeModel, widths_mm: FloatArray | float) -> EdgeModel:
-    """The model with edge breaks of widths (E,), or all of one, at its sharp outer edges."""
+    """The model with edge breaks of widths (E,), or of one width, at its sharp outer edges."""
     widths = np.where(model.breakable, np.clip(widths_mm, 0.0, BREAKS.most_mm), 0.0)
     return replace(model, breaks_mm=np.where(widths < BREAKS.least_mm, 0.0, widths))
 
 
 def weights_of(profiles: Profiles) -> FloatArray:
-    """(M,) 1 / px² of each profile's shift against a model; 0 where it says nothing."""
+    """(M,) weights, 1 / px², of the profiles' shifts against a model; 0 where a profile shows nothing."""
     base = profiles.weight
     return np.where(base > BREAKS.min_weight, 1 / (1 / np.maximum(base, 1e-9) + BREAKS.model_px**2), 0.0)
 
 
 def widths_by_profiles(model: EdgeModel, views: Sequence[LaidPair]) -> tuple[FloatArray, float, float]:
-    """Widths (E,) of the breaks by the profiles of pairs, each curve's own; its sigma, and that of all."""
+    """Widths (E,) of the breaks by the profiles of pairs, each curve's own; their sigma, and that of all."""
     count = int(model.chain.max()) + 1
     power, pull = np.zeros(count), np.zeros(count)
     for view in views:
@@ -181,7 +181,7 @@ def widths_by_profiles(model: EdgeModel, views: Sequence[LaidPair]) -> tuple[Flo
             weight *= tukey_weights(shift, max(mad_sigma(shift[used]), BREAKS.min_sigma_px))
         power += np.bincount(curve, weight * by_break**2, minlength=count) / BREAKS.correlated
         pull += np.bincount(curve, weight * by_break * shift, minlength=count) / BREAKS.correlated
-    # those of a part are mostly alike
+    # breaks of a part are mostly alike
     common = float(pull.sum() / max(power.sum(), 1e-9))
     own = (pull + common * BREAKS.alike_mm**-2) / (power + BREAKS.alike_mm**-2)
     widths = model.breaks_mm + np.where(model.breaks_mm > 0, own[model.chain], 0.0)
@@ -196,7 +196,7 @@ def widths_by_profiles(model: EdgeModel, views: Sequence[LaidPair]) -> tuple[Flo
 class FormChoice:
     """The form of the breaks that pairs show best.
 
-    forms : each of those that were tried, None where a pair shows too little of it.  likely : how likely.
+    forms : those that were tried, None where a pair shows too little of it.  likely : probability of each.
     between : for each pair (6, 6), covariance of the twist by other forms that explain the pairs nearly as
     well; as in `ProfileFit`.
     """
@@ -208,7 +208,7 @@ class FormChoice:
 
     @property
     def others(self) -> list[RefinedForm]:
-        """Those that are less likely by far."""
+        """Forms that are far less likely."""
         return [
             form
             for form, share in zip(self.forms, self.likely, strict=True)
@@ -219,7 +219,7 @@ class FormChoice:
 def likeliest_form(
     models: Sequence[EdgeModel], views: Sequence[LaidPair], held: FloatArray | None = None
 ) -> FormChoice | None:
-    """Which of a part's models pairs show, its breaks' widths by their profiles; None where too little shows.
+    """Choose the one of a part's models that pairs show, and fit its break widths; None if too little shows.
 
     Others count by the likelihood that their misfit is worse by chance. Source: J. A. Hoeting et al.,
     "Bayesian model averaging: a tutorial", Statistical Science 14, 1999.
@@ -252,7 +252,7 @@ def likeliest_form(
         )
         between.append((likely[:, None] * twists).T @ twists)
     by_light_mm = PROFILE.light_px / min(scale_at(v.images.rig, v.pose, best.model) for v in best.views)
-    # each curve's own width is believed to what is usual only: it takes up whatever else is wrong there
+    # all breaks get the median width: a curve's own width absorbs whatever else is wrong there
     broken = best.model.breaks_mm[best.model.breaks_mm > 0]
     model = best.model
     if len(broken):
@@ -270,7 +270,7 @@ def _laid(model: EdgeModel, view: LaidPair) -> LaidPair | None:
 
 
 def _twist(model: EdgeModel, pose: FloatArray, other: FloatArray) -> FloatArray:
-    """(6,) from one pose to another, as `moved` takes it."""
+    """Twist (6,) from one pose to another, as `moved` takes it."""
     inward = pose[:3, :3].T
     shift = inward @ (apply(other, model.centre) - apply(pose, model.centre))
     return np.concatenate([rotation_vector(inward @ other[:3, :3]), shift])

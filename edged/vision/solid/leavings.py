@@ -1,8 +1,8 @@
-"""What edges leave of the profiles across them, to compare forms of a part's edge breaks with.
+"""Residuals of the profiles across edges, to compare forms of a part's edge breaks.
 
-A form that shifts profiles least need not be right: one without breaks lies well on one end of each, and says
-nothing of the other. Here profiles are wide enough for both ends, the same for all forms, and what counts is
-how much of their square sums a form leaves.
+The form with the smallest shifts of profiles need not be right: one without breaks fits one edge of each
+break well, and ignores the other. Here profiles are wide enough for both edges and the same for all forms,
+and forms are compared by their residual square sums.
 """
 
 from __future__ import annotations
@@ -26,15 +26,15 @@ from edged.vision.solid.shifts import STEP_PX, fill_steps, misfit
 from edged.vision.solid.visible import samples_at
 
 DIGIT = 1 / 3
-"""Square sum of a profile without any noise: four samples rounded to grey values, by 1/12 each."""
+"""Residual square sum of a profile without any noise: rounding to grey values, 1/12 for each of 4 samples."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Windows:
     """Profiles across the edges of a sharp model in one camera, wide enough for both edges of each break.
 
-    curve (M,) : number in `EdgeModel.chain`.  piece (M,) : number in the curve, and share (M,) of it.
-    pixels, normals (M, 2) raw px.  grey (M, S) : without those that show another curve, too.
+    curve (M,) : number in `EdgeModel.chain`.  piece (M,) : number in the curve, and place on it, share (M,).
+    pixels, normals (M, 2) raw px.  grey (M, S).  Profiles that show another curve, too, are left out.
     """
 
     view: int
@@ -49,8 +49,11 @@ class _Windows:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Gain:
-    """What a form leaves less than another one: the mean of its logarithm, that in sigmas, by curves and
-    cameras, and the means of each curve (C,)."""
+    """Reduction of the residuals by a form against another one.
+
+    mean : of the logarithm of their ratio.  sigmas : of the mean, by its scatter over curves and cameras.
+    by_curve (C,) : mean of each curve.
+    """
 
     mean: float
     sigmas: float
@@ -58,13 +61,17 @@ class Gain:
 
     @property
     def is_certain(self) -> bool:
-        """Whether it takes half of what the other one leaves, and not by chance."""
+        """Whether the form halves the residuals of the other one, and not by chance."""
         return self.mean > LEAVINGS.least_gain and self.sigmas > LEAVINGS.least_sigmas
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Leavings:
-    """What one form leaves of all windows, to compare others with: left (M,) of each; curve, block (M,)."""
+    """Residuals of one form in all windows, to compare others with.
+
+    left (M,) : logarithm of the square sum of each profile.  curve (M,) : its number.  block (M,) : number of
+    the curve in its picture.
+    """
 
     model: EdgeModel
     views: tuple[LaidPair, ...]
@@ -75,7 +82,7 @@ class Leavings:
 
     @classmethod
     def of(cls, model: EdgeModel, views: Sequence[LaidPair]) -> Leavings:
-        """What a model leaves of pairs, across those of its edges that may have breaks."""
+        """Residuals of a model in pairs, across those of its edges that may have breaks."""
         sharp = with_breaks(model, 0.0)
         windows = [_windows_of(sharp, view, v, k) for v, view in enumerate(views) for k in (0, 1)]
         curve = np.concatenate([window.curve for window in windows])
@@ -86,29 +93,29 @@ class Leavings:
     def gains(
         self, model: EdgeModel, views: Sequence[LaidPair], blurs_px: Sequence[float] = PROFILE.blurs_px
     ) -> FloatArray:
-        """(M,) what a form leaves less; NaN where it does not lie in the window."""
+        """(M,) gain of a form in each profile; NaN where its edges do not lie in the window."""
         return np.asarray(self.left - _left(self.windows, model, views, blurs_px)[0])
 
     def roughly(self, model: EdgeModel, views: Sequence[LaidPair]) -> float:
-        """Mean of what a form leaves less, by few blurs; 0 where it does not lie in the window."""
+        """Mean gain of a form, with few blurs; profiles whose window does not hold its edges count as 0."""
         gains = self.gains(model, views, LEAVINGS.blurs_px)
         return float(np.nan_to_num(gains).mean()) if len(gains) else 0.0
 
     def blur_px(self, model: EdgeModel, views: Sequence[LaidPair]) -> float:
-        """The blur with which a form leaves least."""
+        """The blur with which a form has the smallest residuals."""
         return _left(self.windows, model, views, PROFILE.blurs_px)[1]
 
     def by_curve(self, gains: FloatArray) -> FloatArray:
-        """(C,) means of each curve; 0 of one without windows."""
+        """(C,) mean gain of each curve; 0 for one without windows."""
         count = int(self.model.chain.max()) + 1
         many = np.bincount(self.curve, minlength=count)
         return np.asarray(np.bincount(self.curve, gains, minlength=count) / np.maximum(many, 1))
 
     def gain(self, model: EdgeModel, views: Sequence[LaidPair]) -> Gain:
-        """What a form leaves less.
+        """Gain of a form over this one.
 
-        With slopes beyond the edges: those of a wall or of its shadow are no second edge, and would gain as
-        one.
+        Slopes beyond the edges are fitted, too: those of a wall or its shadow are no second edge, but would
+        gain like one.
         """
         own, _ = _left(self.windows, self.model, self.views, PROFILE.blurs_px, slopes=True)
         others, _ = _left(self.windows, model, views, PROFILE.blurs_px, slopes=True)
@@ -119,7 +126,7 @@ class Leavings:
             return Gain(0.0, 0.0, by_curve)
         _, number = np.unique(self.block[good], return_inverse=True)
         mean = float(less[good].mean())
-        # of a mean over clusters of unequal size
+        # standard error of a mean over clusters of unequal size
         sigma = math.sqrt(float(np.sum(np.bincount(number, less[good] - mean) ** 2))) / good.sum()
         return Gain(mean, mean / max(sigma, 1e-9) if number.max() > 0 else 0.0, by_curve)
 
@@ -140,7 +147,7 @@ def _windows_of(model: EdgeModel, view: LaidPair, number: int, camera: int) -> _
 
 
 def _places(model: EdgeModel, curve: I64, points: FloatArray) -> tuple[I64, FloatArray]:
-    """(N,) pieces of their curves (N,) that points (N, 3) lie on, and the share of each before them."""
+    """Pieces (N,) of their curves (N,) that points (N, 3) lie on, and places (N,) on these, from 0 to 1."""
     pieces, shares = np.empty(len(points), np.int64), np.empty(len(points))
     for number in np.unique(curve):
         mine, its = curve == number, model.chain == number
@@ -156,9 +163,9 @@ def _left(
     windows: Sequence[_Windows], model: EdgeModel, views: Sequence[LaidPair], blurs_px: Sequence[float],
     *, slopes: bool = False,
 ) -> tuple[FloatArray, float]:  # fmt: skip
-    """(M,) of all windows, the logarithm of the square sum that a form leaves, and the blur with the least.
+    """Logarithms (M,) of the residual square sums of a form in all windows, by the best blur; and the blur.
 
-    NaN where its edges lie outside, or its curve is none of the model's.
+    NaN where its edges lie outside the window, or the model does not have the curve.
     """
     edges = [_edges_in(window, model, views[window.view]) for window in windows]
     found = []
@@ -173,7 +180,7 @@ def _left(
 
 
 def _edges_in(window: _Windows, model: EdgeModel, view: LaidPair) -> FloatArray:
-    """(M, 2) px along the normals to both edges of each break; the second NaN of a sharp one."""
+    """(M, 2) px along the normals to both edges of each break; the second NaN for a sharp edge."""
     first = np.full(int(max(model.chain.max(), window.curve.max(initial=0))) + 1, -1)
     numbers, starts = np.unique(model.chain, return_index=True)
     first[numbers] = starts
@@ -200,12 +207,12 @@ def find_left(
     profiles: FloatArray, curve: I64, edges: FloatArray, blur: float, together: int, reach: float,
     slopes: bool, left: FloatArray,
 ) -> None:  # fmt: skip
-    """Fill left (M,) with logarithms of square sums of grey values that steps leave of profiles (M, S).
+    """Fill left (M,) with logarithms of the square sums that remain of profiles (M, S) after fitting steps.
 
-    edges (M, 2) : offsets of the steps, the second NaN where there is one; their heights are free.
-    slopes : so are slopes of the grey values beyond the steps.
+    edges (M, 2) : offsets of the steps, the second NaN where there is only one; their heights are free.
+    slopes : slopes of the grey values beyond the steps are fitted, too.
     together : profiles on either side along the same curve that are averaged.  reach : of the first step.
-    left keeps what it has where that lies farther off, or the profile leaves the image.
+    left is not changed where that step lies farther off, or the profile leaves the image.
     """
     count, size = profiles.shape
     grey, steps = np.empty(size), np.empty(2)

@@ -1,7 +1,7 @@
-"""Parts by all their edges, of a body or as they were taught, found and measured: tilted, stepped, broken.
+"""Find and measure parts by all their edges, those of a body or those taught: tilted, stepped, broken.
 
-Nothing of a flat face is used: all edges of the part, those of its edge breaks among them, are looked for in
-both pictures, locked as one, weighed against chance and against every rival, and measured.
+No flat face is assumed: all edges of the part, including those of its edge breaks, are looked for in both
+pictures, locked together, tested against chance and against every rival, and measured.
 """
 
 from __future__ import annotations
@@ -37,11 +37,11 @@ from edged.vision.solid.visible import moved
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FoundPart:
-    """A part at a place: how it was laid, by which model, and what is seen of it.
+    """A part at a place: its locked pose and model, and the evidence for it.
 
-    certain : either picture shows the part rather than chance, by so many sigmas.  margin : both show it
-    rather than the nearest rival; inf without one.  between (6, 6) : covariance of the twist by other forms
-    of its breaks; None where their form is known.  contradicts : as in `RefinedForm`.
+    certain : sigmas by which each picture shows the part rather than chance.  margin : sigmas by which both
+    show it rather than the nearest rival; inf without one.  between (6, 6) : covariance of the twist by other
+    forms of its breaks; None where their form is known.  contradicts : as in `RefinedForm`.
     """
 
     laid: LaidPose
@@ -55,10 +55,10 @@ class FoundPart:
 def locate_solid(
     images: StereoImages, job: Job
 ) -> tuple[list[parts.MeasuredPart], list[NotMeasured], list[Match]]:
-    """All parts of a job in a pair, those that could not be measured, and the nearest misses.
+    """Find all parts of a job in a pair; also those that could not be measured, and near misses.
 
-    The job has a body, or is looked for by its taught curves alone: where its breaks are not known, by narrow
-    ones, and where these lead nowhere by wide ones.
+    A job without a body is looked for by its taught curves alone: if its breaks are not known, with narrow
+    ones, and if these find nothing, with wide ones.
     """
     measured, dismissed, missed = _located(images, job, wanted_of(job))
     if _has_open_breaks(job) and not (measured or dismissed):
@@ -70,7 +70,7 @@ def locate_solid(
 def _located(
     images: StereoImages, job: Job, wanted: SearchedPart
 ) -> tuple[list[parts.MeasuredPart], list[NotMeasured], list[Match]]:
-    """As `locate_solid`, by some forms of its breaks."""
+    """`locate_solid` with some forms of the breaks."""
     pyramids = pyramids_of(images, wanted)
     measured: list[parts.MeasuredPart] = []
     dismissed: list[NotMeasured] = []
@@ -84,7 +84,7 @@ def _located(
         if job.body is None and found.certain > DECISION.worth_forms:
             found = _of_likeliest_form(images, job, found, place, pyramids)
         match = _match(images, job, found.laid)
-        alone = _certain(found.seen, _not_of(found, taken, shapes))  # not by the edges of another part
+        alone = _certain(found.seen, _not_of(found, taken, shapes))  # without the edges of other parts
         if min(found.certain, alone) < DECISION.certain or not _is_whole(job, found):
             missed.append(match)
             continue
@@ -98,7 +98,7 @@ def _located(
 
 
 def all_edges_agree(images: StereoImages, job: Job, targets: Sequence[Target]) -> bool:
-    """Whether all taught curves of a job lie where targets say that were measured by some of them."""
+    """Whether all taught curves of a job agree with targets that were measured by some of them."""
     models = models_of(job)
     sharpest_first = sorted(models, key=lambda model: bool(model.breaks_mm.any()))
     pyramids = Pyramids(images.rig, images.raw, 1)
@@ -124,14 +124,14 @@ def _agrees(job: Job, models: Sequence[EdgeModel], pyramids: Pyramids, target: T
 
 
 def wanted_of(job: Job, looked_mm: float = BREAKS.looked_mm) -> SearchedPart:
-    """What is looked for, of a job; where its breaks are not known, as sharp and by those of one width."""
+    """The part of a job to look for; if its breaks are not known, sharp and with breaks of one width."""
     models = models_of(job)
-    if _has_open_breaks(job):  # to be near; which form it is, is asked there
+    if _has_open_breaks(job):  # to come near; its form is determined there
         widths = {0.0, looked_mm}
         models = tuple(model for model, form in zip(models, forms_of(job), strict=True) if form[0] in widths)
     model = models[0]
     place = apply(job.rig_from_part, model.centre)
-    # as the search has it, within the limits, which are of the reference point
+    # by the scales of the search, within the limits, both of which are of the reference point
     taught = float(apply(job.rig_from_part, job.place_of(job.reference))[2])
     near, far = (taught / scale for scale in (job.search.scale_max, job.search.scale_min))
     near, far = max(near, job.limits.depth_mm[0]), min(far, job.limits.depth_mm[1])
@@ -141,7 +141,7 @@ def wanted_of(job: Job, looked_mm: float = BREAKS.looked_mm) -> SearchedPart:
 
 
 def _has_open_breaks(job: Job) -> bool:
-    """Whether each picture has to tell what form the breaks of a job's part have."""
+    """Whether the form of a job's edge breaks is unknown, so that each pair must show it."""
     return job.body is None and job.break_mm is None
 
 
@@ -156,7 +156,7 @@ def models_of(job: Job) -> tuple[EdgeModel, ...]:
 def forms_of(job: Job) -> list[tuple[float, bool]]:
     """Forms that the breaks of a job without a body may have: width, and whether the lower edge was taught.
 
-    Light and view of the teaching pair decided which end of a break that is.
+    Light and view of the teaching pair decided which end of a break was taught.
     """
     widths = BREAKS.unknown_mm if job.break_mm is None else (job.break_mm,)
     ends = (False, True) if job.break_end is None else (job.break_end == "wall",)
@@ -172,7 +172,7 @@ def _axis(job: Job) -> tuple[float, float]:
 
 
 def _turns(job: Job, model: EdgeModel) -> tuple[FloatArray, ...]:
-    """Motions that leave the part like itself, about its reference and about its middle."""
+    """Motions that leave the part like itself, about its reference or its middle; none for a round part."""
     axes = {_axis(job), (float(model.centre[0]), float(model.centre[1]))}
     if any(is_round(model, axis) for axis in axes):
         return ()
@@ -182,7 +182,7 @@ def _turns(job: Job, model: EdgeModel) -> tuple[FloatArray, ...]:
 def weighed(
     pyramids: Pyramids, place: PartPlace, turns_of: Callable[[EdgeModel], Sequence[FloatArray]]
 ) -> FoundPart:
-    """The best pose at a place, by the best of its models, against chance and against its rivals there.
+    """Choose the best pose at a place, by the best of its models, and weigh it against chance and rivals.
 
     turns_of : motions that leave a model like itself.
     """
@@ -197,7 +197,7 @@ def weighed(
         return max(mine, key=lambda k: float(seen[k].log_ratio().sum()))
 
     best = likeliest()
-    if max(_certain(view) for view in seen) > 0:  # else no turn makes it a part
+    if max(_certain(view) for view in seen) > 0:  # otherwise no turn makes it a part
         for motion in turns_of(model):
             pose = np.asarray(poses[best].pose @ motion)
             if any(turn_between(pose, mode.pose) < DECISION.same_turn_rad for mode in poses):
@@ -218,8 +218,8 @@ def weighed(
 def _of_likeliest_form(
     images: StereoImages, job: Job, found: FoundPart, place: PartPlace, pyramids: Pyramids
 ) -> FoundPart:
-    """A part whose breaks are not known, weighed anew with the form of them that the pair shows."""
-    for _ in range(2):  # again where the right form shows that it lies otherwise
+    """Weigh a part with unknown breaks again, with the form of breaks that the pair shows."""
+    for _ in range(2):  # again if the right form moves the pose
         view = LaidPair(images, pyramids, found.laid.pose)
         choice = likeliest_form(models_of(job), [view], _held(job, found.laid.model))
         if choice is None:
@@ -241,21 +241,21 @@ def _of_likeliest_form(
 
 
 def _leant(model: EdgeModel, pose: FloatArray) -> list[FloatArray]:
-    """Poses that lean a little more to either side, for one askew between the edges of its breaks."""
+    """Poses tilted a little to each side of one that may be caught askew between the edges of its breaks."""
     twists = 0.5 * DECISION.same_turn_rad * np.eye(6)[:2]  # about the part's x and y
     return [moved(model, pose, way * twist) for twist in twists for way in (1.0, -1.0)]
 
 
 def _certain(seen: PoseEvidence, chosen: B8 | None = None) -> float:
-    """Sigmas by which the camera that says less shows the part, of all its samples or of chosen ones (M,)."""
+    """Sigmas by which the less certain camera shows the part, by all its samples or chosen ones (M,)."""
     some = np.ones(len(seen.hit), bool) if chosen is None else chosen
     return min(sigmas_of(seen.log_ratio(some & (seen.camera == k))) for k in (0, 1))
 
 
 def _is_whole(job: Job, found: FoundPart) -> bool:
-    """Whether enough of a part is there that is known by its curves alone.
+    """Whether enough is seen of a part that is known by its curves alone; always true with a body.
 
-    A short stretch of an outline, which is no feature, counts as the part of a usual feature that it is.
+    A short traced stretch, which is no feature, counts by its length over that of a usual feature.
     """
     if job.body is not None:
         return True
@@ -271,7 +271,7 @@ def _is_whole(job: Job, found: FoundPart) -> bool:
 
 
 def _not_of(found: FoundPart, others: Sequence[FoundPart], shapes: list[tuple[int, int]]) -> B8:
-    """(M,) which samples of a part lie beside those of parts that were found before it."""
+    """(M,) which samples of a part are clear of the edges of parts that were found before it."""
     chosen = np.ones(len(found.seen.hit), bool)
     for other in others:
         chosen &= apart(found.seen, other.seen, shapes)
@@ -292,7 +292,7 @@ def _match(images: StereoImages, job: Job, laid: LaidPose) -> Match:
 def measure_found(
     images: StereoImages, job: Job, found: FoundPart, pyramids: Pyramids, match: Match
 ) -> parts.MeasuredPart | Reject:
-    """A found part measured; the reason when that is not possible."""
+    """Measure a found part; the reason if that is not possible."""
     model = found.laid.model
     fit = best_fit(model, pyramids, images, found.laid.pose, _held(job, model))
     if fit is None:
@@ -306,14 +306,14 @@ def measure_found(
         contradicts = contradiction(model, LaidPair(images, pyramids, fit.pose))
     if contradicts > BREAKS.most_misfit:
         reject |= Reject.RESIDUAL
-    # each curve by itself, free, as far as it is alone: that is where sizes come from
+    # fit each curve freely, as far as no other is near: sizes come from these fits
     whole = fitted(images, job, fit.pose)
     alone = None if whole is None else whole.alone(images)
     if alone is not None:
         target = replace(target, circles=tuple(placed.circle for placed in circles_in_rig(alone)))
         target = with_features(target, job, alone)
     target = replace(target, reject=reject, measurements=measure_sizes(job, alone, target.circles))
-    # what the profiles scatter is in the sigma, by blocks: a face of another break is no other part
+    # rms_px is 0: the scatter of the profiles is in the sigma, by blocks; another break makes no other part
     evidence = parts.Evidence(
         float(found.laid.agreeing.min()),
         0.0,
@@ -330,14 +330,14 @@ def measure_found(
 
 
 def _held(job: Job, model: EdgeModel) -> FloatArray | None:
-    """(3,) axis of a part that looks alike from all sides about it."""
+    """(3,) axis of a part that is round about its reference; None if it is not."""
     return np.array([0.0, 0.0, 1.0]) if is_round(model, _axis(job)) else None
 
 
 def _target(job: Job, model: EdgeModel, fit: ProfileFit, match: Match) -> Target:
-    """The part where a fit puts it."""
+    """Target of a part at the pose of a fit."""
     rotation, reference = fit.pose[:3, :3], job.place_of(job.reference)
-    lift = np.zeros((6, 6))  # of (position, rotation vector) in rig axes to the twist
+    lift = np.zeros((6, 6))  # derivative of (position, rotation vector) in rig axes by the twist
     lift[:3, :3], lift[:3, 3:] = -rotation @ skew(reference - model.centre), rotation
     lift[3:, :3] = rotation
     return Target(

@@ -1,4 +1,4 @@
-"""A part laid as one rigid solid onto the edges of both pictures, from coarse to fine."""
+"""The lock: align a part, as one rigid solid, with the edges of both pictures, from coarse to fine."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from edged.vision.solid.visible import Cameras, VisibleSamples, hidden_from, sam
 
 
 class Pyramids:
-    """Both pictures at several sizes: cameras, grey values and slopes of each."""
+    """Image pyramids of both pictures: cameras, grey values and slopes of each level."""
 
     def __init__(self, rig: StereoRig, images: Sequence[Image], levels: int) -> None:
         self.rig = rig
@@ -64,9 +64,9 @@ def _slopes(image: F32) -> tuple[F32, F32]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LaidPose:
-    """A part at pose rig_from_part (4, 4), and the share of what each camera should see that agrees (2,).
+    """A part locked at pose rig_from_part (4, 4), and the share (2,) of its predicted edges that agree.
 
-    model : its edges, as it was laid.
+    model : the edges that it was locked by.  agreeing : for each camera.
     """
 
     model: EdgeModel
@@ -88,7 +88,7 @@ def scale_at(rig: StereoRig, pose: FloatArray, model: EdgeModel) -> float:
 def seen_by(
     model: EdgeModel, pyramids: Pyramids, pose: FloatArray, spacing_px: float
 ) -> list[VisibleSamples]:
-    """What each camera sees of the model in the pictures as they are."""
+    """Samples of the model that each camera sees, at full resolution."""
     samples = samples_at(model, scale_at(pyramids.rig, pose, model), spacing_px)
     views = (pyramids.cameras[0].view(k, model, pose) for k in (0, 1))
     return [see(model, samples, view, VISIBILITY.buffer_px[0]) for view in views]
@@ -97,7 +97,7 @@ def seen_by(
 def edges_beside(
     pyramids: Pyramids, camera: int, seen: VisibleSamples, reach_px: float, together: int
 ) -> FloatArray:
-    """(M, MOST) edges about what a camera sees, px along the normals; arguments as of `find_edges`."""
+    """Edges (M, MOST) near the samples that a camera sees, px along the normals; see `find_edges`."""
     found = np.full((len(seen.row), MOST), np.nan)
     picture = pyramids.pictures[0][camera]
     find_edges(
@@ -108,9 +108,9 @@ def edges_beside(
 
 
 def lay(model: EdgeModel, pyramids: Pyramids, pose: FloatArray, steps: Sequence[LockStep]) -> LaidPose | None:
-    """Several steps from a pose; None where too little of the part is seen on the way.
+    """Lock a model in several steps from a pose; None if too little of the part is seen on the way.
 
-    What its surface hides is found anew with its samples only: a pose moves by little.
+    Hidden samples are found again only when samples or level change: the pose moves by little.
     """
     pose, agreeing = np.array(pose, np.float64, order="C"), np.zeros(2)
     middle = for_kernel(model.centre, np.float64)
@@ -133,7 +133,7 @@ def lay(model: EdgeModel, pyramids: Pyramids, pose: FloatArray, steps: Sequence[
 
 
 def schedule(top: int) -> tuple[tuple[LockStep, ...], tuple[LockStep, ...]]:
-    """Steps before those in the picture itself, where the top level is this: below it, and from there on."""
+    """Steps on the level below the top, and on the levels between that and the picture itself."""
     between = [how for level in range(max(top - 2, 0), 0, -1) for how in _at(LOCK.between, level)]
     return _at(LOCK.middle, max(top - 1, 0)), tuple(between)
 

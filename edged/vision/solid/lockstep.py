@@ -1,8 +1,8 @@
-"""One step of the lock, as one kernel: what both cameras see of a part, the edges beside it, and its motion.
+"""One step of the lock, as one kernel: visible samples of a part, the edges near them, and the motion.
 
-Each predicted edge has up to four rivals in the picture; the nearest one counts, the less the more there are.
-Two predicted edges that the lens merges stand for the interval between them: which of both is seen, light
-and view decide.
+Each predicted edge has up to four candidates in the picture; the nearest one counts, with a weight that falls
+with their number. Two predicted edges that the lens merges stand for the interval between them: light and
+view decide which of them is seen.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ class LevelPicture(NamedTuple):
 
     focal (2,), centre (2,), size (2,) px, lens (5,), model : of the camera, as in `PartView`.
     from_rig (4, 4) : camera_from_rig.  slope_x, slope_y (H, W) : of the grey values.
-    drawn (H, W) : of -1, to draw predicted edges in.
+    drawn (H, W) : buffer of -1, to draw predicted edges in.
     """
 
     focal: F1
@@ -58,7 +58,7 @@ class LevelPicture(NamedTuple):
 
 @kernel()
 def _view_of(picture: LevelPicture, pose: F64, middle: F64) -> PartView:
-    """Its camera at a part at rig_from_part (4, 4)."""
+    """View of a part at rig_from_part (4, 4) by the picture's camera."""
     there, eye = np.zeros((4, 4)), np.zeros(3)
     for i in range(4):
         for j in range(4):
@@ -110,9 +110,9 @@ def step(
 ) -> bool:  # fmt: skip
     """Move a pose (4, 4), rig_from_part, to the edges within reach; False where too little is seen.
 
-    hidden (2, N) : from each camera.  middle (3,) : of the part; half_mm : of its size.
-    reach, fine, together : as in `find_edges`.  cap : of the residuals' sigma, px.
-    agreeing (2,) : becomes the share of what each camera should see that agrees.
+    hidden (2, N) : from each camera.  middle (3,) : of the part; half_mm : half of its size.
+    reach, fine, together : as in `find_edges`.  cap : upper limit of the residuals' sigma, px.
+    agreeing (2,) : becomes the share of the samples visible to each camera that agree with an edge.
     """
     depth = pose[2, 3]
     for i in range(3):
@@ -173,7 +173,7 @@ def find_edges(
     slope_x: F32, slope_y: F32, pixels: F64, normals: F64, curve: I64,
     reach: float, together: int, fine: float, offsets: F64,
 ) -> None:  # fmt: skip
-    """Fill offsets (M, MOST), px along the normals, with the steepest slopes within reach; NaN: fewer.
+    """Fill offsets (M, MOST), px along the normals, with the steepest slopes within reach; NaN if fewer.
 
     slope_x, slope_y (H, W).  together : profiles on either side along the same curve that are averaged.
     fine : step of the profiles, px.
@@ -181,7 +181,7 @@ def find_edges(
     count, half = len(pixels), int(np.ceil(reach / fine)) + 1
     size = 2 * half + 1
     height, width = slope_x.shape
-    # singles at unsigned places: the compiler then takes eight at once
+    # single precision and unsigned indices: the compiler then computes eight at once
     flat_x, flat_y, right, below = slope_x.ravel(), slope_y.ravel(), np.uint32(1), np.uint32(width)
     last_x, last_y, zero, full = (
         np.float32(width - 1.001),
@@ -243,10 +243,10 @@ def find_edges(
 
 @kernel("b1(f8[:, ::1], f8[:, ::1], f8[::1], f8[::1], f8, f8[::1], f8[::1])")
 def settle(design: F64, offset: F64, low: F64, high: F64, cap: float, delta: F64, left: F64) -> bool:
-    """Fill delta (6,), the step that fits most samples best, and left (M,), what remains of the nearest edge.
+    """Fill delta (6,), the robust step to the edges, and left (M,), the residuals to the nearest ones.
 
     offset (M, MOST) : all edges of a sample.  low, high (M,) : the interval that merged edges span.
-    cap : of the residuals' sigma, px. False where the edges do not tell.
+    cap : upper limit of the residuals' sigma, px. False where the edges do not determine the step.
     """
     count, size = design.shape
     trust, kept = np.zeros(count), np.empty(count)
@@ -307,7 +307,7 @@ def settle(design: F64, offset: F64, low: F64, high: F64, cap: float, delta: F64
 
 @kernel("void(f8[:, ::1], f8[:, ::1], f8[::1], f8[::1], f8[::1], f8[::1])")
 def _residuals(design: F64, offset: F64, low: F64, high: F64, delta: F64, left: F64) -> None:
-    """Fill left (M,): from each sample's interval, moved by delta (6,), to its nearest edge; NaN: none."""
+    """Fill left (M,): from each sample's interval, moved by delta (6,), to its nearest edge; NaN if none."""
     for m in range(len(design)):
         ahead = 0.0
         for i in range(design.shape[1]):

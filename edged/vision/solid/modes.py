@@ -1,4 +1,4 @@
-"""Where a part lies in a pair, with no start given: the modes that survive from many views to few poses."""
+"""Find a part in a pair without a start: from many views to the few poses (modes) that survive."""
 
 from __future__ import annotations
 
@@ -18,22 +18,22 @@ from edged.vision.solid.scan import starts_of, top_level
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PartPlace:
-    """Poses that were laid at one place of the scene, those that most agrees with first."""
+    """Poses that were locked at one place of the scene, by falling agreement."""
 
     modes: tuple[LaidPose, ...]
 
     @property
     def best(self) -> LaidPose:
-        """The one that most agrees with."""
+        """The pose with the highest agreement."""
         return self.modes[0]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SearchedPart:
-    """What is looked for, and where.
+    """A part to look for, and where.
 
     models : its edges, one for each form that they may have; it is looked for by the first.
-    tilt_rad : most lean of the part's -z from the bisector of both cameras.  distances_mm : nearest and
+    tilt_rad : largest angle of the part's -z to the bisector of both cameras.  distances_mm : nearest and
     farthest of its centre from the left camera.  place (3,) : where it was taught, rig frame.
     """
 
@@ -50,7 +50,7 @@ def pyramids_of(images: StereoImages, wanted: SearchedPart) -> Pyramids:
 
 
 def find_places(wanted: SearchedPart, pyramids: Pyramids) -> list[PartPlace]:
-    """Where the part may lie, by falling agreement."""
+    """Places where the part may lie, by falling agreement."""
     model = wanted.models[0]
     starts = starts_of(model, pyramids.rig, pyramids.grey, wanted.tilt_rad, wanted.distances_mm, wanted.place)
     coarse, between = schedule(len(pyramids.cameras) - 1)
@@ -84,7 +84,7 @@ def _laid(
     steps: Sequence[LockStep],
     wanted: SearchedPart,
 ) -> list[LaidPose]:
-    """Poses laid by some steps, by falling agreement, without those that ran away."""
+    """Lock poses by some steps; by falling agreement, without those that left the range of distances."""
     found = [lay(model, pyramids, pose, steps) for pose in poses]
     near, far = wanted.distances_mm
     kept = []
@@ -98,7 +98,7 @@ def _laid(
 
 
 def _unlike(model: EdgeModel, laid: Sequence[LaidPose], most: int, at_place: int) -> list[LaidPose]:
-    """The first ones that differ, and not too many of one place."""
+    """The first poses that differ from each other, with not too many at one place."""
     kept: list[LaidPose] = []
     for candidate in laid:
         near = [other for other in kept if _apart(model, candidate, other) < MODES.same_place * model.size_mm]
@@ -116,7 +116,7 @@ def _unlike(model: EdgeModel, laid: Sequence[LaidPose], most: int, at_place: int
 
 
 def _worth(model: EdgeModel, laid: Sequence[LaidPose]) -> list[LaidPose]:
-    """Those that are not far behind the best of their place: what is laid finely may be what is there."""
+    """Poses that are not far behind the best of their place: only these are worth a fine lock."""
     return [
         candidate
         for candidate in laid

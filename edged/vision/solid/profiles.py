@@ -1,8 +1,8 @@
-"""The pose by whole grey-value profiles across all edges.
+"""Fit the pose to whole grey-value profiles across all edges.
 
-A profile is a constant and blurred steps of free height, at the sample's own edge and at its neighbours where
-the model has them: one shift for all. Two edges that the lens merges are then two steps, not one edge
-somewhere between.
+A profile is modelled as a constant and blurred steps of free height, at the sample's own edge and at the
+neighbours that the model has there, with one shift for all. Two edges that the lens merges are then two
+steps, not one edge somewhere between.
 """
 
 from __future__ import annotations
@@ -33,13 +33,13 @@ MIN_SIGMA_PX = PROFILE.min_sigma_px
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Profiles:
-    """What the profiles of both cameras say, those of the left one first.
+    """Results of the profiles of both cameras, those of the left one first.
 
     seen : the samples.  camera (M,) : 0 left, 1 right.  points (M, 3) : of the part frame.
     shift_px (M,) : of all edges of a profile along the normal.  weight (M,) : 1 / px², 0 where the profile
-    says nothing.  height (M,) : of the sample's own step, grey values.
+    shows nothing.  height (M,) : of the sample's own step, grey values.
     across_px (M,) : along the normal, from one end of the break that an edge belongs to, to the other.
-    rounded_px (M,) : by which an edge shifts if its break is a rounding, a sigma; as of `if_rounded`.
+    rounded_px (M,) : sigma of an edge's shift if its break is a rounding; see `if_rounded`.
     """
 
     seen: VisibleSamples
@@ -53,13 +53,13 @@ class Profiles:
 
     @property
     def by_width(self) -> FloatArray:
-        """(M,) px / mm by the width of the break that an edge belongs to; 0 of one without."""
+        """(M,) px / mm by the width of the break that an edge belongs to; 0 for an edge without one."""
         return np.where(are_unbroken(self.seen.curve), 0.0, self.seen.by_break)
 
     @property
     def unknown(self) -> FloatArray:
-        """(M, 2) px by which edges shift if light shows the upper ends of breaks that nobody has seen, and if
-        the others are roundings: a sigma each."""
+        """Sigmas (M, 2) px of the shifts of edges if light shows the upper ends of breaks that no picture has
+        shown, and if the other breaks are roundings."""
         upper = np.where(are_unbroken(self.seen.curve), PROFILE.unseen_mm * self.seen.by_break, 0.0)
         return np.stack([upper, self.rounded_px], axis=1)
 
@@ -67,11 +67,11 @@ class Profiles:
 def profiles_of(
     model: EdgeModel, pyramids: Pyramids, images: StereoImages, pose: FloatArray, blur_px: float
 ) -> Profiles:
-    """Shifts of the profiles in both pictures at a pose."""
+    """Measure the shifts of the profiles in both pictures at a pose."""
     samples = samples_at(model, scale_at(images.rig, pose, model), PROFILE.drawn_px)
 
     def measured(k: int) -> tuple[VisibleSamples, list[FloatArray]]:
-        """What one camera sees, and shift, weight and height of it, and how wide its breaks are."""
+        """Samples that one camera sees; their shift, weight and height, and `across_px` and `rounded_px`."""
         dense, near = seen_with_neighbours(model, samples, pyramids, pose, k, PROFILE.reach_px)
         some = slice(None, None, PROFILE.every)
         seen = VisibleSamples._make(np.ascontiguousarray(field[some]) for field in dense)
@@ -92,7 +92,7 @@ def profiles_of(
 def seen_with_neighbours(
     model: EdgeModel, samples: EdgePoints, pyramids: Pyramids, pose: FloatArray, camera: int, reach_px: float
 ) -> tuple[VisibleSamples, FloatArray]:
-    """What a camera (0 left, 1 right) sees of samples at a pose, and (M, 4) px to other edges beside each.
+    """Samples that a camera (0 left, 1 right) sees at a pose, and offsets (M, 4), px, of other edges nearby.
 
     NaN where there are fewer within reach_px.
     """
@@ -105,12 +105,13 @@ def seen_with_neighbours(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AdjustedPose:
-    """A pose by profiles, and what its covariance is made of.
+    """A pose fitted to profiles, and what its covariance is computed from.
 
-    before : the pose that the profiles were taken at.  scale (6,) : of its unknowns.
-    design (M, 6 + K) : of them, and of what else is not known, in sigmas.  arcs : of what is not known of
-    single curves.  left, weights (M,) : of the profiles.  aside (M,) px : by the heights of single curves.
-    inverse (6 + K, 6 + K) : of the normal equations without the arcs' unknowns.
+    before : the pose that the profiles were taken at.  scale (6,) : of the pose's unknowns.
+    design (M, 6 + K) : of these, and of K nuisance unknowns in sigmas.  arcs : nuisance unknowns of single
+    curves.  left, weights (M,) : residuals and weights of the profiles.  aside (M,) px : shifts explained by
+    the heights of single curves.
+    inverse (6 + K, 6 + K) : of the normal equations from which the arcs' unknowns are eliminated.
     """
 
     pose: FloatArray
@@ -134,10 +135,10 @@ def pose_by_profiles(
     model: EdgeModel, pyramids: Pyramids, images: StereoImages, pose: FloatArray, blur_px: float,
     held: FloatArray | None = None, *, alike: bool = False,
 ) -> FloatArray | None:  # fmt: skip
-    """The pose (4, 4) by profiles from one that is good to a pixel; None where they say too little.
+    """Fit the pose (4, 4) to profiles from one that is good to a pixel; None if they show too little.
 
-    held (3,) : axis of the part about which nothing tells its turn.  alike : all curves are worth the same,
-    as long as their breaks are not known.
+    held (3,) : axis of the part about which its turn is undetermined.  alike : all curves have the same
+    weight, as long as their breaks are not known.
     """
     fit = adjusted(model, pyramids, images, pose, blur_px, held, alike)
     return None if fit is None else fit.pose
@@ -147,7 +148,7 @@ def adjusted(
     model: EdgeModel, pyramids: Pyramids, images: StereoImages, pose: FloatArray, blur_px: float,
     held: FloatArray | None, alike: bool,
 ) -> AdjustedPose | None:  # fmt: skip
-    """The motion from a pose that is good to a pixel, with profiles taken anew where it leads; None as above.
+    """Fit the motion from a pose good to a pixel, then again with profiles at the new pose; None as above.
 
     blur_px, held, alike : as for `pose_by_profiles`.
     """
@@ -165,7 +166,7 @@ def adjusted_to(
     model: EdgeModel, pose: FloatArray, profiles: Profiles, first_sigma_px: float,
     held: FloatArray | None, alike: bool,
 ) -> AdjustedPose | None:  # fmt: skip
-    """The motion of a pose that explains most profiles best."""
+    """Fit the motion of a pose robustly to given profiles; None if they show too little."""
     scale = np.r_[np.full(3, 0.5 * model.size_mm), np.ones(3)]
     known = np.hstack([profiles.seen.design / scale, profiles.unknown])
     heights = model.height_mm * _heights(model, profiles)
@@ -209,10 +210,10 @@ def adjusted_to(
 
 
 def _heights(model: EdgeModel, profiles: Profiles) -> FloatArray:
-    """(M, C) px / mm by the height of each curve, where a pair has taught uneven ones; else (M, 0).
+    """(M, C) px / mm by the height of each curve, if they were taught at uneven heights; else (M, 0).
 
-    Light shows either camera another end of a wall's shade: a hole seems deeper or higher by half a
-    millimetre then, another one by less, at teaching as well as now.
+    Light shows each camera a different end of a wall's shade: one hole then seems deeper or higher by half a
+    millimetre, another one by less, at teaching as well as now.
     """
     if not model.height_mm:
         return np.zeros((len(profiles.camera), 0))
@@ -222,7 +223,7 @@ def _heights(model: EdgeModel, profiles: Profiles) -> FloatArray:
 
 
 def _grown(found: FloatArray, inverse: FloatArray) -> float:
-    """By which factor the sigma of the curves' heights is larger than it was taken to be, by EM as the arcs'.
+    """Factor from the assumed sigma of the curves' heights to the estimated one, by EM as for the arcs.
 
     found (C,) : heights, in sigmas.  inverse (C, C) : of the normal equations.
     """
@@ -230,9 +231,9 @@ def _grown(found: FloatArray, inverse: FloatArray) -> float:
 
 
 def _normal(design: FloatArray, freed: FloatArray, weights: FloatArray) -> FloatArray:
-    """Normal equations of a pose and of what else is not known, whose sigma is 1 before anything is seen.
+    """Matrix of the normal equations of a pose and of nuisance unknowns, which have a prior sigma of 1.
 
-    freed (M, 6 + K) : what the arcs leave of the design.
+    freed (M, 6 + K) : the design with the arcs' unknowns eliminated.
     """
     normal = design.T @ (weights[:, None] * freed)
     beside = np.arange(6, len(normal))
@@ -241,7 +242,7 @@ def _normal(design: FloatArray, freed: FloatArray, weights: FloatArray) -> Float
 
 
 def by_curve(profiles: Profiles, values: FloatArray) -> FloatArray:
-    """(C, M) of values (M,) those of each curve, 0 of the others."""
+    """Spread values (M,) over a row (C, M) for each curve, 0 at the other curves' profiles."""
     curve = chains_of(profiles.seen.curve)
     found = np.zeros((int(curve.max()) + 1, len(curve)))
     found[curve, np.arange(len(curve))] = values
@@ -250,11 +251,11 @@ def by_curve(profiles: Profiles, values: FloatArray) -> FloatArray:
 
 @kernel("f8[::1](f8[::1], i8[::1], b1[::1])")
 def scatter_of(left: FloatArray, stretch: I64, good: B8) -> FloatArray:
-    """(M,) robust sigma of the residuals left (M,) about 0, px, each of the stretch of a curve it belongs to.
+    """(M,) robust sigma of the residuals left (M,) about 0, px, estimated for each stretch of a curve.
 
-    A rounded or glinting edge errs as a whole, and where its wall is seen otherwise than where it is not; so
-    does each say by its own scatter what it is worth. A short one is taken to be like all others as far as
-    it does not say more.
+    A rounded or glinting edge errs as a whole, and differently where its wall is visible than where it is
+    not; so each stretch is weighted by its own scatter. That of a short stretch is drawn towards the scatter
+    of all.
     Source: W. Förstner, "Ein Verfahren zur Schätzung von Varianz- und Kovarianzkomponenten", 1979.
 
     stretch (M,) : numbers from 0 on.  good (M,) : which residuals count, one at least.
@@ -262,7 +263,7 @@ def scatter_of(left: FloatArray, stretch: I64, good: B8) -> FloatArray:
     count, numbers = len(left), 0
     for m in range(count):
         numbers = max(numbers, stretch[m] + 1)
-    # all good residuals, those of one stretch behind each other
+    # all good residuals, sorted by stretch
     ends = np.zeros(numbers + 1, np.int64)
     for m in range(count):
         ends[stretch[m] + 1] += good[m]

@@ -1,8 +1,8 @@
-"""Where a part may lie, by views of its edges compared with the gradients of either picture at a small size.
+"""Find starts for a part by comparing views of its edges with the gradients of each picture at a small size.
 
-No threshold decides: the best views of either camera are starts, and what becomes of them is the lock's to
-tell. A view counts by how well the gradients' directions fit, |cos|, by their contrast to what is near, and
-by how seldom an edge is there by chance.
+No threshold decides: the best views of each camera are starts, and the lock decides what becomes of them. A
+view is rated by how well the directions of gradients fit, |cos|, by their local contrast, and by how seldom
+an edge is there by chance.
 """
 
 from __future__ import annotations
@@ -29,9 +29,9 @@ from edged.vision.solid.visible import Cameras, at_level, samples_at, see, view_
 ALIKE, ALIKE_COS = SCAN.alike, math.cos(SCAN.alike_rad)
 SAME_PLACE, PLACES = SCAN.same_place, SCAN.places
 BINS = 8
-"""Directions of an edge, sign aside."""
+"""Number of directions of an edge, regardless of sign."""
 BYTE_SUMS = 255 // FULL
-"""Responses whose sum fits a byte."""
+"""Number of responses whose sum fits a byte."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -40,7 +40,7 @@ class ViewSet:
 
     rotations (V, 3, 3) : camera_from_part, of a part on the optical axis.  offsets (V, P, 2) : px from the
     image of its centre; bins (V, P) : direction of the edge there; in random order.
-    points, along (L, P, 3) : the same on the part, for each lean; lean (V,) : of a view.
+    points, along (L, P, 3) : the same on the part, for each lean; lean (V,) : number of each view's lean.
     distance_mm : of its centre.
     """
 
@@ -54,7 +54,7 @@ class ViewSet:
 
 
 def top_level(rig: StereoRig, model: EdgeModel, distance_mm: float) -> int:
-    """Level at which the part is about as large as the scan wants it."""
+    """Level at which the part has about the size that the scan needs."""
     size_px = model.size_mm * rig.left.fx / distance_mm
     smallest = min(rig.left.width, rig.left.height)
     fits = int(math.log2(max(smallest / SCAN.smallest_px, 1.0)))
@@ -65,7 +65,7 @@ def top_level(rig: StereoRig, model: EdgeModel, distance_mm: float) -> int:
 def view_set(
     model: EdgeModel, camera: CameraModel, level: int, lean_rad: float, distance_mm: float
 ) -> ViewSet:
-    """Views of a part from all sides that lean by up to so much from its -z."""
+    """Views of a part from all sides, from directions within lean_rad of its -z."""
     small = at_level(camera, level)
     plain = replace(small, model="division", distortion=(0.0,), cx=0.0, cy=0.0, width=10**6, height=10**6)
     rng = np.random.default_rng(0)
@@ -102,7 +102,7 @@ def view_set(
 
 
 def _leans(lean_rad: float) -> list[FloatArray]:
-    """Rotations by leans of up to so much to all sides, a step apart."""
+    """Rotations that lean to all sides by up to lean_rad, a step apart."""
     rings = np.linspace(0.0, lean_rad, max(math.ceil(lean_rad / SCAN.lean_rad), 1) + 1)
     found: list[FloatArray] = []
     for lean in rings:
@@ -114,9 +114,9 @@ def _leans(lean_rad: float) -> list[FloatArray]:
 
 
 def responses(grey: F32) -> U8:
-    """(8, H, W): what speaks for an edge of each direction there, against chance, 0 to FULL.
+    """Responses (8, H, W): evidence for an edge of each direction at a pixel against chance, 0 to FULL.
 
-    How well a pixel's gradient fits, spread by a pixel, says the less the more any direction fits nearby:
+    The fit of a pixel's gradient, spread by a pixel, counts the less the more any direction fits nearby:
     texture fits every part. A log likelihood ratio as in `PoseEvidence`, but a miss is 0 everywhere.
     """
     soft = cv2.GaussianBlur(grey, (0, 0), SCAN.smoothing_px)
@@ -135,7 +135,7 @@ def responses(grey: F32) -> U8:
     chance = np.clip(cv2.blur(fits.mean(axis=0), (SCAN.chance_px,) * 2), least, most)
     shows = EVIDENCE.shown * EVIDENCE.found
     miss, full = math.log(1 - shows), math.log(shows / least + 1 - shows)
-    gain = (np.log(shows / chance + 1 - shows) - miss) / (full - miss)  # of an edge that is there to none
+    gain = (np.log(shows / chance + 1 - shows) - miss) / (full - miss)  # of an edge over none, up to 1
     return np.asarray(np.rint(FULL * gain * fits), np.uint8)
 
 
@@ -145,9 +145,9 @@ def scan(
 ) -> tuple[ViewSet, I64, FloatArray]:  # fmt: skip
     """The best views of a part in one camera's picture: their set, numbers (K,) and rig_from_part (K, 4, 4).
 
-    tilt_rad : of the part's -z from the bisector of both cameras.  distances_mm : nearest and farthest of
-    the part's centre from the camera.  place (3,) : rig frame, where parts lie, more or less: the bisector
-    is that of there.
+    tilt_rad : largest angle of the part's -z to the bisector of both cameras.  distances_mm : nearest and
+    farthest of the part's centre from the camera.  place (3,) : rig frame, where parts lie, approximately;
+    the bisector is taken there.
     """
     cameras = Cameras.of(rig, both.level)
     rig_from_camera = invert(cameras.from_rig[camera])
@@ -160,7 +160,7 @@ def scan(
     full = (rig.left, rig.right)[camera]
     lean = min(tilt_rad + vergence, SCAN.max_lean_rad)
     views = view_set(model, full, both.level, round(lean, 3), round(middle_mm, 1))
-    # what a view's part leans against the bisector, for a part on the line of sight to the place
+    # cosine of each view's lean from the bisector, for a part on the line of sight to the place
     to_place = _from_axis_onto(ray[None])[0]
     leaning = (to_place @ views.rotations)[:, :, 2] @ bisector
     allowed = np.flatnonzero(leaning > math.cos(tilt_rad))
@@ -170,7 +170,7 @@ def scan(
     count = max(1, math.ceil(spread / SCAN.scale))
     scales = np.exp(np.linspace(0.5 * spread, -0.5 * spread, count)) if count > 1 else np.ones(1)
     numbers, sizes, places = _best(views, allowed, scales, both.maps[camera])
-    # the poses at which the part looks so from there
+    # poses at which the part looks like these views at these places
     rays = np.column_stack([both.cameras[camera].normalise(places), np.ones(len(places))])
     rays /= np.linalg.norm(rays, axis=1, keepdims=True)
     rotations = _from_axis_onto(rays) @ views.rotations[numbers]
@@ -181,7 +181,7 @@ def scan(
 
 
 def _unlike(model: EdgeModel, poses: FloatArray, most: int, elsewhere: int) -> I64:
-    """Which poses (K, 4, 4), best first, differ from each other: many at the best place, some at others."""
+    """Indices of poses (K, 4, 4), best first, that differ: many at the best place, some elsewhere."""
     centres = poses[:, :3, :3] @ model.centre + poses[:, :3, 3]
     kept = np.empty(len(poses), np.int64)
     poses = np.ascontiguousarray(poses)
@@ -190,7 +190,7 @@ def _unlike(model: EdgeModel, poses: FloatArray, most: int, elsewhere: int) -> I
 
 @kernel("i8(f8[:, ::1], f8[:, :, ::1], f8, i8, i8, i8[::1])")
 def keep_unlike(centres: F64, poses: F64, size_mm: float, most: int, elsewhere: int, kept: I64) -> int:
-    """Fill the first of kept as `_unlike`, and say how many.  centres (K, 3) : of the part."""
+    """Fill kept with the indices of `_unlike`, and return their number.  centres (K, 3) : of the part."""
     count = places = 0
     first, many = np.empty(PLACES, np.int64), np.empty(PLACES, np.int64)
     for k in range(len(poses)):
@@ -227,7 +227,7 @@ def keep_unlike(centres: F64, poses: F64, size_mm: float, most: int, elsewhere: 
 
 
 def _from_axis_onto(rays: FloatArray) -> FloatArray:
-    """(K, 3, 3) the least rotations that take +z to rays (K, 3), unit, in front of the camera."""
+    """Smallest rotations (K, 3, 3) that take +z to rays (K, 3), unit, in front of the camera."""
     x, y, z = rays.T
     share = 1.0 / (1.0 + z)
     return np.stack(
@@ -236,9 +236,9 @@ def _from_axis_onto(rays: FloatArray) -> FloatArray:
 
 
 def _best(views: ViewSet, allowed: I64, scales: FloatArray, maps: U8) -> tuple[I64, FloatArray, FloatArray]:
-    """Views (K,), scales (K,) and places (K, 2), best first.
+    """Numbers (K,), scales (K,) and places (K, 2) of the best views, best first.
 
-    All views are compared at every second pixel, the best of them finely.
+    All views are compared at every second pixel, the best of them at every pixel.
     """
     reach = int(np.abs(views.offsets[allowed]).max() * scales.max()) + 3
     reach += reach % 2
@@ -270,11 +270,11 @@ def glance(
 ) -> None:  # fmt: skip
     """Fill peaks (K, N, 3): the N best places of each view at its size, at every second pixel: sum, x, y.
 
-    phases (2, 2, 8, S) : responses at every second pixel, by phase, padded on all sides, row behind row.
-    points : of a view, that are summed.
+    phases (2, 2, 8, S) : responses at every second pixel, by phase, padded on all sides, row after row.
+    points : number of a view's points that are summed.
     """
     row = width + 2 * pad
-    size = (height - 1) * row + width  # from the first place to the last one, what lies between rows included
+    size = (height - 1) * row + width  # from the first place to the last one, with the padding between rows
     few, total, best = np.empty(size, np.uint8), np.empty(size, np.uint16), np.empty(height, np.uint16)
     for k in range(len(chosen)):
         view = chosen[k]
@@ -306,7 +306,7 @@ def glance(
 def look(
     padded: U8, offsets: F64, bins: I64, chosen: I64, sizes: F64, reach: int, places: F64, result: F64
 ) -> None:
-    """Fill result (K, 3): response in [0, 1], x, y of each view about its place (K, 2), by all its points."""
+    """Fill result (K, 3): best response in [0, 1], x, y of each view near its place (K, 2), by all points."""
     points = offsets.shape[1]
     for k in range(len(chosen)):
         view, most = chosen[k], -1
@@ -330,8 +330,8 @@ def starts_of(
 ) -> list[FloatArray]:  # fmt: skip
     """Poses rig_from_part (4, 4) that both pictures suggest, best first.
 
-    pictures : of both cameras at each level of the pyramids.  What either camera's views suggest is sought
-    along their lines of sight, and climbed in both pictures at the top level, then on the one below.
+    pictures : of both cameras at each level of the pyramids.  Poses suggested by each camera's views are
+    moved along their lines of sight, then climbed in both pictures at the top level and on the one below.
     """
     top = len(pictures) - 1
     coarse = fine = _Seen.of(rig, top, pictures[top], place)
@@ -370,9 +370,9 @@ def starts_of(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Seen:
-    """Both cameras at one level, without distortion: as kernels take them, their responses, and first steps.
+    """Both undistorted cameras at one level, in the form that kernels take, and their responses.
 
-    steps (6,) : to climb by.
+    steps (6,) : first steps of the climb.
     """
 
     level: int
@@ -396,7 +396,7 @@ class _Seen:
 
 
 def _responses_of(view: Straight, grey: F32) -> U8:
-    """`responses` of a picture without its distortion, 0 beyond it."""
+    """`responses` of a picture after undistortion, 0 beyond it."""
     seen = cv2.remap(grey, *view.maps, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     maps = responses(np.asarray(seen, np.float32))
     maps[:, ~view.inside] = 0

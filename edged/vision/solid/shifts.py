@@ -1,4 +1,4 @@
-"""How far a profile's steps lie from where they were predicted: one shift for all, heights as they come."""
+"""Measure how far a profile's steps lie from where they were predicted: one shift for all, free heights."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ STEP_PX = PROFILE.step_px
 WIDEST_PX = PROFILE.widest_px
 DAMPING = PROFILE.damping
 NEAR = 4
-"""Steps of a profile beside that of its own edge: of two neighbours on either side."""
+"""Steps of a profile besides that of its own edge: two neighbours on either side."""
 STEP_END = 6
 """Sigmas from a blurred step, beyond which it is 0 or 1 to 1e-9."""
 STEPS_PER_UNIT = 512
@@ -52,7 +52,7 @@ def fill_steps(edges: F64, many: int, shift: float, blur: float, terms: F64) -> 
 
 @kernel("f8(f8[::1], f8, f8[:, ::1], i8, i8, f8[:, ::1], f8[::1])")
 def misfit(grey: F64, square: float, terms: F64, many: int, first: int, normal: F64, height: F64) -> float:
-    """Square sum that steps leave of a profile, their heights (size of terms) fitted to height.
+    """Residual square sum of a profile after steps are fitted to it; height is filled with their heights.
 
     grey (S,), square : its square sum.  terms (many + 1, S or more) : a constant and steps, from column
     first on.  normal, height : buffers.
@@ -95,7 +95,8 @@ def find_shifts(
     """Fill shift (M,), px, weight (M,), 1 / px², and height (M,) from profiles (M, S).
 
     near (M, 4) : offsets of neighbouring edges, NaN where there are fewer.  together : profiles on either
-    side along the same curve that are averaged. weight 0: the best shift lies at the end of the search.
+    side along the same curve that are averaged. Where the best shift lies at the end of the search, or the
+    profile leaves the image, nothing is filled in.
     """
     count, size = profiles.shape
     grey, edges = np.empty(size), np.empty(NEAR + 1)

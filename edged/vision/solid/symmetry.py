@@ -1,4 +1,4 @@
-"""Turns after which a part looks like itself, or nearly so: rivals that a pose has to stand against."""
+"""Turns after which a part looks like itself, or nearly so: rivals that a pose must be distinguished from."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from edged.vision.solid.params import SYMMETRY
 
 
 def like_turns(model: EdgeModel, axis: tuple[float, float]) -> tuple[FloatArray, ...]:
-    """Motions (4, 4) about a line along z at axis (x, y) that lay most edges on edges, best first."""
+    """Motions (4, 4) about a line along z at axis (x, y) that map most edges onto edges, best first."""
     turns, shares = _shares(model, axis)
     peaks = [
         k
@@ -32,13 +32,13 @@ def like_turns(model: EdgeModel, axis: tuple[float, float]) -> tuple[FloatArray,
 
 
 def is_round(model: EdgeModel, axis: tuple[float, float]) -> bool:
-    """Whether all turns about a line along z at axis (x, y) leave all edges where they are."""
+    """Whether every turn about a line along z at axis (x, y) leaves nearly all edges where they are."""
     return bool(_shares(model, axis)[1].min() > SYMMETRY.round_share)
 
 
 @lru_cache(maxsize=64)  # of a few jobs, some with a model for each width of their breaks
 def _shares(model: EdgeModel, axis: tuple[float, float]) -> tuple[FloatArray, FloatArray]:
-    """Turns, and the share of edge points that have another one near after each."""
+    """Turns, and for each the share of edge points that have another one nearby after it."""
     samples = sampled(model, model.size_mm / SYMMETRY.points)
     points = samples.points[samples.sharp] - [*axis, 0.0]
     reach = SYMMETRY.near * model.size_mm
@@ -58,7 +58,7 @@ def _shares(model: EdgeModel, axis: tuple[float, float]) -> tuple[FloatArray, Fl
     # near in phase, too: an arc of the reach at the outer edge is less than a step at the inner one
     spread = np.maximum(drawn, np.maximum(np.roll(drawn, 1, axis=0), np.roll(drawn, -1, axis=0)))
     turns = np.asarray(np.arange(1, steps) * SYMMETRY.step_rad, np.float64)
-    outer = columns * reach * SYMMETRY.step_rad > 0.25 * reach  # what a turn moves at all
+    outer = columns * reach * SYMMETRY.step_rad > 0.25 * reach  # points that a turn moves noticeably
     weight = np.where(outer, 1.0, 0.2)
     shares = [
         float(np.average(spread[(slots + k) % steps, rows + 1, columns + 1], weights=weight))

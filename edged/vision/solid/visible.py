@@ -1,7 +1,7 @@
-"""What a camera sees of a part's edges at a pose: which, where, and how they move with the part.
+"""Edges of a part that a camera sees at a pose: which ones, where, and how they move with the part.
 
-Hidden lines are removed by a z-buffer of the part's own surface, and stretches that are looked at so slanted
-that their place says little.
+Hidden lines are removed by a z-buffer of the part's own surface. Stretches seen at so flat an angle that
+their place says little are removed, too.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ SLANT = VISIBILITY.slant
 
 
 class PartView(NamedTuple):
-    """A camera at a part. focal (2,), centre (2,), size (2,) px; lens (5,), 0 where there is no coefficient.
+    """A camera's view of a part. focal, centre, size (2,) px; lens (5,), 0 where there is no coefficient.
 
     model : of the lens.  pose (4, 4) : camera_from_part.  eye (3,) : the camera, and middle (3,) : the part's
     centre, part frame.
@@ -46,10 +46,10 @@ class PartView(NamedTuple):
 class VisibleSamples(NamedTuple):
     """Samples that a camera sees, M of N.
 
-    row (M,) : of the samples.  pixels, normals (M, 2) : raw px, unit.  design (M, 6) : motion along the
+    row (M,) : index of the sample.  pixels, normals (M, 2) : raw px, unit.  design (M, 6) : motion along the
     normal, px, by a turn about the part's axes (rad, about its centre) and a shift along them (mm).
-    by_break (M,) : the same by the width of the edge break, px / mm.  curve (M,) : as of the samples.
-    walled (M,) : both faces look at the camera.
+    by_break (M,) : the same by the width of the edge break, px / mm.  curve (M,) : as in the samples.
+    walled (M,) : both faces are turned to the camera.
     """
 
     row: I1
@@ -62,7 +62,7 @@ class VisibleSamples(NamedTuple):
 
 
 def at_level(camera: CameraModel, level: int) -> CameraModel:
-    """The camera of a picture of 1 / 2**level the size."""
+    """The camera of a picture scaled by 1 / 2**level."""
     if level == 0:
         return camera
     f = 2.0**level
@@ -86,12 +86,12 @@ class Cameras:
         return Cameras(models, (np.eye(4), np.asarray(rig.right_from_left)))
 
     def view(self, camera: int, model: EdgeModel, pose: FloatArray) -> PartView:
-        """One camera at a part at rig_from_part (4, 4)."""
+        """One camera's view of a part at rig_from_part (4, 4)."""
         return view_of(self.models[camera], self.from_rig[camera] @ pose, model.centre)
 
 
 def view_of(camera: CameraModel, camera_from_part: FloatArray, middle: FloatArray) -> PartView:
-    """A camera at a part."""
+    """A camera's view of a part."""
     return PartView(
         np.array([camera.fx, camera.fy]), np.array([camera.cx, camera.cy]),
         np.array([camera.width, camera.height], np.float64), *packed_lens(camera),
@@ -121,14 +121,14 @@ def hidden_from(model: EdgeModel, points: FloatArray, eye: FloatArray, buffer_px
 
 
 def samples_at(model: EdgeModel, rig_px_per_mm: float, spacing_px: float) -> EdgePoints:
-    """Samples of the model about spacing_px apart where a mm is so many px; the same for like scales."""
+    """Samples of the model about spacing_px apart at this scale; similar scales give the same samples."""
     steps = round(math.log(rig_px_per_mm / spacing_px) / VISIBILITY.alike)
     return sampled(model, math.exp(-steps * VISIBILITY.alike))
 
 
 @kernel("VisibleSamples(i8)", tuples=(VisibleSamples,))
 def unfilled(count: int) -> VisibleSamples:
-    """Samples to be filled."""
+    """Samples with uninitialised fields."""
     return VisibleSamples(
         np.empty(count, np.int64), np.empty((count, 2)), np.empty((count, 2)), np.empty((count, 6)),
         np.empty(count), np.empty(count, np.int64), np.empty(count, np.bool_),
@@ -137,10 +137,10 @@ def unfilled(count: int) -> VisibleSamples:
 
 @kernel("i8(EdgePoints, b1[::1], PartView, VisibleSamples)", tuples=(EdgePoints, PartView, VisibleSamples))
 def find_visible(samples: EdgePoints, hidden: B8, view: PartView, seen: VisibleSamples) -> int:
-    """Fill the first rows of what is seen, and say how many.
+    """Fill the first rows of seen with the visible samples, and return their number.
 
-    Of sharp edges that is what has a face towards the camera, of smooth walls what is outline; neither too
-    slanted nor outside of the image.  hidden (N,) : samples that the part's own surface hides.
+    A sharp edge is visible if a face of it is turned to the camera, an edge of a smooth wall if it is on the
+    outline; neither if too slanted or outside of the image.  hidden (N,) : samples that the part hides.
     """
     pose = view.pose
     there, along, gradient, arm = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
@@ -212,9 +212,9 @@ def find_neighbours(
     reach_px: float,
     offsets: F64,
 ) -> None:
-    """Fill offsets (M, 4), px along the normals: two other edges on either side within reach, NaN without.
+    """Fill offsets (M, 4), px along the normals: two other edges on either side within reach, NaN if fewer.
 
-    drawn (H, W) : a buffer of -1, left as it came.  own_px : nearer edges are one with the sample's own.
+    drawn (H, W) : a buffer of -1, restored afterwards.  own_px : nearer edges count as the sample's own.
     """
     count = len(pixels)
     for m in range(count):

@@ -1,10 +1,10 @@
 """Kernels of affine least-squares matching along a row (A. Gruen, 1985).
 
-gain * right(x - disparity(x, y), y) + offset = left(x, y) over a window, where the disparity is a
-plane: shift + slope_x u + slope_y v, with (u, v) from the window's middle. Both sides are smoothed
-*after* the right image was resampled onto the left one's pixels, so that a slanted face is smoothed
-alike on both, and what is left over is noise. Resampling is by cubic splines (M. Unser, 1999): the
-shorter cubics pull towards half pixels.
+The model is gain * right(x - disparity(x, y), y) + offset = left(x, y) over a window, where the disparity is
+a plane: shift + slope_x u + slope_y v, with (u, v) from the window's middle. Both sides are smoothed
+*after* the right image was resampled onto the left one's pixels, so that a slanted face is smoothed alike in
+both, and the residuals are noise. Resampling is by cubic splines (M. Unser, 1999): shorter cubics bias the
+result towards half pixels.
 """
 
 from __future__ import annotations
@@ -19,18 +19,18 @@ from edged.vision.kernels.cholesky import factorise, substitute
 from edged.vision.kernels.jit import kernel
 from edged.vision.stereo.params import PAIRING
 
-RADIUS = 3  # taps to both sides, of a kernel: 4 sigma
+RADIUS = 3  # taps on either side of the smoothing kernel: 4 sigma
 _OFFSETS = np.arange(-RADIUS, RADIUS + 1)  # px
 TAPS = (
     np.exp(-0.5 * (_OFFSETS / PAIRING.smoothing_px) ** 2)
     / np.exp(-0.5 * (_OFFSETS / PAIRING.smoothing_px) ** 2).sum()
 )
-"""A Gaussian, of sum 1."""
+"""Gaussian smoothing kernel with sum 1."""
 NOISE_GAIN = float(np.sum(TAPS**2) ** 2)
 """Variance of smoothed white noise of variance 1."""
 TAP2_COVARIANCE = float(np.sum(TAPS**2) * np.sum(TAPS[2:] * TAPS[:-2]))
 """Covariance of smoothed white noise two pixels apart in x."""
-_FREQUENCY = np.linspace(0.0, math.pi, 20_001)  # rad per px, for a mean over all
+_FREQUENCY = np.linspace(0.0, math.pi, 20_001)  # rad per px, all frequencies for a mean
 _RESPONSE = np.cos(np.outer(_FREQUENCY, _OFFSETS)) @ TAPS
 SLOPE_NOISE_GAIN = float(np.sum(TAPS**2) * np.mean((_FREQUENCY * _RESPONSE) ** 2))
 """Variance of the derivative by x of smoothed white noise of variance 1."""
@@ -40,16 +40,16 @@ SLOPE_SIGMA = PAIRING.slope_sigma
 MAX_ITERATIONS = PAIRING.max_iterations
 MAX_STEP_PX = PAIRING.max_step_px
 MAX_SLOPE = PAIRING.max_slope
-TINY_PIVOT = 1e-12  # relative to its diagonal element: below, an unknown is left open
+TINY_PIVOT = 1e-12  # relative to its diagonal element: below, an unknown is undetermined
 CONVERGED_PX = PAIRING.converged_px
 POLE = math.sqrt(3.0) - 2.0  # of the cubic spline's recursive filter
 
 SHIFT, SLOPE_X, SLOPE_Y, GAIN, OFFSET = range(5)  # unknowns of a fit
-LEFT_PATCH, DIVERGED = -1.0, -2.0  # results of a fit, beside its sigma
+LEFT_PATCH, DIVERGED = -1.0, -2.0  # results of a fit, instead of its variance
 
 
 class Patches(NamedTuple):
-    """What a fit works on, and the memory for it. n is the window's size, r the smoothing's radius.
+    """Data and working memory of a fit. n is the window's size, r the smoothing's radius.
 
     left (n, n) smoothed; spline (n + 2r, m) coefficients of the right image's rows.
     """
@@ -69,9 +69,9 @@ class Patches(NamedTuple):
 
 @kernel()
 def make_patches(half: int) -> Patches:
-    """Memory for windows of 2 half + 1 pixels."""
+    """Memory for windows of (2 half + 1)² pixels."""
     size, wide = 2 * half + 1, 2 * (half + RADIUS) + 1
-    # room for slopes up to MAX_SLOPE in both directions, for the steps of the fit and for the spline
+    # space for slopes up to MAX_SLOPE in both directions, for the steps of the fit and for the spline
     columns = 2 * math.ceil((1.0 + 2.0 * MAX_SLOPE) * (half + RADIUS) + MAX_STEP_PX + 3.0) + 1
     return Patches(
         np.empty((size, size)),
@@ -90,7 +90,7 @@ def make_patches(half: int) -> Patches:
 
 @kernel("void(u1[:, ::1], i8, i8, f8[:, ::1])")
 def cut_out(image: Image, x: int, y: int, patch: F64) -> None:
-    """patch = the image around (x, y); beyond the border its last pixels go on."""
+    """Fill patch with the image around (x, y); beyond the border its last pixels are repeated."""
     rows, columns = patch.shape
     height, width = image.shape
     for j in range(rows):
@@ -118,10 +118,10 @@ def smooth(patch: F64, rows: F64, result: F64) -> None:
 def spline_rows(patch: F64) -> None:
     """Turn rows of samples into coefficients of the cubic spline through them, in place.
 
-    The ends go on as constants; their error is gone after a few pixels (POLE^5 = 1e-3).
+    The ends are continued as constants; the error of that is gone after a few pixels (POLE^5 = 1e-3).
     """
     rows, columns = patch.shape
-    # along the columns inside: the rows' recursions do not wait for each other
+    # rows in the inner loop: their recursions do not wait for each other
     for j in range(rows):
         patch[j, 0] /= 1.0 - POLE
     for i in range(1, columns):
@@ -139,7 +139,7 @@ def spline_rows(patch: F64) -> None:
 
 @kernel("b1(f8[:, ::1], f8[::1], f8[:, ::1], f8[:, ::1])")
 def resample(spline: F64, unknowns: F64, value: F64, slope: F64) -> bool:
-    """The right image and its derivative by x at the matches of the left window's pixels.
+    """Fill value, slope: the right image and its derivative by x at the matches of the left window's pixels.
 
     False where a match leaves the patch.
     """
@@ -223,8 +223,8 @@ def normal_equations(left: F64, value: F64, slope: F64, unknowns: F64, normal: F
 def fit(unknowns: F64, p: Patches) -> float:
     """Gauss-Newton from `unknowns`, in place; p.normal is left factorised at the solution.
 
-    Returns the variance of the difference of two pixels, as the residuals have it, not yet corrected for
-    the unknowns; LEFT_PATCH where the window leaves the patch, DIVERGED where there is no solution.
+    Returns the variance of the difference of two pixels from the residuals, not yet corrected for the
+    unknowns; LEFT_PATCH if the window leaves the patch, DIVERGED if there is no solution.
     """
     for iteration in range(MAX_ITERATIONS):
         if not resample(p.spline, unknowns, p.value, p.slope):
@@ -253,10 +253,10 @@ def fit(unknowns: F64, p: Patches) -> float:
 
 @kernel()
 def _true_normal(unknowns: F64, variance: float, p: Patches) -> float:
-    """Take from the factorised p.normal what noise adds to the gradients, and factorise it again.
+    """Subtract the noise in the gradients from the factorised p.normal, and factorise it again.
 
-    At the minimum the second derivatives, which Gauss-Newton leaves out, take away as much as noise
-    has added. Returns the energy per pixel that was taken, -1 if nothing is left.
+    At the minimum the second derivatives, which Gauss-Newton neglects, subtract as much as noise has added.
+    Returns the energy per pixel that was subtracted, -1 if nothing is left.
     """
     half, area = p.left.shape[0] // 2, float(p.left.size)
     normal = np.zeros((5, 5))
@@ -282,8 +282,8 @@ def variance_of(weights: F64, unknowns: F64, variance: float, row_sigma_px: floa
 
     White noise e of both images reaches the fit as S e, S being the smoothing; the estimate moves by
     aᵀ S e with a the influence of each residual. So its variance is that of e times |Sᵀ a|².
-    row_sigma_px : by how much the rows of both images may really differ; it moves the estimate where
-    the texture runs along the row.
+    row_sigma_px : sigma of the row difference between both images; it moves the estimate where the texture
+    is not perpendicular to the row.
     """
     size, area = p.left.shape[0], float(p.left.size)
     half = size // 2
@@ -291,7 +291,7 @@ def variance_of(weights: F64, unknowns: F64, variance: float, row_sigma_px: floa
     if energy < 0.0:
         return np.inf
     substitute(p.normal, weights, len(weights))
-    # a, set into zeros so that Sᵀ a is complete: S spreads it over the window's rim
+    # a, padded with zeros so that Sᵀ a is complete: S spreads it beyond the window's rim
     p.influence[:] = 0.0
     plain, per_row = 0.0, 0.0
     for j in range(size):
@@ -309,14 +309,14 @@ def variance_of(weights: F64, unknowns: F64, variance: float, row_sigma_px: floa
     for j in range(p.value.shape[0]):
         for i in range(p.value.shape[1]):
             spread += p.value[j, i] * p.value[j, i]
-    # the noise in the gradients of the right image meets that of the left one only
+    # noise in the gradients, from the right image, combines only with the left image's half of the noise
     moment = half * (half + 1.0) / 3.0
     noisy = area * energy * (weights[SHIFT] ** 2 + moment * (weights[SLOPE_X] ** 2 + weights[SLOPE_Y] ** 2))
     spread *= 1.0 - 0.5 * min(noisy / max(plain, 1e-300), 1.0)
-    # the residuals lack what the fit took from them: the mean's share is 1, that of the other
-    # unknowns is how much of a smoothed field like theirs the smoothed noise fills
+    # degrees of freedom absorbed by the fit: 1 by the mean; by the other unknowns in proportion to the
+    # share of the smoothed noise in a smoothed field like theirs
     degrees = area * NOISE_GAIN
     corrected = variance * degrees / max(degrees - 1.0 - 4.0 * spread / max(plain, 1e-300), 1.0)
-    # the prior holds the slopes back: what it contributes to the estimate has the prior's own variance
+    # the prior restrains the slopes: its contribution to the estimate has the prior's own variance
     pull = variance / SLOPE_SIGMA * math.hypot(weights[SLOPE_X], weights[SLOPE_Y])
     return float(corrected * spread + pull * pull + (per_row * row_sigma_px) ** 2)

@@ -1,13 +1,12 @@
 """Stereo matching of single points along their rectified rows: search by NCC, then least squares.
 
-1. Zero-mean NCC (paper, eq. 8) of a square window around the left point with all windows of
-   the search range in the right image; for slanted faces also with the window sheared as a slanted
-   face would be. The best position must be a real peak, clear of the second one, and must find
-   its way back from right to left.
+1. Zero-mean NCC (paper, eq. 8) of a square window around the left point with all windows of the search range
+   in the right image; for slanted faces also with a sheared window. The best position must be a real peak,
+   clear of the second one, and the match back from right to left must agree.
 2. Affine least-squares matching from there (A. Gruen, 1985, with the row fixed):
-   gain * right(x - disparity(x, y), y) + offset = left(x, y), disparity a plane in x and y. Its
-   sigma is that of white noise which went through the whole estimate, with the level of noise
-   taken from the residuals: what the model cannot explain widens it.
+   gain * right(x - disparity(x, y), y) + offset = left(x, y), disparity a plane in x and y. Its sigma is that
+   of white noise propagated through the whole estimate, with the noise level taken from the residuals: it
+   grows with anything that the model cannot explain.
 
 A point that cannot be measured is rejected with a reason, never guessed.
 """
@@ -51,34 +50,34 @@ SURE_SCORE = PAIRING.sure_score
 class PairingReason(enum.IntEnum):
     """Why a point has no disparity."""
 
-    ACCEPTED = 0  # it has one
+    ACCEPTED = 0  # it has a disparity
     OUTSIDE = 1  # window or search range leaves an image, or the peak lies at an end of the range
-    TEXTURELESS = 2  # no more to see than noise
-    EDGE_PARALLEL = 3  # all there is to see runs along the row
-    LOW_SCORE = 4  # nothing in the row looks like it
-    AMBIGUOUS = 5  # a second place looks as much like it
-    LEFT_RIGHT = 6  # the way back leads elsewhere
-    DIVERGED = 7  # the fit leaves the peak
+    TEXTURELESS = 2  # no texture above the noise
+    EDGE_PARALLEL = 3  # all texture runs along the row
+    LOW_SCORE = 4  # no place in the row is similar enough
+    AMBIGUOUS = 5  # a second place is about as similar
+    LEFT_RIGHT = 6  # the match back from right to left disagrees
+    DIVERGED = 7  # the fit left the peak
 
 
 @dataclass(frozen=True, slots=True)
 class NccParams:
-    """How points are matched.
+    """Parameters of matching by NCC.
 
     half_size_px : the window has 2 half_size_px + 1 rows and columns; 3 to 20.
     min_score : of the best position, [0, 1].
     max_ambiguity : largest ratio of second to best peak.
-    left_right_px : largest disagreement of the way there and the way back.
+    left_right_px : largest disagreement of the matches from left to right and back.
     max_sigma_px : largest standard deviation of a disparity.
     noise_grey : standard deviation of a pixel, to tell texture from noise before the search.
-    row_sigma_px : standard deviation of what rectification leaves between corresponding rows.
+    row_sigma_px : standard deviation of the remaining difference between corresponding rows.
     """
 
     half_size_px: int = 10  # chosen: 441 px of texture; more blurs the face's form, less leaves more to noise
     min_score: float = 0.6  # chosen: more refuses glossy faces, less lets other texture through
     max_ambiguity: float = 0.9  # chosen: more takes the next tooth of a pattern, less refuses texture
-    left_right_px: float = 1.0  # of whole-pixel matches: neighbours agree
-    max_sigma_px: float = 0.25  # chosen: more lets vague points in, less leaves holes
+    left_right_px: float = 1.0  # for whole-pixel matches: neighbouring pixels agree
+    max_sigma_px: float = 0.25  # chosen: more lets uncertain points in, less leaves holes
     noise_grey: float = 2.0  # chosen: more refuses faint texture, less matches noise
     row_sigma_px: float = 0.03  # chosen: of a good calibration; it is part of each sigma
 
@@ -87,7 +86,7 @@ class NccParams:
 class NccMatches:
     """Disparities of N points; NaN where `reason` is not ACCEPTED.
 
-    disparity_px (N,) : left.x - right.x of the very point, rectified.
+    disparity_px (N,) : left.x - right.x of the point itself, not of its whole pixel; rectified.
     sigma_px (N,) : its standard deviation. slope (N, 2) : its derivative by x and y of the left image.
     score (N,) : best NCC in [-1, 1], NaN where there was no search.
     ambiguity (N,) : second peak over best. curvature (N,) : -d² score / d disparity² at the peak, per px².
@@ -104,7 +103,7 @@ class NccMatches:
 
     @property
     def accepted(self) -> B8:
-        """(N,) which points have a disparity."""
+        """(N,) whether points have a disparity."""
         return np.asarray(self.reason == PairingReason.ACCEPTED)
 
 
@@ -118,7 +117,7 @@ def match_ncc(
     """Match points of the left image along their epipolar rows.
 
     left, right : (H, W) uint8, rectified: corresponding points lie in the same row.
-    points_px : (N, 2), (x, y) in the left image; need not be whole.
+    points_px : (N, 2), (x, y) in the left image; need not be integers.
     disparity_range_px : (lowest, highest) of left.x - right.x, one pair or one per point (N, 2).
     Raises `ImageError` for images that do not fit, ValueError for wrong shapes and empty ranges.
     Source: J. P. Lewis, "Fast Normalized Cross-Correlation", 1995; paper eq. 8; A. Gruen, "Adaptive Least
@@ -179,7 +178,7 @@ class _Search(NamedTuple):
 
 
 class _Point(NamedTuple):
-    """A point's whole pixel, the rest of its position, and its range of disparities."""
+    """A point's nearest pixel, the remaining fraction of its position, and its range of disparities."""
 
     x: int
     y: int
@@ -194,7 +193,7 @@ ACCEPTED, OUTSIDE, TEXTURELESS, EDGE_PARALLEL, LOW_SCORE, AMBIGUOUS, LEFT_RIGHT,
     int, PairingReason
 )
 WHOLE, FRACTION, START_SLOPE_X, START_SLOPE_Y = range(4)
-"""Entries of the start of a fit: whole disparity, its fraction, slopes."""
+"""Entries of the start of a fit: integer part of the disparity, its fraction, slopes."""
 DISPARITY, SIGMA, RESULT_SLOPE_X, RESULT_SLOPE_Y, SCORE, AMBIGUITY, CURVATURE = range(7)
 """Columns of the results, as in `NccMatches`."""
 MIN_SCORE, MAX_AMBIGUITY, MAX_LEFT_RIGHT, MAX_SIGMA, NOISE, ROW_SIGMA = range(6)
@@ -215,7 +214,7 @@ def _make_search(width: int, half: int) -> _Search:
 
 @kernel()
 def _texture(patch: F64, noise: float) -> tuple[float, float]:
-    """Energy of the horizontal and of the vertical gradient of a smoothed patch, less that of its noise."""
+    """Energy of the horizontal and of the vertical gradient of a smoothed patch, minus that of its noise."""
     size = patch.shape[0]
     energy_x, energy_y = 0.0, 0.0
     for j in range(1, size - 1):
@@ -229,7 +228,7 @@ def _texture(patch: F64, noise: float) -> tuple[float, float]:
 
 @kernel()
 def _best_along_row(image: Image, y: int, start: int, count: int, s: _Search) -> int:
-    """Index of the peak of s.window along a row, -1 if there is none; s.found is that of the peak."""
+    """Index of the peak of s.window along a row, -1 if there is none; fills s.found as `find_peak`."""
     ncc_along_row(s.window, image, start, y, count, s.strip, s.products, s.scores)
     return find_peak(s.scores, count, s.found)
 
@@ -238,9 +237,9 @@ def _best_along_row(image: Image, y: int, start: int, count: int, s: _Search) ->
 def _search(
     left: Image, right: Image, point: _Point, limits: F64, s: _Search, result: F64, start: F64
 ) -> int:
-    """Find the whole-pixel match of a point, there and back; a `PairingReason`. `start` is written."""
+    """Find the whole-pixel match of a point, there and back; a `PairingReason`. Fills result and start."""
     half, width = s.window.shape[0] // 2, left.shape[1]
-    # one more at both ends, so that a peak at the end of the range still has two sides
+    # one more at both ends, so that a peak at the end of the range still has two neighbours
     lowest, highest = math.floor(point.lowest) - 1, math.ceil(point.highest) + 1
     first, last = max(point.x - highest, half), min(point.x - lowest, width - 1 - half)
     if last - first < 2:
@@ -295,7 +294,7 @@ def _refine(right: Image, point: _Point, start: F64, row_sigma_px: float, p: Pat
     reach = half * (abs(1.0 - unknowns[SLOPE_X]) + abs(unknowns[SLOPE_Y])) + abs(unknowns[SHIFT])
     if x_right - reach < 0.0 or x_right + reach > right.shape[1] - 1:
         return OUTSIDE
-    # the disparity of the point itself, which need not be a whole pixel
+    # disparity of the point itself, which need not lie on a pixel
     weights = np.array([1.0, point.rest_x, point.rest_y, 0.0, 0.0])
     result[DISPARITY] = start[WHOLE] + np.sum(weights[:3] * unknowns[:3])
     result[SIGMA] = math.sqrt(variance_of(weights, unknowns, variance, row_sigma_px, p))
@@ -307,7 +306,7 @@ def _refine(right: Image, point: _Point, start: F64, row_sigma_px: float, p: Pat
 def _match_point(
     left: Image, right: Image, point: _Point, limits: F64, s: _Search, p: Patches, result: F64
 ) -> int:
-    """All of it for one point; a `PairingReason`."""
+    """Match one point: texture, search and refinement; a `PairingReason`."""
     half = s.window.shape[0] // 2
     height, width = left.shape
     if not (half <= point.x < width - half and half <= point.y < height - half):
@@ -315,7 +314,7 @@ def _match_point(
     cut_out(left, point.x, point.y, p.value)
     smooth(p.value, p.rows, p.left)
     energy_x, energy_y = _texture(p.left, limits[NOISE])
-    # a disparity is known to noise / gradient, in both images
+    # the sigma of a disparity is noise / gradient, from both images
     needed = 2.0 * (limits[NOISE] / limits[MAX_SIGMA]) ** 2
     if energy_x < needed:
         return EDGE_PARALLEL if energy_y >= needed else TEXTURELESS
@@ -337,11 +336,11 @@ def _match_point(
 def _match(
     left: Image, right: Image, points: F64, ranges: F64, half: int, limits: F64, results: F64, reasons: I64
 ) -> None:
-    """Every point in turn; results (N, 7) come filled with NaN."""
+    """Match every point in turn; fills reasons and results (N, 7), which are NaN on entry."""
     search, patches = _make_search(left.shape[1], half), make_patches(half)
     for n in range(points.shape[0]):
         x, y = points[n]
-        # written so that NaN is outside, too
+        # in this form NaN is outside, too
         if not (0.0 <= x <= left.shape[1] - 1.0 and 0.0 <= y <= left.shape[0] - 1.0):
             reasons[n] = OUTSIDE
             continue

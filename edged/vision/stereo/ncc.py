@@ -16,9 +16,9 @@ TEMPLATE_SCALE = 16  # grey values of a sheared window are kept as integers, so 
 def sheared_window(
     image: Image, x: int, y: int, stretch: float, shear: float, half: int, window: I32
 ) -> None:
-    """window[b, a] = image at x + stretch a + shear b in row y + b, linear between pixels.
+    """Fill window[b, a] with the image at x + stretch a + shear b in row y + b, linear between pixels.
 
-    In units of 1 / TEMPLATE_SCALE grey; a, b from -half to half; clamped at the border.
+    Units are 1 / TEMPLATE_SCALE grey; a, b run from -half to half; columns are clamped at the border.
     """
     last = image.shape[1] - 1
     for b in range(-half, half + 1):
@@ -70,9 +70,10 @@ def ncc_along_row(
 
 @kernel("i8(f8[::1], i8, f8[::1])")
 def find_peak(scores: F64, count: int, found: F64) -> int:
-    """Index of the best score; -1 if it is not a local maximum within the scores.
+    """Index of the best score; -1 if it lies at an end of the scores.
 
-    found : its score, the ratio of the second peak to it, curvature per step², offset of the vertex.
+    found (4,) is filled: its score, the ratio of the second peak to it, curvature per step², offset of the
+    vertex in steps.
     """
     best = 0
     for k in range(1, count):

@@ -1,1 +1,1 @@
-"""A job from one stereo pair and a region, or from a drawing."""
+"""Teaching: jobs from one stereo pair and a region, from a drawing or from a CAD model."""

@@ -1,6 +1,7 @@
-"""Which edges of a region lie in the part's face: those that both cameras see where the face would put them.
+"""Separate the edges of a part's face from those of the background within a region.
 
-The table's texture lies deeper: the other camera sees it elsewhere, by many pixels, whatever its contrast.
+An edge of the face appears in both images where the plane of the face predicts it. The table's texture lies
+deeper and appears many pixels away in the other image, whatever its contrast.
 """
 
 from __future__ import annotations
@@ -21,7 +22,9 @@ from edged.vision.teaching.params import TEACHING, TRACING
 
 
 def without_background(view: TeachingView, rig_from_part: FloatArray, mask: Image) -> Image:
-    """A mask (h, w) uint8 reduced to the edges in the face, if most of what it shows is of another depth.
+    """Reduce a mask (h, w) uint8 to the surroundings of its edges in the face.
+
+    Unchanged if it has no edges, if `clean_share` of them lie in the face, or if too few would remain.
 
     rig_from_part (4, 4) : pose of the face.  mask : of the rectified left image.
     """
@@ -46,7 +49,7 @@ def without_background(view: TeachingView, rig_from_part: FloatArray, mask: Imag
 
 
 def agreeing_with(view: TeachingView, face: Plane, contour: Contour) -> B8:
-    """(N,) whether the right image shows the same edge where a contour's point would be in the face."""
+    """(N,) whether the right image shows the same edge where the face predicts each point of a contour."""
     offsets, slopes, _ = edges_in_right(view, face, contour.points, contour.normals, 2.0)
     ratio = slopes / np.maximum(view.ratio * contour.slopes, 1e-9)
     with np.errstate(invalid="ignore"):
@@ -55,18 +58,18 @@ def agreeing_with(view: TeachingView, face: Plane, contour: Contour) -> B8:
 
 
 def with_ratio(view: TeachingView) -> TeachingView:
-    """A view that knows by how much brighter the part's edges are in one of its pictures.
+    """Fill in the usual ratio of edge slopes, right image to left, of a view.
 
-    A face of metal is bright for the camera that it throws the light to.
+    A metal face is bright for the camera that it reflects the light to.
     """
     ratio = _usual_ratio(view)
-    return view if ratio == 1.0 else replace(view, ratio=ratio)  # contours are remembered by identity
+    return view if ratio == 1.0 else replace(view, ratio=ratio)  # `strong_contours` caches by identity
 
 
 def _usual_ratio(view: TeachingView) -> float:
-    """The slopes of most edges in the right image over those in the left one, where cameras plainly differ.
+    """Median ratio of edge slopes, right image to left, where the cameras clearly differ.
 
-    1 where most are alike enough to be traced, and where no plane shows how they differ.
+    1 where they are similar enough for tracing, where the ratios scatter, and where no plane is found.
     """
     contours = strong_contours(view)
     face = plane_of(view, contours, common_depths(view.images.rectification))
@@ -88,7 +91,7 @@ def _usual_ratio(view: TeachingView) -> float:
 
 
 def tells_apart(view: TeachingView, face: Plane, other: Plane, contours: Sequence[Contour]) -> bool:
-    """Whether contours agree with a face rather than with another one, by more than chance has it.
+    """Whether contours agree significantly better with one face than with another (McNemar's test).
 
     Source: Q. McNemar, "Note on the sampling error of the difference between correlated proportions or
     percentages", Psychometrika 12, 1947.
@@ -104,9 +107,9 @@ def tells_apart(view: TeachingView, face: Plane, other: Plane, contours: Sequenc
 def edges_in_right(
     view: TeachingView, face: Plane, points_px: FloatArray, normals: FloatArray, reach_px: float
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """The right image's edges where those of the rectified left one (N, 2) would be, if they lay in a face.
+    """Find edges of the right image where a face predicts points (N, 2) of the rectified left image.
 
-    Returns offsets (N,) px and slopes (N,) as `edges_along_normals`, and the normals (N, 2) there.
+    Returns offsets (N,) px and slopes (N,) as `edges_along_normals`, and the normals (N, 2) on the right.
     """
     along = np.column_stack([-normals[:, 1], normals[:, 0]])
     there, beside = (in_right(view, face, points_px + shift) for shift in (-0.5 * along, 0.5 * along))
@@ -121,7 +124,7 @@ def edges_in_right(
 
 
 def in_right(view: TeachingView, face: Plane, rectified_px: FloatArray) -> FloatArray:
-    """(N, 2) of the rectified right image: where points of the left one are, if they lie in the face."""
+    """Map points (N, 2) of the rectified left image through the face into the rectified right image."""
     rig = view.images.rig
     space = face.meet(view.images.rays("left", rectified_px))
     seen = rig.right.project(apply(rig.right_from_left, space))
@@ -129,7 +132,7 @@ def in_right(view: TeachingView, face: Plane, rectified_px: FloatArray) -> Float
 
 
 def _share(agrees: B8, closed: bool) -> FloatArray:
-    """(N,) share of the neighbours along a contour that agree; a shorter contour is one neighbourhood."""
+    """(N,) share of agreeing points in a window along a contour; a shorter contour is a single window."""
     if len(agrees) <= TEACHING.window_px:
         return np.full(len(agrees), float(np.mean(agrees)) if len(agrees) else 0.0)
     border = cv2.BORDER_WRAP if closed else cv2.BORDER_REFLECT_101

@@ -1,12 +1,12 @@
-"""Both edges of each broken rim, found again in the pairs that a part was taught from.
+"""Recover both edges of each broken rim from the pairs that a part was taught from.
 
-A rim with a chamfer or rounding has two edges. Each camera shows that one which light and view make the
-stronger, and a break that faces one camera turns from the other: seen at opposite ends, a whole face lies
-deeper than it is, by 1 / (2 tan 12°) times the width with 24° between the cameras. The edges' places say
-nothing of it; the profiles do. Of a break of 0.2 mm they have a ramp or two steps where a sharp edge has one,
-and one geometry alone explains those of both cameras. So from several forms that the rims may have, poses,
-places, widths and size are adjusted together, and the form that leaves the profiles least is compared with
-sharp edges.
+A rim with a chamfer or rounding has two edges. Each camera shows the one that light and view make stronger,
+and a break that faces one camera faces away from the other. Where the cameras see opposite edges, a whole
+face appears too deep by 1 / (2 tan 12°) times the break's width, with 24° between the cameras. The positions
+of the edges do not reveal this; the profiles do. Across a break of 0.2 mm they show a ramp or two steps where
+a sharp edge shows one step, and only one geometry explains those of both cameras. So poses, places of the
+curves, break widths and size are adjusted together from several candidate forms of the rims, and the form
+with the smallest residual of the profiles is compared with sharp edges.
 """
 
 from __future__ import annotations
@@ -35,11 +35,11 @@ from edged.vision.teaching.params import BROKEN
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BrokenEdges:
-    """The rims of a part as pairs show them.
+    """Broken rims of a part as found in its pairs.
 
     model : its curves are the edges in the faces.  poses : of the pairs, each rig_from_part (4, 4).
-    features, shown : how many circles, slots and edges the job has, and how many the profiles show so.
-    gain : what these leave of the profiles less than sharp edges.
+    features, shown : number of circles, slots and edges of the job, and of those shown broken by profiles.
+    gain : reduction of the residual of the profiles against sharp edges.
     """
 
     model: EdgeModel
@@ -50,22 +50,22 @@ class BrokenEdges:
 
     @property
     def is_certain(self) -> bool:
-        """Whether the rims are broken, by most features and by all profiles."""
+        """Whether most features, and the profiles as a whole, show broken rims."""
         return self.shown >= max(CURVES.fewest, DECISION.present * self.features) and self.gain.is_certain
 
     @property
     def width_mm(self) -> float:
-        """The width of the breaks of most of its curves."""
+        """Median break width over the curves."""
         _, first = np.unique(self.model.chain, return_index=True)
         return float(np.median(self.model.breaks_mm[first]))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Form:
-    """A form of the rims, with the pairs at the poses that it has there, and the blur of their edges.
+    """A candidate form of the rims, with the pairs at the poses fitted to it, and the blur of their edges.
 
-    taught : with the edges in the faces where curves were taught.  faces (C,) : number of the face in which
-    each curve was taught.
+    taught : the model with its edges in the faces where the curves were taught.  faces (C,) : number of the
+    face in which each curve was taught.
     """
 
     model: EdgeModel
@@ -75,7 +75,7 @@ class _Form:
     blur_px: float = BREAKS.blur_px
 
     def uneven(self) -> FloatArray:
-        """(C,) mm by which each curve's edge in the face lies below most others of its face."""
+        """(C,) mm by which each curve's edge in the face lies below the median of its face."""
         height, size = np.full(len(self.faces), np.nan), np.zeros(len(self.faces), np.int64)
         numbers, first, count = np.unique(self.model.chain, return_index=True, return_counts=True)
         height[numbers], size[numbers] = self.model.start[first, 2], count
@@ -87,9 +87,9 @@ class _Form:
 
 
 def broken_edges(job: Job, views: Sequence[LaidPair]) -> BrokenEdges | None:
-    """The form of a job's rims that pairs show best; None where none but sharp edges explains them.
+    """Find the form of a job's rims that the pairs show best; None if only sharp edges explain them.
 
-    views : the pair that it was taught from, and others, at their rig_from_part, good to a pixel or two.
+    views : the pair that it was taught from, then others, at their rig_from_part, good to a pixel or two.
     """
     model = curve_model(job)
     sharp = _adjusted(_Form(model, model, _faces(job), tuple(views)), BROKEN.rounds)
@@ -113,7 +113,7 @@ def broken_edges(job: Job, views: Sequence[LaidPair]) -> BrokenEdges | None:
     best = max(range(len(ended)), key=lambda k: float(found[k].mean()))
     form = ended[best]
     shown = leaves.by_curve(found[best]) > LEAVINGS.doubt
-    # what runs beside an edge on its other side may look like its break, a width off the face
+    # an edge along the other side of a rim may look like its break, one width off the face
     shown &= np.abs(form.uneven()) < BROKEN.in_face * float(np.median(form.model.breaks_mm))
     poses = tuple(view.pose for view in form.views)
     features = len(job.circles) + len(job.slots) + len(job.edges)
@@ -135,15 +135,15 @@ def _faces(job: Job) -> I64:
 
 
 def _starts(job: Job, sharp: _Form, leaves: Leavings) -> list[_Form]:
-    """Forms from which the right one is near, those first that gain most.
+    """Starting forms for the adjustment, the one with the largest gain first.
 
-    Of each rim the edge in the face was taught, or that in the wall, or one of both by either camera: then it
-    lies between them, and all are deeper or nearer by parallax.
+    At teaching, the cameras saw the edge of each rim in the face, the one in the wall, or one of them each.
+    In the last case the taught curve lies between both edges, and all are too deep or too near by parallax.
     """
     found: list[tuple[float, float, int, _Form]] = []
     for width in BROKEN.tried_mm:
         model = curve_model(job, width)
-        to_upper = model.by_break[:, 0]  # of a rim that lies a width below a face: its upper edge is known
+        to_upper = model.by_break[:, 0]  # nonzero for a rim one width below a face: its upper edge is known
         known = np.abs(to_upper).max(axis=1, keepdims=True) > 0
         across = np.where(known, -to_upper, model.by_break[:, 1])
         by_break = np.stack([np.zeros_like(across), across], axis=1)
@@ -160,8 +160,7 @@ def _starts(job: Job, sharp: _Form, leaves: Leavings) -> list[_Form]:
 
 
 def _nearer(model: EdgeModel, sharp: _Form, width_mm: float) -> _Form:
-    """A form that looks as large as before, nearer to the cameras by the parallax of a width in the first
-    pair."""
+    """Move a form nearer by the parallax of a width in the first pair, keeping its apparent size."""
     if not width_mm:
         return replace(sharp, model=model, taught=model)
     views = sharp.views
@@ -181,18 +180,18 @@ def _nearer(model: EdgeModel, sharp: _Form, width_mm: float) -> _Form:
 
 
 def _grown(model: EdgeModel, share: float) -> EdgeModel:
-    """The model with all places farther from its centre by a share."""
+    """The model scaled about its centre by 1 + share."""
     start, end = (model.centre + (1 + share) * (ends - model.centre) for ends in (model.start, model.end))
     return replace(model, start=start, end=end)
 
 
 def _with_blur(form: _Form, leaves: Leavings) -> _Form:
-    """A form with the blur of the pairs' edges."""
+    """The form with the blur that explains the pairs' edges best."""
     return replace(form, blur_px=leaves.blur_px(form.model, form.views))
 
 
 def _by_ends(form: _Form, leaves: Leavings) -> _Form:
-    """A form with each curve where it gains most: not all need be taught by the same end of their breaks."""
+    """Move each curve to the end of its break that gains most; not all were taught by the same end."""
     model, taught = form.model, replace(form.taught, breaks_mm=form.model.breaks_mm)
     places = [model, *(_across(taught, way) for way in (0.0, -0.5, -1.0))]
     places += [_across(model, way) for way in (1.0, -1.0)]
@@ -210,7 +209,8 @@ def _by_ends(form: _Form, leaves: Leavings) -> _Form:
 
 
 def _as_its_face(form: _Form, shown: npt.NDArray[np.bool_]) -> EdgeModel:
-    """The edges of a form; those that are not shown (C,) taught by the same ends as most of their face."""
+    """The model of a form, with curves that are not shown (C,) at the same ends of breaks as most of their
+    face."""
     model, taught = form.model, replace(form.taught, breaks_mm=form.model.breaks_mm)
     raised = (model.start - taught.start)[:, 2] < -0.5 * model.breaks_mm
     start, end, face = model.start.copy(), model.end.copy(), form.faces[model.chain]
@@ -224,7 +224,7 @@ def _as_its_face(form: _Form, shown: npt.NDArray[np.bool_]) -> EdgeModel:
 
 
 def _across(model: EdgeModel, way: float) -> EdgeModel:
-    """The model with its edges moved to where the others of their breaks are, by +1 into the walls."""
+    """Shift all edges across their breaks, in units of the width; +1 leads to the edges in the walls."""
     shift = (way * model.breaks_mm)[:, None] * model.by_break[:, 1]
     return replace(model, start=model.start + shift, end=model.end + shift)
 
@@ -233,14 +233,13 @@ def _across(model: EdgeModel, way: float) -> EdgeModel:
 
 
 def _adjusted(form: _Form, rounds: int) -> _Form | None:
-    """Poses, size, and each curve's place and width that the profiles of all pairs give; None where they
-    show too little."""
+    """Fit poses, size, and each curve's place and break width to all pairs' profiles; None if too few."""
     so_far: FloatArray | None = None
     level, has_breaks = form.uneven(), bool(form.model.breaks_mm.any())
     for number in range(rounds):
         model, views = form.model, form.views
         curves = int(model.chain.max()) + 1
-        size = 6 * len(views)  # growth; outwards, and up, of each curve; common width, and each curve's
+        size = 6 * len(views)  # then: growth; outwards, up, of each curve; common width, each curve's
         prior = np.concatenate(
             [
                 np.zeros(size), [BROKEN.growth_sigma**-2], np.full(curves, BROKEN.place_mm**-2),
@@ -285,9 +284,9 @@ def _adjusted(form: _Form, rounds: int) -> _Form | None:
 def _rows(
     model: EdgeModel, view: LaidPair, profiles: Profiles, count: int, own: int, common: int, has_breaks: bool
 ) -> tuple[FloatArray, FloatArray]:
-    """(M, count) px by each unknown, in the order of `_adjusted`, and (M,) weights of the profiles.
+    """Design (M, count), px by each unknown in the order of `_adjusted`, and weights (M,) of the profiles.
 
-    own : first unknown of the pair's pose.  common : first one after all poses.
+    own : index of the first unknown of the pair's pose.  common : index of the first one after all poses.
     """
     seen = profiles.seen
     samples = samples_at(model, scale_at(view.images.rig, view.pose, model), PROFILE.drawn_px)
@@ -308,8 +307,10 @@ def _rows(
 
 
 def with_edges(job: Job, found: BrokenEdges) -> Job:
-    """A job whose features are the edges in the faces, at the pose of the first pair, its reference as
-    before."""
+    """Move a job's features to the edges in the faces, at the pose of the first pair.
+
+    The reference keeps its coordinates.
+    """
     places = _Places(job, found)
     origin = places.job(np.zeros(3)).place_of(job.reference) - job.place_of(job.reference)
     settled = places.job(origin)
@@ -325,7 +326,7 @@ def with_edges(job: Job, found: BrokenEdges) -> Job:
 
 
 class _Places:
-    """Where a model has the curves of a job."""
+    """Points of a job's curves as a model has them."""
 
     def __init__(self, job: Job, found: BrokenEdges) -> None:
         model, taught = found.model, curve_points(job)
@@ -334,15 +335,15 @@ class _Places:
         for k in np.unique(model.chain).tolist():
             its = model.chain == k
             self._points[k] = np.concatenate([model.start[its], model.end[its][-1:]])
-        # the lower edges of others have no part in it: they move with most
+        # the model lacks lower edges whose upper edge was taught too: they move by the median shift
         shift = np.median([points[0] - taught[k][0] for k, points in self._points.items()], axis=0)
         for k, points in enumerate(taught):
             self._points.setdefault(k, points + shift)
 
     def job(self, origin_mm: FloatArray) -> Job:
-        """The job with its curves there, their places counted from an origin (3,)."""
+        """The job with its curves at these points, relative to an origin (3,)."""
         job = self._job
-        points = iter([self._points[k] for k in range(len(self._points))])  # as `curve_points` has them
+        points = iter([self._points[k] for k in range(len(self._points))])  # in the order of `curve_points`
         return replace(
             job,
             circles=tuple(_circle(circle, next(points), origin_mm) for circle in job.circles),
@@ -353,7 +354,7 @@ class _Places:
 
 
 def _circle(circle: CircleFeature, points: FloatArray, origin_mm: FloatArray) -> CircleFeature:
-    """A circle where its points (N, 3) are, the last one of which is the first."""
+    """The circle through points (N, 3), the last of which repeats the first."""
     around = points[:-1]
     centre = around.mean(axis=0)
     radius = float(np.linalg.norm(around - centre, axis=1).mean())
@@ -361,7 +362,7 @@ def _circle(circle: CircleFeature, points: FloatArray, origin_mm: FloatArray) ->
 
 
 def _slot(slot: SlotFeature, points: FloatArray, origin_mm: FloatArray) -> SlotFeature:
-    """A slot where its points are, as of a circle: they begin where a straight edge ends."""
+    """The slot through points (N, 3), the last repeating the first; they start at a straight edge's end."""
     around = points[:-1]
     centre = around.mean(axis=0)
     along = np.array([math.cos(slot.angle_rad), math.sin(slot.angle_rad), 0.0])

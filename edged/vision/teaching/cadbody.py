@@ -12,7 +12,7 @@ from edged.vision.teaching.cadmodel import CadModel, triangle_normals, welded
 
 
 def body_of(model: CadModel, part_from_model: FloatArray) -> PartBody | None:
-    """A model's surface in the part frame; None for one of more than `MAX_TRIANGLES`."""
+    """A model's surface in the part frame; None if it has fewer than 4 or over `MAX_TRIANGLES` triangles."""
     corners = model.points_mm[model.triangles]
     points, triangles = welded(corners)
     if not 4 <= len(triangles) <= MAX_TRIANGLES:

@@ -1,4 +1,4 @@
-"""A job from a CAD model alone: the part as drawn, lying square to the left camera at a nominal distance.
+"""Create a job from a CAD model alone: the part lies square to the left camera at a nominal distance.
 
 The face that shows most edges is painted as the left camera would see it, and the shape is learnt from that
 picture; the features of all faces come from the model, with their heights. It is unknown which of the two
@@ -57,7 +57,7 @@ def teach_model(
     number: int = 1,
     params: ModelParams | None = None,
 ) -> tuple[Job, Image]:
-    """Job and painted picture (h, w) of a part as its model has it.
+    """Create the job of a part from its model, and the painted picture (h, w) that its shape is learnt from.
 
     curves : of the model, towards the cameras.  depth_mm : nominal distance of the painted face, z of the
     left camera.
@@ -110,7 +110,7 @@ def teach_model(
 
 
 def _snapped(point: FloatArray) -> FloatArray:
-    """Without the last bits of the motion."""
+    """Round to 1e-9 mm, without the rounding errors of the motion."""
     return np.asarray(np.round(point, 9) + 0.0)
 
 
@@ -124,7 +124,7 @@ def _curves(circles: Sequence[CircleFeature], edges: Sequence[EdgeFeature]) -> l
 def _features(
     curves: ModelCurves, level: FloatArray, scale: float
 ) -> tuple[list[CircleFeature], list[EdgeFeature]]:
-    """Curves large enough to be measured at a scale, px per mm; of an edge break, the upper one."""
+    """Features large enough to be measured at a scale, px per mm; only the upper edge of an edge break."""
     rounds = [
         CircleFeature(
             "", apply(level, circle.centre_mm), circle.radius_mm, 1 if circle.hole else -1, double=True
@@ -152,7 +152,7 @@ def _shown(
     rig: StereoRig,
     depth_mm: float,
 ) -> tuple[list[CircleFeature], list[EdgeFeature]]:
-    """Without what an overhang hides from a camera, where the part lies square to the left one."""
+    """Drop features that an overhang hides from a camera if the part lies square to the left one."""
     body = body_of(model, level)
     if body is None:
         return list(circles), list(edges)
@@ -170,7 +170,7 @@ def _shown(
 
 
 def _breaks_into(circle: CircleFeature, upper: CircleFeature) -> bool:
-    """Whether a circle is the lower edge of an edge break."""
+    """Whether a circle is the lower edge of an edge break below another circle."""
     aside = float(np.linalg.norm((circle.centre_mm - upper.centre_mm)[:2]))
     wider = (upper.radius_mm - circle.radius_mm) * circle.polarity
     down = float(circle.centre_mm[2] - upper.centre_mm[2])
@@ -182,7 +182,7 @@ def _breaks_into(circle: CircleFeature, upper: CircleFeature) -> bool:
 
 
 def _falls_from(edge: EdgeFeature, upper: EdgeFeature) -> bool:
-    """Whether a straight edge is the lower one of an edge break."""
+    """Whether a straight edge is the lower edge of an edge break below another edge."""
     along = (edge.end_mm - edge.start_mm) / edge.length_mm
     gap = 0.5 * (edge.start_mm + edge.end_mm - upper.start_mm - upper.end_mm)
     parallel = np.linalg.norm(np.cross(along, upper.end_mm - upper.start_mm)) < 1e-3 * upper.length_mm
@@ -192,7 +192,7 @@ def _falls_from(edge: EdgeFeature, upper: EdgeFeature) -> bool:
 
 
 def _main_face(circles: Sequence[CircleFeature], edges: Sequence[EdgeFeature]) -> float:
-    """The height, along z, at which most of all edges lies."""
+    """Height, along z, of the face with the greatest total length of edges. Raises `TeachError`."""
     lengths: dict[float, float] = {}
     for curve in _curves(circles, edges):
         height = round(curve.height_mm / CAD.level_mm) * CAD.level_mm
@@ -209,7 +209,7 @@ def _main_face(circles: Sequence[CircleFeature], edges: Sequence[EdgeFeature]) -
 def _in_order(
     circles: Sequence[CircleFeature], edges: Sequence[EdgeFeature], main_mm: float
 ) -> tuple[list[CircleFeature], list[EdgeFeature]]:
-    """Named, those of the main face first, and then by their size."""
+    """Sort and name features: those of the main face first, then by falling size."""
     rounds = sorted(
         circles, key=lambda c: (abs(c.centre_mm[2] - main_mm) > CAD.level_mm, -c.radius_mm, *c.centre_mm[:2])
     )
@@ -223,7 +223,7 @@ def _in_order(
 
 
 def _corners(edges: Sequence[EdgeFeature]) -> list[CornerFeature]:
-    """Corners: places where edges of one face end together."""
+    """Corners in which two edges meet at their ends."""
     found: list[CornerFeature] = []
     for first, second in itertools.combinations(edges, 2):
         ends = itertools.product((first.start_mm, first.end_mm), (second.start_mm, second.end_mm))
@@ -239,7 +239,7 @@ def _reference(
     corners: Sequence[CornerFeature],
     main_mm: float,
 ) -> tuple[str, FloatArray]:
-    """The first circle or else corner, and the place (3,) of it, in the main face."""
+    """Name of the first circle, or else corner, and its place (3,) at the height of the main face."""
     if circles:
         name, place = circles[0].name, circles[0].centre_mm
     elif corners:

@@ -1,8 +1,8 @@
-"""A taught part laid onto its CAD model: which curve is which of the model's, and where they differ.
+"""Register a taught part with its CAD model: which curves correspond, and by how much they differ.
 
-What was taught says which edges the cameras see, and of what sign. The model says where they are supposed to
-be. An edge break that the model does not show displaces a curve into the material and down; a curve that lies
-elsewhere is that of another revision; a part that fits only as seen in a mirror is another one.
+Teaching shows which edges the cameras see, and of what sign. The model says where they should be. An edge
+break that the model does not have displaces a curve into the material and down; a curve that lies elsewhere
+belongs to another revision; a part that fits only as a mirror image is a different part.
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ from edged.vision.teaching.params import CAD
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Partner:
-    """A taught curve and the model's. All in mm, taught minus model.
+    """A taught curve and the model's curve that it corresponds to. All in mm, taught minus model.
 
-    index : of the model's circle or edge.  aside : of centres; of an edge, out of the material.
-    wider : of radii, out of the hole or off the boss, that is as an edge break does it; of an edge, into the
-    material.  deeper : along z of the part frame.
+    index : of the model's circle or edge.  aside : distance of centres; of an edge, half the difference of
+    the offsets of its ends.  wider : as an edge break displaces a curve: larger radius of a hole, smaller one
+    of a boss; of an edge, into the material.  deeper : along z of the part frame.
     """
 
     name: str
@@ -41,7 +41,10 @@ class Partner:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ModelRegistration:
-    """part_from_model (4, 4).  partners : of the taught curves.  missing : names of those without one."""
+    """The pose of a model, part_from_model (4, 4), and its curves that were taught.
+
+    partners : of the taught curves.  missing : names of the taught curves without one.
+    """
 
     part_from_model: FloatArray
     partners: tuple[Partner, ...]
@@ -67,11 +70,11 @@ def register(
     what: str,
     tell: Callable[[Sequence[FloatArray]], int | None] = lambda _poses: None,
 ) -> ModelRegistration:
-    """Where a model lies in the part frame of taught circles and edges.
+    """Find the pose of a model in the part frame of taught circles and edges.
 
     The model's up is taken to be the part's -z.  what : the model's name, for messages.
-    tell : says which of several part_from_model (4, 4) is right where the curves alone do not; None: unknown.
-    Raises `TeachError` where it does not fit, fits in more ways than one, or fits only in a mirror.
+    tell : chooses between several part_from_model (4, 4) where the curves alone do not; None: unknown.
+    Raises `TeachError` if it does not fit, fits in more than one way, or fits only as a mirror image.
     """
     if not model.circles and not model.edges:
         raise TeachError(
@@ -145,7 +148,7 @@ def _mapped(curves: _Curves, rotation: FloatArray, shift: FloatArray | None = No
 
 
 def _laid(taught: _Curves, drawn: _Curves) -> list[tuple[float, FloatArray]]:
-    """Ways to lay a model onto the part: score and pose (4, 4), best first, each turn once."""
+    """Candidate poses of a model on the part: score and pose (4, 4), best first, without near duplicates."""
     starts = _starts(taught, drawn)
     if not len(starts):
         return []
@@ -170,7 +173,7 @@ def _laid(taught: _Curves, drawn: _Curves) -> list[tuple[float, FloatArray]]:
 
 
 def _starts(taught: _Curves, drawn: _Curves) -> FloatArray:
-    """(K, 4) turn about z and shift by pairs of circles, and by parallel edges."""
+    """Hypotheses (K, 4), turn about z and shift, from pairs of circles and from parallel edges."""
     starts = _by_circles(taught, drawn)
     turns = _turns_of_edges(taught, drawn)
     for turn, pairs in turns:
@@ -182,7 +185,7 @@ def _starts(taught: _Curves, drawn: _Curves) -> FloatArray:
         starts += _by_edges(taught, turned, turn, pairs)
         if len(starts) > CAD.max_starts:
             break
-    if len(taught.circles) and not len(taught.edges) and not starts:  # of one circle, or concentric ones
+    if len(taught.circles) and not len(taught.edges) and not starts:  # a single circle, or concentric ones
         for c, d in itertools.product(range(len(taught.circles)), range(len(drawn.circles))):
             if abs(taught.circles[c, 3] - drawn.circles[d, 3]) < CAD.break_mm:
                 starts.append([0.0, *(taught.circles[c, :3] - drawn.circles[d, :3])])
@@ -213,7 +216,7 @@ def _by_circles(taught: _Curves, drawn: _Curves) -> list[list[float]]:
 
 
 def _turns_of_edges(taught: _Curves, drawn: _Curves) -> list[tuple[float, list[tuple[int, int]]]]:
-    """Rotations that make edges parallel, and which: those with most length first."""
+    """Rotations that make edges parallel, each with the pairs of edges; the greatest total length first."""
     if not len(taught.edges) or not len(drawn.edges):
         return []
     along = taught.edges[:, 1] - taught.edges[:, 0]
@@ -241,7 +244,7 @@ def _turns_of_edges(taught: _Curves, drawn: _Curves) -> list[tuple[float, list[t
 def _by_edges(
     taught: _Curves, turned: _Curves, turn: float, pairs: Sequence[tuple[int, int]]
 ) -> list[list[float]]:
-    """Shifts that lay two edges that are not parallel on two of the model."""
+    """Turn and shifts that lay two edges that are not parallel on two of the model."""
     starts: list[list[float]] = []
     for (e, f), (g, h) in itertools.combinations(pairs, 2):
         rows, values = [], []
@@ -260,7 +263,7 @@ def _by_edges(
 
 
 def _scores(taught: _Curves, drawn: _Curves, starts: FloatArray) -> FloatArray:
-    """(K,) how many taught curves have a partner, each counted the less the farther it is off."""
+    """(K,) number of taught curves with a partner, each weighted by how well it fits."""
     cosine, sine = np.cos(starts[:, 0]), np.sin(starts[:, 0])
     zero, one = np.zeros_like(cosine), np.ones_like(cosine)
     rotations = np.stack([cosine, -sine, zero, sine, cosine, zero, zero, zero, one], axis=1).reshape(-1, 3, 3)
@@ -293,14 +296,14 @@ def _scores(taught: _Curves, drawn: _Curves, starts: FloatArray) -> FloatArray:
 
 
 def _worth(aside: FloatArray, deeper: FloatArray, wide: FloatArray) -> FloatArray:
-    """(K,) of the best partner: 1 where all agree, 0 where one of them is out of reach."""
+    """(K,) weight of the best partner: 1 where all differences are 0, 0 where one of them is out of reach."""
     ratio = np.maximum(np.maximum(aside, deeper), np.broadcast_to(wide, aside.shape))
     worth = 1.0 - 0.25 * aside - 0.15 * deeper - 0.15 * np.broadcast_to(wide, aside.shape)
     return np.asarray(np.where(ratio < 1.0, worth, 0.0).max(axis=1))
 
 
 def _rivals(found: list[tuple[float, FloatArray]], drawn: _Curves) -> list[FloatArray]:
-    """The best way, and others that agree as well but are not the same to the model."""
+    """The best pose, and others that score as well without being a symmetry of the model."""
     score, pose = found[0]
     itself = _scores(drawn, drawn, np.zeros((1, 4)))[0]
     rivals = [pose]
@@ -317,7 +320,7 @@ def _turn_of(motion: FloatArray) -> float:
     return math.atan2(motion[1, 0], motion[0, 0])
 
 
-# --- what is left ---------------------------------------------------------------------------------------
+# --- refinement -----------------------------------------------------------------------------------------
 
 
 def _refined(
@@ -328,7 +331,7 @@ def _refined(
     drawn: _Curves,
     pose: FloatArray,
 ) -> tuple[FloatArray, tuple[Partner, ...]]:
-    """The pose (4, 4) of least absolute differences, and who is whose partner."""
+    """Refine a pose (4, 4) to least absolute differences; also the resulting partners."""
     turn, shift = math.atan2(pose[1, 0], pose[0, 0]), pose[:3, 3].copy()
     partners: list[Partner] = []
     for _ in range(CAD.refined):
@@ -373,7 +376,7 @@ def _partners(
     model: ModelCurves,
     laid: _Curves,
 ) -> list[Partner]:
-    """The curve of the model that is nearest to each taught one, once it lies in place."""
+    """Match each taught curve with the nearest curve of the laid model, if one is within reach."""
     found: list[Partner] = []
     for k, circle in enumerate(circles):
         if not len(laid.circles):
@@ -416,7 +419,7 @@ def _nearest_edge(
 
 
 def _side(model: ModelCurves, at: int) -> float:
-    """+1 where the material's outside lies 90° from the edge's direction, turned from x to y of the part."""
+    """+1 if the outside of the material lies 90° from the edge's direction, turned from x to y, else -1."""
     edge = model.edges[at]
     left = np.cross(-model.up, edge.end_mm - edge.start_mm)
     return 1.0 if float(left @ edge.away) > 0 else -1.0

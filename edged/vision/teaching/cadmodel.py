@@ -1,8 +1,8 @@
-"""A part's model as CAD has it, and what of it two cameras can measure: circles, and straight edges.
+"""A part's CAD model, and the curves of it that two cameras can measure: circles and straight edges.
 
-A model is a triangulated boundary that knows of each triangle which face it belongs to, and of each face
-whether it is a plane, a cylinder or a cone, with exact parameters. Where two such faces meet is a curve that
-is as exact: the triangles only tell that they meet, and over which stretch.
+A model is a triangulated boundary with the face that each triangle belongs to and, for each face that is a
+plane, a cylinder or a cone, its exact parameters. Two such faces meet in a curve that is as exact: the
+triangles only show that they meet, and over which stretch.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ class ModelCircle:
     """A circle in which a face meets a round wall.
 
     centre_mm (3,) : model frame.  hole : material is outside of it.  span : share of the whole circle.
-    sigma_mm : of the radius, where the model has chords in its place.
+    sigma_mm : of the radius, if the model has only chords of the circle.
     """
 
     centre_mm: FloatArray
@@ -74,7 +74,7 @@ class ModelCircle:
 
     @property
     def words(self) -> str:
-        """Which one it is, for messages."""
+        """Description for messages."""
         place = ", ".join(f"{value:.3f}" for value in self.centre_mm)
         return f"the {'hole' if self.hole else 'boss'} of radius {self.radius_mm:.3f} mm at ({place})"
 
@@ -90,7 +90,7 @@ class ModelEdge:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ModelCurves:
-    """A model's sharp, level outer edges, seen against up (3,)."""
+    """Sharp, level outer edges of a model that are visible from direction up (3,)."""
 
     up: FloatArray
     circles: tuple[ModelCircle, ...]
@@ -99,11 +99,11 @@ class ModelCurves:
 
 
 def curves_towards(model: CadModel, up: FloatArray) -> ModelCurves:
-    """Circles and straight edges of a model that are level, and seen from a direction up (3,) of its frame.
+    """Level circles and straight edges of a model that are visible from direction up (3,) of its frame.
 
-    model : with its faces; `facets.faceted_curves` is for triangles alone.
+    model : with its faces; for bare triangles use `facets.faceted_curves`.
 
-    Inner edges, where a wall stands on a face, are not among them: their contrast is shade.
+    Inner edges, where a wall stands on a face, are left out: their contrast is shading.
     """
     up = unit(np.asarray(up, np.float64))
     corners, normals = triangle_normals(model)
@@ -125,7 +125,7 @@ def curves_towards(model: CadModel, up: FloatArray) -> ModelCurves:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Meeting:
-    """Two faces that meet.  segments (K, 2, 3).  beside (2, K) : their triangles, of either face."""
+    """Two faces that meet in segments (K, 2, 3).  beside (2, K) : triangles of each face at the segments."""
 
     faces: tuple[int, int]
     segments: FloatArray
@@ -158,10 +158,10 @@ def welded(corners_mm: FloatArray) -> tuple[FloatArray, I64]:
 
 
 def open_sides(triangles: I64) -> tuple[int, int]:
-    """How many sides of triangles (M, 3) not just one other one shares, and how many bodies they are."""
+    """Number of sides of triangles (M, 3) that not exactly two share, and number of connected bodies."""
     _, _, _, count = all_sides(triangles)
     label = np.arange(triangles.max() + 1)
-    while True:  # the least number that a body's points know of, each time twice as far off
+    while True:  # spread the lowest label within each body; its reach doubles each time
         least = label[triangles].min(axis=1)
         lower = label.copy()
         for corner in range(3):
@@ -174,7 +174,7 @@ def open_sides(triangles: I64) -> tuple[int, int]:
 
 
 def _meetings(model: CadModel) -> Iterator[_Meeting]:
-    """The pairs of faces that share sides of triangles."""
+    """Yield each pair of faces that share sides of triangles."""
     first, number = _welding(model.points_mm)
     sides, pairs = neighbours(number[model.triangles])
     faces = model.face_of[pairs]
@@ -192,7 +192,7 @@ def _meetings(model: CadModel) -> Iterator[_Meeting]:
 
 
 def _is_outer(meeting: _Meeting, corners: FloatArray, normals: FloatArray) -> bool:
-    """Whether the second face falls away from the first one there."""
+    """Whether the edge is convex: the second face falls away from the first."""
     first, second = meeting.beside
     farthest = np.einsum("kij,kj->ki", corners[second] - meeting.segments[:, :1], normals[first])
     rows = np.abs(farthest).argmax(axis=1)
@@ -202,7 +202,7 @@ def _is_outer(meeting: _Meeting, corners: FloatArray, normals: FloatArray) -> bo
 def _edges(
     first: FlatSurface, second: FlatSurface, meeting: _Meeting, normals: FloatArray, up: FloatArray
 ) -> list[ModelEdge]:
-    """The stretches in which two planes meet, where they are level."""
+    """Straight edges in which two planes meet; empty if they are not level."""
     along = np.cross(first.normal, second.normal)
     size = float(np.linalg.norm(along))
     if size < PARALLEL or abs(float(along @ up)) > PARALLEL * size:
@@ -227,7 +227,7 @@ def _edges(
 
 
 def _joined(spans: FloatArray) -> list[tuple[float, float]]:
-    """Intervals (K, 2) that touch as one."""
+    """Merge intervals (K, 2) that touch."""
     joined: list[tuple[float, float]] = []
     for start, end in spans[np.argsort(spans[:, 0])]:
         if joined and start <= joined[-1][1] + CAD.same_mm:
@@ -240,7 +240,7 @@ def _joined(spans: FloatArray) -> list[tuple[float, float]]:
 def _circle(
     first: Surface, second: Surface, meeting: _Meeting, normals: FloatArray, up: FloatArray
 ) -> ModelCircle | None:
-    """The circle in which a plane and a round wall, or two round walls about one axis meet, where level."""
+    """The level circle in which a round wall meets a plane or another wall about its axis, or None."""
     wall, side = (first, 0) if isinstance(first, RoundSurface) else (second, 1)
     other = second if side == 0 else first
     assert isinstance(wall, RoundSurface)
@@ -267,7 +267,7 @@ def _circle(
 
 
 def _meeting_height(wall: RoundSurface, other: Surface, up: FloatArray) -> float | None:
-    """Height along up (3,) at which a wall meets a plane, or another wall about its axis."""
+    """Height along up (3,) at which a wall meets a plane or another wall about its axis, or None."""
     if isinstance(other, FlatSurface):
         return float(other.origin_mm @ up) if _parallel(other.normal, up) else None
     gap = other.origin_mm - wall.origin_mm
@@ -290,7 +290,7 @@ def _parallel(first: FloatArray, second: FloatArray) -> bool:
 
 
 def merged_circles(circles: Sequence[ModelCircle]) -> tuple[ModelCircle, ...]:
-    """The pieces of one circle as one: a wall may be several faces, a notch may cut it."""
+    """Merge the pieces of each circle: its wall may be several faces, or be cut by a notch."""
     order = sorted(circles, key=lambda circle: (-round(circle.radius_mm, 3), circle.hole))
     merged: list[ModelCircle] = []
     for _, group in itertools.groupby(order, key=lambda circle: (round(circle.radius_mm, 3), circle.hole)):

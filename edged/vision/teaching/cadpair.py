@@ -1,8 +1,8 @@
-"""A part taught from a pair and its CAD model together.
+"""Teach a part from a pair and its CAD model together.
 
-What the pair teaches by itself is laid onto the model first. Where it does not tell how, for it shows few
-curves or bad ones, the model is looked for in both pictures as a part of a job would be; then the
-features are the model's own.
+What the pair alone teaches is first registered with the model. If that fails because the pair shows few or
+poor curves, the model is searched for in both pictures like the part of a job; the features are then the
+model's own.
 """
 
 from __future__ import annotations
@@ -34,11 +34,11 @@ from edged.vision.teaching.pair import WantedJob, taught
 from edged.vision.teaching.params import CAD
 
 OPEN = ("no_feature", "one_sided", "open_turn", "not_shown", "no_fit", "patterned_table", "revision")
-"""Codes of what a pair alone may fail in, and still show the model."""
+"""Codes of errors of teaching from the pair alone after which the model may still be found in it."""
 
 
 def teach_with_model(view: TeachingView, curves: ModelCurves, what: str, wanted: WantedJob) -> Settled:
-    """Learn the part that a view shows, and where its model lies.
+    """Teach the part that a view shows, registered with its model.
 
     what : the model's name, for messages.
     Raises `TeachError` for a pair that shows no part of that model, its mirror image or another revision.
@@ -55,7 +55,7 @@ def teach_with_model(view: TeachingView, curves: ModelCurves, what: str, wanted:
 
 
 def _looked_for(images: StereoImages, curves: ModelCurves, mask: Image) -> FloatArray | None:
-    """rig_from_model (4, 4) of what is seen within a mask of the rectified left picture; None: nothing."""
+    """Search for the model within a mask of the rectified left picture: rig_from_model (4, 4), or None."""
     level = transform(levelled(curves.up), np.zeros(3))
     body = body_of(curves.model, level)
     if body is None:
@@ -66,7 +66,7 @@ def _looked_for(images: StereoImages, curves: ModelCurves, mask: Image) -> Float
     distances = distance / CAD.taught_range, distance * CAD.taught_range
     wanted = SearchedPart((sharp,), CAD.taught_tilt_rad, distances, place)
     pyramids = pyramids_of(images, wanted)
-    # with usual breaks, and where that does not tell, with any: of wide ones either end shows
+    # first with usual breaks, then with any width: of wide breaks either edge may show
     for widths in ((BREAKS.usual_mm,), BREAKS.unknown_mm):
         models = tuple(with_breaks(sharp, width) for width in widths)
         pose = _laid_by(images, replace(wanted, models=models), pyramids, mask)
@@ -78,7 +78,7 @@ def _looked_for(images: StereoImages, curves: ModelCurves, mask: Image) -> Float
 def _laid_by(
     images: StereoImages, wanted: SearchedPart, pyramids: Pyramids, mask: Image
 ) -> FloatArray | None:
-    """rig_from_part (4, 4) of what a mask shows, by the best of some models; None: nothing is certain."""
+    """rig_from_part (4, 4) of the part within a mask, by the best of some models; None if none is certain."""
     model = wanted.models[0]
     turns = like_turns(model, (float(model.centre[0]), float(model.centre[1])))
     for found in find_places(wanted, pyramids):
@@ -87,7 +87,7 @@ def _laid_by(
         if not (0 <= y < mask.shape[0] and 0 <= x < mask.shape[1] and mask[y, x] > 0):
             continue
         best = weighed(pyramids, found, lambda _: turns)
-        # how certain it is without its breaks, is asked when it has them
+        # little certainty is needed here: `laid_on_pair` tests it again with the breaks of the part
         if best.certain < DECISION.worth_forms or best.margin < DECISION.certain:
             return None
         return best.laid.pose
@@ -95,7 +95,7 @@ def _laid_by(
 
 
 def _where_axes_meet(images: StereoImages) -> FloatArray:
-    """(3,) rig frame: the point that both cameras look at, nearest to both optical axes."""
+    """(3,) rig frame: point of the left optical axis nearest to the right one, 1 to 20 baselines away."""
     right = invert(np.asarray(images.rig.right_from_left))
     axes = np.stack([np.array([0.0, 0.0, 1.0]), -unit(right[:3, 2])], axis=1)
     along, _ = np.linalg.lstsq(axes, right[:3, 3], rcond=None)[0]
@@ -106,7 +106,7 @@ def _where_axes_meet(images: StereoImages) -> FloatArray:
 def _from_model(
     images: StereoImages, curves: ModelCurves, rig_from_model: FloatArray, what: str, wanted: WantedJob
 ) -> Settled:
-    """The job of a model that a pair shows: its features are the model's, its place and breaks the pair's."""
+    """Job with the features of the model, and the pose and edge breaks that the pair shows."""
     centre = 0.5 * (curves.model.points_mm.min(axis=0) + curves.model.points_mm.max(axis=0))
     depth_mm = float(apply(rig_from_model, centre)[2])
     named = wanted.name, wanted.number, wanted.params

@@ -1,7 +1,7 @@
-"""Whether a part is as its model has it: no circle of it shows beside its place rather than there.
+"""Check that a part is of its model's revision: no circle appears displaced.
 
-Asked where the model was looked for by all its edges, which finds the part of another revision, too: most of
-its edges are the same.
+Needed where the model was searched for by all its edges: that also finds a part of another revision, most of
+whose edges are the same.
 """
 
 from __future__ import annotations
@@ -28,7 +28,8 @@ from edged.vision.teaching.params import CAD
 
 @dataclass(frozen=True, slots=True)
 class Displaced:
-    """A circle beside its place: aside along x and y of its face, and narrower."""
+    """Displacement of a circle: along x and y of its face, and by how much a hole is too small or a boss too
+    large."""
 
     x_mm: float
     y_mm: float
@@ -36,7 +37,7 @@ class Displaced:
 
     @property
     def aside_mm(self) -> float:
-        """How far it lies aside."""
+        """Distance within the face."""
         return math.hypot(self.x_mm, self.y_mm)
 
 
@@ -44,10 +45,10 @@ def moved_circle(
     images: StereoImages, model: EdgeModel, rig_from_part: FloatArray, part_from_model: FloatArray,
     curves: ModelCurves,
 ) -> str:  # fmt: skip
-    """The circle of a model that a pair shows elsewhere in its face, or narrower, in words; "": none.
+    """Describe a circle of a model that a pair shows elsewhere in its face, or narrower; "" if there is none.
 
-    model : its edges, with breaks as the pair has them, where it was laid, rig_from_part (4, 4).
-    A break makes a hole wider, not narrower, so a wider one is none that was moved.
+    model : edges with the breaks that the pair shows, at rig_from_part (4, 4).
+    An edge break makes a hole wider, so a wider hole does not count as another revision.
     """
     px_per_mm = scale_at(images.rig, rig_from_part, model)
     pyramids = Pyramids(images.rig, images.raw, 1)
@@ -91,7 +92,7 @@ def _words(circle: ModelCircle, found: Displaced) -> str:
 
 
 def _chain_of(model: EdgeModel, centre: FloatArray, radius_mm: float) -> int | None:
-    """Number of the curve that most of a level circle's corners are on; None: of none."""
+    """Number of the curve with most corners on a level circle; None if there is none."""
     arms = model.start - centre
     off = np.maximum(np.abs(np.linalg.norm(arms[:, :2], axis=1) - radius_mm), np.abs(arms[:, 2]))
     on = model.chain[model.sharp & (off < CAD.on_curve_mm)]
@@ -99,7 +100,7 @@ def _chain_of(model: EdgeModel, centre: FloatArray, radius_mm: float) -> int | N
 
 
 def _design(seen: VisibleSamples, rows: I64, inwards: FloatArray) -> FloatArray:
-    """(M, 3) motion of samples along their normals, px, by a mm along x and y, and of a narrower radius."""
+    """(M, 3) motion of samples along their normals, px by mm of shift along x, along y, and of narrowing."""
     level = inwards[:, :2] / np.maximum(np.linalg.norm(inwards[:, :2], axis=1, keepdims=True), CAD.same_mm)
     along = seen.design[rows, 3:5]
     return np.column_stack([along, (along * level).sum(axis=1)])
@@ -108,7 +109,7 @@ def _design(seen: VisibleSamples, rows: I64, inwards: FloatArray) -> FloatArray:
 def _displaced(
     designs: Sequence[FloatArray], offsets: Sequence[FloatArray], px_per_mm: float
 ) -> Displaced | None:
-    """Where else both cameras show a circle, that do not show it in its place; None: nowhere."""
+    """Displacement at which both cameras show a circle that is not in its place; None if there is none."""
     here = max(_share(offset) for offset in offsets)
     if here > 1.0 - CAD.moved_share:
         return None
@@ -130,15 +131,15 @@ def _displaced(
     most = float(shares.max())
     if most < DECISION.present or most - here < CAD.moved_share:
         return None
-    return Displaced(*tried[shares == most].mean(axis=0).tolist())  # between places, all as good
+    return Displaced(*tried[shares == most].mean(axis=0).tolist())  # the mean of equally good places
 
 
 def explains_more(
     model: EdgeModel, view: LaidPair, chain: int, inwards: float, centre: FloatArray, found: Displaced
 ) -> bool:
-    """Whether a circle leaves less of the pair's profiles there than in its place, as far as they reach.
+    """Whether a displaced circle explains the pair's profiles better than in its place, as far as they reach.
 
-    A rim that glints on one side has edges aside of it, which alone look like one that was moved.
+    A rim that glints on one side has edges beside it, which on their own look like a displaced rim.
     """
     its = (model.chain == chain)[:, None]
     aside = np.array([found.x_mm, found.y_mm, 0.0])

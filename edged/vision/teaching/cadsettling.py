@@ -1,7 +1,7 @@
-"""A job taught from a pair and settled with the part's CAD model.
+"""Combine a job taught from a pair with the part's CAD model.
 
-Where a taught curve lies where the model has it, the model's numbers are better than any picture's. Where an
-edge break displaces it, the picture is right: the break is stated, and the curve stays as it was seen.
+Where a taught curve agrees with the model, the model's numbers are better than any picture's and replace it.
+Where an edge break displaces it, the picture is right: the break is reported, and the curve stays as seen.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from edged.vision.teaching.params import CAD
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Settled:
-    """A job in the frame of its model, and a line for each thing that a person should know."""
+    """A job registered with its model, and remarks for the user."""
 
     job: Job
     remarks: tuple[str, ...]
@@ -39,14 +39,14 @@ class Settled:
 
 @dataclass(frozen=True, slots=True)
 class _Reach:
-    """How far a taught curve may lie off and still be where the model has it: in the face, and along z."""
+    """Tolerances within which a taught curve agrees with the model: in the face, and along z."""
 
     aside_mm: float
     depth_mm: float
 
 
 def settle(job: Job, model: ModelCurves, images: StereoImages, what: str) -> Settled:
-    """The job with the model's numbers, as far as the pair agrees with them, and with its frame.
+    """Give a job the model's numbers, as far as the pair agrees with them, and the model's frame.
 
     images : the pair that the job was taught from.  what : the model's name, for messages.
     Raises `TeachError` for the model of another part, of its mirror image or of another revision.
@@ -54,7 +54,7 @@ def settle(job: Job, model: ModelCurves, images: StereoImages, what: str) -> Set
     rectification = images.rectification
 
     def tell(poses: Sequence[FloatArray]) -> int | None:
-        """The way to lay the model that the pictures show, beyond the curves that were taught."""
+        """Choose the pose of the model by all its edges in the pictures, beyond the taught curves."""
         drawn = body_of(model.model, np.eye(4))
         if drawn is None:
             return None
@@ -100,9 +100,9 @@ def settle(job: Job, model: ModelCurves, images: StereoImages, what: str) -> Set
 
 
 def laid_on_pair(job: Job, images: StereoImages, what: str) -> tuple[Job, list[str]]:
-    """The job with its body where the pair shows it best, and the edge breaks that the file does not have.
+    """Fit the job's body, with edge breaks that the file lacks, to the pair; also remarks for the user.
 
-    And what a person should know. Raises `TeachError` for a pair that does not show it there.
+    Raises `TeachError` for a pair that does not show it there.
     """
     if job.body is None:
         return job, []
@@ -116,14 +116,14 @@ def laid_on_pair(job: Job, images: StereoImages, what: str) -> tuple[Job, list[s
     widths = widths_of(job.body.lines[:, :2], laid.model.sides, laid.model.breaks_mm)
     body = replace(job.body, breaks_mm=widths, sigma_break_mm=laid.sigma_break_mm, merged_mm=laid.merged_mm)
     limits, widest = job.limits, float(widths.max(initial=0.0))
-    if limits.radius_tolerance_mm is not None:  # another light may show a rim's other end
+    if limits.radius_tolerance_mm is not None:  # other light may show the other edge of a rim's break
         limits = replace(limits, radius_tolerance_mm=round(limits.radius_tolerance_mm + widest, 4))
     taken = replace(job, body=body, break_mm=None, rig_from_part=laid.fit.pose, limits=limits)
     return taken, _said(widths)
 
 
 def _said(widths_mm: FloatArray) -> list[str]:
-    """Edge breaks in words."""
+    """Remark on the edge breaks, if there are any."""
     broken = widths_mm[widths_mm > 0]
     if not len(broken):
         return []
@@ -136,7 +136,7 @@ def _radius_mm(seen: CircleFeature, drawn: ModelCircle) -> float:
 
 
 def _coarse(faceted: Mapping[str, float]) -> list[str]:
-    """Circles of which the file has chords that tell less of their radius than the pair."""
+    """Remark on circles whose chords in the file determine the radius less well than the pair does."""
     coarse = {name: sigma_mm for name, sigma_mm in faceted.items() if sigma_mm > CAD.fine_mm}
     if not coarse:
         return []
@@ -147,7 +147,7 @@ def _coarse(faceted: Mapping[str, float]) -> list[str]:
 
 
 def _snapped(point: FloatArray) -> FloatArray:
-    """Without the last bits of the motion."""
+    """Round to 1e-9 mm, without the rounding errors of the motion."""
     return np.round(point, 9) + 0.0
 
 
@@ -168,7 +168,7 @@ def _aside_limit(job: Job, name: str, reach: _Reach) -> float:
 def _on_model(
     edge: EdgeFeature, model: ModelCurves, partner: Partner, part_from_model: FloatArray
 ) -> EdgeFeature:
-    """The stretch that the pair shows, on the model's line."""
+    """Project the edge that the pair shows onto the model's line."""
     line = model.edges[partner.index]
     start, end = (apply(part_from_model, point) for point in (line.start_mm, line.end_mm))
     along = unit(end - start)
@@ -179,7 +179,7 @@ def _on_model(
 
 
 def _check_revision(job: Job, model: ModelCurves, found: ModelRegistration, reach: _Reach, what: str) -> None:
-    """A circle that lies elsewhere than the model's, or is larger than an edge break makes it."""
+    """Raise `TeachError` if a circle is off as no edge break explains: aside, narrower or higher."""
     worst: tuple[float, str] = (1.0, "")
     for partner in found.partners:
         if partner.kind != "circle":
@@ -206,7 +206,7 @@ def _summary(settled: Sequence[str], found: ModelRegistration, what: str) -> str
 
 
 def _breaks(partners: Sequence[Partner], settled: Sequence[str]) -> list[str]:
-    """What displaces the others, those alike in one line."""
+    """Remarks on what displaces the unsettled curves, one for each cause."""
     remarks = []
     others = [partner for partner in partners if partner.name not in settled]
     broken = [partner for partner in others if max(partner.wider, partner.deeper) > CAD.min_break_mm]
@@ -236,10 +236,10 @@ def _off(partner: Partner) -> float:
 
 
 def _contradicting(found: ModelRegistration, settled: Sequence[str]) -> list[float]:
-    """By how much curves are off the model that no edge break displaces so: then what settled is in doubt.
+    """Deviations of curves from the model that no edge break explains: they cast doubt on the settled ones.
 
-    A hole whose edge is broken has the model's radius at the lower edge of the break. Where most are seen by
-    that, the part stands higher by the break than it seems, and curves that are seen as they are do not fit.
+    A hole with a broken edge has the model's radius at the lower edge of the break. If most holes are seen by
+    that edge, the part stands higher by the break than it appears, and correctly seen curves do not fit.
     """
     left = [partner for partner in found.partners if partner.name not in settled]
     return [_off(partner) for partner in left if max(partner.wider, partner.deeper) <= CAD.min_break_mm]

@@ -1,4 +1,4 @@
-"""Polygons painted with the exact share of each pixel that they cover."""
+"""Paint polygons with the exact share of each pixel that they cover."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def _accumulate(points: Array, height: int, width: int, area: Array) -> None:
             a, b = min(a, b), max(a, b)
             upright = b - a < 1e-12
             amount = sign * (bottom - top)
-            if a < 0:  # what is left of the picture has all of the row to its right
+            if a < 0:  # an edge left of the picture has the whole row to its right
                 area[row, 0] += amount * (1.0 if b <= 0 else -a / (b - a))
             for column in range(max(0, int(np.floor(a))), min(width - 1, int(np.floor(b))) + 1):
                 # the part of the edge in this column, and the mean distance to the column's right side

@@ -1,4 +1,4 @@
-"""What of a part is cut: edges that were learnt, and go on outside of the region or of the picture."""
+"""Find edges of a part that were learnt but continue outside of the region or the picture."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from edged.vision.teaching.params import TEACHING
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Cut:
-    """An edge of the part that goes on outside of the region, or of the picture.
+    """An edge of the part that continues outside of the region or the picture.
 
     points (N, 2) px : in the rectified left image.  text : what it is, and where the border meets it.
     place_px : that place, x, y of the raw left image.
@@ -73,30 +73,30 @@ def cut_edges(
 
 
 def _square(reach_px: int) -> Image:
-    """A kernel of so many pixels to all sides."""
+    """Square kernel that reaches so many pixels to each side."""
     return np.asarray(cv2.getStructuringElement(cv2.MORPH_RECT, (2 * reach_px + 1,) * 2), np.uint8)
 
 
 def _near(points: FloatArray, shape: tuple[int, ...]) -> Image:
-    """(h, w) uint8: 255 within `NEAR_PX` of any of the points (N, 2)."""
+    """Mask (h, w) uint8: 255 within three times `near_px` of any of the points (N, 2)."""
     dots = np.zeros(shape, np.uint8)
     pixels = np.rint(points).astype(np.intp)
     seen = ((pixels >= 0) & (pixels < dots.shape[::-1])).all(axis=1)
     dots[pixels[seen, 1], pixels[seen, 0]] = 255
-    # the model keeps one point of several along its edges: the gaps are closed, too
+    # the model keeps only some of the points along its edges: this closes the gaps, too
     reach = 2 * int(3 * TEACHING.near_px) + 1
     wide = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (reach, reach))
     return np.asarray(cv2.dilate(dots, wide), np.uint8)
 
 
 def _at(mask: Image, points: FloatArray) -> B8:
-    """(N,) what a mask says at points (N, 2)."""
+    """(N,) whether a mask is set at points (N, 2)."""
     pixels = np.clip(np.rint(points).astype(np.intp), 0, np.array(mask.shape[::-1]) - 1)
     return np.asarray(mask[pixels[:, 1], pixels[:, 0]] > 0)
 
 
 def _circle_of(job: Job, rectified_px: FloatArray, rectification: Rectification) -> CircleFeature | None:
-    """The circle of the job on whose edge, or beside it, most of the points lie."""
+    """The circle of the job on or near whose edge most of the points lie; None if there is none."""
     normal = job.rig_from_part[:3, 2]
     face = Plane.through(job.rig_from_part[:3, 3], normal)
     ideal = rectification.rig.left.normalise(rectification.raw_points("left", rectified_px))
@@ -112,7 +112,7 @@ def _circle_of(job: Job, rectified_px: FloatArray, rectification: Rectification)
 
 
 def _crossing(contour: Contour, inside: B8, rectification: Rectification) -> tuple[float, float]:
-    """Where a contour first leaves the region, px of the raw left image."""
+    """Place where a contour first leaves the region, px of the raw left image."""
     leaves = np.flatnonzero(inside[:-1] != inside[1:])
     place = contour.points[leaves[:1]] if len(leaves) else contour.points[:1]
     x, y = rectification.raw_points("left", place)[0]

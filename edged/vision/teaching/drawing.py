@@ -1,9 +1,9 @@
-"""A job from a drawing: the part as its outlines say, lying square to the cameras at a nominal distance.
+"""Create a job from a drawing: the part lies square to the cameras at a nominal distance.
 
 The drawing is painted as the left camera would see it, and the shape model is learnt from that picture with
-the operator that will measure the real ones; circles, edges and corners come from the drawing itself. Which
-side of an edge is brighter is not in a drawing, nor whether it is chamfered: such a job looks for each edge
-with either contrast, and does not mind a second one beside it.
+the operator that will measure the real ones; circles, edges and corners come from the drawing itself. A
+drawing does not say which side of an edge is brighter or whether it is chamfered, so such a job accepts edges
+of either contrast, and a second edge beside each.
 """
 
 from __future__ import annotations
@@ -101,7 +101,7 @@ def teach_drawing(
 
 
 def _arranged(outlines_mm: Sequence[FloatArray]) -> list[DrawnOutline]:
-    """Outlines in the part frame with what is inside of what; y is turned to point down, as in images."""
+    """Outlines in the part frame, with y pointing down as in images; nesting tells which are holes."""
     if not outlines_mm:
         raise TeachError("the drawing is empty: expected at least one closed outline")
     flipped = [np.asarray(points, np.float64) * [1.0, -1.0] for points in outlines_mm]
@@ -124,7 +124,7 @@ def _contains(outline: FloatArray, point: FloatArray) -> bool:
 
 
 def _as_circle(points: FloatArray) -> tuple[float, float, float] | None:
-    """Least squares (I. Kasa, 1976), accepted when every point lies on it and no large part is missing."""
+    """Fit a circle by least squares (I. Kasa, 1976); None if a point is off it or a large part is missing."""
     if len(points) < CAD.round_points:
         return None
     middle = points.mean(axis=0)
@@ -137,7 +137,7 @@ def _as_circle(points: FloatArray) -> tuple[float, float, float] | None:
     gaps = np.diff(np.append(angles, angles[0] + 2 * np.pi))
     if np.abs(distances - radius).max() > CAD.round_mm or gaps.max() > CAD.round_gap_rad:
         return None
-    # the drawing's own numbers, without the last bits of the fit
+    # rounded to the drawing's own numbers, without the rounding errors of the fit
     return round(float(middle[0] + centre[0]), 9), round(float(middle[1] + centre[1]), 9), round(radius, 9)
 
 
@@ -177,7 +177,7 @@ def _features(
 
 
 def _straight(points: FloatArray, shortest: float) -> list[tuple[FloatArray, FloatArray]]:
-    """Sides of a polygon that are long enough, in order; sides in one line are one."""
+    """Sides of a polygon that are long enough, in order; collinear neighbours are merged."""
     following = np.roll(points, -1, axis=0)
     directions = (following - points) / np.linalg.norm(following - points, axis=1, keepdims=True)
     before = np.roll(directions, 1, axis=0)
@@ -240,7 +240,7 @@ def _pixels(points_mm: FloatArray, rig_from_part: FloatArray, rectification: Rec
 def _painted(
     outlines: Sequence[DrawnOutline], rig_from_part: FloatArray, rectification: Rectification
 ) -> tuple[Image, Image]:
-    """The part in the rectified left image (h, w) uint8, and the mask of it with a margin."""
+    """Paint the part in the rectified left image (h, w) uint8; also its mask with a margin."""
     width, height = rectification.size
     polygons = [_pixels(outline.points, rig_from_part, rectification) for outline in outlines]
     everything = np.concatenate(polygons)

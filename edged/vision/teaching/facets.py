@@ -1,9 +1,9 @@
-"""Circles and straight edges of a part that is known as bare triangles: what faceting leaves of them.
+"""Recover circles and straight edges of a part that is known as bare triangles.
 
-A sharp edge that is level is a chain of sides of triangles. Where the chain turns by a little at each corner,
-it was a circle: who writes such a file lays the corners on the curve, and the chords inside of it. So the
-circle through the corners has no bias by the sagitta of the chords; but that they lie on it is a custom and
-no rule, and the sagitta, taken as the range in which the true curve is, is its sigma.
+A sharp, level edge is a chain of sides of triangles. Where the chain turns by a little at each corner, it was
+a circle: programs that write such files put the corners on the curve, and the chords inside of it. So a
+circle through the corners is not biased by the sagitta of the chords. But this is a convention and no rule:
+sigma follows from the sagitta as the range within which the true curve lies.
 """
 
 from __future__ import annotations
@@ -27,11 +27,11 @@ from edged.vision.teaching.cadmodel import (
 from edged.vision.teaching.params import CAD
 
 RECTANGULAR = 1 / math.sqrt(12)
-"""Sigma of what lies anywhere in a range, in shares of it."""
+"""Sigma of a uniform distribution, as a share of its range."""
 
 
 def faceted_curves(model: CadModel, up: FloatArray) -> ModelCurves:
-    """Circles and straight edges of bare triangles that are level, and seen from a direction up (3,)."""
+    """Level circles and straight edges of bare triangles that are visible from direction up (3,)."""
     up = unit(np.asarray(up, np.float64))
     x = unit(np.eye(3)[int(np.abs(up).argmin())] - up * up[int(np.abs(up).argmin())])
     frame = np.stack([x, np.cross(up, x), up])
@@ -57,8 +57,10 @@ def faceted_curves(model: CadModel, up: FloatArray) -> ModelCurves:
 def _sharp_sides(
     model: CadModel, corners: FloatArray, normals: FloatArray, points: FloatArray, up: FloatArray
 ) -> tuple[I64, I64, FloatArray]:
-    """Sides (K, 2) of triangles that are level, sharp, outer and seen; and of the two triangles beside each,
-    the one that looks up more first, their numbers (K, 2) and slopes (K, 2)."""
+    """Level, sharp, outer and visible sides (K, 2) of triangles.
+
+    Also numbers (K, 2) and slopes (K, 2) of the two triangles at each, the one that faces up more first.
+    """
     sides, beside = neighbours(model.triangles)
     height = points[sides, 2]
     length = np.linalg.norm(points[sides[:, 1]] - points[sides[:, 0]], axis=1)
@@ -79,9 +81,9 @@ def _sharp_sides(
 
 
 def _chains(sides: I64, slopes: FloatArray, points: FloatArray) -> Iterator[tuple[I64, bool]]:
-    """Sides of one kind that follow each other, as their numbers in order; whether they come round.
+    """Chains of adjoining sides of one kind, as their numbers in order; whether each chain is closed.
 
-    Of one kind: at one height, between facets of the same slopes.
+    Sides of one kind lie at one height, between facets of the same slopes.
     """
     kind = np.column_stack([np.rint(points[sides[:, 0], 2] / (2 * CAD.facet_level_mm)), np.rint(20 * slopes)])
     order = np.lexsort(kind.T)
@@ -115,7 +117,7 @@ def _followed(sides: I64, rows: I64) -> Iterator[tuple[I64, bool]]:
 
 
 def _from_a_corner(sides: I64, chain: I64, points: FloatArray) -> I64:
-    """A closed chain that starts where it turns most, not within a straight edge."""
+    """Rotate a closed chain to start where it turns most, not within a straight edge."""
     steps = np.diff(points[_corners_along(sides, chain), :2], axis=0)
     heading = np.arctan2(steps[:, 1], steps[:, 0])
     turn = np.angle(np.exp(1j * (heading - np.roll(heading, 1))))
@@ -134,7 +136,7 @@ def _corners_along(sides: I64, chain: I64) -> I64:
 
 
 def _parts(place: FloatArray, closed: bool) -> tuple[list[tuple[int, int]], list[tuple[int, int]]]:
-    """Arcs and straight stretches of a chain of corners (K + 1, 2): their first and last corner."""
+    """Split a chain of corners (K + 1, 2) into arcs and straight stretches: first and last corner of each."""
     count = len(place) - 1
     steps = np.diff(place, axis=0)
     heading = np.arctan2(steps[:, 1], steps[:, 0])
@@ -159,7 +161,7 @@ def _parts(place: FloatArray, closed: bool) -> tuple[list[tuple[int, int]], list
 
 
 def _arc_from(place: FloatArray, turn: FloatArray, bends: B8, first: int) -> int:
-    """Last side + 1 of the arc that begins with a side; 0 where none does."""
+    """Last corner of the arc that begins at corner `first`; 0 if none does."""
     last = first + CAD.min_corners - 1
     if (
         last > len(place) - 1
@@ -168,7 +170,7 @@ def _arc_from(place: FloatArray, turn: FloatArray, bends: B8, first: int) -> int
     ):
         return 0
     while last < len(place) - 1:
-        further = min(2 * last - first, len(place) - 1)  # twice as long, or else one by one
+        further = min(2 * last - first, len(place) - 1)  # try twice as long, or else one more
         if _bends_on(turn, bends, first, further) and _is_round(place[first : further + 1]):
             last = further
         elif _bends_on(turn, bends, first, last + 1) and _is_round(place[first : last + 2]):

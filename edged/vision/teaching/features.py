@@ -34,7 +34,7 @@ class FoundFeatures:
     corners: tuple[CornerFeature, ...]
 
     def moved(self, shift_mm: FloatArray) -> FoundFeatures:
-        """All places shifted by a vector (3,)."""
+        """The features with all places shifted by a vector (3,)."""
         return replace(
             self,
             edges=tuple(
@@ -60,7 +60,7 @@ class TeachingView:
 def find_features(
     view: TeachingView, rig_from_part: FloatArray, circles: Sequence[Curve] = ()
 ) -> tuple[FoundFeatures, FloatArray]:
-    """Edges, slots and corners in the face of a part, verified in both images.
+    """Find edges, slots and corners in the face of a part, verified in both images.
 
     rig_from_part (4, 4) : of the face, and of the circles in it that are features already.
     Returns the features, and the (4, 4) pose of the frame they are given in: that of the fit.
@@ -105,7 +105,7 @@ def plane_of(view: TeachingView, contours: Sequence[Contour], depth_mm: tuple[fl
 
 
 def common_depths(rectification: Rectification) -> tuple[float, float]:
-    """Rectified depths that both images can show at all."""
+    """Range of rectified depths that both images can show."""
     strength = rectification.focal_px * rectification.baseline_mm
     shift = rectification.centre_right_px[0] - rectification.centre_left_px[0]
     width = rectification.size[0]
@@ -132,7 +132,7 @@ def part_frame(normal: FloatArray, origin: FloatArray) -> FloatArray:
 
 
 def _fitted(view: TeachingView, face: Face, circles: Sequence[Curve]) -> PlaneFit | None:
-    """The circles and all candidates that both images agree on, in one fit."""
+    """Fit the circles and all candidate curves that both images agree on together; None if there are none."""
     left = view.images.rectified_left
     everything = find_contours(left, view.mask)
     contours = _strong(view, find_contours(left, _without(view, face, circles)), everything)
@@ -161,7 +161,7 @@ def _is_clear(fit: CurveFit) -> bool:
     )
 
 
-@lru_cache(maxsize=1)  # by identity: each fit of a teaching asks for them
+@lru_cache(maxsize=1)  # keyed by identity; each fit of a teaching needs them
 def strong_contours(view: TeachingView) -> list[Contour]:
     """The contours of the region that outline something, longest first."""
     contours = find_contours(view.images.rectified_left, view.mask)
@@ -198,7 +198,7 @@ def _without(view: TeachingView, face: Face, circles: Sequence[Curve]) -> Image:
 
 
 def _in_face(view: TeachingView, face: Face, rectified_px: FloatArray) -> FloatArray:
-    """(N, 2) in the face of points in the rectified left image."""
+    """Coordinates (N, 2) in the face of points of the rectified left image."""
     plane = Plane.through(face.origin, face.normal)
     return face.from_rig(plane.meet(view.images.rays("left", rectified_px)))[:, :2]
 
@@ -219,7 +219,7 @@ def _slots(view: TeachingView, face: Face, contours: list[Contour]) -> list[Curv
 
 
 def _within(view: TeachingView, face: Face, contour: Contour, slots: list[Curve]) -> bool:
-    """Whether a contour is that of one of the slots."""
+    """Whether a contour belongs to one of the slots."""
     middle = np.median(_in_face(view, face, contour.points), axis=0)
     return any(
         np.linalg.norm(middle - slot.parameters[:2]) < 0.3 * slot.parameters[4] and len(contour.points) > 0
@@ -228,7 +228,8 @@ def _within(view: TeachingView, face: Face, contour: Contour, slots: list[Curve]
 
 
 def _edges(view: TeachingView, face: Face, contours: list[Contour]) -> list[Curve]:
-    """Straight pieces of the contours, longest first; directed so that they are brighter on their normals."""
+    """Straight pieces of the contours, longest first; directed so that their normals point to the brighter
+    sides."""
     found: list[Curve] = []
     for contour, piece in pieces(contours):
         if piece.kind != "line" or piece.length_px < TEACHING.min_edge_px:
@@ -254,7 +255,7 @@ def _edges(view: TeachingView, face: Face, contours: list[Contour]) -> list[Curv
 
 
 def _twins(edge: Curve, longer: Curve) -> bool:
-    """Whether an edge runs along another one."""
+    """Whether an edge runs close along a longer one, as the other side of a chamfer does."""
     across = np.array([-longer.direction[1], longer.direction[0]])
     gap = edge.parameters[:2] - longer.parameters[:2]
     parallel = abs(float(edge.direction @ across)) < 0.1
@@ -263,7 +264,7 @@ def _twins(edge: Curve, longer: Curve) -> bool:
 
 
 def _as_features(view: TeachingView, fit: PlaneFit) -> FoundFeatures:
-    """The fitted curves under their names."""
+    """Convert the fitted curves to named features."""
     slots = [fitted.curve for fitted in fit.fits if fitted.curve.kind == "slot"]
     edges = [fitted.curve for fitted in fit.fits if fitted.curve.kind == "edge"]
     slots.sort(key=_order(lambda curve: float(curve.parameters[3])))
@@ -279,7 +280,7 @@ def _as_features(view: TeachingView, fit: PlaneFit) -> FoundFeatures:
 
 
 def _order(size: Callable[[Curve], float]) -> Callable[[Curve], tuple[float, float, float]]:
-    """Features by decreasing size; equal ones in reading order, so that names are repeatable."""
+    """Sort key: decreasing size; equal ones in reading order, so that names are repeatable."""
     return lambda curve: (
         -round(size(curve), 1),
         round(float(curve.parameters[1]), 1),
@@ -307,7 +308,7 @@ def slot_feature(curve: Curve) -> SlotFeature:
 
 
 def _corners(edges: list[Curve], gap_mm: float) -> tuple[CornerFeature, ...]:
-    """Where an end of one edge lies near an end of another one that runs elsewhere."""
+    """Corners where two edges of different direction end near the point in which their lines meet."""
     found = []
     for first, second in itertools.combinations(edges, 2):
         sine = abs(float(first.direction @ (-second.direction[1], second.direction[0])))

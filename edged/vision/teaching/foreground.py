@@ -1,9 +1,9 @@
-"""Proposals of where a part is in a picture: anything with a strong closed outline.
+"""Propose where a part may be in a picture: anything with a strong closed outline.
 
-Level sets of three pictures are looked at: of the grey values, for parts that are brighter or darker than
-the table; of how far they are from the table's, for parts that are both; and of the slope, closed, for parts
-whose faces are as bright as the table. The part's outline is recognised by its weakest stretch: those of a
-table's texture have gaps.
+Level sets of three pictures are examined: the grey values, for parts that are brighter or darker than the
+table; their difference from the table's grey value, for parts that are both; and the slope, morphologically
+closed, for parts whose faces are as bright as the table. An outline is judged by its weakest stretch: those
+of a table's texture have gaps.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from edged.vision.teaching.region import MAX_CORNERS, MIN_WIDTH_PX, first_crossi
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Outline:
-    """points (N, 2) int : px of the small picture. strength : grey values per px."""
+    """A closed outline.  points (N, 2) int : px of the small picture.  strength : grey values per px."""
 
     points: I32
     area: float
@@ -35,7 +35,7 @@ class _Outline:
 
 
 def likely_part(left: Image) -> FloatArray | None:
-    """Corners (N, 2) around what is most likely the part, px of the raw left image; None: nothing is."""
+    """Corners (N, 2) around the most likely part, px of the raw left image; None if there is none."""
     small, scale = _shrunk(left)
     found = _outlines(small)
     if not found:
@@ -45,7 +45,7 @@ def likely_part(left: Image) -> FloatArray | None:
 
 
 def parts_at(left: Image, x: float, y: float) -> tuple[FloatArray, ...]:
-    """Corners (N, 2) around each thing that a point is inside of, the largest first; all raw px, left.
+    """Corners (N, 2) around each object that a point is inside of, the largest first; all raw px, left.
 
     Raises `TeachError` where no outline goes around the point.
     """
@@ -62,7 +62,7 @@ def parts_at(left: Image, x: float, y: float) -> tuple[FloatArray, ...]:
         )
     least = TEACHING.rival * max(outline.strength for outline in around)
     nested: list[_Outline] = []
-    # of outlines of nearly one size the strongest is the edge itself
+    # among outlines of nearly the same size, the strongest is the edge itself
     strong = [outline for outline in around if outline.strength >= least]
     for outline in sorted(strong, key=lambda outline: -outline.strength):
         if not any(outline.is_beside(other) for other in nested):
@@ -72,7 +72,7 @@ def parts_at(left: Image, x: float, y: float) -> tuple[FloatArray, ...]:
 
 
 def _shrunk(left: Image) -> tuple[Image, float]:
-    """A small picture, and its px per px of the left image."""
+    """The left image scaled down and smoothed, and its scale."""
     height, width = left.shape
     scale = min(1.0, TEACHING.width_px / width)
     size = max(round(width * scale), 1), max(round(height * scale), 1)
@@ -121,7 +121,7 @@ def _level_sets(small: Image, slope: FloatArray | F32, least: float) -> Iterator
 
 
 def _borders(inside: B8) -> Iterator[I32]:
-    # opened: a bridge of texture is no part of the part
+    # opened, to remove bridges of texture
     mask = cv2.morphologyEx(inside.astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
     for contour in cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)[0]:
         if len(contour) >= MIN_WIDTH_PX:

@@ -1,8 +1,8 @@
-"""What pairs of a part say of its edge breaks, for its job.
+"""Determine the edge breaks of a job's part from the teaching pair and further pairs.
 
-The pair that a part is taught from shows both edges of breaks that are wide and bright enough. Where it does
-not, tilted by ten degrees or in other light they look otherwise: all pairs together settle how wide they are,
-and which edge of each was taught.
+The teaching pair shows both edges of breaks that are wide and bright enough. If they are not, further pairs
+help, in which the part is tilted by ten degrees or lit otherwise: all pairs together settle how wide the
+breaks are, and which edge of each was taught.
 """
 
 from __future__ import annotations
@@ -33,11 +33,11 @@ Pair = tuple[Image, Image]
 def with_breaks_shown(
     job: Job, pair: Pair, further: Sequence[Pair], rectification: Rectification
 ) -> tuple[Job, tuple[str, ...]]:
-    """A job with what raw pairs of its part show of its edge breaks, and a line for each thing.
+    """Add to a job the edge breaks that raw pairs of its part show; also remarks for the user.
 
-    pair : which it was taught from.  further : others.
-    Raises `TeachError` that names a further pair which does not show the part, `ImageError` for other
-    cameras'.
+    pair : the one it was taught from.  further : others.
+    Raises `TeachError` naming a further pair that does not show the part, `ImageError` for pairs of other
+    cameras.
     """
     if job.body is not None or not has_enough_curves(job):
         if not further:
@@ -69,7 +69,7 @@ def with_breaks_shown(
 
 
 def _by_both_edges(job: Job, views: Sequence[LaidPair], by: str) -> tuple[Job, tuple[str, ...]]:
-    """The job with both edges of its breaks where pairs certainly show them, and a line; else as it is."""
+    """The job with both edges of its breaks and a remark, if the pairs show them with certainty."""
     found = broken_edges(job, views)
     if found is None or not found.is_certain:
         return job, ()
@@ -82,7 +82,7 @@ def _view(images: StereoImages, pose: FloatArray) -> LaidPair:
 
 
 def _found(job: Job, images: StereoImages, number: int) -> LaidPair:
-    """Where a pair shows the part, however it lies there."""
+    """Locate the part in a further pair, at any tilt and distance."""
     anywhere = replace(
         job,
         tilt_rad=math.radians(MAX_TILT_DEG),
@@ -106,7 +106,7 @@ def _found(job: Job, images: StereoImages, number: int) -> LaidPair:
 
 
 def _brought(choice: FormChoice, job: Job, views: Sequence[LaidPair], k: int) -> str:
-    """What one of the pairs tells."""
+    """Remark on what one of the pairs contributes."""
     apart = math.degrees(turn_between(views[k].pose, job.rig_from_part))
     behind = [form.sigmas_behind(choice.form, k) for form in choice.others]
     what = f"tells the form of the breaks by {min(behind):.0f} sigmas" if behind else "shows it as taught"
@@ -114,7 +114,7 @@ def _brought(choice: FormChoice, job: Job, views: Sequence[LaidPair], k: int) ->
 
 
 def _settled(job: Job, choice: FormChoice, forms: Sequence[tuple[float, bool]]) -> tuple[Job, str]:
-    """The job with the form of its breaks, if all likely ones are one; and what it is."""
+    """The job with the form of its breaks, if all likely forms agree; and a remark on it."""
     likely = [k for k, share in enumerate(choice.likely) if share > DECISION.likely]
     width = _width_mm(choice.form.model)
     widths = [width if form is None else _width_mm(form.model) for form in choice.forms]
@@ -134,7 +134,7 @@ def _settled(job: Job, choice: FormChoice, forms: Sequence[tuple[float, bool]]) 
 
 
 def _width_mm(model: EdgeModel) -> float:
-    """Width of the breaks of most of its edges, by their length."""
+    """Median break width of a model's edges, weighted by their length."""
     length = np.linalg.norm(model.end - model.start, axis=1)
     order = np.argsort(model.breaks_mm)
     total = np.cumsum(length[order])

@@ -1,8 +1,8 @@
-"""Parts of several heights, from one stereo pair: circles and edges on faces that are parallel to each other.
+"""Teach parts with parallel faces at several heights from one stereo pair.
 
-Each circle is measured by itself, at its own distance. Those of one face then say together how it is turned
-better than any one of them, and all faces of the part are turned alike. The face that shows most edges is the
-one that the search looks for; the rest is measured with it, as one rigid part.
+Each circle is first measured by itself, at its own distance. Together, the circles of a face determine its
+normal better than any one of them, and all faces of the part share one normal. The search looks for the face
+with most edges; the rest is measured with it, as one rigid part.
 """
 
 from __future__ import annotations
@@ -41,9 +41,9 @@ from edged.vision.teaching.params import TEACHING
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Levels:
-    """The circles of a part of several heights, in space, and the direction (3,) that all its faces have.
+    """Circles of a part with faces at several heights, in the rig frame, and the common normal (3,).
 
-    heights_mm : of the circles along the normal, those of one face equal.  beside_mm : of a face without any.
+    heights_mm : of the circles' faces along the normal.  beside_mm : of a face without circles.
     """
 
     circles: tuple[FoundCircle, ...]
@@ -53,7 +53,7 @@ class Levels:
 
     @property
     def faces_mm(self) -> list[float]:
-        """The heights of the faces, nearest to the cameras first."""
+        """Heights of the faces, nearest to the cameras first."""
         return sorted({float(height) for height in (*self.heights_mm, *self.beside_mm)}, reverse=True)
 
 
@@ -65,10 +65,10 @@ def find_levels(
     is_clear: Callable[[CurveFit], bool],
     beside: Plane | None = None,
 ) -> Levels | None:
-    """Circles on several heights; None where all that are seen lie in one face.
+    """Find circles at several heights; None if all lie in one face.
 
-    face : of the largest one.  depth_mm : range of the rectified depth.  beside : what most contours lie in,
-    if that is not the face; it is one of the part's where it lies in front of all circles.
+    face : of the largest circle.  depth_mm : range of the rectified depth.  beside : plane of most contours,
+    if it is not the face; it counts as a face of the part if it lies in front of all circles.
     """
     images, found = view.images, list[FoundCircle]()
     for ellipse in ellipses:
@@ -88,7 +88,7 @@ def find_levels(
 
 
 def _turned(view: TeachingView, found: Sequence[FoundCircle], face: Plane) -> tuple[FloatArray, FloatArray]:
-    """`turned_alike`, but as before where contours agree with that rather."""
+    """`turned_alike`, but with the previous normal if the contours agree better with it."""
     normal, heights = turned_alike(found, face.normal)
     largest = max(found, key=lambda measured: measured.circle.radius_mm).circle.centre_mm
     now, before = (Plane.through(largest, each) for each in (normal, face.normal))
@@ -98,7 +98,7 @@ def _turned(view: TeachingView, found: Sequence[FoundCircle], face: Plane) -> tu
 
 
 def in_front(plane: Plane | None, found: Sequence[FoundCircle], normal: FloatArray) -> tuple[float, ...]:
-    """Height of a plane along the normal, if it lies nearer to the cameras than all circles."""
+    """Height of a plane along the normal, if it lies nearer to the cameras than all circles; else empty."""
     if plane is None:
         return ()
     centres = np.array([measured.circle.centre_mm for measured in found])
@@ -110,7 +110,7 @@ def in_front(plane: Plane | None, found: Sequence[FoundCircle], normal: FloatArr
 def _measured(
     images: StereoImages, ellipse: ImageEllipse, normal: FloatArray, depth_mm: tuple[float, float]
 ) -> FoundCircle | None:
-    """One circle at its own distance."""
+    """Measure one circle at its own distance; None if it is not seen."""
     points, normals = ellipse.outline(240)
     plane = find_plane(images, points, normals, ellipse.polarity, depth_mm)
     if plane is None:
@@ -125,7 +125,7 @@ def _measured(
 def circle_on(
     plane: Plane, images: StereoImages, points_px: FloatArray, polarity: int, *, fixed_normal: bool
 ) -> FoundCircle | None:
-    """The circle that an outline (N, 2) of the rectified left image is on a plane; None if it is not seen."""
+    """Fit the circle that an outline (N, 2) of the rectified left image is on a plane; None if not seen."""
     ring = plane.meet(images.rays("left", points_px))
     if not np.isfinite(ring).all() or (ring[:, 2] <= 0).any():
         return None
@@ -137,7 +137,7 @@ def circle_on(
 
 
 def measured_anew(images: StereoImages, measured: FoundCircle, normal: FloatArray) -> FoundCircle | None:
-    """The circle measured again with a better normal."""
+    """Measure a circle again with a better normal; None if it is not seen."""
     circle = measured.circle
     guess = CircleGuess(circle.centre_mm, normal, circle.radius_mm, measured.fit.curve.polarity)
     fit = fit_circle(images.rig, images.raw, guess, TEACHING.together, fixed_normal=True)
@@ -167,10 +167,10 @@ def _same(first: FoundCircle, other: FoundCircle, normal: FloatArray) -> bool:
 
 
 def turned_alike(found: Sequence[FoundCircle], normal: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """The common normal (3,) of all faces, and the height of each circle's face along it.
+    """Common normal (3,) of all faces, and the height of each circle's face along it.
 
-    normal : of the largest circle. Circles of one face lie level, unless that lifts the largest one's own rim
-    by more than faces are flat to: then they are seen by other ends of their breaks, and its rim tells more.
+    normal : of the largest circle. Circles of one face are made level, unless that tilts the largest one's
+    rim by more than faces are flat to: then different ends of their breaks are seen, and the rim is better.
     """
     centres = np.array([measured.circle.centre_mm for measured in found])
     sizes = np.array([measured.circle.radius_mm for measured in found])
@@ -190,7 +190,7 @@ def _levelled(found: Sequence[FoundCircle], normal: FloatArray, apart_mm: float)
 
 
 def _grouped(heights_mm: FloatArray, apart_mm: float) -> I64:
-    """(N,) number of the face of each circle; faces lie farther apart than so much."""
+    """(N,) number of the face of each circle; faces lie more than apart_mm apart."""
     order = np.argsort(heights_mm)
     steps = np.concatenate([[0], np.cumsum(np.diff(heights_mm[order]) > apart_mm)])
     faces = np.empty(len(heights_mm), np.int64)
@@ -199,9 +199,9 @@ def _grouped(heights_mm: FloatArray, apart_mm: float) -> I64:
 
 
 def _tilted(centres: FloatArray, sizes: FloatArray, faces: I64, normal: FloatArray) -> FloatArray:
-    """The normal under which the circles of each face lie level, held where only few say so.
+    """The normal that makes the circles of each face level, with a prior for when they are few.
 
-    A circle by itself knows its normal, too: about as if it were four points on its rim.
+    A circle by itself determines its normal, too: about as well as four points on its rim would.
     """
     frame = part_frame(normal, centres.mean(axis=0))
     x, y, z = ((centres - frame[:3, 3]) @ frame[:3, :3]).T
@@ -234,7 +234,7 @@ class SolidFeatures:
 
 
 def solid_features(view: TeachingView, levels: Levels) -> SolidFeatures | None:
-    """Edges and slots of all faces beside the circles, measured together; None where they do not fit."""
+    """Find edges and slots of all faces, and measure them with the circles; None if the fit fails."""
     main_mm = dominant_face(view, levels)
     order = sorted(
         range(len(levels.circles)),
@@ -257,9 +257,9 @@ def solid_features(view: TeachingView, levels: Levels) -> SolidFeatures | None:
 
 
 def flat_features(view: TeachingView, frame: FloatArray, circles: Sequence[Curve]) -> SolidFeatures | None:
-    """Edges and slots beside the circles of one face, all measured together; None where they do not fit.
+    """Find edges and slots of one face, and measure them with its circles; None if there are none to fit.
 
-    Its circles may be small and near each other: a face leans by what long edges say.
+    The circles may be small and close to each other: long edges then determine the tilt of the face.
 
     frame (4, 4) : of the circles, whose first is the reference.
     """
@@ -284,9 +284,9 @@ def _together(
 def fitted_as_contours_lie(
     view: TeachingView, face: Face, curves: Sequence[Curve], params: FitParams
 ) -> PlaneFit | None:
-    """Curves measured together: their face leans as they say, or as before where contours agree with that.
+    """Measure curves together in one face, whose previous normal is kept if contours agree better with it.
 
-    The two edges of broken rims draw small holes askew, and what is near each other.
+    The two edges of broken rims tilt the fit of small holes, and of curves close to each other.
     """
     images = view.images
     fit = fit_plane(images.rig, images.raw, face, curves, params)
@@ -299,10 +299,10 @@ def fitted_as_contours_lie(
 
 
 def main_face_mask(view: TeachingView, circles: Sequence[CircleFeature], solid: SolidFeatures) -> Image:
-    """(h, w) uint8: the rectified left image about the features of the face that is searched for.
+    """Mask (h, w) uint8 of the rectified left image around the features of the face that is searched for.
 
-    circles : those of the part, as features. Edges of other heights would lie elsewhere as soon as the part
-    does.
+    circles : of the part, as features. Edges at other heights are left out: they shift by parallax when the
+    part moves.
     """
     curves = [circle_curve(circle, True) for circle in circles]
     curves += [edge_curve(edge, True) for edge in solid.found.edges]
@@ -312,7 +312,7 @@ def main_face_mask(view: TeachingView, circles: Sequence[CircleFeature], solid: 
 
 
 def mask_along(rectification: Rectification, curves: Sequence[Curve], rig_from_part: FloatArray) -> Image:
-    """(h, w) uint8: the rectified left image about curves of a part at a pose (4, 4)."""
+    """Mask (h, w) uint8 of the rectified left image along curves of a part at a pose (4, 4)."""
     face = Face(rig_from_part[:3, 3], rig_from_part[:3, :3].T)
     width, height = rectification.size
     mask = np.zeros((height, width), np.uint8)
@@ -325,7 +325,7 @@ def mask_along(rectification: Rectification, curves: Sequence[Curve], rig_from_p
 
 
 def dominant_face(view: TeachingView, levels: Levels) -> float:
-    """The height of the face in which most of the edges lie that both cameras see."""
+    """Height of the face with most edges seen by both cameras; if about even, that of the largest circle."""
     contours = find_contours(view.images.rectified_left, view.mask)
     seen = {}
     for face_mm in levels.faces_mm:
@@ -345,7 +345,7 @@ def _laid(measured: FoundCircle, frame: FloatArray, name: str, height_mm: float)
 
 
 def _carried(found: FoundFeatures, part_from_face: FloatArray, height_mm: float) -> FoundFeatures:
-    """Features of one face in the part's frame, at the height of that face."""
+    """Move features of one face to the part's frame, at the height of that face."""
 
     def place(point: FloatArray) -> FloatArray:
         x, y, _ = apply(part_from_face, point)
@@ -362,10 +362,10 @@ def _carried(found: FoundFeatures, part_from_face: FloatArray, height_mm: float)
 
 
 def _merged(view: TeachingView, frame: FloatArray, by_face: Sequence[FoundFeatures]) -> FoundFeatures:
-    """The features of all faces under one list of names.
+    """Merge the features of all faces under unique names.
 
-    An edge along the rows fits any face. It belongs to the one in which it meets most other edges; where that
-    does not tell, it is left out.
+    An edge along the rows fits any face. It belongs to the one in which it meets most other edges; if that is
+    not unique, it is left out.
     """
     seen = [[_in_picture(view, frame, edge) for edge in found.edges] for found in by_face]
     meets = [[sum(edge.name in corner.edges for corner in found.corners) for edge in found.edges]
@@ -413,7 +413,7 @@ def _one_line(first: FloatArray, other: FloatArray) -> bool:
 
 
 def _as_features(fit: PlaneFit, found: FoundFeatures) -> SolidFeatures:
-    """The fitted curves as features of a frame in the centre of the reference circle."""
+    """Convert the fitted curves to features of a frame in the centre of the reference circle."""
     circles = circles_in_rig(fit)
     origin = fit.face.to_rig(np.append(fit.fits[0].curve.parameters[:2], 0.0)[None])[0]
     shift = -np.append(fit.fits[0].curve.parameters[:2], 0.0)

@@ -1,4 +1,4 @@
-"""From one stereo pair and a region to a job: shape model, circles and other features, part frame."""
+"""Create a job from one stereo pair and a region: shape model, circles and other features, part frame."""
 
 from __future__ import annotations
 
@@ -63,20 +63,21 @@ from edged.vision.teaching.region import Area, Region, painted_region
 from edged.vision.teaching.tracing import trace
 
 FAINT = EdgeThresholds(OUTLINES.faint, 2 * OUTLINES.faint)
-"""Of circles that only both pictures together confirm: four sigma of a noisy picture."""
+"""Thresholds for circles that both pictures must confirm: four sigma of the noise of a noisy picture."""
 IN_FACE_MM = TEACHING.face_tolerance_mm
-"""Machined faces are flat to better than this. Measured singly, a hole whose break each camera sees at
-another end stands off by 1 / (2 tan 12°) of what these lie apart (24° between the cameras). Heights of 0.05
-and 0.06 mm that breaks of 0.1 mm gave two holes tilted a milled plate by 0.2° (`tools/bench breaks`)."""
+"""Machined faces are flat to better than this. Measured singly, a hole of which each camera sees another edge
+of the break appears off the face by 1 / (2 tan 12°) times the distance between these edges (24° between the
+cameras). Breaks of 0.1 mm raised two holes by 0.05 and 0.06 mm, which tilted a milled plate by 0.2°
+(`tools/bench breaks`)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WantedJob:
-    """What the job is to be, wherever it is learnt from.
+    """Properties wanted of a job, whatever it is taught from.
 
     number : on the PLC. params : of the model; None: automatic.
     tilt_deg : how far parts may lie tilted; None: about as at teaching.
-    former : the job that it replaces: what a person changed in it is carried over.
+    former : the job that it replaces; edits in it are carried over.
     """
 
     name: str
@@ -99,10 +100,10 @@ def teach(
 ) -> Job:
     """Learn the part inside a region; None is the whole picture.
 
-    left, right : raw images (H, W) uint8.  region, exclude : where the part is in the left one, and what of
-    that is not the part.  params : thresholds of the shape model.
-    Raises `TeachError` when the region shows no usable shape or no circle that both cameras see, `ImageError`
-    when the images do not fit the rig.
+    left, right : raw images (H, W) uint8.  region, exclude : where the part is in the left one, and areas of
+    that without it.  params : thresholds of the shape model.
+    Raises `TeachError` when the region shows no usable shape or no feature that both cameras see,
+    `ImageError` when the images do not fit the rig.
     """
     return taught(view_of(left, right, rectification, region, exclude), WantedJob(name, number, params))
 
@@ -110,22 +111,22 @@ def teach(
 def view_of(
     left: Image, right: Image, rectification: Rectification, region: Area | None, exclude: Sequence[Area] = ()
 ) -> TeachingView:
-    """What `teach` learns from. Raises `ImageError` when the images do not fit the rig."""
+    """The view that `teach` learns from. Raises `ImageError` when the images do not fit the rig."""
     mask = taught_mask(region, exclude, rectification)
     return TeachingView(StereoImages.of(rectification, left, right), mask)
 
 
 def taught(view: TeachingView, wanted: WantedJob) -> Job:
-    """Learn what a view shows. Raises `TeachError` as `teach`."""
+    """Learn the part that a view shows. Raises `TeachError` as `teach`."""
     view = with_ratio(view)
     job = _untraced(view, wanted)
     return replace(job, traced=trace(view, job.rig_from_part, curve_points(job)))
 
 
 def _untraced(view: TeachingView, wanted: WantedJob) -> Job:
-    """The job of the strong circles; of faint ones as well where those show no part, or not how it is turned.
+    """Job made from strong circles, or from faint ones too where strong ones show no part or no rotation.
 
-    A bright table or insert sets the contrast that counts as strong, and holes in a dark part have less.
+    A bright table or insert raises the threshold for strong edges above the contrast of holes in a dark part.
     """
     try:
         job = _with_circles(view, wanted)
@@ -142,7 +143,7 @@ def _untraced(view: TeachingView, wanted: WantedJob) -> Job:
 
 
 def _with_faint_circles(view: TeachingView, wanted: WantedJob) -> Job | None:
-    """The job of faint circles as well; None where they show no part either."""
+    """Job made from faint circles as well, or None if these show no part either."""
     try:
         return _with_circles(view, wanted, FAINT)
     except TeachError:
@@ -150,7 +151,7 @@ def _with_faint_circles(view: TeachingView, wanted: WantedJob) -> Job | None:
 
 
 def _with_circles(view: TeachingView, wanted: WantedJob, thresholds: EdgeThresholds | None = None) -> Job:
-    """The job of a view in which circles are sought among the edges above thresholds."""
+    """Job made from a view, with the circles found among the edges above the thresholds."""
     shown = find_ellipses(view.images.rectified_left, view.mask, thresholds)
     ellipses = without_pattern(view, shown, thresholds)
     try:
@@ -192,7 +193,7 @@ def _with_circles(view: TeachingView, wanted: WantedJob, thresholds: EdgeThresho
 
 
 def _off_axis(circles: Sequence[CircleFeature]) -> list[CircleFeature]:
-    """The circles that do not lie about the axis of the first."""
+    """Circles that are not concentric with the first one, seen along the part's z axis."""
     centre = circles[0].centre_mm[:2] if circles else 0.0
     return [
         circle
@@ -204,10 +205,10 @@ def _off_axis(circles: Sequence[CircleFeature]) -> list[CircleFeature]:
 def without_pattern(
     view: TeachingView, ellipses: list[ImageEllipse], thresholds: EdgeThresholds | None = None
 ) -> list[ImageEllipse]:
-    """The ellipses of a region without the holes of a perforated table.
+    """Drop the holes of a perforated table from the ellipses of a region.
 
-    Its holes are many, of one size, fill the picture, and lie below what else has circles: a table's plane
-    is under the part.
+    Such holes are many, of one size, spread over the picture, and lie below the other circles, since the
+    table is under the part.
     """
     rows = _size_rows(ellipses)
     alike = np.abs(rows[:, None, 3] - rows[:, 3]) < TEACHING.pattern_alike
@@ -277,7 +278,7 @@ def _circles(
 
 
 def _solid_job(view: TeachingView, wanted: WantedJob, solid: SolidFeatures) -> Job:
-    """The job of a part of several heights; what is searched for is its main face."""
+    """The job of a part of several heights; its main face is searched for."""
     features = _circle_features(view, solid.circles, solid.rig_from_part)
     reference = solid.circles[0].circle
     job = _job(
@@ -344,7 +345,7 @@ def _job(
     rectification = view.images.rectification
     depth = float(rig_from_part[2, 3])
     pixel_mm = depth / rectification.focal_px
-    # a radius vaguer than any light makes it is that of a broken rim: its other end is out of tolerance
+    # a radius less certain than light explains is a broken rim's: its other edge must stay out of tolerance
     sigma_mm = min(sigma_mm, LIGHT_PX * pixel_mm)
     if main_face is not None:
         shape = create_model(view.images.rectified_left, main_face, params=wanted.params)
@@ -352,7 +353,7 @@ def _job(
         place = rectification.rig.left.project(rig_from_part[None, :3, 3])
         origin = rectification.rectify_points("left", place)[0]
         shape = create_model(view.images.rectified_left, view.mask, origin, wanted.params)
-    else:  # its origin amid the part: from a corner, overlapping matches would look far apart
+    else:  # origin in the part's middle: at a corner, overlapping matches would seem far apart
         mask = without_background(view, rig_from_part, outline_mask(view))
         shape = create_model(view.images.rectified_left, mask, params=wanted.params)
     sizes, witness = known_radius(circles, reference)
@@ -375,7 +376,7 @@ def _job(
 
 
 def taught_mask(region: Area | None, exclude: Sequence[Area], rectification: Rectification) -> Image:
-    """(h, w) uint8: what is learnt from, as it lies in the rectified left image; None: the whole picture."""
+    """Mask (h, w) uint8 of the taught region in the rectified left image; None: the whole picture."""
     camera = rectification.rig.left
     whole = Region(0, 0, camera.width, camera.height)
     raw = painted_region(region or whole, exclude, camera.width, camera.height)
@@ -412,10 +413,10 @@ def _reference(images: StereoImages, ellipses: list[ImageEllipse]) -> tuple[Plan
 def _as_contours_lie(
     view: TeachingView, face: Plane, largest: FoundCircle, depths_mm: tuple[float, float]
 ) -> Plane | None:
-    """The plane that contours agree with rather than with the face of the largest circle; None: none.
+    """The plane that contours agree with better than with the largest circle's face; None if there is none.
 
-    A hole whose two edges the cameras see at other sides leans by what these lie apart over its width; what
-    leans by more is no face of the same part.
+    A hole seems to tilt if the cameras see different edges of its break: by the distance of these edges over
+    its width. A plane that tilts by more is no face of the same part.
     """
     contours = strong_contours(view)
     plane = plane_of(view, contours, depths_mm)
@@ -428,8 +429,7 @@ def _as_contours_lie(
 def _turned_as(
     images: StereoImages, plane: Plane, face: Plane, largest: FoundCircle
 ) -> tuple[Plane, FoundCircle]:
-    """The face of the largest circle parallel to a plane, and the circle in it; as they are where it is not
-    seen there."""
+    """Make the largest circle's face parallel to a plane and measure it again; unchanged if not seen."""
     again = measured_anew(images, largest, plane.normal)
     if again is None:
         return face, largest
@@ -471,7 +471,7 @@ def _are_duplicates(first: Circle3D, other: Circle3D) -> bool:
 
 
 def _laid_in_face(found: list[FoundCircle]) -> tuple[Face, list[Curve]]:
-    """The circles as curves of the plane of the first; those hardly off it are laid into it."""
+    """The circles as curves relative to the plane of the first; those hardly off it are put into it."""
     reference = found[0].circle
     frame = part_frame(reference.normal, reference.centre_mm)
     face = Face(frame[:3, 3], frame[:3, :3].T)

@@ -1,4 +1,4 @@
-"""Where in the left picture the part is: rectangles, circles, polygons, strokes of a brush and masks."""
+"""Regions of the left picture that hold the part: rectangles, circles, polygons, brush strokes and masks."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ class PolygonRegion:
             raise TeachError(f"region polygon: expected 3 to {MAX_CORNERS} corners X,Y")
         if not np.isfinite(corners).all() or np.abs(corners).max() > FARTHEST_PX:
             raise TeachError("region polygon: expected corners X,Y in pixels of the left image")
-        corners = corners[(corners != np.roll(corners, 1, axis=0)).any(axis=1)]  # often the last is the first
+        corners = corners[(corners != np.roll(corners, 1, axis=0)).any(axis=1)]  # the last is often the first
         if (crossing := first_crossing(corners)) is not None:
             first, second = crossing
             raise TeachError(
@@ -92,7 +92,7 @@ class Painted:
     mask: Image
 
     def painted(self, width: int, height: int) -> Image:
-        """(height, width) uint8, 255 inside; more than half of the brightest value counts, 0/1 as 0/255."""
+        """(height, width) uint8, 255 where above half of the brightest value; 0/1 masks count as 0/255."""
         if self.mask.ndim != 2 or self.mask.shape != (height, width):
             raise TeachError(
                 f"region mask: {'x'.join(map(str, self.mask.shape[::-1]))} px, expected the size of the left "
@@ -103,13 +103,13 @@ class Painted:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Stroke:
-    """points (N, 2) of the way of a round brush in the raw left image, px; one is a dot."""
+    """points (N, 2) along the path of a round brush in the raw left image, px; a single point is a dot."""
 
     points: FloatArray
     radius: float
 
     def painted(self, width: int, height: int) -> Image:
-        """(height, width) uint8, 255 within the radius of the way."""
+        """(height, width) uint8, 255 within the radius of the path."""
         points = np.asarray(self.points, np.float64)
         if points.ndim != 2 or points.shape[1] != 2 or not 1 <= len(points) <= MAX_STROKE:
             raise TeachError(f"region brush: expected 1 to {MAX_STROKE} points X,Y")
@@ -132,7 +132,7 @@ Area = Region | CircleRegion | PolygonRegion | Stroke | Painted
 def painted_region(region: Area, exclude: Sequence[Area], width: int, height: int) -> Image:
     """Mask (height, width) uint8 of the raw left image: 255 in the region but outside its exclusions.
 
-    Raises `TeachError` for a region that is impossible, outside of the image, or left without content.
+    Raises `TeachError` for a region that is invalid, outside of the image, or left empty.
     """
     inside = region.painted(width, height)
     _check_content(inside, f"outside the {width}x{height} image, or empty")
@@ -155,12 +155,12 @@ def _as_mask(inside: np.ndarray[tuple[int, ...], np.dtype[np.bool_]]) -> Image:
 
 
 def first_crossing(corners: FloatArray) -> tuple[int, int] | None:
-    """Two sides of a closed polygon that meet although they are not neighbours."""
+    """Two sides of a closed polygon that meet although they are not neighbours; None if there are none."""
     ahead = np.roll(corners, -1, axis=0)
     count = len(corners)
 
     def side(a: FloatArray, b: FloatArray, c: FloatArray) -> FloatArray:
-        """Sign: on which side of the line from a to b the point c lies."""
+        """Sign of the side of the line from a to b on which the point c lies."""
         along, aside = b - a, c - a
         return np.asarray(np.sign(along[..., 0] * aside[..., 1] - along[..., 1] * aside[..., 0]))
 

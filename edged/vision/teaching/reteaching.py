@@ -1,4 +1,4 @@
-"""Teaching again over a job that people have edited: their changes stay, and what cannot stay is said."""
+"""Teach an edited job again: people's changes are kept, and those that cannot be are reported."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from edged.vision.teaching.params import TEACHING
 
 
 def carry_over(former: Job, taught: Job) -> tuple[Job, tuple[str, ...]]:
-    """The taught job with what was edited in the one that it replaces, and a line for each such thing.
+    """Carry edits of the former job over to the taught one that replaces it; also a remark on each.
 
-    Limits and search parameters that are not as teaching sets them, and measurements, as far as the features
-    that they are of are there again.
+    Edits are limits and search parameters that differ from what teaching sets, and measurements, as far as
+    their features exist again.
     """
     remarks: list[str] = []
     limits = _limits(former, taught, remarks)
@@ -24,7 +24,7 @@ def carry_over(former: Job, taught: Job) -> tuple[Job, tuple[str, ...]]:
         taught = replace(taught, tilt_rad=former.tilt_rad)
         remarks.append(f"kept: search.tilt_deg = {math.degrees(former.tilt_rad):.6g}")
     if taught.body is None and taught.break_mm is None and former.break_mm is not None:
-        taught = replace(taught, break_mm=former.break_mm)  # which end was taught is for this pair to say
+        taught = replace(taught, break_mm=former.break_mm)  # which end was taught depends on this pair
         remarks.append(f"kept: break_mm = {former.break_mm:g}")
     if taught.part_from_model is not None and (former.report != taught.report or former.points):
         taught = replace(taught, report=former.report, points=former.points)
@@ -74,7 +74,7 @@ def _search(former: Job, taught: Job, remarks: list[str]) -> SearchParams:
 def _measurements(
     former: Job, taught: Job, remarks: list[str]
 ) -> tuple[tuple[MeasurementSpec, ...], str | None]:
-    """Measurements of the former job, with the taught size unless another was stated."""
+    """Measurements of the taught job and edited ones of the former; also the name of the witness."""
     default, _ = known_radius(former.circles, former.reference, is_broken=former.break_end is not None)
     by_teaching = {spec.name: spec for spec in default}
     fresh = {spec.name: spec for spec in taught.measurements}
@@ -94,7 +94,7 @@ def _measurements(
 
 
 def _differ(before: object, after: object) -> bool:
-    """Whether a value was edited: it differs by more than two teachings do."""
+    """Whether a value was edited: it differs by more than repeated teaching explains."""
     if isinstance(before, float) and isinstance(after, float):
         return abs(before - after) > TEACHING.same_tolerance * abs(after)
     return before != after

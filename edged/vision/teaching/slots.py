@@ -1,4 +1,4 @@
-"""Is a contour a slot? Two half circles joined by straight edges, fitted to points of a face (teaching)."""
+"""Recognise slots: two half circles joined by straight edges, fitted to points of a face (teaching)."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from edged.vision.teaching.params import TEACHING
 
 
 def fit_slot(points: FloatArray) -> FloatArray | None:
-    """(x, y, angle, length, width) of the slot through points (N, 2), mm; None when they are none's.
+    """(x, y, angle, length, width) of the slot through points (N, 2), mm; None if they are not a slot.
 
     Most points have to lie on it, and most of its outline has to have some.
     """
@@ -61,6 +61,6 @@ def _local(points: FloatArray, slot: FloatArray) -> FloatArray:
 
 
 def _around(points: FloatArray, slot: FloatArray) -> FloatArray:
-    """(N,) in [0, 1): where around the outline points lie, measured on a circle drawn out with it."""
+    """(N,) position of points around the outline, in [0, 1): the angle after scaling the slot to a circle."""
     local = _local(points, slot) / (slot[3], slot[4])
     return np.asarray(np.arctan2(local[:, 1], local[:, 0]) / (2 * np.pi) % 1.0)

@@ -1,8 +1,8 @@
-"""Outlines of any form, traced in one stereo pair: what of a part is neither circle, slot nor straight edge.
+"""Trace outlines of any form in one stereo pair: edges that are neither circles, slots nor straight edges.
 
-The faces of a part that lies for teaching are parallel. So each stretch of a contour has a height above the
-part's face, which the other camera's edges on the same rows tell: the one that most points of the stretch
-agree in. A stretch along the rows tells none by itself; it has that of those it joins.
+The faces of a part at teaching are parallel to each other. So each stretch of a contour has one height above
+the part's face: the one on which most of its points agree when matched with the other camera's edges on the
+same rows. A stretch along the rows does not show its height; it takes that of the stretches it joins.
 """
 
 from __future__ import annotations
@@ -45,10 +45,10 @@ class _Stretch:
 def trace(
     view: TeachingView, rig_from_part: FloatArray, features: Sequence[FloatArray]
 ) -> tuple[TracedCurve, ...]:
-    """The outlines that both images show on faces parallel to the part's, longest first.
+    """Trace the outlines that both images show on faces parallel to the part's, longest first.
 
-    rig_from_part (4, 4) : pose of the part, its z = 0 in a face.  features : points (N, 3) along each of what
-    is known of it already, part frame: that is not traced again.
+    rig_from_part (4, 4) : pose of the part, its z = 0 in a face.  features : points (N, 3) along each known
+    feature, part frame; these are not traced again.
     """
     tracer = _Tracer.of(view, rig_from_part)
     stretches = [
@@ -71,7 +71,7 @@ def trace(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Tracer:
-    """A teaching pair with the part at rig_from_part (4, 4), and the edges of its right image by their row.
+    """A teaching pair with the part at rig_from_part (4, 4), and the edges of its right image sorted by row.
 
     x, y (M,), normals (M, 2) : of the edges, rectified px.  starts (H + 1,) : where each row begins.
     """
@@ -101,7 +101,7 @@ class _Tracer:
         return _Tracer(view, rig_from_part, points[order, 0], points[order, 1], normals[order], starts)
 
     def with_height(self, stretch: _Stretch) -> _Stretch:
-        """A stretch at the height in which most of its points are seen by both cameras."""
+        """Find the height at which both cameras see most points of a stretch; unchanged if there is none."""
         tells = np.abs(stretch.normals[:, 0]) > TRACING.least_sine
         if tells.mean() < TRACING.least_share:
             return stretch
@@ -123,7 +123,7 @@ class _Tracer:
         return replace(stretch, height_mm=best)
 
     def as_beside(self, stretch: _Stretch, others: Sequence[_Stretch]) -> _Stretch:
-        """A stretch that tells no height, at that of those it joins, if they agree."""
+        """Give a stretch without a height that of the stretches it joins, if they agree."""
         if math.isfinite(stretch.height_mm):
             return stretch
         heights = []
@@ -144,7 +144,7 @@ class _Tracer:
         return replace(stretch, height_mm=height) if agrees.mean() >= TRACING.least_share else stretch
 
     def curve(self, stretch: _Stretch) -> TracedCurve | None:
-        """A stretch with a height as a curve of the part; its ends belong to the corners."""
+        """Convert a stretch with a height to a curve of the part; its end points belong to corners."""
         into = invert(self.rig_from_part)
         flat, ahead = (
             apply(into, self._space(points[1:-1], stretch.height_mm))[:, :2]
@@ -171,12 +171,12 @@ class _Tracer:
         return TracedCurve(points, 1 if bright > 0 else -1)
 
     def right_px(self, points: FloatArray) -> FloatArray:
-        """(N, 2) of the raw right image: points (N, 3) of the part."""
+        """Project points (N, 3) of the part into the raw right image."""
         rig = self.view.images.rig
         return np.asarray(rig.right.project(apply(rig.right_from_left, apply(self.rig_from_part, points))))
 
     def _heights(self, points: FloatArray, normals: FloatArray) -> tuple[I64, FloatArray]:
-        """Whose (K,) and how high (K,) are edges of the right image that look like left points (N, 2)."""
+        """Match left points (N, 2) with similar edges of the right image: number (K,) and height (K,)."""
         row = np.clip(np.rint(points[:, 1]).astype(np.int64), 0, len(self.starts) - 2)
         first, count = self.starts[row], self.starts[row + 1] - self.starts[row]
         mine = np.repeat(np.arange(len(points)), count)
@@ -193,7 +193,7 @@ class _Tracer:
         return mine[near], heights[near]
 
     def _seen_right(self, stretch: _Stretch, height_mm: float) -> tuple[FloatArray, B8, FloatArray]:
-        """Each point of a stretch, seen in the right image at a height: offset px, alike, px by mm."""
+        """Look for each point of a stretch at a height in the right image: offset px, alike, px by mm."""
         here, lower = self._plane(height_mm), self._plane(height_mm + TRACING.step_mm)
         offsets, slopes, normals = edges_in_right(
             self.view, here, stretch.points, stretch.normals, 2 * TRACING.agree_px
@@ -218,10 +218,10 @@ class _Tracer:
 def _distinct(
     tracer: _Tracer, curves: Sequence[TracedCurve], features: Sequence[FloatArray]
 ) -> tuple[TracedCurve, ...]:
-    """The curves that explain an edge of their own in the right image, those of the fullest heights first.
+    """Keep the curves that explain an edge of their own in the right image, longest first.
 
-    What only the left camera sees is taken for something else that the right one shows at another height: an
-    edge that is a feature's, or another curve's.
+    An edge that only the left camera sees may be matched, at a wrong height, with an edge of the right image
+    that belongs to a feature or another curve. So curves at the heights with most edges claim theirs first.
     """
     curves = above_table(curves, features)
     heights = np.array([curve.points_mm[0, 2] for curve in curves])
@@ -230,7 +230,7 @@ def _distinct(
     around = np.array([float(np.linalg.norm(np.diff(line, axis=0), axis=1).sum()) for line in features])
 
     def on_level(height: float) -> float:
-        """Length of all at a height, mm."""
+        """Total length of all curves and features at a height, mm."""
         mine, of_features = (np.abs(some - height) < TRACING.level_mm for some in (heights, levels))
         return round(float(lengths[mine].sum() + around[of_features].sum()))
 
@@ -258,7 +258,7 @@ def _distinct(
 
 
 def above_table(curves: Sequence[TracedCurve], features: Sequence[FloatArray]) -> list[TracedCurve]:
-    """The curves without those of a table: lower than all features of the part, beside it, and no outline.
+    """Drop curves of the table: lower than all features of the part, beside it, and not part of an outline.
 
     Most of an outline lies on its own convex hull, and it runs around the part; grain and scratches do not.
     """
@@ -306,7 +306,7 @@ def _hull(lines: Sequence[FloatArray]) -> F32:
 
 
 def _within(hull: F32, points: FloatArray) -> FloatArray:
-    """(N,) distance in mm of points (N, 3) inside a convex hull to its border; negative outside."""
+    """Distances (N,) in mm of points (N, 3) from the border of a convex hull; negative outside it."""
     corners = hull[:, 0].astype(np.float64)
     along = np.roll(corners, -1, axis=0) - corners
     inwards = np.column_stack([-along[:, 1], along[:, 0]]) * np.sign(cv2.contourArea(hull, oriented=True))
@@ -315,7 +315,7 @@ def _within(hull: F32, points: FloatArray) -> FloatArray:
 
 
 def _finely(points: FloatArray, step_mm: float) -> FloatArray:
-    """(M, 3) points along a polyline (N, 3), a step apart."""
+    """Resample a polyline (N, 3) at points (M, 3) a step apart."""
     along = np.r_[0.0, np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))]
     at = np.linspace(0.0, along[-1], max(2, math.ceil(along[-1] / step_mm)))
     return np.column_stack([np.interp(at, along, points[:, k]) for k in range(3)])
