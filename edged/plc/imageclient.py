@@ -21,10 +21,11 @@ TICK_S = 0.1
 """Period of HEARTBEAT; everything else is shown when it changes."""
 NAMES = [register.name for register in COMMAND.registers]
 WRITTEN = {
-    "sequence": NAMES[: NAMES.index("CONTROL")],
+    "sequence": [name for name in NAMES if name != "CONTROL"],
     "start-bit": NAMES[NAMES.index("CLIENT_HEARTBEAT") :],
 }
-"""Consecutive words of the command block to write, by kind of handshake; CMD_SEQ or CONTROL is left out."""
+"""Registers of the command block to write, by kind of handshake: without CONTROL, or without CMD_SEQ and the
+registers before it."""
 
 
 class ImageClient:

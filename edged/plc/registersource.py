@@ -19,7 +19,7 @@ class RegisterSource(Protocol):
         """Expiry of the coordinates on display, on the monotonic clock; 0 without valid coordinates."""
 
     def write(self, client: int, values: Mapping[str, Number]) -> None:
-        """Write consecutive words of the command block.
+        """Write registers of the command block at once; the others stay as they are.
 
         Raises `CommandRefused` during another client's turn.
         """

@@ -28,12 +28,14 @@ from helpers.plcmemories import (
 )
 from helpers.snapshots import make_target
 from helpers.waiting import wait_until
+from pymodbus.client import ModbusTcpClient
 
 from edged.adapters.modbus import ModbusPublisher, ModbusSettings
 from edged.adapters.plcmemory import PlcMemoryPublisher, ask, make_memory
 from edged.config.plc import MelsecSection, PlcSection
 from edged.errors import PlcFault
 from edged.plc.answers import NackReason
+from edged.plc.registers import ADDRESS, ControlBit
 
 pytestmark = pytest.mark.slow
 
@@ -103,6 +105,28 @@ def test_sequences_work_as_over_modbus(controller: Controller) -> None:
             program.write(at.ACK_SEQ, sequence)
             wait_until(lambda: program.word(at.SEQ_TAIL) == 0)
         assert 2 == cell.head.captures
+
+
+@pytest.mark.parametrize("handshake", ["sequence", "start-bit"])
+def test_the_belt_in_an_image_reaches_the_registers(controller: Controller, handshake: str) -> None:
+    """Count and speed come with the image of either handshake; that of sequences leaves CONTROL alone."""
+    with program_beside(cell := LiveCell(), controller, handshake) as (program, _):
+        program.write(at.CONTROL + 2, 1_234_567, "I")
+        program.write(at.CONTROL + 6, 200_000, "I")
+        program.write(at.CONTROL, ControlBit.ALLOW_SIMULATED)
+        with ModbusTcpClient("127.0.0.1", port=cell.port) as client:
+
+            def words() -> list[int]:
+                return list(client.read_holding_registers(ADDRESS["CONTROL"], count=5).registers)
+
+            expected = [
+                int(ControlBit.ALLOW_SIMULATED) if handshake == "start-bit" else 0,
+                18,
+                54919,
+                3,
+                3392,
+            ]
+            wait_until(lambda: words() == expected)
 
 
 def test_a_start_that_was_up_before_runs_nothing(controller: Controller) -> None:

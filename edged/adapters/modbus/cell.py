@@ -278,10 +278,11 @@ class CellRegisters:
     # --- writing -----------------------------------------------------------------------------
 
     def write(
-        self, client: int, address: int, words: Sequence[int], *, shown: tuple[float, ...] = ()
+        self, client: int, address: int, words: Sequence[int | None], *, shown: tuple[float, ...] = ()
     ) -> None:
-        """Write words of the command block, all or none; CMD_SEQ takes effect after the values before it.
+        """Write words of the command block, all or none; CMD_SEQ takes effect after all other values.
 
+        words : None leaves a word as it is.
         shown : the flange as the robot wrote it, if FLANGE was converted from it.
         Raises `RequestRefused` outside the block, during another client's turn, and for an unknown option.
         """
@@ -290,27 +291,29 @@ class CellRegisters:
             raise RequestRefused(ILLEGAL_ADDRESS)
         now_s = self._clock_s()
         self._step(ev.Tick(), now_s)
-        written = range(start, start + len(words))
+        given = {start + k: word for k, word in enumerate(words) if word is not None}
         if not hs.may_write(self._state, client, now_s):
-            if _offset("CMD_SEQ") in written:
+            if _offset("CMD_SEQ") in given:
                 self._step(ev.Barred(client), now_s)
             raise RequestRefused(DEVICE_BUSY)
-        new = [*self._command[:start], *words, *self._command[start + len(words) :]]
+        new = list(self._command)
+        for offset, word in given.items():
+            new[offset] = word
         options = new[_offset("OPTIONS")]
         if options & ~sum(reg.Option):
             raise RequestRefused(ILLEGAL_VALUE)
         new[_offset("OPTIONS")] = 0
         self._command = new
         self._step(ev.ClaimedBy(client), now_s)
-        if _offset("CLIENT_HEARTBEAT") in written:
+        if _offset("CLIENT_HEARTBEAT") in given:
             self._step(ev.HeartbeatWritten(new[_offset("CLIENT_HEARTBEAT")]), now_s)
-        if _offset("ACK_SEQ") in written:
+        if _offset("ACK_SEQ") in given:
             self._step(ev.AckWritten(new[_offset("ACK_SEQ")]), now_s)
-        if _offset("AUTO_LOCK") in written:
+        if _offset("AUTO_LOCK") in given:
             self._lock(client if new[_offset("AUTO_LOCK")] else None)
-        if _offset("CMD_SEQ") in written:
+        if _offset("CMD_SEQ") in given:
             self._trigger(client, now_s, reg.Option(options), shown)
-        if _offset("CONTROL") in written:
+        if _offset("CONTROL") in given:
             self._control(client, new[_offset("CONTROL")])
         if options & reg.Option.RELEASE:
             self._step(ev.Released(client), now_s)

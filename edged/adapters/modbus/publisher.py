@@ -81,16 +81,18 @@ class ModbusPublisher:
         return self._cell.valid_until_s
 
     def write(self, client: int, values: Mapping[str, Number]) -> None:
-        """Write consecutive registers of the command block, as a separate client.
+        """Write registers of the command block at once, as a separate client; the others stay as they are.
 
         client : a number that no connection has. Raises `CommandRefused` during another client's turn.
         """
         data = encode(COMMAND, values, self._settings.word_order)
-        written = [register for register in COMMAND.registers if register.name in values]
-        start, end = written[0].address, written[-1].address + written[-1].kind.words
-        words = struct.unpack(f">{COMMAND.words}H", data)[start - COMMAND.address : end - COMMAND.address]
+        words: list[int | None] = list(struct.unpack(f">{COMMAND.words}H", data))
+        for register in COMMAND.registers:
+            if register.name not in values:
+                start = register.address - COMMAND.address
+                words[start : start + register.kind.words] = [None] * register.kind.words
         try:
-            self._cell.write(client, self._settings.base_address + start, words)
+            self._cell.write(client, self._settings.base_address + COMMAND.address, words)
         except RequestRefused as error:
             raise CommandRefused("another client holds the right to write") from error
 
