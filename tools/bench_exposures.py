@@ -36,7 +36,7 @@ BLACK_GREY = 16
 
 
 class Film:
-    """Exposes light that is traced once, in one way."""
+    """Exposes light that is traced once, in one of the ways."""
 
     def __init__(self, way: str, options: argparse.Namespace) -> None:
         self._way, self._options = way, options
@@ -46,7 +46,7 @@ class Film:
     def draw(
         self, design: Design, where: FloatArray, rng: np.random.Generator, *, teaching: bool
     ) -> tuple[tuple[Image, Image], dict[str, Any]]:
-        """Both pictures, as `solidworld.Draw`."""
+        """Expose both pictures, as `solidworld.Draw`."""
         setting = Setting.drawn(finish_of(design), rng, teaching=teaching)
         path = self.folder / f"{design.name}_{setting.seed}.npz"
         if not path.exists():
