@@ -1,10 +1,10 @@
 #!/usr/bin/env python3
-"""Measure what a second exposure earns on path-traced metal: one picture against two merged.
+"""Measure what a second exposure gains on path-traced metal: one picture against two merged.
 
     tools/bench exposures FOLDER [--designs N] [--scenes N] [--first N] [--held-out] [--ratio R] [--over F]
 
-FOLDER gets the light of `tools/photoworld.py` (minutes a pair; what is there is not traced again), and of it
-a set for each way to expose, with the same truth: `one` as that tool exposes, which minds what is white;
+FOLDER gets the light of `tools/photoworld.py` (minutes per pair; existing light is not traced again), and of
+it a set for each way to expose, with the same truth: `one` as that tool exposes, avoiding white pixels;
 `long`, F times as long; `short`, R times shorter than that; `two`, long and short merged by
 `edged.pictures.twoexposures`. Each is taught and measured as `tools/bench solid` does it. The second
 exposures are simulated: light that was traced once, with noise of its own in each.
