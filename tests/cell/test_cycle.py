@@ -374,7 +374,8 @@ async def test_an_idle_loop_shows_that_it_lives(monkeypatch) -> None:
 
 
 async def test_an_idle_cell_exposes_at_a_steady_pace_and_publishes_none_of_it() -> None:
-    """Sensors stay as warm as at work; a command is served between; a fault of it is told, and heals."""
+    """An idle cell exposes at a steady pace without publishing, serves commands, and reports and heals
+    faults."""
     began_s = time.monotonic()
     async with driven(dataclasses.replace(make_setup(), idle_s=0.05)) as (cycle, ear, head):
         await until(lambda: head.captures >= 5)

@@ -229,7 +229,8 @@ def test_a_tool_that_fits_no_register_is_none() -> None:
 
 
 def test_counters_say_what_was_found_and_why_it_was_bad() -> None:
-    """Counters count cycles, parts, good and bad ones and each reason; a grab counts only as a cycle."""
+    """Counters count cycles, parts, good and bad ones and each reason; a grab counts nowhere, a fault as a
+    fault."""
     targets = (
         make_target(),
         make_target(Reject.TOLERANCE | Reject.RESIDUAL),

@@ -30,23 +30,23 @@ from edged.setup.teaching.sources import recorded_pair
 from edged.vision.teaching.region import PolygonRegion
 
 RADII_MM = {14.0: 1, 4.0: 1, 1.6: 4, 0.9: 1}
-"""Of the flange: how many circles of each."""
+"""Circles of the flange by radius."""
 
 
 async def refused(cell: PartCell, method: str, path: str, document: Any) -> tuple[int, str]:
-    """Status and code."""
+    """Status and error code."""
     status, problem = await cell.ask(method, path, document)
     return status, problem["code"]
 
 
 def left_of(draft: dict[str, Any], key: str) -> np.ndarray[Any, Any]:
-    """The outline of a feature in the left picture."""
+    """Outline of a feature in the left picture."""
     return np.array(next(one for one in draft["features"] if one["key"] == key)["outline"]["left"])
 
 
 @pytest.mark.slow
 async def test_the_part_is_proposed_without_a_tap(tmp_path: Path) -> None:
-    """Around the flange and nothing else, with true sizes, and a sigma that fits their errors."""
+    """The proposed region is the flange alone, with true sizes and a sigma that fits their errors."""
     async with PartCell(tmp_path).running() as cell:
         token = await cell.take()
         draft = await cell.begun(**token)
