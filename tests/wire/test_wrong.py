@@ -81,7 +81,7 @@ class Plc:
         return set(places) == {reg.INT32_MIN} and StatusBit.RESULT_VALID not in self.bits
 
     def close(self) -> None:
-        """Hang up."""
+        """Disconnect."""
         self._client.close()
 
 

@@ -74,7 +74,7 @@ async def test_every_cycle_arrives_in_order_and_documented():
             lines = []
             for cycle in range(1, 21):
                 cell.publisher.announce(make_snapshot(cycle, list(Status)[cycle % len(Status)]))
-                # each is heard before the next: in a burst beside other work the publisher drops some
+                # each is received before the next is sent: under load the publisher drops some of a burst
                 lines.append(await other.until(is_message("target")))
             health = await other.until(is_message("health", cycles=20))
             *targets, health = [line["document"] for line in (*lines, health)]

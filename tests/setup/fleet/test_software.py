@@ -245,7 +245,8 @@ def test_a_version_that_does_worse_goes_back_once_the_plant_lets_it(
 @pytest.mark.slow
 @pytest.mark.parametrize("how", ["silent", "ends"])
 def test_a_version_that_does_not_come_up_is_taken_back_by_root(how: str, made: Made) -> None:
-    """Nobody is there to judge it, or it ends again and again; the old version says so."""
+    """If the new version is silent or ends repeatedly, root's service switches back, and the old one says
+    so."""
     cell = made(the_same)
     cell.comes_up, cell.ended = how != "silent", 3 if how == "ends" else 0
     note = cell.reach("refused", "rolled back")

@@ -178,7 +178,7 @@ def test_outlines_lie_where_the_part_is(recorded: Recorded) -> None:
     ):
         apart = np.linalg.norm(np.array(told)[:, None] - camera.project(points)[None], axis=2).min(axis=1)
         assert len(told) > 60
-        assert apart.max() < 0.6  # neighbouring points of the true ring are up to a pixel apart
+        assert apart.max() < 0.6  # points of the true ring are up to half a pixel apart
         assert abs(apart.mean()) < 0.3
     assert ("c0", "circle", None, True) == (feature.key, feature.kind, feature.why, part.good)
     assert 28.0 == pytest.approx(feature.taught["diameter_mm"], abs=0.02)
