@@ -61,7 +61,7 @@ def contents(folder: Path) -> dict[str, bytes]:
 def test_the_same_pair_gives_the_same_job_to_the_last_byte(
     flat: cells.Flange, folder: Path, tmp_path: Path
 ) -> None:
-    """From files by the command, from memory here; a proposal alone writes nothing."""
+    """A job from memory equals the command's byte by byte; a proposal alone writes nothing."""
     proposed = proposal(flat, WantedJob("flange", 1))
     assert [] == list(tmp_path.iterdir())
     commit(tmp_path / "flange", proposed)
