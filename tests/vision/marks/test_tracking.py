@@ -187,7 +187,8 @@ def test_a_knock_heals_after_three_exposures_that_agree(hit: str, shift: tuple, 
 
 
 def test_what_was_moved_is_said() -> None:
-    """The report names the moved camera, also along the baseline, or says that both or the plate moved."""
+    """The report names the moved camera, also along the baseline, or says that the whole rig or the plate
+    moved."""
     for hit, said in (
         ("left", "the left camera was moved"),
         ("right", "the right camera was moved"),
