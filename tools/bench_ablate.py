@@ -1,15 +1,15 @@
 #!/usr/bin/env python3
-"""Vary each number of a stage's Params by half and by two: what it earns, on scenes drawn with exact truth.
+"""Halve and double each number of a stage's Params, to see its effect on scenes drawn with exact truth.
 
     tools/bench ablate [--only NAME] [--quick] [--poses N] [--json FILE]
 
 --only takes a stage (JointFitParams) or a field (agree_px). Sets: *parts*, a plate, a disc and a flange, each
-taught from one pair and then lying anywhere, tilted by up to 12 degrees, and scenes without it; *solids*,
-two random thick parts of `bench_slices`, tilted by up to 45 degrees; *boards*, rigs calibrated from
-chessboards and from dots. A row says what changes against the numbers as they are: parts found and false, rms
-of their places (of boards: of their marks) and processor time. "=" means that no digit changes; what is "="
-twice does nothing here. Numbers that a kernel compiles in, or a module works with when it is imported, take a
-process of their own, and minutes where kernels are compiled: --quick leaves them out.
+taught from one pair and then lying anywhere, tilted by up to 12 degrees, and scenes without the part;
+*solids*, two random thick parts of `bench_slices`, tilted by up to 45 degrees; *boards*, rigs calibrated from
+chessboards and from dots. A row shows the change from the numbers as they are: parts found and false, rms
+error of their places (for boards: of their marks) and processor time. "=" means that no digit changes; a
+number with "=" twice has no effect here. Numbers that a kernel compiles in, or that a module reads when it is
+imported, need a process of their own, and minutes where kernels are compiled: --quick leaves them out.
 """
 
 from __future__ import annotations
@@ -43,14 +43,14 @@ ROOT = Path(__file__).resolve().parent.parent
 FACTORS = (0.5, 2.0)
 WRONG_MM, WRONG_DEG = 0.1, 3.0
 SETS = {"boards": "boards", "calibration": "boards", "solid": "solids"}
-"""By package; of all others *parts*, of the numbers of `SolidParams` *solids*."""
+"""Set by package; all others use *parts*, the numbers of `SolidParams` *solids*."""
 PATIENCE = 20.0
-"""Times the usual time, after which a number is taken to be far too slow."""
+"""Multiple of the usual time after which a number counts as far too slow."""
 
 
 @dataclass(frozen=True, slots=True)
 class Result:
-    """What came of one set. micron : rms.  digits : a hash of all results."""
+    """Result of one set. micron : rms error.  digits : a hash of all results."""
 
     asked: int
     found: int
@@ -60,7 +60,7 @@ class Result:
     digits: str
 
     def against(self, usual: Result) -> str:
-        """What differs from the usual one."""
+        """Differences from the usual result."""
         if self.digits == usual.digits:
             return "="
         told = [f"{self.found - usual.found:+d} found"] if self.found != usual.found else []
@@ -70,7 +70,7 @@ class Result:
 
 @dataclass(frozen=True, slots=True)
 class Number:
-    """A field of a stage. module, instance : where its stage stands.  scenes : the set that shows it."""
+    """A field of a stage. module, instance : of its stage.  scenes : the set that shows its effect."""
 
     stage: str
     name: str
@@ -80,7 +80,7 @@ class Number:
     imported: bool
 
     def set_by(self, factor: float) -> bool:
-        """Vary it in this process; whether that changes it."""
+        """Vary it in this process; return whether its value changes."""
         stage = getattr(import_module(self.module), self.instance)
         before = getattr(stage, self.name)
         after = scaled(before, factor)
@@ -89,7 +89,7 @@ class Number:
 
 
 def scaled(value: Any, factor: float) -> Any:
-    """Numbers times a factor, integers at least 1; of how curves are fitted, the reach."""
+    """Scale numbers by a factor, integers to at least 1; of curve-fitting parameters, only the reach."""
     if isinstance(value, tuple):
         return tuple(scaled(one, factor) for one in value)
     if isinstance(value, int):
@@ -116,7 +116,7 @@ def numbers() -> Iterator[Number]:
 
 
 def read_at_import(source: Path) -> set[str]:
-    """`STAGE.field` that a module reads outside the bodies of its functions: when it is imported."""
+    """`STAGE.field` names that a module reads outside function bodies, that is, at import."""
     found, waiting = set[str](), list[ast.AST](ast.parse(source.read_text()).body)
     while waiting:
         node = waiting.pop()
@@ -223,7 +223,7 @@ def run_parts(folder: Path, name: str) -> Result:
 
 
 def run_boards(folder: Path) -> Result:
-    """Find the boards and calibrate with each kind; errors are those of marks against the true ones."""
+    """Find the boards and calibrate with each kind; errors are those of the marks against the truth."""
     import numpy as np
 
     from edged.errors import EdgedError
@@ -262,12 +262,12 @@ def run_boards(folder: Path) -> Result:
 
 
 def run(folder: Path, scenes: str) -> Result:
-    """One set with the numbers as they are in this process."""
+    """Run one set with the numbers as they are in this process."""
     return run_boards(folder) if scenes == "boards" else run_parts(folder, scenes)
 
 
 def in_child(folder: Path, number: Number, factor: float, patience_s: float) -> Result | str:
-    """The set with one number varied, in a fork of this warm process."""
+    """Run the set with one number varied, in a fork of this warm process."""
     context = multiprocessing.get_context("fork")
     here, there = context.Pipe(duplex=False)
 
@@ -294,17 +294,17 @@ def in_child(folder: Path, number: Number, factor: float, patience_s: float) -> 
 
 
 def varied(folder: Path, number: Number, factor: float) -> Result | str:
-    """The set with one number varied in this process."""
+    """Run the set with one number varied, in this process."""
     if not number.set_by(factor):
         return "the same number"
     try:
         return run(folder, number.scenes)
-    except Exception as error:  # noqa: BLE001  (whatever a senseless number breaks is its result)
+    except Exception as error:  # noqa: BLE001  (any failure that a senseless number causes is its result)
         return f"fails: {type(error).__name__}"
 
 
 def in_new_process(folder: Path, number: Number, factor: float, patience_s: float) -> Result | str:
-    """The set with one number varied before anything that reads it is imported."""
+    """Run the set with one number varied before anything that reads it is imported."""
     order = [sys.executable, __file__, "--varied", json.dumps([str(folder), asdict(number), factor])]
     try:
         answer = subprocess.run(order, stdout=subprocess.PIPE, check=False, timeout=patience_s)

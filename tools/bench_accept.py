@@ -3,13 +3,13 @@
 
     tools/bench accept [--only CASE] [--json FILE]
 
-A virtual cell with exact truth is accepted as a person would do it, by the command itself: pictures of a
-flange that lies still, of it in 30 places of a stage, of two holes 40 mm apart in 7 positions, and 12 points
-that a robot touched. The rig is calibrated from computed marks of 20 views, 0.02 px of noise.
+A virtual cell with exact truth is accepted as a person would do it, with the command itself: pictures of a
+flange that lies still, of the flange in 30 places of a stage, of two holes 40 mm apart in 7 positions, and 12
+points that a robot touched. The rig is calibrated from computed marks of 20 views, with 0.02 px of noise.
 
 right     nothing is wrong
 length    the calibration plate is 0.02 % smaller than stated
-lens      the left lens was turned since: its focal length is 0.1 % longer
+lens      the left lens was turned after calibration: its focal length is 0.1 % longer
 backlash  the robot stops 0.3 mm to either side of where it says that it is
 bent      the calibration plate sags by 0.3 mm in its middle
 """
@@ -65,13 +65,13 @@ BAR = Part(
         Hole("third", Disc(3.0, 12.0, 4.0)),
     ),
 )
-"""A disc that has both holes: of a narrow bar's two small holes the farther one is not taught."""
+"""A disc with both holes: on a narrow bar, the farther of two small holes would not be taught."""
 NOISE_PX = 0.02
 TOUCH_UM = 30.0
 
 
 def calibrated(case: str, truth: StereoRig, seed: int = 1) -> StereoRig:
-    """The rig as somebody calibrates it who does not know what is wrong. Raises `CalibrationError`."""
+    """Rig as calibrated by a person who does not know what is wrong. Raises `CalibrationError`."""
     poses = list(calibration_poses(truth, chessboard_plate(11, 8, 4.0), 20, seed=seed))
     points = BOARD.points_mm
     if case == "length":
@@ -94,7 +94,7 @@ def scene(part: Part, pose: FloatArray) -> Scene:
 
 
 def bar_poses() -> list[FloatArray]:
-    """Seven positions: along, across, both diagonals, higher, lower, and a depth diagonal."""
+    """Seven poses: along, across, both diagonals, higher, lower, and a depth diagonal."""
     degrees = [(0, 0, 0), (0, 0, 62), (0, 0, 35), (0, 0, -35), (0, 0, 10), (0, 0, -10), (0, 16, 0)]
     heights = [0, 0, 0, 0, -10, 10, 0]
     poses = []
@@ -105,12 +105,12 @@ def bar_poses() -> list[FloatArray]:
 
 
 def stage_places(rng: np.random.Generator) -> FloatArray:
-    """Thirty of a stage, mm, from its middle."""
+    """Thirty positions of a stage, in mm from its middle."""
     return rng.uniform(-1, 1, (30, 3)) * (14.0, 11.0, 12.0)
 
 
 def write_pictures(folder: Path, cameras: StereoRig) -> None:
-    """What a person shows to the cell."""
+    """Write the pictures that a person shows to the cell."""
     views, rng = stereo_views(cameras), np.random.default_rng(8)
     count = 0
 
@@ -139,7 +139,7 @@ def write_pictures(folder: Path, cameras: StereoRig) -> None:
 
 
 def write_touched(folder: Path, rig: StereoRig, backlash_mm: float) -> None:
-    """Twelve points as the cell has them, and where the robot says that it touched them."""
+    """Write twelve points as the cell has them, and where the robot says that it touched them."""
     rng = np.random.default_rng(10)
     points = MIDDLE + rng.uniform(-1, 1, (12, 3)) * (25.0, 20.0, 12.0)
     said = apply(rig.robot_from_rig, points) + rng.normal(0, 1e-3 * TOUCH_UM, points.shape)
@@ -150,7 +150,7 @@ def write_touched(folder: Path, rig: StereoRig, backlash_mm: float) -> None:
 
 
 def accepted(case: str, shown: Path, work: Path) -> dict[str, object]:
-    """Calibrate, teach, accept; what acceptance.json says."""
+    """Calibrate, teach and accept; return the content of acceptance.json."""
     work.mkdir(parents=True)
     try:
         rig = calibrated(case, demo_rig())

@@ -2,8 +2,8 @@
 """What a PLC's read costs beside others: nobody, two viewers, one who asks, floods, an OPC UA subscriber.
 
 Run it with `tools/bench beside`; it prints Markdown. The cell is `edged run` with its page, in processes of
-their own; the PLC reads the status every 5 ms from this one. All phases are measured in turn, so that a busy
-machine is busy for all of them. Guests run on this machine, too, with the least priority.
+their own; the PLC reads the status every 5 ms from this one. The phases are repeated in turn, so that other
+load on the machine affects all of them. Clients run on this machine, too, with the least priority.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ PERIOD_S = 0.005
 ROUNDS = 3
 PHASES = "nobody", "two viewers", "one who asks all the time", "viewers and floods", "an OPC UA subscriber"
 VIEWERS, TABS, LINES = 2, 8, 16
-"""Viewers; floods over sockets of a tab, and of requests that are refused."""
+"""Numbers of viewers; of connections per flood over a tab's sockets; of those that flood refused requests."""
 
 ASKING = """
 import http.client, sys
@@ -51,7 +51,7 @@ while True:
     except (OSError, http.client.HTTPException):
         pass
 """
-"""Within the rate that a session may have."""
+"""Requests within the rate that a session may have."""
 
 SUBSCRIBING = """
 import asyncio, sys
@@ -71,18 +71,18 @@ async def main():
 
 asyncio.run(main())
 """
-"""To every register, told ten times a second."""
+"""Subscribes to every register, at ten updates a second."""
 
 
 class Reads:
-    """A PLC's connection, and how long its reads took, ms."""
+    """A PLC's connection, and the durations of its reads, ms."""
 
     def __init__(self, port: int) -> None:
         self._line = socket.create_connection(("127.0.0.1", port))
         self._line.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
 
     def read(self) -> float:
-        """The status once."""
+        """Read the status once; return the duration."""
         start_s = time.perf_counter()
         self._line.sendall(struct.pack(">HHHBBHH", 1, 0, 6, 1, 3, ADDRESS["STATE"], 16))
         left = 9 + 32
@@ -91,7 +91,7 @@ class Reads:
         return 1e3 * (time.perf_counter() - start_s)
 
     def during(self, seconds: float) -> list[float]:
-        """All of a time."""
+        """Read for some seconds; return all durations."""
         found = []
         end_s = time.monotonic() + seconds
         while time.monotonic() < end_s:
@@ -101,7 +101,7 @@ class Reads:
 
 
 def measure(seconds: float, wanted: Sequence[str]) -> None:
-    """Print the figures. seconds : of each phase, in each round. wanted : phases beside that with nobody."""
+    """Print the figures. seconds : of each phase, per round. wanted : phases beside the one with nobody."""
     with tempfile.TemporaryDirectory() as folder:
         cell = SmallCell(Path(folder))
         page = f'[web]\npassword_hash = "{HASH}"\ncommissioning = true'
@@ -135,7 +135,7 @@ def measure(seconds: float, wanted: Sequence[str]) -> None:
 
 
 def logged_in(port: int) -> str:
-    """The cookies of a viewer, once the page answers."""
+    """Log a viewer in, and return the cookies."""
     jar = CookieJar()
     opener = urllib.request.build_opener(urllib.request.HTTPCookieProcessor(jar))
     origin = f"http://127.0.0.1:{port}"
@@ -146,7 +146,7 @@ def logged_in(port: int) -> str:
 
 @contextlib.contextmanager
 def others(port: int, opcua_port: int, cookie: str, phase: str) -> Iterator[None]:
-    """Those of a phase; who is turned away comes again."""
+    """Run the clients of a phase; those that are turned away come again."""
     over = threading.Event()
     threads = []
     if phase == "one who asks all the time":
@@ -162,7 +162,7 @@ def others(port: int, opcua_port: int, cookie: str, phase: str) -> Iterator[None
             threads.append(threading.Thread(target=_again, args=(flooder, over)))
     for thread in threads:
         thread.start()
-    time.sleep(3.0 if threads else 0.5)  # they are there
+    time.sleep(3.0 if threads else 0.5)  # time for them to connect
     try:
         yield
     finally:
@@ -172,7 +172,7 @@ def others(port: int, opcua_port: int, cookie: str, phase: str) -> Iterator[None
 
 
 def _again(command: list[str], over: threading.Event) -> None:
-    """Run it again and again."""
+    """Restart a command whenever it ends, until it is over."""
     while not over.is_set():
         process = subprocess.Popen(
             [sys.executable, *command],

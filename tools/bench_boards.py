@@ -5,21 +5,21 @@
 
 FOLDER holds pairs NAME_left.*, NAME_right.*; tests/data/stereo-chessboard is one, of a real rig. Each pair is
 left out in turn, the rig is calibrated from the others, and the pair's corners are triangulated like points
-of any part. A corner is seen in two ways:
+of any part. Corners are measured in two ways:
 
     fit     the calibration's own: the picture of a corner fitted to the grey values around it
-    edges   the measuring operator of parts: edges along the four sides that meet, two lines, where they
-            cross; pixels nearer to the crossing than a fifth of a square are not used
+    edges   the measuring operator of parts: edges along the four sides that meet, two lines, and their
+            crossing; pixels nearer to the crossing than a fifth of a square are not used
 
-The covariance of the points, joint for all of a pair: noise of the marks, the model error that the
-calibration found in the other pairs, and the calibration's own covariance. By it pose and size of the board
-are fitted: size - 1 with its sigma, and the normalised squared residual per degree of freedom. Flatness is
-the rms distance from the best plane, beside what the covariance predicts; with --plate-shape the distance
-from the shape that the other pairs show.
+The covariance of the points, joint for all of a pair, consists of the noise of the marks, the model error
+that the calibration found in the other pairs, and the calibration's own covariance. Pose and size of the
+board are fitted with it: size - 1 with its sigma, and the normalised squared residual per degree of freedom.
+Flatness is the rms distance from the best plane, beside what the covariance predicts; with --plate-shape the
+distance from the shape that the other pairs show.
 
-"rows" says how far corresponding corners are from one row, beyond the marks' own noise. It shows what no
-calibration knows: pictures of a hand-held board that were not taken at one instant. What moves rows moves
-columns as well, and those are depth: the second sigma of the size has that much more of it.
+"rows" is the distance of corresponding corners from one row, beyond the marks' own noise. It shows what no
+calibration knows: pictures of a hand-held board that were not taken at one instant. Whatever moves rows moves
+columns as well, and those are depth: the second sigma of the size is larger by that much.
 Lengths are in units of the stated square: with a square of 1, a µm is a thousandth of its side.
 """
 
@@ -64,9 +64,9 @@ from edged.vision.kernels.robust import mad_sigma
 
 Corners = Literal["fit", "edges"]
 NEAREST, FARTHEST, SAMPLES = 0.2, 0.8, 16
-"""Part of a square's side, from the crossing, along which edges are measured; how many on each side."""
+"""Part of a square's side along which edges are measured, from the crossing; samples on each side."""
 REACH_SHARE = 0.2
-"""Share of a square's side in pixels: how far from the expected place an edge may lie."""
+"""Search range for an edge around its expected place, as a share of a square's side in pixels."""
 MIN_SAMPLES = 6
 MIN_PAIRS = 3
 ROUNDS = 4
@@ -77,7 +77,7 @@ OUTLIER = 3.5
 class Row:
     """One pair, with corners of one kind.
 
-    size_error, size_sigma, size_sigma_rows : of the board, relative; the last one with what the rows show.
+    size_error, size_sigma, size_sigma_rows : of the board, relative; the last one includes the row errors.
     rows_px : rms row difference beyond the marks' own noise.
     """
 
@@ -95,7 +95,7 @@ class Row:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Folder:
-    """The pairs of a folder whose views are fit to calibrate with. sizes : ((w, h) left, (w, h) right)."""
+    """Pairs of a folder whose views can be used for calibration. sizes : ((w, h) left, (w, h) right)."""
 
     pairs: dict[str, ImagePair]
     views: list[StereoView]
@@ -104,7 +104,7 @@ class Folder:
 
 
 def main() -> int:
-    """Print the table; 2 for input that gives none."""
+    """Print the table; return 2 for input that gives none."""
     parser = bench_parser(__doc__)
     parser.add_argument("folder", type=Path)
     parser.add_argument("--board", required=True, help="chessboard:COLSxROWS:SQUARE_MM, inner corners")
@@ -147,7 +147,7 @@ def read_folder(path: Path, spec: str, model: LensModel) -> Folder:
 
 
 def held_out(folder: Folder, name: str, *, plate_shape: bool = False) -> list[Row]:
-    """One pair by the calibration of the others, with both kinds of corners; none where it shows no board."""
+    """Measure one pair by the calibration of the others, with both kinds of corners; empty if no board."""
     (view,) = (view for view in folder.views if view.name == name)
     rest = [other for other in folder.views if other is not view]
     calibration = calibrate_stereo(rest, *folder.sizes, folder.model, plate_shape=plate_shape)
@@ -177,11 +177,11 @@ def held_out(folder: Folder, name: str, *, plate_shape: bool = False) -> list[Ro
 def crossing_edges(
     image: Image, board: Chessboard, camera: CameraModel, camera_from_board: FloatArray
 ) -> Detection | NotDetected:
-    """Corners as the places where two measured edges cross, from about where the board is.
+    """Corners as crossings of two measured edges. camera_from_board : the approximate pose.
 
-    The expected sides of the squares are projected through the lens; what is measured is how far the edges
-    lie beside them. Of one line the two sides of a crossing are of opposite contrast: what widens the black
-    moves them against each other, and not the crossing.
+    The expected sides of the squares are projected through the lens, and the offsets of the edges from them
+    are measured. Along one line the contrast is reversed on the other side of a crossing: an effect that
+    widens black squares moves the two sides in opposite directions, but not the crossing.
     """
     points = board.points_mm
     middle = camera.project(apply(camera_from_board, points))
@@ -190,7 +190,7 @@ def crossing_edges(
         for along in board.pitch_mm * np.eye(3)[:2]
     ]
     side_px = float(np.min(steps))
-    count = max(MIN_SAMPLES, round((FARTHEST - NEAREST) * side_px))  # a pixel apart: their noise is its own
+    count = max(MIN_SAMPLES, round((FARTHEST - NEAREST) * side_px))  # a pixel apart: independent noise
     t = board.pitch_mm * np.linspace(NEAREST, FARTHEST, count)
     t = np.concatenate([-t[::-1], t])
     lines = [
@@ -219,7 +219,7 @@ def _line(
     t: FloatArray,
     reach_px: float,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """The line along a board axis through each point (N, 3): normal (N, 2), shift along it, its variance.
+    """Line along a board axis through each point (N, 3): normal (N, 2), shift along it, its variance.
 
     t (T,) : mm from the point, on both sides, where edges are measured. NaN where too few are found.
     """
@@ -231,7 +231,7 @@ def _line(
         return 0.5 * (ahead + behind), np.column_stack([-tangent[:, 1], tangent[:, 0]])
 
     pixels, normals = seen((points[:, None] + t[:, None] * axis).reshape(-1, 3))
-    # in fine steps: a grid of 1 px lies alike to a whole line, and so would its error of 0.02 px
+    # fine steps: a grid of 1 px has the same phase along a whole line, and so would its error of 0.02 px
     found = edges_at_widths(image, pixels, normals, reach_px, 0, (EDGE.sigma_px,))
     offsets = found.offset_px[0].reshape(len(points), -1)
     shift, variance = np.full((2, len(points)), np.nan)
@@ -243,7 +243,7 @@ def _line(
 
 
 def _at_zero(t: FloatArray, offset: FloatArray) -> tuple[float, float] | None:
-    """A robust line through offset (T,) over t (T,), at 0: value and variance; None for too few on a side."""
+    """Robust line through offset (T,) over t (T,), at 0: value and variance; None if a side has too few."""
     kept = np.isfinite(offset)
     for _ in range(ROUNDS):
         if min((kept & (t < 0)).sum(), (kept & (t > 0)).sum()) < MIN_SAMPLES // 2:
@@ -258,16 +258,16 @@ def _at_zero(t: FloatArray, offset: FloatArray) -> tuple[float, float] | None:
 
 
 def row_of(calibration: Calibration, view: StereoView, corners: Corners) -> Row:
-    """Pose and size of the board by all triangulated corners, with their joint covariance."""
+    """Fit pose and size of the board to all triangulated corners, with their joint covariance."""
     rig = calibration.rig
-    board = calibration.views[0].view.board  # of the shape that the calibration found, where it did
+    board = calibration.views[0].view.board  # with the shape that the calibration found, if it did
     ids, left, right = marks_in_both(view)
     points, known = triangulate_raw(rig, left, right), board.points_mm[ids]
     covariance = point_covariance(calibration, view, points)
     start = fit_rigid(known, points, with_scale=True)
     arms = start.scale * known @ start.to_from_source[:3, :3].T
     residual = (points - arms - start.to_from_source[:3, 3]).ravel()
-    arms = arms - arms.mean(axis=0)  # about the middle: turns and size move nothing as a whole
+    arms = arms - arms.mean(axis=0)  # about the middle: turns and size do not shift it
     design = np.concatenate(
         [-skew(arms), np.broadcast_to(np.eye(3), (len(arms), 3, 3)), arms[:, :, None]], axis=2
     ).reshape(-1, 7)
@@ -295,7 +295,7 @@ def row_of(calibration: Calibration, view: StereoView, corners: Corners) -> Row:
 
 
 def row_disagreement(calibration: Calibration, view: StereoView) -> float:
-    """Rms row difference of corresponding corners beyond the noise that their own fits state, px."""
+    """Rms row difference of corresponding corners beyond the noise stated by their own fits, px."""
     left, right = view.found("left"), view.found("right")
     _, in_left, in_right = np.intersect1d(left.ids, right.ids, return_indices=True)
     noise = left.sigma_px[in_left] ** 2 + right.sigma_px[in_right] ** 2
@@ -304,7 +304,7 @@ def row_disagreement(calibration: Calibration, view: StereoView) -> float:
 
 
 def point_covariance(calibration: Calibration, view: StereoView, points: FloatArray) -> FloatArray:
-    """(3 N, 3 N) of triangulated points (N, 3): each one's noise, and the calibration, which moves all."""
+    """Covariance (3 N, 3 N) of triangulated points (N, 3): noise of each, and of the calibration, of all."""
     rig, (left, right) = calibration.rig, (view.found("left"), view.found("right"))
     _, in_left, in_right = np.intersect1d(left.ids, right.ids, return_indices=True)
     errors = calibration.model_error_px
@@ -325,7 +325,7 @@ def point_covariance(calibration: Calibration, view: StereoView, points: FloatAr
 def flatness(
     points: FloatArray, known: FloatArray, rotation: FloatArray, covariance: FloatArray
 ) -> tuple[float, float]:
-    """Rms height (mm) of points (N, 3) over the best plane, and what their covariance predicts.
+    """Rms height (mm) of points (N, 3) above the best plane, and the value that their covariance predicts.
 
     known (N, 3) : the board; its own heights are no error.
     """
@@ -342,7 +342,7 @@ def flatness(
 
 
 def report(rows: Sequence[Row]) -> None:
-    """A Markdown table: a line for each pair, then for all."""
+    """Print a Markdown table: a line for each pair, then for all."""
     print(
         "| pair | corners | rows px | size - 1, ppm: fit | edges | σ ppm, with rows | χ²/dof: fit, edges "
         "| flatness µm: fit, edges | predicted |"

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Measure whether what is published of parts with broken rims is known as well as it says.
+"""Measure whether published results of parts with broken rims are as accurate as their sigmas say.
 
     tools/bench breaks DATASET [--tilt DEGREES] [--only NAME] [--parts NAMES] [--from PAIR] [--kinds KIND,...]
 
@@ -8,11 +8,11 @@ With --from a part is taught from that pair instead, a scene with one part, and 
 Kinds are `plain`, `mirror` (all pictures and the rig mirrored, left and right exchanged) and those of
 `imperfections`.
 An edge break, a chamfer or a rounding, is a pair of edges, and light decides which one is seen. Each part is
-taught from its pair; of a scene, the motion from the taught to the found pose is compared with the true one
+taught from its pair. In a scene, the motion from the taught to the found pose is compared with the true one
 at the job's reference point, the normal with the true one by itself, and each radius with the taught one.
-Errors are printed in their stated sigmas, too: silently wrong is a target without a reason against it that is
-beyond 4 of them in position, radius or normal. χ² is that of the three of them over all such targets, of
-position and normal by the whole covariance.
+Errors are also printed in their stated sigmas: a target is silently wrong if it has no reason against it, but
+is beyond 4 of them in position, radius or normal. χ² is that of the three over all such targets, of position
+and normal by the whole covariance.
 """
 
 from __future__ import annotations
@@ -46,18 +46,18 @@ from edged.vision.teaching.region import PolygonRegion
 
 SILENT_SIGMAS = 4.0
 APART_MM = 0.3
-"""Both ends of a break have one axis; taught from a poor pair, the circle lies beside it."""
+"""Both ends of a break have one axis; a circle taught from a poor pair may lie beside it."""
 ROI_MARGIN = 0.06
-"""Share of the part's half size in the picture: what a person leaves about it who draws a region."""
+"""Margin that a person leaves when drawing a region, as a share of the part's half size in the picture."""
 
 
 @dataclass(frozen=True)
 class Row:
-    """What came of one part of a scene: mm and degrees, each error beside the sigma that is stated for it.
+    """Result for one part of a scene: mm and degrees, each error beside the sigma that is stated for it.
 
     kind : of the scene's pictures.  verdict : good, or why not.  normal_deg : against the true one; moved_deg
-    : against the motion from the taught one.  radius_mm : of the reference circle, against that of the end
-    which was taught; NaN of parts without.  chi2 (3,) : of position, normal and radius, each by its degree of
+    : against the motion from the taught one.  radius_mm : of the reference circle, against that of the taught
+    end; NaN of parts without.  chi2 (3,) : of position, normal and radius, each by its degree of
     freedom.
     """
 
@@ -77,14 +77,14 @@ class Row:
 
     @property
     def worst(self) -> float:
-        """The largest error in sigmas: of a coordinate, of the tilt in its own direction, of the radius."""
+        """Largest error in sigmas: of a coordinate, of the tilt in its own direction, of the radius."""
         position = max(abs(e) / s for e, s in zip(self.error_mm, self.sigma_mm, strict=True))
         size = abs(self.radius_mm) / self.sigma_radius_mm if math.isfinite(self.radius_mm) else 0.0
         return max(position, self.normal_deg / self.sigma_normal_deg, size)
 
 
 def region_of(part: dict[str, Any], rig: PreparedRig) -> PolygonRegion:
-    """A polygon about a part's circles and lines in the left picture, with a margin, as a person draws it."""
+    """Polygon around a part's circles and lines in the left picture, with a margin, as a person draws it."""
     points = [np.array(line["ends_left_mm"]) for line in part["lines"]]
     phase = np.linspace(0, 2 * np.pi, 60)
     ring = np.column_stack([np.cos(phase), np.sin(phase)]) @ np.array(part["R"])[:, :2].T
@@ -96,7 +96,7 @@ def region_of(part: dict[str, Any], rig: PreparedRig) -> PolygonRegion:
 
 
 def taught_radius(job: Job, part: dict[str, Any]) -> float:
-    """Radius of the reference at the end of its break that was taught: of the true circle of its size."""
+    """Radius of the reference at the taught end of its break: that of the true circle nearest in size."""
     if not job.circles:
         return math.nan
     place = (job.rig_from_part @ np.append(job.reference_circle.centre_mm, 1.0))[:3]
@@ -115,7 +115,7 @@ def taught_radius(job: Job, part: dict[str, Any]) -> float:
 def compared(
     scene: str, kind: str, part: dict[str, Any], job: Job, taught: dict[str, Any], targets: Sequence[Target]
 ) -> Row | None:
-    """What came of one true part; None where nothing was measured near it."""
+    """Result for one true part; None if nothing was measured near it."""
     part_from_reference = transform(np.eye(3), job.place_of(job.reference))
     true = pose_of(part) @ invert(pose_of(taught)) @ job.rig_from_part @ part_from_reference
     near = [one for one in targets if np.linalg.norm(one.position_mm - true[:3, 3]) < NEAR_MM]
@@ -124,7 +124,7 @@ def compared(
     target = near[0]
     error = target.position_mm - true[:3, 3]
     found, wanted = target.rig_from_part[:3, 2], np.array(part["R"])[:, 2]
-    tilt = np.cross(wanted, found)  # of the rotation vector, what turns the normal
+    tilt = np.cross(wanted, found)  # the part of the rotation vector that turns the normal
     normal = math.asin(min(1.0, float(np.linalg.norm(tilt))))
     towards = tilt / max(float(np.linalg.norm(tilt)), 1e-12)
     spread = target.covariance[3:, 3:]
@@ -170,7 +170,7 @@ MIRROR = np.diag([-1.0, 1.0, 1.0])
 
 
 def mirrored_rig(rig: StereoRig) -> StereoRig:
-    """What sees the mirrored world: the right camera is the left one of it."""
+    """Rig that sees the mirrored world: its right camera is the mirrored left one."""
 
     def camera(one: CameraModel) -> CameraModel:
         return replace(one, cx=one.width - 1 - one.cx)
@@ -183,7 +183,7 @@ def mirrored_rig(rig: StereoRig) -> StereoRig:
 
 
 def mirrored_part(part: dict[str, Any], rig: StereoRig) -> dict[str, Any]:
-    """This part in the mirrored world; its own frame is mirrored, too."""
+    """The part in the mirrored world; its own frame is mirrored, too."""
     R, T = rig.right_from_left[:3, :3], rig.right_from_left[:3, 3]
 
     def place(point: Any) -> Any:
@@ -199,7 +199,7 @@ def mirrored_part(part: dict[str, Any], rig: StereoRig) -> dict[str, Any]:
 
 
 def read_pair(path: Path, kind: str, rig: StereoRig) -> Pair:
-    """A pair as seen through an imperfect camera, or in a mirror. rig : of the pictures as they are."""
+    """Read a pair as seen by an imperfect camera, or in a mirror. rig : of the original pictures."""
     left, right = pair_of(path)
     parts = json.loads(path.read_text())["parts"]
     if kind == "mirror":
@@ -217,7 +217,7 @@ def read_pair(path: Path, kind: str, rig: StereoRig) -> Pair:
 
 
 def measured(pair: Pair, kind: str, job: Job, taught: dict[str, Any], rig: PreparedRig) -> Iterator[Row]:
-    """What came of each true part of a pair; where there is none, what was invented."""
+    """Results for each true part of a pair; in a pair without parts, false results."""
     here = [part for part in pair.parts if part["design"] == taught["design"]]
     if pair.parts and not here:
         return
@@ -231,13 +231,13 @@ def measured(pair: Pair, kind: str, job: Job, taught: dict[str, Any], rig: Prepa
 
 
 def nothing(scene: str, design: str, kind: str, why: str) -> Row:
-    """A part of which nothing came."""
+    """Row for a part without a result."""
     none = [math.nan] * 3
     return Row(scene, design, kind, why, none, none, *[math.nan] * 5, 0, none)
 
 
 def measure(dataset: Path, kind: str, options: argparse.Namespace) -> Iterator[Row]:
-    """All parts in all scenes."""
+    """Measure all parts in all scenes."""
     true = true_rig(dataset / "rig.json")
     rig = prepare(mirrored_rig(true) if kind == "mirror" else true)
     scenes = sorted((dataset / "scenes").glob("*.json"))
@@ -274,7 +274,7 @@ def measure(dataset: Path, kind: str, options: argparse.Namespace) -> Iterator[R
 
 
 def report(rows: list[Row]) -> None:
-    """The table, and the sum of it."""
+    """Print the table and its totals."""
     print("\n| scene | part | | dX dY dZ µm | σ µm | normal ° | σ ° | moved ° | ΔR µm | σ µm | worst, σ |")
     print("|---|---|---|---|---|---:|---:|---:|---:|---:|---:|")
     for row in rows:
@@ -304,7 +304,7 @@ def report(rows: list[Row]) -> None:
 
 
 def main() -> int:
-    """Print the table; 1 where a result was silently wrong."""
+    """Print the table; return 1 if a result was silently wrong."""
     parser = bench_parser(__doc__)
     parser.add_argument("dataset", type=Path)
     parser.add_argument("--tilt", type=float, help="degrees, as edged teach has it")

@@ -42,7 +42,7 @@ CONSOLE = Console(stderr=True)
 
 @dataclass(frozen=True, slots=True)
 class Case:
-    """A calibration to make: folders with their boards, taken together."""
+    """A calibration to make: folders with their boards, used together."""
 
     name: str
     folders: tuple[tuple[Path, str], ...]
@@ -53,7 +53,7 @@ class Case:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Marks:
-    """What was seen in a case's pictures. views : measured with the lenses known."""
+    """Marks in a case's pictures. views : measured with the lenses known."""
 
     pairs: list[ImagePair]
     sizes: tuple[tuple[int, int], tuple[int, int]]
@@ -117,7 +117,7 @@ def all_cases(data: Path) -> list[Case]:
 
 
 def row(case: Case, seen: dict[tuple[Path, str, LensModel], Marks]) -> str:
-    """One line of the table. seen : marks of folders that were measured before."""
+    """One line of the table. seen : cache of the marks of folders."""
     for folder, spec in case.folders:
         if (folder, spec, case.model) not in seen:
             seen[folder, spec, case.model] = measure(folder, spec, case.model)
@@ -159,12 +159,12 @@ def measure(folder: Path, spec: str, model: LensModel) -> Marks:
 
 
 def rms(values: list[float]) -> float:
-    """Root mean square; NaN of nothing."""
+    """Root mean square; NaN for no values."""
     return float(np.sqrt(np.mean(np.square(values)))) if values else float("nan")
 
 
 def plain_marks(calibration: Calibration, pairs: list[ImagePair]) -> list[StereoView]:
-    """These views as plain OpenCV would have them."""
+    """These views as plain OpenCV would measure them."""
     views = [replace(fit.view, board=nominal(fit.view.board)) for fit in calibration.views]
     if not all(isinstance(view.board, Chessboard) for view in views):
         return views
@@ -173,7 +173,7 @@ def plain_marks(calibration: Calibration, pairs: list[ImagePair]) -> list[Stereo
 
 
 def subpix(view: StereoView, pair: ImagePair) -> StereoView:
-    """The same corners, all of them, as cv2.cornerSubPix sees them."""
+    """The same corners, all of them, measured by cv2.cornerSubPix."""
     found: list[Detection] = []
     for side, path in (("left", pair.left), ("right", pair.right)):
         seen = view.found(side)
@@ -188,7 +188,7 @@ def subpix(view: StereoView, pair: ImagePair) -> StereoView:
 
 
 def load_truth(path: Path) -> StereoRig:
-    """A rig file of either format."""
+    """Read a rig file of either format."""
     document = json.loads(path.read_text())
     if document.get("format"):
         return load_rig(path)
@@ -208,7 +208,7 @@ def load_truth(path: Path) -> StereoRig:
 
 
 def point_errors(rig: StereoRig, truth: StereoRig | None, calibration: Calibration) -> str:
-    """Rms error in µm of the boards' points, seen without noise and triangulated with `rig`."""
+    """Rms error in µm of the boards' points, projected without noise and triangulated with `rig`."""
     if truth is None:
         return "-"
     points = np.concatenate(
@@ -220,7 +220,7 @@ def point_errors(rig: StereoRig, truth: StereoRig | None, calibration: Calibrati
 
 
 def normalised(rig: StereoRig, truth: StereoRig | None) -> str:
-    """Normalised squared error per free parameter, and the largest single one in its own sigma."""
+    """Normalised squared error per free parameter, and the largest single error in its own sigma."""
     if truth is None or rig.covariance is None:
         return "-"
     errors = np.concatenate([

@@ -5,8 +5,8 @@
 
 prints Markdown. Two virtual GigE Vision cameras (1280x960, in a process of their own, in a network name
 space of their own) are received by the real Aravis. Every picture carries the time of its exposure in a
-pattern over all its pixels: one that is torn, old, or not of the same exposure as its partner is counted as
-wrong, whatever the receiver believes. Skews are of virtual cameras: of the program, not of a wire.
+pattern over all its pixels: one that is torn, old, or not of the same exposure as its partner counts as
+wrong, whatever the receiver says. Skews are of virtual cameras: of the program, not of a wire.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ MODES: dict[str, dict[str, object]] = {
     "chain": {"output": "Line2", "line": "Line1"},
     "line": {"line": "Line1"},
 }
-"""Trigger modes and their settings. With "line" a pulse comes on a wire to both cameras, as from a sensor."""
+"""Trigger modes and their settings. In "line" a pulse reaches both cameras by a wire, as from a sensor."""
 SMALL_PACKET = 1500
 POLL_S = 0.002
 
@@ -74,7 +74,7 @@ def head(mode: str = "software", *, timeout_s: float = 1.0, max_skew_ms: float =
 
 @dataclass
 class Judge:
-    """Looks at every pair that was published, and knows the truth."""
+    """Checks every published pair against the truth."""
 
     max_skew_ms: float = 100.0
     good: int = 0
@@ -82,7 +82,7 @@ class Judge:
     skews_ms: list[float] = field(default_factory=list)
 
     def look(self, pair: FramePair, asked_ns: int) -> None:
-        """asked_ns : host UTC ns when the pair was asked for; what was exposed before is old."""
+        """Check a pair. asked_ns : host UTC ns of the request; an earlier exposure is old."""
         times = [exposed_ns_of(frame.camera, frame.image) for frame in (pair.left, pair.right)]
         if None in times:
             self.wrong.append("a picture is torn, or the other camera's")
@@ -121,7 +121,7 @@ def run(script: Callable[[StereoHead], Awaitable[None]], of: StereoHead) -> None
 
 
 def latency(world: CameraWorld, options: argparse.Namespace) -> Figures:
-    """From asking for an exposure to both images in memory, for each trigger mode."""
+    """Time from requesting an exposure to both images in memory, for each trigger mode."""
     print("\n| trigger | trigger to both images p50 ms | p99 | true skew p50 ms | p99 | wrong |")
     print("|---|---:|---:|---:|---:|---:|")
     figures: Figures = {"wrong": []}
@@ -147,11 +147,11 @@ async def _time(
         asked_ns, began_s = time.time_ns(), time.perf_counter()
         coming = asyncio.create_task(of.capture())
         if pulse is not None:
-            await asyncio.sleep(0.02)  # BUSY has been seen by then
+            await asyncio.sleep(0.02)  # BUSY has been published by then
             began_s = time.perf_counter()
             pulse()
         pair = await coming
-        if number > 0:  # the first one makes buffers
+        if number > 0:  # the first one allocates buffers
             times_ms.append((time.perf_counter() - began_s) * 1e3)
             judge.look(pair, asked_ns)
         await asyncio.sleep(0.02)
@@ -161,7 +161,7 @@ async def _time(
 
 
 def losses(world: CameraWorld, options: argparse.Namespace) -> Figures:
-    """Frames that did not come whole, with packets of 1500 bytes: 840 to an image."""
+    """Incomplete frames, with packets of 1500 bytes: 840 per image."""
     print("\n| packets lost | resend | frames | published whole | faults | published and not whole |")
     print("|---:|---|---:|---:|---:|---:|")
     figures: Figures = {}
@@ -201,7 +201,7 @@ async def _lossy(world: CameraWorld, loss: float, resend: bool, frames: int) -> 
 
 
 class Watched(LiveCell):
-    """The daemon's loop, handshake and Modbus server on real cameras; instead of vision the judge looks."""
+    """The daemon's loop, handshake and Modbus server on real cameras; the judge takes the place of vision."""
 
     def __init__(self, period_s: float) -> None:
         super().__init__(ModbusSettings(port=0, validity_s=2.0), period_s)
@@ -215,7 +215,7 @@ class Watched(LiveCell):
 
 
 class _Asking:
-    """Notes when the head was asked for a pair."""
+    """Records when the head was asked for a pair."""
 
     def __init__(self, of: StereoHead) -> None:
         self._head, self.asked_ns = of, 0
@@ -232,7 +232,7 @@ class _Asking:
 
 
 async def _valid(port: int, wanted: bool, limit_s: float = 30.0) -> float:
-    """Poll RESULT_VALID as a PLC does until it is as wanted; monotonic s of that moment."""
+    """Poll RESULT_VALID as a PLC does until it is as wanted; return that moment in monotonic s."""
     reader, writer = await asyncio.open_connection("127.0.0.1", port)
     deadline_s = time.monotonic() + limit_s
     try:
@@ -249,7 +249,7 @@ async def _valid(port: int, wanted: bool, limit_s: float = 30.0) -> float:
 
 
 def cable(world: CameraWorld, options: argparse.Namespace) -> Figures:
-    """From a pulled cable to RESULT_VALID = 0 on Modbus, and from its return to RESULT_VALID = 1."""
+    """Time from pulling a cable to RESULT_VALID = 0 on Modbus, and from its return to RESULT_VALID = 1."""
     gone_s, back_s = [], []
     rng = random.Random(1)
     with Watched(period_s=0.1) as cell:
@@ -277,7 +277,7 @@ def cable(world: CameraWorld, options: argparse.Namespace) -> Figures:
 
 
 def reconnects(_world: CameraWorld, options: argparse.Namespace) -> Figures:
-    """Open, one pair, close, again and again: what is left of it."""
+    """Open, take one pair, close, again and again; report leaks."""
     marks: list[tuple[int, float, int, int]] = []
     failed = Counter[str]()
 
@@ -287,13 +287,13 @@ def reconnects(_world: CameraWorld, options: argparse.Namespace) -> Figures:
             try:
                 await one.open()
                 await one.capture()
-            except CaptureError as error:  # a busy machine loses packets; what counts is what is left
+            except CaptureError as error:  # a busy machine loses packets; only leaks count
                 failed[type(error).__name__] += 1
             finally:
                 await one.close()
             del one
             if number in (options.reconnects // 10, options.reconnects):
-                await asyncio.sleep(1.0)  # threads that were told to end have ended
+                await asyncio.sleep(1.0)  # until threads that are ending have ended
                 gc.collect()
                 marks.append((number, *resources()))
 
@@ -311,7 +311,7 @@ def reconnects(_world: CameraWorld, options: argparse.Namespace) -> Figures:
 
 
 class _Lines(logging.Handler):
-    """Errors of the log, by number of the fault that was injected before."""
+    """Counts errors of the log, by the number of the fault injected last."""
 
     def __init__(self) -> None:
         super().__init__(logging.ERROR)
@@ -335,7 +335,7 @@ FAULTS: tuple[tuple[str, str, Any, Any], ...] = (
 
 
 def _injure(world: CameraWorld, side: str, number: int, lasts_s: float) -> str:
-    """One fault from its begin to its end; its name."""
+    """Inject one fault for some time; return its name."""
     if number < len(FAULTS):
         name, fault, sick, well = FAULTS[number]
         world.fault(side, fault, sick)
@@ -376,7 +376,7 @@ def faults(world: CameraWorld, options: argparse.Namespace) -> Figures:
             kinds[name] += 1
             ended_s = time.monotonic()
             heal_s.append((name, asyncio.run(_valid(cell.port, wanted=True)) - ended_s))
-            # mostly longer than the log's window, in which a fault that comes back is only counted
+            # mostly longer than the log's window, in which a repeated fault is only counted
             time.sleep(rng.uniform(0.5, 4.0))
         time.sleep(3.0)
         gc.collect()
@@ -411,7 +411,7 @@ def _counted(counts: Any) -> str:
 
 
 def processor(_world: CameraWorld, options: argparse.Namespace) -> Figures:
-    """What receiving costs: 2 x 20 images a second, without looking at them."""
+    """Processor time of receiving 2 x 20 images a second, without looking at them."""
     used = [0.0, 0.0, 0.0]
 
     async def script(of: StereoHead) -> None:

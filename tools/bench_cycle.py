@@ -5,14 +5,14 @@
 
 The part is the demo's flange with seven circles, at any rotation and depth of the job, in rendered pairs of
 the demo's rig. F is the floor of a cycle (remap, pyramid and gradient of both images), f that of a search
-(pyramid and gradient of one). Each cycle is timed beside its own floor, and the ratio's median is printed:
-what else the machine does slows down both, and on one core it is the processor's time that counts. A search
-is also timed on parts and scenes of `tools/bench shape`, with what a taught job asks for.
+(pyramid and gradient of one). Each cycle is timed beside its own floor, and the median of the ratio is
+printed: other load slows down both, and on one core only processor time counts. A search is also timed on
+parts and scenes of `tools/bench shape`, with the ranges of a taught job.
 --large: the demo's part in images of 5 and 12 megapixels.
 --growth: how the time grows with pixels, parts, jobs, points of the model, and the ranges of angle and size,
 with the exponent.
---flame: where the time goes, drawn by py-spy.
-What jitters least are counts: of candidates followed, of fits, of steps; they guard the tests.
+--flame: a flame graph of where the time goes, drawn by py-spy.
+Counts of candidates followed, of fits and of steps vary least; they guard the tests.
 """
 
 from __future__ import annotations
@@ -58,12 +58,12 @@ Pair = tuple[Image, Image]
 LEVELS = 4
 LARGE = ((2448, 2048), (4096, 3000))
 PLACES_MM = ((-17.0, -15.0), (17.0, 15.0), (17.0, -15.0), (-17.0, 15.0))
-"""Places of parts beside each other, all in view of both cameras."""
+"""Places of parts side by side, all in view of both cameras."""
 MANY_MM = tuple((34.0 * x, 32.0 * y) for y in (0, -1, 1) for x in (-0.5, 0.5, -1.5, 1.5))
-"""Places of a dozen in images of 5 megapixels."""
+"""Places of a dozen parts in images of 5 megapixels."""
 SCENES = 1000
 COUNTED = {
-    "candidates followed": (search._Search, "_climb"),  # noqa: SLF001 - it is their work that is counted
+    "candidates followed": (search._Search, "_climb"),  # noqa: SLF001 - the bench counts its calls
     "fits on a coarse level": (refine, "settle"),
     "places looked around": (localsearch, "best_nearby"),
     "fits on the finest level": (search._Search, "_finest"),  # noqa: SLF001 - likewise
@@ -74,7 +74,7 @@ STEPS = ("coarse steps of the joint fit", "steps of the joint fit")
 
 @dataclass(frozen=True)
 class Row:
-    """One figure: median of the ratio to its floor, and of its own time in ms."""
+    """One figure: median ratio to its floor, and median of its own time in ms."""
 
     what: str
     floor: str
@@ -121,7 +121,7 @@ def bench(
 
 
 def _grown(rig: StereoRig, size: tuple[int, int]) -> StereoRig:
-    """The rig with larger sensors behind the same lenses, so that a part keeps its size in px."""
+    """The rig with larger sensors behind the same lenses: the size of a part in px is unchanged."""
 
     def camera(one: CameraModel) -> CameraModel:
         shift = 0.5 * (size[0] - one.width), 0.5 * (size[1] - one.height)
@@ -145,7 +145,7 @@ def cycle_floor(rig: PreparedRig, pair: Pair) -> None:
 
 
 def as_frames(pair: Pair) -> FramePair:
-    """As the cameras deliver them."""
+    """A pair as the cameras deliver it."""
     return FramePair.of_images(*pair)
 
 
@@ -186,7 +186,7 @@ def cycle_row(what: str, cell: Bench, rounds: int, clock: Callable[[], float] = 
 
 
 def stage_rows(cell: Bench, rounds: int, label: str = "") -> list[Row]:
-    """Find and measure, each by itself; a scene without a part found ends the bench."""
+    """Time finding and measuring separately; a scene where no part is found ends the bench."""
     finding, measuring = [], []
     for pair in cell.pairs:
         images = StereoImages.of(cell.rig.rectification, *pair)
@@ -216,7 +216,7 @@ def stage_rows(cell: Bench, rounds: int, label: str = "") -> list[Row]:
 
 @dataclass(frozen=True)
 class Scene:
-    """What a search is timed on, as `tools/bench shape` draws it. size : px of the part."""
+    """Scene that a search is timed on, as `tools/bench shape` draws it. size : px of the part."""
 
     what: str
     part: str
@@ -239,7 +239,7 @@ FIVE_PX = ((260, 240), (1020, 240), (640, 480), (260, 720), (1020, 720))
 
 
 def search_rows(search_params: SearchParams, rounds: int, number: int) -> list[Row]:
-    """A search as a taught job asks for it, of other parts and in other scenes."""
+    """Time a search as a taught job configures it, for other parts and in other scenes."""
     rows = []
     for scene in SEARCHES:
         part = PARTS[scene.part](scene.size)
@@ -262,7 +262,7 @@ def search_rows(search_params: SearchParams, rounds: int, number: int) -> list[R
 
 
 def further_rows(one: Bench, four: Bench, rounds: int) -> list[Row]:
-    """What each part beyond the first costs: measured with four, less with one, a third of it."""
+    """Cost of each part beyond the first: a third of the difference between four parts and one."""
     rows = []
     for what, first, all_four in (
         ("measure", stage_rows(one, rounds)[1], stage_rows(four, rounds)[1]),
@@ -276,7 +276,7 @@ def further_rows(one: Bench, four: Bench, rounds: int) -> list[Row]:
 
 
 def growth_rows(rounds: int) -> list[tuple[str, list[float], list[float], float]]:
-    """What grows: name, its values, the times in ms beside them, and the exponent of the line in logs."""
+    """Growth: quantity, its values, the times in ms, and the exponent from a line in logs."""
     rows = []
 
     def add(name: str, values: list[float], times: list[float]) -> None:
@@ -331,7 +331,7 @@ def _asking(job: Job, **ranges: float) -> Job:
 
 
 def _thinned(job: Job, share: float) -> Job:
-    """The job with a share of its model's points on each level; they are in random order."""
+    """The job with a share of its model's points on each level; their order is random."""
 
     def thinned(level: ShapeLevel) -> ShapeLevel:
         count = round(share * len(level.points))
@@ -342,11 +342,11 @@ def _thinned(job: Job, share: float) -> Job:
 
 
 def _warmed(cell: Bench, count: int) -> float:
-    """Median time of a first look for each of so many jobs, ms, as the daemon has before it is ready."""
+    """Median time in ms of the first search for each of `count` jobs, as done before the daemon is ready."""
     rig, times = cell.rig.rig, []
     blank = tuple(np.zeros((one.height, one.width), np.uint8) for one in (rig.left, rig.right))
     for _ in range(3):
-        jobs = [replace(cell.job, shape=replace(cell.job.shape)) for _ in range(count)]  # nobody knows them
+        jobs = [replace(cell.job, shape=replace(cell.job.shape)) for _ in range(count)]  # nothing is cached
         start = time.process_time()
         for job in jobs:
             locate(as_frames(blank), job, cell.rig)
@@ -370,7 +370,7 @@ def _searched(cell: Bench, rounds: int, job: Job) -> float:
 
 @contextlib.contextmanager
 def counting() -> Iterator[Counter[str]]:
-    """Count how often the work of a cycle is done; names as in COUNTED."""
+    """Count the work of a cycle by kind; names as in COUNTED."""
     counts: Counter[str] = Counter()
     kept = [(owner, name, getattr(owner, name)) for owner, name in COUNTED.values()]
 
@@ -404,7 +404,7 @@ def work_of(cell: Bench) -> dict[str, float]:
     def called(_frame: FrameType, event: str, _of: object) -> None:
         counts["Python calls"] += event in ("call", "c_call")
 
-    sys.setprofile(called)  # of this thread
+    sys.setprofile(called)  # in this thread
     try:
         for pair in frames:
             inspect(pair, cell.job, cell.rig)
@@ -415,9 +415,9 @@ def work_of(cell: Bench) -> dict[str, float]:
 
 @contextlib.contextmanager
 def on_cores(count: int) -> Iterator[None]:
-    """Run on so many of the machine's cores."""
+    """Run on `count` of the machine's cores."""
     before = os.sched_getaffinity(0)
-    for thread in Path("/proc/self/task").iterdir():  # those that wait for work, too
+    for thread in Path("/proc/self/task").iterdir():  # including idle worker threads
         os.sched_setaffinity(int(thread.name), sorted(before)[:count])
     try:
         yield

@@ -6,20 +6,20 @@
 
 Each part has one distinguishing detail (see `distinguished`) and a plain, brushed or turned face, or is dark
 on a bright table, or the taught piece was machined in another way (ground, faced or milled) than those in the
-scenes: what was taught of its texture is found nowhere, and another texture lies everywhere. It is taught by
-`teach` and found by the whole pipeline in stereo pairs of the demo's rig at half its resolution. Teaching and
-finding use another calibration than the one that the pictures are made with: the right camera is moved by
-0.02 px. A scene is a pose (any rotation, tilted up to 5 degrees), bars and neighbours that hide up to 40 % of
-the part, light, gain and blur. It is rendered once, exactly, and seen in DRAWS_PER_SCENE draws of shot and
-read noise. A decision is counted for the part that is partly hidden:
+scenes: then the taught texture is found nowhere, and another texture lies everywhere. It is taught by `teach`
+and found by the whole pipeline in stereo pairs of the demo's rig at half its resolution. Teaching and finding
+use another calibration than the pictures: the right camera is moved by 0.02 px. A scene is a pose (any
+rotation, tilted up to 5 degrees), bars and neighbours that hide up to 40 % of the part, light, gain and blur.
+It is rendered once, exactly, and seen in DRAWS_PER_SCENE draws of shot and read noise. A decision is counted
+for the part that is partly hidden:
 
 silent, turned    status OK without a reason against it, and the rotation off by more than 1 degree
 silent, off       ... and the position off by more than 10 sigma (and 2 µm)
-refused, seen     refused or not found though most of the detail is in sight, and so is each place where it
-                  would be if the part were turned
-agreement         share of the draws of one scene that share one decision
+refused, seen     refused or not found although most of the detail is visible, and so is each place where
+                  it would be if the part were turned
+agreement         share of the draws of one scene with the most frequent decision
 
-All of its neighbours' silent errors count, too. Exit status 1 if there was any silent error.
+Silent errors about its neighbours count, too. The exit status is 1 if there was any silent error.
 """
 
 from __future__ import annotations
@@ -66,8 +66,8 @@ DRAWS_PER_SCENE = 8
 JITTER_PX = 0.02
 MAX_HIDDEN = 0.4
 SEEN = 0.75
-"""Share of the detail, here and wherever a turned part would have it, that must be in sight for a refusal to
-count as one too many."""
+"""Visible share of the detail, here and wherever a turned part would have it, from which on a refusal counts
+as unnecessary."""
 TURNED_RAD, OFF_SIGMA, OFF_MM = math.radians(1.0), 10.0, 0.002
 SAME_PART_MM = 4.0
 TABLE_BELOW_MM = 4.0
@@ -79,11 +79,11 @@ MACHINED = {
     "milled, seen ground": ("milled", "ground"),
     "ground, seen milled": ("ground", "milled"),
 }
-"""Finish of the taught piece, and of those in the scenes."""
+"""Finish of the taught piece, and of the pieces in the scenes."""
 LOOKS = ("plain", "brushed", "turned", DARK, *MACHINED)
 NOISE = 1.5
 FULL_WELL = 40.0
-"""Grey values squared of noise grow by one for each of these: 10,000 electrons at 255."""
+"""Grey value per squared grey value of shot noise: 10,000 electrons at 255."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -102,9 +102,9 @@ class Taught:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Drawn:
-    """One scene, rendered: radiance of both cameras, where its parts are, what is hidden of the first.
+    """One rendered scene: radiance of both cameras, poses of its parts, hidden share of the first.
 
-    seen : share of the detail that is in sight, here or, if that is less, where a turned part would have it.
+    seen : visible share of the detail, here or, if that is less, where a turned part would have it.
     """
 
     left: FloatArray
@@ -137,13 +137,13 @@ class Row:
 
 @cache
 def views() -> dict[str, RenderedView]:
-    """The true cameras, once for each process."""
+    """The true cameras, made once per process."""
     return stereo_views(small_rig())
 
 
 @cache
 def quick_view() -> RenderedView:
-    """The left camera with a quarter of the pixels: enough to tell what is hidden."""
+    """The left camera with a quarter of the pixels: enough to determine what is hidden."""
     camera = small_rig().left
     coarse = replace(
         camera, width=camera.width // 2, height=camera.height // 2, fx=camera.fx / 2, fy=camera.fy / 2,
@@ -170,14 +170,14 @@ def albedo_of(look: str) -> float:
 
 
 def table_of(look: str, rng: np.random.Generator) -> Surface:
-    """What it lies on."""
+    """Surface of the table."""
     if look == DARK:
         return Surface(rng.uniform(0.7, 0.85), contrast=0.03, feature_mm=0.8, seed=2)
     return Surface(rng.uniform(0.1, 0.2), contrast=rng.choice([0.0, 0.25]), feature_mm=0.8, seed=2)
 
 
 def world(look: str, rng: np.random.Generator, *placed: tuple[Part, FloatArray]) -> Scene:
-    """Parts over a table, in light that is not quite even."""
+    """Parts over a table, in slightly uneven light."""
     slope = rng.uniform(-0.004, 0.004, 2)
     table = Table(table_of(look, rng), pose((PLACE_MM[0], PLACE_MM[1], PLACE_MM[2] + TABLE_BELOW_MM)))
     light = SceneLight(1.0, (float(slope[0]), float(slope[1])))
@@ -185,7 +185,7 @@ def world(look: str, rng: np.random.Generator, *placed: tuple[Part, FloatArray])
 
 
 def changed(kind: str | None, left: Image, right: Image, seed: tuple[int, ...]) -> tuple[Image, Image]:
-    """The pair as an imperfect camera sees it (see `imperfections`)."""
+    """The pair as seen by an imperfect camera (see `imperfections`)."""
     if kind is None:
         return left, right
     rng = np.random.default_rng(seed)
@@ -209,7 +209,7 @@ def teach_design(design: Design, look: str, seed: int, kind: str | None = None) 
     if inspect_model(job.shape, job.search).symmetric or job.shape.round:
         raise TeachError("its detail was not learnt: the teacher is told that it looks the same when turned")
     measured = invert(where) @ job.rig_from_part
-    # errors of the calibration and of teaching are not the truth's: the reference is a known point
+    # exclude errors of calibration and teaching from the truth: the reference is a known point
     places = np.array([(x, y, 0.0) for x, y in design.places_mm])
     apart = np.linalg.norm(places - measured[:3, 3], axis=1)
     if apart.min() > REFERENCE_WITHIN_MM:
@@ -219,7 +219,7 @@ def teach_design(design: Design, look: str, seed: int, kind: str | None = None) 
 
 
 def made(design: Design, look: str, *, whole: bool = True, piece: int | None = None) -> Part:
-    """The part, or what it would be without its detail; piece : which of a scene's, None: the taught one."""
+    """The part, optionally without its detail. piece : its number in the scenes, None: the taught one."""
     finish = "plain" if look == DARK else look
     if look in MACHINED:
         finish = MACHINED[look][piece is not None]
@@ -228,7 +228,7 @@ def made(design: Design, look: str, *, whole: bool = True, piece: int | None = N
 
 
 def exposed(radiance: FloatArray, gain: float, rng: np.random.Generator) -> Image:
-    """A picture with shot and read noise."""
+    """Picture with shot and read noise."""
     grey = gain * (3.0 + 200.0 * radiance.astype(np.float32))
     noise = np.sqrt(gain * np.maximum(grey, 0) / FULL_WELL + np.float32((gain * NOISE) ** 2))
     grey += noise * rng.standard_normal(grey.shape, np.float32)
@@ -236,7 +236,7 @@ def exposed(radiance: FloatArray, gain: float, rng: np.random.Generator) -> Imag
 
 
 def draw_scene(taught: Taught, rng: np.random.Generator) -> Drawn:
-    """A pose, and things in front of the part that hide no more than MAX_HIDDEN of it."""
+    """Draw a pose, and objects in front of the part that hide at most MAX_HIDDEN of it."""
     design, look = taught.design, taught.look
     piece = int(rng.integers(1, 1000)) if look in MACHINED else 1
     part, plain = made(design, look, piece=piece), made(design, look, whole=False, piece=piece)
@@ -290,7 +290,7 @@ def draw_scene(taught: Taught, rng: np.random.Generator) -> Drawn:
 
 
 def turned_image(picture: FloatArray, where: FloatArray, angle_rad: float) -> FloatArray:
-    """A picture of a detail as it would be if the part were turned in its own plane."""
+    """Picture of a detail as it would be if the part were turned in its own plane."""
     if angle_rad == 0.0:
         return picture
     corners = np.array([(-10.0, -10.0, 0.0), (10.0, -10.0, 0.0), (10.0, 10.0, 0.0), (-10.0, 10.0, 0.0)])
@@ -303,7 +303,7 @@ def turned_image(picture: FloatArray, where: FloatArray, angle_rad: float) -> Fl
 
 
 def tilted(place: FloatArray, turn_deg: float, tilt_deg: float, rng: np.random.Generator) -> FloatArray:
-    """rig_from_part of a part that lies askew."""
+    """rig_from_part of a tilted part."""
     side = rng.uniform(0, 2 * math.pi)
     tilt = rotation_matrix(math.radians(tilt_deg) * np.array([math.cos(side), math.sin(side), 0.0]))
     flat = pose((float(place[0]), float(place[1]), float(place[2])), turn_deg)
@@ -314,9 +314,9 @@ def tilted(place: FloatArray, turn_deg: float, tilt_deg: float, rng: np.random.G
 def things_in_front(
     taught: Taught, where: FloatArray, rng: np.random.Generator, piece: int
 ) -> tuple[tuple[tuple[Part, FloatArray], ...], tuple[FloatArray, ...]]:
-    """Nothing, a bar or two, or another such part beside or upon the first; poses of such parts.
+    """Nothing, one or two bars, or another such part beside or on the first; poses of such parts.
 
-    piece : which of all such parts that is.
+    piece : number of the other part's piece.
     """
     kind, radius = rng.choice(["nothing", "bar", "bar", "bars", "part"]), taught.design.radius_mm
     if kind == "nothing":
@@ -341,7 +341,7 @@ def things_in_front(
 
 
 def judge_target(taught: Taught, target: Target, truth: FloatArray) -> tuple[float, float]:
-    """By how many rad a target is turned about its normal, and by how many sigma it is off."""
+    """Rotation error of a target about its normal, rad, and its largest position error in sigma."""
     expected = truth @ taught.part_from_job
     relative = expected[:3, :3].T @ target.rig_from_part[:3, :3]
     turn = abs(math.atan2(relative[1, 0] - relative[0, 1], relative[0, 0] + relative[1, 1]))
@@ -352,7 +352,7 @@ def judge_target(taught: Taught, target: Target, truth: FloatArray) -> tuple[flo
 
 
 def seen_by(rig: StereoRig, point_mm: FloatArray) -> FloatArray:
-    """Where a calibration puts a point that the true cameras see: its own error is nobody's decision."""
+    """Position that a calibration gives a point seen by the true cameras, to exclude its own error."""
     true = small_rig()
     left = true.left.project(point_mm[None])
     right = true.right.project(apply(true.right_from_left, point_mm[None]))
@@ -360,7 +360,7 @@ def seen_by(rig: StereoRig, point_mm: FloatArray) -> FloatArray:
 
 
 def decision(taught: Taught, scene: Drawn, outcome: Outcome) -> tuple[str, list[str]]:
-    """What was decided about the first part, and every silent error in the picture."""
+    """Decision about the first part, and every silent error in the picture."""
     errors: list[str] = []
     first = "not found"
     origins = np.array([one[:3, 3] for one in scene.poses])
@@ -387,7 +387,7 @@ def decision(taught: Taught, scene: Drawn, outcome: Outcome) -> tuple[str, list[
 
 
 def run_part(index: int, look: str, scenes: int, seed: int, kind: str | None = None) -> Row:
-    """All scenes of one part on one surface."""
+    """Run all scenes of one part on one surface."""
     cv2.setNumThreads(1)
     design = DESIGNS[index]
     row = Row(design.name, look)
@@ -434,12 +434,12 @@ def run_part(index: int, look: str, scenes: int, seed: int, kind: str | None = N
 
 
 def percent(share: int, of: int) -> str:
-    """With one decimal; a dash where there is nothing to count."""
+    """Percentage with one decimal; a dash without a total."""
     return f"{100 * share / of:.1f}" if of else "-"
 
 
 def show(rows: list[Row], title: str) -> None:
-    """A Markdown table, one line for each row."""
+    """Print a Markdown table, one line for each row."""
     print(f"\n| {title} | draws | silent, turned | silent, off | refused % ", end="")
     print("| refused, seen % | agreement % | ms |")
     print("|---" + "|---:" * 7 + "|")
@@ -452,7 +452,7 @@ def show(rows: list[Row], title: str) -> None:
 
 
 def summed(rows: list[Row], name: str, look: str = "") -> Row:
-    """Counts of several rows together."""
+    """Sum of the counts of several rows."""
     total, reasons = Row(name, look), Counter[str]()
     for row in rows:
         for key in ("scenes", "draws", "turned", "off", "draws_seen", "refused", "refused_seen", "agreeing"):
@@ -465,7 +465,7 @@ def summed(rows: list[Row], name: str, look: str = "") -> Row:
 
 
 def main() -> int:
-    """Run all parts on all surfaces, on two processes."""
+    """Run all parts on all surfaces, in two processes."""
     parser = bench_parser(__doc__)
     parser.add_argument("--draws", type=int, default=20_000, help="in all; rounded up to whole scenes")
     parser.add_argument("--parts", help="names, separated by commas; default: all")

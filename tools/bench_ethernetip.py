@@ -1,10 +1,10 @@
 #!/usr/bin/env python3
-"""Measure a cell as an EtherNet/IP adapter: from START to DONE, and how evenly its inputs come.
+"""Measure a cell as an EtherNet/IP adapter: from START to DONE, and how evenly its inputs arrive.
 
 Run it with the project's Python: `.venv/bin/python tools/bench_ethernetip.py`. The daemon measures in this
-process; the controller, a scanner of other authors, is another one. START to DONE, and without the duration
-of the cycle itself, at each requested packet interval (RPI); then the time between two inputs while the cell
-measures, unasked, as fast as it can. In ms.
+process; the controller, a scanner by other authors, is another one. It prints START to DONE, with and without
+the duration of the cycle itself, at each requested packet interval (RPI); then the time between two inputs
+while the cell measures, untriggered, as fast as it can. In ms.
 """
 
 from __future__ import annotations
@@ -37,12 +37,12 @@ INTERVALS_MS = (50, 20, 10)
 
 
 def commands(host: str, rpi_ms: int, count: int, results: Queue[list[float]]) -> None:
-    """A controller that commands so often, and reports from START to DONE in ms."""
+    """Command `count` times as a controller, and report the times from START to DONE in ms."""
     scanner, times_ms = Scanner(host, rpi_ms), list[float]()
     program = scanner.run()
     for number in range(count):
         program.until(lambda bits: bits & at.READY)
-        time.sleep(0.01 + rpi_ms / 1000 * (number % 20) / 20)  # at any time of the interval
+        time.sleep(0.01 + rpi_ms / 1000 * (number % 20) / 20)  # at any phase of the interval
         begun_s = time.perf_counter()
         program.write(at.CONTROL, START_SIMULATED)
         program.until(lambda bits: bits & at.DONE)
@@ -54,7 +54,7 @@ def commands(host: str, rpi_ms: int, count: int, results: Queue[list[float]]) ->
 
 
 def arrivals(host: str, rpi_ms: int, seconds: float, results: Queue[list[float]]) -> None:
-    """A scanner that only reads, and reports when inputs came, in ms."""
+    """Only read, as a scanner, and report when inputs came, in ms."""
     times_ms, end_s, sequence = list[float](), time.monotonic() + seconds, 0
     with originator_at(host) as raw:
         status, _, data = raw.forward_open(READER, (2, 130), rpi_us=1000 * rpi_ms, multiplier=6)

@@ -1,10 +1,10 @@
 #!/usr/bin/env python3
-"""Measure what a second exposure earns on path-traced metal: one picture against two merged.
+"""Measure what a second exposure gains on path-traced metal: one picture against two merged.
 
     tools/bench exposures FOLDER [--designs N] [--scenes N] [--first N] [--held-out] [--ratio R] [--over F]
 
-FOLDER gets the light of `tools/photoworld.py` (minutes a pair; what is there is not traced again), and of it
-a set for each way to expose, with the same truth: `one` as that tool exposes, which minds what is white;
+FOLDER gets the light of `tools/photoworld.py` (minutes per pair; existing light is not traced again), and of
+it a set for each way to expose, with the same truth: `one` as that tool exposes, avoiding white pixels;
 `long`, F times as long; `short`, R times shorter than that; `two`, long and short merged by
 `edged.pictures.twoexposures`. Each is taught and measured as `tools/bench solid` does it. The second
 exposures are simulated: light that was traced once, with noise of its own in each.
@@ -36,7 +36,7 @@ BLACK_GREY = 16
 
 
 class Film:
-    """Exposes light that is traced once, in one way."""
+    """Exposes light that is traced once, in one of the ways."""
 
     def __init__(self, way: str, options: argparse.Namespace) -> None:
         self._way, self._options = way, options
@@ -46,7 +46,7 @@ class Film:
     def draw(
         self, design: Design, where: FloatArray, rng: np.random.Generator, *, teaching: bool
     ) -> tuple[tuple[Image, Image], dict[str, Any]]:
-        """Both pictures, as `solidworld.Draw`."""
+        """Expose both pictures, as `solidworld.Draw`."""
         setting = Setting.drawn(finish_of(design), rng, teaching=teaching)
         path = self.folder / f"{design.name}_{setting.seed}.npz"
         if not path.exists():

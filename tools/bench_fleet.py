@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Roll releases out to many cells of one machine, attack their repository, and kill what stands beside them.
+"""Roll releases out to many cells of one machine, attack their repository, and kill the services beside them.
 
     tools/bench fleet [--cells N] [--json FILE]
     tools/bench fleet --plan N [--json FILE]
@@ -9,7 +9,7 @@ without daemon and cameras; cycles of their probation are copies of one that was
 daemon on virtual cameras, with page, history, recorder and Zenoh, and a PLC that triggers it all the time.
 Releases come from a static HTTPS server. Prometheus reads all cells, if it is installed (tools/test does).
 Only the window of light cells is waited for in virtual time: their gate is asked at noon, then at 23:00.
---plan: what so many cells need a day, computed from artefacts that are made and weighed here.
+--plan: what so many cells need per day, computed from artefacts that are made and weighed here.
 """
 
 from __future__ import annotations
@@ -62,10 +62,10 @@ from edged.setup.releases.jobsfolder import jobs_in
 REAL = "cell-real"
 TOKEN = "a token of the plant"
 LATE_S = 5.0
-"""TIMEOUT of each command, as the shipped client writes it: what is not answered by then is late."""
+"""TIMEOUT of each command, as the shipped client writes it; a later answer counts as late."""
 MOST_S = 60.0
 DOWN_S = 8.0
-"""How long each engine is away, and back before the next one goes; before it nothing is killed, as long."""
+"""Time for which each service is down, and then up before the next one is killed."""
 PROBATION = 80
 """Cycles of each light cell in its probation."""
 context = mp.get_context("spawn")
@@ -75,13 +75,13 @@ context = mp.get_context("spawn")
 
 
 def serve_releases(folder: Path, certificates: Path, port: int) -> None:
-    """The static server of the repository."""
+    """Run the static server of the repository."""
     with served(folder, certificates, port):
         signal.pause()
 
 
 def serve_metrics(cells: int, port: int) -> None:
-    """/metrics of light cells, each at an address of its own: 127.1.0.1 is the first."""
+    """Serve /metrics of light cells, each at its own address: 127.1.0.1 is the first."""
     from helpers.snapshots import make_snapshot
 
     from edged.adapters.metrics import MetricsPublisher
@@ -90,7 +90,7 @@ def serve_metrics(cells: int, port: int) -> None:
 
     class Pages(http.server.BaseHTTPRequestHandler):
         def do_GET(self) -> None:
-            """One more cycle, and the page."""
+            """Count one more cycle, and serve the page."""
             third, fourth = map(int, self.request.getsockname()[0].split(".")[2:])
             publisher = publishers[third * 250 + fourth - 1]
             publisher.announce(make_snapshot(1))
@@ -99,18 +99,18 @@ def serve_metrics(cells: int, port: int) -> None:
             self.send_header("Content-Type", "text/plain; version=0.0.4")
             self.send_header("Content-Length", str(len(page)))
             self.end_headers()
-            with contextlib.suppress(BrokenPipeError):  # Prometheus was killed, or has waited for long
+            with contextlib.suppress(BrokenPipeError):  # Prometheus was killed, or timed out
                 self.wfile.write(page)
 
         def log_message(self, format: str, *arguments: object) -> None:
-            """Say nothing."""
+            """Log nothing."""
 
     os.nice(5)
     http.server.ThreadingHTTPServer(("0.0.0.0", port), Pages).serve_forever()
 
 
 def run_cell(config: Path) -> None:
-    """The daemon, as `edged run` builds it; while a file `covered` lies beside it, its cameras are blind."""
+    """Run the daemon as `edged run` builds it; with a file `covered` beside it, its cameras see nothing."""
     import asyncio
 
     from helpers.cells import small_rig
@@ -126,7 +126,7 @@ def run_cell(config: Path) -> None:
 
     class Coverable(VirtualWorld):
         def in_process_cameras(self) -> tuple[InProcessCamera, InProcessCamera]:
-            """Behind a lid."""
+            """Cameras whose view can be covered."""
             sizes = {"width": self.cell.rig.left.width, "height": self.cell.rig.left.height}
             left, right = (
                 InProcessCamera(side, functools.partial(seen, self.cell.exposure(side)), **sizes)
@@ -149,7 +149,7 @@ def run_cell(config: Path) -> None:
 
 
 def trigger(port: int, notes: Path) -> None:
-    """A PLC that locates ten times a second at most, and notes when, how it ended and how long it took."""
+    """Locate as a PLC, at most ten times a second; note when, how it ended and how long it took."""
     from edged.robots.cell_client import CellError, CommandNacked, EdgedCell
 
     with notes.open("w", buffering=1) as file:
@@ -170,7 +170,7 @@ def trigger(port: int, notes: Path) -> None:
 
 
 def listen(port: int, notes: Path) -> None:
-    """Count what comes over the router."""
+    """Note every result received over the router."""
     import zenoh
 
     config = zenoh.Config()
@@ -187,7 +187,7 @@ def listen(port: int, notes: Path) -> None:
 
 
 def route(port: int) -> None:
-    """A router of Zenoh."""
+    """Run a Zenoh router."""
     import zenoh
 
     config = zenoh.Config()
@@ -203,19 +203,19 @@ def route(port: int) -> None:
 
 @dataclass
 class Ours:
-    """A process of the bench that can be killed, and started again."""
+    """A process of the bench that can be killed and restarted."""
 
     target: Callable[..., None]
     arguments: tuple[object, ...]
     process: BaseProcess | None = None
 
     def start(self) -> None:
-        """Begin."""
+        """Start the process."""
         self.process = context.Process(target=self.target, args=self.arguments, daemon=True)
         self.process.start()
 
     def kill(self) -> None:
-        """As a cut of power."""
+        """Kill it, as a power cut would."""
         if self.process is not None:
             self.process.kill()
             self.process.join()
@@ -225,18 +225,18 @@ class Ours:
 
 
 def cell_name(number: int) -> str:
-    """By its number."""
+    """Name of a cell by its number."""
     return f"cell-{number:04}"
 
 
 def lesser() -> None:
-    """Give way to the daemon."""
+    """Lower this process's priority below the daemon's."""
     os.nice(5)
     os.environ["OPENBLAS_NUM_THREADS"] = "1"
 
 
 def pulled(config: Path, place: str | None = None) -> str:
-    """`edged release pull`; returns what is staged then, or why it was refused."""
+    """Run `edged release pull`; return the staged release, or why it was refused."""
     from edged.commands.release import pull
 
     with Path(os.devnull).open("w") as nowhere:
@@ -249,7 +249,7 @@ def pulled(config: Path, place: str | None = None) -> str:
 
 
 def attacked(config: Path, place: str) -> str:
-    """`pulled` from an attacked repository, by a cell as it is now; it forgets afterwards."""
+    """Return `pulled` from an attacked repository, and restore the cell's state afterwards."""
     kept = page_folder(config) / FOLDER
     before = shutil.copytree(kept, kept.with_name("before"))
     said = pulled(config, place)
@@ -259,12 +259,12 @@ def attacked(config: Path, place: str) -> str:
 
 
 class MeasuredOnce(SameProcess):
-    """Recordings of light cells are the same files: by the same jobs each process measures them once."""
+    """Light cells share their recordings: each process measures them once per set of jobs."""
 
     known: ClassVar[dict[tuple[Any, ...], Any]] = {}
 
     async def run(self, name: str, *arguments: Any) -> Any:
-        """What the worker's process does."""
+        """Do the work of the worker process."""
         entries, active, candidate, _ = arguments
         files = tuple(entry.path.stat().st_ino for entry in entries)
         key = name, files, digest_of(active), digest_of(candidate)
@@ -275,12 +275,12 @@ class MeasuredOnce(SameProcess):
 
 @functools.cache
 def pairs_of(template: Path) -> list[Any]:
-    """Pictures of the template."""
+    """Pictures of the template, cached."""
     return [np.load(template.with_name("pairs.npy"), allow_pickle=True)[0]]
 
 
 def gated(folder: Path, template: Path) -> tuple[str, str, str]:
-    """A cell's gate to its end: at noon, then at night; returns name, last step and why."""
+    """Take a cell's gate to its end, at noon, then at night; return name, last step and why."""
     import asyncio
 
     async def whole_way() -> tuple[str, str, str]:
@@ -302,7 +302,7 @@ def gated(folder: Path, template: Path) -> tuple[str, str, str]:
 
 @dataclass
 class Bench:
-    """A fleet below a folder. figures : what is printed, for JSON."""
+    """A fleet in a folder. figures : printed results, for JSON."""
 
     folder: Path
     count: int
@@ -310,7 +310,7 @@ class Bench:
     figures: dict[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        """Make keys and cells; nothing runs."""
+        """Make keys and cells; start nothing."""
         ports = {name: free_port() for name in ("modbus", "web", "zenoh", "releases", "metrics", "router")}
         self.ports = ports
         self.releases = Releases(self.folder / "fleet")
@@ -350,7 +350,7 @@ class Bench:
         return self.folder / "cells" / name / "cell.toml"
 
     def _make(self, folder: Path) -> None:
-        """A cell; recordings, which never change, are links."""
+        """Make a cell; its recordings, which never change, are hard links."""
         shutil.copytree(self.template, folder, ignore=shutil.ignore_patterns("recordings"))
         shutil.copytree(self.template / "recordings", folder / "recordings", copy_function=os.link)
         config = folder / "cell.toml"
@@ -370,7 +370,7 @@ class Bench:
 
     @contextlib.contextmanager
     def running(self) -> Iterator[None]:
-        """Everything; the daemon has measured once."""
+        """Run everything; yields once the daemon has measured."""
         all_of_it = [self.server, self.router, *self.others]
         try:
             self.server.start()
@@ -390,7 +390,7 @@ class Bench:
                 self.prometheus.kill()
 
     def until(self, holds: Callable[[], bool], most_s: float) -> float:
-        """Wait; returns how long. Raises `TimeoutError`."""
+        """Wait until a condition holds; return how long. Raises `TimeoutError`."""
         begun_s = time.monotonic()
         while not holds():
             if time.monotonic() - begun_s > most_s:
@@ -399,30 +399,30 @@ class Bench:
         return time.monotonic() - begun_s
 
     def plc(self, since_s: float) -> list[tuple[float, float, str]]:
-        """What the PLC noted: when, seconds, how."""
+        """Notes of the PLC: when, seconds, how."""
         lines = self.plc_notes.read_text().splitlines() if self.plc_notes.exists() else []
         return [(at, took, how) for at, took, how in map(json.loads, lines) if at >= since_s]
 
     def release(self, name: str, *arguments: object) -> float:
-        """Sign and publish; returns when."""
+        """Sign and publish a release; return when."""
         with quiet():
             if self.releases.sign(name, *arguments, "--cells", self.listed) or self.releases.publish():
                 raise RuntimeError(f"{name} could not be signed")
         return time.monotonic()
 
     def pull(self) -> Counter[str]:
-        """Every cell asks, the daemon's first; what each has then."""
+        """Let every cell pull, the daemon's first; count the staged releases."""
         real = pulled(self.config(REAL))
         self.asked_s = time.monotonic()
         return Counter([real, *self.pool.map(pulled, map(self.config, self.names[1:]), chunksize=8)])
 
     def real_step(self) -> tuple[str, str]:
-        """How far the daemon's gate is, and with what."""
+        """Step of the daemon's gate, and its release."""
         gate = gate_in(page_folder(self.config(REAL)) / FOLDER)
         return ("", "") if gate is None else (gate.step, gate.staged.offer.name)
 
     def pass_gates(self, names: Sequence[str]) -> Counter[str]:
-        """Light cells take their release through their gates."""
+        """Take the release of light cells through their gates; count the last steps."""
         folders = [self.folder / "cells" / name for name in names if name != REAL]
         found = [*self.pool.map(gated, folders, [self.template] * len(folders), chunksize=2)]
         odd = next((row for row in found if row[1] != found[0][1]), None)
@@ -431,7 +431,7 @@ class Bench:
         return Counter(step for _, step, _ in found)
 
     def named(self, stem: str) -> str:
-        """A release whose ring 1 is the daemon: an order by SHA-256 of the name."""
+        """Name of a release whose ring 1 is the daemon; the order depends on the name's SHA-256."""
         return next(name for name in (f"{stem}-{number}" for number in range(100_000)) if self.is_first(name))
 
     def is_first(self, release: str) -> bool:
@@ -441,7 +441,7 @@ class Bench:
     # --- what is shown --------------------------------------------------------------------------------
 
     def good_release(self) -> None:
-        """A release like the one before, ring by ring."""
+        """Roll out a release like the one before, ring by ring."""
         name, jobs = self.named("good"), self.jobs("good", better)
         print(
             "| ring | cells that have fetched it | committed | from its publication, s |\n|---|---|---|---|"
@@ -462,11 +462,11 @@ class Bench:
         self.figures["good release"] = rows
 
     def gate(self, cell: str) -> Any:
-        """How far a cell's gate is."""
+        """Note of a cell's gate."""
         return gate_in(page_folder(self.config(cell)) / FOLDER)
 
     def jobs(self, name: str, change: Callable[[str], str]) -> Path:
-        """A folder of jobs with another text."""
+        """Make a folder of jobs with a changed text."""
         folder = self.folder / name
         for place, data in edited(self.config(REAL).parent, change).items():
             (folder / place).parent.mkdir(parents=True, exist_ok=True)
@@ -474,7 +474,7 @@ class Bench:
         return folder
 
     def turned_release(self) -> None:
-        """A release that turns the part by 180 degrees, and may move results by a metre."""
+        """Roll out a release that turns the part by 180 degrees, and may move results by a metre."""
         name, before = self.named("turned"), jobs_in(self.config(REAL).parent / "jobs")
         jobs = self.jobs("turned", turned)
         self.release(name, "--jobs", jobs, "--ring", "1", "--may-move", 1000)
@@ -495,7 +495,7 @@ class Bench:
         self.release(name, "--ring", "none")
 
     def worse_release(self) -> None:
-        """A release that recordings speak for, and that finds nothing once it is active."""
+        """Roll out a release that recordings accept, but that finds nothing once it is active."""
         name, place = self.named("worse"), self.config(REAL)
         lid = place.with_name("covered")
         jobs = self.jobs("worse", lambda text: text.replace("max_sigma_mm = 0.2", "max_sigma_mm = 0.22"))
@@ -514,7 +514,7 @@ class Bench:
         self.release(name, "--ring", "none")
 
     def attacks(self) -> None:
-        """A release for all that none has, in repositories that somebody changed."""
+        """Attack a release for all, which no cell has yet, by changing the repository."""
         baited = Releases(shutil.copytree(self.releases.keys.parent, self.folder / "baited"))
         with quiet():
             baited.sign("bait", "--jobs", self.template / "jobs", "--ring", "all")
@@ -539,7 +539,7 @@ class Bench:
         self.figures["attacks"] = rows
 
     def kills(self) -> None:
-        """Engines go one after the other, then at once; the PLC is watched."""
+        """Kill services one after the other, then all at once, and watch the PLC."""
         store, away = self.folder / "store", self.folder / "store-away"
 
         def store_goes() -> None:
@@ -578,7 +578,7 @@ class Bench:
         self.figures["kills"] = rows
 
     def row(self, title: str, since_s: float, until_s: float = np.inf) -> list[Any]:
-        """Commands of a time: how many, late ones, and their times."""
+        """Row for the commands of a period: how many, late ones, and their durations."""
         noted = [note for note in self.plc(since_s) if note[0] < until_s]
         took_ms = [1e3 * took for _, took, _ in noted]
         late = sum(took > LATE_S for _, took, _ in noted)
@@ -586,7 +586,7 @@ class Bench:
         return [title, len(noted), late, round(p50), round(p99), round(max(took_ms))]
 
     def books(self) -> None:
-        """After all: what each engine has again, and the store against the cycles that there were."""
+        """Check at the end that every service has recovered, and the store against the number of cycles."""
         restarted_s = time.monotonic()
         again = self.until(lambda: not pulled(self.config(REAL)).startswith("refused"), MOST_S)
         heard = self.until(lambda: self.last_heard() > restarted_s, MOST_S)
@@ -610,16 +610,16 @@ class Bench:
         self.figures["store"] = [cycles, rows, left_out]
 
     def last_heard(self) -> float:
-        """When the newest result came over the router."""
+        """Time when the newest result came over the router."""
         return max(map(float, self.heard_notes.read_text().splitlines()), default=0.0)
 
     def read_by_prometheus(self) -> int:
-        """How many cells it reads."""
+        """Number of cells that Prometheus reads."""
         found = [] if self.prometheus is None else self.prometheus.query("sum(up)")
         return int(found[0]["value"][1]) if found else 0
 
     def metric(self, name: str) -> float:
-        """A figure of the daemon's /metrics, all its labels together."""
+        """A figure of the daemon's /metrics, summed over all labels."""
         request = urllib.request.Request(f"http://127.0.0.1:{self.ports['web']}/metrics")
         request.add_header("Authorization", f"Bearer {TOKEN}")
         with urllib.request.urlopen(request, timeout=MOST_S) as answer:
@@ -627,7 +627,7 @@ class Bench:
         return sum(float(line.rsplit(" ", 1)[1]) for line in lines if re.split("[{ ]", line)[0] == name)
 
     def kept_rows(self) -> int:
-        """Pack what waits, as the next start does, and count."""
+        """Pack what is left, as the next start does, and count the rows."""
         from edged.files.history.packing import pack
         from edged.files.history.query import ask
         from edged.files.history.rows import FULL, OPEN, spool_folder
@@ -645,7 +645,7 @@ RING = {"1": 1, "5%": 2, "25%": 3, "all": 4}
 
 @functools.cache
 def token_hash() -> str:
-    """Of the token of /metrics."""
+    """Hash of the token of /metrics."""
     from argon2 import PasswordHasher
 
     return PasswordHasher(time_cost=1, memory_cost=512, parallelism=1).hash(TOKEN)
@@ -653,13 +653,13 @@ def token_hash() -> str:
 
 @contextlib.contextmanager
 def quiet() -> Iterator[None]:
-    """Commands print nothing."""
+    """Suppress the output of commands."""
     with Path(os.devnull).open("w") as nowhere, contextlib.redirect_stdout(nowhere):
         yield
 
 
 def bench(folder: Path, cells: int) -> dict[str, Any]:
-    """Show all of it, and return the figures."""
+    """Run all parts, and return the figures."""
     os.environ["EDGED_PASSPHRASE"] = PASSPHRASE
     os.environ["SSL_CERT_FILE"] = str(folder / "tls" / "ca.pem")
     with ProcessPoolExecutor(2, context, lesser) as pool:
@@ -686,7 +686,7 @@ def bench(folder: Path, cells: int) -> dict[str, Any]:
 
 
 def planned(folder: Path, cells: int) -> list[list[Any]]:
-    """Print the table of so many cells."""
+    """Print the table for `cells` cells."""
     os.environ["EDGED_PASSPHRASE"] = PASSPHRASE
     releases = Releases(folder / "fleet")
     with quiet():

@@ -5,7 +5,7 @@
 
 A hand follows the outlines that the cell draws, with its misses, as on the virtual stage; a careful person
 tilts the same board up to 20° every way, at several depths, all over the common field. Marks are computed, no
-picture is drawn. Sigma as stated and the true error are those of points where parts may lie.
+picture is drawn. Stated sigma and true error are those of points where parts may lie.
 """
 
 from __future__ import annotations
@@ -31,38 +31,38 @@ from edged.vision.geometry.rigid import apply
 SIZE = (1280, 960)
 BOARD_MODEL = Chessboard(*BOARD)
 TRIES = 6
-"""Who has not brought the board into an outline by then takes the next one."""
+"""Attempts to bring the board into an outline before the next one is taken."""
 MOVE_NS = 10_000_000_000
 POINTS_MM = np.array(
     [(x, y, z) for x in (-15.0, 8.0, 30.0) for y in (-15.0, 0.0, 15.0) for z in (200.0, 205.0, 210.0)]
 )
-"""Where parts may lie."""
+"""Points where parts may lie."""
 
 
 class Clock:
-    """The stage's clock, which moves when it is told to."""
+    """The stage's clock, moved by hand."""
 
     def __init__(self) -> None:
         self.now_ns = 1_000_000_000_000
 
     def __call__(self) -> int:
-        """UTC ns."""
+        """Time in UTC ns."""
         return self.now_ns
 
 
 def no_picture() -> Image:
-    """There is none."""
+    """Refuse: marks are computed, and no picture exists."""
     raise RuntimeError("marks are computed: no picture is read")
 
 
 def looked(view: StereoView, index: int) -> Looked:
-    """What a picture would have shown."""
+    """Marks as a picture would have shown them."""
     digest = f"{view.name} {index}".encode()
     return Looked(SIZE, digest, np.zeros((1, 1), np.uint8), [view.found(SIDES[index])])
 
 
 def guided_views(count: int, noise_px: float, seed: int) -> list[StereoView]:
-    """As a person takes them who follows what the cell draws."""
+    """Views of a person who follows the cell's outlines."""
     rig, clock = demo_rig(), Clock()
     stage = Stage(VirtualCell(rig, demo_part(), seed=seed, board=stage_board()), seed=seed, clock=clock)
     stage.show(Thing.BOARD)
@@ -88,7 +88,7 @@ def guided_views(count: int, noise_px: float, seed: int) -> list[StereoView]:
 def brought(
     stage: Stage, clock: Clock, ghost: Ghost, taken: list[FloatArray]
 ) -> tuple[FloatArray, FloatArray] | None:
-    """The board's pose (4, 4) and outlines (2, 4, 2) once it is in the ghost and whole in both pictures."""
+    """Pose (4, 4) and outlines (2, 4, 2) of the board once it is in the ghost and whole in both pictures."""
     drawn = {"left": ghost.left} if ghost.right is None else {"left": ghost.left, "right": ghost.right}
     for _ in range(TRIES):
         stage.follow(drawn)
@@ -101,7 +101,7 @@ def brought(
 
 
 def held(stage: Stage) -> tuple[FloatArray, Watched]:
-    """Where the board is (4, 4), and what the cameras see of it."""
+    """Pose (4, 4) of the board, and what the cameras see of it."""
     shown = stage.shown()
     if shown is None:
         raise RuntimeError("nobody holds the board")
@@ -114,12 +114,12 @@ def held(stage: Stage) -> tuple[FloatArray, Watched]:
 
 
 def outcome(views: list[StereoView]) -> Compared:
-    """Calibrated, beside the truth."""
+    """Calibrate, and compare with the truth."""
     return compared(calibrate_stereo(views, SIZE, SIZE, "auto").rig, demo_rig(), POINTS_MM)
 
 
 def outcomes(guided: int, careful: int, noise_px: float, seed: int) -> tuple[Compared, Compared]:
-    """Figures of both, with the same seed."""
+    """Results of both, with the same seed."""
     poses = calibration_poses(demo_rig(), stage_board(), careful, seed=seed)
     return (
         outcome(guided_views(guided, noise_px, seed)),

@@ -1,23 +1,23 @@
 #!/usr/bin/env python3
-"""Solve hand-eye calibrations of real robots from public pictures, and hold the stated sigma against scatter.
+"""Solve hand-eye calibrations of real robots from public pictures, and compare the stated sigma with scatter.
 
     tools/bench handeye [--pictures DIR [--write]] [--kuka DIR] [--json FILE]
 
 The sets are of robot_cal_tools (github.com/Jmeyer1292/robot_cal_tools, Apache-2.0): a board on an industrial
 robot's flange before a fixed camera, and a camera on a flange above a plate of dots. Marks and poses are in
 tests/data/hand-eye. With --pictures the marks are measured anew, DIR being rct_examples/data of that
-repository; --write keeps them in tests/data/hand-eye.
+repository; --write stores them in tests/data/hand-eye.
 
 Three more are of I. Ali et al., "Methods for Simultaneous Robot-World-Hand-Eye Calibration: A Comparative
 Study", Sensors 19, 2837, 2019 (github.com/ihtishamaliktk/RWHE-Calib): cameras on the flange of a KUKA and a
-board that stands still. Their repository states no licence, so nothing of them is kept here: --kuka is its
+board that stands still. Their repository states no licence, so nothing of them is stored here: --kuka is its
 folder Datasets.
 
-One camera each, so the board is placed by its plane alone. The lens is calibrated from the same pictures.
-Nobody knows where camera and board truly were. What can be asked: rms and held out, how far the marks of a
-pose are from where the fit of all, or of all others, has them; jackknife, the sigma of the camera's place
-that the scatter of the fits without each pose in turn implies, beside the stated one. The second row of a set
-has the board in the size by which the poses agree best, the robot as the ruler.
+Each has one camera, so the board is placed by its plane alone. The lens is calibrated from the same pictures.
+The true places of camera and board are unknown. The figures are: rms and held out, the distance of the marks
+of a pose from the fit of all poses, or of all others; jackknife, the sigma of the camera's place implied by
+the scatter of the fits that leave out one pose each, beside the stated one. The second row of a set scales
+the board to the size by which the poses agree best, with the robot as the ruler.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ GOLDEN = (np.sqrt(5) - 1) / 2
 
 @dataclass(frozen=True, slots=True)
 class PublicSet:
-    """A set: its folder, its board, how the camera is mounted, its pictures' size."""
+    """A set: its folder, its board, the mounting of the camera, the size of its pictures."""
 
     name: str
     folder: str
@@ -69,18 +69,18 @@ SETS = (
     ),
     PublicSet("dots", "test_set_10x10", DotBoard(10, 10, 25.4, 12.7), "eye-in-hand", (640, 480)),
 )
-"""Board sizes as in the sets' target.yaml; the diameter of the dots is seen in the pictures."""
+"""Board sizes as in the sets' target.yaml; the diameter of the dots is measured in the pictures."""
 KUKA_SETS = (
     PublicSet("kuka 1", "kuka_1", Chessboard(28, 17, 20.0), "eye-in-hand", (1928, 1208)),
     PublicSet("kuka 2", "kuka_2", Chessboard(24, 17, 15.0), "eye-in-hand", (1920, 1200)),
     PublicSet("kuka 3", "kuka_3", Charuco(12, 9, 60.0, 45.0, "5X5_1000"), "eye-in-hand", (1928, 1208)),
 )
-"""Squares as their squaresize.txt says; how many, and the markers, are seen in the pictures."""
+"""Squares as in their squaresize.txt; their number, and the markers, as seen in the pictures."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PosedMarks:
-    """One picture: where the marks are, and robot_from_flange."""
+    """Marks of one picture, and robot_from_flange."""
 
     name: str
     ids: FloatArray
@@ -90,9 +90,9 @@ class PosedMarks:
 
 @dataclass(frozen=True, slots=True)
 class HandEyeRow:
-    """Figures of one set; lengths mm, angles degrees. outliers : names of the poses that were rejected.
+    """Figures of one set; lengths mm, angles degrees. outliers : names of the rejected poses.
 
-    size : of the board, over the stated one.
+    size : of the board, relative to the stated one.
     """
 
     name: str
@@ -145,12 +145,12 @@ def main() -> int:
 
 
 def listed(values: tuple[float, ...], digits: int = 2) -> str:
-    """Values for a cell of the table."""
+    """Values as text for a cell of the table."""
     return " ".join(f"{value:.{digits}f}" for value in values)
 
 
 def rows_of(dataset: PublicSet, views: list[PosedMarks]) -> list[HandEyeRow]:
-    """Solve a set with the board's stated size, and with the one that the robot tells."""
+    """Solve a set with the board's stated size, and with the size measured by the robot."""
     placed, reprojection_px = board_poses(dataset, views)
     sizes = (1.0, size_by_robot(dataset, [view.robot_from_flange for view in views], placed))
     return [figures_of(dataset, views, scaled(placed, size), size, reprojection_px) for size in sizes]
@@ -159,7 +159,7 @@ def rows_of(dataset: PublicSet, views: list[PosedMarks]) -> list[HandEyeRow]:
 def figures_of(
     dataset: PublicSet, views: list[PosedMarks], placed: list[FloatArray], size: float, reprojection_px: float
 ) -> HandEyeRow:
-    """Solve a set, and hold it against itself."""
+    """Solve a set, and check its consistency."""
     poses = [view.robot_from_flange for view in views]
     solved = hand_eye(poses, placed, size * dataset.board.points_mm, dataset.mount)
     kept = np.flatnonzero(solved.used)
@@ -196,7 +196,7 @@ def figures_of(
 
 
 def size_by_robot(dataset: PublicSet, poses: list[FloatArray], placed: list[FloatArray]) -> float:
-    """The board's true size over the stated one by which the poses agree best; golden section in +-5 %."""
+    """Board size, relative to the stated one, by which poses agree best; golden section in +-5 %."""
 
     def rms_mm(size: float) -> float:
         return hand_eye(
@@ -211,12 +211,12 @@ def size_by_robot(dataset: PublicSet, poses: list[FloatArray], placed: list[Floa
 
 
 def scaled(placed: list[FloatArray], size: float) -> list[FloatArray]:
-    """Poses of a board that is larger by a factor: so much farther away."""
+    """Poses of a board larger by a factor: farther away by that factor."""
     return [transform(pose[:3, :3], size * pose[:3, 3]) for pose in placed]
 
 
 def motion(pose: FloatArray, other: FloatArray) -> FloatArray:
-    """The small motion (shift mm, rotation rad), about the frame's origin, from one pose to another."""
+    """Small motion (shift mm, rotation rad), about the frame's origin, from one pose to another."""
     step = other @ invert(pose)
     return np.concatenate([step[:3, 3], rotation_vector(step[:3, :3])])
 
@@ -239,7 +239,7 @@ def board_poses(dataset: PublicSet, views: list[PosedMarks]) -> tuple[list[Float
 
 
 def kept_views(dataset: PublicSet) -> list[PosedMarks]:
-    """What tests/data/hand-eye has of a set."""
+    """Views of a set stored in tests/data/hand-eye."""
     marks: dict[str, list[list[float]]] = {}
     for line in read_table(DATA / f"{dataset.name}.csv"):
         if line.cells:
@@ -254,7 +254,7 @@ def kept_views(dataset: PublicSet) -> list[PosedMarks]:
 
 
 def keep(dataset: PublicSet, views: list[PosedMarks]) -> None:
-    """Write what was measured to tests/data/hand-eye."""
+    """Store measured views in tests/data/hand-eye."""
     poses, marks = ["# x y z mm, quaternion x y z w: robot_from_flange", "view,x,y,z,qx,qy,qz,qw"], []
     for view in views:
         numbers = raw_pose(view.robot_from_flange)
@@ -267,7 +267,7 @@ def keep(dataset: PublicSet, views: list[PosedMarks]) -> None:
 
 
 def posed(x: float, y: float, z: float, qx: float, qy: float, qz: float, qw: float) -> FloatArray:
-    """robot_from_flange (4, 4) of mm and a quaternion."""
+    """robot_from_flange (4, 4) from mm and a quaternion."""
     return transform(matrix_quaternion(qw, qx, qy, qz), np.array([x, y, z]))
 
 
@@ -278,7 +278,7 @@ def raw_pose(pose: FloatArray) -> tuple[float, ...]:
 
 
 def measured_views(dataset: PublicSet, folder: Path) -> list[PosedMarks]:
-    """The pictures of a set of robot_cal_tools in which the board is found, with their poses."""
+    """Views from the pictures of a set of robot_cal_tools in which the board is found."""
     posed_pictures = []
     for path in sorted((folder / "images").glob("*.png"), key=lambda path: int(path.stem)):
         text = (folder / "poses" / f"{path.stem}.yaml").read_text()
@@ -299,7 +299,7 @@ def kuka_pictures(folder: Path) -> list[tuple[Path, FloatArray]]:
 
 
 def seen_views(dataset: PublicSet, posed_pictures: list[tuple[Path, FloatArray]]) -> list[PosedMarks]:
-    """The pictures in which the board is found."""
+    """Views from the pictures in which the board is found."""
     views = []
     for path, pose in posed_pictures:
         found = detected(dataset, load_image(path))
@@ -313,7 +313,7 @@ def seen_views(dataset: PublicSet, posed_pictures: list[tuple[Path, FloatArray]]
 
 
 def detected(dataset: PublicSet, image: Image) -> Detection | None:
-    """The marks of a picture; of the plate, whose first dot is larger, OpenCV says which is which."""
+    """Marks of a picture; on the plate, whose first dot is larger, OpenCV determines their order."""
     if not isinstance(dataset.board, DotBoard):
         found = detect_board(image, dataset.board)
         return None if isinstance(found, NotDetected) else found
@@ -337,7 +337,7 @@ def detected(dataset: PublicSet, image: Image) -> Detection | None:
 
 
 def largest_at(image: Image, centre: FloatArray) -> int:
-    """Number of dark pixels that hang together at a place."""
+    """Number of connected dark pixels at a place."""
     _, labels, sizes, _ = cv2.connectedComponentsWithStats((image < 128).astype(np.uint8))
     label = int(labels[round(centre[1]), round(centre[0])])
     return int(sizes[label, cv2.CC_STAT_AREA]) if label else 0

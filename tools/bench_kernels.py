@@ -1,11 +1,11 @@
 #!/usr/bin/env python3
-"""Measure what own code gains over what numpy, numba or OpenCV would do in its place.
+"""Measure what own code gains over numpy, numba or OpenCV.
 
     tools/bench kernels [--json FILE]
 
-Each row is one of ours and its replacement, in turn on the same data in the same run, in processor time of
-one thread: the shortest of many rounds each. "off" is by how much results differ, or what they miss. Loading
-is measured in new processes, some with numba's own cache; all read the same files.
+Each row compares one of our functions with its replacement, in turn on the same data in the same run, in
+processor time of one thread: the shortest of many rounds each. "off" is by how much results differ, or what
+they miss. Loading is measured in new processes, some with numba's own cache; all read the same files.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ Indices = npt.NDArray[np.int64]
 ROUNDS = 60
 LOADS = 3
 
-# what is loaded, and by which cache; prints the seconds spent on kernels and their number
+# loads the kernels from a cache; prints the seconds spent on them and their number
 LOAD = """
 import importlib, pkgutil, sys, time, types
 import numba
@@ -73,12 +73,12 @@ class Row:
 
     @property
     def ratio(self) -> float:
-        """How many times as long the replacement takes."""
+        """Duration of the replacement, in multiples of ours."""
         return self.theirs_us / self.ours_us
 
 
 def shortest_us(*works: Callable[[], object]) -> list[float]:
-    """The shortest processor time of each, taken in turn."""
+    """Shortest processor time of each work; they are run in turn."""
     best = [np.inf] * len(works)
     for work in works:
         work()
@@ -102,13 +102,13 @@ def medians(rows: FloatArray, found: FloatArray) -> None:
 
 @kernel("void(f8[:, ::1], f8[::1])")
 def numpy_medians(rows: FloatArray, found: FloatArray) -> None:
-    """The median of each row, by the selection that numba has for np.median."""
+    """The median of each row, by the selection that numba uses for np.median."""
     for n in range(len(rows)):
         found[n] = np.median(rows[n])
 
 
 def median_row(count: int) -> Row:
-    """As many samples as a curve has, different ones each time: a processor learns what repeats."""
+    """Medians of as many samples as a curve has; new ones each time, as a processor learns repeated data."""
     rows = np.random.default_rng(0).normal(size=(2000, count))
     ours, theirs = np.empty(len(rows)), np.empty(len(rows))
     times = shortest_us(lambda: medians(rows, ours), lambda: numpy_medians(rows, theirs))
@@ -129,7 +129,7 @@ def library_tops(three: FloatArray, fraction: FloatArray, peak: FloatArray) -> N
 
 
 def tops_row() -> Row:
-    """Hills as a blurred step gives them, of every place between two samples."""
+    """Peaks as a blurred step gives them, at every place between two samples."""
     rng = np.random.default_rng(0)
     places, width = rng.uniform(-0.5, 0.5, 4096), rng.uniform(0.9, 1.6, 4096)
     three = rng.uniform(10, 200, 4096) * np.exp(
@@ -152,7 +152,7 @@ def opencv_corners(points: FloatArray, tolerance_px: float) -> Indices:
 
 
 def farthest_px(points: FloatArray, corners: Indices) -> float:
-    """Farthest distance of a point from the chord over it."""
+    """Largest distance of a point from the chord over it."""
     farthest = 0.0
     for a, b in itertools.pairwise(corners):
         along = (points[b] - points[a]) / np.linalg.norm(points[b] - points[a])

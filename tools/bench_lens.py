@@ -1,14 +1,14 @@
 #!/usr/bin/env python3
-"""What becomes of rigs whose lens model is stated, and of those whose model the views choose?
+"""Compare rigs whose lens model is stated with rigs whose model is chosen from the views.
 
     tools/bench lens [--seeds N] [--from SEED] [--views N ...]
 
 Rigs of many kinds, lenses of four: the division model, Brown-Conrady's without, with hardly any (1e-4) and
 with ordinary (4e-4) tangential parts. Marks are computed, with 0.01 to 0.04 px of noise, no picture is drawn.
-Each cell tells the true error of points where marks were, in sigmas of what stating Brown-Conrady's gives;
-and chi² of that error by the stated covariance: its mean, and what a tenth of all rigs exceeds; honest is 1.
-Beside what decides ("auto") is Akaike's criterion without the covariance of the models' average, the Bayesian
-criterion, and views held out in turn.
+Each cell of the table has the true error of points where marks were, in sigmas of the result with
+Brown-Conrady's stated; and chi² of that error by the stated covariance: its mean, and its ninth decile over
+all rigs; honest is 1. Beside the criterion in use ("auto") are Akaike's without the covariance of the models'
+average, the Bayesian criterion, and views held out in turn.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ PLACES = 25
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Fit:
-    """One model, with the weights that all models have."""
+    """One model, with the weights used for all models."""
 
     freedoms: Freedoms
     result: BundleResult
@@ -65,7 +65,7 @@ class Fit:
 
 
 def some_rig(kind: str, seed: int) -> StereoRig:
-    """Cameras at angles of 8° to 28°, lenses of a kind."""
+    """Rig with cameras at angles of 8° to 28°, and lenses of a kind."""
     rng = np.random.default_rng((seed, 21))
     rig, angle = demo_rig(), np.radians(rng.uniform(8, 28))
     turn = rotation_matrix(np.array([rng.normal(0, 0.01), -angle, rng.normal(0, 0.01)]))
@@ -76,7 +76,7 @@ def some_rig(kind: str, seed: int) -> StereoRig:
 
 
 def some_lens(camera: CameraModel, kind: str, rng: np.random.Generator) -> CameraModel:
-    """A lens of a kind, otherwise at random."""
+    """Random lens of a kind."""
     focal = camera.fx * rng.uniform(0.97, 1.03)
     place = {"fx": focal, "fy": focal, "cx": 639.5 + rng.normal(0, 6), "cy": 479.5 + rng.normal(0, 6)}
     if kind == "division":
@@ -87,7 +87,7 @@ def some_lens(camera: CameraModel, kind: str, rng: np.random.Generator) -> Camer
 
 
 def fits_of(views: list[StereoView]) -> dict[str, Fit]:
-    """All models, with the weights that the richest one finds. Raises `CalibrationError`."""
+    """Fit all models, with the weights found with the richest one. Raises `CalibrationError`."""
     found = calibrate_stereo(views, SIZE, SIZE, "brown")
     left, right = (
         with_model_error(observations(views, side), error)
@@ -106,7 +106,7 @@ def fits_of(views: list[StereoView]) -> dict[str, Fit]:
 def held_out(
     views: list[StereoView], errors_px: tuple[float, float], state: BundleState, freedoms: Freedoms
 ) -> float:
-    """Mean square of residuals, in their sigma, of views that were held out."""
+    """Mean square of the residuals of held-out views, in their sigma."""
 
     def seen(chosen: list[int]) -> tuple:
         some = [views[index] for index in chosen]
@@ -129,7 +129,7 @@ def held_out(
 
 
 def choices(fits: dict[str, Fit]) -> dict[str, str]:
-    """The model that each criterion takes."""
+    """Model chosen by each criterion."""
     most = fits["brown"].result
     values = 2 * (len(most.residuals_left_px) + len(most.residuals_right_px))
 
@@ -149,7 +149,7 @@ def choices(fits: dict[str, Fit]) -> dict[str, str]:
 
 
 def compared_rigs(kind: str, count: int, seed: int) -> dict[str, Compared]:
-    """What each way gives of one rig beside the truth. Raises `CalibrationError`, ValueError."""
+    """Compare each way's result for one rig with the truth. Raises `CalibrationError`, ValueError."""
     truth, plate = some_rig(kind, seed), chessboard_plate(11, 8, 4.0)
     poses = list(calibration_poses(truth, plate, count, seed=seed))
     board = Chessboard(11, 8, 4.0)

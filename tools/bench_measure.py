@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Measure the circle fit against what physics allows, its stated sigma, and what a part costs.
+"""Measure the circle fit against the physical limit, its stated sigma, and the cost of a part.
 
     tools/bench_measure.py [--draws N] [--json FILE]
 
@@ -40,13 +40,13 @@ from edged.vision.teaching.pair import teach
 RADIUS_MM = 12.0
 WHERE = pose(turn_deg=30.0, tilt_deg=5.0)
 NOISES = (1.5, 4.0, 12.0)  # grey values
-PLATEAU_PX = 4.0  # beside an edge, beyond its blur
+PLATEAU_PX = 4.0  # flat area beside an edge, beyond its blur
 LEVELS = 4
 
 
 @dataclass(frozen=True)
 class Precision:
-    """One row: how N draws scatter about the truth."""
+    """One row: scatter of N draws about the truth."""
 
     noise: float
     draws: int
@@ -68,7 +68,7 @@ class Cost:
 
 
 def bound(rig: StereoRig, greys: tuple[FloatArray, FloatArray], noise: float) -> FloatArray:
-    """(4, 4) least covariance of centre and radius, the plane's tilt being unknown, too."""
+    """Smallest possible covariance (4, 4) of centre and radius, if the tilt of the plane is unknown, too."""
     sensor = Sensor()
     blur_px = np.sqrt(sensor.psf_sigma_px**2 + 1 / 12)
     variance = noise**2 + 1 / 12  # rounding to grey values
@@ -87,7 +87,7 @@ def bound(rig: StereoRig, greys: tuple[FloatArray, FloatArray], noise: float) ->
 
 
 def centre_and_radius() -> FloatArray:
-    """(4, 6): the disc's centre and radius by height and slopes of its plane, its place there, its radius."""
+    """Derivatives (4, 6): centre and radius by height and slopes of the plane, place in it, and radius."""
     u, v = circle_axes(-WHERE[:3, 2])
     result = np.zeros((4, 6))
     result[:3, 0], result[:3, 3], result[:3, 4], result[3, 5] = -WHERE[:3, 2], u, v, 1.0
@@ -117,14 +117,14 @@ def precision(rig: StereoRig, greys: tuple[FloatArray, FloatArray], noise: float
     shift = max(float(np.abs(curve.design @ unknowns).max()) for curve in curves)
     chi2 = [float(e[:3] @ np.linalg.solve(s[:3, :3], e[:3])) / 3 for e, s in zip(error, spreads, strict=True)]
     chi2_radius = [float(e[3] ** 2 / s[3, 3]) for e, s in zip(error, spreads, strict=True)]
-    # mean over all directions in space: each has its own bound
+    # mean over all directions in space, each with its own bound
     centre = float(np.sqrt(np.trace(np.linalg.solve(least[:3, :3], scatter[:3, :3])) / 3))
     radius = float(np.sqrt(scatter[3, 3] / least[3, 3]))
     return Precision(noise, draws, centre, radius, shift, float(np.mean(chi2)), float(np.mean(chi2_radius)))
 
 
 def floor(rectification: Rectification, left: Image, right: Image) -> None:
-    """What no measurement on rectified gradients can do without."""
+    """Work that no measurement on rectified gradients can avoid."""
     for rectified in (rectification.left_image(left), rectification.right_image(right)):
         level = rectified
         for _ in range(LEVELS):
@@ -133,7 +133,7 @@ def floor(rectification: Rectification, left: Image, right: Image) -> None:
 
 
 def median_ms(work: Callable[[], object], repeats: int = 25) -> float:
-    """Median duration, after one call to warm up."""
+    """Median duration, after one warm-up call."""
     work()
     times = []
     for _ in range(repeats):
@@ -144,7 +144,7 @@ def median_ms(work: Callable[[], object], repeats: int = 25) -> float:
 
 
 def cost(rig: StereoRig) -> Cost:
-    """The demo's flange, taught lying flat and measured turned and tilted."""
+    """Cost for the demo's flange, taught lying flat and measured turned and tilted."""
     rectification = make_rectification(rig)
     taught = pictures(rig, scene((demo_part(), pose())))
     job = teach(*taught, rectification, region_around(rig, pose()[:3, 3], 14.0), "flange")

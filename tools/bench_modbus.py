@@ -4,8 +4,9 @@
 Run it with the project's Python: `.venv/bin/python tools/bench_modbus.py`. The daemon measures in this
 process as fast as it can; clients are another process. Reading: N connections, each reads 48 words every
 20 ms as a PLC does; edged and a plain pymodbus server, in the same process and run. Trigger: from writing
-CMD_SEQ to reading RESULT_VALID, polled every millisecond, without the duration of the cycle itself; once more
-with all that a cell may have beside it: a recorder, a page with a viewer, eight clients that read. In ms.
+CMD_SEQ to reading RESULT_VALID, polled every millisecond, without the duration of the cycle itself; then
+again with everything that a cell may have beside it: a recorder, a page with a viewer, eight reading clients.
+In ms.
 """
 
 from __future__ import annotations
@@ -39,7 +40,7 @@ ANSWER_BYTES = 9 + 96
 
 
 def read_all(port: int, clients: int, seconds: float, results: Queue[list[float]]) -> None:
-    """Read on each connection every 20 ms, each at its own time; report the durations in ms."""
+    """Read on each connection every 20 ms, each at its own phase; report the durations in ms."""
     ready = selectors.DefaultSelector()
     lines = [socket.create_connection(("127.0.0.1", port)) for _ in range(clients)]
     for number, line in enumerate(lines):
@@ -67,7 +68,7 @@ def read_all(port: int, clients: int, seconds: float, results: Queue[list[float]
 
 
 def trigger_all(port: int, count: int, results: Queue[list[float]]) -> None:
-    """Trigger and poll; report from the write to the answer that is VALID, in ms."""
+    """Trigger and poll; report the times from the write to the VALID answer, in ms."""
     line = socket.create_connection(("127.0.0.1", port))
     line.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
 
@@ -79,7 +80,7 @@ def trigger_all(port: int, count: int, results: Queue[list[float]]) -> None:
         return answer
 
     times_ms = []
-    ask(struct.pack(">BHH", 6, ADDRESS["CMD_SEQ"], 0), 12)  # the first one of a connection runs nothing
+    ask(struct.pack(">BHH", 6, ADDRESS["CMD_SEQ"], 0), 12)  # a connection's first one triggers nothing
     for sequence in range(1, count + 1):
         time.sleep(0.02)
         start_s = time.perf_counter()
@@ -95,7 +96,7 @@ def trigger_all(port: int, count: int, results: Queue[list[float]]) -> None:
 
 
 def view(port: int, seconds: float, results: Queue[list[float]]) -> None:
-    """Watch the page; report when each update came, in ms."""
+    """Watch the page; report the time of each update, in ms."""
     with socket.create_connection(("127.0.0.1", port)) as line:
         line.sendall(f"GET /events HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\n\r\n".encode())
         begin_s, came_ms = time.perf_counter(), list[float]()
@@ -143,7 +144,7 @@ async def bench_reading(folder: Path, seconds: float) -> None:
 
 
 async def bench_trigger(folder: Path, count: int) -> None:
-    """Print from trigger to result, and what of it is not the cycle."""
+    """Print the time from trigger to result, and its share outside the cycle."""
     cell = BenchCell(folder, mode="command")
     async with cell.running():
         times_ms = np.array(await in_process(trigger_all, cell.modbus_port, count))
@@ -151,7 +152,7 @@ async def bench_trigger(folder: Path, count: int) -> None:
 
 
 async def bench_most_clients(folder: Path, count: int) -> None:
-    """The times beside a recorder, a viewer of the page, and eight clients that read all the time."""
+    """Print the times beside a recorder, a viewer of the page, and eight clients that read all the time."""
     cell, web_port = BenchCell(folder, mode="command"), free_port()
     with cell.config.open("a") as config:
         config.write(f'\n[recorder]\nfolder = "recordings"\nmin_free_mib = 0\n\n[web]\nport = {web_port}\n')
@@ -171,7 +172,7 @@ async def bench_most_clients(folder: Path, count: int) -> None:
 def show_triggers(
     where: str, times_ms: npt.NDArray[np.float64], cell: BenchCell, what: str = "trigger to RESULT_VALID"
 ) -> None:
-    """Times of all triggers, those of the cycles, and what is left without them and without the capture."""
+    """Print times of all triggers, those of the cycles, and the remainder without cycle and capture."""
     timings = [snapshot.timing_ms for snapshot in cell.listener.snapshots]
     total_ms, capture_ms = (np.array([one[stage] for one in timings]) for stage in ("total", "capture"))
     for name, values in (
@@ -190,7 +191,7 @@ if __name__ == "__main__":
     parser.add_argument("--triggers", type=int, default=300)
     parser.add_argument("--only-triggers", action="store_true")
     given = parser.parse_args()
-    logging.getLogger("pymodbus").setLevel(logging.CRITICAL)  # it dumps its traffic when a client hangs up
+    logging.getLogger("pymodbus").setLevel(logging.CRITICAL)  # it logs its traffic when a client disconnects
     with tempfile.TemporaryDirectory() as place:
         if not given.only_triggers:
             asyncio.run(bench_reading(Path(place) / "free", given.seconds))

@@ -1,26 +1,20 @@
 #!/usr/bin/env python3
-"""Open virtual cameras with the features of 84 real models, and say of each what works, what it lacks,
-what to do.
+"""Open virtual cameras with the features of 84 real models; report what works, what is missing, what to do.
 
     tools/bench models [--only NAME ...] [--resume FILE] [--doc FILE] [--json FILE]
 
-prints Markdown. Of each model two virtual cameras are made from the table of facts (`cameramodels.json`),
-with the
-names, kinds, access and choices of the maker's own description; they begin as another program may have left
-them:
-automatics, filters, limits and a test pattern on. The real driver opens them as a cell would. Where it
-refuses, the
-bench does what the message tells a person to do, notes it, and opens again. Then: a pair, exposure and gain
-changed and
-put back, and a pair by each kind of trigger; every picture must have the grey values that its exposure and
-gain give,
-whatever the form in which the camera has them. What the driver says is missing is held against the table,
-and so
-are the doctor's findings. `--doc FILE` writes the table between its marks in a page of the manual.
+prints Markdown. For each model two virtual cameras are made from the table of facts (`cameramodels.json`),
+with the names, kinds, access and choices of the maker's own description. They start as another program may
+have left them: automatics, filters, limits and a test pattern on. The real driver opens them as a cell would.
+Where it refuses, the bench does what the message tells a person to do, notes it, and opens again. Then follow
+a pair, exposure and gain changed and put back, and a pair by each kind of trigger. Every picture must have
+the grey values of its exposure and gain, whatever their form in the camera. The features that the driver
+reports as missing are compared with the table, and so are the doctor's findings. `--doc FILE` writes the
+table between its marks in a page of the manual.
 
 What this is not: a real camera. The registers are the virtual camera's own; a family's description may hold
-features
-that a model has not; cameras with CoaXPress need a frame grabber and cannot be reached by this driver at all.
+features that a model does not have; cameras with CoaXPress need a frame grabber and cannot be reached by this
+driver at all.
 """
 
 from __future__ import annotations
@@ -58,7 +52,7 @@ from edged.sim.gige.camera import GigeCamera, Make
 
 ADDRESSES = ("127.0.70.1", "127.0.70.2")
 GREY_TOLERANCE = 1
-"""A raw gain has steps."""
+"""Tolerance for the steps of a raw gain."""
 TRIES = 6
 AGAIN = 2
 LIMIT_S = 20.0
@@ -67,7 +61,7 @@ BEGIN, END = "<!-- generated: models -->", "<!-- end -->"
 
 @dataclass
 class Row:
-    """What came out of one model."""
+    """Results for one model."""
 
     name: str
     transport: str
@@ -79,7 +73,7 @@ class Row:
 
 @dataclass
 class Twins:
-    """Two cameras of one model, and the configuration that a person has come to."""
+    """Two cameras of one model, and their configuration so far."""
 
     model: Model
     cameras: tuple[GigeCamera, GigeCamera]
@@ -89,7 +83,7 @@ class Twins:
     trigger: dict[str, Any] = field(default_factory=dict)
 
     def section(self, **cameras: Any) -> dict[str, Any]:
-        """The cameras of a configuration."""
+        """The cameras section of a configuration."""
         sides = {
             side: {"device": address, **self.side, **({"features": self.features} if self.features else {})}
             for side, address in zip(SIDES, ADDRESSES, strict=True)
@@ -120,7 +114,7 @@ class Twins:
 
 @contextmanager
 def twins(model: Model) -> Iterator[Twins]:
-    """Both, switched on."""
+    """Both cameras of a model, switched on."""
     with ExitStack() as stack:
         made = [
             model_camera(model, address, f"MODEL-{side}")
@@ -131,7 +125,7 @@ def twins(model: Model) -> Iterator[Twins]:
 
 
 def run(cameras: Sequence[GigeCamera], head: StereoHead, script: Callable[[StereoHead], Any]) -> Any:
-    """Open, run the script, close."""
+    """Open the head, run the script, close it."""
 
     async def main() -> Any:
         try:
@@ -148,26 +142,26 @@ def run(cameras: Sequence[GigeCamera], head: StereoHead, script: Callable[[Stere
 
 
 def released(cameras: Sequence[GigeCamera]) -> None:
-    """Wait until nobody controls them: on a busy machine a thread of the driver gives them up later."""
+    """Wait until nothing controls the cameras: on a busy machine a driver thread releases them late."""
     until_s = time.monotonic() + LIMIT_S
     while any(camera.controlled for camera in cameras) and time.monotonic() < until_s:
         time.sleep(0.01)
 
 
 def expected(exposure_us: float, gain_db: float) -> np.ndarray[Any, Any]:
-    """The scene's grey values."""
+    """Grey values of the scene at an exposure."""
     light = exposure_us / EXPOSURE_US * 10 ** ((gain_db - GAIN_DB) / 20)
     return np.clip(np.rint(SCENE * light), 0, 255)
 
 
 def greys_off(pair: FramePair, exposure_us: float = EXPOSURE_US, gain_db: float = GAIN_DB) -> float:
-    """The largest difference from what such an exposure gives; the first row numbers the picture."""
+    """Largest difference from the expected grey values, without the first row, which numbers the picture."""
     truth = expected(exposure_us, gain_db)
     return max(float(np.abs(frame.image - truth)[1:].max()) for frame in (pair.left, pair.right))
 
 
 async def one_pair(head: StereoHead) -> FramePair:
-    """A capture."""
+    """Capture one pair."""
     return await head.capture()
 
 
@@ -175,7 +169,7 @@ async def one_pair(head: StereoHead) -> FramePair:
 
 
 def obey(pairs: Twins, told: str) -> str:
-    """Do what a message says; what was done, in a person's words, or "" for a message that does not say."""
+    """Do what a message says; return it in a person's words, "" for a message without advice."""
     if "gain_db:" in told and "GainRaw" in told:
         pairs.side.pop("gain_db")
         raw = next(raw for raw in range(4096) if raw_gain(pairs.model, raw) >= GAIN_DB)
@@ -198,7 +192,7 @@ def obey(pairs: Twins, told: str) -> str:
 
 
 def opened(pairs: Twins, row: Row) -> bool:
-    """Try the cell as configured, and do as told, until a pair comes."""
+    """Try the cell as configured, and follow the messages, until a pair comes."""
     for _ in range(TRIES):
         try:
             pair = run(pairs.cameras, pairs.head(), one_pair)
@@ -235,9 +229,9 @@ RIG = make_rig(size=(SCENE.shape[1], SCENE.shape[0]))
 
 
 def adjusts(pairs: Twins, lacks: list[str]) -> str:
-    """Exposure and gain while it runs, and back: the pictures, and the registers afterwards.
+    """Change exposure and gain while it runs, and put them back; check pictures, then registers.
 
-    lacks : gets what the driver says is missing.
+    lacks : receives what the driver reports as missing.
     """
     values = CameraValues(
         EXPOSURE_US / 2 if "exposure_us" in pairs.side else None, 0.0 if "gain_db" in pairs.side else None
@@ -273,7 +267,7 @@ def adjusts(pairs: Twins, lacks: list[str]) -> str:
 
 
 def by_trigger(pairs: Twins, trigger: dict[str, Any], pulse: bool = False, **cameras: Any) -> str:
-    """A pair by this trigger."""
+    """Take a pair with this trigger."""
     before, pairs.trigger = pairs.trigger, trigger
 
     async def script(head: StereoHead) -> str:
@@ -303,13 +297,13 @@ def by_trigger(pairs: Twins, trigger: dict[str, Any], pulse: bool = False, **cam
 
 
 def outputs(pairs: Twins) -> str:
-    """A pair by chain: an output of the left one shows its exposure to the right one."""
+    """Take a pair by chain: an output of the left camera signals its exposure to the right one."""
     line = next((choices[1] for choices in _choices(pairs.make, "LineSelector") if len(choices) > 1), "")
     out = next((choices[0] for choices in _choices(pairs.make, "SyncOutSelector")), "")
     first = _line(pairs)
     if not first or not (line or out):
         return "no"
-    if out and not line:  # the virtual camera has no wire there: that the settings arrive is all
+    if out and not line:  # the virtual camera has no wire there: only check that the settings arrive
         pairs.side["strobe"] = {"line": out, "source": "ExposureActive"}
         try:
             return by_trigger(pairs, {})
@@ -325,13 +319,13 @@ def _choices(make: Make, name: str) -> list[list[str]]:
 
 
 def _line(pairs: Twins) -> str:
-    """The first input that triggers."""
+    """The first input that triggers; "" for none."""
     sources = next(iter(_choices(pairs.make, "TriggerSource")), [])
     return next((source for source in sources if source.startswith("Line")), "")
 
 
 def truth(model: Model) -> set[str]:
-    """What is missing by the table."""
+    """Features that are missing according to the table."""
     choices = {feature.name: feature.choices for feature in model.features}
     sources = choices.get("TriggerSource", ()) if model.has("TriggerMode") else ()
     shown = (*choices.get("LineSource", ()), *choices.get("SyncOutSource", ()))
@@ -350,13 +344,13 @@ def truth(model: Model) -> set[str]:
         "frame-rate": bool(model.has("AcquisitionFrameRate", "AcquisitionFrameRateAbs")),
         "ptp": bool(model.has("PtpEnable", "GevIEEE1588", "PtpMode")),
         "temperature": bool(model.has("DeviceTemperature", "TemperatureAbs", "SensorTemperature")),
-        "clock": True,  # the virtual camera's bootstrap registers
+        "clock": True,  # the virtual camera has the bootstrap registers
     }
     return {code for code, there in has.items() if not there}
 
 
 def look_at(model: Model) -> Row:
-    """Everything about one model."""
+    """Test everything on one model."""
     row = Row(model.name, model.transport)
     with twins(model) as pairs:
         if not opened(pairs, row):
@@ -389,7 +383,7 @@ def look_at(model: Model) -> Row:
 
 
 def looked_at(model: Model) -> Row:
-    """Once; or again, because two virtual cameras and a driver on a busy machine lose pictures."""
+    """`look_at`, repeated after an error: a busy machine loses pictures of two virtual cameras."""
     for number in range(AGAIN + 1):
         try:
             row = look_at(model)
@@ -407,7 +401,7 @@ GRABBER = "a frame grabber and its own driver: CoaXPress"
 
 
 def table(rows: list[Row]) -> str:
-    """As Markdown."""
+    """The rows as a Markdown table."""
     lines = [
         f"| model | {' | '.join(COLUMNS)} | lacks | a person must |",
         "|---|" + "---|" * (len(COLUMNS) + 2),
@@ -425,14 +419,14 @@ def table(rows: list[Row]) -> str:
 
 
 def _known(file: Path | None) -> dict[str, Row]:
-    """Rows of a run that was interrupted."""
+    """Rows of an interrupted run."""
     if file is None or not file.exists():
         return {}
     return {row["name"]: Row(**row) for row in json.loads(file.read_text()) if not row["wrong"]}
 
 
 def main() -> None:
-    """Every model, one after the other."""
+    """Test every model, one after the other."""
     parser = bench_parser(__doc__)
     parser.add_argument(
         "--only", nargs="+", default=[], metavar="NAME", help="models whose name contains one of these"

@@ -1,19 +1,21 @@
 #!/usr/bin/env python3
-"""Set up the virtual stage as a newcomer does, over its API: what it takes, and how true the cell is then.
+"""Set up the virtual stage as a newcomer does, over its API: what it takes, and how accurate the cell is
+then.
 
     tools/bench newcomer [--goal UM] [--parts N] [--lens MODEL] [--seed N] [--browser | --second [--losses]]
                          [--firefox] [--json FILE]
 
-An empty folder, a hand that trembles and misses. It brings the board to the outline that the cell draws, and
-pictures are taken when it is still; when the goal is reached the calibration is solved and activated. Then a
-job is taught from one pair, and a part is laid at N places: each result beside the exact truth. Needs Aravis.
+It starts with an empty folder, and a hand that trembles and misses. The hand brings the board to the outline
+that the cell draws, and pictures are taken when it is still; when the goal is reached the calibration is
+solved and activated. Then a job is taught from one pair, and a part is laid at N places: each result beside
+the exact truth. Needs Aravis.
 With --browser all of it is done on the page, in Chromium or Firefox, by clicks and digits alone, and clicks
 are counted (also those of the stage's hands): left and right by a wave, light, the calibration by the drawn
 outline, a check, a job, a trial, the robot by touch, until a PLC reads a VALID result; without Aravis.
 With --second the same page then goes on, on virtual GigE cameras and without a restart: another camera,
 board and part, a robot of another brand by hand-eye, VALID, back to the first release, VALID, and forward
-again; with --losses every second picture of one camera is lost in all of that. What is done, and what is
-waited for, is told on standard error.
+again; with --losses every second picture of one camera is lost in all of that. Actions and waits are reported
+on standard error.
 """
 
 from __future__ import annotations
@@ -52,12 +54,12 @@ from edged.vision.geometry.triangulation import triangulate_raw
 
 PASSWORD = "correct horse"
 ASK_AGAIN_S = 4.0
-"""Who sees that the board is not where it should be moves it."""
+"""Interval after which a board that is still not in place is moved again."""
 LIMIT_S = 900.0
 TRIED = 5
-"""Places of the part on the page, before its job is used."""
+"""Number of places of the part on the page before its job is used."""
 X_MM, Y_MM, Z_MM = (-15.0, 8.0, 30.0), (-15.0, 0.0, 15.0), (200.0, 205.0, 210.0)
-"""Points all over the volume where parts may lie."""
+"""Points throughout the volume where parts may lie."""
 
 
 class Newcomer:
@@ -68,7 +70,7 @@ class Newcomer:
         self.token: dict[str, str] = {}
 
     async def ask(self, method: str, path: str, document: Any = None) -> Any:
-        """The answer. Raises RuntimeError for a problem."""
+        """Send a request; return the answer. Raises RuntimeError for a problem."""
         headers = {"Origin": self.origin}
         async with self.session.request(method, f"/api/v1/{path}", json=document, headers=headers) as answer:
             body = await answer.json() if answer.content_type.endswith("json") else None
@@ -76,12 +78,12 @@ class Newcomer:
                 return body
         if body is None or body.get("code") != "idle":
             raise RuntimeError(f"{method} {path}: {answer.status} {body}")
-        # on a busy machine the page takes more than the ten minutes after which a session rests
+        # on a busy machine the page takes longer than the ten minutes after which a session locks itself
         await self.ask("POST", "me/wake", {"password": PASSWORD})
         return await self.ask(method, path, document)
 
     async def take(self) -> None:
-        """Log in and take the cell."""
+        """Log in and take the cell for setting up."""
         form = {"name": USER, "password": PASSWORD}
         headers = {"Origin": self.origin}
         async with self.session.post("/login", data=form, headers=headers, allow_redirects=False) as answer:
@@ -124,7 +126,7 @@ async def stage(
 
 
 def free_port() -> int:
-    """A TCP port that nobody listens on now."""
+    """A TCP port that is free now."""
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         return int(probe.getsockname()[1])
@@ -154,7 +156,7 @@ async def calibrate(newcomer: Newcomer, goal_um: float, lens: LensWish) -> dict[
                 draft = told
             if draft["more_views"] == 0 or time.monotonic() - begun_s > LIMIT_S:
                 break
-            # a draft is told when it changes; who sees that the board is out of view moves it all the same
+            # a draft is sent when it changes, but a board out of view must be moved even so
             drawn = draft["suggestion"]
             due = drawn is not None and time.monotonic() - asked_s > ASK_AGAIN_S
             is_new = drawn is not None and json.dumps(drawn["left"]) != last
@@ -181,14 +183,14 @@ async def calibrate(newcomer: Newcomer, goal_um: float, lens: LensWish) -> dict[
 
 
 def true_error_um(rig_file: Path, world: VirtualWorld) -> FloatArray:
-    """(N, 3) calibrated minus true, of points all over the volume."""
+    """Calibrated minus true position (N, 3) of points throughout the volume."""
     points = np.array([(x, y, z) for x in X_MM for y in Y_MM for z in Z_MM])
     left, right = (world.cell.view(side).project(points) for side in SIDES)
     return (triangulate_raw(load_rig(rig_file), left, right) - points) * 1e3
 
 
 async def teach_job(newcomer: Newcomer, world: VirtualWorld) -> dict[str, Any]:
-    """From a pair of the part, square to the left camera: what is proposed without a word becomes active."""
+    """Teach from a pair of the part, square to the left camera; activate the proposal unchanged."""
     pose = np.eye(4)
     pose[:3, 3] = world.cell.middle_mm
     world.cell.show(Thing.PART, pose)
@@ -205,7 +207,7 @@ async def teach_job(newcomer: Newcomer, world: VirtualWorld) -> dict[str, Any]:
 
 
 async def measure(newcomer: Newcomer, parts: int) -> tuple[FloatArray, FloatArray, int]:
-    """Errors (N, 3) and sigmas (N, 3) in mm of parts laid anywhere, and how many were missed."""
+    """Errors (N, 3) and sigmas (N, 3) in mm of parts laid anywhere, and the number of misses."""
     errors, sigmas, missed = [], [], 0
     for _ in range(parts):
         await newcomer.ask("POST", "stage/lay", {})
@@ -225,7 +227,7 @@ async def measure(newcomer: Newcomer, parts: int) -> tuple[FloatArray, FloatArra
 
 
 async def newcomer_of(options: argparse.Namespace, folder: Path) -> dict[str, Any]:
-    """The whole way; figures by their names."""
+    """Set the cell up and measure; return figures by name."""
     is_clicked = options.browser or options.second
     gige = not options.browser
     with (
@@ -234,7 +236,7 @@ async def newcomer_of(options: argparse.Namespace, folder: Path) -> dict[str, An
     ):
         async with stage(folder, world, gige=gige) as (newcomer, _daemon):
             if is_clicked:
-                await newcomer.ask("DELETE", "setup", newcomer.token)  # the page takes it
+                await newcomer.ask("DELETE", "setup", newcomer.token)  # the page takes the cell itself
                 port = (await newcomer.ask("GET", "plc"))["port"]
                 user, film = (USER, PASSWORD), getattr(options, "film", None)
 

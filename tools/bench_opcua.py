@@ -1,9 +1,10 @@
 #!/usr/bin/env python3
-"""From a command to its result: over OPC UA, over Modbus, and what the cycle itself takes.
+"""Time from a command to its result over OPC UA and over Modbus, beside the duration of the cycle itself.
 
-Run it with `tools/bench opcua`. A cell with a known cycle (`--vision-ms`) runs in a process of its own; one
-command after another is sent and the answer waited for: over Modbus and OPC UA by polling, over OPC UA by the
-event ResultReady, signed and encrypted. Lastly what the server costs a cell: its start and its memory.
+Run it with `tools/bench opcua`. A cell with a known cycle (`--vision-ms`) runs in a process of its own;
+commands are sent one after another, and each answer is waited for: over Modbus and OPC UA by polling, over
+OPC UA by the event ResultReady, signed and encrypted. Finally, what the server costs a cell: start and
+memory.
 """
 
 from __future__ import annotations
@@ -62,14 +63,14 @@ class Server:
         self.modbus, self.opcua, self.start_s, self.resident_mb = json.loads(self._process.stdout.readline())
 
     def stop(self) -> None:
-        """End it."""
+        """Stop the process."""
         assert self._process.stdin is not None
         self._process.stdin.close()
         self._process.wait(30)
 
 
 def over_modbus(server: Server, count: int) -> tuple[list[float], list[float]]:
-    """Seconds from the write to the answer; the same for the cycle alone, as LATENCY says it."""
+    """Seconds from the write to the answer, and those of the cycle alone, as in LATENCY."""
     took, cycles = [], []
     status = next(one for one in reg.STATUS.registers if one.name == "DONE_SEQ").address
     with ModbusTcpClient("127.0.0.1", port=server.modbus) as plc:
@@ -89,7 +90,7 @@ def over_modbus(server: Server, count: int) -> tuple[list[float], list[float]]:
 
 
 async def command(client: Client) -> int:
-    """LOCATE; its sequence."""
+    """Call LOCATE; return its sequence number."""
     sequence, error = await client.get_node("ns=3;s=Handshake").call_method(
         "3:Command",
         *(ua.Variant(number, ua.VariantType.UInt16) for number in (1, 0)),
@@ -102,13 +103,13 @@ async def command(client: Client) -> int:
 
 
 class Notes:
-    """Results as they are told."""
+    """Records results as events report them."""
 
     def __init__(self) -> None:
         self.told = asyncio.Event()
 
     def event_notification(self, _event: object) -> None:
-        """ResultReady."""
+        """Handle ResultReady."""
         self.told.set()
 
 

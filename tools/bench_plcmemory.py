@@ -2,10 +2,10 @@
 """Measure a cell in the memory of an S7: from START to DONE, and what the PLC costs the cycle.
 
 Run it with the project's Python: `.venv/bin/python tools/bench_plcmemory.py`. The daemon measures in this
-process; the PLC, snap7's server with a program that looks at its memory twice a millisecond, is another one.
-START to DONE, and without the duration of the cycle itself: images read and written every 20 ms, then every
-5 ms. Then the cycles of a cell that nobody triggers: without a PLC, beside one that answers, beside one that
-takes everything and answers nothing, in turns. In ms.
+process; the PLC, snap7's server with a program that polls its memory twice a millisecond, is another one.
+It prints START to DONE, with and without the duration of the cycle itself: images read and written every 20
+ms, then every 5 ms. Then the cycles of an untriggered cell, in turn: without a PLC, beside one that answers,
+beside one that accepts everything and answers nothing. In ms.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ SPAWN = mp.get_context("spawn")
 
 
 def plc(port: int, count: int, results: Queue[list[float]]) -> None:
-    """A PLC that commands so often, and reports from START to DONE in ms; 0: it only answers, for ever."""
+    """Command `count` times as a PLC, and report START to DONE in ms; 0: only answer, for ever."""
     server = snap7.Server(log=False)
     server.register_area(SrvArea.DB, DB, bytearray(192))
     (memory,) = server.memory_areas.values()
@@ -46,7 +46,7 @@ def plc(port: int, count: int, results: Queue[list[float]]) -> None:
     times_ms = []
     for number in range(count):
         until(READY)
-        time.sleep(0.01 + 0.02 * (number % 20) / 20)  # at any time of the period
+        time.sleep(0.01 + 0.02 * (number % 20) / 20)  # at any phase of the period
         begun_s = time.perf_counter()
         memory[CONTROL] = 5  # with ALLOW_SIMULATED
         until(DONE)
@@ -58,14 +58,14 @@ def plc(port: int, count: int, results: Queue[list[float]]) -> None:
 
 
 def with_plc(cell: BenchCell, port: int, period_ms: int) -> None:
-    """Write the section."""
+    """Write the configuration section."""
     with cell.config.open("a") as config:
         config.write(f'\n[plc]\nhost = "127.0.0.1"\nperiod_ms = {period_ms}\n')
         config.write(f"[plc.s7]\nport = {port}\ndb = {DB}\n")
 
 
 async def bench_command(folder: Path, period_ms: int, count: int) -> None:
-    """Print from START to DONE, and without the cycle."""
+    """Print the time from START to DONE, and the same without the cycle."""
     cell, port = BenchCell(folder, mode="command"), free_port()
     with_plc(cell, port, period_ms)
     results: Queue[list[float]] = SPAWN.Queue()
@@ -82,9 +82,9 @@ async def bench_command(folder: Path, period_ms: int, count: int) -> None:
 
 
 async def cycles_ms(folder: Path, kind: str, seconds: float) -> list[float]:
-    """Durations of the cycles of a cell that nobody triggers, without the capture. kind : of PLC."""
+    """Durations of an untriggered cell's cycles, without the capture. kind : of PLC."""
     cell = BenchCell(folder, mode="free")
-    hanging = socket.create_server(("127.0.0.1", 0))  # connects, and nobody reads
+    hanging = socket.create_server(("127.0.0.1", 0))  # accepts connections, but never reads
     port, nothing = free_port(), SPAWN.Queue()
     process = SPAWN.Process(target=plc, args=(port, 0, nothing))
     process.start()

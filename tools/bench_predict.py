@@ -1,13 +1,13 @@
 #!/usr/bin/env python3
-"""Hold the sigma that is expected of a job at a pose against what is published there, and against the truth.
+"""Compare the sigma expected of a job at a pose with the published one, and with the truth.
 
     tools/bench predict [--poses N] [--json FILE]
 
-The demo's flange and two flat parts of textured metal, taught once where both cameras look. Then each lies at
-N random places of the volume, as the virtual cell lays it, tilted by up to 10°. Expected: from the edges of
-the taught picture, without a picture of the place. Published: by the measurement there. Errors: against the
-exact truth, in units of the expected sigma; of the edges alone with the true rig, and of all with a rig that
-is drawn for each picture from the covariance of a calibration, as a real one is.
+The demo's flange and two flat parts of textured metal are taught once, at the point the cameras look at. Then
+each lies at N random places of the volume, as the virtual cell lays it, tilted by up to 10°. Expected: from
+the edges of the taught picture, without a picture of the place. Published: by the measurement there. Errors
+are against the exact truth, in units of the expected sigma: of the edges alone with the true rig, and in
+total with a rig that is drawn for each picture from the covariance of a calibration, as a real one is.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ AXES = ("X", "Y", "Z", "A", "B", "C")
 
 @dataclass(frozen=True)
 class Row:
-    """One part. Lists are of X, Y, Z and the rotation about them.
+    """Results for one part. Lists are of X, Y, Z and the rotation about them.
 
     ratio : median of expected over published sigma; low, high : its 5 and 95 % quantiles.  chi2_edges, chi2 :
     mean squared error over the expected variance, of the edges alone and of all.
@@ -79,7 +79,7 @@ def calibrated() -> StereoRig:
 
 
 def drawn(rig: StereoRig, rng: np.random.Generator) -> StereoRig:
-    """A rig that is wrong by as much as its covariance says."""
+    """A rig with random errors drawn from its covariance."""
     assert rig.covariance is not None
     errors = rng.multivariate_normal(np.zeros(len(rig.covariance)), rig.covariance)
     lens = len(rig.left.distortion)
@@ -109,7 +109,7 @@ def _wrong(camera: CameraModel, by: FloatArray) -> CameraModel:
 
 
 def measured(job: Job, rig: PreparedRig, pair: tuple[Image, Image]) -> MeasuredPart | None:
-    """The part in a pair; None where it is not found or not measured."""
+    """Measure the part in a pair; None if it is not found or not measured."""
     images = StereoImages.of(rig.rectification, *pair)
     matches = find_shapes(images.rectified_left, job.shape, job.search, rig.rectification.valid_left)
     result = measure_part(images, job, matches[0]) if matches else None
@@ -117,7 +117,7 @@ def measured(job: Job, rig: PreparedRig, pair: tuple[Image, Image]) -> MeasuredP
 
 
 def errors(target: Target, where: FloatArray) -> FloatArray:
-    """(6,) mm and rad: by which a pose differs from the true one."""
+    """Difference (6,) of a pose from the true one, mm and rad."""
     turned = target.rig_from_part[:3, :3] @ where[:3, :3].T
     turn = 0.5 * np.array(
         [turned[2, 1] - turned[1, 2], turned[0, 2] - turned[2, 0], turned[1, 0] - turned[0, 1]]
@@ -126,9 +126,9 @@ def errors(target: Target, where: FloatArray) -> FloatArray:
 
 
 def as_drawn(part_from_job: FloatArray) -> FloatArray:
-    """Where the job's frame is in the part, without the errors of teaching: on its face, at a drawn place.
+    """Pose of the job's frame in the part, without the errors of teaching: on its face, at a drawn place.
 
-    Its turn stays: a part's turn is told against the one that was taught.
+    Its rotation stays: a part's rotation is relative to the taught one.
     """
     drawn_frame = np.eye(4)
     drawn_frame[:3, :3] = about_z(float(np.arctan2(part_from_job[1, 0], part_from_job[0, 0])))
@@ -137,7 +137,7 @@ def as_drawn(part_from_job: FloatArray) -> FloatArray:
 
 
 def run(part: Part, rig: StereoRig, poses: int) -> Row:
-    """One part at so many places."""
+    """Measure one part at `poses` places."""
     exact, known = prepare(replace(rig, covariance=None)), prepare(rig)
     greys = clean_greys(rig, scene((part, pose())))
     job = teach(

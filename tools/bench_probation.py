@@ -1,12 +1,12 @@
 #!/usr/bin/env python3
-"""Count false alarms and cycles until the roll-back, of the probation of releases.
+"""Count the false alarms of the probation of releases, and the cycles until a roll-back.
 
     tools/bench probation [--releases N] [--json FILE]
 
 Draws the cycles before and after a release, for N releases of each kind, and lets the gate's own tests decide
 after each cycle. Usual: 1 % of cycles bad; sigma scatters by 10 %, row difference by 25 %, duration by 10 %
-with 2 % of cycles of three times as long; cameras walk as weather moves them, a cycle every 20 s. Kinds that
-are called "like before" are what no release does: each roll-back of them is a false alarm.
+with 2 % of cycles of three times as long; cameras move as weather moves them, a cycle every 20 s. In the
+kinds called "like before" no change comes from the release: each roll-back of them is a false alarm.
 """
 
 from __future__ import annotations
@@ -31,9 +31,10 @@ SWING_K, PERIOD_H = 10.0, 20 / 3600
 class Kind:
     """A kind of release.
 
-    factors : of figures.  scatter : of all, times the usual one.  moved_mm : the left camera, creeps_mm : in
-    a cycle.  memory : correlation of a cycle with the next one.  creeps : of logarithms, over the whole
-    probation.  before : cycles that there are.  busy : so many of the first ones take twice as long.
+    factors : of figures.  scatter : of all, times the usual one.  moved_mm : shift of the left camera;
+    creeps_mm : per cycle.  memory : correlation of a cycle with the next one.  creeps : drift of the
+    logarithms over the whole probation.  before : number of cycles before it.  busy : number of first cycles
+    that take twice as long.
     """
 
     name: str
@@ -70,7 +71,7 @@ KINDS = (
 
 
 def cycles(rng: np.random.Generator, kind: Kind) -> tuple[list[JudgedCycle], list[JudgedCycle]]:
-    """Before the release and after it."""
+    """Draw the cycles before and after the release."""
     total, after = kind.before + MOST, np.arange(-kind.before, MOST).clip(-1) + 1.0
     is_after = after > 0
     figures: dict[Figure, FloatArray] = {}
@@ -99,7 +100,7 @@ def cycles(rng: np.random.Generator, kind: Kind) -> tuple[list[JudgedCycle], lis
 
 
 def outcome(seed: int, kind: Kind) -> tuple[str, int, str]:
-    """The decision on one release, after how many cycles, and why."""
+    """Decision on one release, the number of cycles until then, and the reason."""
     before, after = cycles(np.random.default_rng(seed), kind)
     baseline, tally = baseline_of(before, moves_marks=True), ProbationTally()
     for seen, cycle in enumerate(after, 1):

@@ -3,16 +3,17 @@
 
     tools/bench real DIR [--overlays DIR] [--json FILE]
 
-DIR holds what of these there is; a set that is missing is left out and said:
+DIR holds any of these sets; missing ones are left out and reported:
 
     fpm/    DstN is the template of SrcN: 3 lamps, 4 bearing gaps, 6 coils, 8 and 9 e-clips
             (github.com/DennisLiu1993/Fastest_Image_Pattern_Matching)
     pick/   pick_1.jpg .. pick_5.jpg, a guitar pick; taught from the first
     clock/  rotated_10.png .. rotated_200.png, a clock face turned in steps of 10 degrees
 
-Nobody measured where the parts are. What is compared is the number of whole parts of the taught kind, counted
-by eye, and for the clock the known steps; the overlays show each match, to be looked at. More may be found:
-parts cut by the border of the picture, or, of the lamps, those of the third column in their other housing.
+The true positions of the parts are unknown. The figures compare the number of whole parts of the taught kind,
+counted by eye, and for the clock the known steps; the overlays show each match, for inspection. More may be
+found: parts cut by the border of the picture, or, of the lamps, those of the third column in their other
+housing.
 """
 
 from __future__ import annotations
@@ -35,13 +36,13 @@ from edged.vision.shape.search import SearchParams, ShapeMatch, find_shapes
 from edged.vision.teaching.region import CircleRegion, Region
 
 PARAMS = SearchParams(max_matches=100, max_overlap=0.8)
-"""For every picture: the defaults, but all parts, also interlocked ones that share most of their discs."""
+"""For every picture: the defaults, but all parts, including interlocked ones with large overlap."""
 OVERLAY_PX = 1600
 
 
 @dataclass(frozen=True)
 class Set:
-    """One template and a picture; parts : whole ones in it, counted by eye."""
+    """One template and a picture; parts : number of whole ones in it, counted by eye."""
 
     name: str
     template: str
@@ -77,7 +78,7 @@ class Row:
 
 
 def grey(path: Path) -> Image | None:
-    """A picture (H, W) uint8, coloured ones as their brightness; None where there is none."""
+    """Read a picture (H, W) uint8, coloured ones as their brightness; None if it does not exist."""
     image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE) if path.is_file() else None
     return None if image is None else np.asarray(image, np.uint8)
 
@@ -134,7 +135,7 @@ def found_rows(folder: Path, overlays: Path | None) -> Iterator[Row]:
 
 
 def clock_errors(folder: Path) -> list[float]:
-    """Errors in degrees of each picture's turn against the first one's; which way they turn is theirs."""
+    """Errors in degrees of each picture's rotation from the first; the sign of rotation is fitted."""
     first = grey(folder / "rotated_10.png")
     if first is None:
         print(f"clock: {folder / 'rotated_10.png'} is not there", file=sys.stderr)

@@ -1,9 +1,9 @@
-"""What recorded cycles cost: their list, and a changed job tried on all of them beside a cell that measures.
+"""Cost of recorded cycles: their list, and a changed job tried on all of them beside a cell that measures.
 
 tools/bench regression [--cycles N] [--distinct N]
 
-1280x960 pictures of the flange of the virtual cell. A PLC of its own process reads registers; the worker
-process has the rest of the machine, niced.
+1280x960 pictures of the flange of the virtual cell. A PLC in its own process reads registers; the worker
+process has the rest of the machine, at lower priority.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ def main() -> None:
 
 
 def read_registers(port: int) -> None:
-    """As a PLC does, until stdin ends: a line for each read: when it began, and how long it took, in ms."""
+    """Read as a PLC does, until stdin ends; print when each read began, and how long it took, in ms."""
     ask = struct.pack(">HHHBBHH", 1, 0, 6, 1, 4, 200, 10)
     with socket.create_connection(("127.0.0.1", port)) as connection:
         connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
@@ -76,7 +76,7 @@ def read_registers(port: int) -> None:
 
 
 async def measure(folder: Path, cycles: int, distinct: int) -> None:
-    """The cell, its recordings, and what is asked of it."""
+    """Run the cell, make its recordings, and send the requests."""
     cell = BenchCell(folder, mode="free", period_s=PERIOD_S)
     port = free_port()
     digest = PasswordHasher(time_cost=1, memory_cost=512, parallelism=1).hash(PASSWORD)
@@ -96,7 +96,7 @@ async def measure(folder: Path, cycles: int, distinct: int) -> None:
 
 
 def record(config: Path, folder: Path, cycles: int, distinct: int) -> None:
-    """So many recordings, of a few distinct pictures."""
+    """Make `cycles` recordings from `distinct` different pictures."""
     files, virtual = read_cell(config), VirtualCell(demo_rig(), demo_part())
     rig, job = PreparedRig(files.rig, files.rectification), files.jobs[0]
     recording.save_setup(folder, files.fingerprint, files.contents)
@@ -127,7 +127,7 @@ def record(config: Path, folder: Path, cycles: int, distinct: int) -> None:
 
 
 async def asked(session: aiohttp.ClientSession, cell: BenchCell, port: int, cycles: int) -> None:
-    """The list, and a regression, with a PLC beside it."""
+    """Request the list and a regression, with a PLC beside it; print the figures."""
     origin = {"Origin": f"http://127.0.0.1:{port}"}
 
     async def ask(method: str, path: str, body: Any = None) -> Any:
@@ -157,7 +157,7 @@ async def asked(session: aiohttp.ClientSession, cell: BenchCell, port: int, cycl
     begun_s = time.time()
     change = {"job": "flange", "limits": {"max_sigma_mm": 0.19}}
     begun = await ask("POST", "regressions", {"change": change})
-    # as a page without a socket asks
+    # as a page does without a socket
     while (await ask("GET", f"tasks/{begun['task']}"))["state"] == "running":  # noqa: ASYNC110
         await asyncio.sleep(0.5)
     ended_s = time.time()
@@ -180,7 +180,7 @@ async def asked(session: aiohttp.ClientSession, cell: BenchCell, port: int, cycl
 
 
 async def timed(work: Any) -> float:
-    """Seconds."""
+    """Duration of a call in seconds."""
     start_s = time.perf_counter()
     await work()
     return time.perf_counter() - start_s

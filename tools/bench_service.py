@@ -2,8 +2,8 @@
 """Measure the daemon as a service: endurance, kill -9, power cuts, broken disks, clocks, start, stop, page.
 
 Run it with `tools/bench service [--only PART ...]`; it prints Markdown. The cell is small (320x240, one
-circle), because this is about the service: loop, publishers, recorder, and a PLC in another process that
-polls over Modbus all the time and writes down whatever must not be seen (`tests/helpers/plcwitness.py`).
+circle), because only the service is measured: loop, publishers, recorder, and a PLC in another process that
+polls over Modbus all the time and records whatever must never be seen (`tests/helpers/plcwitness.py`).
 """
 
 from __future__ import annotations
@@ -72,7 +72,7 @@ class Tally:
         """Nothing to open."""
 
     def announce(self, event: Event) -> None:
-        """Count a cycle; look at memory, descriptors and threads now and then."""
+        """Count a cycle; check memory, descriptors and threads now and then."""
         if not isinstance(event, Snapshot):
             return
         self.count += 1
@@ -86,7 +86,7 @@ class Tally:
             self.daemon.stop()
 
     def look(self) -> None:
-        """Note what the process holds now."""
+        """Note the present resources of the process."""
         if not self.resources or self.resources[-1][0] < self.count:
             self.resources.append((self.count, *resources()))
             print(f"  {self.count} cycles: {self.resources[-1][1:]}", file=sys.stderr, flush=True)
@@ -96,7 +96,7 @@ class Tally:
 
 
 def enter_namespace() -> None:
-    """Go on in a network and mount name space of our own: every port is ours, and disks may be broken."""
+    """Continue in private network and mount name spaces, where all ports are free and disks may be broken."""
     if os.environ.get("EDGED_BENCH_NAMESPACE"):
         return
     namespaces = ["unshare", "--mount", "--net", *(["--map-root-user"] if os.geteuid() else [])]
@@ -109,7 +109,7 @@ def resources() -> tuple[float, int, int]:
     pages = int(Path("/proc/self/statm").read_text().split()[1])
     return (
         pages * os.sysconf("SC_PAGE_SIZE") / MIB,
-        len(os.listdir("/proc/self/fd")),  # noqa: PTH208  (the folder's own descriptor is in it either way)
+        len(os.listdir("/proc/self/fd")),  # noqa: PTH208  (the folder's own descriptor counts either way)
         len(list(Path("/proc/self/task").iterdir())),
     )
 
@@ -118,7 +118,7 @@ def resources() -> tuple[float, int, int]:
 
 
 def endurance(folder: Path, cycles: int) -> None:
-    """The daemon in this process at full speed: every eighth pair shows the part, the others nothing."""
+    """Run the daemon in this process at full speed; every eighth pair shows the part, the others nothing."""
     cell = SmallCell(folder, source="virtual-inprocess", period_s=0.0, recordings=folder / "recordings")
     loaded = load_cell(cell.config)
     warm_up(loaded)
@@ -157,7 +157,7 @@ def endurance(folder: Path, cycles: int) -> None:
 async def _run(cell: SmallCell, tally: Tally, world: SmallWorld) -> None:
     tally.daemon = Daemon(cell.config, load_cell(cell.config), observers=[tally], world=world)
     loop = asyncio.get_running_loop()
-    loop.add_signal_handler(signal.SIGTERM, tally.daemon.stop)  # enough: report what there is
+    loop.add_signal_handler(signal.SIGTERM, tally.daemon.stop)  # report what there is
     await tally.daemon.run()
     tally.look()
 
@@ -171,7 +171,7 @@ def _seen(report: Report) -> str:
 
 
 def killing(folder: Path, kills: int, seed: int) -> None:
-    """kill -9 at random moments, a PLC polling through all of it."""
+    """Kill it with kill -9 at random moments while a PLC polls."""
     cell = SmallCell(folder, recordings=folder / "recordings")
     with Witness(cell.modbus_port) as witness:
         found = kill_often(cell, kills, random.Random(seed))
@@ -200,10 +200,10 @@ def killing(folder: Path, kills: int, seed: int) -> None:
 
 
 def cutting(folder: Path, cuts: int, seed: int) -> None:
-    """Power cuts while everything that lasts is written: what any disk may keep, read back."""
+    """Cut the power while every lasting file is written, and read back what any disk may have kept."""
     cell = SmallCell(folder / "template", source="virtual-inprocess")
     recorder_log = logging.getLogger("edged.adapters.recorder")
-    recorder_log.setLevel(logging.ERROR)  # that a start sweeps is what happens here all the time
+    recorder_log.setLevel(logging.ERROR)  # each start here deletes leftovers and logs that
     flaws = survive(cell.config, folder, cuts, seed)
     recorder_log.setLevel(logging.NOTSET)
     print(f"\n| power cuts | neither the old state nor the new |\n|---:|---:|\n| {cuts} | {len(flaws)} |")
@@ -216,7 +216,7 @@ def _replayed(report: dict[str, Any]) -> str:
 
 
 def breaking(folder: Path, each_s: float) -> None:
-    """Broken disks, a clock that is set, and too much load: one row each of what the PLC saw."""
+    """Broken disks, a clock that is set, and too much load; a row each of what the PLC saw."""
     with tmpfs(folder / "disk") as disk:
         cell = SmallCell(folder / "cell", period_s=0.1, recordings=disk / "recordings")
         clock = FakeClock(folder / "clock") if FAKETIME.exists() else None
@@ -257,8 +257,8 @@ def _wrong(report: Report) -> str:
 
 
 def starting(folder: Path, runs: int) -> None:
-    """From the start of the process to READY=1, and from SIGTERM to its end; kernels are cached."""
-    os.environ.pop("PYTHONDONTWRITEBYTECODE", None)  # what is installed has its bytecode
+    """Time from the start of the process to READY=1, and from SIGTERM to its end; kernels are cached."""
+    os.environ.pop("PYTHONDONTWRITEBYTECODE", None)  # installed code has its bytecode
     cell = SmallCell(folder)
     ready_s, busy_s, stop_s, memory, floor_s = [], [], [], [], []
     for _ in range(runs):
@@ -272,7 +272,7 @@ def starting(folder: Path, runs: int) -> None:
             children = daemon.children()
         finally:
             stop_s.append(daemon.stop())
-        if len(children) > 1:  # the page is one
+        if len(children) > 1:  # one of them is the page
             print(f"* it had child processes: {children}")
     print("\n| | best | median | worst |\n|---|---:|---:|---:|")
     for name, values in (
@@ -286,7 +286,7 @@ def starting(folder: Path, runs: int) -> None:
 
 
 def lasting(folder: Path, seconds: float, period_s: float) -> None:
-    """Memory of `edged run`, cell and page, with recorder and a viewer; a reload at each look."""
+    """Memory of `edged run`, cell and page, with recorder and a viewer; a reload after each measurement."""
     cell = SmallCell(folder, period_s=period_s, recordings=folder / "recordings")
     daemon = DaemonProcess(cell.config)
     viewer = None
@@ -317,13 +317,13 @@ def lasting(folder: Path, seconds: float, period_s: float) -> None:
 
 
 def _own_share_mib(pid: int) -> float:
-    """Proportional set size: what processes share is counted once over all of them."""
+    """Proportional set size: shared memory is divided among the processes that share it."""
     lines = Path(f"/proc/{pid}/smaps_rollup").read_text().splitlines()
     return next(int(line.split()[1]) for line in lines if line.startswith("Pss:")) / 1024
 
 
 def _imports_s() -> float:
-    """Processor time of what others wrote: the part of a start that is not ours to shorten."""
+    """Processor time of importing third-party libraries: the part of a start that edged cannot shorten."""
     modules = "numpy, cv2, numba.core.registry, pydantic, aiohttp.web, pymodbus.pdu, zenoh, typer"
     program = f"import time, {modules}; print(time.process_time())"
     run = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)

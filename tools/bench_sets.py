@@ -1,16 +1,16 @@
 #!/usr/bin/env python3
-"""Calibrate public sets of real stereo pictures, beside OpenCV: pairs taken, and views that were held out.
+"""Calibrate public sets of real stereo pictures, beside OpenCV: number of pairs used, and held-out views.
 
     tools/bench sets DIR [SET ...] [--json FILE]
 
 DIR holds clones of the repositories below (git clone https://github.com/OWNER/NAME DIR/OWNER+NAME); a
-set that is missing is left out and said. The first is in tests/data. The others are not ours to copy.
+missing set is left out and reported. The first is in tests/data. The others may not be copied here.
 
 edged : what `edged calibrate` does, its marks and its choice of the lens. OpenCV: findChessboardCorners,
 cornerSubPix, calibrateCamera, stereoCalibrate with k1, k2, p1, p2. Both are judged alike: a tenth of the
-views at a time is measured by the calibration of the others, with the marks of whoever calibrated. Rows: rms
-row difference, px. Size: standard deviation of the measured over the true size of the board, of each view, %;
-of its mean nobody knows the truth. Flat: rms distance of the marks from a plane, % of a square.
+views at a time is measured by the calibration of the others, with that method's own marks. Rows: rms row
+difference, px. Size: standard deviation of the measured over the true size of the board, of each view, %;
+the truth of its mean is unknown. Flat: rms distance of the marks from a plane, % of a square.
 """
 
 from __future__ import annotations
@@ -43,12 +43,12 @@ from edged.vision.geometry.triangulation import triangulate_raw
 
 FOLDS = 10
 SIGMA_PX = 0.1
-"""Sigma of every corner of OpenCV, which states none; all count alike."""
+"""Sigma of every corner of OpenCV, which states none; all have the same weight."""
 
 
 @dataclass(frozen=True, slots=True)
 class PictureSet:
-    """Pictures of one board: a folder below DIR, and the names of both halves with the pair's number."""
+    """Pictures of one board: a folder below DIR, and name patterns of both sides with the pair's number."""
 
     name: str
     folder: str
@@ -88,7 +88,7 @@ SETS = (
 
 @dataclass(frozen=True, slots=True)
 class Figures:
-    """One calibration; NaN where there is none. verdict : what edged says of it, or why there is none."""
+    """Figures of one calibration; NaN if there is none. verdict : edged's verdict, or why there is none."""
 
     pairs: int
     rms_px: float
@@ -99,7 +99,7 @@ class Figures:
 
 
 def main() -> int:
-    """Print the table; 2 where no set is there."""
+    """Print the table; return 2 if no set is there."""
     parser = bench_parser(__doc__)
     parser.add_argument("folder", type=Path)
     parser.add_argument("sets", nargs="*", metavar="SET", help=", ".join(one.name for one in SETS))
@@ -143,7 +143,7 @@ def pairs_of(folder: Path, one: PictureSet) -> list[ImagePair]:
 
 
 def by_edged(pairs: Sequence[ImagePair], board: Chessboard) -> Figures:
-    """As `edged calibrate` does."""
+    """Calibrate as `edged calibrate` does."""
     views = Views([board])
     views.add([Pair.of_files(pair) for pair in pairs])
     try:
@@ -159,7 +159,7 @@ def by_edged(pairs: Sequence[ImagePair], board: Chessboard) -> Figures:
 
 
 def by_opencv(pairs: Sequence[ImagePair], board: Chessboard) -> Figures:
-    """With OpenCV's corners and OpenCV's calibration."""
+    """Calibrate with OpenCV's corners and OpenCV's calibration."""
     views, size = [], (0, 0)
     for pair in pairs:
         images = [load_image(path) for path in (pair.left, pair.right)]
@@ -167,7 +167,7 @@ def by_opencv(pairs: Sequence[ImagePair], board: Chessboard) -> Figures:
         left, right = (corners(image, board.columns, board.rows) for image in images)
         if left is None or right is None:
             continue
-        if (left[-1] - left[0]) @ (right[-1] - right[0]) < 0:  # one was numbered from the other end
+        if (left[-1] - left[0]) @ (right[-1] - right[0]) < 0:  # numbered from opposite ends
             right = right[::-1]
         ids = np.arange(len(left))
         seen = [Detection(ids, marks, np.full(len(ids), SIGMA_PX), 0.5, 100.0) for marks in (left, right)]
@@ -184,7 +184,7 @@ def by_opencv(pairs: Sequence[ImagePair], board: Chessboard) -> Figures:
 
 
 def measured(rig: StereoRig, view: StereoView) -> HeldOutView:
-    """A view by a calibration that has not seen it; without its reprojection, which has no meaning here."""
+    """Measure a view by a calibration that has not seen it; reprojection, meaningless here, is left out."""
     ids, left, right = marks_in_both(view)
     known, points = view.board.points_mm[ids], triangulate_raw(rig, left, right)
     spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
@@ -195,7 +195,7 @@ def measured(rig: StereoRig, view: StereoView) -> HeldOutView:
 
 
 def held_out_figures(held: Sequence[HeldOutView], board: Chessboard) -> tuple[float, float, float]:
-    """Rows px, size %, flat %."""
+    """Row difference px, size %, flatness % of held-out views."""
     rows = np.array([view.epipolar_rms_px for view in held])
     scales = np.array([view.scale for view in held])
     flat = np.array([view.flatness_mm for view in held]) / board.pitch_mm

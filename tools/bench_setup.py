@@ -1,12 +1,12 @@
 #!/usr/bin/env python3
-"""What setting a cell up over its page costs, and whom: the shell, the live view, a click, the PLC beside it.
+"""Cost of setting a cell up over its page: the shell, the live view, a click, and the PLC beside it.
 
     tools/bench setup [--only shell live clicks plc ...] [--seconds S] [--rounds N]
 
 The cell is the daemon of `edged run` in this process, on 1280x960 pictures that are replayed; browser, viewer
-and PLC are other processes. For the PLC, times without and with all that (a viewer of the status page, a page
-of the setup, a calibration being solved in the worker) take turns in one run, so that a busy machine is busy
-for both: what counts is their ratio. Needs Chromium for shell and clicks.
+and PLC are other processes. For the PLC, phases without and with all that (a viewer of the status page, a
+page of the setup, a calibration being solved in the worker) alternate in one run, so that other load on the
+machine affects both: only their ratio counts. Needs Chromium for shell and clicks.
 """
 
 from __future__ import annotations
@@ -89,12 +89,12 @@ class SetupCell:
 
     @property
     def origin(self) -> str:
-        """The address of its page."""
+        """Address of its page."""
         return f"http://127.0.0.1:{self.port}"
 
     @contextlib.asynccontextmanager
     async def person(self) -> AsyncIterator[Person]:
-        """Somebody who has logged in."""
+        """Session of a person who has logged in."""
         jar = aiohttp.CookieJar(unsafe=True)  # cookies of an IP address
         async with aiohttp.ClientSession(self.origin, cookie_jar=jar) as session:
             form = {"name": USER, "password": PASSWORD}
@@ -112,7 +112,7 @@ class Person:
         self.session, self._origin = session, origin
 
     async def ask(self, method: str, path: str, document: Any = None) -> Any:
-        """The answer. Raises RuntimeError for a problem."""
+        """Send a request; return the answer. Raises RuntimeError for a problem."""
         headers = {"Origin": self._origin}
         async with self.session.request(method, f"/api/v1/{path}", json=document, headers=headers) as answer:
             body = await answer.json() if answer.content_type.endswith("json") else None
@@ -121,7 +121,7 @@ class Person:
             return body
 
     async def done(self, task: str) -> None:
-        """When a task has ended. Raises RuntimeError where it failed."""
+        """Wait until a task has ended. Raises RuntimeError if it failed."""
         while True:
             state = (await self.ask("GET", f"tasks/{task}"))["state"]
             if state == "done":
@@ -132,7 +132,7 @@ class Person:
 
     @contextlib.asynccontextmanager
     async def setup(self) -> AsyncIterator[dict[str, str]]:
-        """The token of who has the cell, renewed."""
+        """Take the cell for setting up; yields the lease's token, and renews it."""
         token = {"token": (await self.ask("POST", "setup", {"take_over": True}))["token"]}
 
         async def renew() -> None:
@@ -150,7 +150,7 @@ class Person:
             await self.ask("DELETE", "setup", token)
 
     async def listen(self, token: dict[str, str] | None) -> AsyncIterator[aiohttp.WSMessage]:
-        """What the page hears; with a token its live pictures, each told to be seen."""
+        """Messages of the page's socket; with a token also live pictures, each of them acknowledged."""
         async with self.session.ws_connect("/api/v1/ws", headers={"Origin": self._origin}) as tab:
             wanted = json.dumps({"live": True, **token}) if token else '{"active": true}'
             await tab.send_str(wanted)
@@ -168,7 +168,7 @@ class Person:
 
 @contextlib.asynccontextmanager
 async def opened(cell: SetupCell) -> AsyncIterator[Browser]:
-    """A browser whose user has logged in."""
+    """Browser in which the user has logged in."""
     async with browser() as page:
         await page.ask("Page.enable")
         await page.ask("Page.addScriptToEvaluateOnNewDocument", source=COUNTED)
@@ -177,7 +177,7 @@ async def opened(cell: SetupCell) -> AsyncIterator[Browser]:
 
 
 async def shell(cell: SetupCell, rounds: int) -> None:
-    """Print how soon the shell is of use, and its weight, from an empty cache and from a full one."""
+    """Print when the shell is usable, and its weight, with an empty cache and with a full one."""
     async with opened(cell) as page:
         for cached in (False, True):
             await page.ask("Network.enable")
@@ -196,7 +196,7 @@ async def shell(cell: SetupCell, rounds: int) -> None:
 
 
 async def live(cell: SetupCell, seconds: float) -> None:
-    """Print pictures a second: for who only listens, and in a browser."""
+    """Print pictures a second: to a client that only listens, and in a browser."""
     async with cell.person() as person, person.setup() as token:
         count, begun_s = 0, 0.0
         async for message in person.listen(token):
@@ -220,7 +220,7 @@ async def live(cell: SetupCell, seconds: float) -> None:
 
 
 async def clicks(cell: SetupCell) -> None:
-    """Print how long after a click its answer is on the screen, live pictures coming meanwhile."""
+    """Print the time from a click until its answer is on the screen, while live pictures arrive."""
     async with cell.person() as person, person.setup() as token:
         draft = await person.ask("POST", "calibrations", {"boards": [SPEC]})
         for _ in range(4):
@@ -240,7 +240,7 @@ async def clicks(cell: SetupCell) -> None:
 
 
 def until_shown(step: str) -> str:
-    """Milliseconds from the click on a step until its page is on the screen."""
+    """Script that measures ms from the click on a step until its page is on the screen."""
     return f"""(async () => {{ const begun = performance.now();
       document.querySelector('a[href="#/{step}"]').click();
       const isShown = () => document.querySelector('main[data-page="{step}"] h1');
@@ -249,7 +249,7 @@ def until_shown(step: str) -> str:
 
 
 def until_answered(which: int) -> str:
-    """Milliseconds from the click on undo (0) or redo (1) until its answer is on the screen."""
+    """Script that measures ms from the click on undo (0) or redo (1) until its answer is on the screen."""
     return f"""(async () => {{
       const button = () => [...document.querySelectorAll("main .strip ~ .actions button")][{which}];
       while (button().disabled) await new Promise((on) => setTimeout(on, 5));
@@ -263,7 +263,7 @@ def until_answered(which: int) -> str:
 
 
 def draft_of(state: Path, pictures: Path) -> str:
-    """Make a draft of all pairs, as the page would; its id."""
+    """Make a draft of all pairs, as the page would; return its id."""
     draft = Drafts(state / "drafts").create(USER, (SPEC,), None, "auto", datetime.now(UTC))
     for left in sorted(pictures.glob("*_left.png")):
         pair = [load_image(left), load_image(left.with_name(left.name.replace("left", "right")))]
@@ -273,7 +273,7 @@ def draft_of(state: Path, pictures: Path) -> str:
 
 
 async def plc(cell: SetupCell, draft: str, seconds: float, rounds: int) -> None:
-    """Print p99 of reading a result and of the cycle, alone and with everything beside it, in turns."""
+    """Print p99 of reading a result and of the cycle, alone and beside everything else, in turns."""
     reads: dict[str, list[float]] = {"alone": [], "beside": []}
     cycles: dict[str, list[float]] = {"alone": [], "beside": []}
     ratios, solves_s = [], list[float]()
@@ -302,13 +302,13 @@ async def plc(cell: SetupCell, draft: str, seconds: float, rounds: int) -> None:
 
 @contextlib.asynccontextmanager
 async def nothing() -> AsyncIterator[None]:
-    """Beside the cell."""
+    """No load beside the cell."""
     yield
 
 
 @contextlib.asynccontextmanager
 async def busy(cell: SetupCell, person: Person, draft: str, solves_s: list[float]) -> AsyncIterator[None]:
-    """A viewer of the status page, a page of the setup, and one solution after the other in the worker."""
+    """Run a viewer of the status page, a page of the setup, and one solution after another in the worker."""
 
     tasks = list[str]()
 
@@ -330,7 +330,7 @@ async def busy(cell: SetupCell, person: Person, draft: str, solves_s: list[float
             yield
         finally:
             await cancel_and_await(*both)
-            with contextlib.suppress(RuntimeError):  # it has just ended
+            with contextlib.suppress(RuntimeError):  # it may just have ended
                 await person.ask("DELETE", f"tasks/{tasks[-1]}", {})
 
 
@@ -338,7 +338,7 @@ async def busy(cell: SetupCell, person: Person, draft: str, solves_s: list[float
 
 
 def board_pairs(folder: Path) -> Path:
-    """Pictures of a careful person, drawn once."""
+    """Pictures as a careful person takes them, drawn once."""
     folder.mkdir()
     for number, view in enumerate(calibration_views(demo_rig(), stage_board(), BOARD_PAIRS, seed=3), 1):
         for side, image in zip(SIDES, (view.left, view.right), strict=True):
@@ -347,7 +347,7 @@ def board_pairs(folder: Path) -> Path:
 
 
 async def measured(folder: Path, options: argparse.Namespace) -> None:
-    """Print what was asked for."""
+    """Run the requested parts."""
     pictures = board_pairs(folder / "pictures")
     has_browser = shutil.which("chromium") is not None
     if set(options.only) - {"plc"}:

@@ -3,10 +3,10 @@
 
     tools/bench shape [--full] [--json FILE] [--real DIR]
 
-The floor is what no gradient-based search can do without, one image pyramid and its gradients. Both are
-timed in the same run on one thread, in processor time: others on the machine do not count. Peers are what
-pip gives everyone: OpenCV's generalised Hough transform (over +-10 degrees and on clean images only: with
-noise it needs minutes) and SIFT + RANSAC.
+The floor is the work that no gradient-based search can avoid: one image pyramid and its gradients. Both are
+timed in the same run on one thread, in processor time, so that other load does not count. Peers are methods
+that pip gives everyone: OpenCV's generalised Hough transform (over +-10 degrees and on clean images only:
+with noise it needs minutes) and SIFT + RANSAC.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ FOUND_WITHIN_DEG = 3.0
 
 @dataclass(frozen=True)
 class Condition:
-    """A row of the table: how scenes look and what is asked for."""
+    """A row of the table: appearance of the scenes, and parameters of the search."""
 
     name: str
     look: sc.Look = PLAIN
@@ -108,7 +108,7 @@ class Row:
 
 @dataclass(frozen=True)
 class Found:
-    """A pose, with the covariance (5, 5) of these numbers where it is stated."""
+    """A pose, with the covariance (5, 5) of these numbers if it is stated."""
 
     x: float
     y: float
@@ -122,7 +122,7 @@ Find = Callable[[sc.Grey], list[Found]]
 
 
 def params_of(condition: Condition) -> SearchParams:
-    """What holds for every condition but for the asked ranges."""
+    """Parameters common to every condition, with its search ranges."""
     mode = "stretch" if condition.stretch else "similarity" if condition.scale != (1.0, 1.0) else "rigid"
     y_low, y_high = condition.stretch or (None, None)
     return SearchParams(
@@ -137,7 +137,7 @@ def params_of(condition: Condition) -> SearchParams:
 
 
 def scene_of(condition: Condition, part: sc.Part, rng: np.random.Generator) -> tuple[sc.Grey, list[sc.Truth]]:
-    """One random scene and where its parts are."""
+    """One random scene and the poses of its parts."""
     width, height = condition.image
     margin = min((0.8 + condition.touching // 2) * condition.size, height / 2 - 1)
     x, y = rng.uniform(margin, width - margin), rng.uniform(margin, height - margin)
@@ -162,7 +162,7 @@ def scene_of(condition: Condition, part: sc.Part, rng: np.random.Generator) -> t
 
 
 def edged_finder(model: ShapeModel, params: SearchParams) -> Find:
-    """The search of this project."""
+    """Finder with the search of this project."""
     work = Workspace()
 
     def find(image: sc.Grey) -> list[Found]:
@@ -175,7 +175,7 @@ def edged_finder(model: ShapeModel, params: SearchParams) -> Find:
 
 
 def sift_finder(template: sc.Grey, origin: sc.Float) -> Find:
-    """SIFT, ratio test, similarity by RANSAC."""
+    """Finder by SIFT, ratio test, similarity by RANSAC."""
     sift, matcher = cv2.SIFT_create(), cv2.BFMatcher()
     keys, words = sift.detectAndCompute(template, None)
 
@@ -200,9 +200,9 @@ def sift_finder(template: sc.Grey, origin: sc.Float) -> Find:
 
 
 def hough_finder(template: sc.Grey, origin: sc.Float, around_rad: float) -> Find:
-    """OpenCV's generalised Hough transform (Guil) over +-10 degrees around the true angle."""
+    """Finder by OpenCV's generalised Hough transform (Guil), +-10 degrees around the true angle."""
     hough = cv2.createGeneralizedHoughGuil()
-    start = min((float(np.degrees(around_rad)) - 10) % 360, 340.0)  # it knows 0 to 360 only
+    start = min((float(np.degrees(around_rad)) - 10) % 360, 340.0)  # it accepts 0 to 360 only
     hough.setMinAngle(start)
     hough.setMaxAngle(start + 20)
     hough.setAngleStep(1)
@@ -240,7 +240,7 @@ def floor_ms(image: sc.Grey, levels: int = 4, rounds: int = 30) -> float:
 
 
 def chi2_dof(found: Found, truth: sc.Truth) -> float:
-    """Squared error over the stated covariance, per degree of freedom that was fitted; NaN without one."""
+    """Squared error over the stated covariance, per fitted degree of freedom; NaN without a covariance."""
     if found.covariance is None:
         return float("nan")
     error = np.array(
@@ -254,7 +254,7 @@ def chi2_dof(found: Found, truth: sc.Truth) -> float:
     )
     fitted = np.isfinite(np.diag(found.covariance))
     inner = found.covariance[np.ix_(fitted, fitted)]
-    # with one scale for both axes the matrix is singular: the pseudo-inverse counts it once
+    # with one scale for both axes the matrix is singular; the pseudo-inverse counts it once
     inverse = np.linalg.pinv(inner, rcond=1e-12, hermitian=True)
     return float(
         error[fitted] @ inverse @ error[fitted] / np.linalg.matrix_rank(inner, 1e-18, hermitian=True)
@@ -294,7 +294,7 @@ def measure(
         row.found += right
         row.false += len(matches) - right
     if offsets:
-        # rms per coordinate, as the bounds are stated
+        # rms per coordinate, as the bounds are defined
         row.rms_px = float(np.sqrt(np.mean(np.square(offsets)) / 2))
         row.max_px, row.angle_rms_deg = max(offsets), float(np.sqrt(np.mean(np.square(turns))))
         row.scale_median, row.chi2_dof = float(np.median(scales)), float(np.mean(chis))
@@ -316,7 +316,7 @@ def edged_rows(conditions: Sequence[Condition], number: int) -> list[Row]:
 
 
 def peer_rows(number: int) -> dict[str, list[Row]]:
-    """What pip gives everyone, on the same scenes."""
+    """Methods that pip gives everyone, on the same scenes."""
     part = sc.bracket()
     image, _, origin = sc.teach_image(part)
     sift = sift_finder(image, origin)
@@ -334,7 +334,7 @@ def peer_rows(number: int) -> dict[str, list[Row]]:
 
 
 def searches_per_second(threads: int, rounds: int = 60) -> float:
-    """Throughput on clean scenes, each thread with its own work space."""
+    """Throughput on clean scenes, each thread with its own workspace."""
     part = sc.bracket()
     model, params = create_model(*sc.teach_image(part)), params_of(CONDITIONS[0])
     images = [scene_of(CONDITIONS[0], part, np.random.default_rng(i))[0] for i in range(2)]
@@ -352,7 +352,7 @@ def searches_per_second(threads: int, rounds: int = 60) -> float:
 
 
 def clock_rows(folder: Path) -> list[float]:
-    """Errors in degrees of the known 10 degree steps of a clock face, rotated_*.png, against the first."""
+    """Errors in degrees of a clock face's known 10 degree steps, rotated_*.png, relative to the first."""
     first = cv2.imread(str(folder / "rotated_10.png"), cv2.IMREAD_GRAYSCALE)
     if first is None:
         sys.exit(f"{folder}: expected rotated_10.png ... rotated_200.png")
@@ -365,7 +365,7 @@ def clock_rows(folder: Path) -> list[float]:
     for step in range(10, 201, 10):
         image = cv2.imread(str(folder / f"rotated_{step}.png"), cv2.IMREAD_GRAYSCALE)
         turns += [(step - 10, np.degrees(m.angle_rad)) for m in find_shapes(image, model, params)]
-    # whether the pictures turn clockwise is theirs: the sign that fits is taken
+    # the sign of rotation is unknown: take the one that fits
     errors = [[wrapped(sign * turn - step, 360.0) for step, turn in turns] for sign in (1, -1)]
     return min(errors, key=lambda e: float(np.square(e).sum()))
 

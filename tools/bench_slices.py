@@ -14,8 +14,8 @@ measurement is compared with that of the plate alone, which is taught as a flat 
 
 With --broken, the parts are those of `solidworld` instead: drawn from triangles with pixels of true size,
 with broken edges, walls up to brighter than the face, and blur that changes with depth; with --step they are
-taught with their STEP files. With --held-out, they are designs that are kept for judging. Beside a share
-stand its 95 % bounds.
+taught with their STEP files. With --held-out, they are the designs reserved for evaluation. Shares are
+printed with their 95 % bounds.
 """
 
 from __future__ import annotations
@@ -54,19 +54,19 @@ THICK_MM, TILT_DEG = 6.0, 45.0
 WALL = Surface(albedo=0.2, contrast=0.1, feature_mm=0.5, seed=3)
 WRONG_MM, WRONG_DEG = 0.1, 3.0
 TRIES = 50
-"""To place a hole clear of what is there."""
+"""Attempts to place a hole clear of the others."""
 
 
 @dataclass(frozen=True, slots=True)
 class Solid:
-    """A plate, and a boss so high on it."""
+    """A plate with a boss."""
 
     plate: Part
     boss: Part
     height_mm: float
 
     def at(self, where: FloatArray, albedo: float, *, bossed: bool = True) -> Scene:
-        """The part over a table, with walls of an albedo; without its boss, only the plate."""
+        """Scene with the part over a table, walls of an albedo; without its boss, only the plate."""
         wall = replace(WALL, albedo=albedo)
         up = np.eye(4)
         up[2, 3] = -self.height_mm
@@ -78,7 +78,7 @@ class Solid:
 
 @dataclass
 class Row:
-    """What came of one design, or of all; lengths in µm, angles in degrees."""
+    """Results for one design, or for all; lengths in µm, angles in degrees."""
 
     good: int = 0
     wrong: int = 0
@@ -92,7 +92,7 @@ class Row:
     ratios: list[float] = field(default_factory=list)
 
     def add(self, other: Row) -> None:
-        """What came of another design, too."""
+        """Add the results of another design."""
         for name, value in vars(other).items():
             setattr(self, name, getattr(self, name) + value)
 
@@ -115,7 +115,7 @@ class Row:
 
 
 def random_solid(rng: np.random.Generator) -> Solid:
-    """An L, a disc or a notched plate with two to four holes, and a boss whose bore goes through."""
+    """A random L, disc or notched plate with two to four holes, and a boss whose bore goes through."""
     kind = rng.integers(3)
     w, h = rng.uniform(10, 14), rng.uniform(8, 11)
     outline: PolygonShape | Disc
@@ -157,7 +157,7 @@ def _is_inside(disc: Disc, kind: int, width_mm: float) -> bool:
 
 
 def true_place(solid: Solid, near_mm: FloatArray) -> FloatArray:
-    """The middle of the drawn circle nearest to a point (3,) of the part's frame."""
+    """Centre of the drawn circle nearest to a point (3,) of the part's frame."""
     up = np.array([0.0, 0.0, -solid.height_mm])
     drawn = [np.array([disc.x_mm, disc.y_mm, 0.0]) for _, disc in solid.plate.circles]
     drawn += [np.array([disc.x_mm, disc.y_mm, 0.0]) + up for _, disc in solid.boss.circles]
@@ -165,7 +165,7 @@ def true_place(solid: Solid, near_mm: FloatArray) -> FloatArray:
 
 
 def compared(row: Row, target: Target, where: FloatArray, place_mm: FloatArray, taught_turn: float) -> str:
-    """Enter one accepted target into its row, and say what it is.
+    """Enter one accepted target into its row, and return its verdict.
 
     where : true rig_from_part (4, 4).  place_mm (3,) : the true reference.  taught_turn : rad, of the job's
     frame about the part's normal.
@@ -193,7 +193,7 @@ def compared(row: Row, target: Target, where: FloatArray, place_mm: FloatArray, 
 
 
 def measure_ms(pair: tuple[Image, Image], job: Job, rig: PreparedRig) -> float:
-    """Processor time of measuring the best match, best of five; NaN where it is not measured."""
+    """Processor time of measuring the best match, best of five; NaN if it is not measured."""
     images = StereoImages.of(rig.rectification, *pair)
     views = views_of(job, rig.rectification)
     matches = find_shapes(
@@ -213,7 +213,7 @@ GROUPS = {"tilt <= 15": (0.0, 15.0), "tilt >= 30": (30.0, TILT_DEG)}
 
 
 def measure(number: int, solid: Solid, rig: PreparedRig, options: argparse.Namespace) -> dict[str, Row]:
-    """One design in random poses: all of them, and by tilt."""
+    """Measure one design in random poses; rows for all of them, and by tilt."""
     rng, rows = np.random.default_rng((options.seed, number)), {name: Row() for name in ("all", *GROUPS)}
     walls = [float(albedo) for albedo in options.walls.split(",")]
     taught_at = lying(rig.rig, 0.0, 0.0, 0.0)
@@ -259,7 +259,7 @@ def measure(number: int, solid: Solid, rig: PreparedRig, options: argparse.Names
 
 
 def of_broken(options: argparse.Namespace) -> None:
-    """The parts of `solidworld`, as `tools/bench solid` measures them."""
+    """Measure the parts of `solidworld`, as `tools/bench solid` does."""
     first = HELD_OUT if options.held_out else 0
     with tempfile.TemporaryDirectory() as folder:
         write_set(Path(folder), range(first, first + options.designs), options.poses, 0, options.seed)
@@ -268,7 +268,7 @@ def of_broken(options: argparse.Namespace) -> None:
 
 
 def of_slices(options: argparse.Namespace) -> None:
-    """The table of the sliced parts."""
+    """Print the table of the sliced parts."""
     rig, rng = prepare(small_rig()), np.random.default_rng(options.seed)
     total = {name: Row() for name in ("all", *GROUPS)}
     print("| design | good | wrong | refused | not found | rms X Y Z, max µm | normal rms, max ° "

@@ -2,10 +2,10 @@
 """Measure the lines of text for robots: from sending LOCATE to the pose, beside eight clients that read.
 
 Run it with the project's Python: `.venv/bin/python tools/bench_socket.py`. The daemon measures in this
-process; a robot in another one sends LOCATE on a connection that stays, and waits for the whole line. Eight
-Modbus clients read 48 words every 20 ms meanwhile. What is not the cycle is what the line costs. --stages:
-of what it is made, on the thread of the loop, by the clock and by the processor that it took. Exit code 1
-beyond 2 ms (p99).
+process; a robot in another one sends LOCATE on a permanent connection, and waits for the whole line. Eight
+Modbus clients read 48 words every 20 ms meanwhile. The time outside the cycle is the cost of the line.
+--stages: its parts on the thread of the loop, in wall-clock and processor time. Exit code 1 beyond 2 ms
+(p99).
 """
 
 from __future__ import annotations
@@ -34,11 +34,11 @@ STAGES = ("asked", "begun", "announcing", "announced", "answered")
 """Moments of a command: its line was read, the cycle begins, its result goes to the publishers, all have it,
 the answer is ready to be sent."""
 LIMIT_MS = 2.0
-"""Limit of the 99th percentile, beside the cycle."""
+"""Limit of the 99th percentile, without the cycle."""
 
 
 def locate_all(port: int, count: int, results: Queue[list[float]]) -> None:
-    """One LOCATE after the other; report from the request to its whole answer, in ms."""
+    """Send one LOCATE after the other; report the time from each request to its whole answer, in ms."""
     times_ms = []
     with socket.create_connection(("127.0.0.1", port)) as line, line.makefile("rb") as answers:
         line.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
@@ -54,7 +54,7 @@ def locate_all(port: int, count: int, results: Queue[list[float]]) -> None:
 
 
 async def bench(folder: Path, count: int, readers: int) -> float:
-    """Print the times; returns the 99th percentile of what is not the cycle, in ms."""
+    """Print the times; return the 99th percentile of the time outside the cycle, in ms."""
     cell, port = BenchCell(folder, mode="command"), free_port()
     with cell.config.open("a") as config:
         config.write(f'\n[modbus.socket]\nport = {port}\nbrand = "kuka"\nallow_simulated = true\n')
@@ -71,7 +71,7 @@ async def bench(folder: Path, count: int, readers: int) -> float:
 
 
 def note_stages() -> list[dict[str, tuple[float, float]]]:
-    """Wrap the functions of the stages; returns where each command's clock and processor times will be."""
+    """Wrap the functions of the stages; return the list for clock and processor times of each command."""
     commands: list[dict[str, tuple[float, float]]] = []
     answer, announce, cycle = Robot.answer, Announcements.announce, CycleRun.__init__
 
@@ -95,7 +95,7 @@ def note_stages() -> list[dict[str, tuple[float, float]]]:
 
     def beginning(self: CycleRun, *given: object) -> None:
         note("begun")
-        # whatever it takes
+        # all its arguments
         cycle(self, *given)  # type: ignore[arg-type]
 
     for kind, name, wrapped in (
@@ -108,7 +108,7 @@ def note_stages() -> list[dict[str, tuple[float, float]]]:
 
 
 def show_stages(commands: list[dict[str, tuple[float, float]]]) -> None:
-    """Of all stages but the cycle itself, ms."""
+    """Print all stages except the cycle itself, ms."""
     for first, second in itertools.pairwise(STAGES):
         rows = [command for command in commands if first in command and second in command]
         took_ms = 1e3 * np.array([np.subtract(command[second], command[first]) for command in rows])

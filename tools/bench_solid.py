@@ -5,14 +5,14 @@
         [--overlays DIR]
 
 DATASET holds rig.json (the true cameras), teach/teach_PART (one pair for each part, with truth) and scenes/.
-Each part is taught from its pair; of a scene, the motion from the taught to the found pose is compared with
-the true one, at the job's reference point. With --step, each part is taught with its STEP file besides
+Each part is taught from its pair; in a scene, the motion from the taught to the found pose is compared with
+the true one, at the job's reference point. With --step, each part is also taught with its STEP file
 (step/PART.step, -z to the cameras), and rig_from_model is compared with the true pose; with --alone, with its
-STEP file and no pair, its main face DEPTH mm away. With --further, its first N scenes teach, too, and are
-not measured. Good is a target that is accepted and right; wrong is one
-that is accepted and off by more than 0.1 mm (--alone: by more than three of the sigmas across the face that
-such a job states), or turned by more than 3 degrees. Beside a share stand its 95 % bounds. χ² is that of the
-position by its stated covariance, per degree of freedom: 1 where the covariance is true.
+STEP file and no pair, its main face DEPTH mm away. With --further, its first N scenes are used for teaching,
+too, and are not measured. Good is a target that is accepted and right; wrong is one that is accepted and off
+by more than 0.1 mm (--alone: by more than three of the sigmas across the face that such a job states), or
+turned by more than 3 degrees. Shares are printed with their 95 % bounds. χ² is that of the position by its
+stated covariance, per degree of freedom: 1 where the covariance is true.
 """
 
 from __future__ import annotations
@@ -49,17 +49,17 @@ from edged.vision.teaching.furtherpairs import with_breaks_shown
 from edged.vision.teaching.pair import WantedJob, teach, view_of
 
 DEPTH_SHARE = 0.22
-"""By so much nearer and farther than at teaching parts lie in these scenes: a range as a person sets it."""
+"""Range of depth in these scenes, as a share nearer and farther than at teaching, as a person sets it."""
 WRONG_MM, WRONG_DEG = 0.1, 3.0
 NEAR_MM = 5.0
-"""A target nearer to a true part than this is meant to be it."""
+"""Distance from a true part within which a target counts as that part."""
 
 
 @dataclass(frozen=True)
 class Part:
-    """What a scene shows of a part that is taught, and what came of it; lengths in µm, angles in degrees.
+    """Result for a taught part in a scene; lengths in µm, angles in degrees.
 
-    break_mm : the widest of its broken edges, NaN of a part that is not there.
+    break_mm : the widest of its broken edges, NaN if the part is not there.
     """
 
     scene: str
@@ -74,7 +74,7 @@ class Part:
     circles: int
 
     def to_json(self) -> dict[str, Any]:
-        """As one line of the table."""
+        """Row as a JSON document."""
         found = bool(np.isfinite(self.error_um).all())
         return {
             "scene": self.scene,
@@ -90,37 +90,37 @@ class Part:
 
 
 def pair_of(path: Path) -> tuple[Image, Image]:
-    """Left and right picture beside a scene's truth."""
+    """Left and right picture of a scene."""
     return load_image(path.with_name(path.stem + "_left.png")), load_image(
         path.with_name(path.stem + "_right.png")
     )
 
 
 def pose_of(part: dict[str, Any]) -> FloatArray:
-    """(4, 4) rig_from_model of a part as the truth states it."""
+    """rig_from_model (4, 4) of a part according to the truth."""
     return transform(np.array(part["R"]), np.array(part["t"]))
 
 
 def break_of(part: dict[str, Any]) -> float:
-    """The widest broken edge of a part as the truth states it, mm."""
+    """Widest broken edge of a part according to the truth, mm."""
     stated = part.get("break_mm") or 0.0
     return float(max(stated.values(), default=0.0) if isinstance(stated, dict) else stated)
 
 
 def absent(design: str) -> dict[str, Any]:
-    """The truth of a part that is not there."""
+    """Truth of a part that is not there."""
     return {"design": design, "break_mm": math.nan, "tilt_bisector_deg": math.nan}
 
 
 def missed(scene: str, part: dict[str, Any], why: str) -> Part:
-    """A part of which nothing came."""
+    """Row for a part without a result."""
     nothing = np.full(3, math.nan)
     tilt_deg = part["tilt_bisector_deg"]
     return Part(scene, part["design"], break_of(part), tilt_deg, why, nothing, *[math.nan] * 3, 0)
 
 
 def compared(scene: str, part: dict[str, Any], job: Job, taught: FloatArray, outcome: Outcome) -> Part:
-    """What came of one true part."""
+    """Result for one true part."""
     motion = pose_of(part) @ invert(taught)
     part_from_reference = transform(np.eye(3), job.place_of(job.reference))
     true = motion @ job.rig_from_part @ part_from_reference
@@ -140,7 +140,7 @@ def compared(scene: str, part: dict[str, Any], job: Job, taught: FloatArray, out
     normal = math.degrees(math.acos(min(1.0, between[2, 2])))
     turn = math.degrees(math.atan2(between[1, 0] - between[0, 1], between[0, 0] + between[1, 1]))
     if target.free_axis is not None:
-        turn = 0.0  # it says that it does not know
+        turn = 0.0  # it declares its rotation unknown
     chi2 = float(error @ np.linalg.solve(target.covariance[:3, :3], error)) / 3
     verdict = "good"
     if target.reject is not Reject.NONE:
@@ -159,7 +159,7 @@ def compared(scene: str, part: dict[str, Any], job: Job, taught: FloatArray, out
 def measure(
     dataset: Path, rig: PreparedRig, design: str, options: argparse.Namespace
 ) -> tuple[list[Part], float]:
-    """All scenes with one part, and all without any; and the seconds that they took."""
+    """Measure all scenes with one part, and all without any; also return the seconds taken."""
     pictured = dataset / "teach" / f"teach_{design}.json"
     taught = pose_of(json.loads(pictured.read_text())["parts"][0])
     scenes = [path for path in sorted((dataset / "scenes").glob("*.json")) if options.only in path.stem]
@@ -223,7 +223,7 @@ def measure(
 
 
 def report(rows: list[Part]) -> None:
-    """The table, and the sum of it."""
+    """Print the table and its totals."""
     print("\n| scene | part | tilt | | dX dY dZ µm | normal ° | turn ° | χ² |")
     print("|---|---|---:|---|---|---:|---:|---:|")
     for row in rows:
@@ -246,7 +246,7 @@ def report(rows: list[Part]) -> None:
 
 
 def groups(rows: list[Part]) -> dict[str, list[Part]]:
-    """All, and by broken edges and tilt."""
+    """All rows, and groups by broken edges and tilt."""
     broken, steep = ([getattr(row, name) for row in rows] for name in ("break_mm", "tilt_deg"))
     named = {
         "all": [True] * len(rows),
@@ -265,7 +265,7 @@ def groups(rows: list[Part]) -> dict[str, list[Part]]:
 
 
 def measured(options: argparse.Namespace) -> list[Part]:
-    """Every part of a set, in all its scenes."""
+    """Measure every part of a set in all its scenes."""
     rig = prepare(true_rig(options.dataset / "rig.json"))
     names = sorted(path.stem.removeprefix("teach_") for path in (options.dataset / "teach").glob("*.json"))
     some = options.parts.split(",") if options.parts else names
@@ -273,7 +273,7 @@ def measured(options: argparse.Namespace) -> list[Part]:
 
 
 def asked(dataset: Path, *arguments: str) -> argparse.Namespace:
-    """What `measured` is asked for, as by the command line: what is not named is as usual there."""
+    """Arguments for `measured`, as from the command line, with its defaults."""
     return _parser().parse_args([str(dataset), *arguments])
 
 

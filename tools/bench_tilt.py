@@ -5,8 +5,8 @@
 
 Four parts are taught flat, on the demo's rig, and lie tilted to any side from the bisector of the cameras,
 turned at random, anywhere in view. Each is looked for as taught, and with jobs of --tilt 30 and 45. Times are
-processor time of the search, best of three, as a ratio to the search for the taught look in the same picture:
-what else the machine does does not count.
+processor time of the search, best of three, as a ratio to the search for the taught appearance in the same
+picture, so that other load does not count.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ DARK = Surface(albedo=0.05)
 
 @dataclass
 class Row:
-    """What came of one part in one range; lengths in µm, angles in degrees."""
+    """Results for one part in one range; lengths in µm, angles in degrees."""
 
     poses: int = 0
     good: int = 0
@@ -75,7 +75,7 @@ def search_ms(image: Image, job: Job, rig: PreparedRig, work: Workspace) -> floa
 
 
 def true_place(part: Part, job: Job, part_from_job: FloatArray) -> FloatArray:
-    """The drawn circle or corner nearest to the job's reference, (4,) part frame."""
+    """Drawn circle or corner nearest to the job's reference, (4,) in the part frame."""
     near = (part_from_job @ np.append(job.place_of(job.reference), 1.0))[:2]
     drawn = [(disc.x_mm, disc.y_mm) for _, disc in part.circles]
     if not drawn and isinstance(part.outline, PolygonShape):
@@ -84,7 +84,7 @@ def true_place(part: Part, job: Job, part_from_job: FloatArray) -> FloatArray:
 
 
 def measure(name: str, tilt_deg: float | None, between: tuple[float, float], poses: int, mm: float) -> Row:
-    """One part in one range of tilts."""
+    """Measure one part in one range of tilts."""
     rig, part, rng = prepare(demo_rig()), PARTS[name], np.random.default_rng(7)
     taught = pictures(rig.rig, scene((part, pose())))
     job = teach(*taught, rig.rectification, region_around(rig.rig, pose()[:3, 3], 15.0), name)

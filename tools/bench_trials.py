@@ -1,11 +1,11 @@
 #!/usr/bin/env python3
-"""Try a job on live pairs of the virtual stage, as a page does: how many a second, and what a PLC notices.
+"""Try a job on live pairs of the virtual stage, as a page does: the rate, and the effect on a PLC.
 
     tools/bench trials [--seconds S] [--json FILE]
 
-Pictures of 1280 x 960, taken as fast as they are seen; each that the worker has time for is measured. Modbus
-clients in another process read 48 words every 20 ms meanwhile, and before it. Then the map of the working
-volume, and the still test of 30 pictures.
+Pictures of 1280 x 960, taken as fast as they are acknowledged; the worker measures as many as it has time
+for. Modbus clients in another process read 48 words every 20 ms before and during the trials. Then the map of
+the working volume, and the still test of 30 pictures.
 """
 
 from __future__ import annotations
@@ -32,11 +32,11 @@ from edged.sim.world import VirtualWorld
 
 READERS = 4
 REST_S = 2.0
-"""Until the worker runs and has prepared the rig."""
+"""Time for the worker to start and prepare the rig."""
 
 
 async def watched(newcomer: Newcomer, seconds: float) -> tuple[list[float], list[dict[str, Any]]]:
-    """Times of the live pictures (left ones), and the trials that were told."""
+    """Times of the live pictures (left ones), and the trials reported."""
     pictures, trials = [], []
     headers = {"Origin": newcomer.origin}
     async with newcomer.session.ws_connect("/api/v1/ws", headers=headers) as socket:
@@ -56,7 +56,7 @@ async def watched(newcomer: Newcomer, seconds: float) -> tuple[list[float], list
 
 
 async def done(newcomer: Newcomer, task: str) -> None:
-    """A task has ended. Raises RuntimeError for one that failed."""
+    """Wait until a task has ended. Raises RuntimeError if it failed."""
     while True:
         now = await newcomer.ask("GET", f"tasks/{task}")
         if now["state"] == "done":
@@ -67,7 +67,7 @@ async def done(newcomer: Newcomer, task: str) -> None:
 
 
 async def tried(folder: Path, seconds: float) -> dict[str, Any]:
-    """The whole of it; figures by their names."""
+    """Run all parts; return figures by name."""
     found: dict[str, Any] = {}
     with VirtualWorld(gige=False, seed=0, staged=True) as world:
         async with stage(folder, world, gige=False) as (newcomer, daemon):
@@ -120,7 +120,7 @@ async def tried(folder: Path, seconds: float) -> dict[str, Any]:
 
 
 def worker_busy_s() -> float:
-    """Processor time that the worker process has had."""
+    """Processor time of the worker process so far."""
     for task in Path("/proc/self/task").iterdir():
         for child in (task / "children").read_text().split():
             if b"workerprocess" in Path(f"/proc/{child}/cmdline").read_bytes():
@@ -130,7 +130,7 @@ def worker_busy_s() -> float:
 
 
 def rate(times_s: list[float]) -> float:
-    """A second."""
+    """Rate per second."""
     return round((len(times_s) - 1) / (times_s[-1] - times_s[0]), 1) if len(times_s) > 1 else 0.0
 
 

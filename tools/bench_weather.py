@@ -1,11 +1,11 @@
 #!/usr/bin/env python3
-"""Does a cell with reference marks stay true?
+"""Measure whether a cell with reference marks stays accurate.
 
     tools/bench weather [--seeds N] [--only WHAT] [--draws N]
 
-A virtual cell with weather (`edged/sim/weather.py`): its truth is exact. Dots are computed where the true
-cameras see them, with noise and an error that depends on where in its pixel each one lies; no picture is
-drawn, but for `rendered`. What is judged is a part of 28 mm, anywhere in 60 x 45 x 30 mm around the marks.
+A virtual cell with weather (`edged/sim/weather.py`), whose truth is exact. Dots are computed where the true
+cameras see them, with noise and an error that depends on the sub-pixel position of each; no picture is drawn,
+except for `rendered` and `dirt`. A part of 28 mm is judged, anywhere in 60 x 45 x 30 mm around the marks.
 
 day       24 h of +-10 K: error of a part with and without marks, rms and largest, and chi² per hour.
 knocks    0.2 mm and 1 mrad, of one camera and of the rig, once in each draw, at random hours of a day:
@@ -13,12 +13,12 @@ knocks    0.2 mm and 1 mrad, of one camera and of the rig, once in each draw, at
 hidden    6 of 8 marks covered for an hour, at the steepest hour: sigma before and after, error in sigmas.
 limits    one mark moved, half of the plate bent, another plate, a larger one, all covered.
 rendered  noise and error of dots in drawn pictures.
-dirt      chips of steel and drops of oil on the marks in drawn pictures: dots seen, results, and how wrong.
+dirt      chips of steel and drops of oil on the marks in drawn pictures: dots seen, results, and their error.
 robot     a robot that is off by about 0.5 mm, with play: touched points, with and without a map of its error.
 looks     that robot with the cameras on its flange: its tool at the part after one look, and after a second
           from the approach.
 price     ms of the filter, and the sigma that a correction adds to a part: it knows the range, not the drift;
-          beside what a calibration alone leaves.
+          beside the sigma of the calibration alone.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ HOUR_S = 3600.0
 
 
 def days(seeds: int, period_s: float = 20.0) -> dict[str, float]:
-    """Print errors with and without marks, and how honest sigma is in each hour."""
+    """Print errors with and without marks, and chi² of each hour."""
     with_marks, without, hours = [], [], np.zeros((seeds, 24))
     states: dict[str, int] = {}
     for seed in range(seeds):
@@ -108,7 +108,7 @@ def days(seeds: int, period_s: float = 20.0) -> dict[str, float]:
 
 
 def knocks(draws: int) -> dict[str, object]:
-    """Print how soon results come again after a knock, and how wrong any of them is."""
+    """Print how soon results come again after a knock, and how wrong each of them is."""
     healed, refused, valid, worst = [], 0, 0, []
     hidden_valid = 0
     for draw in range(draws):
@@ -162,7 +162,7 @@ def _direction(rng: np.random.Generator) -> FloatArray:
 
 
 def hidden_hour(seeds: int, hidden: int = 6) -> dict[str, object]:
-    """Print sigma and error while marks are covered for an hour of the steepest warming."""
+    """Print sigma and error while marks are covered for the hour of the steepest warming."""
     seeds *= 10
     rows: dict[int, list[FloatArray]] = {}
     states: dict[str, int] = {}
@@ -199,7 +199,7 @@ def hidden_hour(seeds: int, hidden: int = 6) -> dict[str, object]:
 
 
 def limits() -> dict[str, object]:
-    """Print what becomes of plates that are not as they were taught."""
+    """Print the results for plates that differ from the taught one."""
 
     def shifted(marks: Sequence[int], mm: Sequence[float]) -> FloatArray:
         moved = np.zeros((8, 3))
@@ -251,7 +251,7 @@ def limits() -> dict[str, object]:
 
 
 def rendered(places: int = 12) -> dict[str, float]:
-    """Print noise and error of dots in drawn pictures, the plate elsewhere in each by parts of a pixel."""
+    """Print noise and error of dots in drawn pictures; the plate is shifted by fractions of a pixel."""
     rng, own = np.random.default_rng(54), own_places()
     views = stereo_views(demo_rig())
     taught = drawn_teaching()
@@ -272,13 +272,13 @@ def rendered(places: int = 12) -> dict[str, float]:
 
 
 def own_places() -> FloatArray:
-    """(8, 3) of the marks on their plate."""
+    """Positions (8, 3) of the marks on their plate."""
     places = parse_frame(FRAME).places
     return np.column_stack([places[:, :2], np.zeros(len(places))])
 
 
 def drawn(rig_from_frame: FloatArray, noise: int | None, *more: PlacedPart) -> list:
-    """Both pictures of the plate on a table, and of what lies on it. noise : its seed; None: without."""
+    """Both pictures of the plate and further objects on a table. noise : its seed; None: without."""
     floor = transform(np.eye(3), np.add(MIDDLE, (0, 0, 1.1)))
     table = Table(Surface(albedo=0.16, contrast=0.25, feature_mm=0.6, seed=2), floor)
     scene = Scene(table, (PlacedPart(marks_plate(parse_frame(FRAME)), rig_from_frame), *more))
@@ -291,13 +291,13 @@ def drawn(rig_from_frame: FloatArray, noise: int | None, *more: PlacedPart) -> l
 
 @cache
 def drawn_teaching() -> TaughtMarks:
-    """The marks as drawn pictures teach them."""
+    """Marks as taught from drawn pictures."""
     at = transform(np.eye(3), MIDDLE)
     return teach_marks((drawn(at, k) for k in range(MARKS.min_exposures)), demo_rig(), 1)
 
 
 def dirt(scenes: int = 12) -> list[dict[str, object]]:
-    """Print what chips and oil on marks do to dots, and to a part, where nothing has moved."""
+    """Print the effect of chips and oil on marks on dots, and on a part, where nothing has moved."""
     taught, at = drawn_teaching(), transform(np.eye(3), MIDDLE)
     true = np.stack([stereo_views(demo_rig())[side].project(apply(at, own_places())) for side in SIDES])
     filter_ = MarksFilter(taught, MarksSettings())
@@ -356,11 +356,11 @@ def dirt(scenes: int = 12) -> list[dict[str, object]]:
 
 ROBOT_FROM_RIG = transform(rotation_matrix(np.array([np.pi, 0.0, 0.0])), np.array([560.0, -90.0, 260.0]))
 REPEATS_MM, SEEN_MM = 0.02, 0.003
-"""How well the robot comes to a place again, and how well the cameras see its tip; one sigma."""
+"""Repeatability of the robot, and of the cameras' measurement of its tip; one sigma."""
 
 
 def robots(seeds: int, each: int = 20, places: int = 50) -> list[dict[str, object]]:
-    """Print how far robots land from parts, and from a taught path, with and without a map of their error."""
+    """Print distances of robots from parts, and from a taught path, with and without a map of their error."""
     print(
         f"\n{seeds * each} robots a line, off by about 0.5 mm, repeating to {1e3 * REPEATS_MM:g} um; rms of "
         "all axes, um.\nPlay: of each axis, at half a metre. A golden part was taught in the same volume\n\n"
@@ -403,7 +403,7 @@ def robots(seeds: int, each: int = 20, places: int = 50) -> list[dict[str, objec
 
 @dataclass(frozen=True)
 class _Robot:
-    """Errors (N, 3) mm at places of parts, by the robot itself, the registration alone, with its map."""
+    """Errors (N, 3) mm at places of parts: of the robot itself, with the registration alone, with its map."""
 
     off: FloatArray
     alone: FloatArray
@@ -425,7 +425,7 @@ def _one_robot(seed: int, volume: tuple[float, ...], play_mm: float, count: int,
     parts = rng.uniform(-1, 1, (places, 3)) * half + (0, 0, 200.0)
 
     def shown(rig_mm: FloatArray) -> FloatArray:
-        """What the robot shows there, having come from somewhere above."""
+        """Position that the robot shows there, approached from somewhere above."""
         said = []
         for place in apply(ROBOT_FROM_RIG, rig_mm):
             came = place + rng.uniform((-80, -80, 20), (80, 80, 120))
@@ -471,12 +471,12 @@ def _one_robot(seed: int, volume: tuple[float, ...], play_mm: float, count: int,
 TIP = transform(np.eye(3), np.array([0.0, 0.0, 180.0]))
 BACK_MM, COMES_MM = 60.0, 30.0
 AHEAD_MM = 240.0
-"""From the flange to where the cameras look: there the part lies at the approach."""
+"""Distance from the flange to the point the cameras look at, where the part lies at the approach."""
 SEEN_RAD = 1e-4
 
 
 def looks(seeds: int, each: int = 10, places: int = 30) -> list[dict[str, object]]:
-    """Print how far the tool lands from parts after one look and after two, of cameras on the flange."""
+    """Print the tool's distance from parts after one look and after two, with cameras on the flange."""
     print(
         f"\n{seeds * each} robots a line, {places} parts each in 400 x 300 x 60 mm, turned at will; error of "
         f"the tool at the part,\num rms of all axes (farthest). The second look is {BACK_MM:g} mm before the "
@@ -497,7 +497,7 @@ def looks(seeds: int, each: int = 10, places: int = 30) -> list[dict[str, object
 
 
 def _looks_of(seed: int, away_mm: float, play_mm: float, exact: bool, places: int) -> FloatArray:
-    """(N, 5, 3) mm of one robot, as the columns of `looks`."""
+    """Distances (N, 5, 3) mm of one robot, with the columns of `looks`."""
     rng, arm = np.random.default_rng((seed, 79)), ErringArm.drawn(seed, backlash_mm=play_mm)
     turn, down = rotation_matrix(np.array([0.0, -0.48, 0.0])), rotation_matrix(np.array([np.pi, 0.0, 0.0]))
     mounted = transform(turn, (0.0, 0.0, AHEAD_MM) - turn @ MIDDLE)
@@ -527,7 +527,7 @@ def _looks_of(seed: int, away_mm: float, play_mm: float, exact: bool, places: in
     rig = mounted if exact else hand_eye(walk, views, 1.5 * own_places(), "eye-in-hand", hold_out=False).rig
 
     def looked(part: FloatArray) -> tuple[list[FloatArray], FloatArray]:
-        """The part by one look, by two, and by two along the tool; and the flange's pose at the second."""
+        """Part by one look, by two, and by two along the tool; and the flange's pose at the second look."""
         home = transform(down, part[:3, 3] + (*rng.uniform(-30, 30, 2), AHEAD_MM + away_mm))
         first = home @ rig @ seen(stands(home, back(home, 100.0)), part, away_mm)
         approach = back(first, BACK_MM) @ invert(TIP)
@@ -555,7 +555,7 @@ def _looks_of(seed: int, away_mm: float, play_mm: float, exact: bool, places: in
 
 
 def price() -> dict[str, object]:
-    """Print what marks cost: time, and sigma where nothing drifts."""
+    """Print the cost of marks: time, and sigma where nothing drifts."""
     day = new_day(0)
     for at_s in range(30):
         day.expose(float(at_s))
@@ -593,7 +593,7 @@ def _three(values: FloatArray) -> str:
 
 
 def main() -> None:
-    """Run what was asked for."""
+    """Run the requested parts."""
     parser = bench_parser(__doc__)
     parser.add_argument("--seeds", type=int, default=3)
     parser.add_argument("--draws", type=int, default=2000)

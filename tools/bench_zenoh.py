@@ -1,9 +1,9 @@
 #!/usr/bin/env python3
 """Measure from the end of a cycle to a Zenoh subscriber in another process, while vision runs.
 
-Run it with the project's Python: `.venv/bin/python tools/bench_zenoh.py`. In turn: nobody else listens;
-another process looks at the previews; that process takes a second for each picture. A coordinate must come
-as quickly in all three. Milliseconds from `published_ns` to the callback, on one machine's clock.
+Run it with the project's Python: `.venv/bin/python tools/bench_zenoh.py`. Three cases in turn: no other
+subscriber; another process receives the previews; that process takes a second for each picture. A coordinate
+must arrive as quickly in all three. Milliseconds from `published_ns` to the callback, on one machine's clock.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ def listen(port: int, pipe: Connection) -> None:
 
 
 def look(port: int, pause_s: float, pipe: Connection) -> None:
-    """Take every preview, slowly; report how many came."""
+    """Take every preview, slowly; report the number received."""
     pictures = 0
 
     def seen(_sample: zenoh.Sample) -> None:
@@ -62,7 +62,7 @@ def look(port: int, pause_s: float, pipe: Connection) -> None:
     pipe.recv()
     pipe.send(pictures)
     pipe.close()
-    os._exit(0)  # closing the session would wait for every picture that the slow callback has not seen
+    os._exit(0)  # closing the session would wait for all pictures queued for the slow callback
 
 
 async def bench(folder: Path, seconds: float) -> None:

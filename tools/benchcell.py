@@ -63,7 +63,7 @@ class BenchCell:
 
     @contextlib.asynccontextmanager
     async def running(self) -> AsyncIterator[None]:
-        """The daemon measures meanwhile."""
+        """Run the daemon, which measures meanwhile."""
         sys.setswitchinterval(SWITCH_INTERVAL_S)  # as `edged run` does
         loaded = load_cell(self.config)
         warm_up(loaded)

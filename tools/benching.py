@@ -1,4 +1,4 @@
-"""What every bench does alike: its arguments, `--json FILE`, and the helpers of the tests beside edged."""
+"""Common to all benches: arguments, `--json FILE`, and access to the helpers of the tests."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def bench_parser(doc: str | None) -> argparse.ArgumentParser:
     """A parser whose `--help` is the module's docstring, with `--json FILE`; see `finish`."""
     parser = argparse.ArgumentParser(description=doc, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the figures here, too")
-    if not isinstance(sys.stdout, _Printed):  # one bench asks another
+    if not isinstance(sys.stdout, _Printed):  # one bench may call another
         sys.stdout = _Printed(sys.stdout)
     return parser
 
@@ -50,7 +50,7 @@ def finish(options: argparse.Namespace, figures: Any = None) -> None:
 
 
 def wilson(good: int, total: int) -> tuple[float, float]:
-    """The 95 % confidence bounds of a share; 0 and 1 of none. E. B. Wilson, J. Am. Stat. Assoc. 22, 1927."""
+    """95 % confidence bounds of a share; 0 and 1 without any. E. B. Wilson, J. Am. Stat. Assoc. 22, 1927."""
     if total == 0:
         return 0.0, 1.0
     z2 = 1.959964**2
@@ -60,20 +60,20 @@ def wilson(good: int, total: int) -> tuple[float, float]:
 
 
 def share(good: int, total: int) -> str:
-    """A count, and within which bounds its share lies."""
+    """A count, and the bounds of its share."""
     low, high = wilson(good, total)
     return f"{good} of {total} ({100 * low:.0f}-{100 * high:.0f} %)"
 
 
 def _plain(value: Any) -> Any:
-    """A dataclass, an array or a path for JSON."""
+    """Convert a dataclass, an array or a path for JSON."""
     if is_dataclass(value) and not isinstance(value, type):
         return asdict(value)
     return value.tolist() if isinstance(value, np.ndarray | np.generic) else str(value)
 
 
 def _tables(lines: list[str]) -> Iterator[Any]:
-    """Markdown tables as lists of rows, each {column: cell}; other lines as they are."""
+    """Markdown tables as lists of rows, each {column: cell}; other lines unchanged."""
     rows: list[dict[str, str]] = []
     columns: list[str] = []
     for line in filter(None, (line.strip() for line in lines)):

@@ -1,15 +1,13 @@
 #!/usr/bin/env python3
-"""What cameras of many makers call their features: a table of facts, and the reader that makes it.
+"""Names of features in cameras of many makers: a table of facts, and the reader that makes it.
 
     tools/cameramodels.py CHECKOUT      writes tools/cameramodels.json from a checkout of
     areaDetector/ADGenICam
 
 That project keeps the GenICam description of each camera (`xml/`), and a template made from it for each model
-(`GenICamApp/Db/`). Read are the names of features, what they hold, whether they can be written, units, menu
-texts,
-choices, and which selector they hang on; registers and formulas are not. A description often serves a whole
-family:
-a feature that stands in it need not be in every model. Source, licence and what was left out:
+(`GenICamApp/Db/`). The reader takes the names of features, their kinds of value, whether they can be written,
+units, menu texts, choices, and their selectors, but not registers and formulas. A description often serves a
+whole family: one of its features need not be in every model. Source, licence and omissions:
 cameramodels.md.
 """
 
@@ -25,7 +23,7 @@ from xml.etree import ElementTree
 TABLE = Path(__file__).with_suffix(".json")
 
 NOT_CAMERAS = re.compile(r"ADGenICam$|Euresys")
-"""A base class's own records, and a frame grabber."""
+"""Templates that are no cameras: the records of a base class, and a frame grabber."""
 
 RELEVANT = re.compile(
     r"""Exposure(Time|Mode|Auto|Value)\w*|Gain(Raw|Abs|Auto|Selector|Value)?|AnalogGain|DigitalGain
@@ -46,7 +44,7 @@ RELEVANT = re.compile(
     |SensorTemperature|UserSet(Selector|Load|Save|Default\w*)|EncoderControl\w*|AcquisitionTrigMode""",
     re.VERBOSE,
 )
-"""What taking a picture depends on."""
+"""Features that affect the taking of pictures."""
 
 KINDS = {
     "Integer": "integer", "IntReg": "integer", "IntConverter": "integer", "IntSwissKnife": "integer",
@@ -62,7 +60,7 @@ class Feature:
     """A feature as a maker describes it.
 
     kind : integer, float, boolean, enumeration, command or text. menu : its name in the maker's own program.
-    selector : the feature that chooses which of several it shows, or "".
+    selector : the feature that selects one of its several values, or "".
     """
 
     name: str
@@ -84,7 +82,7 @@ class Model:
     features: tuple[Feature, ...]
 
     def has(self, *names: str) -> str:
-        """The first of these features that it has, or ""."""
+        """The first of these features that the model has, or ""."""
         own = {feature.name for feature in self.features}
         return next((name for name in names if name in own), "")
 
@@ -114,7 +112,7 @@ def _text(node: ElementTree.Element, name: str) -> str:
 
 
 def _read_only(node: ElementTree.Element, nodes: dict[str, ElementTree.Element]) -> bool:
-    """Whether the first statement on the way to its register says so."""
+    """Whether the first access mode on the way to its register is read-only."""
     for _ in range(8):
         access = _text(node, "ImposedAccessMode") or _text(node, "AccessMode")
         if access:

@@ -1,7 +1,7 @@
-"""Two virtual GigE Vision cameras in a process of their own, whose pictures tell when they were exposed.
+"""Two virtual GigE Vision cameras in a process of their own, whose pictures contain their time of exposure.
 
-For `tools/bench_cameras.py`: the cameras' work is not in the figures of who receives, and a picture that is
-torn, old, or not of the same exposure as the other one is caught, whatever the receiver believes.
+For `tools/bench_cameras.py`: the cameras' work is not in the receiver's figures, and a picture that is torn,
+old, or not of the same exposure as the other one is detected, whatever the receiver reports.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from edged.sim.gige.camera import GigeCamera
 ADDRESSES = {"left": "127.0.60.1", "right": "127.0.60.2"}
 WIDTH, HEIGHT = 1280, 960
 GREYS = 251
-"""Steps of the pattern; a prime, so that no packet size divides it."""
+"""Number of grey values of the pattern; a prime, so that it divides no packet size."""
 STAMP = struct.Struct(">qB")
 
 _Y, _X = np.mgrid[: HEIGHT + GREYS, :WIDTH]
@@ -32,7 +32,7 @@ _PATTERN: Image = ((_X + _Y) % GREYS).astype(np.uint8)
 
 
 def stamped(side: str, exposed_ns: int) -> Image:
-    """(HEIGHT, WIDTH): a pattern that each time begins elsewhere; time and side in its first row."""
+    """Picture (HEIGHT, WIDTH): a pattern that starts elsewhere each time; time and side in its first row."""
     start = exposed_ns // 1000 % GREYS
     image = _PATTERN[start : start + HEIGHT].copy()
     image[0, : STAMP.size] = np.frombuffer(STAMP.pack(exposed_ns, side == "left"), np.uint8)
@@ -40,14 +40,14 @@ def stamped(side: str, exposed_ns: int) -> Image:
 
 
 def exposed_ns_of(side: str, image: Image) -> int | None:
-    """When a picture was truly exposed, host UTC ns; None unless every pixel of it is that exposure's."""
+    """True time of a picture's exposure, host UTC ns; None unless all its pixels belong to that exposure."""
     exposed_ns, is_left = STAMP.unpack(image[0, : STAMP.size].tobytes())
     whole = is_left == (side == "left") and np.array_equal(image, stamped(side, exposed_ns))
     return int(exposed_ns) if whole else None
 
 
 class CameraWorld:
-    """The process; a context manager. Commands return when they have been carried out."""
+    """The cameras' process; a context manager. Commands return once they have been carried out."""
 
     def __init__(self) -> None:
         context = mp.get_context("spawn")
@@ -72,23 +72,23 @@ class CameraWorld:
         self._tell("fault", side, name, value)
 
     def switch_off(self, side: str) -> None:
-        """Power off."""
+        """Switch the power off."""
         self._tell("off", side)
 
     def switch_on(self, side: str, serial: str = "") -> None:
-        """Power on: a camera that knows nobody. serial : of another camera that was put there."""
+        """Switch the power on: the camera has lost its state. serial : of another camera in its place."""
         self._tell("on", side, serial)
 
     def take(self, side: str) -> None:
-        """Another program takes control of a camera."""
+        """Let another program take control of a camera."""
         self._tell("take", side)
 
     def release(self, side: str) -> None:
-        """And gives it back."""
+        """Release the control taken by `take`."""
         self._tell("release", side)
 
     def pulse(self) -> None:
-        """A sensor's pulse, on Line1 of both cameras."""
+        """Send a sensor's pulse to Line1 of both cameras."""
         self._tell("pulse")
 
     def _tell(self, *command: object) -> None:
@@ -99,13 +99,13 @@ class CameraWorld:
 
 
 class _Cameras:
-    """What the process does."""
+    """The cameras, in their process."""
 
     def __init__(self) -> None:
         self._cameras: dict[str, GigeCamera] = {}
         for side in ADDRESSES:
             self.on(side, "")
-        # what the left one shows, the right one hears: for the trigger mode "chain"
+        # the left camera's output drives the right one's input: for the trigger mode "chain"
         self._cameras["left"].line("Line2").feeds(self._cameras["right"].line("Line1"))
 
     def fault(self, side: str, name: str, value: Any) -> None:
@@ -151,5 +151,5 @@ def _serve(pipe: Connection) -> None:
         try:
             getattr(cameras, what)(*arguments)
             pipe.send("done")
-        except Exception as error:  # noqa: BLE001  (told to who asked)
+        except Exception as error:  # noqa: BLE001  (reported to the caller)
             pipe.send(f"{what}: {error!r}")

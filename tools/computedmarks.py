@@ -1,4 +1,4 @@
-"""Marks of boards as a perfect detector would give them, without pictures: to measure calibrations with."""
+"""Marks of boards as a perfect detector would give them, without pictures, to measure calibrations."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from edged.vision.geometry.triangulation import triangulate_raw
 from edged.vision.geometry.uncertainty import calibration_covariance
 
 STATED_SHARE = 0.6
-"""Share of the noise of marks, that their own fits state; the rest is for the calibration to find."""
+"""Share of the marks' noise that their own fits state; the calibration has to find the rest."""
 
 
 def seen_by(
     rig: StereoRig, board: Board, name: str, pose: FloatArray, noise_px: float, rng: np.random.Generator
 ) -> StereoView:
-    """A view of a board at left_from_board (4, 4), with noise of each coordinate."""
+    """View of a board at left_from_board (4, 4), with noise on each coordinate."""
     ids = np.arange(len(board.points_mm))
     sigma = np.full(len(ids), STATED_SHARE * noise_px)
     places = apply(pose, board.points_mm)
@@ -36,7 +36,7 @@ def seen_by(
 def views_at(
     rig: StereoRig, board: Board, poses: Iterable[FloatArray], noise_px: float, seed: int
 ) -> list[StereoView]:
-    """One for each pose."""
+    """One view for each pose."""
     rng = np.random.default_rng((seed, 11))
     return [seen_by(rig, board, f"view_{n:03}", pose, noise_px, rng) for n, pose in enumerate(poses, 1)]
 
@@ -50,7 +50,7 @@ def is_whole(rig: StereoRig, points_mm: FloatArray, border_px: float = 8.0) -> b
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Compared:
-    """Sigma as stated and true error (3,) in µm, rms over points, and the mean of chi² over its freedom."""
+    """Stated sigma and true error (3,) in µm, rms over points, and the mean of chi² per degree of freedom."""
 
     sigma_um: FloatArray
     error_um: FloatArray
@@ -58,7 +58,7 @@ class Compared:
 
 
 def compared(rig: StereoRig, truth: StereoRig, points_mm: FloatArray) -> Compared:
-    """A calibrated rig beside the true one, which sees these points (N, 3)."""
+    """Compare a calibrated rig with the true one, which sees these points (N, 3)."""
     pixels = truth.left.project(points_mm), truth.right.project(apply(truth.right_from_left, points_mm))
     error = triangulate_raw(rig, *pixels) - points_mm
     covariance = calibration_covariance(rig, points_mm)

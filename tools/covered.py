@@ -16,12 +16,12 @@ COUNTS = ("num_statements", "covered_lines", "num_branches", "covered_branches")
 
 
 def share(part: int, whole: int) -> str:
-    """In percent; nothing where there is nothing to reach."""
+    """Percentage; "" if there is nothing to reach."""
     return f"{100 * part / whole:.1f} %" if whole else ""
 
 
 def main() -> None:
-    """The table."""
+    """Print the table."""
     data = coverage.Coverage()
     data.load()
     with tempfile.TemporaryDirectory() as folder:

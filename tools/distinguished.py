@@ -1,7 +1,7 @@
-"""Parts that one detail alone keeps from looking the same after a turn, for the decisions bench.
+"""Parts that only one detail keeps from looking the same after a rotation, for the decisions bench.
 
-Each comes whole and as it would be without its detail (`plain`): the difference of the two pictures is the
-detail, and how much of it something in front of it hides. About 26 mm across, light or dark.
+Each comes whole and without its detail (`plain`). The difference of the two pictures is the detail, and shows
+how much of it an object in front hides. About 26 mm across, light or dark.
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ from edged.sim.render.scene import (
 )
 
 HOLE = 0.05
-"""Share of the table's light that comes back out of a hole: what is seen in it is mostly shadow."""
+"""Share of the table's light that comes back out of a hole, which is mostly in shadow."""
 GROOVE_MM, GROOVE = 0.9, 0.07
-"""Pitch of the grooves of a turned face, and by how much every second one is darker."""
+"""Pitch of the grooves of a turned face, and the relative darkening of every second one."""
 LAY = Surface(1.0, contrast=0.2, feature_mm=0.35, stretch=12.0)
-"""The coarse texture of a machined face, by the light that falls along it."""
+"""The coarse texture of a machined face, by light along it."""
 LAYS = {
     "ground": replace(LAY, lay_rad=math.radians(10.0)),
     "faced": replace(LAY, around_mm=(0.0, 0.0)),
@@ -42,9 +42,9 @@ LAYS = {
 class Design:
     """Geometry of a part, in mm.
 
-    shapes : openings.  cuts : what is cut off the outline.  detail : what decides how the part lies: an
-    opening, or as `kind` says a mark or a cut.  replaced : what would be there if the part were symmetric.
-    folds : of that symmetry.
+    shapes : openings.  cuts : shapes cut off the outline.  detail : decides the part's orientation; an
+    opening, or a mark or a cut, depending on `kind`.  replaced : shapes in its place if the part were
+    symmetric. folds : of that symmetry.
     """
 
     name: str
@@ -57,11 +57,11 @@ class Design:
     kind: Literal["opening", "mark", "cut"] = "opening"
 
     def part(self, albedo: float, finish: str, piece: int = 0) -> Part:
-        """With its detail; piece : no two have the same scratches."""
+        """The part with its detail; piece : number that determines its scratches."""
         return self._made(self.detail, self.kind, albedo, finish, piece)
 
     def plain(self, albedo: float, finish: str, piece: int = 0) -> Part:
-        """Without it."""
+        """The part without its detail."""
         return self._made(self.replaced, "opening", albedo, finish, piece)
 
     def _made(self, own: tuple[Shape, ...], kind: str, albedo: float, finish: str, piece: int) -> Part:
@@ -72,7 +72,7 @@ class Design:
             surface = Surface(albedo, contrast=0.1, feature_mm=0.35, stretch=6.0, seed=1)
         marks = self._grooves(albedo) if finish == "turned" else ()
         holes = [Hole("opening", shape, HOLE) for shape in self.shapes]
-        cuts = [Hole("cut", shape, 1.0) for shape in self.cuts]  # nothing of the part: all of the light
+        cuts = [Hole("cut", shape, 1.0) for shape in self.cuts]  # not part of it: all light is the table's
         if kind == "mark":
             marks = (*marks, *(PaintedMark(shape, 0.35 * albedo) for shape in own))
         elif kind == "cut":
@@ -121,7 +121,7 @@ class Design:
 
     @property
     def places_mm(self) -> tuple[tuple[float, float], ...]:
-        """What a job may take for its reference point: centres, ends and corners."""
+        """Points that a job may take as its reference: centres, ends and corners."""
         places: list[tuple[float, float]] = []
         for shape in (self.outline, *self.shapes, *self.detail):
             match shape:
@@ -150,7 +150,7 @@ def _regular(count: int, radius_mm: float) -> tuple[tuple[float, float], ...]:
 
 
 def _gaps(teeth: int, radius_mm: float, depth_mm: float) -> tuple[Shape, ...]:
-    """Between the teeth of a gear."""
+    """Gaps between the teeth of a gear."""
     turns = np.arange(teeth) * (2 * math.pi / teeth)
     width_mm = math.pi * radius_mm / teeth
     return tuple(
@@ -203,10 +203,10 @@ DESIGNS = (
            (RoundedBox(0, 3.8, 1.8, 2.2),)),
 )  # fmt: skip
 HELD_OUT = ("pinned cover", "keyed plate")
-"""Looked at last: nothing was chosen by what became of them."""
+"""Evaluated last: no choice was based on their results."""
 
 
 def without_holes(part: Part) -> Part:
-    """This silhouette, white and closed."""
+    """The part's silhouette, white and without holes."""
     cuts = tuple(hole for hole in part.holes if hole.transmission == 1.0)
     return replace(part, surface=Surface(1.0), holes=cuts, marks=())

@@ -1,4 +1,4 @@
-"""What many cells need a day, from artefacts that are made here by the product's own code, and weighed."""
+"""What many cells need per day, from artefacts made here by the product's own code and weighed."""
 
 from __future__ import annotations
 
@@ -26,16 +26,16 @@ from edged.setup.fleet.client import CONFIG
 from edged.setup.fleet.offers import ring_of
 
 SCRAPE_S, CYCLE_S, PULLS, WEEKS = 15, 20.0, 24, 52
-"""Between two reads of Prometheus; between two cycles; pulls a day; a release a week, for a year."""
+"""Intervals of Prometheus' reads and of cycles; pulls a day; weekly releases of one year."""
 PLANT_CELLS = 500
 USD = {"GB a month": 0.023, "1000 GET": 0.0004, "1000 PUT": 0.005, "GB out": 0.09}
-"""Prices to be replaced by one's own; these are the order of an object store's list."""
+"""Example prices, in the order of an object store's list; replace them with your own."""
 DAY_S = 86_400
 MIB = 1 << 20
 
 
 def page_of(port: int, cycles: int, most_s: float = 300.0) -> str:
-    """/metrics of a cell, once it has measured. Raises `TimeoutError`."""
+    """Return /metrics of a cell, once it has measured. Raises `TimeoutError`."""
     end_s = time.monotonic() + most_s
     while time.monotonic() < end_s:
         with (
@@ -51,12 +51,12 @@ def page_of(port: int, cycles: int, most_s: float = 300.0) -> str:
 
 
 def series_of(page: str) -> list[str]:
-    """Its samples."""
+    """Samples of a page."""
     return [line for line in page.splitlines() if line and not line.startswith("#")]
 
 
 def sample_bytes(folder: Path, page: str) -> float:
-    """On disc, of one sample of a block of two hours that Prometheus' own tool makes; NaN without it.
+    """Bytes on disc per sample of a two-hour block made by Prometheus' own tool; NaN without it.
 
     Counters grow as cycles come, gauges of results vary by a thousandth, others stay.
     """
@@ -82,7 +82,7 @@ def sample_bytes(folder: Path, page: str) -> float:
 
 
 def day_bytes(folder: Path, cells: int = 20) -> tuple[int, float]:
-    """A cell's Parquet file of a day; and how long a question takes for each file of many."""
+    """Size of a cell's Parquet file of a day, and the time of a query per file of many."""
     rng = np.random.default_rng(1)
     spool = Spool(spool_folder(folder, "c0"), 1)
     start_ns, rows = 1_700_000_000 // DAY_S * DAY_S * 10**9, []
@@ -109,7 +109,7 @@ def day_bytes(folder: Path, cells: int = 20) -> tuple[int, float]:
 
 
 def metadata(releases: Releases, jobs: Path, cells: list[str], folder: Path) -> dict[str, float]:
-    """Bytes that a cell fetches: without news, with a release, for each further release that stays listed."""
+    """Bytes that a cell fetches: without news, with a release, and per further release that stays listed."""
     listed = folder / "listed.txt"
     listed.write_text("\n".join(cells))
     sizes = []
@@ -137,14 +137,14 @@ def metadata(releases: Releases, jobs: Path, cells: list[str], folder: Path) -> 
 
 @contextmanager
 def timed(found: dict[str, float], name: str) -> Iterator[None]:
-    """Note how long something takes."""
+    """Record the duration of a block."""
     begun_s = time.monotonic()
     yield
     found[name] = time.monotonic() - begun_s
 
 
 def plan(folder: Path, cells: int, page: str, releases: Releases, jobs: Path) -> list[list[Any]]:
-    """The rows of the table: what, of one cell, of all."""
+    """Rows of the table: quantity, for one cell, for all."""
     Path(folder).mkdir(exist_ok=True, parents=True)
     series, size = len(series_of(page)), len(page.encode())
     per_sample = sample_bytes(folder, page)

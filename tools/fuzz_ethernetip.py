@@ -1,12 +1,12 @@
 #!/usr/bin/env python3
-"""Throw hostile frames at a cell's EtherNet/IP adapter, and see what is left of it.
+"""Throw hostile frames at a cell's EtherNet/IP adapter, and check what they do to it.
 
 Run it with the project's Python: `.venv/bin/python tools/fuzz_ethernetip.py --frames 1000000`. The cell runs
-in a process of its own. Sent are random bytes and mutated messages over TCP and over both UDP ports: every
+in a process of its own. It receives random bytes and mutated messages over TCP and over both UDP ports: every
 command of the encapsulation, every service, Forward_Open and Forward_Close, outputs with guessed ids, from
-the scanner's own address and from others; sessions that say nothing, are torn down or never read. Meanwhile
-a good scanner of other authors exchanges inputs and outputs each 20 ms and locates parts. Exit code 1 if it
-ever lost its connection or saw a wrong part, or if memory, log or descriptors have grown.
+the scanner's own address and from others; sessions that are silent, torn down or never read. Meanwhile a good
+scanner by other authors exchanges inputs and outputs every 20 ms and locates parts. Exit code 1 if it ever
+lost its connection or saw a wrong part, or if memory, log or descriptors have grown.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from helpers.enipcell import DATA, MESSAGES, Scanner, own_address
 from helpers.footprint import footprint
 
 HOSTILE = ("127.0.0.1", "127.0.0.66", "127.0.0.67")
-"""The first is the good scanner's own."""
+"""Addresses of hostile clients; the first is also the good scanner's."""
 FLAT_BYTES, FLAT_LOG_BYTES, FLAT_FILES = 6 << 20, 64 << 10, 2
 SERVER = """
 import contextlib, logging, sys
@@ -49,7 +49,7 @@ with cell, adapter_of(cell, sys.argv[1]):
 
 
 class GoodScanner(threading.Thread):
-    """Locates, part after part, and checks each image."""
+    """Locates one part after the other, and checks each image."""
 
     def __init__(self, host: str) -> None:
         super().__init__()
@@ -60,7 +60,7 @@ class GoodScanner(threading.Thread):
         self.done = threading.Event()
 
     def run(self) -> None:
-        """Until `done`, or until it is not served."""
+        """Run until `done`, or until it is not served."""
         try:
             while not self.done.is_set():
                 self._program.locate()
@@ -77,7 +77,7 @@ class GoodScanner(threading.Thread):
 
 
 def requests() -> list[bytes]:
-    """Good requests of objects, the Connection Manager's among them."""
+    """Valid requests of objects, including the Connection Manager."""
     paths = [
         bytes((0x20, number, 0x24, one)) for number in (1, 2, 4, 6, 0xF5, 0xF6) for one in (0, 1, 100, 150)
     ]
@@ -98,7 +98,7 @@ def requests() -> list[bytes]:
 
 
 class EnipFuzzer:
-    """Everything hostile; counts frames by kind."""
+    """Sends everything hostile; counts frames by kind."""
 
     def __init__(self, host: str, dice: random.Random) -> None:
         self.host, self.dice = host, dice
@@ -111,7 +111,7 @@ class EnipFuzzer:
             line.setblocking(False)
 
     def mutated(self, data: bytes) -> bytes:
-        """With up to three wrong bytes, one in ten of another length."""
+        """Message with up to three wrong bytes; one in ten has another length."""
         found, dice = bytearray(data), self.dice
         for _ in range(dice.randrange(4)):
             found[dice.randrange(len(found))] = dice.randrange(256)
@@ -120,7 +120,7 @@ class EnipFuzzer:
         return bytes(found)
 
     def frame(self, session: int) -> bytes:
-        """A message of the encapsulation; one header in fifty is wrong too."""
+        """Message of the encapsulation; one header in fifty is wrong, too."""
         dice = self.dice
         request = self.mutated(dice.choice(self.requests))
         command = dice.choice((0x6F,) * 12 + (0x70, 0x70, 0, 4, 0x63, 0x64, 0x65, 0x72))
@@ -138,7 +138,7 @@ class EnipFuzzer:
         return bytes(head) + data
 
     def session(self, frames: int) -> None:
-        """One TCP connection, in bursts, until it is closed. One in ten never reads its answers."""
+        """One TCP connection, in bursts, until it is closed; one in ten never reads its answers."""
         reads = self.dice.random() > 0.1
         with contextlib.suppress(OSError), self._connected() as line:
             line.sendall(struct.pack("<HHII8sI", 0x65, 4, 0, 0, bytes(8), 0) + bytes((1, 0, 0, 0)))
@@ -161,7 +161,7 @@ class EnipFuzzer:
                 line.sendall(data[: self.dice.randrange(1, len(data))] or self.dice.randbytes(100))
 
     def quiet(self, count: int) -> None:
-        """Sessions that say nothing."""
+        """Silent sessions."""
         for line in self.silent:
             line.close()
         self.silent = []
@@ -170,7 +170,7 @@ class EnipFuzzer:
                 self.silent.append(socket.create_connection((self.host, MESSAGES), 2.0, (HOSTILE[1], 0)))
 
     def datagrams(self, count: int) -> None:
-        """To both UDP ports: outputs under guessed ids, questions, noise."""
+        """Datagrams to both UDP ports: outputs with guessed ids, requests, noise."""
         dice = self.dice
         for _ in range(count):
             line = dice.choice(self.udp)
@@ -191,7 +191,7 @@ class EnipFuzzer:
                 line.recv(65536)
 
     def attack(self, frames: int) -> None:
-        """So many frames, of all kinds."""
+        """Send `frames` frames of all kinds."""
         end = self.sent.total() + frames
         while self.sent.total() < end:
             self.quiet(self.dice.randrange(12) if self.dice.random() < 0.2 else 0)
@@ -202,13 +202,13 @@ class EnipFuzzer:
         self.quiet(0)
 
     def close(self) -> None:
-        """Nothing stays open."""
+        """Close all connections."""
         self.quiet(0)
         for line in self.udp:
             line.close()
 
     def _connected(self) -> socket.socket:
-        # of the good scanner's address none that stays: its own session would be the longest silent one
+        # keep none from the good scanner's address: its own session would then be the longest silent one
         return socket.create_connection((self.host, MESSAGES), 2.0, (self.dice.choice(HOSTILE), 0))
 
 

@@ -1,10 +1,10 @@
 #!/usr/bin/env python3
-"""Throw hostile frames at a cell, of Modbus clients and of robots, and see what is left of it.
+"""Throw hostile frames of Modbus clients and robots at a cell, and check what they do to it.
 
 Run it with the project's Python: `.venv/bin/python tools/fuzz_modbus.py --frames 1000000`. The cell runs in a
-process of its own with a serial line on a pseudo terminal. Sent are random bytes, mutated requests of every
-function, thousands of pipelined ones, connections that dribble, that say nothing, that are torn down or never
-read; a thousand connects at once. To the socket of robots go requests in lines and in binary frames, whole,
+process of its own with a serial line on a pseudo terminal. It receives random bytes, mutated requests of
+every function, thousands of pipelined ones; connections that dribble, are silent, are torn down or never
+read; a thousand connects at once. The robots' socket receives requests in lines and in binary frames, whole,
 mutated, torn and without an end. Meanwhile a good client reads the result block and a good robot asks; both
 check every answer. Exit code 1 if one was ever not served, or memory, log or descriptors have grown.
 """
@@ -35,8 +35,8 @@ from helpers.footprint import footprint
 GOOD_CLIENT = "127.0.0.9"  # has reserved connections, as a PLC should
 IDLE_S = 3.0
 MAX_CLIENTS = 32
-RTU_SHARE = 0.01  # of the frames; a serial line needs a silence after each
-ROBOTS = 6  # that say nothing at a time: with the good one and the flooding one they are all that come in
+RTU_SHARE = 0.01  # share of the frames; a serial line needs a silence after each
+ROBOTS = 6  # silent ones at a time: with the good and the flooding one they use all connections
 FLAT_BYTES, FLAT_LOG_BYTES, FLAT_FILES = 6 << 20, 64 << 10, 2
 SERVER = """
 import logging, sys, time
@@ -83,14 +83,14 @@ class Server:
         self.port, self.robots_port = map(int, self.process.stdout.readline().split())
 
     def connect(self, source: str = "127.0.0.1", port: int | None = None) -> socket.socket:
-        """A connection of a client."""
+        """Connect a client."""
         place = ("127.0.0.1", port or self.port)
         line = socket.create_connection(place, timeout=10, source_address=(source, 0))
         line.setblocking(False)
         return line
 
     def stop(self) -> int:
-        """End it in order; its exit code."""
+        """Stop it cleanly; return its exit code."""
         assert self.process.stdin is not None and self.process.stdout is not None
         self.process.stdin.close()
         self.process.stdout.close()
@@ -111,7 +111,7 @@ class GoodClient(threading.Thread):
         self.done = threading.Event()
 
     def run(self) -> None:
-        """Until `done`, or until it is not served."""
+        """Run until `done`, or until it is not served."""
         from edged.plc.registers import crc16
 
         with self._line:
@@ -135,7 +135,7 @@ class GoodClient(threading.Thread):
 
 
 class GoodRobot(threading.Thread):
-    """Asks every 20 ms where the tool takes the part, in lines and in frames by turns."""
+    """Asks every 20 ms where the tool takes the part, alternately in lines and in frames."""
 
     def __init__(self, server: Server) -> None:
         super().__init__()
@@ -146,7 +146,7 @@ class GoodRobot(threading.Thread):
         self.done = threading.Event()
 
     def run(self) -> None:
-        """Until `done`, or until it is not served."""
+        """Run until `done`, or until it is not served."""
         from edged.plc.frames import ANSWER, FrameRequest, read_answer
         from edged.robot.orientations import Brand
 
@@ -169,7 +169,7 @@ class GoodRobot(threading.Thread):
 
 
 def robots_requests() -> list[bytes]:
-    """Good requests of robots, in lines and in frames."""
+    """Valid requests of robots, in lines and in frames."""
     from edged.plc.frames import COMMANDS, FrameRequest
 
     said = [FrameRequest(i, name, i % 3) for i, name in enumerate(COMMANDS, 1)]
@@ -181,7 +181,7 @@ def robots_requests() -> list[bytes]:
 
 
 def requests() -> list[bytes]:
-    """Good request PDUs of every function, the handshake among them."""
+    """Valid request PDUs of every function, including the handshake."""
     return [
         *(struct.pack(">BHH", function, 300, 48) for function in (1, 2, 3, 4)),
         struct.pack(">BHH", 3, 600, 120),
@@ -203,7 +203,7 @@ def requests() -> list[bytes]:
 
 
 class Fuzzer:
-    """Everything hostile; counts frames by kind."""
+    """Sends everything hostile; counts frames by kind."""
 
     def __init__(self, server: Server, dice: random.Random) -> None:
         self.server, self.dice = server, dice
@@ -213,7 +213,7 @@ class Fuzzer:
         self.idle: list[socket.socket] = []
 
     def mutated(self) -> bytes:
-        """A request with wrong bytes, mostly below a header that is right."""
+        """Request with wrong bytes, mostly after a correct header."""
         dice, pdu = self.dice, bytearray(self.dice.choice(self.requests))
         for _ in range(dice.randrange(4)):
             pdu[dice.randrange(len(pdu))] = dice.randrange(256)
@@ -222,7 +222,7 @@ class Fuzzer:
         return bytes(pdu)
 
     def frame(self) -> bytes:
-        """Modbus/TCP around it; one header in 500 is wrong too."""
+        """Modbus/TCP frame with a mutated request; one header in 500 is wrong, too."""
         dice, pdu = self.dice, self.mutated()
         header = bytearray(
             struct.pack(">HHHB", dice.randrange(65536), 0, len(pdu) + 1, dice.choice((1, 1, 1, 0, 9)))
@@ -232,7 +232,7 @@ class Fuzzer:
         return bytes(header) + pdu
 
     def flood(self, frames: int) -> None:
-        """One connection: pipelined frames until it is closed. One in ten never reads its answers."""
+        """Pipelined frames on one connection until it is closed; one in ten never reads its answers."""
         reads = self.dice.random() > 0.1
         with self._connected() as line:
             for _ in range(frames // 100):
@@ -242,14 +242,14 @@ class Fuzzer:
                     return
 
     def noise(self) -> None:
-        """Random bytes."""
+        """Send random bytes."""
         with self._connected() as line:
             self.sent["random"] += 1
             if line is not None:
                 self._push(line, self.dice.randbytes(self.dice.randrange(1, 600)), reads=True)
 
     def robots(self, messages: int) -> None:
-        """The socket of robots: whole, mutated, torn, endless, in one connection after the other."""
+        """Attack the robots' socket with messages whole, mutated, torn, endless, one connection at a time."""
         dice, end = self.dice, self.sent["robots"] + messages
         while self.sent["robots"] < end:
             with self._connected(self.server.robots_port) as line:
@@ -266,7 +266,7 @@ class Fuzzer:
                         break
 
     def torn(self, count: int) -> None:
-        """Connections that are reset in the middle of a frame."""
+        """Reset connections in the middle of a frame."""
         for _ in range(count):
             with self._connected() as line:
                 self.sent["torn"] += 1
@@ -275,7 +275,7 @@ class Fuzzer:
                     self._push(line, self.frame()[: self.dice.randrange(1, 8)], reads=False)
 
     def silent(self, count: int) -> None:
-        """Connections that say nothing and stay until the cell closes them."""
+        """Open silent connections that stay until the cell closes them."""
         for line in self.idle:
             line.close()
         self.idle = []
@@ -289,14 +289,14 @@ class Fuzzer:
                 self.idle.append(self.server.connect(port=self.server.robots_port))
 
     def dribble(self) -> None:
-        """One byte more on every connection that is still there."""
+        """Send one more byte on every connection that is still open."""
         for line in self.idle:
             self.sent["dribbled"] += 1
             with contextlib.suppress(OSError):
                 line.send(b"\0")
 
     def serial(self, frames: int) -> None:
-        """Frames on the serial line: damaged, for others, for everybody, noise, without pauses."""
+        """Frames on the serial line: damaged, for others, broadcast, noise, without pauses."""
         for _ in range(frames):
             self.sent["serial"] += 1
             body = bytes((self.dice.choice((1, 1, 0, 9)),)) + self.mutated()
@@ -321,7 +321,7 @@ class Fuzzer:
             yield line
 
     def _push(self, line: socket.socket, data: bytes, reads: bool) -> bool:
-        """Send, reading what comes; False when the cell has closed, or takes no more."""
+        """Send, reading what comes; return False once the cell has closed the connection or takes no more."""
         while data:
             readable, writable, _ = select.select(
                 [line] if reads else [], [line], [], 0.5 if not reads else 5.0
@@ -347,7 +347,7 @@ def _crc(data: bytes) -> int:
 
 
 def attack(fuzzer: Fuzzer, frames: int) -> None:
-    """So many frames, of all kinds."""
+    """Send `frames` frames of all kinds."""
     end = fuzzer.sent.total() + frames
     fuzzer.torn(min(1000, frames // 20))
     while fuzzer.sent.total() < end:
@@ -363,7 +363,7 @@ def attack(fuzzer: Fuzzer, frames: int) -> None:
 
 
 def line_answers(server: Server) -> bool:
-    """Whether the serial line still works: a good request, a good answer."""
+    """Whether the serial line still gives a correct answer to a valid request."""
     request = bytes((1, 3, 0, 0, 0, 1))
     request += struct.pack("<H", _crc(request))
     for _ in range(10):

@@ -1,11 +1,11 @@
 #!/usr/bin/env python3
-"""Throw hostile OPC UA at a cell and see what is left of it.
+"""Throw hostile OPC UA at a cell, and check what it does to it.
 
 Run it with the project's Python: `.venv/bin/python tools/fuzz_opcua.py --frames 1000000`. The cell runs in a
-process of its own and lets everybody look, so that hostile clients get as far as they can: random bytes,
-frames with a good header and noise behind it, whole dialogues up to a session with requests that were changed
-on their way, certificates that are none, announcements of huge frames; connections that dribble; a hundred
-connects at once. Meanwhile a good client at another address reads, and the cell measures.
+process of its own and allows anonymous reading, so that hostile clients get as far as possible: random bytes,
+frames with a good header followed by noise, whole dialogues up to a session with modified requests, invalid
+certificates, announcements of huge frames; connections that dribble; a hundred connects at once. Meanwhile a
+good client at another address reads, and the cell measures.
 Exit code 1 if the good client was ever not served, the cell measured less, or memory, log or descriptors have
 grown.
 """
@@ -68,22 +68,22 @@ class Server:
 
     @property
     def url(self) -> str:
-        """Where clients connect."""
+        """URL for clients."""
         return f"opc.tcp://127.0.0.1:{self.port}"
 
     async def connect(self) -> tuple[asyncio.StreamReader, asyncio.StreamWriter]:
-        """A connection of a hostile client."""
+        """Connect a hostile client."""
         return await asyncio.open_connection("127.0.0.1", self.port, local_addr=(HOSTILE, 0))
 
     def stop(self) -> int:
-        """End it; its exit code."""
+        """Stop it; return its exit code."""
         assert self.process.stdin is not None
         self.process.stdin.close()
         return self.process.wait(30)
 
 
 async def recorded(server: Server) -> list[bytes]:
-    """What a client sends that looks around, reads, calls and subscribes."""
+    """Frames of a client that browses, reads, calls and subscribes."""
     frames: list[bytes] = []
 
     async def pass_on(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
@@ -136,7 +136,7 @@ async def recorded(server: Server) -> list[bytes]:
 
 
 def mutated(frame: bytes, dice: random.Random, start: int) -> bytes:
-    """A frame changed behind `start`: bits, bytes, numbers, length; the header mostly says how long it is."""
+    """Frame changed after `start`: bits, bytes, numbers, length; the header's length is mostly correct."""
     body = bytearray(frame[start:])
     for _ in range(dice.randint(1, 4)):
         kind, at = dice.randrange(6), dice.randrange(len(body) or 1)
@@ -157,7 +157,7 @@ def mutated(frame: bytes, dice: random.Random, start: int) -> bytes:
 
 
 class Hostile:
-    """Sends frames until there were enough."""
+    """Sends frames until there are enough."""
 
     def __init__(self, server: Server, dialogue: list[bytes], frames: int, seed: int) -> None:
         self.server, self.dialogue, self.left = server, dialogue, frames
@@ -165,7 +165,7 @@ class Hostile:
         self.sent: Counter[str] = Counter()
 
     async def work(self) -> None:
-        """One connection after another."""
+        """Attack on one connection after another."""
         kinds = {"noise": self.noise, "headers": self.headers, "certificates": self.certificates}
         while self.left > 0:
             name = self.dice.choice([*kinds, *["dialogues"] * 4])
@@ -178,19 +178,19 @@ class Hostile:
                         writer.transport.abort()
 
     def count(self, kind: str, number: int = 1) -> None:
-        """So many frames were sent."""
+        """Count frames sent."""
         self.sent[kind] += number
         self.left -= number
 
     async def noise(self, writer: asyncio.StreamWriter) -> None:
-        """Bytes."""
+        """Send random bytes."""
         for _ in range(5):
             writer.write(self.dice.randbytes(self.dice.randint(1, 3000)))
             await writer.drain()
             self.count("noise")
 
     async def headers(self, writer: asyncio.StreamWriter) -> None:
-        """A good header, and noise."""
+        """Send a good header followed by noise."""
         writer.write(self.dialogue[0])
         for _ in range(5):
             body = self.dice.randbytes(self.dice.randint(0, 2000))
@@ -201,7 +201,7 @@ class Hostile:
             self.count("headers")
 
     async def certificates(self, writer: asyncio.StreamWriter) -> None:
-        """A channel asked for with a certificate that is none, or a stranger's."""
+        """Open a channel with an invalid or unknown certificate."""
         uri = b"http://opcfoundation.org/UA/SecurityPolicy#Basic256Sha256"
         writer.write(self.dialogue[0])
         der = b"0\x82" + self.dice.randbytes(self.dice.randint(2, 1500))
@@ -213,7 +213,7 @@ class Hostile:
         self.count("certificates", 2)
 
     async def talk(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        """The dialogue with its channel's and session's numbers; from some step on everything is changed."""
+        """Replay the dialogue with its channel's and session's numbers; from a random step on modify it."""
         begin = self.dice.randrange(1, len(self.dialogue))
         channel, token = b"\0\0\0\0", b""
         for number, frame in enumerate(self.dialogue):
@@ -246,7 +246,7 @@ class Hostile:
 
 
 async def loris(server: Server, stop: asyncio.Event) -> None:
-    """A byte now and then, of a frame that never ends; or nothing at all."""
+    """Send a byte now and then of an endless frame, or nothing at all."""
     while not stop.is_set():
         with contextlib.suppress(OSError, TimeoutError):
             _, writer = await server.connect()
@@ -260,7 +260,7 @@ async def loris(server: Server, stop: asyncio.Event) -> None:
 
 
 async def flood(server: Server) -> None:
-    """A hundred connects at once."""
+    """Connect a hundred times at once."""
     opened = await asyncio.gather(*(server.connect() for _ in range(100)), return_exceptions=True)
     for one in opened:
         if not isinstance(one, BaseException):
@@ -268,7 +268,7 @@ async def flood(server: Server) -> None:
 
 
 async def good(server: Server, stop: asyncio.Event, slowest_s: list[float], cycles: list[int]) -> int:
-    """Read the registers again and again; how often. Raises for an answer that is wrong, or none."""
+    """Read the registers repeatedly; return how often. Raises for a wrong or missing answer."""
     names = ("SEQ_HEAD", "SEQ_TAIL", "CYCLE")
     reads = 0
     async with Client(server.url, timeout=20) as client:
@@ -286,7 +286,7 @@ async def good(server: Server, stop: asyncio.Event, slowest_s: list[float], cycl
 
 
 async def attack(server: Server, frames: int, seed: int) -> tuple[Counter[str], int, float, float]:
-    """What was sent, good reads, the slowest of them, cycles a second meanwhile."""
+    """Attack; return frames sent by kind, good reads, the slowest of them, and cycles a second meanwhile."""
     dialogue = await recorded(server)
     stop, slow, cycles = asyncio.Event(), list[float](), list[int]()
     client = asyncio.create_task(good(server, stop, slow, cycles))
@@ -310,7 +310,7 @@ async def attack(server: Server, frames: int, seed: int) -> tuple[Counter[str], 
 
 
 def main() -> int:
-    """Attack, look, tell."""
+    """Attack, check and report."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
@@ -321,7 +321,7 @@ def main() -> int:
         server = Server(Path(folder))
         asyncio.run(
             attack(server, max(options.frames // 5, 2000), options.seed + 1)
-        )  # what is made once is there
+        )  # one-time allocations are made now
         time.sleep(1.0)
         before = footprint(server.process.pid, server.log)
         start_s = time.monotonic()

@@ -1,16 +1,16 @@
 #!/usr/bin/env python3
-"""A hostile page at the cell's end of their link, and what it changes of the cell's results.
+"""A hostile page at the cell's end of their link, and its effect on the cell's results.
 
 Run it with the project's Python: `.venv/bin/python tools/fuzz_page.py --messages 1000000`. Three cells show
 the same pictures in turn: one without a page, one with a hostile page under the limits that hold for every
-page, and one without those limits, so that a million messages fit into minutes. The hostile page comes to the
-cell's socket as the page's service does: requests of every kind with any values, changed bytes, random bytes,
-half messages, greetings of other versions, floods, descriptors of anything, and pages that take neither
-messages nor pictures. A PLC reads the result all the time, and forbids SETUP (AUTO_LOCK): with SETUP a page
-may stop a cell, as people may.
+page, and one without those limits, so that a million messages fit into minutes. The hostile page connects to
+the cell's socket as the page's service does. It sends requests of every kind with any values, changed bytes,
+random bytes, half messages, greetings of other versions, floods and any descriptors, and some pages take
+neither messages nor pictures. A PLC reads the result all the time, and forbids SETUP (AUTO_LOCK): with SETUP
+a page may stop a cell, as people may.
 
-It prints what the PLC read. Exit code 1 if a result was another than without a page, or not VALID, or memory,
-descriptors or the log have grown.
+It prints what the PLC read. Exit code 1 if a result differed from those without a page, or was not VALID, or
+memory, descriptors or the log have grown.
 """
 
 from __future__ import annotations
@@ -52,9 +52,9 @@ from edged.plc.registers import ADDRESS, RESULT, Flag, decode
 PERIOD_S, PAIRS = 0.1, 3
 READ_S = 0.01
 POOL = 5000
-"""Requests that are made before: to make one takes the page longer than it takes the cell to refuse it."""
+"""Requests made in advance: making one takes longer than the cell takes to refuse it."""
 FLAT = 48 << 20, 6, 4 << 20
-"""Bytes in memory, open files, bytes of the log."""
+"""Growth that counts as none: bytes in memory, open files, bytes of the log."""
 TIMED = {"EXPOSURE_NS", "LATENCY", "CYCLE", "SEQ_HEAD", "SEQ_TAIL", "CRC16", "START_EPOCH"}
 CELL = """
 import sys
@@ -95,7 +95,7 @@ class Cell:
 
 @dataclass
 class Reads:
-    """What a PLC has read. results : by place in the round of pictures; took_ms : of each read."""
+    """Reads of a PLC. results : by place in the round of pictures; took_ms : of each read."""
 
     results: dict[int, Counter[tuple[Any, ...]]] = field(default_factory=dict)
     cycles: set[int] = field(default_factory=set)
@@ -103,7 +103,7 @@ class Reads:
     wrong: Counter[str] = field(default_factory=Counter)
 
     def take(self, words: list[int]) -> None:
-        """Note a result."""
+        """Record a result."""
         result = decode(RESULT, words)
         is_valid = bool(int(result["FLAGS"]) & Flag.VALID)
         if not result["SEQ_HEAD"]:
@@ -121,7 +121,7 @@ class Reads:
             self.results.setdefault(cycle % PAIRS, Counter())[told] += 1
 
     def missing(self) -> int:
-        """Cycles between the first and the last that no read has shown."""
+        """Number of cycles between the first and the last that no read has shown."""
         return max(self.cycles) - min(self.cycles) + 1 - len(self.cycles)
 
 
@@ -134,7 +134,7 @@ class Plc(threading.Thread):
         self.reads = Reads()
 
     def run(self) -> None:
-        """Connect as soon as there is a cell."""
+        """Read, connecting as soon as there is a cell."""
         client = ModbusTcpClient("127.0.0.1", port=self._port, timeout=5)
         while not client.connect():
             time.sleep(0.1)
@@ -150,14 +150,14 @@ class Plc(threading.Thread):
         client.close()
 
     def stop(self) -> Reads:
-        """What was read."""
+        """Stop, and return the reads."""
         self._over.set()
         self.join()
         return self.reads
 
 
 class HostilePage:
-    """Comes to the socket again and again. sent : messages, by what was wrong with them."""
+    """Connects to the socket again and again. sent : messages, by what was wrong with them."""
 
     def __init__(self, place: Path, seed: int) -> None:
         self._place = place
@@ -166,7 +166,7 @@ class HostilePage:
         self.sent: Counter[str] = Counter()
 
     def haunt(self, messages: int, seconds: float) -> None:
-        """Until so many were sent, or so long."""
+        """Attack until `messages` were sent, or `seconds` have passed."""
         end_s = time.monotonic() + seconds
         while self.sent.total() < messages and time.monotonic() < end_s:
             with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as link, contextlib.suppress(OSError):
@@ -175,7 +175,7 @@ class HostilePage:
                 self._misbehave(link, end_s)
 
     def _misbehave(self, link: socket.socket, end_s: float) -> None:
-        """On one link, until the cell ends it."""
+        """Misbehave on one link until the cell ends it."""
         chance = self._chance
         greeting = GREETING if chance.random() < 0.95 else Greeting(edged="9.9", schema_id="f00d")
         first = framed(encoded(greeting)) if chance.random() < 0.95 else framed(self._message())
@@ -186,7 +186,7 @@ class HostilePage:
         while time.monotonic() < min(end_s, gone_s):
             batch = b"".join(framed(self._message()) for _ in range(chance.randint(1, 50)))
             if chance.random() < 0.02:
-                batch = mutated(batch, chance)  # lengths among it
+                batch = mutated(batch, chance)  # including lengths
             handles = [self._handle()] if chance.random() < 0.1 else []
             try:
                 self._send(link, batch, handles, reads_nothing)
@@ -195,11 +195,11 @@ class HostilePage:
                     os.close(handle)
 
     def _send(self, link: socket.socket, data: bytes, handles: list[int], reads_nothing: bool) -> None:
-        """All of it, taking what comes meanwhile; pictures are never looked at."""
+        """Send everything, receiving meanwhile; pictures are never looked at."""
         view = memoryview(data)
         while view:
             readable, writable, _ = select.select([] if reads_nothing else [link], [link], [], 2.0)
-            if readable and not link.recv(1 << 20):  # descriptors of pictures are dropped by that
+            if readable and not link.recv(1 << 20):  # which closes the pictures' descriptors
                 raise ConnectionError
             if not writable and not readable:
                 raise ConnectionError
@@ -210,7 +210,7 @@ class HostilePage:
                     view, handles = view[sent:], []
 
     def _handle(self) -> int:
-        """A descriptor of anything."""
+        """A random kind of descriptor."""
         match self._chance.randrange(3):
             case 0:
                 return sealed(self._chance.randbytes(1000))
@@ -219,7 +219,7 @@ class HostilePage:
         return os.memfd_create("not sealed")
 
     def _message(self) -> bytes:
-        """One of any kind; one of two hundred ends the link."""
+        """A message of a random kind; one of two hundred ends the link."""
         chance = self._chance
         data = chance.choice(self._requests)
         kind = chance.random()
@@ -233,7 +233,7 @@ class HostilePage:
         return data
 
     def _request(self) -> bytes:
-        """One with any values, in their places."""
+        """A request with random values of the right types."""
         chance = self._chance
         request = chance.choice(EXAMPLES)
         values = {name: self._value(name) for name in type(request).model_fields if name != "ask"}
@@ -262,7 +262,7 @@ class HostilePage:
 
 
 def parsed(messages: int) -> tuple[int, float]:
-    """Changed and random bytes given to who reads them in the cell; how many were refused, longest ms."""
+    """Parse changed and random bytes as the cell does; return the number refused, and the longest ms."""
     chance = random.Random(1)
     whole = [encoded(Envelope(number=7, request=request)) for request in EXAMPLES]
     refused, longest_ms = 0, 0.0
@@ -280,7 +280,7 @@ def parsed(messages: int) -> tuple[int, float]:
 
 
 def tried(page: str, messages: int, seconds: float) -> tuple[Reads, Counter[str], tuple[int, ...], float]:
-    """A cell beside such a page: reads, what was sent, growth, and seconds."""
+    """Run a cell beside such a page; return reads, messages sent, growth, and seconds."""
     with tempfile.TemporaryDirectory() as name:
         cell = Cell(Path(name), page)
         plc = Plc(cell.files.modbus_port)
@@ -291,7 +291,7 @@ def tried(page: str, messages: int, seconds: float) -> tuple[Reads, Counter[str]
                 time.sleep(0.1)
             hostile = HostilePage(cell.socket, 1)
             if page != "none":
-                hostile.haunt(50, 20.0)  # what is loaded at the first page counts as no growth
+                hostile.haunt(50, 20.0)  # one-time allocations for a first page count as no growth
             before, began_s = footprint(cell.process.pid, cell.log), time.monotonic()
             if page == "none":
                 time.sleep(seconds)
@@ -310,8 +310,8 @@ def tried(page: str, messages: int, seconds: float) -> tuple[Reads, Counter[str]
 
 
 def main() -> int:
-    """Throw, and say what is left."""
-    logging.getLogger("pymodbus").setLevel(logging.CRITICAL)  # the cell is only just being started
+    """Attack and report."""
+    logging.getLogger("pymodbus").setLevel(logging.CRITICAL)  # the cell is still starting
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
@@ -353,7 +353,7 @@ def main() -> int:
         grown = any(now > most for now, most in zip(growth, FLAT, strict=True))
         bad += [f"{page}: {what}" for what, is_so in (("other results", other), ("grown", grown)) if is_so]
         fell = {what: count for what, count in reads.wrong.items() if count and page != "none"}
-        # a busy machine loses cycles of a cell without a page, too
+        # on a busy machine a cell without a page loses cycles, too
         bad += [f"{page}: {what} {count} times" for what, count in fell.items() if not usual[what]]
         if len(expected) != PAIRS or any(len(told) != 1 for told in expected.values()):
             bad.append(f"{page}: {[len(told) for told in expected.values()]} results for {PAIRS} pairs")

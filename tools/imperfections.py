@@ -1,7 +1,7 @@
 """Imperfections of real cameras, put into pictures with exact truth.
 
-Each kind acts on everything (calibration, teaching and scenes were all taken so), or on what came after the
-teaching (something happened to a cell that was commissioned well).
+Each kind affects everything (calibration, teaching and scenes were all taken this way), or only what came
+after the teaching (something happened to a cell that was set up well).
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ Change = Callable[[Image, str, np.random.Generator], Image]
 
 @dataclass(frozen=True, slots=True)
 class Imperfection:
-    """change : of a picture (H, W) uint8 of a side.  everywhere : of calibration and teaching, too."""
+    """change : of a picture (H, W) uint8 of a side.  everywhere : in calibration and teaching, too."""
 
     change: Change
     everywhere: bool
@@ -63,7 +63,7 @@ def _focus(image: Image, side: str, _: np.random.Generator) -> Image:
 
 
 def _coma(image: Image, _: str, __: np.random.Generator) -> Image:
-    """A comet's tail away from the centre, as long as the distance from it: a blur with a slope."""
+    """A comet's tail away from the centre, proportional to the distance from it: a blur with a slope."""
     height, width = image.shape
     x, y = np.meshgrid(np.arange(width) - width / 2, np.arange(height) - height / 2)
     total, weights = np.zeros(image.shape), 0.0
@@ -103,7 +103,7 @@ def _noise(image: Image, _: str, rng: np.random.Generator) -> Image:
 
 
 def _dust(image: Image, side: str, _: np.random.Generator) -> Image:
-    """Grey spots on each lens: at the same places in all of its pictures."""
+    """Grey spots on each lens, at the same places in all of its pictures."""
     rng = np.random.default_rng(1 if side == "left" else 2)
     shade, (height, width) = np.ones(image.shape), image.shape
     for _spot in range(DUST_SPOTS):

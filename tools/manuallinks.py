@@ -1,6 +1,6 @@
 """A hook of MkDocs (`mkdocs.yml`): links from the manual to files of the repository become their names.
 
-Whoever reads docs/ in the repository can follow them; the manual on a cell PC has no such files.
+They can be followed in docs/ in the repository; the manual on a cell PC has no such files.
 """
 
 from __future__ import annotations

@@ -1,9 +1,7 @@
 """Virtual cameras with the features of real ones, made from the table of facts (`cameramodels`).
 
-What a feature is called, whether it can be written and what it offers is the maker's; the registers behind
-them are
-ours, and so is what they begin with: as badly as another program may have left them, automatics and filters
-on.
+Name, access and choices of a feature are the maker's. The registers behind it are ours, and so are the
+initial values: as badly set as another program may have left them, with automatics and filters on.
 """
 
 from __future__ import annotations
@@ -39,7 +37,7 @@ BANKED = {
     **dict.fromkeys(("SyncOutSource", "SyncOutPolarity"), "SyncOutSelector"),
     "ChunkEnable": "ChunkSelector",
 }  # fmt: skip
-"""By the standard, also where a description does not say what its selector selects."""
+"""Selectors by the standard, used even where a description does not name the selector."""
 
 GEOMETRY: Mapping[str, tuple[int, float, float, float]] = {
     "Width": (g.WIDTH, WIDTH, 16, WIDTH), "Height": (g.HEIGHT, HEIGHT, 16, HEIGHT),
@@ -62,7 +60,7 @@ KNOWN: Mapping[str, tuple[int, float, float, float]] = {
     "LineInverter": (g.LINE_INVERTER, 0, 0, 1), "LineStatus": (g.LINE_STATUS, 0, 0, 1),
     "PtpEnable": (g.PTP_ENABLE, 0, 0, 1), "GevIEEE1588": (g.PTP_ENABLE, 0, 0, 1),
 }  # fmt: skip
-"""Register, start, least and most."""
+"""Register, initial value, minimum and maximum."""
 COMMANDS = {
     "AcquisitionStart": g.ACQUISITION_START, "AcquisitionStop": g.ACQUISITION_STOP,
     "TriggerSoftware": g.TRIGGER_SOFTWARE,
@@ -90,21 +88,21 @@ FIXED = {
     "PtpStatus": PTP_STATES, "GevIEEE1588Status": PTP_STATES,
     "ChunkSelector": {chunk.name: chunk.index for chunk in g.CHUNKS},
 }  # fmt: skip
-"""Choices whose numbers this camera knows; the others get numbers behind them."""
+"""Choices with numbers that this camera knows; other choices get further numbers."""
 LEFT_ON = ("Continuous", "SingleFrame", "On", "HighPass", "Sharpen", "TriggerWidth")
-"""What another program may have left chosen, of any feature that a person would not think of."""
+"""Choices that another program may have left, for any feature that a person would not think of."""
 LEFT_ALONE = re.compile(r"(Line|SyncOut|Ptp|GevIEEE|User|Device|Chunk|Binning|Decimation|Gain.*Selector)\w*")
 FILTERS = re.compile(
     r"Sharpening(Enable)?|Sharpness(Enabled|EnhancementAbs)|NoiseReductionAbs|DenoisingEnable"
     r"|MedianFilter|AdaptiveNoiseSuppressionFactor|LUTEnable|GammaEnabled?|ContrastEnable"
 )
-"""Features that change grey values or edges and begin switched on, or at some strength."""
+"""Features that change grey values or edges, initially switched on, or at some strength."""
 STRENGTH = 5.0
 LEAST_RAW = 36
 
 
 def raw_gain(model: Model, raw: float) -> float:
-    """Gain of a GainRaw in the virtual camera: by the manual where one is known, else by our choice."""
+    """Gain of a GainRaw in the virtual camera: by the manual if it is known, otherwise by our choice."""
     if model.vendor.startswith(("Allied", "Prosilica")):
         return raw
     return 20 * math.log10(max(raw, 1) / 32) if "acA2000" in model.name else 0.0359 * (raw - LEAST_RAW)
@@ -113,7 +111,7 @@ def raw_gain(model: Model, raw: float) -> float:
 def make_of(model: Model) -> Make:
     """The virtual camera's features: names, kinds, access and choices of the model."""
     own = {feature.name: feature for feature in model.features if feature.kind != "text"}
-    own.pop("GevSCPSPacketSize", None)  # half a register; Aravis has a name of its own for it
+    own.pop("GevSCPSPacketSize", None)  # half a register; Aravis uses another name for it
     time = model.has("ExposureTime", "ExposureTimeAbs", "ExposureTimeRaw")
     gain = model.has("Gain", "GainAbs", "GainRaw")
     raw = (g.GAIN, LEAST_RAW, LEAST_RAW, 1023) if model.vendor == "Basler" else (g.GAIN, 3, 0, 24)
@@ -127,7 +125,7 @@ def make_of(model: Model) -> Make:
     nodes, after = [], OWN_REGISTERS
     for name, feature in own.items():
         if name.startswith("Chunk") and not chunked:
-            continue  # old chunk data: nothing to select, nothing to read
+            continue  # old chunk data: no selector, nothing to read
         selector = BANKED.get(name, "")
         node = replace(_node(feature, places, after, own), menu=feature.menu, read_only=feature.read_only)
         if selector in own and own[selector].kind == "enumeration":
@@ -181,7 +179,7 @@ def _node(
 
 
 def _numbers(feature: Feature, own: Mapping[str, Feature]) -> dict[str, int]:
-    """A number for each choice: what the virtual camera looks at has a number that it knows."""
+    """A number for each choice; choices that the virtual camera acts on get the numbers that it knows."""
     name, choices = feature.name, list(feature.choices)
     if name == "PixelFormat":
         return {
@@ -209,7 +207,7 @@ def _numbers(feature: Feature, own: Mapping[str, Feature]) -> dict[str, int]:
 # --- its picture ------------------------------------------------------------------------------------------
 
 EXPOSURE_US, GAIN_DB = 5000.0, 6.0
-"""With these the picture is `SCENE`."""
+"""Exposure and gain at which the picture is `SCENE`."""
 LEVELS = np.array([10, 30, 60, 90, 120, 160, 200, 240])
 SCENE: Image = np.repeat(np.repeat(LEVELS[None, :], HEIGHT, axis=0), WIDTH // len(LEVELS), axis=1).astype(
     np.uint8
@@ -227,7 +225,7 @@ PICTURE_CHOICES = (
 
 
 def spoiled(camera: GigeCamera, make: Make) -> list[str]:
-    """Features that change its pictures as they stand, and should not."""
+    """Features that change its pictures with their present values, but should not."""
     found = []
     for node in make.features:
         word = camera.registers.word(node.address)
@@ -254,7 +252,7 @@ def _in_effect(camera: GigeCamera, make: Make, node: GenicamNode) -> bool:
 
 
 def model_camera(model: Model, address: str, serial: str) -> tuple[GigeCamera, Make]:
-    """A virtual camera of this model, to be entered; its picture is spoiled where a feature spoils it."""
+    """A virtual camera of this model; a feature left in a bad state spoils its picture."""
     make = make_of(model)
     raw = model.has("Gain", "GainAbs", "GainRaw") == "GainRaw"
 
@@ -262,10 +260,10 @@ def model_camera(model: Model, address: str, serial: str) -> tuple[GigeCamera, M
         gain = raw_gain(model, request.gain_db) if raw else request.gain_db
         if not model.has("Gain", "GainAbs", "GainRaw"):
             gain = GAIN_DB
-        exposure_us = request.exposure_us or EXPOSURE_US  # it has none that could be set
+        exposure_us = request.exposure_us or EXPOSURE_US  # it has no exposure time that can be set
         light = exposure_us / EXPOSURE_US * 10 ** ((gain - GAIN_DB) / 20)
         image = np.clip(np.rint(SCENE * light), 0, 255).astype(np.uint8)
-        image[0] = request.frame_id * 16 % 256  # no picture is like the one before
+        image[0] = request.frame_id * 16 % 256  # each picture differs from the one before
         return 255 - image if spoiled(camera, make) else image
 
     camera = GigeCamera(address, serial, picture, size=(WIDTH, HEIGHT), make=make)

@@ -1,6 +1,6 @@
-"""The way of a newcomer on the page, by clicks and digits alone, in a real browser (`tools/bench newcomer`).
+"""A newcomer's set-up on the page, by clicks and digits alone, in a real browser (`tools/bench newcomer`).
 
-Hands are those of the stage, at the foot of each page, and their clicks count as all others do.
+The hands are those of the stage, at the foot of each page, and their clicks count like all others.
 """
 
 from __future__ import annotations
@@ -27,49 +27,49 @@ from edged.plc.registers import RESULT, Flag, decode
 SIZE = (1280, 900)
 SQUARE_MM = "4.0"
 LEAST_S = 4.0
-"""Who sees that nothing came of a press presses once more."""
+"""Time after which a press without an effect is repeated."""
 LIMIT_S = 900.0
 SAY_S = 30.0
-"""Who waits says for what, so often."""
+"""Interval of messages about what is waited for."""
 TOUCHES = 6
 PLACES = 'document.querySelectorAll(".covered").length'
 VIEWS = 'document.querySelectorAll(".strip li").length'
 REACHED = '/reached/.test(document.querySelector(".big.figure")?.innerText ?? "")'
 ASKED = 'document.querySelector("dialog[open] [type=password]")'
 PICTURES = 'document.querySelector(".pair")?.scrollIntoView({ block: "center" })'
-"""Where a person looks meanwhile."""
+"""Scrolls to where a person looks meanwhile."""
 BORROWED = """document.querySelector("[name=pasted]").value"""
 
 
 TROUBLE = (
     """[...document.querySelectorAll(".trouble, .wrong[role=alert]")].find((e) => e.checkVisibility())"""
 )
-"""What stands beside a button whose work failed."""
+"""The message beside a button whose work failed."""
 WATCH = """window.spent = {}; new PerformanceObserver((list) => {
   for (const { interactionId, duration } of list.getEntries())
     if (interactionId) spent[interactionId] = Math.max(spent[interactionId] ?? 0, duration);
 }).observe({ type: "event", durationThreshold: 16 })"""
-"""From a press to the picture that answers it, ms, by the browser's own clock; shorter ones are not told."""
+"""Records ms from a press to the picture that answers it, by the browser's own clock; not below 16 ms."""
 
 
 class Watcher(Protocol):
-    """Who makes a film of it."""
+    """Makes a film of the clicks."""
 
     def see(self, png: bytes, click: tuple[float, float] | None = None) -> None:
-        """A picture, with the place of the click that comes next."""
+        """Take a picture, with the place of the click that comes next."""
 
     def is_due(self) -> bool:
         """Whether a picture is wanted though nobody clicks."""
 
     def end(self, step: str) -> None:
-        """A step is done."""
+        """End a step."""
 
 
 Then = Callable[[Browser, "Clicks"], Awaitable[dict[str, Any]]]
 
 
 class Clicks:
-    """Clicks of each step; a field that is typed into counts as one, for it is clicked first."""
+    """Counts the clicks of each step; a field that is typed into counts as one, as it is clicked first."""
 
     def __init__(self, page: Browser, film: Watcher | None) -> None:
         self._page, self.by_step = page, dict[str, int]()
@@ -80,7 +80,7 @@ class Clicks:
             page.on_click = self._see
 
     def end(self, step: str) -> None:
-        """A step is done."""
+        """End a step."""
         self.by_step[step] = self._page.clicks - self._before
         self._before = self._page.clicks
         after_s = time.monotonic() - self._begun_s
@@ -89,7 +89,7 @@ class Clicks:
             self._film.end(step)
 
     async def wait(self) -> None:
-        """Let some time pass, in which a film may get a picture."""
+        """Let some time pass; a film may take a picture."""
         if self._film is not None and self._film.is_due():
             await self._page.value(PICTURES)
             self._film.see(await self._page.picture())
@@ -110,11 +110,11 @@ async def set_up(
     film: Watcher | None = None,
     then: Then | None = None,
 ) -> dict[str, Any]:
-    """From an empty folder to a cell that a PLC reads a VALID result from; figures by their names.
+    """Set a cell up from an empty folder until a PLC reads a VALID result; return figures by name.
 
     user : name and password. modbus : the cell's port. goal_um : of the calibration. tried : places.
-    then : what is clicked after that on the same page, and its figures.
-    opened : the browser. Of one that does not tell how long a click took there is no such figure.
+    then : further clicks on the same page; returns their figures.
+    opened : the browser. Without click durations from it, the figure is left out.
     """
     begun_s = time.monotonic()
     async with opened() as page:
@@ -166,24 +166,24 @@ async def set_up(
 
 
 def _quantile(spent_ms: list[float], share: float, clicks: int) -> float:
-    """A share of all clicks; those that are not told took less than 16 ms."""
+    """Quantile over all clicks; those without a recorded time took less than 16 ms."""
     all_ms = [16.0] * max(clicks - len(spent_ms), 0) + spent_ms
     return all_ms[max(math.ceil(share * len(all_ms)) - 1, 0)]
 
 
 async def log_in(page: Browser, origin: str, name: str, password: str) -> None:
-    """By the form, which the page leads to."""
+    """Log in by the form, to which the page leads."""
     await page.open(f"{origin}/setup", *SIZE)
     await page.until('document.querySelector("#password")')
     await page.type("#name", name)
     await page.type("#password", password)
     await page.click("button")
     await page.until('document.querySelector("main[data-page] h1")')  # the form has a heading, too
-    page.complaints.clear()  # of the form: that it was typed into before it had the focus
+    page.complaints.clear()  # the form complains that it was typed into before it had the focus
 
 
 async def follow(page: Browser, step: str) -> None:
-    """To a step, by its link; from a page beside the steps by way of *Set up*."""
+    """Open a step by its link; from a page that is no step by way of *Set up*."""
     if not await page.value("Boolean(document.querySelector('.steps'))"):
         await page.click('a[href="#/welcome"]')
     await page.click(f'.steps a[href="#/{step}"]')
@@ -191,10 +191,10 @@ async def follow(page: Browser, step: str) -> None:
 
 
 async def release(page: Browser, text: str, password: str) -> None:
-    """Press a button, and answer its question with yes and with the note that stands there, or one word.
+    """Press a button, and answer its question with yes and with the note that is there, or one word.
 
-    Once more where nothing came of it: the button was closed again for a moment. password : asked for once
-    more where the last time is long ago, as on a busy machine.
+    Repeated if nothing happens, because the button was disabled for a moment. password : asked for again if
+    the last time is long ago, as on a busy machine.
     """
 
     async def again() -> None:
@@ -209,9 +209,9 @@ async def release(page: Browser, text: str, password: str) -> None:
 
 
 async def confirm(page: Browser, password: str, until: str = "true") -> None:
-    """Answer what else dialogs ask: who is there, and a signature, in any order.
+    """Answer further dialogs: a request for the password, and one for a signature, in any order.
 
-    until : what becomes of it. The password is asked for some time after a dialog has closed.
+    until : condition that must be met. The password may be requested some time after a dialog has closed.
     """
     signed = 'document.querySelector("dialog[open] [name=signed]")'
 
@@ -229,13 +229,13 @@ async def confirm(page: Browser, password: str, until: str = "true") -> None:
 
 
 async def wave(page: Browser) -> None:
-    """Before the left camera, and only there."""
+    """Wave before the left camera, and only there."""
     await follow(page, "cameras")
     await waved(page, "The left picture moved")
 
 
 async def waved(page: Browser, seen: str) -> None:
-    """Wave until the page says what it has seen; begun again where that was nothing."""
+    """Wave until the page reports what it has seen; begin again if that was nothing."""
     begin = 'document.querySelector("#wave ~ .actions button")'
 
     async def again() -> None:
@@ -248,7 +248,7 @@ async def waved(page: Browser, seen: str) -> None:
 
 
 async def light(page: Browser) -> None:
-    """By the board, and as the page advises."""
+    """Set the light with the board, as the page advises."""
     await press(page, "Hold the board")
     await follow(page, "light")
     if await page.value(said("It is there")):
@@ -257,7 +257,7 @@ async def light(page: Browser) -> None:
 
 
 async def calibrate(page: Browser, clicks: Clicks, goal_um: float, password: str) -> int:
-    """Hold the board where it is drawn until the goal is reached, solve, use it; the number of views."""
+    """Hold the board, take views to reach the goal, solve, activate; return the number of views."""
     await follow(page, "calibrate")
     await page.type("[name=mm]", SQUARE_MM)
     if goal_um != float(await page.value('document.querySelector("[name=goal]").value')):
@@ -266,7 +266,7 @@ async def calibrate(page: Browser, clicks: Clicks, goal_um: float, password: str
 
 
 async def to_release(page: Browser, clicks: Clicks, password: str) -> int:
-    """Take views of the board where it is drawn until the goal is reached, solve, use it; their number."""
+    """Take views of the board where it is drawn to reach the goal, solve, activate; return their number."""
     await press(page, "Begin, and take views automatically")
     await press(page, "Follow the dashed place")
     await long(page, REACHED, clicks.wait)
@@ -279,7 +279,7 @@ async def to_release(page: Browser, clicks: Clicks, password: str) -> int:
 
 
 async def press(page: Browser, text: str) -> None:
-    """A button, by what stands on it, when it can be pressed, however busy the machine is."""
+    """Press a button, by its text, once it is enabled, however busy the machine is."""
     button = f"""[...document.querySelectorAll("button")].find((b) => b.textContent.trim() === {text!r})"""
     await long(page, f"{button}?.disabled === false")
     await press_now(page, text)
@@ -288,9 +288,9 @@ async def press(page: Browser, text: str) -> None:
 async def long(
     page: Browser, expression: str, meanwhile: Callable[[], Awaitable[None]] | None = None
 ) -> None:
-    """Wait for what takes the cell longer than a page may, and say for what.
+    """Wait for something that takes the cell longer than a page may, and report what it is.
 
-    meanwhile : done between two looks. Raises RuntimeError with what the page says where it never comes.
+    meanwhile : called between two checks. Raises RuntimeError with the page's text if it never comes.
     """
     begun_s = told_s = time.monotonic()
     while not await page.value(f"Boolean({expression})"):
@@ -303,7 +303,7 @@ async def long(
 
 
 async def done(page: Browser, text: str, expression: str) -> None:
-    """Press a button until something comes of it: the cameras of a busy machine may give no pair."""
+    """Press a button until it has an effect: the cameras of a busy machine may give no pair."""
 
     async def again() -> None:
         if await page.value(f"Boolean({TROUBLE})"):
@@ -318,7 +318,7 @@ async def done(page: Browser, text: str, expression: str) -> None:
 
 
 async def soon(page: Browser, expression: str) -> None:
-    """Wait for what may not come."""
+    """Wait briefly for something that may not come."""
     begun_s = time.monotonic()
     while not await page.value(f"Boolean({expression})") and time.monotonic() - begun_s < LEAST_S:
         await pause(page, 0.1)
@@ -330,7 +330,7 @@ async def pause(page: Browser, least_s: float) -> None:
 
 
 async def check(page: Browser) -> None:
-    """This board once more."""
+    """Check the calibration with the same board."""
     await follow(page, "check")
     await done(page, "Check now", f"!{said('Measuring')} && !{TROUBLE}")
     if not await page.value(said("The calibration holds")):
@@ -338,7 +338,7 @@ async def check(page: Browser) -> None:
 
 
 async def teach(page: Browser, password: str) -> None:
-    """One pair; what is proposed is taken."""
+    """Take one pair, and use the proposal."""
     await press(page, "Lay the part")
     await follow(page, "teach")
     await done(
@@ -353,7 +353,7 @@ async def teach(page: Browser, password: str) -> None:
 
 
 async def try_out(page: Browser, tried: int) -> int:
-    """The part at several places; at how many of them the page draws that it was good."""
+    """Lay the part at several places; return at how many of them the page shows it as good."""
     await press(page, "Lay the part")
     await follow(page, "try")
     await press(page, "Try it live")
@@ -368,7 +368,7 @@ async def try_out(page: Browser, tried: int) -> int:
 
 
 async def register(page: Browser, password: str) -> None:
-    """By touching points of the board, proved by one more."""
+    """Register by touching points of the board, verified by one more."""
     await press(page, "Hold the board")
     await follow(page, "robot")
     await press(page, "Begin")
@@ -401,11 +401,11 @@ async def go_live(page: Browser, modbus: int) -> None:
 
 
 async def valid(page: Browser, modbus: int) -> dict[str, Any]:
-    """Wait until a PLC reads a VALID result; its fields by their names."""
+    """Wait until a PLC reads a VALID result; return its fields by name."""
     with ModbusTcpClient("127.0.0.1", port=modbus, timeout=5) as plc:
         begun_s = time.monotonic()
         while time.monotonic() - begun_s < LIMIT_S:
-            # the cell is in this process: its loop answers meanwhile
+            # the cell is in this process: its loop must answer meanwhile
             read = await asyncio.to_thread(plc.read_input_registers, RESULT.address, count=RESULT.words)
             found = decode(RESULT, read.registers)
             if int(found["FLAGS"]) & Flag.VALID:

@@ -1,4 +1,4 @@
-"""What the status page costs: the cycle with and without a viewer, its weight, and its time in a browser."""
+"""Cost of the status page: the cycle with and without a viewer, its weight, and its time in a browser."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from pageviewer import fetch_pictures
 from edged.adapters.web.assets import read_assets, run_modules
 
 ROUNDS = 3
-"""Times without and with a viewer, in turn, so that a busy machine is busy for both."""
+"""Rounds without and with a viewer, alternating, so that other load affects both."""
 FILES = (
     *("/", "/static/run/run.css", "/static/icon.svg", "/static/setup/en.ftl", "/static/run/run.en.ftl"),
     *(f"/static/{name}" for name in run_modules(read_assets())),
@@ -40,14 +40,14 @@ LOOK = """JSON.stringify({
 
 @dataclass(slots=True)
 class Phases:
-    """Cycles in ms, processor time and wall time, of all times of one kind."""
+    """Cycles in ms, processor time and wall time, of all rounds of one kind."""
 
     cycles_ms: list[float] = field(default_factory=list)
     busy_s: float = 0.0
 
 
 def page_cost(folder: Path, seconds: float) -> None:
-    """Print the figures. seconds : of each time with or without a viewer."""
+    """Print the figures. seconds : of each round with or without a viewer."""
     cell = BenchCell(folder, mode="free")
     port = free_port()
     cell.config.write_text(cell.config.read_text() + f"\n[web]\nport = {port}\n")
@@ -88,7 +88,7 @@ async def _measure(cell: BenchCell, port: int, seconds: float) -> None:
 
 @contextlib.asynccontextmanager
 async def viewer(port: int, *who: str) -> AsyncIterator[None]:
-    """A viewer in a process of its own. who : name and password, where the page asks for them."""
+    """Run a viewer in a process of its own. who : name and password, if the page asks for them."""
     script = Path(__file__).with_name("pageviewer.py")
     process = await asyncio.create_subprocess_exec(
         sys.executable, str(script), str(port), *who, stdout=asyncio.subprocess.PIPE
@@ -106,7 +106,7 @@ async def viewer(port: int, *who: str) -> AsyncIterator[None]:
 
 
 async def _weight(port: int) -> dict[str, int]:
-    """Bytes of what a viewer gets."""
+    """Number of bytes that a viewer downloads."""
     async with aiohttp.ClientSession(f"http://127.0.0.1:{port}") as session:
         files = 0
         for path in FILES:
@@ -132,7 +132,7 @@ async def _weight(port: int) -> dict[str, int]:
 
 
 async def _in_chromium(url: str) -> dict[str, Any] | None:
-    """Load the page over the DevTools protocol; None when it never shows its pictures."""
+    """Load the page over the DevTools protocol; None if it never shows its pictures."""
     with tempfile.TemporaryDirectory(prefix="edged-chromium-", ignore_cleanup_errors=True) as profile:
         browser = await asyncio.create_subprocess_exec(
             *("chromium", "--headless", "--no-sandbox", "--disable-gpu", "--remote-debugging-port=0"),

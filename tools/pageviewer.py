@@ -1,7 +1,7 @@
-"""A viewer of a status page: hears each event, fetches the pictures of each cycle, as the page does.
+"""A viewer of a status page: receives each event, and fetches the pictures of each cycle, as the page does.
 
-python tools/pageviewer.py PORT [NAME PASSWORD]; says "looking" after the first pictures, and looks until it
-is ended.
+python tools/pageviewer.py PORT [NAME PASSWORD]; says "looking" after the first pictures, and runs until it
+is stopped.
 """
 
 from __future__ import annotations
@@ -15,11 +15,11 @@ import aiohttp
 
 
 async def look(port: int, *who: str) -> None:
-    """Look for ever. who : name and password, where the page asks for them."""
+    """View the page for ever. who : name and password, if the page asks for them."""
     said = False
     jar = aiohttp.CookieJar(unsafe=True)  # cookies of an IP address
     origin = f"http://127.0.0.1:{port}"
-    for_ever = aiohttp.ClientTimeout(total=None)  # else a stream of events ends after five minutes
+    for_ever = aiohttp.ClientTimeout(total=None)  # otherwise a stream of events ends after five minutes
     headers = {"Origin": origin}
     async with aiohttp.ClientSession(origin, cookie_jar=jar, headers=headers, timeout=for_ever) as session:
         if who:
@@ -36,7 +36,7 @@ async def look(port: int, *who: str) -> None:
 
 
 async def fetch_pictures(session: aiohttp.ClientSession, status: dict[str, Any]) -> int:
-    """Size of both and of the thumbnail; the cycle may be out of memory again."""
+    """Size of both pictures and of the thumbnail; the cycle may no longer be in memory."""
     if not status["picture"]:
         return 0
     size = 0

@@ -7,12 +7,13 @@
 The parts are those of `solids`, as in `solidworld`; light, metal and plastic are Mitsuba's (the extra
 `photoworld`, and LLVM's library of the distribution). Faces are turned, ground, milled, blasted, cast or
 moulded: their marks are slopes of the surface, which glint as they do on metal. Lights are those of cells: a
-ring, a dome with a port for each camera, one bar or two, a low band, and at times a window that stands in
-the face for one camera. What is drawn is in `spec` of each scene. A pair takes minutes: run it in the
-background with `nice`; a run that is cut goes on where it was.
+ring, a dome with a port for each camera, one bar or two, a low band, and sometimes a window that is reflected
+in the face towards one camera. `spec` of each scene says what is drawn. A pair takes minutes: run it in the
+background with `nice`; an interrupted run continues where it was.
 
-The part's window is sampled SAMPLES times in each of 16 strata of a pixel, the table beyond more coarsely and
-smoothed, and goes over into it. Blur is the same at all depths; samples far brighter than white are clamped.
+The part's window is sampled SAMPLES times in each of 16 strata of a pixel. The table beyond is sampled more
+coarsely, smoothed, and blended into it. Blur is the same at all depths; samples far brighter than white are
+clamped.
 """
 
 from __future__ import annotations
@@ -40,27 +41,27 @@ FINISHES = ("turned", "ground", "milled", "blasted", "cast", "plastic")
 LIGHTS = ("ring", "dome", "bar", "bars", "low")
 TABLES = ("dark", "plastic", "wood", "steel", "paper")
 TEXELS, SHEET_MM, TABLE_MM = 2048, 48.0, 220.0
-"""Textures of faces and tables: so many texels for so many mm."""
+"""Textures of faces and tables: texels per side, and the side in mm."""
 BATCH = 1 << 20
 SEAM_PX, TABLE_BLUR_PX = 20, 1.5
 BOUNCES = 4
 BRIGHTEST = 6.0
-"""Samples are clamped at so many times white: a sparkle that was found by chance outshines its neighbours."""
+"""Samples are clamped at this multiple of white: a rare bright sample would outshine its neighbours."""
 DOME_MM, PORT_RAD = 130.0, 0.24
 FACE_POINTS, FACE_SHARE = 4000, 0.7
-"""The exposure gives the wanted grey to what is brighter than so much of the faces, both cameras together."""
+"""The exposure gives this quantile of points on the faces, over both cameras, the wanted grey."""
 NOT_WHITE, MOST_OVER = 0.95, 0.9
-"""So much of what is about the part is at most 1 / MOST_OVER of white: faces are dark in a dark field."""
+"""This share of the part's window is at most 1 / MOST_OVER of white: faces are dark in a dark field."""
 
 
 @dataclass(frozen=True, slots=True)
 class Setting:
-    """What a scene is made of, beside the part; lengths mm, angles rad.
+    """Appearance of a scene, except the part's shape; lengths mm, angles rad.
 
     pitch_mm : from mark to mark on the faces.  slope : of the marks' flanks.  roughness : of faces, walls and
     broken edges.  reflects : of the face; of a plastic one its diffuse part.  ambient : the room's share of
     the light on a level face.  window : camera, 0 or 1, that sees a bright window in the part's face; -1 for
-    none.  gap_mm : from the part down to the table; parallel: the table lies as the part does.  exposure :
+    none.  gap_mm : from the part down to the table; parallel: the table is parallel to the part.  exposure :
     grey value of 255 that the brighter parts of the faces get, unless too much else were white.
     """
 
@@ -84,9 +85,9 @@ class Setting:
 
     @classmethod
     def drawn(cls, finish: str, rng: np.random.Generator, *, teaching: bool = False) -> Setting:
-        """At random, but for how the faces were made: that belongs to the design.
+        """Random setting, except for the finish of the faces, which belongs to the design.
 
-        teaching : no window, and no table that outshines the part: as somebody teaches with care.
+        teaching : no window, and no table brighter than the part, as when a person teaches with care.
         """
         drawn = cls(
             finish, pitch_mm=rng.uniform(0.12, 0.32), slope=rng.uniform(0.03, 0.12),
@@ -110,7 +111,7 @@ ROUGHNESS = {"turned": 0.14, "ground": 0.16, "milled": 0.15, "blasted": 0.35, "c
 
 @functools.cache
 def mitsuba() -> Any:
-    """The renderer, grey, on one thread; imported when it is needed, as it is an extra."""
+    """The renderer, grey, on one thread; imported on demand, because it is an extra."""
     import drjit
     import mitsuba as imported
 
@@ -123,7 +124,7 @@ def mitsuba() -> Any:
 
 
 def write_ply(path: Path, corners: FloatArray, places: FloatArray | None = None) -> str:
-    """Triangles (M, 3, 3) as a binary PLY file, with places (M, 3, 2) on a texture; its name."""
+    """Write triangles (M, 3, 3) as a binary PLY file, with places (M, 3, 2) on a texture; return its name."""
     columns = corners.reshape(-1, 3)
     names = ["x", "y", "z"]
     if places is not None:
@@ -138,7 +139,7 @@ def write_ply(path: Path, corners: FloatArray, places: FloatArray | None = None)
 
 
 def panel(centre: FloatArray, towards: FloatArray, width: float, height: float) -> FloatArray:
-    """A rectangle (2, 3, 3) at a place (3,) that faces another one."""
+    """A rectangle (2, 3, 3) at a place (3,) that faces another place."""
     facing = unit(towards - centre)
     aside = unit(np.cross([0.0, 0.0, 1.0] if abs(facing[2]) < 0.9 else [0.0, 1.0, 0.0], facing))
     x, y = 0.5 * width * aside, 0.5 * height * np.cross(facing, aside)
@@ -156,7 +157,7 @@ def ring_of_panels(
 
 
 def dome(ports: list[FloatArray]) -> FloatArray:
-    """A hemisphere (M, 3, 3) above z = 0 seen from within, without what lies near unit directions (3,)."""
+    """A hemisphere (M, 3, 3) above z = 0 seen from within, with holes around unit directions (3,)."""
     lean, turn = np.meshgrid(np.linspace(0, 0.47 * math.pi, 61), np.linspace(0, math.tau, 145), indexing="ij")
     points = DOME_MM * np.stack(
         [np.sin(lean) * np.cos(turn), np.sin(lean) * np.sin(turn), -np.cos(lean)], axis=-1
@@ -172,12 +173,12 @@ def dome(ports: list[FloatArray]) -> FloatArray:
 
 
 def unit_rows(vectors: FloatArray) -> FloatArray:
-    """(N, 3) of length 1."""
+    """Rows (N, 3) scaled to length 1."""
     return np.asarray(vectors / np.linalg.norm(vectors, axis=1, keepdims=True))
 
 
 def lamps(setting: Setting, eyes: list[FloatArray]) -> FloatArray:
-    """Triangles (M, 3, 3) that shine, in a frame whose z = 0 is about the part's face, z down.
+    """Luminous triangles (M, 3, 3), in a frame whose z = 0 is about the part's face, z down.
 
     eyes : both cameras (3,) in that frame.
     """
@@ -194,7 +195,7 @@ def lamps(setting: Setting, eyes: list[FloatArray]) -> FloatArray:
 
 
 def irradiance(triangles: FloatArray) -> float:
-    """On a level patch at the origin that looks up, of triangles (M, 3, 3) of radiance 1."""
+    """Irradiance on a level patch at the origin facing up, from triangles (M, 3, 3) of radiance 1."""
     middles = triangles.mean(axis=1)
     normals = 0.5 * np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
     distance = np.linalg.norm(middles, axis=1)
@@ -208,7 +209,7 @@ def irradiance(triangles: FloatArray) -> float:
 
 @functools.lru_cache(maxsize=4)
 def marks(finish: str, pitch_mm: float, slope: float, lay_rad: float, seed: int) -> FloatArray:
-    """(TEXELS, TEXELS) height in mm of a face of SHEET_MM, the part's origin in its middle."""
+    """Heights (TEXELS, TEXELS) in mm of a face of SHEET_MM, the part's origin in its middle."""
     rng = np.random.default_rng((30, seed))
     step = SHEET_MM / TEXELS
     y, x = (np.mgrid[0:TEXELS, 0:TEXELS] - 0.5 * (TEXELS - 1)) * step
@@ -232,7 +233,7 @@ def marks(finish: str, pitch_mm: float, slope: float, lay_rad: float, seed: int)
 
 
 def band(rng: np.random.Generator, finest_mm: float, coarsest_mm: float, step_mm: float) -> FloatArray:
-    """(TEXELS, TEXELS) periodic noise of deviation 1 with waves between two lengths."""
+    """Periodic noise (TEXELS, TEXELS) of deviation 1 with wavelengths between two limits."""
     f = np.hypot(np.fft.fftfreq(TEXELS)[:, None], np.fft.rfftfreq(TEXELS)[None]) / step_mm
     passed = np.where((f > 1 / coarsest_mm) & (f < 1 / finest_mm), 1 / np.maximum(f, 1e-9), 0)
     noise = np.fft.irfft2(np.fft.rfft2(rng.standard_normal((TEXELS, TEXELS))) * passed, s=(TEXELS, TEXELS))
@@ -240,7 +241,7 @@ def band(rng: np.random.Generator, finest_mm: float, coarsest_mm: float, step_mm
 
 
 def bitmap(values: FloatArray) -> dict[str, Any]:
-    """A texture of one channel, taken as it is."""
+    """A texture of one channel, with values unchanged."""
     return {"type": "bitmap", "data": mitsuba().TensorXf(values.astype(np.float32)[..., None]), "raw": True}
 
 
@@ -262,7 +263,7 @@ def surfaces(setting: Setting) -> dict[str, dict[str, Any]]:
     reflects = setting.reflects if setting.finish != "cast" else 0.3 * setting.reflects
     height = marks(setting.finish, setting.pitch_mm, setting.slope, setting.lay_rad, setting.seed)
     face = {"type": "bumpmap", "height": bitmap(height), "bsdf": kind(reflects, setting.roughness[0])}
-    # a casting is machined where its edges are broken
+    # a casting is machined at its broken edges
     edge = (
         kind(reflects, setting.roughness[2]) if setting.finish != "cast" else metal(0.7, setting.roughness[2])
     )
@@ -271,7 +272,7 @@ def surfaces(setting: Setting) -> dict[str, dict[str, Any]]:
 
 
 def table_surface(setting: Setting) -> dict[str, Any]:
-    """What the part lies on."""
+    """Material of the table."""
     rng = np.random.default_rng((31, setting.seed))
     noise = band(rng, 0.3, 6.0, TABLE_MM / TEXELS)
     if setting.table == "steel":
@@ -317,7 +318,7 @@ def scene_of(
 
 
 def bed_of(corners: FloatArray, where: FloatArray, setting: Setting, rig: StereoRig) -> FloatArray:
-    """rig_from_table (4, 4): z down, below the part; as the part lies, or square to the cameras' middle."""
+    """rig_from_table (4, 4): z down, below the part; parallel to it, or square to the cameras' middle."""
     place = tuple(where[:3, 3].tolist())
     bed = where.copy() if setting.parallel else lying(rig, 0.0, 0.0, 0.0, place)
     lowest = apply(invert(bed), corners.reshape(-1, 3))[:, 2].max()
@@ -349,7 +350,7 @@ def lights(
 
 
 def lamp_frame(where: FloatArray, bed: FloatArray, setting: Setting, rig: StereoRig) -> FloatArray:
-    """(4, 4) rig from lamps: dome and low band stand on the table, ring and bars hang beside the cameras."""
+    """rig_from_lamps (4, 4): dome and low band stand on the table, ring and bars hang by the cameras."""
     if setting.light not in ("dome", "low"):
         return lying(rig, 0.0, 0.0, 0.0, tuple(where[:3, 3].tolist()))
     frame = bed.copy()
@@ -358,7 +359,7 @@ def lamp_frame(where: FloatArray, bed: FloatArray, setting: Setting, rig: Stereo
 
 
 def eyes_of(rig: StereoRig) -> list[FloatArray]:
-    """Where both cameras are (3,)."""
+    """Positions of both cameras (3,)."""
     return [np.zeros(3), invert(np.asarray(rig.right_from_left))[:3, 3]]
 
 
@@ -371,7 +372,7 @@ class Tracer:
         self._integrator = self._mi.load_dict({"type": "path", "max_depth": BOUNCES, "rr_depth": BOUNCES})
 
     def radiance(self, camera: CameraModel, camera_from_rig: FloatArray, pixels: FloatArray) -> FloatArray:
-        """(N,) what comes in at places (N, 2) of a picture."""
+        """Incoming radiance (N,) at places (N, 2) of a picture."""
         mi = self._mi
         rig_from_camera = invert(camera_from_rig)
         eye = mi.Point3f(*rig_from_camera[:3, 3].tolist())
@@ -389,7 +390,7 @@ class Tracer:
 
 
 def strata(window: tuple[int, int, int, int], each: int, rng: np.random.Generator) -> FloatArray:
-    """(each H, each W, 2) a place at random in each of each x each cells of the pixels x0, y0, x1, y1."""
+    """Random places (each H, each W, 2), one in each of each x each cells of the pixels x0, y0, x1, y1."""
     x0, y0, x1, y1 = window
     y, x = np.mgrid[0 : (y1 - y0) * each, 0 : (x1 - x0) * each]
     places = np.stack([x, y], axis=-1) + rng.random((*x.shape, 2))
@@ -400,7 +401,7 @@ def pictures(
     design: Design, where: FloatArray, setting: Setting, rig: StereoRig, samples: int,
     expose: Callable[[FloatArray, np.random.Generator], Image] = exposed,
 ) -> tuple[Image, Image]:  # fmt: skip
-    """Left and right picture; one exposure for both, as cells have it. expose : a picture of light."""
+    """Left and right picture with one exposure, as in cells. expose : makes a picture from light."""
     with tempfile.TemporaryDirectory() as folder:
         tracer = Tracer(scene_of(design, where, setting, rig, Path(folder)))
         views = [(rig.left, np.eye(4)), (rig.right, np.asarray(rig.right_from_left))]
@@ -420,7 +421,7 @@ def pictures(
 
 
 def face_points(mesh: Mesh, rng: np.random.Generator) -> FloatArray:
-    """(FACE_POINTS, 3) places on the faces that look up, at random."""
+    """Random points (FACE_POINTS, 3) on the faces that look up."""
     corners = mesh.model.points_mm[mesh.model.triangles][np.array(mesh.kind) == "face"]
     area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
     chosen = corners[rng.choice(len(corners), FACE_POINTS, p=area / area.sum())]
@@ -428,7 +429,7 @@ def face_points(mesh: Mesh, rng: np.random.Generator) -> FloatArray:
 
 
 def _window(view: tuple[CameraModel, FloatArray], points: FloatArray) -> tuple[int, int, int, int]:
-    """First and last pixels of what shows the part, and some room."""
+    """First and last pixels that show the part, with a margin."""
     size, pixels = (view[0].width, view[0].height), project(*view, points)
     x0, y0 = np.maximum(np.floor(pixels.min(axis=0)).astype(int) - SEAM_PX - 8, 0).tolist()
     x1, y1 = np.minimum(np.ceil(pixels.max(axis=0)).astype(int) + SEAM_PX + 9, size).tolist()
@@ -439,7 +440,7 @@ def _seen(
     tracer: Tracer, view: tuple[CameraModel, FloatArray], window: tuple[int, int, int, int], white: float,
     setting: Setting, samples: int, rng: np.random.Generator,
 ) -> FloatArray:  # fmt: skip
-    """(H, W) radiance behind the lens: the window about the part finely, the rest coarsely and smoothed."""
+    """Radiance (H, W) behind the lens: the window around the part finely, the rest coarsely and smoothed."""
     camera, (x0, y0, x1, y1) = view[0], window
 
     def traced(area: tuple[int, int, int, int], each: int) -> FloatArray:
@@ -451,7 +452,7 @@ def _seen(
                        interpolation=cv2.INTER_AREA)  # fmt: skip
     whole = cv2.GaussianBlur(whole, (0, 0), TABLE_BLUR_PX)
     fine = sum(traced(window, COLUMNS) for _ in range(samples)) / samples
-    # a cell is a quarter of a pixel wide, which blurs already
+    # a cell is a quarter of a pixel wide, which already blurs
     sigma = math.sqrt(max(setting.blur_px**2 * COLUMNS**2 - 1 / 12, 0.01))
     fine = cv2.GaussianBlur(fine, (0, 0), sigma, borderType=cv2.BORDER_REPLICATE)
     fine = cv2.resize(fine, (x1 - x0, y1 - y0), interpolation=cv2.INTER_AREA)
@@ -462,7 +463,7 @@ def _seen(
 
 
 def finish_of(design: Design) -> str:
-    """How the faces of a design were made: the same in all its scenes."""
+    """Finish of a design's faces: the same in all its scenes."""
     number = int(design.name[1:])
     return FINISHES[int(np.random.default_rng((33, number)).integers(len(FINISHES)))]
 

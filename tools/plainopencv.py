@@ -1,10 +1,10 @@
-"""What a competent integrator gets out of OpenCV and numpy on the same pictures.
+"""The result of a competent integrator with OpenCV and numpy on the same pictures.
 
 Calibration: findChessboardCorners, cornerSubPix, calibrateCamera, stereoCalibrate (k1, k2, p1, p2).
-Circle: brightness profiles across the outline, the steepest place of each to a part of a pixel, undistorted
+Circle: brightness profiles across the outline, the steepest place of each to sub-pixel accuracy, undistorted
 and rectified; a robust conic through them; both conics cut by the same rows; triangulatePoints; plane and
-circle through these points. So no ellipse centre is taken for the circle's centre. OpenCV has no shape search
-to compare: the start, the outline to within about two pixels, is given. No sigma comes out of it.
+circle through these points. So no ellipse centre is taken for the circle's centre. OpenCV has no comparable
+shape search: the start, the outline to within about two pixels, is given. It states no sigma.
 
 Nothing of edged's own vision is used here.
 """
@@ -26,14 +26,14 @@ BLUR_PX = 1.0
 STEP_PX = 0.25
 REACHES_PX = (4.0, 3.0, 3.0)
 MIN_SHARE = 0.3
-"""Share of the median slope of the edge, below which a profile shows none."""
+"""Share of the edge's median slope, below which a profile shows no edge."""
 TUKEY = 4.685
 ROUNDS = 12
 ROWS = 200
 STEEPEST_RAD = np.deg2rad(75.0)
-"""Rows further up or down the outline run along it: where they cut it is not well known."""
+"""Limit of slope: rows further up or down run along the outline, and their crossings are uncertain."""
 CORNER_WINDOW = 0.35
-"""Half width of cornerSubPix's window, of the distance of neighbouring corners."""
+"""Half width of cornerSubPix's window, as a share of the distance between neighbouring corners."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -44,7 +44,7 @@ class PlainCamera:
     distortion: FloatArray
 
     def rectify(self, pixels: FloatArray, R: FloatArray, P: FloatArray) -> FloatArray:
-        """Raw pixels (N, 2) without distortion, turned by R (3, 3) and seen by P (3, 4)."""
+        """Undistort raw pixels (N, 2), turn them by R (3, 3) and project them with P (3, 4)."""
         K, distortion = self.K, self.distortion
         if len(distortion) == 1:
             plain = (pixels - K[:2, 2]) / np.diag(K)[:2]
@@ -71,7 +71,7 @@ class PlainRig:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PlainCircle:
-    """Left camera frame, mm; the normal points to the cameras."""
+    """Circle in the left camera's frame, mm; the normal points to the cameras."""
 
     centre: FloatArray
     normal: FloatArray
@@ -108,7 +108,7 @@ def calibrate_plain(folder: Path, columns: int, rows: int, square_mm: float) -> 
         if left is None or right is None:
             continue
         size = pair[0].shape[1], pair[0].shape[0]
-        if (left[-1] - left[0]) @ (right[-1] - right[0]) < 0:  # one was numbered from the other end
+        if (left[-1] - left[0]) @ (right[-1] - right[0]) < 0:  # numbered from opposite ends
             right = right[::-1]
         seen.append((left, right))
     if len(seen) < MIN_PAIRS:
@@ -131,7 +131,7 @@ def calibrate_plain(folder: Path, columns: int, rows: int, square_mm: float) -> 
 
 
 def corners(image: Image, columns: int, rows: int) -> FloatArray | None:
-    """Inner corners (N, 2) of a chessboard; None where it is not seen whole."""
+    """Inner corners (N, 2) of a chessboard; None if it is not seen whole."""
     found, start = cv2.findChessboardCorners(image, (columns, rows))
     if not found:
         return None
@@ -149,8 +149,8 @@ def measure_circle(
 ) -> PlainCircle | None:
     """A circle in space from its outline in both raw images.
 
-    outlines : points (N, 2) of about where it is, in each image; their place to 2 px is all that is used.
-    None where the outline is not seen, or both cannot be one circle.
+    outlines : points (N, 2) of its approximate place in each image, used only to about 2 px.
+    None if the outline is not seen, or both cannot be one circle.
     """
     (left, right), T = rig.cameras, rig.T.reshape(3, 1)
     nothing = np.zeros(5)
@@ -211,7 +211,7 @@ def on_ellipse(
 def profile_edges(
     smooth: cv2.typing.MatLike, points: FloatArray, normals: FloatArray, reach: float
 ) -> FloatArray:
-    """The steepest place (M, 2) of each brightness profile, of the sign that most of them have."""
+    """Steepest place (M, 2) of each brightness profile, of the sign that most of them have."""
     offset = np.arange(-reach, reach + STEP_PX / 2, STEP_PX)
     place = np.float32(points[:, None] + normals[:, None] * offset[:, None])
     grey = cv2.remap(
@@ -261,9 +261,9 @@ class Conic:
         return monomials(x, y) @ self.coefficients, np.maximum(slope, 1e-12)
 
     def top_and_bottom(self) -> tuple[float, float]:
-        """Rows of its highest and lowest point, px; NaN for what is no ellipse."""
+        """Rows of its highest and lowest point, px; NaN if it is no ellipse."""
         a, b, c, d, e, f = self.coefficients
-        # rows where the quadratic in x has one root only
+        # rows where the quadratic in x has a double root
         rows = np.roots([b * b - 4 * a * c, 2 * b * d - 4 * a * e, d * d - 4 * a * f])
         if np.iscomplexobj(rows) or b * b >= 4 * a * c:
             return np.nan, np.nan
@@ -271,7 +271,7 @@ class Conic:
         return float(low), float(high)
 
     def cut(self, rows: FloatArray) -> FloatArray:
-        """(2, N): where these rows enter and leave it, px."""
+        """Columns (2, N) where these rows enter and leave it, px."""
         a, b, c, d, e, f = self.coefficients
         y = (rows - self.middle[1]) / self.scale
         half, rest = (b * y + d) / (2 * a), (c * y * y + e * y + f) / a
@@ -280,12 +280,12 @@ class Conic:
 
 
 def monomials(x: FloatArray, y: FloatArray) -> FloatArray:
-    """(N, 6)"""
+    """Monomials (N, 6) of the conic's equation."""
     return np.column_stack([x * x, x * y, y * y, x, y, np.ones(len(x))])
 
 
 def fit_conic(pixels: FloatArray) -> Conic | None:
-    """The conic of least first-order distance with Tukey's weights; None for what is no ellipse."""
+    """Conic of least first-order distance with Tukey's weights; None if it is no ellipse."""
     middle, scale = pixels.mean(axis=0), float(pixels.std())
     design = monomials(*((pixels - middle) / scale).T)
     weights = np.ones(len(pixels))
@@ -302,7 +302,7 @@ def fit_conic(pixels: FloatArray) -> Conic | None:
 
 
 def circle_through(points: FloatArray) -> PlainCircle:
-    """The best plane through points (N, 3) and the best circle in it."""
+    """Best-fit plane of points (N, 3), and the best-fit circle in it."""
     middle = points.mean(axis=0)
     u, v, normal = np.linalg.svd(points - middle, full_matrices=False)[2]
     flat = (points - middle) @ np.stack([u, v]).T

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Pictures to practise on: what somebody with a board, a part and a robot would take in the demo's cell.
+"""Make practice pictures, as a person with a board, a part and a robot would take them in the demo's cell.
 
     tools/practice.py FOLDER
 
@@ -8,7 +8,7 @@
     FOLDER/touch/    pairs a to e of the flange elsewhere, and touched.csv: what the robot showed when its tip
                      touched the centre of each
 
-The cameras are those of `edged sim`: calibrate from these pictures, and measure there.
+The cameras are those of `edged sim`: calibrate from these pictures, and measure there, as
 docs/tutorial/first-part.md does.
 """
 
@@ -29,7 +29,7 @@ from edged.vision.geometry.rigid import apply
 BOARD_PAIRS = 20
 TOUCHED = "abcde"
 TIP_MM = 0.02
-"""One sigma of each coordinate of a touched point: a robot's repeatability and a careful eye."""
+"""Sigma of each coordinate of a touched point: a robot's repeatability and a careful eye."""
 
 
 def main() -> None:
@@ -48,7 +48,7 @@ def main() -> None:
 
 
 def touch(folder: Path) -> None:
-    """Pairs of the flange at several places, and where the robot's tip met each of them."""
+    """Write pairs of the flange at several places, and the robot's pose when its tip touched each of them."""
     rig, tip, lines = demo_rig(), np.random.default_rng(1), []
     cell = VirtualCell(rig, demo_part(), seed=1)
     for number, name in enumerate(TOUCHED, 1):
@@ -64,7 +64,7 @@ def touch(folder: Path) -> None:
 
 
 def save(folder: Path, name: str, images: dict[str, Image]) -> None:
-    """NAME_left.png, NAME_right.png."""
+    """Write NAME_left.png, NAME_right.png."""
     folder.mkdir(parents=True, exist_ok=True)
     for side, image in images.items():
         cv2.imwrite(str(folder / f"{name}_{side}.png"), image)

@@ -1,29 +1,29 @@
 #!/usr/bin/env python3
-"""Run every command of a page of the manual again, and write below it what it says now.
+"""Run every command of a page of the manual again, and write its present output below it.
 
     tools/rerun.py docs/tutorial/first-part.md
-    tools/rerun.py --check docs/tutorial/first-part.md     # changes nothing; 1: a command says other things
+    tools/rerun.py --check docs/tutorial/first-part.md     # changes nothing; 1: a command's output differs
 
 The page is the script. In a block marked `console`,
 
-    $ edged check cell.toml          is run, and what stood below it is replaced by what it says
+    $ edged check cell.toml          is run, and its output replaces the text below it
     cell$ edged run cell.toml        is started in another terminal, "cell", and stays there
 
 and a block after a line that ends in "`cell.toml`:" is written to that file. A picture that the page shows
 and a command made is put beside the page. All of it happens in a new home folder with a clone of this
 checkout, as it is committed, in ~/edged. When a command fails, the page stays as it is.
 
-With --check the checkout and the Python that this program runs with stand in ~/edged, as they are; nothing is
-installed, and no port of this machine is used. What differs from one run or PC to the next is no difference:
-measured numbers, times, identifiers, the width of tables, what `edged doctor` says of the PC, and that a
-camera was late and was asked again.
+With --check the checkout and the Python that runs this program are in ~/edged, as they are; nothing is
+installed, and no port of this machine is used. These do not count as differences, as they change from one run
+or PC to the next: measured numbers, times, identifiers, the width of tables, the findings of `edged doctor`
+about the PC, and that a camera was late and was tried again.
 
-What the page's own sentences say of measured numbers is held against them by remarks that no reader sees:
+The page's own sentences about measured numbers are checked by remarks that no reader sees:
 
-    <!-- held: /stereo rms ([\\d.]+) px/ in 0.001 to 0.01 -->        what a command above has said last
+    <!-- held: /stereo rms ([\\d.]+) px/ in 0.001 to 0.01 -->        the last output of a command above
     <!-- held: /x ([\\d.]+)/ - /true ([\\d.]+)/ in 0 to 0.01 -->     the difference of two of them
 
-A paragraph with a measured number and without such a remark is a mistake, as one that does not hold.
+A paragraph with a measured number and without such a remark is an error, as is a remark that does not hold.
 """
 
 from __future__ import annotations
@@ -52,21 +52,21 @@ FENCE = "```"
 CONSOLE = f"{FENCE}console"
 DONE = "command-ended-with"
 QUIET_S = 10.0
-"""A program that has said nothing for so long has begun its work: the page takes seconds on a busy PC."""
+"""Silence after which a program counts as started: the page takes seconds on a busy PC."""
 PATIENCE_S = 60.0
-"""For the first word of a program in another terminal."""
+"""Limit for the first output of a program in another terminal."""
 COLUMNS = "100"
 SHOWN_PX = 1280
 """Width of the page's pictures."""
 HERE_ONLY = ("PYTHONPATH", "NUMBA_CACHE_DIR")
 ALONE = ("unshare", "--map-root-user", "--net", "sh", "-c", 'ip link set lo up && exec "$@"', "sh")
-"""A program with a network of its own: the ports of the page are free in it."""
+"""Runs a program in a network of its own, where the page's ports are free."""
 SETTING_UP = ("==> ", "edged: compiling ", "compiling ")
-"""What is said only where something had to be installed."""
+"""Output that only appears if something had to be installed."""
 LATE = "; trying again"
-"""Ends what `edged grab` says of cameras that were late, on a busy PC: what comes then, counts."""
+"""End of `edged grab`'s message about cameras that were late, on a busy PC; only the next output counts."""
 FINDING = re.compile(r"(?:ok|warn|bad|skip) +(?P<check>[^:]+):.*|\d+ checks, .*| +(?:then|help):.*")
-"""Lines of `edged doctor`, whose answers are the PC's: what was looked at is the same on each."""
+"""Output of `edged doctor`, whose findings depend on the PC; only the names of the checks are the same."""
 MASKS = (
     (re.compile(r"\d{4}-\d\d-\d\d \d\d:\d\d:\d\d,\d+"), "TIME"),
     (re.compile(r"(?<=cal-)[0-9a-f]{8}\b|\b[0-9a-f]{8}\b|\b[0-9a-f]{28,32}\b"), "ID"),
@@ -78,9 +78,9 @@ MASKS = (
 HELD = re.compile(
     r"<!-- held: /(?P<first>.+?)/(?: - /(?P<second>.+?)/)? in (?P<low>[\d.]+) to (?P<high>[\d.]+) -->"
 )
-"""A remark on the sentences of its paragraph: where in what was said their numbers are, and the range."""
+"""Remark on the sentences of its paragraph: patterns that find their numbers in the output, and the range."""
 FIGURE = re.compile(r"\d\.\d{3}|\d (?:ms|µs|µm|px|mm)\b")
-"""In a sentence: what was measured, or could have been."""
+"""A figure in a sentence that was measured, or may have been."""
 
 
 class CommandFailed(Exception):
@@ -88,10 +88,10 @@ class CommandFailed(Exception):
 
 
 class Machine:
-    """A home folder of its own and a shell in it; programs of other terminals run beside it."""
+    """A separate home folder with a shell in it; programs of other terminals run beside it."""
 
     def __init__(self, home: Path, around: Sequence[str] = ()) -> None:
-        """around : a program that the shell is run by."""
+        """Start the shell. around : a program that runs the shell."""
         self._home = home
         kept = {name: value for name, value in os.environ.items() if name not in HERE_ONLY}
         self._shell = subprocess.Popen(
@@ -103,14 +103,14 @@ class Machine:
             cwd=home,
             env={**kept, "HOME": str(home), "COLUMNS": COLUMNS, "TERM": "dumb", "NO_COLOR": "1"},
         )
-        self.run("set -m")  # programs of other terminals are process groups: they end as a whole
+        self.run("set -m")  # programs of other terminals become process groups, which end as a whole
 
     def write(self, name: str, text: str) -> None:
-        """A file in the folder where the shell is."""
+        """Write a file in the shell's folder."""
         self.run(f"cat > {name} <<'END-OF-FILE'\n{text}END-OF-FILE")
 
     def run(self, command: str) -> list[str]:
-        """What the command says. Raises `CommandFailed`."""
+        """Run a command; return its output. Raises `CommandFailed`."""
         assert self._shell.stdin is not None and self._shell.stdout is not None
         self._shell.stdin.write(f"{command}\ncode=$?; echo; echo {DONE} $code\n")
         self._shell.stdin.flush()
@@ -125,7 +125,7 @@ class Machine:
         raise CommandFailed(f"$ {command}\nthe shell ended")
 
     def start(self, terminal: str, command: str) -> list[str]:
-        """What a program says until it is quiet; it goes on until the machine is closed."""
+        """Start a program; return its output until it is quiet. It runs until the machine is closed."""
         log = self._home / f".{terminal}.log"
         self.run(f"{{ {command}; }} >{log} 2>&1 </dev/null &")
         seen, since = "", time.monotonic()
@@ -143,7 +143,7 @@ class Machine:
         self._shell.communicate()
 
     def picture(self, name: str) -> Image | None:
-        """A picture that a command made in the folder where the shell is, SHOWN_PX wide."""
+        """A picture that a command made in the shell's folder, SHOWN_PX wide."""
         folder = Path(self.run("pwd")[0].replace("~", str(self._home), 1))
         picture = cv2.imread(str(folder / name)) if (folder / name).is_file() else None
         if picture is None:
@@ -158,7 +158,7 @@ class Machine:
 
 
 def rerun(page: Sequence[str], machine: Machine) -> list[str]:
-    """The page with what its commands say now. Raises `CommandFailed`."""
+    """The page with the present output of its commands. Raises `CommandFailed`."""
     written: list[str] = []
     fence, body, sentence = "", "", ""
     for line in page:
@@ -183,7 +183,7 @@ def rerun(page: Sequence[str], machine: Machine) -> list[str]:
 
 
 def stand_in(home: Path) -> None:
-    """This checkout in ~/edged as `tools/setup.sh` would leave it, with the Python that runs this."""
+    """Put this checkout in ~/edged as `tools/setup.sh` would leave it, with the Python that runs this."""
     tools, activate = home / "edged/tools", home / "edged/.venv/bin/activate"
     tools.mkdir(parents=True)
     (tools / "practice.py").symlink_to(ROOT / "tools/practice.py")
@@ -197,7 +197,7 @@ def stand_in(home: Path) -> None:
 
 
 def differences(page: Sequence[str], now: Sequence[str]) -> list[str]:
-    """The commands of a page that say something else now, each with what is gone (-) and new (+)."""
+    """Commands of a page whose output differs now, each with what is gone (-) and new (+)."""
     return [
         "\n".join([command, *changed])
         for (command, told), (_, said) in zip(_answers(page), _answers(now), strict=True)
@@ -206,7 +206,7 @@ def differences(page: Sequence[str], now: Sequence[str]) -> list[str]:
 
 
 def untrue(page: Sequence[str]) -> list[str]:
-    """What the sentences of a page say otherwise than its commands, or without a remark that holds it."""
+    """Statements of a page that contradict its commands, or have no remark that checks them."""
     found, said, paragraph, fence = list[str](), "", "", ""
     for line in [*page, ""]:
         if line.startswith(FENCE):
@@ -226,7 +226,7 @@ def untrue(page: Sequence[str]) -> list[str]:
 
 
 def _broken(remark: re.Match[str], said: str) -> str:
-    """Why a remark does not hold; "" where it does."""
+    """Why a remark does not hold; "" if it does."""
     numbers = list[float]()
     for pattern in filter(None, (remark["first"], remark["second"])):
         seen = re.findall(pattern, said)
@@ -253,7 +253,7 @@ def _answers(page: Sequence[str]) -> Iterator[tuple[str, list[str]]]:
 
 
 def _words(answer: Sequence[str]) -> list[str]:
-    """What is compared: tables by their words, as numbers decide how wide they are."""
+    """Words to compare: tables by their words, as numbers determine their width."""
     words: list[str] = []
     for line in answer:
         if not line.startswith(SETTING_UP) and not line.endswith(LATE):
@@ -266,7 +266,7 @@ def _words(answer: Sequence[str]) -> list[str]:
 
 
 def main() -> int:
-    """0: the page is as its commands say. 1: one of them failed, or (--check) says something else."""
+    """Return 0 if all commands ran; 1 if one failed, or (--check) if something differs."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )

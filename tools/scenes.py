@@ -1,7 +1,7 @@
 """Synthetic scenes with exact truth for the shape search.
 
-A part is a stack of polygons in its own plane, painted with the exact area that each covers of each
-pixel; then blur, shot and read noise.
+A part is a stack of polygons in its own plane, painted with the exact area of each pixel that each covers;
+then blur, shot and read noise follow.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ class Truth:
 
     @property
     def linear(self) -> Float:
-        """(2, 2) image from part."""
+        """Linear map (2, 2) from part to image."""
         return rotation_2d(self.angle) @ np.diag([self.scale_x, self.scale_y])
 
 
@@ -82,7 +82,7 @@ def flange(odd: bool, size: float = 250.0) -> Part:
 
 
 def other_part(size: float = 250.0) -> Part:
-    """Something else of the same size and grey."""
+    """Another part of the same size and grey."""
     k = size / 250
     gear = np.array(
         [
@@ -94,7 +94,7 @@ def other_part(size: float = 250.0) -> Part:
 
 
 def gear(size: float = 250.0) -> Part:
-    """A gear with a keyway: many equal teeth, one hint of the rotation."""
+    """A gear with a keyway: many equal teeth, one cue to the rotation."""
     k, teeth = size / 250, 16
     turns = np.arange(4 * teeth) * (2 * np.pi / (4 * teeth))
     radii = np.where(np.arange(4 * teeth) % 4 < 2, 120.0, 98.0)
@@ -140,7 +140,7 @@ def paint(canvas: npt.NDArray[np.float32], part: Part, truth: Truth) -> None:
 
 @dataclass(frozen=True, slots=True)
 class Look:
-    """How a scene is disturbed.
+    """Disturbances of a scene.
 
     noise : read noise, grey values.  clutter : number of distracting shapes.  occlusion : share of the
     part's disc covered by a strip.  invert : all contrasts.  gradient : relative change of light across.
@@ -186,7 +186,7 @@ def render(
         paint(canvas, part, truth)
     for part, truth in parts if look.occlusion else ():
         side, radius = rng.uniform(0, 2 * np.pi), part.radius
-        # a half plane's edge at this distance from the centre covers about that share of the diameter
+        # at this distance from the centre, a half plane covers about that share of the diameter
         depth = radius * (1 - 2 * look.occlusion)
         cover = Part(((box(0, 0, radius * 2, radius * 3), rng.uniform(30, 220)),))
         at = depth + radius
@@ -218,7 +218,7 @@ def bound_px(part: Part, look: Look, step: float = 140.0) -> float:
 
     A blurred step of height A in white noise holds A^2 / (2 sqrt(pi) s sigma^2) per px of its length.
     """
-    blur = np.hypot(look.blur, np.sqrt(1 / 12))  # a pixel averages over itself
+    blur = np.hypot(look.blur, np.sqrt(1 / 12))  # a pixel averages over its own area
     shot = (60 + 200) / 2 / 40
     density = step**2 / (2 * np.sqrt(np.pi) * blur * (look.noise**2 + shot + 1 / 12))
     information = np.zeros((3, 3))

@@ -1,8 +1,8 @@
 """The second pass by clicks: a VALID cell gets another camera, board, part and robot, without a restart.
 
-What is replaced is brought by hands beside the page (`Bench`); all else is pressed on it. Calibrating and
+Replacements are brought by hands beside the page (`Bench`); everything else is pressed on it. Calibrating and
 teaching are begun again after a release, after a stop and after a draft was discarded; at the end the cell
-goes back to the release that it began with, and forward again.
+goes back to its first release, and forward again.
 """
 
 from __future__ import annotations
@@ -43,26 +43,26 @@ from edged.vision.geometry.rigid import rotation_matrix, transform
 
 SPARE = ("127.0.0.3", "EDGED-VIRTUAL-S")
 SPARE_MM, SPARE_DEG = (4.0, -2.0, 1.0), (0.4, -0.5, 1.0)
-"""Where the other camera stands against the one whose place it takes."""
+"""Pose of the other camera relative to the one that it replaces."""
 LONGER = 1.01
-"""Its focal length against that one's."""
+"""Its focal length relative to that camera's."""
 OTHER_GRID = (10, 7, 4.5)
 """Inner corners and squares (mm) of the other board."""
 WRONG_SIZE = (9, 8)
-"""Inner corners that the other board has not."""
+"""Inner corners that differ from the other board's."""
 OTHER_BRAND = "fanuc"
 POSES = 10
 SETTING = '[name="cameras.max_arrival_skew_ms"]'
 LOST_PACKET = 5
-"""Of a picture: neither its leader nor its trailer."""
+"""Number of the lost packet of a picture: neither its leader nor its trailer."""
 SETTLED = "new Promise((done) => setTimeout(done, 1500))"
-"""Until a page has asked for what is so now."""
+"""Time for a page to request the present state."""
 RELEASES = """[...document.querySelectorAll("#releases ~ ul .tile")].map((tile) => [
   Number(/\\d+/.exec(tile.querySelector("h3").innerText)[0]), Boolean(tile.querySelector(".now"))])"""
 
 
 class Losses:
-    """Every second picture of a camera lacks a packet that cannot be had again, while it is on."""
+    """While it is on, every second picture of a camera lacks a packet that cannot be resent."""
 
     def __init__(self, camera: GigeCamera) -> None:
         self._camera, self._whole = camera, camera.exposure
@@ -80,7 +80,7 @@ class Losses:
 
 @dataclass(frozen=True, slots=True)
 class Bench:
-    """What lies beside the cell, for who brings it. losses : None where no picture is lost."""
+    """Spare devices beside the cell, and the hands that bring them. losses : None if no picture is lost."""
 
     world: VirtualWorld
     parts: tuple[Part, Part]
@@ -89,28 +89,28 @@ class Bench:
 
     @property
     def stage(self) -> Stage:
-        """Of the world. Raises ValueError without one."""
+        """Stage of the world. Raises ValueError without one."""
         if self.world.stage is None:
             raise ValueError("no stage")
         return self.world.stage
 
     def lay(self, number: int) -> None:
-        """The first (0) or the other part (1) is there."""
+        """Put the first (0) or the other part (1) there."""
         self.world.cell.part = self.parts[number]
 
     def see(self, number: int) -> None:
-        """Hands go by what the first (0) or the other right camera (1) sees."""
+        """Let the hands follow the view of the first (0) or the other right camera (1)."""
         self.world.cell.stand_in("right", self.views[number])
 
     def lose(self, is_on: bool) -> None:
-        """Whether pictures are lost from now on."""
+        """Set whether pictures are lost from now on."""
         if self.losses is not None:
             self.losses.is_on = is_on
 
 
 @contextlib.contextmanager
 def bench(world: VirtualWorld, *, loses: bool) -> Iterator[Bench]:
-    """The other camera on the network beside the two of a world, and what else is to be brought."""
+    """Run the other camera on the network beside the two of a world; yields everything to be brought."""
     cell, first = world.cell, world.cell.view("right")
     moved = transform(rotation_matrix(np.radians(SPARE_DEG)), np.array(SPARE_MM)) @ first.camera_from_rig
     lens = replace(first.camera, fx=LONGER * first.camera.fx, fy=LONGER * first.camera.fy)
@@ -131,7 +131,7 @@ async def second_pass(
     *,
     backward: bool = False,
 ) -> dict[str, Any]:
-    """From a VALID cell to another one that is VALID, back, and forward again; figures by their names.
+    """From a VALID cell to another one that is VALID, back, and forward again; return figures by name.
 
     goal_um : of the calibration. tried : places of the part on the page, before its job is used.
     backward : the steps in the other order, from settings to cameras.
@@ -176,7 +176,7 @@ async def second_pass(
 async def released(
     page: Browser, beside: Bench, number: int, which: int, modbus: int, password: str
 ) -> dict[str, Any]:
-    """Back to a release, with its camera and part (0: the first, 1: the other); what is VALID then."""
+    """Go back to a release, with its camera and part (0: the first, 1: the other); return `now_valid`."""
     beside.lose(True)
     await go_back(page, number, password)
     beside.lay(which)
@@ -194,7 +194,7 @@ async def now_valid(page: Browser, modbus: int) -> dict[str, Any]:
 
 
 async def take_again(page: Browser) -> None:
-    """From the running cell, whose question is answered."""
+    """Take the running cell for setting up, and answer its question."""
     await press(page, "Take the cell")
     await long(page, f"{DIALOG} || document.querySelector('.lease.mine')")
     if await page.value(f"Boolean({DIALOG})"):
@@ -203,7 +203,7 @@ async def take_again(page: Browser) -> None:
 
 
 async def release_in_use(page: Browser) -> int:
-    """Its number, as System says it once it has asked."""
+    """Number of the release in use, as shown by System once it is up to date."""
     await page.click('a[href="#/system"]')
     await page.value(SETTLED)
     await long(page, f"{RELEASES}.some(([, isUsed]) => isUsed)")
@@ -211,7 +211,7 @@ async def release_in_use(page: Browser) -> int:
 
 
 async def another_camera(page: Browser, beside: Bench) -> None:
-    """The spare one becomes the right one; both are exchanged and back again, by a wave."""
+    """Make the spare camera the right one; exchange both and back again, by a wave."""
     await follow(page, "cameras")
     await press(page, "Search again")
     tile = f"""[...document.querySelectorAll(".tile")].find((one) => one.innerText.includes("{SPARE[1]}"))"""
@@ -221,13 +221,13 @@ async def another_camera(page: Browser, beside: Bench) -> None:
     await long(page, f'{tile}?.innerText.includes("right camera")')
     await page.click(f'[aria-label="Use as left camera: {SPARE[1]}"]')
     await long(page, f'{tile}?.innerText.includes("left camera")')
-    await waved(page, "left and right have been exchanged")  # the left picture is the right one, by mistake
+    await waved(page, "left and right have been exchanged")  # the left picture was the right one, by mistake
     await long(page, f'{tile}?.innerText.includes("right camera")')
     await done(page, "Take a test pair", said("ms between the two exposures"))
 
 
 async def check_again(page: Browser) -> None:
-    """By the board in the hand, which the page must have chosen."""
+    """Check with the board in the hand, which the page must have chosen."""
     await press(page, "Hold the board")
     await press(page, "Lay the board down")
     await check(page)
@@ -236,7 +236,7 @@ async def check_again(page: Browser) -> None:
 async def calibrate_again(
     page: Browser, clicks: Clicks, beside: Bench, goal_um: float, password: str
 ) -> None:
-    """Another camera and board: begun with the wrong one, discarded, stopped, begun anew, solved, used."""
+    """Another camera and board: begin with the wrong one, discard, stop, begin anew, solve, activate."""
     await another_camera(page, beside)
     beside.stage.take_board(*OTHER_GRID)
     await press(page, "Hold the board")
@@ -261,7 +261,7 @@ async def calibrate_again(
 
 
 async def anew(page: Browser, another: str, beginning: str) -> None:
-    """To where a page begins: by its button, unless it has left what is in use by itself."""
+    """Go to the beginning of a page: by its button, unless the page has left what is in use by itself."""
     await page.value(SETTLED)
     if not await page.value(said(beginning)):
         await press(page, another)
@@ -269,7 +269,7 @@ async def anew(page: Browser, another: str, beginning: str) -> None:
 
 
 async def discard_here(page: Browser) -> None:
-    """The draft that is shown, and its question answered."""
+    """Discard the draft that is shown, and answer its question."""
     await press(page, "Discard")
     await page.until(DIALOG)
     await page.click("dialog[open] .primary")
@@ -277,7 +277,7 @@ async def discard_here(page: Browser) -> None:
 
 
 async def teach_another(page: Browser, beside: Bench, password: str) -> None:
-    """Another part: begun, discarded, begun again, used."""
+    """Teach another part: begin, discard, begin again, use it."""
     beside.lay(1)
     await press(page, "Lay the part")
     await follow(page, "teach")
@@ -292,7 +292,7 @@ async def teach_another(page: Browser, beside: Bench, password: str) -> None:
 
 
 async def another_robot(page: Browser, password: str) -> None:
-    """Of another brand, which holds the board in ten poses."""
+    """Register a robot of another brand, which holds the board in ten poses."""
     await press(page, "Hold the board")
     await follow(page, "robot")
     await anew(page, "Begin another one", "How do you want to do it?")
@@ -316,14 +316,14 @@ async def another_robot(page: Browser, password: str) -> None:
 
 
 async def setting(page: Browser) -> str:
-    """The one that is changed meanwhile, as the page has it."""
+    """Value of the setting that is changed meanwhile, as the page shows it."""
     await page.click('a[href="#/settings"]')
     await long(page, f"document.querySelector('{SETTING}')")
     return str(await page.value(f"document.querySelector('{SETTING}').value"))
 
 
 async def other_settings(page: Browser, password: str) -> None:
-    """For which the cameras are opened anew: their live pictures come again."""
+    """Change a setting for which the cameras are opened anew, and wait for new live pictures."""
     before = await setting(page)
     await page.type(SETTING, before + "5")
     await release(page, "Use these settings", password)
@@ -336,7 +336,7 @@ async def other_settings(page: Browser, password: str) -> None:
 
 
 async def give_back(page: Browser) -> None:
-    """With the part before the cameras. A cell that loses pictures is seen to measure all the same."""
+    """Give the cell back with the part before the cameras; it must measure, even if it loses pictures."""
     await press(page, "Lay the part")
     await follow(page, "plc")
     await page.click("main .primary.big")
@@ -346,7 +346,7 @@ async def give_back(page: Browser) -> None:
 
 
 async def use_job(page: Browser, number: int) -> None:
-    """By its tile, unless it is in use, or becomes so by itself where the other one is gone."""
+    """Use a job by its tile, unless it is in use, or becomes so by itself because the other one is gone."""
     await page.click('a[href="#/jobs"]')
     tile = f"""[...document.querySelectorAll(".tile.job")].find((one) =>
       one.querySelector(".count").innerText === "{number}")"""
@@ -360,7 +360,7 @@ async def use_job(page: Browser, number: int) -> None:
 
 
 async def go_back(page: Browser, number: int, password: str) -> None:
-    """To a release, by the button of its tile."""
+    """Go back to a release, by the button of its tile."""
     await page.click('a[href="#/system"]')
     await page.click(f'[aria-label="Use it again: release {number}"]')
     await page.until(DIALOG)

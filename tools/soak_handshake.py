@@ -1,9 +1,9 @@
 #!/usr/bin/env python3
 """Simulate days of handshakes with faults, restarts and reloads in virtual time and look for violations.
 
-Run it with the project's Python: `.venv/bin/python tools/soak_handshake.py --hours 24`. What is simulated and
-which rules are checked stands in `tests/helpers/soak.py`. Exit code 1 if any
-rule was broken; a seed repeats a run.
+Run it with the project's Python: `.venv/bin/python tools/soak_handshake.py --hours 24`. The simulation and
+the rules that it checks are in `tests/helpers/soak.py`. Exit code 1 if any rule was broken; a seed repeats a
+run.
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ from helpers.soak import Soak
 
 
 def main(hours: float, seed: int, block_hours: float, image_hours: float) -> int:
-    """Print what happened and what should not have."""
-    logging.disable(logging.CRITICAL)  # refused and failed commands by the thousand are what is simulated
+    """Print what happened, and any violations."""
+    logging.disable(logging.CRITICAL)  # thousands of refused and failed commands are simulated
     start_s = time.monotonic()
     book = Soak(seed, block_hours * 3600, image_s=image_hours * 3600).run(hours * 3600)
     print(f"{hours:g} h of handshakes in {time.monotonic() - start_s:.0f} s, seed {seed}")

@@ -21,11 +21,11 @@ from edged.domain.arrays import FloatArray
 from edged.vision.teaching.cadmodel import CadModel, FlatSurface, RoundSurface, Surface, welded
 
 SAGITTA_MM, LINE_MM = 6e-4, 0.8
-"""Arcs are drawn as chords so near to them, lines as pieces so long, as the lens bends them."""
+"""Maximum deviation of chords from arcs, and length of the pieces of lines, which the lens bends."""
 ROUND_STEPS = 8
 CLEAR_MM = 1.5
-"""Between two outlines on one face: wider than two breaks, and than the pieces of lines, so that the
-triangles of a face end at its outlines."""
+"""Least distance of two outlines on one face: more than two breaks, and more than the pieces of lines, so
+that the triangles of a face end at its outlines."""
 TRIES = 60
 UP = np.array([0.0, 0.0, -1.0])
 
@@ -34,7 +34,7 @@ UP = np.array([0.0, 0.0, -1.0])
 class Outline:
     """A closed curve, counter-clockwise in x and y.
 
-    corners (N) : where its sides meet.  centres (N) : of the side from corner k to the next, None for a line.
+    corners (N) : where its sides meet.  centres (N) : of the side from corner k to the next; None for a line.
     Arcs turn counter-clockwise.
     """
 
@@ -42,7 +42,7 @@ class Outline:
     centres: tuple[tuple[float, float] | None, ...]
 
     def offset(self, grow_mm: float) -> Outline:
-        """The curve so much farther out on all sides, with as many corners."""
+        """The curve moved outwards by a distance on all sides, with as many corners."""
         before = [self._tangent(k - 1, at_end=True) for k in range(len(self.corners))]
         after = [self._tangent(k, at_end=False) for k in range(len(self.corners))]
         corners = [self._moved(k, before[k], after[k], grow_mm) for k in range(len(self.corners))]
@@ -57,7 +57,7 @@ class Outline:
         return np.array([-y, x]) / math.hypot(x, y)
 
     def _moved(self, k: int, before: FloatArray, after: FloatArray, grow_mm: float) -> tuple[float, float]:
-        """Corner k of the curve that lies grow_mm farther out."""
+        """Corner k of the curve moved outwards by grow_mm."""
         corner, outward = np.array(self.corners[k]), np.array([[a[1], -a[0]] for a in (before, after)])
         if abs(before[0] * after[1] - before[1] * after[0]) < 1e-6:
             return tuple((corner + grow_mm * outward[0]).tolist())
@@ -73,11 +73,11 @@ class Outline:
         return tuple(min(ends, key=lambda end: float(np.linalg.norm(end - corner))).tolist())
 
     def radius(self, side: int) -> float:
-        """Of an arc."""
+        """Radius of an arc."""
         return float(np.linalg.norm(np.subtract(self.corners[side], self.centres[side])))
 
     def pieces(self) -> tuple[int, ...]:
-        """Into how many chords each side is divided."""
+        """Number of chords into which each side is divided."""
         counts = []
         for side, centre in enumerate(self.centres):
             if centre is None:
@@ -89,14 +89,14 @@ class Outline:
         return tuple(counts)
 
     def angles(self, side: int) -> tuple[float, float]:
-        """Where an arc begins, and how far it turns, rad."""
+        """Start angle of an arc, and the angle that it turns, rad."""
         centre = np.array(self.centres[side])
         start, end = (np.array(self.corners[(side + k) % len(self.corners)]) - centre for k in (0, 1))
         first = math.atan2(start[1], start[0])
         return first, (math.atan2(end[1], end[0]) - first) % math.tau or math.tau
 
     def points(self, pieces: Sequence[int]) -> FloatArray:
-        """(M, 2) along the curve, each side in so many pieces, without its own end."""
+        """Points (M, 2) along the curve, each side in a number of pieces, without its end point."""
         found = []
         for side, (centre, count) in enumerate(zip(self.centres, pieces, strict=True)):
             share = np.arange(count)[:, None] / count
@@ -111,7 +111,7 @@ class Outline:
 
 
 def circle(x: float, y: float, radius: float) -> Outline:
-    """Two half circles."""
+    """A circle of two half circles."""
     return Outline(((x + radius, y), (x - radius, y)), ((x, y), (x, y)))
 
 
@@ -179,11 +179,11 @@ class Design:
 
     @property
     def thickness(self) -> float:
-        """Of the base."""
+        """Thickness of the base."""
         return self.walls[0].bottom
 
     def levels(self) -> Iterator[tuple[float, bool, Wall, list[Wall]]]:
-        """Each level face: z, if it looks up, the wall around it, and those within it."""
+        """Each level face: z, whether it looks up, the wall around it, and the walls within it."""
         yield self.thickness, False, self.walls[0], [w for w in self.walls if self.is_through(w)]
         for number, wall in enumerate(self.walls):
             if not self.is_through(wall):
@@ -191,15 +191,15 @@ class Design:
                 yield z, True, wall, [w for w in self.walls if w.parent == number]
 
     def is_through(self, wall: Wall) -> bool:
-        """Whether a hole comes out below."""
+        """Whether the wall is a hole that goes through to the underside."""
         return not wall.solid and wall.bottom == self.thickness
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Mesh:
-    """A part's triangles, and of each the kind of its face: "face", "wall", "break", "under" or "beneath".
+    """A part's triangles, and the kind of each one's face: "face", "wall", "break", "under" or "beneath".
 
-    "beneath" is no part of it: what closes the holes that come out below.  hole (M,) : in a hole.
+    "beneath" is not part of it: it closes the holes at the underside.  hole (M,) : in a hole.
     """
 
     model: CadModel
@@ -208,7 +208,7 @@ class Mesh:
 
 
 def meshed(design: Design, *, nominal: bool, closed_below: bool = False) -> Mesh:
-    """The part with its breaks, or as its drawing has it; closed_below : holes end in the plane below."""
+    """The part with its breaks, or nominal; closed_below : through holes are closed in the plane below."""
     corners: list[FloatArray] = []
     surfaces: list[Surface | None] = []
     rows: list[tuple[int, str, bool]] = []
@@ -236,7 +236,7 @@ def meshed(design: Design, *, nominal: bool, closed_below: bool = False) -> Mesh
 
 
 def _end(wall: Wall, z: float, nominal: bool) -> FloatArray:
-    """Points (M, 2) of the curve in which a wall meets a level face at z."""
+    """Points (M, 2) of the curve where a wall meets a level face at z."""
     grow_mm = next(grow for grow, height in wall.profile(nominal=nominal) if height == z)
     return wall.outline.offset(grow_mm).points(wall.outline.pieces())
 
@@ -268,7 +268,7 @@ def _add_strips(wall: Wall, nominal: bool, add: Any) -> None:
 def _side_surface(
     wall: Wall, side: int, upper: tuple[float, float], lower: tuple[float, float]
 ) -> Surface | None:
-    """What one side of a wall, or of its break, is part of."""
+    """Surface of one side of a wall, or of its break; None for a rounding."""
     is_break = upper[0] != lower[0]
     if is_break and wall.form == "round":
         return None
@@ -288,7 +288,7 @@ def _level(z: float, looks_up: bool, outer: FloatArray, inner: list[FloatArray])
     curves = [outer, *inner]
     points = np.concatenate(curves)
     far = 100.0 * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
-    # corners far outside: else what lies between points on one line may be taken for a triangle
+    # corners far outside: otherwise the area between collinear points may become a triangle
     triangles = Delaunay(np.concatenate([points, far])).simplices
     triangles = triangles[(triangles < len(points)).all(axis=1)]
     middles = points[triangles].mean(axis=1)
@@ -303,7 +303,7 @@ def _level(z: float, looks_up: bool, outer: FloatArray, inner: list[FloatArray])
 
 
 def is_inside(curve: FloatArray, points: FloatArray) -> Any:
-    """(N,) whether points (N, 2) lie within a closed curve (M, 2)."""
+    """Mask (N,) of points (N, 2) within a closed curve (M, 2)."""
     ahead = np.roll(curve, -1, axis=0)
     across = (curve[:, 1] > points[:, 1:]) != (ahead[:, 1] > points[:, 1:])
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -345,7 +345,7 @@ def _base(rng: np.random.Generator) -> Outline:
 
 
 def _raise_boss(walls: list[Wall], name: str, rng: np.random.Generator) -> None:
-    """A boss on the base, or on another boss; and in most a hole, where there is room."""
+    """Add a boss on the base, or on another boss; and in most a hole, if there is space."""
     parent = int(rng.choice([k for k, wall in enumerate(walls) if wall.solid]))
     height = float(rng.uniform(0.8, 5))
     for _ in range(TRIES):
@@ -365,7 +365,7 @@ def _raise_boss(walls: list[Wall], name: str, rng: np.random.Generator) -> None:
 
 
 def _sink_hole(walls: list[Wall], name: str, rng: np.random.Generator) -> None:
-    """A round hole through the base, a counterbored one, or a pocket."""
+    """Add a round hole through the base, a counterbored one, or a pocket."""
     kind = rng.choice(["through", "through", "through", "blind", "counterbore", "slot", "pocket"])
     for _ in range(TRIES):
         x, y, radius = rng.uniform(-14, 14), rng.uniform(-11, 11), rng.uniform(1, 2.6)
@@ -387,7 +387,7 @@ def _sink_hole(walls: list[Wall], name: str, rng: np.random.Generator) -> None:
 
 
 def _fits(walls: list[Wall], parent: int, outline: Outline) -> bool:
-    """Whether an outline lies within its parent's, clear of it and of all else that cuts through there."""
+    """Whether an outline lies within its parent's, clear of it and of everything else that cuts there."""
     points = outline.points(outline.pieces())
     for number, wall in enumerate(walls):
         other = wall.outline.points(wall.outline.pieces())
@@ -400,7 +400,7 @@ def _fits(walls: list[Wall], parent: int, outline: Outline) -> bool:
 
 
 def _holds(walls: list[Wall], number: int, parent: int) -> bool:
-    """Whether a wall goes around another, or is it."""
+    """Whether a wall encloses another, or is it."""
     while parent >= 0:
         if parent == number:
             return True
@@ -409,7 +409,7 @@ def _holds(walls: list[Wall], number: int, parent: int) -> bool:
 
 
 def _broken(walls: list[Wall], rng: np.random.Generator) -> Iterator[Wall]:
-    """The walls with their breaks: none in one design of four, else of one size, or of several."""
+    """The walls with their breaks: none in one design of four, otherwise of one size, or of several."""
     if rng.random() < 0.2:
         yield from walls
         return

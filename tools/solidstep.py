@@ -16,11 +16,11 @@ ENDSEC;
 DATA;
 """
 Loop = list[tuple[int, bool]]
-"""Edges, and if each is walked from its start to its end."""
+"""Edges, and whether each is walked from its start to its end."""
 
 
 class _Writer:
-    """Numbers the entities of a file, the same text only once."""
+    """Numbers the entities of a file; equal texts share a number."""
 
     def __init__(self) -> None:
         self.numbers: dict[str, int] = {}
@@ -44,14 +44,14 @@ class _Writer:
         return self.put(f"VERTEX_POINT('',#{self.point(place)})")
 
     def straight(self, start: FloatArray, end: FloatArray) -> int:
-        """An edge that is a line."""
+        """Add an edge that is a line."""
         along = (end - start) / np.linalg.norm(end - start)
         vector = self.put(f"VECTOR('',#{self.direction(along)},1.)")
         line = self.put(f"LINE('',#{self.point(start)},#{vector})")
         return self.put(f"EDGE_CURVE('',#{self.vertex(start)},#{self.vertex(end)},#{line},.T.)")
 
     def arc(self, start: FloatArray, end: FloatArray, centre: FloatArray, radius: float) -> int:
-        """An edge that is an arc, counter-clockwise in x and y."""
+        """Add an edge that is an arc, counter-clockwise in x and y."""
         ring = self.put(f"CIRCLE('',#{self.frame(centre, -UP)},{radius:.9f})")
         return self.put(f"EDGE_CURVE('',#{self.vertex(start)},#{self.vertex(end)},#{ring},.T.)")
 
@@ -65,13 +65,13 @@ class _Writer:
 
 
 def step_text(design: Design) -> str:
-    """The part as its drawing has it, without the breaks."""
+    """The nominal part, without its breaks, as STEP text."""
     writer = _Writer()
     faces = [face for wall in design.walls for face in _wall_faces(writer, wall)]
     for z, looks_up, around, within in design.levels():
         plane = writer.put(f"PLANE('',#{writer.frame(np.array([0.0, 0.0, z]), UP if looks_up else -UP)})")
         loops = [_ring(writer, wall.outline, z) for wall in (around, *within)]
-        # counter-clockwise in x and y is clockwise for who looks down on the part
+        # counter-clockwise in x and y is clockwise seen from above the part
         turned = [loop if (number == 0) != looks_up else _reversed(loop) for number, loop in enumerate(loops)]
         faces.append(writer.face(plane, turned))
     shell = writer.put(f"CLOSED_SHELL('',({_references(faces)}))")
@@ -120,7 +120,7 @@ def _reversed(loop: Loop) -> Loop:
 
 
 def _product(writer: _Writer, name: str, solid: int) -> None:
-    """What AP214 wants around a solid: a product, its shape, and units."""
+    """Add the product, shape and units that AP214 requires around a solid."""
     put = writer.put
     units = [
         put("(LENGTH_UNIT() NAMED_UNIT(*) SI_UNIT(.MILLI.,.METRE.))"),

@@ -1,4 +1,4 @@
-"""The truth of random parts in the format of data/rendered: of the rig, of drawings, of scenes."""
+"""Truth of random parts in the format of data/rendered: for the rig, for drawings, for scenes."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from edged.vision.geometry.rigid import apply
 
 
 def rig_json(rig: StereoRig) -> dict[str, Any]:
-    """As in data/rendered: x_right = R x_left + T, mm."""
+    """Rig as in data/rendered: x_right = R x_left + T, mm."""
 
     def camera(one: CameraModel) -> dict[str, Any]:
         matrix = [[one.fx, 0.0, one.cx], [0.0, one.fy, one.cy], [0.0, 0.0, 1.0]]
@@ -34,7 +34,7 @@ def rig_json(rig: StereoRig) -> dict[str, Any]:
 
 
 def write_drawing(folder: Path, design: Design) -> None:
-    """The nominal part as STEP, and what it shows."""
+    """Write the nominal part as STEP, and its features."""
     (folder / f"{design.name}.step").write_text(step_text(design))
     breaks = {wall.name: [wall.form, wall.break_mm] for wall in design.walls if wall.break_mm}
     features = [one for wall in design.walls for one in _curves(wall, wall.outline, wall.top, wall.name)]
@@ -44,7 +44,7 @@ def write_drawing(folder: Path, design: Design) -> None:
 
 
 def part_json(design: Design, rig_from_part: FloatArray, tilt_deg: float, rig: StereoRig) -> dict[str, Any]:
-    """One part of a scene's truth."""
+    """Truth of one part of a scene."""
     circles, lines, breaks = [], [], []
     for wall in design.walls:
         upper = wall.outline.offset(wall.profile(nominal=False)[0][0])
@@ -70,7 +70,7 @@ def part_json(design: Design, rig_from_part: FloatArray, tilt_deg: float, rig: S
 
 
 def _curves(wall: Wall, outline: Outline, z: float, name: str) -> list[dict[str, Any]]:
-    """The circles (or arcs, with their share of one) and straight lines of an outline at a level."""
+    """Circles (or arcs, with their share of a circle) and straight lines of an outline at a level."""
     kind, found = "boss" if wall.solid else "hole", []
     rings: dict[tuple[float, float], float] = {}
     for side, centre in enumerate(outline.centres):
@@ -90,7 +90,7 @@ def _curves(wall: Wall, outline: Outline, z: float, name: str) -> list[dict[str,
 
 
 def _break_json(wall: Wall) -> list[dict[str, Any]]:
-    """The breaks of a wall's upper edge: of each circle or arc its nominal, face and wall end."""
+    """Breaks of a wall's upper edge: for each circle or arc, its nominal, face and wall end."""
     grow, found = wall.profile(nominal=False)[0][0], []
     for one in _curves(wall, wall.outline, wall.top, wall.name):
         if one["shape"] == "circle":

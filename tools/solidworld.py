@@ -3,14 +3,14 @@
 
     tools/solidworld.py FOLDER [--designs N] [--scenes N] [--decoys N] [--held-out] [--first N] [--seed N]
 
-Every design (`solids`) is drawn from its number: those from HELD_OUT on are for judging and are never looked
-at while something is built. FOLDER gets rig.json, teach/ (one pair for each, square to the cameras), scenes/
-and step/ (the part as its drawing has it, without the broken edges). `tools/bench solid FOLDER` measures it.
+Every design (`solids`) is drawn from its number. Those from HELD_OUT on are reserved for evaluation and are
+never looked at during development. FOLDER gets rig.json, teach/ (one pair for each, square to the cameras),
+scenes/ and step/ (the nominal part, without the broken edges). `tools/bench solid FOLDER` measures it.
 
-Brightness is not computed from light but drawn, so that no finder can rely on how surfaces behave: walls have
-0.05 to 1.5 of the face's, broken edges are dark, as bright as the face or the wall, or glint, in each camera
-by itself. Blur grows away from where the lens is in focus. Not modelled: shadows, and what one surface throws
-on another; the table lies below the part without touching it.
+Brightness is not computed from light but random, so that no finder can rely on how surfaces behave. Walls
+have 0.05 to 1.5 of the face's. Broken edges are dark, as bright as the face or the wall, or glint, in half of
+the scenes differently in each camera. Blur grows with the distance from the plane of focus. Not modelled:
+shadows, and reflections of one surface on another; the table lies below the part without touching it.
 """
 
 from __future__ import annotations
@@ -51,11 +51,11 @@ TILE, GRAIN_TEXELS = 512, 8
 BLURS = 3
 FULL_WELL_E, READ_E, BLACK, WHITE = 12_000.0, 12.0, 3.0, 220.0
 UPRIGHT = 0.2
-"""A drawn normal's least part along z, of what is no wall."""
+"""Least z component of a drawn normal that is not a wall's."""
 
 
 def world_rig() -> StereoRig:
-    """Two cameras of 1280x960, f 3043 px, that look at a place 200 mm away from both sides."""
+    """Two cameras of 1280x960, f 3043 px, looking from two sides at a point 200 mm away."""
     rig = demo_rig()
     left, right = (
         replace(camera, fx=f, fy=f, distortion=(0.96 * camera.distortion[0],))
@@ -71,8 +71,8 @@ def world_rig() -> StereoRig:
 class BreakLook:
     """Brightness of broken edges in one camera, relative to the face.
 
-    level : from all sides.  glint : more of it where they face azimuth_rad, about so wide; of a rounding,
-    where it leans by lean_rad off the face.
+    level : brightness from all directions.  glint : added where they face azimuth_rad, within width_rad; for
+    a rounding, where it leans by lean_rad off the face.
     """
 
     level: float
@@ -84,7 +84,7 @@ class BreakLook:
 
 @dataclass(frozen=True, slots=True)
 class Look:
-    """How a scene is lit and seen; brightness of walls relative to the face."""
+    """Light and camera effects of a scene; brightness of walls relative to the face."""
 
     albedo: float
     contrast: float
@@ -107,7 +107,7 @@ class Look:
 
     @classmethod
     def drawn(cls, rng: np.random.Generator) -> Look:
-        """At random."""
+        """Random look."""
         wall = math.exp(rng.uniform(math.log(0.05), math.log(1.5)))
         first = _break_look(wall, rng)
         second = first if rng.random() < 0.5 else _break_look(wall, rng)
@@ -136,7 +136,7 @@ def _break_look(wall: float, rng: np.random.Generator) -> BreakLook:
 
 
 def brightness(mesh: Mesh, look: Look, camera: int, rng: np.random.Generator) -> FloatArray:
-    """(M,) radiance of each triangle."""
+    """Radiance (M,) of each triangle."""
     _, normals = triangle_normals(mesh.model)
     azimuth = np.arctan2(normals[:, 1], normals[:, 0])
     lean = np.arccos(np.clip(-normals[:, 2], -1, 1))
@@ -188,7 +188,7 @@ def cover(
             for k in range(3):
                 p, q = triangles[t, k], triangles[t, (k + 1) % 3]
                 if samples[p, 1] > samples[q, 1]:
-                    p, q = q, p  # a side that two triangles share is cut in the same place
+                    p, q = q, p  # a side shared by two triangles is cut at the same place
                 if samples[p, 1] <= row < samples[q, 1]:
                     share = (row - samples[p, 1]) / (samples[q, 1] - samples[p, 1])
                     x = samples[p, 0] + share * (samples[q, 0] - samples[p, 0])
@@ -213,7 +213,7 @@ def shade(
     owner: Any, nearest: Any, levels: FloatArray, contrast: FloatArray, planes: FloatArray, scale: float,
     texture: Any, shifts: FloatArray, radiance: Any, depth: Any,
 ) -> None:  # fmt: skip
-    """Blend what the samples see into radiance (h, w) and depth (h, w): several each, one below another.
+    """Blend what the samples see into radiance and depth (h, w): several samples each, one below another.
 
     owner, nearest : of `cover`.  levels, contrast (M), planes (M, 3, 3) : of triangles.  scale : texels a mm.
     """
@@ -244,7 +244,7 @@ def shade(
 
 @functools.cache
 def grain(seed: int) -> Any:
-    """(TILE, TILE) periodic noise of mean 0 and deviation 1; its shortest wave is GRAIN_TEXELS long."""
+    """Periodic noise (TILE, TILE) of mean 0 and deviation 1; its shortest wave is GRAIN_TEXELS long."""
     frequency = np.hypot(np.fft.fftfreq(TILE)[:, None], np.fft.rfftfreq(TILE)[None])
     band = np.where(
         (frequency > 4 / TILE) & (frequency < 1 / GRAIN_TEXELS), 1 / np.maximum(frequency, 1e-9), 0
@@ -262,7 +262,7 @@ def textured(u: FloatArray, v: FloatArray, feature_mm: float, seed: int) -> Any:
 
 @dataclass(frozen=True, slots=True)
 class World:
-    """A part where it lies; seed: of textures and noise."""
+    """A part in its pose; seed: of textures and noise."""
 
     design: Design
     rig_from_part: FloatArray
@@ -308,7 +308,7 @@ def _table(world: World, mesh: Mesh, camera: CameraModel, camera_from_rig: Float
     """Radiance (H, W) and depth (H, W) of a table square to the cameras' middle, below the part."""
     look = world.look
     table = camera_from_rig @ _table_frame(world, mesh)
-    y, x = np.mgrid[0 : camera.height : 4, 0 : camera.width : 4]  # the lens bends by nothing within 4 px
+    y, x = np.mgrid[0 : camera.height : 4, 0 : camera.width : 4]  # distortion is negligible within 4 px
     rays = rays_of_pixels(camera, np.stack([x, y], axis=-1).astype(float))
     rays = np.concatenate([rays, np.ones((*rays.shape[:2], 1))], axis=2)
     depth = (table[:3, 2] @ table[:3, 3]) / (rays @ table[:3, 2])
@@ -320,7 +320,7 @@ def _table(world: World, mesh: Mesh, camera: CameraModel, camera_from_rig: Float
 
 
 def _between(coarse: FloatArray, camera: CameraModel) -> FloatArray:
-    """(H, W) from every fourth row and column."""
+    """Interpolate to (H, W) from every fourth row and column."""
     y, x = np.mgrid[0 : camera.height, 0 : camera.width].astype(np.float32) / 4
     padded = np.pad(coarse, ((0, 1), (0, 1)), mode="reflect", reflect_type="odd")
     return np.asarray(cv2.remap(padded.astype(np.float32), x, y, cv2.INTER_LINEAR))
@@ -341,7 +341,7 @@ def _draw(
     height, width = fine[0].shape
     nearest = np.zeros((height * ROWS // COLUMNS, width), np.float32)
     owner = np.full(nearest.shape, -1, np.int32)
-    # a pixel reaches from half a pixel before its middle to half a pixel behind it
+    # a pixel extends from half a pixel before its middle to half a pixel after it
     samples = (pixels + 0.5 - corner) * (COLUMNS, ROWS) - (0.0, 0.5)
     triangles = mesh.model.triangles.astype(np.int64)
     cover(np.ascontiguousarray(samples), 1 / depth_mm, triangles, np.array(SHIFTS), 0, 0, nearest, owner)
@@ -352,9 +352,9 @@ def _draw(
 
 
 def _planes(mesh: Mesh, samples: FloatArray, inverse_depth: FloatArray) -> FloatArray:
-    """(M, 3, 3) what takes (column, row, 1) to (u, v, 1) / depth, u and v mm on the triangle's surface.
+    """Maps (M, 3, 3) from (column, row, 1) to (u, v, 1) / depth, u and v in mm on the triangle's surface.
 
-    u and v are x and y on faces; on walls height, and what of x and y lies more along them.
+    On faces u and v are x and y; on walls they are height, and whichever of x and y runs more along them.
     """
     model = mesh.model
     normals = np.abs(triangle_normals(model)[1])
@@ -365,7 +365,7 @@ def _planes(mesh: Mesh, samples: FloatArray, inverse_depth: FloatArray) -> Float
     axes = np.array([[0, 1], [1, 2], [0, 2]])[np.where(normals[:, 2] > UPRIGHT, 0, wall)]
     weight = inverse_depth[model.triangles][..., None]
     places = np.take_along_axis(corners, axes[:, None, :], axis=2)
-    # what is linear on a surface is linear in the picture once it is divided by the depth
+    # a linear function on a surface is linear in the picture once it is divided by the depth
     solved = np.linalg.solve(frame, np.concatenate([places, np.ones_like(weight)], axis=2) * weight)
     return np.ascontiguousarray(solved.transpose(0, 2, 1))
 
@@ -383,7 +383,7 @@ def _blurred(radiance: Any, depth_mm: Any, look: Look, index: int, focus_mm: flo
 
 
 def exposed(radiance: FloatArray, rng: np.random.Generator) -> Image:
-    """8 bits with shot and read noise."""
+    """8-bit picture with shot and read noise."""
     electrons = radiance * WHITE / 255 * FULL_WELL_E
     noisy = electrons + rng.standard_normal(radiance.shape, np.float32) * np.sqrt(electrons + READ_E**2)
     return np.clip(np.rint(noisy * 255 / FULL_WELL_E + BLACK), 0, 255).astype(np.uint8)
@@ -398,13 +398,13 @@ class Draw(Protocol):
     def __call__(
         self, design: Design, where: FloatArray, rng: np.random.Generator, *, teaching: bool
     ) -> tuple[tuple[Image, Image], dict[str, Any]]:
-        """Both pictures of a design at a place (4, 4) under a look at random, and the look for the truth."""
+        """Both pictures of a design at a place (4, 4) with a random look, and the look for the truth."""
 
 
 def drawn(
     design: Design, where: FloatArray, rng: np.random.Generator, *, teaching: bool
 ) -> tuple[tuple[Image, Image], dict[str, Any]]:
-    """Pictures of this world: parts are taught on a plain and dark table, and look as in any other scene."""
+    """Pictures of this world: parts are taught on a plain and dark table; all else is as in any scene."""
     look = Look.drawn(rng)
     if teaching:
         look = replace(look, table=min(look.table, 0.2), table_contrast=0.3 * look.table_contrast)
@@ -414,9 +414,9 @@ def drawn(
 def write_set(
     folder: Path, numbers: Sequence[int], scenes: int, decoys: int, seed: int, draw: Draw = drawn
 ) -> None:
-    """Write a set: of each design a teaching pair and so many scenes; and scenes of parts not taught.
+    """Write a set: for each design a teaching pair and `scenes` scenes; and scenes of parts not taught.
 
-    A pair that is there already is left as it is: a long run may be cut, and go on.
+    An existing pair is left as it is, so that an interrupted long run can continue.
     """
     for name in ("teach", "scenes", "step"):
         (folder / name).mkdir(parents=True, exist_ok=True)
@@ -435,7 +435,7 @@ def write_set(
 def _write_pair(
     folder: Path, design: Design, rng: np.random.Generator, scene: int, draw: Draw, *, is_decoy: bool = False
 ) -> None:
-    """A pair with its truth: of scene -1 the one to teach from; of a decoy with no part that is known."""
+    """Write a pair with its truth: for scene -1 the teaching pair; for a decoy without a known part."""
     tilt, side, turn, place = _pose(rng)
     path = folder / "scenes" / f"{'x' if is_decoy else 's'}{scene:02d}_{design.name}_t{tilt:02.0f}"
     if scene < 0:
@@ -453,14 +453,14 @@ def _write_pair(
 
 
 def _pose(rng: np.random.Generator) -> tuple[float, float, float, tuple[float, float, float]]:
-    """Tilt, its side, turn, degrees, and place, mm: two of five lie within 15 degrees, two beyond 30."""
+    """Random tilt, its side, turn, degrees, and place, mm: two of five within 15 degrees, two beyond 30."""
     low, high = [(0, 15), (0, 15), (15, 30), (30, 45), (30, 45)][rng.integers(5)]
     x, y, z = (PLACE_MM + rng.uniform(-1, 1, 3) * (6, 5, 10)).tolist()
     return rng.uniform(low, high), rng.uniform(0, 360), rng.uniform(0, 360), (x, y, z)
 
 
 def set_parser(doc: str | None) -> argparse.ArgumentParser:
-    """The arguments that say which set is drawn."""
+    """Parser of the arguments that select a set."""
     parser = argparse.ArgumentParser(description=doc, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path)
     parser.add_argument("--designs", type=int, default=6)
@@ -473,7 +473,7 @@ def set_parser(doc: str | None) -> argparse.ArgumentParser:
 
 
 def write_asked(options: argparse.Namespace, folder: Path, draw: Draw = drawn) -> None:
-    """Write the set that the arguments ask for into a folder."""
+    """Write the set selected by the arguments into a folder."""
     cv2.setNumThreads(1)
     first = options.first + (HELD_OUT if options.held_out else 0)
     numbers = range(first, first + options.designs)

@@ -1,10 +1,10 @@
-"""What the code is made of, counted: folders and their imports, names, tuned numbers, signatures, lines.
+"""Counts what the code consists of: folders and their imports, names, tuned numbers, signatures, lines.
 
     python tools/structure.py [ROOT]
 
 An arrow is one folder of edged that imports from another; those of `edged.vision` count one by one, and tools
-too. Lines are of code: without blank ones, comments and docstrings. How many files a pair, a request and a
-click enter is in tests/tools/test_structure.py, and printed by it with `pytest -s`.
+too. Lines are of code: without blank ones, comments and docstrings. The number of files that a pair, a
+request and a click enter is in tests/tools/test_structure.py, which prints it with `pytest -s`.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ def sources(folder: Path) -> dict[Path, str]:
 
 
 def code_lines(text: str) -> int:
-    """Lines with a token that is no comment and no docstring."""
+    """Number of lines with a token that is no comment and no docstring."""
     docs = {
         line
         for node in ast.walk(ast.parse(text))
@@ -56,13 +56,13 @@ def code_lines(text: str) -> int:
 
 
 def package_of(root: Path, names: list[str]) -> str:
-    """The folder of a module by its names from `edged` on: one below edged, two in vision; "" for none."""
+    """Folder of a module by its names from `edged` on: one below edged, two in vision; "" for none."""
     names = names[1:3] if names[1:2] == ["vision"] else names[1:2]
     return ".".join(names) if (root / "edged").joinpath(*names).is_dir() else ""
 
 
 def arrows(root: Path, trees: dict[Path, ast.Module]) -> set[tuple[str, str]]:
-    """(importing, imported) folders."""
+    """Pairs (importing, imported) of folders."""
     found = set[tuple[str, str]]()
     for path, tree in trees.items():
         parts = list(path.relative_to(root).with_suffix("").parts)
@@ -77,7 +77,7 @@ def arrows(root: Path, trees: dict[Path, ast.Module]) -> set[tuple[str, str]]:
 
 
 def floors(downwards: set[tuple[str, str]]) -> int:
-    """The longest way down."""
+    """Length of the longest path downwards."""
     below = {one: {other for first, other in downwards if first == one} for one, _ in downwards}
 
     def height(package: str) -> int:
@@ -87,13 +87,13 @@ def floors(downwards: set[tuple[str, str]]) -> int:
 
 
 def parameters(node: ast.FunctionDef | ast.AsyncFunctionDef) -> int:
-    """How many it takes, itself left out."""
+    """Number of parameters, without self."""
     names = [one.arg for one in (*node.args.posonlyargs, *node.args.args, *node.args.kwonlyargs)]
     return len([name for name in names if name not in ("self", "cls")])
 
 
 def numbers(trees: dict[Path, ast.Module], texts: dict[Path, str]) -> tuple[int, int, int]:
-    """Constants with numbers in vision: all, those in a class of parameters, those without a word beside."""
+    """Constants with numbers in vision: all, those in a class of parameters, those without a comment."""
     every = held = bare = 0
     for path, tree in trees.items():
         lines = texts[path].splitlines()

@@ -6,11 +6,11 @@
 
 DATASET holds rig.json (truth), calib_chess/ (pairs), and teach/, table3/ and scenes/ (pairs with truth).
 Prints measured minus true for each part, beside the errors of plain OpenCV and of the paper's Table 3, then
-who is nearer to the truth. Plain OpenCV (`plainopencv`) has its own calibration of the same
+which is nearer to the truth. Plain OpenCV (`plainopencv`) has its own calibration of the same
 pictures, or the true cameras as well; the outline of the reference circle is given to it.
 Overlays are written for rejected results, too.
-With --degrade the pictures are those of an imperfect camera (`imperfections`); then errors that no result
-admits count: turned by more than 1°, or off by more than 4 sigma and 2 µm, though nothing was rejected.
+With --degrade the pictures are those of an imperfect camera (`imperfections`). Then silent errors count:
+results turned by more than 1°, or off by more than 4 sigma and 2 µm, that were not rejected.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ def edged(*arguments: object) -> subprocess.CompletedProcess[str]:
 
 
 def main() -> int:
-    """Run everything; 0 when every part was found and none invented."""
+    """Run everything; return 0 if every part was found and none invented."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
@@ -132,7 +132,7 @@ def board_of(dataset: Path) -> tuple[int, int, float]:
 
 
 def plain_rig(dataset: Path, true: bool) -> PlainRig:
-    """What plain OpenCV measures with: the truth, or its own calibration of the same pictures."""
+    """Rig for plain OpenCV: the truth, or its own calibration of the same pictures."""
     return (
         true_plain_rig(dataset / "rig.json")
         if true
@@ -141,7 +141,7 @@ def plain_rig(dataset: Path, true: bool) -> PlainRig:
 
 
 def outlines(truth: StereoRig, part: dict[str, Any]) -> tuple[FloatArray, FloatArray]:
-    """Where both cameras see the part's first circle: points (OUTLINE_POINTS, 2) in raw pixels."""
+    """True outline of the part's first circle in both cameras: points (OUTLINE_POINTS, 2) in raw pixels."""
     circle, R = part["circles"][0], np.array(part["R"])
     phase = np.linspace(0, 2 * np.pi, OUTLINE_POINTS, endpoint=False)
     ring = np.column_stack([np.cos(phase), np.sin(phase)]) @ R[:, :2].T
@@ -181,7 +181,7 @@ def teach_part(path: Path, rig: Path, truth: StereoRig, work: Path) -> tuple[Pat
 def locate_scene(
     path: Path, rig: Path, jobs: dict[str, tuple[Path, dict[str, Any]]], overlays: Path | None
 ) -> tuple[list[dict[str, Any]], int]:
-    """Locate every design that lies in a scene (or one, where there is none) and compare."""
+    """Locate every design that lies in a scene (or one, if there is none) and compare."""
     scene = json.loads(path.read_text())
     designs = sorted({part["design"] for part in scene["parts"]}) or sorted(jobs)[:1]
     left, right = (path.with_name(f"{path.stem}_{side}.png") for side in SIDES)
@@ -232,7 +232,7 @@ def compare(
     turned = np.array(part["R"]) @ np.array(taught["R"]).T
     rotation = np.array(target["rotation"])
     normal = float(np.clip(-rotation[:, 2] @ np.array(part["circles"][0]["normal_left"]), -1, 1))
-    # the part's x axis at teaching was the rig's, projected into the face
+    # at teaching, the part's x axis was the rig's, projected into the face
     face = np.array(taught["R"])[:, 2]
     x_axis = np.array([1.0, 0, 0]) - face[0] * face
     x_axis = turned @ (x_axis / np.linalg.norm(x_axis))
@@ -255,7 +255,7 @@ def compare(
 
 
 def report(rows: list[dict[str, Any]]) -> None:
-    """Markdown tables: every part, both of us in the mean, and where plain OpenCV is nearer."""
+    """Print Markdown tables: every part, the means of both, and where plain OpenCV is nearer."""
     print(
         "| scene | part | ΔX mm | ΔY mm | ΔZ mm | ΔR mm | normal ° | rotation ° | χ²/dof "
         "| OpenCV ΔX | ΔY | ΔZ | ΔR | normal ° | paper \\|ΔZ\\| | paper \\|ΔR\\| |"
@@ -282,7 +282,7 @@ def report(rows: list[dict[str, Any]]) -> None:
 
 
 def report_silent(rows: list[dict[str, Any]], problems: int) -> None:
-    """Results that are wrong though nothing speaks against them; on stderr, beside --json."""
+    """Report results that are wrong but not rejected; on stderr, beside --json."""
     turned = [row for row in rows if abs(row["rotation_deg"]) > SILENT_DEG]
     placed = [row for row in rows if _is_off(row["error_mm"], row["sigma_mm"])]
     sized = [row for row in rows if _is_off([row["radius_error_mm"]], [row["sigma_radius_mm"]])]
@@ -303,7 +303,7 @@ def report_silent(rows: list[dict[str, Any]], problems: int) -> None:
 
 
 def _is_off(errors: list[float], sigmas: list[float]) -> bool:
-    """Whether one of them is beyond 4 sigma, and beyond what matters."""
+    """Whether an error is beyond 4 sigma and the least relevant size."""
     return any(
         abs(error) > max(SILENT_SIGMAS * sigma, SILENT_MM)
         for error, sigma in zip(errors, sigmas, strict=True)

@@ -1,8 +1,8 @@
 """The two-minute tour: the newcomer's clicks (`newcomerclicks`) as an animated SVG, remade by `tools/tour`.
 
-Each picture is what the page showed when it was clicked, with the place of the click. Only what is other
-than in the picture before is kept, as WebP; style sheets let one come after the other, so that it plays
-wherever an image may stand, without a script. Who wants no motion sees its first picture.
+Each picture shows the page when it was clicked, with the place of the click. Only the changes from the
+picture before are stored, as WebP. Style sheets show them one after the other, so that it plays wherever an
+image may be used, without a script. Readers who prefer no motion see its first picture.
 """
 
 from __future__ import annotations
@@ -28,16 +28,16 @@ from edged.files.atomic import write_file
 TOUR = Path(__file__).resolve().parent.parent / "docs" / "tour.svg"
 MOST_BYTES = 1_500_000
 WIDTH, HEIGHT, CAPTION = 960, 675, 45
-"""px of a picture, and of the line below it."""
+"""Size of a picture in px, and height of the caption below it."""
 WHOLE_S = 120.0
 QUALITIES = (60, 50, 42, 35, 28, 22)
-"""Of WebP, the best that is small enough."""
+"""WebP qualities; the best one that is small enough is used."""
 LOOK_S, LONGER = 6.0, 1.35
-"""Between pictures while nobody clicks; each takes longer to come than the one before, on a slow machine."""
+"""Interval of pictures while nobody clicks, and its growth, as each takes longer on a slow machine."""
 CELL = 5
-"""px: pictures are compared by the means of such squares."""
+"""Pictures are compared by the means of squares of this many px."""
 NOISE_GREY = 12
-"""Less is no change: two pictures of a camera are never the same."""
+"""Least difference that counts as a change, as two pictures of a camera are never identical."""
 CAPTIONS = {
     "log in": "Log in by name and password",
     "take the cell": "Take the cell: it answers no PLC meanwhile",
@@ -55,7 +55,7 @@ CAPTIONS = {
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Shot:
-    """What the page looked like. click : where it is clicked next, px of the picture; None: nowhere."""
+    """A picture of the page. click : place of the next click, px of the picture; None: no click."""
 
     picture: Image
     click: tuple[float, float] | None
@@ -63,7 +63,7 @@ class Shot:
 
 @dataclass(slots=True, eq=False)
 class Film:
-    """Pictures of a newcomer's way, step by step; what `newcomerclicks.set_up` tells of it."""
+    """Pictures of a newcomer's set-up, step by step, as reported by `newcomerclicks.set_up`."""
 
     shots: list[Shot] = field(default_factory=list)
     steps: list[tuple[str, int]] = field(default_factory=list)
@@ -71,7 +71,7 @@ class Film:
     _pause_s: float = LOOK_S
 
     def see(self, png: bytes, click: tuple[float, float] | None = None) -> None:
-        """A picture, at a click or in between."""
+        """Add a picture, at a click or in between."""
         whole = cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_COLOR)
         picture = cv2.resize(whole, (WIDTH, HEIGHT), interpolation=cv2.INTER_AREA)
         place = None if click is None else (click[0] * WIDTH / SIZE[0], click[1] * HEIGHT / SIZE[1])
@@ -84,12 +84,12 @@ class Film:
         return time.monotonic() - self._looked_s > self._pause_s
 
     def end(self, step: str) -> None:
-        """A step is done."""
+        """End a step."""
         self.steps.append((step, len(self.shots)))
 
 
 def changed(before: Image, after: Image) -> list[tuple[int, int, int, int]]:
-    """Left, top, right, bottom of each place where something is other."""
+    """Left, top, right, bottom of each changed area."""
     small = (-(-WIDTH // CELL), -(-HEIGHT // CELL))
     first, second = (
         cv2.resize(picture, small, interpolation=cv2.INTER_AREA).astype(np.int16)
@@ -104,7 +104,7 @@ def changed(before: Image, after: Image) -> list[tuple[int, int, int, int]]:
 
 
 def svg_of(film: Film, quality: int) -> str:
-    """The animation. quality : of its pictures, 1 to 100."""
+    """The animation as SVG. quality : of its pictures, 1 to 100."""
     each_s = WHOLE_S / len(film.shots)
     shown = film.shots[0].picture
     images, clicks, rules = [], [], []
@@ -157,18 +157,18 @@ def svg_of(film: Film, quality: int) -> str:
 
 
 def _from(name: str, start: float) -> str:
-    """Visible from a share of the time on, %."""
+    """Keyframes: visible from a share of the time on, %."""
     return f"#{name}{{animation-name:{name}}}@keyframes {name}{{{start:.3f}%,to{{visibility:visible}}}}"
 
 
 def _between(name: str, start: float, stop: float) -> str:
-    """Visible between two shares of the time, %."""
+    """Keyframes: visible between two shares of the time, %."""
     ends = f"{stop:.3f}%,to{{visibility:hidden}}" if stop < 99.99 else "to{visibility:visible}"
     return f"#{name}{{animation-name:{name}}}@keyframes {name}{{{start:.3f}%{{visibility:visible}}{ends}}}"
 
 
 def main() -> int:
-    """Set up the stage as the bench does, and write what it looked like."""
+    """Set up the stage as the bench does, and write the film."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("-o", "--output", type=Path, default=TOUR)

@@ -1,4 +1,4 @@
-"""Exposure and gain through the stereo head: tried, refused, undone; with cameras inside the process."""
+"""Exposure and gain through the stereo head: set, refused, undone; with in-process cameras."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from edged.sim.inprocess import InProcessCamera
 
 
 class Film:
-    """What was exposed, and how."""
+    """Records the exposure and gain of each picture."""
 
     def __init__(self) -> None:
         self.exposed: list[tuple[float, float]] = []
@@ -41,7 +41,7 @@ class Film:
 def head_with(
     film: Film, backoff_s: float = 0.5
 ) -> tuple[StereoHead, tuple[InProcessCamera, InProcessCamera]]:
-    """Two cameras; the left one's exposures are noted."""
+    """Two cameras, of which the left one's exposures are recorded."""
     size = {"width": 8, "height": 4}
     left = InProcessCamera("left", film, **size)
     right = InProcessCamera("right", Film(), **size)
@@ -49,7 +49,7 @@ def head_with(
 
 
 async def test_what_is_adjusted_counts_until_it_is_undone() -> None:
-    """From the next picture on; what is refused changes nothing, and the cameras stay open."""
+    """Adjusted values apply from the next picture on, and refused values change nothing."""
     film = Film()
     head, cameras = head_with(film)
     assert CameraLimits((10.0, 1e6), (0.0, 24.0)) == await head.limits("left")
@@ -66,7 +66,7 @@ async def test_what_is_adjusted_counts_until_it_is_undone() -> None:
 
 
 async def test_a_camera_that_is_gone_is_opened_again() -> None:
-    """It fails once, as with a picture, and not for ever."""
+    """A camera that was closed fails once and is then opened again."""
     film = Film()
     head, (left, _) = head_with(film, backoff_s=0.0)
     await head.open()
@@ -79,7 +79,7 @@ async def test_a_camera_that_is_gone_is_opened_again() -> None:
 
 
 async def test_a_camera_that_has_no_exposure_says_so() -> None:
-    """Pictures of a folder are as they are."""
+    """A source of pictures without exposure raises an error that says so."""
 
     class Picture:
         def __init__(self, name: str) -> None:
@@ -102,7 +102,8 @@ async def test_a_camera_that_has_no_exposure_says_so() -> None:
 
 
 async def test_cameras_that_cannot_be_opened_leave_those_from_before() -> None:
-    """Tried for SETUP and silent: the next picture is of the others, and what was tried of them is gone."""
+    """If trial cameras cannot be opened, the earlier ones are used, and adjustments for the trial are
+    undone."""
     film = Film()
     head, _ = head_with(film)
     broken, (left, _) = head_with(Film())
@@ -122,7 +123,7 @@ async def test_cameras_that_cannot_be_opened_leave_those_from_before() -> None:
 
 
 class Losing(Head):
-    """A head that fails with these errors first."""
+    """A head whose first captures fail with these errors."""
 
     def __init__(self, *errors: CaptureError) -> None:
         super().__init__()
@@ -136,7 +137,7 @@ class Losing(Head):
 
 @pytest.mark.parametrize("error", [FrameTimeout, FrameIncomplete, FrameUnpaired])
 async def test_one_lost_image_is_exposed_again(error: type[CaptureError]) -> None:
-    """Nobody who looks, tests or teaches hears of it; two in a row are a fault."""
+    """A single lost image is captured again without an error; two in a row are a fault."""
     once, twice = Losing(error("left", "lost")), Losing(error("left", "lost"), error("left", "lost"))
     cameras = SetupCameras(lambda: True)
     pair = await cameras.capture(once, listens=False)
@@ -147,7 +148,7 @@ async def test_one_lost_image_is_exposed_again(error: type[CaptureError]) -> Non
 
 @pytest.mark.parametrize("error", [CameraUnreachable, CameraBusy, StreamStalled, FrameFrozen])
 async def test_a_fault_that_stays_is_said_at_once(error: type[CaptureError]) -> None:
-    """A further exposure would only take time."""
+    """A lasting fault is raised at once, without another exposure."""
     head = Losing(error("left", "cable"))
     with pytest.raises(error):
         await SetupCameras(lambda: True).capture(head, listens=False)

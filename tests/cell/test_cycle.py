@@ -39,7 +39,7 @@ from edged.errors import CameraUnreachable, CommandRefused, ExposuresDiffer, Fra
 
 @asynccontextmanager
 async def driven(setup: Setup, head: Head | None = None) -> AsyncIterator[tuple[Cycle, Ear, Head]]:
-    """A cycle that runs."""
+    """A running cycle."""
     head, ear = head or Head(), Ear()
     cycle = Cycle(head, setup)
     async with running(cycle, ear):
@@ -47,7 +47,7 @@ async def driven(setup: Setup, head: Head | None = None) -> AsyncIterator[tuple[
 
 
 async def test_every_accepted_command_gets_exactly_one_answer() -> None:
-    """Locate, grab and job change are each answered once, in order."""
+    """LOCATE, GRAB and CHANGE_JOB are each answered once, in order."""
     commands = [
         locate_command(1),
         Command(CommandKind.GRAB, "test", 2),
@@ -67,7 +67,8 @@ async def test_every_accepted_command_gets_exactly_one_answer() -> None:
 
 
 async def test_parts_come_in_the_order_of_their_job_and_in_the_frame_of_the_robot() -> None:
-    """Topmost: the highest in the robot's frame, whose z is against the camera's axis; bad ones last."""
+    """Order TOPMOST sorts by height in the robot's frame, whose z is against the camera's, with bad parts
+    last."""
     targets = [
         dataclasses.replace(make_target(), rig_from_part=make_transform((0, 0, 0), (0, 0, z)))
         for z in (210.0, 190.0, 200.0)
@@ -106,7 +107,7 @@ def score(value: float, reject: Reject = Reject.NONE, x_mm: float = 10.0) -> Out
 async def tried(
     outcomes: dict[int, Outcome], picking: Picking | None = None, slow: bool = False
 ) -> tuple[Snapshot, list[int]]:
-    """What a command that tries every job gives, and which were tried; job 2 is the active one."""
+    """Result of a command that tries every job, and the jobs tried in order; job 2 is the active one."""
     order: list[int] = []
 
     def found(number: int, _pair: FramePair, _lap: Callable[[str], None]) -> Outcome:
@@ -133,7 +134,7 @@ async def tried(
 
 
 async def test_a_command_for_all_jobs_gives_the_part_that_agrees_best() -> None:
-    """One exposure, every job on it, the active one first; a good part goes before a bad one."""
+    """One exposure is measured with every job, the active one first, and a good part beats a bad one."""
     nothing = Outcome(Status.NO_TARGET)
     snapshot, order = await tried({1: score(0.8), 2: score(0.7), 3: score(0.9)})
     assert (3, Status.OK, [2, 1, 3]) == (snapshot.job_number, snapshot.status, order)
@@ -146,14 +147,15 @@ async def test_a_command_for_all_jobs_gives_the_part_that_agrees_best() -> None:
 
 
 async def test_of_all_jobs_what_the_robot_must_not_take_counts_as_bad() -> None:
-    """The best part lies outside of the limits: the other one is given."""
+    """If the best part is out of the robot's limits, another good one is given."""
     near = Picking(bounds=(Bounds((Box("near", (0.0, 0.0, 0.0), (20.0, 30.0, 300.0)),)),))
     snapshot, _ = await tried({1: score(0.9, x_mm=50.0), 2: score(0.7)}, near)
     assert (2, Status.OK) == (snapshot.job_number, snapshot.status)
 
 
 async def test_a_command_may_narrow_the_cells_limits_to_one_box() -> None:
-    """By its place in the configuration; one that is not there is refused, the job's own limits stay."""
+    """A box is chosen by its position in the configuration, an unknown one refused; the job's limits still
+    hold."""
     boxes = tuple(Box(f"bin{i:g}", (i, 0.0, 0.0), (i + 20.0, 30.0, 300.0)) for i in (0.0, 40.0))
     targets = (make_target(x_mm=50.0), make_target(x_mm=10.0))
 
@@ -183,7 +185,7 @@ async def test_a_command_may_narrow_the_cells_limits_to_one_box() -> None:
 async def test_trying_all_jobs_ends_in_time(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """No further job is begun after the bound; what was tried counts, and the log says so."""
+    """No further job is started after the time limit, results so far count, and a warning is logged."""
     monkeypatch.setattr("edged.cell.measurement.TRY_ALL_S", 0.001)
     snapshot, order = await tried({1: score(0.9), 2: score(0.7), 3: score(0.8)}, slow=True)
     assert (2, [2]) == (snapshot.job_number, order)
@@ -191,7 +193,7 @@ async def test_trying_all_jobs_ends_in_time(
 
 
 async def test_what_results_stand_on_is_told_at_once_and_has_another_number_after_each_exchange() -> None:
-    """To who begins to listen, and after a reload; a result says by which of them it was measured."""
+    """Publishers get the basis at the start and after each reload, and each result names its own."""
     async with driven(make_setup()) as (cycle, ear, _):
         for sequence, fingerprint in enumerate(("f00d", "beef", "cafe"), 1):
             cycle.submit(locate_command(sequence))
@@ -204,7 +206,7 @@ async def test_what_results_stand_on_is_told_at_once_and_has_another_number_afte
 
 
 async def test_a_reload_of_files_that_are_as_they_were_disturbs_nobody() -> None:
-    """A second SIGHUP: nothing is exchanged, and the command that waits is measured."""
+    """After a reload of unchanged files, a waiting command is still measured."""
     release, slow = held()
     async with driven(make_setup(locate=slow)) as (cycle, ear, _):
         cycle.submit(locate_command(1))
@@ -217,7 +219,7 @@ async def test_a_reload_of_files_that_are_as_they_were_disturbs_nobody() -> None
 
 
 async def test_a_list_of_parts_is_no_business_of_the_loop() -> None:
-    """NEXT_PART is refused where nobody keeps one."""
+    """The loop refuses NEXT_PART, as it keeps no list."""
     async with driven(make_setup()) as (cycle, ear, _):
         with pytest.raises(CommandRefused, match="NEXT_PART"):
             cycle.submit(Command(CommandKind.NEXT_PART, "zenoh", 1))
@@ -225,7 +227,7 @@ async def test_a_list_of_parts_is_no_business_of_the_loop() -> None:
 
 
 async def test_exposure_done_comes_before_the_result() -> None:
-    """The robot may move as soon as both images are in memory."""
+    """ExposureDone is announced before the result."""
     async with driven(make_setup()) as (cycle, ear, _):
         cycle.submit(locate_command(1))
         await until(ear.snapshots)
@@ -235,7 +237,7 @@ async def test_exposure_done_comes_before_the_result() -> None:
 
 
 async def test_commands_beyond_the_queue_are_refused_and_the_rest_is_served() -> None:
-    """The ninth waiting command is refused; none of the eight is lost."""
+    """The ninth waiting command is refused, and none of the eight is lost."""
     release, slow = held()
     async with driven(make_setup(locate=slow)) as (cycle, ear, _):
         cycle.submit(locate_command(0))
@@ -251,7 +253,7 @@ async def test_commands_beyond_the_queue_are_refused_and_the_rest_is_served() ->
 
 
 async def test_the_plc_has_places_of_its_own_and_goes_first() -> None:
-    """Others fill their places and are refused; the PLC's eight are taken all the same, and go first."""
+    """With all other places taken, the PLC's eight commands are still accepted, and served first."""
     release, slow = held()
     async with driven(make_setup(locate=slow)) as (cycle, ear, _):
         cycle.submit(locate_command(0))
@@ -272,7 +274,7 @@ async def test_the_plc_has_places_of_its_own_and_goes_first() -> None:
 
 
 async def test_commands_that_wait_at_stop_fail_with_a_reason() -> None:
-    """Nothing that was accepted stays without an answer."""
+    """Commands waiting at a stop are answered with a failure."""
     head = Head()
     head.capture_s = 0.05
     commands = [locate_command(1), locate_command(2)]
@@ -300,14 +302,14 @@ async def test_commands_that_wait_at_stop_fail_with_a_reason() -> None:
 async def test_a_command_that_makes_no_sense_is_refused_with_the_reason(
     command: Command, reason: str
 ) -> None:
-    """The refusal names what is wrong."""
+    """The refusal names the reason."""
     async with driven(make_setup()) as (cycle, _, _):
         with pytest.raises(CommandRefused, match=reason):
             cycle.submit(command)
 
 
 async def test_a_missing_part_is_logged_once_and_counted(caplog: pytest.LogCaptureFixture) -> None:
-    """An empty table all night is a line, and one when a part is there again; a grab is no miss."""
+    """Consecutive misses give one log line, and the next part another; a grab does not count as a miss."""
     seen: list[Outcome] = []
 
     def locate(_pair: FramePair, _lap: Callable[[str], None]) -> Outcome:
@@ -335,7 +337,7 @@ async def test_a_missing_part_is_logged_once_and_counted(caplog: pytest.LogCaptu
 
 
 async def test_a_dead_camera_is_a_status_and_the_loop_heals() -> None:
-    """While a camera is gone every cycle says CAPTURE_FAULT without numbers; then results return."""
+    """Without cameras every cycle is CAPTURE_FAULT without numbers, and afterwards results return."""
     async with driven(make_setup(period_s=0.005)) as (_, ear, head):
         await until(ear.snapshots)
         head.broken = True
@@ -352,7 +354,7 @@ async def test_a_dead_camera_is_a_status_and_the_loop_heals() -> None:
 
 
 async def test_a_camera_that_dies_between_commands_shows_before_the_next_command(monkeypatch) -> None:
-    """Idle in command mode, the loop looks after the cameras."""
+    """When idle in command mode, the loop checks the cameras and reports a fault."""
     monkeypatch.setattr("edged.cell.context.IDLE_S", 0.01)
     async with driven(make_setup()) as (_, ear, head):
         await until(lambda: ear.state() is CellPhase.READY)
@@ -363,7 +365,7 @@ async def test_a_camera_that_dies_between_commands_shows_before_the_next_command
 
 
 async def test_an_idle_loop_shows_that_it_lives(monkeypatch) -> None:
-    """Without commands nothing else is announced: the watchdog feeds on these."""
+    """Without commands Idle events are announced, which feed the watchdog."""
     monkeypatch.setattr("edged.cell.context.IDLE_S", 0.01)
 
     for setup in (make_setup(), make_setup(period_s=60.0)):
@@ -372,7 +374,8 @@ async def test_an_idle_loop_shows_that_it_lives(monkeypatch) -> None:
 
 
 async def test_an_idle_cell_exposes_at_a_steady_pace_and_publishes_none_of_it() -> None:
-    """Sensors stay as warm as at work; a command is served between; a fault of it is told, and heals."""
+    """An idle cell exposes at a steady pace without publishing, serves commands, and reports and heals
+    faults."""
     began_s = time.monotonic()
     async with driven(dataclasses.replace(make_setup(), idle_s=0.05)) as (cycle, ear, head):
         await until(lambda: head.captures >= 5)
@@ -388,7 +391,7 @@ async def test_an_idle_cell_exposes_at_a_steady_pace_and_publishes_none_of_it() 
 
 
 async def test_what_moves_between_the_two_exposures_of_an_idle_cell_is_no_fault() -> None:
-    """A robot that lays the next part there: nobody measures these pictures. READY stays."""
+    """Motion between an idle cell's two exposures is no fault, and READY stays."""
 
     class Lively(Head):
         async def capture(self) -> FramePair:
@@ -401,13 +404,13 @@ async def test_what_moves_between_the_two_exposures_of_an_idle_cell_is_no_fault(
 
 
 def phases(ear: Ear) -> list[CellPhase]:
-    """Every state that was told."""
+    """All announced states."""
     return [event.state for event in ear.events if isinstance(event, CellState)]
 
 
 @pytest.mark.parametrize("side", ["left", "right"])
 async def test_an_encoders_count_is_that_of_the_result_whichever_camera_has_it(side: str) -> None:
-    """Also 0; without one there is none, and a fault of the cameras has none."""
+    """A count from either camera, also 0, is that of the result; without one, or in a fault, it is None."""
 
     class Counting(Head):
         async def capture(self) -> FramePair:
@@ -424,7 +427,7 @@ async def test_an_encoders_count_is_that_of_the_result_whichever_camera_has_it(s
 
 
 async def test_late_ticks_slip_and_are_counted_instead_of_bursting() -> None:
-    """A cycle of four periods is followed by the next tick, not by a burst of the missed ones."""
+    """After a cycle of four periods the missed ticks are counted, not made up."""
     starts: list[float] = []
 
     def slow_once(pair, lap):
@@ -442,7 +445,7 @@ async def test_late_ticks_slip_and_are_counted_instead_of_bursting() -> None:
 
 
 async def test_a_bug_in_the_pipeline_is_not_swallowed() -> None:
-    """An exception that is no fault of the cameras ends the loop, with cameras closed."""
+    """An exception that is no capture error ends the loop and closes the cameras."""
 
     def broken(pair, lap):
         raise ZeroDivisionError("a bug")
@@ -455,7 +458,7 @@ async def test_a_bug_in_the_pipeline_is_not_swallowed() -> None:
 
 
 async def test_a_new_setup_is_taken_between_two_cycles() -> None:
-    """After an exchange results carry the new fingerprint; a vanished job falls back to the default."""
+    """Results after an exchange have the new fingerprint, and a vanished job is replaced by the default."""
     new = Setup(make_setup(numbers=(2,)).jobs, 2, 0.005, "cal2", "beef", simulated=True, robot_from_rig=None)
     second_head = Head()
     async with driven(make_setup(period_s=0.005)) as (cycle, ear, head):
@@ -470,7 +473,7 @@ async def test_a_new_setup_is_taken_between_two_cycles() -> None:
 
 
 async def test_two_reloads_before_the_next_cycle_leave_the_cameras_of_the_first() -> None:
-    """The second one changes no camera: the calibration of both goes with the cameras of the first."""
+    """After two reloads before the next cycle, the calibration and cameras of the first are used together."""
     second_head = Head()
     new = dataclasses.replace(make_setup(period_s=0.005), calibration_id="cal2")
     async with driven(make_setup()) as (cycle, ear, head):
@@ -489,7 +492,7 @@ async def test_two_reloads_before_the_next_cycle_leave_the_cameras_of_the_first(
 async def test_a_command_that_waits_while_the_configuration_is_reloaded_fails(
     kind: CommandKind, numbers: tuple[int, ...]
 ) -> None:
-    """It was asked of what is gone, and would be measured by what is there now; asked again, it is done."""
+    """A command waiting during a reload fails, whether its job still exists or not; repeated it is done."""
     release, slow = held()
     waiting = [Command(kind, "test", 1, 2), locate_command(2)]
     again = locate_command(3, job=1)
@@ -516,7 +519,7 @@ async def test_a_command_that_waits_while_the_configuration_is_reloaded_fails(
 
 
 async def test_faults_that_nobody_asked_for_come_at_a_bounded_rate() -> None:
-    """Free running at full speed without cameras; and listening, each time a fault that is known at once."""
+    """Faults of a free-running or listening cell without cameras come at a limited rate."""
 
     class Unpaired(Head):
         async def listen(self) -> FramePair:
@@ -538,11 +541,11 @@ async def test_faults_that_nobody_asked_for_come_at_a_bounded_rate() -> None:
         assert 2 <= len(ear.snapshots()) <= 2 + spans[0] / FAULT_REST_S + 1
 
 
-# --- exposures that others trigger --------------------------------------------------------------------
+# --- externally triggered exposures --------------------------------------------------------------------
 
 
 async def test_every_exposure_that_others_trigger_is_measured() -> None:
-    """In their order, without a command, those that were missed counted; nothing while there are none."""
+    """Each exposure is measured in order without a command, and missed ones are counted."""
     async with driven(dataclasses.replace(make_setup(), listens=True)) as (_, ear, head):
         for missed in (0, 0, 3):
             pair = await head.capture()
@@ -557,7 +560,7 @@ async def test_every_exposure_that_others_trigger_is_measured() -> None:
 
 
 async def test_a_command_is_served_while_listening() -> None:
-    """A job change does not wait for the next exposure."""
+    """A job change is answered while waiting for an exposure."""
     command = Command(CommandKind.CHANGE_JOB, "test", 1, job=2)
     async with driven(dataclasses.replace(make_setup(), listens=True)) as (cycle, ear, _):
         await asyncio.sleep(0.02)
@@ -568,7 +571,8 @@ async def test_a_command_is_served_while_listening() -> None:
 
 
 async def test_a_fault_while_listening_is_a_result_and_a_dead_camera_no_storm_of_them() -> None:
-    """An unpaired frame is one fault, and the next exposure is measured; without cameras one try a second."""
+    """An unpaired frame is one fault, and the next exposure is measured; dead cameras are tried once a
+    second."""
 
     class Faulty(Head):
         tries = 0

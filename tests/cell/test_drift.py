@@ -1,4 +1,4 @@
-"""The drift monitor: a wrong calibration is told from parts that differ, by the witness that sees it."""
+"""The drift monitor: telling a wrong calibration from parts that differ."""
 
 from __future__ import annotations
 
@@ -53,14 +53,14 @@ def watch(targets: list[Target], limits: DriftLimits | None = None) -> list[Cali
 def parts(
     rng: np.random.Generator, number: int, bias_percent: float = 0.0, spread: float = 0.2
 ) -> list[Target]:
-    """Parts whose radii differ by `spread` percent, measured with a scale that is off."""
+    """Parts whose radii differ by `spread` percent, measured with a scale error of `bias_percent`."""
     radii = NOMINAL_MM * (1 + bias_percent / 100 + rng.normal(0, spread / 100, number))
     return [seen(float(radius)) for radius in radii]
 
 
 @pytest.mark.slow
 def test_parts_that_differ_raise_no_alarm() -> None:
-    """Ten thousand parts with twice the warning limit's spread: not one wrong warning."""
+    """Ten thousand parts with twice the warning limit's spread raise no warning."""
     assert set(watch(parts(np.random.default_rng(1), 10_000))) == {CalibrationHealth.HOLDS}
 
 
@@ -68,7 +68,7 @@ def test_parts_that_differ_raise_no_alarm() -> None:
     ("bias", "verdict"), [(0.3, CalibrationHealth.DRIFTS), (0.6, CalibrationHealth.INVALID)]
 )
 def test_a_scale_that_is_off_is_seen_through_the_spread(bias: float, verdict: CalibrationHealth) -> None:
-    """Within a hundred parts, although every single part may be as far off by itself."""
+    """A scale error is found within a hundred parts, though single parts may differ as much."""
     rng = np.random.default_rng(2)
     verdicts = watch([*parts(rng, 200), *parts(rng, 100, bias)])
     assert verdicts[199] is CalibrationHealth.HOLDS
@@ -76,21 +76,21 @@ def test_a_scale_that_is_off_is_seen_through_the_spread(bias: float, verdict: Ca
 
 
 def test_it_comes_back_when_the_cause_goes() -> None:
-    """A warm rig that drifted overnight is good again when it has its temperature."""
+    """After a drift good parts bring the verdict back to HOLDS."""
     rng = np.random.default_rng(3)
     verdicts = watch([*parts(rng, 60, 0.5), *parts(rng, 150)])
     assert (verdicts[59], verdicts[-1]) == (CalibrationHealth.INVALID, CalibrationHealth.HOLDS)
 
 
 def test_few_parts_are_no_verdict() -> None:
-    """Before `min_cycles` nothing is said, however bad they look."""
+    """Before `min_cycles` the verdict is HOLDS, however bad the parts look."""
     bad = [seen(NOMINAL_MM * 1.02) for _ in range(30)]
     assert watch(bad)[:19] == [CalibrationHealth.HOLDS] * 19
     assert watch(bad)[-1] is CalibrationHealth.INVALID
 
 
 def test_rows_count_by_themselves() -> None:
-    """A turned camera, without any known length."""
+    """Large row residuals alone give INVALID, without a known length."""
     monitor = DriftMonitor(DriftLimits())
     for _ in range(40):
         monitor.add(seen(NOMINAL_MM, rows_px=1.4), None)
@@ -101,7 +101,7 @@ def test_rows_count_by_themselves() -> None:
 
 
 def test_a_lot_at_the_end_of_its_tolerance_is_no_drift() -> None:
-    """Every part 0.4 % too large is allowed by a tolerance of 0.5 %; 0.3 % more is the rig."""
+    """With a tolerance of 0.5 %, a lot 0.4 % off holds, 0.7 % drifts, and 0.9 % is invalid."""
     for off, verdict in (
         (0.4, CalibrationHealth.HOLDS),
         (0.7, CalibrationHealth.DRIFTS),
@@ -112,13 +112,13 @@ def test_a_lot_at_the_end_of_its_tolerance_is_no_drift() -> None:
 
 
 def test_a_size_of_unknown_tolerance_warns_and_never_refuses() -> None:
-    """The radius of the part that happened to be taught says too little to stop a cell."""
+    """A size without a tolerance gives at most DRIFTS."""
     lot = [seen(NOMINAL_MM * 1.05, tolerance_mm=None) for _ in range(200)]
     assert watch(lot)[-1] is CalibrationHealth.DRIFTS
 
 
 def test_one_wild_measurement_is_no_drift() -> None:
-    """5 % off once, amid good parts: the mean jumps, and its standard error with it."""
+    """A single measurement 5 % off among good parts changes no verdict."""
     rng = np.random.default_rng(4)
     good = parts(rng, 400, spread=0.01)
     assert set(watch([*good[:100], seen(NOMINAL_MM * 1.05), *good[100:]])) == {CalibrationHealth.HOLDS}
@@ -135,12 +135,12 @@ def test_one_wild_measurement_is_no_drift() -> None:
     ],
 )
 def test_parts_that_a_wrong_rig_spoils_count(reject: Reject, verdict: CalibrationHealth) -> None:
-    """A camera so far off that no part is good any more is the rig's fault; a part half seen is not."""
+    """Parts rejected in ways that a wrong rig causes give INVALID, other rejections do not."""
     assert watch([seen(NOMINAL_MM, rows_px=3.0, reject=reject) for _ in range(40)])[-1] is verdict
 
 
 def test_a_verdict_does_not_come_and_go_at_a_limit() -> None:
-    """Results that were refused stay so until nothing drifts any more."""
+    """INVALID stays while the error is between the limits, and ends when nothing drifts."""
     wrong, between, right = (seen(NOMINAL_MM * (1 + off / 100)) for off in (0.4, 0.25, 0.0))
     verdicts = watch([*[wrong] * 60, *[between] * 300, *[right] * 300])
     assert set(verdicts[59:360]) == {CalibrationHealth.INVALID}
@@ -148,7 +148,7 @@ def test_a_verdict_does_not_come_and_go_at_a_limit() -> None:
 
 
 def test_what_is_not_finite_says_nothing() -> None:
-    """A size that was not seen in this picture, rows of a part without level edges."""
+    """NaN sizes and rows have no effect."""
     monitor = DriftMonitor(DriftLimits())
     for _ in range(40):
         monitor.add(seen(math.nan, math.nan), "r")
@@ -158,7 +158,7 @@ def test_what_is_not_finite_says_nothing() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("share", [1.001, 0.999, 1.01])
 def test_a_wrong_baseline_is_seen_by_the_length_and_not_by_the_rows(share: float) -> None:
-    """Why both are watched: 0.1 % of baseline leaves every point on its row, and the radius 0.1 % wrong."""
+    """A baseline error of 0.1 % changes the radius by 0.1 % but leaves the row residuals unchanged."""
     flat = cells.flange()
     rig = flat.rig
     job = teach(flat.left, flat.right, prepare(rig).rectification, flat.region, "flange")
@@ -171,13 +171,13 @@ def test_a_wrong_baseline_is_seen_by_the_length_and_not_by_the_rows(share: float
         rows.append(target.epipolar_rms_px)
         lengths.append(100 * (size.value / (size.nominal or math.nan) - 1))
 
-    assert abs(rows[1] - rows[0]) < 0.005  # of 0.07 px: noise and the pixels of either fit
+    assert abs(rows[1] - rows[0]) < 0.005  # of 0.07 px: noise of the fits
     assert lengths == pytest.approx([0.0, 100 * (share - 1)], abs=0.03)
 
 
 @pytest.mark.slow
 def test_a_turned_camera_is_seen_by_the_rows() -> None:
-    """The right camera nods by 1 mrad, 1.6 px; what no pose of the part explains of it is twice the limit."""
+    """A right camera tilted by 1 mrad (1.6 px) gives row residuals of twice the limit."""
     flat = cells.flange()
     job = teach(flat.left, flat.right, prepare(flat.rig).rectification, flat.region, "flange")
     job = replace(job, limits=replace(job.limits, max_epipolar_px=0.5))
@@ -197,7 +197,7 @@ def test_a_turned_camera_is_seen_by_the_rows() -> None:
 
 
 async def test_a_wrong_calibration_takes_the_coordinates_away() -> None:
-    """On the PLC: DRIFT_WARN and CAL_INVALID rise, RESULT_VALID and X do not; the reason is in REJECT."""
+    """CAL_INVALID and DRIFT_WARN rise in the registers, and there is no RESULT_VALID and no X."""
     bad = Outcome(Status.OK, (seen(NOMINAL_MM * 1.01),))
     setup = Setup(
         jobs={1: LoadedJob("job", 1, lambda _pair, _lap: bad, "r")},

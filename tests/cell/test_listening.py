@@ -1,4 +1,4 @@
-"""The stereo head on cameras that expose by themselves: frames are paired by time, and none gets lost."""
+"""The stereo head with cameras that expose by themselves: frames are paired by time, and none is lost."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from edged.errors import CaptureError, FrameIncomplete, FrameTimeout, FrameUnpai
 
 
 class Streaming:
-    """A camera whose frames come when the test says; what nobody fetched waits."""
+    """A camera that delivers the test's frames; unfetched ones wait."""
 
     def __init__(self, name: str) -> None:
         self.name = name
@@ -40,7 +40,7 @@ class Streaming:
         pass
 
     def expose(self, at_ms: float, *, skip: int = 0) -> None:
-        """A frame exposed at this time; skip : so many frames before it were lost."""
+        """Deliver a frame exposed at this time; skip : number of frames lost before it."""
         self.number += 1 + skip
         image = np.full((2, 2), self.number % 200, np.uint8)
         image[0, 0] = 255
@@ -50,7 +50,7 @@ class Streaming:
         )
 
     def damage(self) -> None:
-        """A frame that arrives with packets missing."""
+        """Deliver an incomplete frame."""
         self.number += 1
         self.frames.put_nowait(FrameIncomplete(self.name, "packets missing"))
 
@@ -74,7 +74,7 @@ def numbers(pair: FramePair) -> tuple[int, int]:
 
 
 async def test_free_running_cameras_are_paired_by_time() -> None:
-    """The older frame gives way until two fit; what never fits is a fault of its own."""
+    """Older frames are dropped until two match, and frames that never match are a fault."""
     async with streaming(free_running=True) as (head, left, right):
         for at_ms in (0, 50, 100):
             left.expose(at_ms)
@@ -87,7 +87,7 @@ async def test_free_running_cameras_are_paired_by_time() -> None:
 
 
 async def test_exposures_that_others_trigger_are_heard_in_order() -> None:
-    """However late one image is, and with none of them asked for."""
+    """Pairs come in order, however late one image is."""
     async with streaming() as (head, left, right):
         left.expose(0)
         left.expose(50)
@@ -97,7 +97,7 @@ async def test_exposures_that_others_trigger_are_heard_in_order() -> None:
 
 
 async def test_an_exposure_that_one_camera_missed_is_a_fault_and_the_next_is_a_pair() -> None:
-    """Whether the partner is late or never comes; the cameras do not stay one exposure apart."""
+    """A missing partner is a fault, and the next exposure is a pair again."""
     async with streaming() as (head, left, right):
         left.expose(0)
         with pytest.raises(FrameUnpaired, match=r"right: no partner for frame 1 of left within 0\.1 s"):
@@ -114,7 +114,7 @@ async def test_an_exposure_that_one_camera_missed_is_a_fault_and_the_next_is_a_p
 
 
 async def test_a_damaged_image_takes_its_partner_with_it() -> None:
-    """The fault is the damage, and the next exposure is a pair."""
+    """A damaged frame is the fault, its partner is dropped, and the next exposure is a pair."""
     async with streaming() as (head, left, right):
         left.expose(0)
         right.damage()
@@ -126,7 +126,7 @@ async def test_a_damaged_image_takes_its_partner_with_it() -> None:
 
 
 async def test_listening_can_be_interrupted_without_losing_a_frame() -> None:
-    """One image is there, the other not yet: who stops waiting and comes again gets both."""
+    """If listening is cancelled after one image, the next call returns both."""
     async with streaming(timeout_s=5.0) as (head, left, right):
         await head.open()
         left.expose(0)
@@ -140,7 +140,7 @@ async def test_listening_can_be_interrupted_without_losing_a_frame() -> None:
 
 
 async def test_a_silent_camera_shows_to_a_listener_that_looks_up_before_its_time_is_over() -> None:
-    """Interrupted again and again, each time for less than the partner's time: a fault all the same."""
+    """A missing partner is a fault even if listening is repeatedly interrupted before its time-out."""
     async with streaming() as (head, left, right):
         left.expose(0)
         for _ in range(1000):
@@ -158,7 +158,7 @@ async def test_a_silent_camera_shows_to_a_listener_that_looks_up_before_its_time
 
 
 async def test_exposures_that_nobody_had_time_for_are_counted() -> None:
-    """Both cameras skipped two numbers: two exposures were missed."""
+    """Frame numbers skipped by both cameras are counted as missed exposures."""
     async with streaming() as (head, left, right):
         missed = []
         for at_ms, skip in ((0, 0), (100, 0), (400, 2)):
@@ -169,7 +169,7 @@ async def test_exposures_that_nobody_had_time_for_are_counted() -> None:
 
 
 async def test_a_camera_that_gives_up_waiting_is_listened_to_again() -> None:
-    """No trigger for a long time is no fault."""
+    """A camera's own time-out while waiting for a trigger is no fault."""
     async with streaming(timeout_s=5.0) as (head, left, right):
         left.frames.put_nowait(FrameTimeout("left", "no image within 10 s"))
         listening = asyncio.create_task(head.listen())
@@ -180,7 +180,7 @@ async def test_a_camera_that_gives_up_waiting_is_listened_to_again() -> None:
 
 
 async def test_a_command_while_listening_takes_over_the_cameras() -> None:
-    """The frame that comes after it belongs to the command."""
+    """After listening is cancelled, the next frame belongs to the command."""
     async with streaming(timeout_s=5.0) as (head, left, right):
         listening = asyncio.create_task(head.listen())
         await asyncio.sleep(0.01)
@@ -194,7 +194,7 @@ async def test_a_command_while_listening_takes_over_the_cameras() -> None:
 
 
 async def test_no_trigger_is_no_fault_of_the_cameras() -> None:
-    """Commanded, and the pulse never comes: a time-out each time, and nobody is opened again for it."""
+    """A capture without a trigger times out each time, and no camera is reopened."""
     async with streaming(by_others=True, timeout_s=0.02) as (head, left, right):
         for _ in range(2 * REOPEN_AFTER):
             with pytest.raises(FrameTimeout, match=r"both cameras: no trigger came within 0\.02 s") as caught:

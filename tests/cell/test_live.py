@@ -1,4 +1,4 @@
-"""Live pictures without a server: who wants them, who hears of them, and when they end."""
+"""Live pictures without a server: who requests them, who receives them, and when they end."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from edged.errors import LinkError, SetupRefused
 
 
 class Scene:
-    """A cell that somebody has, live pictures of it, and what was told of them."""
+    """A cell whose lease is held, its live pictures, and what was published about them."""
 
     def __init__(self, cycle: Cycle, head: Head, token: str) -> None:
         self.cycle, self.head, self.token = cycle, head, token
@@ -36,7 +36,7 @@ class Scene:
 
 @asynccontextmanager
 async def live(monkeypatch: pytest.MonkeyPatch) -> AsyncIterator[Scene]:
-    """A running cell that somebody has."""
+    """A running cell whose lease is held."""
     monkeypatch.setattr(live_pictures, "PERIOD_S", 0.001)
     monkeypatch.setattr(live_pictures, "REST_S", 0.001)
     head = Head()
@@ -48,7 +48,7 @@ async def live(monkeypatch: pytest.MonkeyPatch) -> AsyncIterator[Scene]:
 
 
 async def test_pictures_come_while_they_are_wanted(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Numbered without a gap; with nobody who wants them the cameras rest."""
+    """Pictures are numbered without gaps, and stop when no one wants them."""
     async with live(monkeypatch) as scene:
         await scene.live.want("tab", scene.token)
         await until(lambda: len(scene.numbers) >= 5)
@@ -62,7 +62,7 @@ async def test_pictures_come_while_they_are_wanted(monkeypatch: pytest.MonkeyPat
 
 
 async def test_only_who_has_the_cell_gets_them(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A token that is worth nothing is refused; taking the cell over ends them, and says why."""
+    """An invalid token is refused, and taking over the cell ends the pictures with a reason."""
     async with live(monkeypatch) as scene:
         with pytest.raises(SetupRefused):
             await scene.live.want("tab", "of nobody")
@@ -78,7 +78,7 @@ async def test_only_who_has_the_cell_gets_them(monkeypatch: pytest.MonkeyPatch) 
 
 
 async def test_who_does_not_look_gets_none(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A tablet that sleeps does not keep the cell taken; one that looks does."""
+    """Pictures end for a viewer that sends no `seen` for too long, and continue for one that does."""
     async with live(monkeypatch) as scene:
         await scene.live.want("tab", scene.token)
         for _ in range(3):
@@ -92,7 +92,7 @@ async def test_who_does_not_look_gets_none(monkeypatch: pytest.MonkeyPatch) -> N
 
 
 async def test_a_dead_camera_is_told_once_and_tried_again(monkeypatch: pytest.MonkeyPatch) -> None:
-    """With its code; when it answers, pictures go on."""
+    """The fault is reported once with its code, and pictures continue when the camera answers."""
     async with live(monkeypatch) as scene:
         scene.head.broken = True
         await scene.live.want("tab", scene.token)
@@ -104,7 +104,7 @@ async def test_a_dead_camera_is_told_once_and_tried_again(monkeypatch: pytest.Mo
 
 
 async def test_a_cell_that_stops_ends_them(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Without a word in the log: no task fails that nobody waits for."""
+    """If the cell stops, pictures end without an unhandled task error."""
 
     async def stopped(_token: str) -> FramePair:
         raise LinkError("the cell has stopped")
@@ -121,7 +121,7 @@ async def test_a_cell_that_stops_ends_them(monkeypatch: pytest.MonkeyPatch) -> N
 
 
 async def test_who_has_stopped_listening_hears_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Also twice; others go on hearing."""
+    """After stop, also twice, a listener gets nothing, while others still do."""
     async with live(monkeypatch) as scene:
         others: list[int] = []
         scene.live.listen(lambda number, _pair: others.append(number))

@@ -1,4 +1,4 @@
-"""Reference marks in a running cell: corrections, knocks, records, replay; and a cell without any."""
+"""Reference marks in a running cell: corrections, knocks, recordings, replay, and cells without marks."""
 
 from __future__ import annotations
 
@@ -42,11 +42,11 @@ from edged.sim.cell import VirtualCell, demo_part, demo_rig, inside
 from edged.sim.weather import Knock, Schedule, Weather
 
 COLD = Schedule(((0.0, 0.0), (1e-9, -8.0)))
-"""Eight kelvin colder at once: the cameras follow within the hour."""
+"""Eight kelvin colder at once; the cameras follow within the hour."""
 
 
 class Reel(Head):
-    """A head that gives pairs in turn."""
+    """A head that gives these pairs in turn."""
 
     def __init__(self, pairs: Sequence[FramePair]) -> None:
         super().__init__()
@@ -58,7 +58,7 @@ class Reel(Head):
 
 
 def measured(loaded: LoadedCell, pairs: Sequence[FramePair], then=None) -> list[Snapshot]:
-    """One LOCATE for each pair. then : of the cycle, between the pairs."""
+    """One LOCATE for each pair. then : called with the cycle between the pairs."""
     ear = Ear()
 
     async def main() -> None:
@@ -77,7 +77,7 @@ def measured(loaded: LoadedCell, pairs: Sequence[FramePair], then=None) -> list[
 
 
 def bases(ear: Ear) -> set[str]:
-    """Fingerprints of all that was measured by."""
+    """Fingerprints of all announced bases."""
     return {event.fingerprint for event in ear.events if isinstance(event, Basis)}
 
 
@@ -90,7 +90,7 @@ def drifted() -> tuple[VirtualCell, tuple[FramePair, ...]]:
 
 
 def truth(cell: VirtualCell, snapshot: Snapshot) -> np.ndarray:
-    """(3,) of the part's reference point, in the frame of the rig as calibrated."""
+    """(3,) true place of the part's reference point, in the frame of the calibrated rig."""
     found = cell.truth(snapshot.exposed_ns)
     assert found is not None
     return found.rig_from_part[:3, 3]
@@ -98,7 +98,7 @@ def truth(cell: VirtualCell, snapshot: Snapshot) -> np.ndarray:
 
 @pytest.mark.slow
 def test_without_marks_every_digit_is_what_the_pipeline_says(tmp_path: Path) -> None:
-    """And nothing in what is published speaks of marks, the fingerprint least of all."""
+    """The result equals the pipeline's to the last digit, and nothing published mentions marks."""
     files = prepared(tmp_path)
     before = load_cell(files.config)
     _, pairs = drifted()
@@ -119,7 +119,7 @@ def test_without_marks_every_digit_is_what_the_pipeline_says(tmp_path: Path) -> 
 
 @pytest.mark.slow
 def test_a_cold_cell_measures_as_on_the_day_of_its_teaching(tmp_path: Path) -> None:
-    """Within its sigma, micrometres; the same pictures without marks are off by tens."""
+    """The error is within its sigma of micrometres; without marks it is tens of micrometres."""
     files = prepared(tmp_path)
     plain = load_cell(files.config)
     teach(files)
@@ -143,7 +143,7 @@ def test_a_cold_cell_measures_as_on_the_day_of_its_teaching(tmp_path: Path) -> N
 
 @pytest.mark.slow
 def test_a_knocked_cell_gives_no_result_until_its_marks_agree_and_replays_to_the_bit(tmp_path: Path) -> None:
-    """Recorded as it came, each exposure says again what it said; an edited record is noticed."""
+    """Replaying the recording gives bit-identical exposures, and an edited record is detected."""
     files = prepared(tmp_path / "cell")
     teach(files)
     loaded = load_cell(files.config)
@@ -175,7 +175,7 @@ def test_a_knocked_cell_gives_no_result_until_its_marks_agree_and_replays_to_the
 
 @pytest.mark.slow
 def test_a_reload_goes_on_with_the_same_marks_and_begins_anew_with_others(tmp_path: Path) -> None:
-    """What they know is not lost by a change of a job."""
+    """A reload with the same marks keeps their state, and one with other settings starts anew."""
     files = prepared(tmp_path)
     teach(files)
     loaded, again = load_cell(files.config), load_cell(files.config)
@@ -197,7 +197,7 @@ def test_a_reload_goes_on_with_the_same_marks_and_begins_anew_with_others(tmp_pa
 
 @pytest.mark.slow
 def test_the_registers_say_what_the_marks_say(tmp_path: Path) -> None:
-    """State, marks and how far the cameras moved; a knock is a state of its own."""
+    """Registers hold the state, the marks and the cameras' displacement; a knock has a state of its own."""
     files = prepared(tmp_path)
     teach(files)
     cell = marked_cell(Knock(1.0, "right", (0.2, 0.0, 0.0)))
@@ -218,7 +218,7 @@ def test_the_registers_say_what_the_marks_say(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_marks_of_another_calibration_correct_nothing_and_say_so(tmp_path: Path) -> None:
-    """A damaged file, and marks of a rig that the robot carries, are mistakes."""
+    """Marks of another calibration correct nothing; a damaged file or a rig on the flange is an error."""
     files = prepared(tmp_path)
     teach(files)
     document = json.loads(marks_file(files.rig).read_bytes())
@@ -232,7 +232,7 @@ def test_marks_of_another_calibration_correct_nothing_and_say_so(tmp_path: Path)
 @pytest.mark.slow
 @pytest.mark.parametrize("knocked", ["heal", "refuse"])
 def test_a_knock_in_setup_is_found_by_the_first_exposure_after_it(tmp_path: Path, knocked: str) -> None:
-    """What a person took in SETUP moves no track; results come after three exposures that agree, or never."""
+    """Captures in SETUP do not affect the track; results return after three agreeing exposures, or never."""
     files = prepared(tmp_path, f'\n[marks]\non_knock = "{knocked}"\n')
     teach(files)
     cell = marked_cell(Knock(50.0, "left", (0.2, 0.0, 0.0)))
@@ -268,7 +268,7 @@ def test_a_knock_in_setup_is_found_by_the_first_exposure_after_it(tmp_path: Path
 @pytest.mark.slow
 @pytest.mark.parametrize("hit", ["left", "right", "rig"])
 def test_a_knock_between_two_exposures_of_one_cycle_is_no_picture(hit: str) -> None:
-    """Merged, the marks would be seen twice: both exposures do not show the same, which is a fault."""
+    """The two exposures differ, which is a fault, instead of marks seen twice."""
     rig = demo_rig()
     lies = replace(inside(DEMO_MARKS), shift_mm=(0.0, 0.0), depth_mm=0.0, tilt_rad=0.0, turn_rad=0.0)
     weather = Weather(rig, STILL, (Knock(1.5, hit, (0.2, 0.0, 0.0)),), 3)

@@ -1,4 +1,4 @@
-"""Are two frames one exposure? Each clock in turn, and what it cannot know."""
+"""Whether two frames are one exposure, for each kind of clock."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def frame(
     bound_ms: float | None = 0.1,
     number: int = 1,
 ) -> Frame:
-    """A frame exposed so long after the epoch."""
+    """A frame exposed this long after the epoch."""
     image = np.zeros((2, 2), np.uint8)
     bound_ns = None if bound_ms is None else round(bound_ms * MS)
     return Frame(
@@ -33,7 +33,7 @@ def frame(
 
 @pytest.mark.parametrize("base", [TimeBase.CAMERA, TimeBase.HOST])
 def test_exposures_beyond_the_limit_are_no_pair(base: TimeBase) -> None:
-    """4.9 ms are one exposure, 5.1 ms are not, and the reason carries both numbers."""
+    """4.9 ms apart is a pair, 5.1 ms is not, and the reason states the distance and the limit."""
     pairing = Pairing(0.005, 0.05)
 
     assert "" == pairing.problem(frame("left", 4.9, base), frame("right", 0, base))
@@ -43,7 +43,7 @@ def test_exposures_beyond_the_limit_are_no_pair(base: TimeBase) -> None:
 
 
 def test_ptp_sees_what_a_map_of_the_clock_cannot() -> None:
-    """Two stamps 20 us apart are so, where the maps leave 0.4 ms open; a limit of 0.1 ms can be held."""
+    """With PTP a skew of 20 us is exact although the clock maps leave 0.4 ms open."""
     pairing = Pairing(1e-4, 0.05)
     left = frame("left", 0.3, TimeBase.PTP, device_ms=1000.00, bound_ms=0.2)
     right = frame("right", 0.0, TimeBase.PTP, device_ms=1000.02, bound_ms=0.2)
@@ -53,7 +53,7 @@ def test_ptp_sees_what_a_map_of_the_clock_cannot() -> None:
 
 
 def test_ptp_clocks_of_two_networks_are_not_believed() -> None:
-    """Both say that they are locked, but their stamps are a second apart: the maps decide."""
+    """PTP stamps a second apart are not used, but the clock maps."""
     pairing = Pairing(0.005, 0.05)
     left = frame("left", 0.3, TimeBase.PTP, device_ms=2000)
     right = frame("right", 0.0, TimeBase.PTP, device_ms=1000)
@@ -63,7 +63,7 @@ def test_ptp_clocks_of_two_networks_are_not_believed() -> None:
 
 
 def test_one_ptp_clock_is_none() -> None:
-    """A single locked camera shares its epoch with nobody."""
+    """If only one camera is locked to PTP, the clock maps are used."""
     pairing = Pairing(0.005, 0.05)
     left = frame("left", 1.0, TimeBase.PTP, device_ms=1000)
     right = frame("right", 0.0, TimeBase.CAMERA, device_ms=1000)
@@ -72,7 +72,7 @@ def test_one_ptp_clock_is_none() -> None:
 
 
 def test_arrivals_have_a_limit_of_their_own() -> None:
-    """40 ms of network are no skew, 60 ms are; one camera without a clock is enough."""
+    """Arrival times, also of one camera only, have a limit of their own: 40 ms is a pair, 60 ms is not."""
     pairing = Pairing(0.005, 0.05)
     right = frame("right", 0)
 
@@ -83,7 +83,7 @@ def test_arrivals_have_a_limit_of_their_own() -> None:
 
 
 def test_where_only_arrivals_are_known_the_counters_must_agree() -> None:
-    """Left lost a frame: two steps against one are no pair; opened again, all begins anew."""
+    """With arrival times only, frame counters must advance equally, and start anew after opening."""
     pairing = Pairing(0.005, 0.05)
 
     def shot(side: str, number: int) -> Frame:
@@ -99,7 +99,7 @@ def test_where_only_arrivals_are_known_the_counters_must_agree() -> None:
 
 
 def test_a_pair_does_not_keep_its_images() -> None:
-    """What is remembered of the last pair takes no memory."""
+    """Accepted images are not kept in memory."""
     pairing = Pairing(0.005, 0.05)
     left, right = frame("left", 0), frame("right", 0)
     images = [weakref.ref(left.image), weakref.ref(right.image)]

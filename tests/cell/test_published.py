@@ -1,4 +1,4 @@
-"""What was published of a cycle does not change any more, whatever is measured after it."""
+"""Published events do not change afterwards, whatever is measured next."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ PICTURES = ("straight", "turned", "tilted", "empty", "unplugged")
 
 @functools.cache
 def taught() -> tuple[PreparedRig, Job]:
-    """The flange and its rig."""
+    """The flange's job and its rig."""
     cell = flange()
     rig = prepare(cell.rig)
     return rig, teach(cell.left, cell.right, rig.rectification, cell.region, "flange")
@@ -40,7 +40,7 @@ def taught() -> tuple[PreparedRig, Job]:
 
 @functools.cache
 def exposure(picture: str) -> FramePair:
-    """A pair of it; each time the same arrays."""
+    """A pair for this kind of picture; always the same arrays."""
     cell = flange()
     if picture == "empty":
         return frame_pair(*pictures(cell.rig, scene()))
@@ -49,7 +49,7 @@ def exposure(picture: str) -> FramePair:
 
 
 class _Recalling(Ear):
-    """Remembers each event, and every bit of it as it was announced."""
+    """Records each event, and its serialised bytes when it was announced."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -61,12 +61,12 @@ class _Recalling(Ear):
 
 
 def bits_of(event: Event) -> bytes:
-    """All of an event; what came nearest is a question, which holds no result until somebody asks."""
+    """All of an event, except the lazily computed nearest match."""
     return pickle.dumps(replace(event, nearest=None) if isinstance(event, Snapshot) else event)
 
 
 class _Pictures(Head):
-    """Shows pictures one after the other, then the last one again and again."""
+    """Shows the pictures in turn, then repeats the last one."""
 
     def __init__(self, shown: list[str]) -> None:
         super().__init__()
@@ -81,7 +81,7 @@ class _Pictures(Head):
 
 
 def published(shown: list[str]) -> _Recalling:
-    """What a cell with the whole pipeline announces of these pictures, in a free-running loop."""
+    """Events that a free-running cell with the whole pipeline announces for these pictures."""
     rig, job = taught()
 
     def locate_job(pair: FramePair, lap: Callable[[str], None]) -> Outcome:
@@ -111,7 +111,7 @@ def published(shown: list[str]) -> _Recalling:
 @settings(max_examples=4)
 @given(shown=st.lists(st.sampled_from(PICTURES), min_size=2, max_size=5))
 def test_later_cycles_leave_what_was_published_as_it_was(shown: list[str]) -> None:
-    """Results, images and states are the same bits after any other cycles; no buffer is shared with one."""
+    """Results, images and states are bit-identical after further cycles."""
     ear = published(shown)
 
     assert ear.bits == [bits_of(event) for event in ear.events]
@@ -119,7 +119,7 @@ def test_later_cycles_leave_what_was_published_as_it_was(shown: list[str]) -> No
 
 @pytest.mark.slow
 def test_no_array_of_a_snapshot_can_be_written() -> None:
-    """A publisher that tries is told at once, and the others still read the truth."""
+    """Every array of a snapshot is read-only."""
     (snapshot, *_) = published(["straight"]).snapshots()
     (target,) = snapshot.targets
     arrays = [target.rig_from_part, target.covariance, target.circles[0].centre_mm, target.position_mm]
@@ -131,7 +131,7 @@ def test_no_array_of_a_snapshot_can_be_written() -> None:
 
 
 def test_features_of_every_kind_are_sealed() -> None:
-    """Also edges, slots and corners."""
+    """Arrays of circles, edges, slots and corners are read-only."""
     snapshot: Snapshot = make_snapshot()
     (target,) = snapshot.targets
 

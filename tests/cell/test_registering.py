@@ -1,4 +1,4 @@
-"""A registration in the loop: it is SETUP, belongs to who began it, and whoever comes between ends it."""
+"""A registration in the loop: it is SETUP, belongs to its client, and is ended by anything in between."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ START, ADD, SOLVE = CommandKind.HAND_EYE_START, CommandKind.REGISTER_ADD, Comman
 
 
 class Registrar:
-    """Takes whatever it is given. solved : the answer to SOLVE."""
+    """Accepts everything. solved : the answer to SOLVE."""
 
     def __init__(self) -> None:
         self.samples = 0
@@ -56,7 +56,7 @@ class Registrar:
 
 
 class Program:
-    """A robot's commands, each with its answer."""
+    """A robot's commands and their answers."""
 
     def __init__(self, cycle: Cycle, ear: Ear, source: str = "modbus") -> None:
         self.cycle, self.ear, self.source, self.sequence = cycle, ear, source, 0
@@ -89,7 +89,7 @@ Script = Callable[[Program, Registrar, Head], Awaitable[None]]
 async def driven(
     setup: Setup | None = None, registrar: Registrar | None = None
 ) -> AsyncIterator[tuple[Program, Registrar, Head]]:
-    """A cycle that runs, and a robot's program."""
+    """A running cycle, and a robot's program."""
     head, ear = Head(), Ear()
     registrar = registrar or Registrar()
     cycle = Cycle(head, setup or make_setup(), registrar=registrar)
@@ -100,7 +100,7 @@ async def driven(
 
 @pytest.mark.parametrize("period_s", [None, 0.0], ids=["commanded", "free-running"])
 async def test_from_its_begin_to_its_end_nothing_is_measured(period_s: float | None) -> None:
-    """SETUP by a robot: nobody's command runs, no tick does; then the new registration counts at once."""
+    """During it SETUP is by a robot, and neither commands nor ticks run; then the new registration counts."""
 
     async with driven(make_setup(period_s)) as (robot, registrar, _):
         assert robot.state.setup is SetupSource.NONE
@@ -159,7 +159,7 @@ async def _somebody(robot: Program) -> None:
 
 @pytest.mark.parametrize("comes", [_person, _reload, _lock, _somebody])
 async def test_what_comes_in_between_ends_it(comes: Callable[[Program], Awaitable[None]]) -> None:
-    """A person, a reload, a plant that runs: the cell is ready with the registration it had; ADD says so."""
+    """A person, a reload or AUTO_LOCK ends it, the old registration stays, and ADD and SOLVE are refused."""
     async with driven() as (robot, registrar, _):
         await robot.run(START)
         await robot.run(ADD)
@@ -174,7 +174,7 @@ async def test_what_comes_in_between_ends_it(comes: Callable[[Program], Awaitabl
 async def test_a_program_that_never_comes_back_does_not_keep_the_cell(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """After a while without a command of it the cell measures again as before."""
+    """Without a command for a while the cell is READY again."""
     monkeypatch.setattr(registering, "REST_S", 0.0)
     async with driven() as (robot, _, _):
         await robot.run(START)
@@ -182,7 +182,7 @@ async def test_a_program_that_never_comes_back_does_not_keep_the_cell(
 
 
 async def test_it_belongs_to_who_began_it() -> None:
-    """Somebody else's ADD would put another robot's pose among these; START by them would end it."""
+    """Another client's START, ADD and SOLVE are refused while it runs."""
     async with driven() as (robot, _, _):
         await robot.run(START)
         for kind in (START, ADD, SOLVE):
@@ -192,7 +192,7 @@ async def test_it_belongs_to_who_began_it() -> None:
 
 
 async def test_a_camera_that_fails_or_a_full_disc_lose_no_pose() -> None:
-    """Each is a NACK of its own; what was taken is still there."""
+    """A camera fault or a full disk is a NACK, and the poses taken so far are kept."""
     async with driven() as (robot, registrar, head):
         await robot.run(START)
         await robot.run(ADD)
@@ -209,7 +209,7 @@ async def test_a_camera_that_fails_or_a_full_disc_lose_no_pose() -> None:
 
 
 async def test_what_cannot_begin_is_refused_and_changes_nothing() -> None:
-    """The registrar's reason, and none at all in a cell that knows no registrar; ADD without a pose."""
+    """START is refused with the registrar's reason or without a registrar, and ADD without a pose."""
     registrar = Registrar()
     registrar.refuses = "there is no board"
 

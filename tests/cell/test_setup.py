@@ -1,4 +1,4 @@
-"""SETUP: nobody is served, one person at a time has the cell, and it is never ready again by itself."""
+"""SETUP: no one is served, one person has the cell at a time, and it does not end by itself."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ LACKING = replace(make_setup(), jobs={}, active_job=0, lacks=SetupSource.NO_CALI
 async def driven(
     setup: Setup, head: Head | None = None, note: SetupNote | None = None
 ) -> AsyncIterator[tuple[Cycle, Ear, Head]]:
-    """A cycle that runs."""
+    """A running cycle."""
     head, ear = head or Head(), Ear()
     cycle = Cycle(head, setup, notebook=note)
     async with running(cycle, ear):
@@ -38,12 +38,12 @@ async def driven(
 
 
 def latest(ear: Ear) -> CellState:
-    """The state that was told last."""
+    """The last announced state."""
     return next(event for event in reversed(ear.events) if isinstance(event, CellState))
 
 
 async def test_whoever_enters_has_the_cell_after_the_running_cycle() -> None:
-    """The cycle ends as ever, what waited fails, and from then on commands are refused."""
+    """The running cycle completes, waiting commands fail, and new ones are refused."""
     release, slow = held()
     first, waiting = locate_command(1), locate_command(2)
     async with driven(make_setup(locate=slow)) as (cycle, ear, _):
@@ -68,7 +68,7 @@ async def test_whoever_enters_has_the_cell_after_the_running_cycle() -> None:
 
 
 async def test_nobody_else_hears_of_pictures_in_setup() -> None:
-    """They go to who asked; then one test pair, and the cell is ready."""
+    """Pictures in SETUP are not announced, and after it one test pair makes the cell ready."""
     async with driven(make_setup()) as (cycle, ear, head):
         token = await cycle.session.enter_setup("Anna")
         pair = await cycle.session.capture(token)
@@ -84,7 +84,7 @@ async def test_nobody_else_hears_of_pictures_in_setup() -> None:
 
 @pytest.mark.slow
 async def test_a_dead_camera_is_told_to_who_asks_and_shows_when_setup_ends() -> None:
-    """Not before: in SETUP a cable may be in somebody's hand."""
+    """The fault is raised to the caller but is no state in SETUP; it shows when SETUP ends."""
     async with driven(make_setup()) as (cycle, ear, head):
         token = await cycle.session.enter_setup("Anna")
         head.broken = True
@@ -98,7 +98,8 @@ async def test_a_dead_camera_is_told_to_who_asks_and_shows_when_setup_ends() -> 
 
 
 async def test_other_cameras_are_for_setup_alone() -> None:
-    """They take the pictures until it ends; then they are closed, and the configured ones are open again."""
+    """Trial cameras take the pictures until SETUP ends; then they are closed, and the configured ones
+    reopened."""
     draft = Head()
     async with driven(make_setup()) as (cycle, ear, head):
         token = await cycle.session.enter_setup("Anna")
@@ -112,7 +113,7 @@ async def test_other_cameras_are_for_setup_alone() -> None:
 
 
 async def test_the_loop_shows_that_it_lives_in_setup(monkeypatch: pytest.MonkeyPatch) -> None:
-    """With nothing to do, and with one picture after the other: the watchdog feeds on these alone."""
+    """Idle events continue in SETUP, both without requests and with continuous captures."""
     monkeypatch.setattr("edged.cell.context.IDLE_S", 0.01)
 
     def idle(ear: Ear) -> int:
@@ -132,7 +133,7 @@ async def test_the_loop_shows_that_it_lives_in_setup(monkeypatch: pytest.MonkeyP
 async def test_a_cell_without_calibration_is_in_setup_and_leaves_the_cameras_alone(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """Another program may take the pictures to calibrate from; with rig and jobs it is ready."""
+    """It stays in SETUP without opening the cameras, and is ready once it has rig and jobs."""
     monkeypatch.setattr("edged.cell.context.IDLE_S", 0.01)
     head = Head()
     opened: list[bool] = []
@@ -161,7 +162,7 @@ async def test_a_cell_without_calibration_is_in_setup_and_leaves_the_cameras_alo
 
 
 async def test_setup_is_left_by_a_person_only() -> None:
-    """Neither what a reload brings, nor a lease that lapses, makes a cell ready that somebody has taken."""
+    """Neither a reload nor a lapsed lease ends SETUP once a person has taken the cell."""
     async with driven(LACKING) as (cycle, ear, _):
         await cycle.session.enter_setup("Anna")
         cycle.exchange(make_setup(period_s=0.01))
@@ -175,7 +176,7 @@ async def test_setup_is_left_by_a_person_only() -> None:
 
 @pytest.mark.slow
 async def test_no_tick_is_made_up_for_after_setup() -> None:
-    """A free-running cell goes on with one cycle, and has missed none."""
+    """After SETUP a free-running cell continues without missed ticks."""
     async with driven(make_setup(period_s=0.3)) as (cycle, ear, _):
         token = await cycle.session.enter_setup("Anna")
         await asyncio.sleep(0.7)
@@ -185,13 +186,13 @@ async def test_no_tick_is_made_up_for_after_setup() -> None:
 
 
 async def test_a_killed_daemon_is_in_setup_again(tmp_path: Path) -> None:
-    """By the note; nobody has it then, so anybody may take it, or end it."""
+    """After a kill the note puts the cell in SETUP without a holder, and anyone may take or end it."""
     note = SetupNote(tmp_path / "setup")
     cycle = Cycle(Head(), make_setup(), notebook=note)
     task = asyncio.create_task(cycle.run())
     await cycle.session.enter_setup("Anna")
     assert "Anna\n" == note.path.read_text()
-    task.cancel()  # as far as the note goes, this is a kill
+    task.cancel()  # for the note this is the same as a kill
     with pytest.raises(asyncio.CancelledError):
         await task
 
@@ -207,7 +208,7 @@ async def test_a_killed_daemon_is_in_setup_again(tmp_path: Path) -> None:
 
 
 async def test_setup_that_cannot_be_noted_is_refused(tmp_path: Path) -> None:
-    """A kill would make the cell ready beside somebody; the reason is said."""
+    """If the note cannot be written, SETUP is refused with the reason, and the cell stays READY."""
     note = SetupNote(tmp_path / "no" / "such" / "folder")
     async with driven(make_setup(), note=note) as (cycle, ear, _):
         with pytest.raises(SetupRefused, match="cannot be noted"):
@@ -216,7 +217,7 @@ async def test_setup_that_cannot_be_noted_is_refused(tmp_path: Path) -> None:
 
 
 async def test_the_plant_refuses_setup_and_ends_it() -> None:
-    """A picture that is being taken is finished; whatever else was asked is not done."""
+    """AUTO_LOCK refuses SETUP and ends it after the current picture; further requests fail."""
     async with driven(make_setup()) as (cycle, ear, head):
         token = await cycle.session.enter_setup("Anna")
         head.capture_s = 0.05
@@ -236,7 +237,7 @@ async def test_the_plant_refuses_setup_and_ends_it() -> None:
 
 
 async def test_a_stopping_daemon_answers_who_has_the_cell() -> None:
-    """Their request fails with the reason; cameras are closed."""
+    """Pending requests fail with the reason, and the cameras are closed."""
     head = Head()
     cycle = Cycle(head, make_setup())
     task = asyncio.create_task(cycle.run())
@@ -253,7 +254,7 @@ async def test_a_stopping_daemon_answers_who_has_the_cell() -> None:
 
 
 async def test_cameras_that_others_trigger_are_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
-    """And when nobody does, that is said, and the next request is served."""
+    """Without an external trigger a capture times out with a reason, and the next request is served."""
     monkeypatch.setattr("edged.cell.lease.cameras.LOOK_S", 0.01)
     monkeypatch.setattr("edged.cell.lease.cameras.LISTEN_S", 0.03)
     async with driven(replace(make_setup(), listens=True)) as (cycle, _, head):
@@ -266,7 +267,7 @@ async def test_cameras_that_others_trigger_are_waited_for(monkeypatch: pytest.Mo
 
 
 class AnybodyWithTheLease(RuleBasedStateMachine):
-    """People, a plant and time. The model: whose token is worth something, and for how long."""
+    """People, a plant and time. The model: whose token is valid, and until when."""
 
     def __init__(self) -> None:
         super().__init__()

@@ -1,4 +1,4 @@
-"""The stereo head's promises: one exposure or one fault, in bounded time, with nothing left behind."""
+"""The stereo head: each capture is one exposure or one fault, in bounded time, with nothing left running."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ from edged.sim.exposure import ExposureRequest
 from edged.sim.inprocess import InProcessCamera, InProcessFaults
 
 TIMEOUT_S = 0.2
-"""For a camera that is silent; any other has as long as a busy machine leaves it."""
+"""For a silent camera; others may take as long as a busy machine needs."""
 
 
 def noise(request: ExposureRequest) -> Image:
@@ -67,14 +67,14 @@ class Bench:
         return self.left if name == "left" else self.right
 
     async def is_closed(self, name: str) -> None:
-        """The camera gets closed without anybody waiting for it."""
+        """Wait until the camera is closed in the background."""
         deadline_s = time.monotonic() + 3.0
         while self.side(name).is_open:
             assert time.monotonic() < deadline_s, "was not closed"
             await asyncio.sleep(0.001)
 
     async def recovers(self, within_s: float = 3.0) -> FramePair:
-        """The first good pair; every error on the way must be a `CaptureError`."""
+        """First good pair; any error on the way must be a `CaptureError`."""
         deadline_s = time.monotonic() + within_s
         while True:
             try:
@@ -105,7 +105,7 @@ SIDES = pytest.mark.parametrize("name", ["left", "right"])
 
 
 async def test_both_returns_both_results_in_order() -> None:
-    """The slower one does not change places."""
+    """Results keep their order, whichever finishes first."""
 
     async def give(value: int, delay_s: float) -> int:
         await asyncio.sleep(delay_s)
@@ -117,7 +117,7 @@ async def test_both_returns_both_results_in_order() -> None:
 @pytest.mark.parametrize("failing", [0, 1])
 @pytest.mark.parametrize("how", ["error", "timeout", "cancelled"])
 async def test_both_leaves_nothing_running(failing: int, how: str) -> None:
-    """After an error, a time-out or a cancellation both coroutines have ended, clean-up included."""
+    """After an error, time-out or cancellation both coroutines have ended, including their clean-up."""
     ended: list[int] = []
 
     async def work(number: int) -> None:
@@ -126,7 +126,7 @@ async def test_both_leaves_nothing_running(failing: int, how: str) -> None:
                 raise FrameTimeout("left", "gone")
             await asyncio.sleep(30)
         finally:
-            await asyncio.sleep(0.01)  # a clean-up that takes its time is waited for
+            await asyncio.sleep(0.01)  # a slow clean-up is waited for
             ended.append(number)
 
     expected = {"error": FrameTimeout, "timeout": TimeoutError, "cancelled": asyncio.CancelledError}[how]
@@ -142,7 +142,7 @@ async def test_both_leaves_nothing_running(failing: int, how: str) -> None:
 
 
 async def test_both_awaits_the_other_even_when_cancelled_twice() -> None:
-    """A second cancellation during the clean-up does not cut the clean-up short, and is not lost."""
+    """A second cancellation does not shorten the clean-up, and is not lost."""
     ended: list[int] = []
 
     async def work(number: int) -> None:
@@ -178,7 +178,7 @@ async def test_a_capture_opens_the_cameras_and_gives_what_they_saw() -> None:
 
 
 async def test_both_cameras_expose_at_the_same_time() -> None:
-    """Neither rendering starts only after the other has ended: both wait at one barrier."""
+    """Both exposures run at the same time: they meet at a barrier."""
     barrier = threading.Barrier(2)
 
     def meet(request: ExposureRequest) -> Image:
@@ -190,7 +190,7 @@ async def test_both_cameras_expose_at_the_same_time() -> None:
 
 
 async def test_the_loop_keeps_running_while_an_image_is_rendered() -> None:
-    """Rendering waits for something only the event loop can do."""
+    """The event loop runs while an image is rendered."""
     async with used():
         loop = asyncio.get_running_loop()
 
@@ -207,7 +207,7 @@ async def test_the_loop_keeps_running_while_an_image_is_rendered() -> None:
 
 
 async def test_a_frame_is_not_a_view_of_the_renderers_memory() -> None:
-    """The next exposure must not change an image that was handed out."""
+    """A later exposure does not change an image already returned."""
     shared = np.zeros((12, 16), np.uint8)
 
     def render(request: ExposureRequest) -> Image:
@@ -226,7 +226,7 @@ async def test_a_frame_is_not_a_view_of_the_renderers_memory() -> None:
 @SIDES
 @pytest.mark.parametrize("kind", [FrameTimeout, FrameIncomplete, PairingError])
 async def test_a_single_lost_exposure_does_not_close_a_camera(name: str, kind: type[CaptureError]) -> None:
-    """One lost frame is the network's: the next capture works at once, on the same connection."""
+    """After one lost frame the next capture works at once on the same connection."""
     async with used() as bench:
         await bench.head.capture()
         bench.side(name).faults.fail_next_trigger = kind(name, "once")
@@ -239,7 +239,7 @@ async def test_a_single_lost_exposure_does_not_close_a_camera(name: str, kind: t
 @SIDES
 @pytest.mark.parametrize("kind", [CameraUnreachable, CameraBusy, CameraSetupError])
 async def test_a_camera_that_is_gone_is_closed_and_opened_again(name: str, kind: type[CaptureError]) -> None:
-    """Only the broken one is reopened; the other keeps its connection."""
+    """Only the broken camera is reopened; the other keeps its connection."""
     other = "right" if name == "left" else "left"
     async with used() as bench:
         await bench.head.capture()
@@ -255,7 +255,7 @@ async def test_a_camera_that_is_gone_is_closed_and_opened_again(name: str, kind:
 
 @SIDES
 async def test_a_camera_that_never_delivers_is_named_in_time_and_reopened(name: str) -> None:
-    """Each capture ends by the time-out and names the silent camera; after three it is reopened."""
+    """Each capture ends at the time-out and names the silent camera, which is reopened after three."""
     async with used(Bench(timeout_s=TIMEOUT_S)) as bench:
         await bench.head.capture()
         faults = bench.side(name).faults
@@ -273,7 +273,7 @@ async def test_a_camera_that_never_delivers_is_named_in_time_and_reopened(name: 
 
 
 async def test_two_silent_cameras_are_both_named() -> None:
-    """Neither is accused alone."""
+    """If both cameras are silent, the error names both."""
     async with used(Bench(timeout_s=TIMEOUT_S)) as bench:
         bench.left.faults.stall = bench.right.faults.stall = True
         with pytest.raises(FrameTimeout) as caught:
@@ -282,7 +282,7 @@ async def test_two_silent_cameras_are_both_named() -> None:
 
 
 async def test_one_failing_camera_does_not_keep_the_other_waiting() -> None:
-    """The error comes when it happens, not at the deadline."""
+    """The error is raised when it occurs, without waiting for the other camera."""
     async with used(Bench(timeout_s=60.0)) as bench:
         bench.left.faults.stall = True
         bench.right.faults.fail_next_trigger = FrameIncomplete("right", "packets missing")
@@ -292,7 +292,7 @@ async def test_one_failing_camera_does_not_keep_the_other_waiting() -> None:
 
 @SIDES
 async def test_a_late_image_is_never_taken_for_the_next_exposure(name: str) -> None:
-    """An image that missed its deadline is dropped; the next pair is of one trigger."""
+    """An image that missed its deadline is dropped, and the next pair is from one trigger."""
     async with used(Bench(timeout_s=TIMEOUT_S)) as bench:
         await bench.head.capture()
         bench.side(name).faults.delay_s = 2 * TIMEOUT_S
@@ -309,7 +309,7 @@ async def test_a_late_image_is_never_taken_for_the_next_exposure(name: str) -> N
 
 @SIDES
 async def test_exposures_that_are_apart_are_no_pair(name: str) -> None:
-    """Beyond the limit: a fault that tells the skew. Within: a pair."""
+    """Beyond the limit the error states the skew; within it there is a pair."""
     async with used(Bench(max_skew_s=0.05, timeout_s=10.0)) as bench:
         await bench.head.capture()
         bench.side(name).faults.skew_s = 0.2
@@ -320,7 +320,7 @@ async def test_exposures_that_are_apart_are_no_pair(name: str) -> None:
 
 
 class Scripted:
-    """A camera that says of its exposures whatever the test wants."""
+    """A camera whose frames have the ids and times the test wants."""
 
     def __init__(self, name: str) -> None:
         self.name = name
@@ -349,7 +349,7 @@ class Scripted:
 
 
 def scripted(*exposures: tuple[tuple[int, float], tuple[int, float]]) -> list[str]:
-    """What the head says to a series of (frame id, device time) of left and right: "" or the fault."""
+    """Result for each (frame id, device time) of left and right: "" or the fault."""
     left, right = Scripted("left"), Scripted("right")
 
     async def main() -> list[str]:
@@ -370,7 +370,7 @@ def scripted(*exposures: tuple[tuple[int, float], tuple[int, float]]) -> list[st
 
 
 def test_the_cameras_own_clocks_must_agree_on_the_time_between_two_pairs() -> None:
-    """A trigger that one camera took 20 ms late shows in its clock, whatever its epoch."""
+    """A trigger taken 20 ms late by one camera is found by the device clocks, whatever their epochs."""
     good, late, healed = scripted(
         ((1, 100.0), (1, 7000.0)), ((2, 101.0), (2, 7001.02)), ((3, 102.0), (3, 7002.0))
     )
@@ -380,18 +380,18 @@ def test_the_cameras_own_clocks_must_agree_on_the_time_between_two_pairs() -> No
 
 
 def test_clock_drift_over_a_long_pause_is_no_skew() -> None:
-    """Crystals 300 ppm apart count a pause of an hour a second differently."""
+    """A clock difference of 300 ppm over an hour is no skew."""
     assert ["", ""] == scripted(((1, 0.0), (1, 0.0)), ((2, 3600.0), (2, 3601.08)))
 
 
 def test_cameras_without_a_clock_are_paired_all_the_same() -> None:
-    """A device time that stands still says nothing."""
+    """Constant device times are ignored."""
     assert ["", "", ""] == scripted(((1, 0.0), (1, 5.0)), ((2, 0.0), (2, 6.0)), ((3, 0.0), (3, 7.0)))
 
 
 @pytest.mark.parametrize("ids", [(5, 5), (5, 4)])
 def test_a_frame_that_was_there_before_is_a_fault(ids: tuple[int, int]) -> None:
-    """Equal and falling frame ids are named with both numbers."""
+    """Equal or decreasing frame ids are a fault that states both numbers."""
     first, second = scripted(((ids[0], 1.0), (1, 1.0)), ((ids[1], 2.0), (2, 2.0)))
 
     assert "" == first
@@ -400,7 +400,7 @@ def test_a_frame_that_was_there_before_is_a_fault(ids: tuple[int, int]) -> None:
 
 @SIDES
 async def test_a_frozen_image_is_never_published_not_even_after_reopening(name: str) -> None:
-    """New id, same pixels: a fault each time, until the picture changes."""
+    """A repeated image under a new id is a fault each time, also after reopening, until it changes."""
     async with used() as bench:
         await bench.head.capture()
         bench.side(name).faults.frozen = True
@@ -419,7 +419,7 @@ async def test_a_frozen_image_is_never_published_not_even_after_reopening(name: 
 
 @SIDES
 async def test_an_image_of_another_size_than_the_rigs_is_a_fault_of_that_camera(name: str) -> None:
-    """No measurement sees it; the camera is opened anew, in case that helps."""
+    """The error states both sizes, and the camera is reopened."""
     sizes = {"left": (16, 12), "right": (16, 12), name: (16, 13)}
     async with used(Bench(image_sizes=(sizes["left"], sizes["right"]))) as bench:
         with pytest.raises(CameraSetupError, match=f"camera {name}: its image is 16x12 px, .* with 16x13"):
@@ -428,14 +428,14 @@ async def test_an_image_of_another_size_than_the_rigs_is_a_fault_of_that_camera(
 
 
 async def test_a_dark_image_is_not_called_frozen() -> None:
-    """All pixels 0 twice: the lamp is out, which is for the pipeline to say."""
+    """Repeated black images are pairs, as a dark picture is for the pipeline to report."""
     async with used(Bench(lambda request: np.zeros((request.height, request.width), np.uint8))) as bench:
         for _ in range(3):
             await bench.head.capture()
 
 
 async def test_a_source_that_repeats_itself_can_be_allowed() -> None:
-    """With detect_frozen off the same picture twice is a pair."""
+    """With detect_frozen off, repeated images are pairs."""
 
     def still(request: ExposureRequest) -> Image:
         image = np.zeros((request.height, request.width), np.uint8)
@@ -448,7 +448,7 @@ async def test_a_source_that_repeats_itself_can_be_allowed() -> None:
 
 
 async def test_pairing_faults_that_stay_reopen_both_cameras() -> None:
-    """Two cameras out of step are started anew together."""
+    """Repeated pairing faults reopen both cameras."""
     async with used() as bench:
         bench.right.faults.skew_s = 1.0
         for _ in range(REOPEN_AFTER):
@@ -464,7 +464,7 @@ async def test_pairing_faults_that_stay_reopen_both_cameras() -> None:
 
 
 async def test_back_off_raises_the_last_error_at_once_and_touches_no_camera() -> None:
-    """Between attempts a capture costs nothing: a camera that is off must not slow the cycle."""
+    """Between attempts a capture raises the last error at once, without touching a camera."""
     async with used(Bench(min_backoff_s=60.0)) as bench:
         bench.left.faults.open_error = CameraUnreachable("left", "no answer")
         attempts = 0
@@ -482,7 +482,7 @@ async def test_back_off_raises_the_last_error_at_once_and_touches_no_camera() ->
 
 
 async def test_the_pause_between_attempts_doubles_up_to_its_limit() -> None:
-    """0.1, 0.2, 0.4, 0.4, ...: measured on a clock that the test turns."""
+    """The pauses are 0.1, 0.2, 0.4, 0.4, ... s."""
     now_s = 1000.0
     attempts: list[float] = []
     bench = Bench(min_backoff_s=0.1, max_backoff_s=0.4, clock=lambda: now_s)
@@ -502,7 +502,7 @@ async def test_the_pause_between_attempts_doubles_up_to_its_limit() -> None:
 
 
 async def test_a_slow_attempt_to_open_never_blocks_a_cycle() -> None:
-    """While a known fault lasts, a capture waits one time-out for the attempt, then says why."""
+    """While a fault lasts, a capture waits at most one time-out for the attempt to open."""
     gate = asyncio.Event()
     async with used(Bench(timeout_s=TIMEOUT_S)) as bench:
         await bench.head.capture()
@@ -524,7 +524,7 @@ async def test_a_slow_attempt_to_open_never_blocks_a_cycle() -> None:
 
 @SIDES
 async def test_a_camera_that_hangs_in_closing_does_not_hold_up_the_cycle(name: str) -> None:
-    """The fault is reported at once; the camera is opened again only after it has been closed."""
+    """The fault is raised at once, and the camera is reopened only after it has been closed."""
     order: list[str] = []
     async with used(Bench(timeout_s=TIMEOUT_S)) as bench:
         camera = bench.side(name)
@@ -553,7 +553,7 @@ async def test_a_camera_that_hangs_in_closing_does_not_hold_up_the_cycle(name: s
 
 
 async def test_an_attempt_that_hangs_is_ended() -> None:
-    """A driver that never comes back is a fault after `open_timeout_s`."""
+    """An attempt that takes longer than `open_timeout_s` raises CameraUnreachable."""
     async with used(Bench(open_timeout_s=0.05)) as bench:
         bench.right.open = asyncio.Event().wait
         with pytest.raises(CameraUnreachable, match=r"camera right: not open after 0\.05 s"):
@@ -561,7 +561,7 @@ async def test_an_attempt_that_hangs_is_ended() -> None:
 
 
 async def test_closing_ends_an_attempt_to_open() -> None:
-    """Stopping does not wait for a camera that does not answer."""
+    """Closing cancels a pending attempt to open."""
     async with used(Bench(open_timeout_s=60.0)) as bench:
         bench.left.open = asyncio.Event().wait
         task = asyncio.create_task(bench.head.open())
@@ -573,7 +573,7 @@ async def test_closing_ends_an_attempt_to_open() -> None:
 
 
 async def test_two_cameras_that_are_missing_are_both_named() -> None:
-    """One message for the integrator who forgot to switch the cell on."""
+    """One error names both missing cameras."""
     async with used() as bench:
         for side in (bench.left, bench.right):
             side.faults.open_error = CameraUnreachable(side.name, "no answer")
@@ -583,7 +583,7 @@ async def test_two_cameras_that_are_missing_are_both_named() -> None:
 
 
 async def test_looking_after_open_cameras_finds_the_one_that_died() -> None:
-    """Idle in command mode: `open` asks cameras that are open, and one that fails is reopened."""
+    """`open` checks cameras that are already open, and a failing one is reopened."""
     async with used() as bench:
         await bench.head.open()
         bench.right.faults.open_error = CameraUnreachable("right", "control lost")
@@ -598,7 +598,7 @@ async def test_looking_after_open_cameras_finds_the_one_that_died() -> None:
 
 
 async def test_a_bug_in_an_adapter_is_not_called_a_camera_fault() -> None:
-    """What is no `CaptureError` propagates from the attempt to open, and from an exposure."""
+    """Errors other than `CaptureError` propagate from opening and from exposures."""
 
     async def broken() -> None:
         raise ZeroDivisionError("a bug")
@@ -615,7 +615,7 @@ async def test_a_bug_in_an_adapter_is_not_called_a_camera_fault() -> None:
 
 
 async def test_repeated_faults_do_not_grow_their_traceback() -> None:
-    """An outage of a weekend raises the same error a million times."""
+    """The traceback of a repeatedly raised error does not grow."""
 
     def length(error: BaseException) -> int:
         traceback, count = error.__traceback__, 0
@@ -636,7 +636,7 @@ async def test_repeated_faults_do_not_grow_their_traceback() -> None:
 
 @pytest.mark.slow
 async def test_random_faults_give_good_pairs_or_capture_errors_and_nothing_else() -> None:
-    """A thousand exposures with random faults: every pair that comes out is one exposure, and new."""
+    """In a thousand exposures with random faults, each returned pair is one new exposure."""
     random = np.random.default_rng(7)
 
     def stamped(request: ExposureRequest) -> Image:
@@ -653,7 +653,7 @@ async def test_random_faults_give_good_pairs_or_capture_errors_and_nothing_else(
             side.faults.drop_next = int(kind == 0)
             side.faults.incomplete_next = int(kind == 1)
             side.faults.skew_s = 0.2 if kind == 2 else 0.0
-            # a picture that never reached the host cannot be known again when it comes twice
+            # a picture that never reached the host cannot be recognised as repeated
             side.faults.frozen = bool(kind == 3) and last_was_good
             last_was_good = False
             if kind == 4:
@@ -680,7 +680,7 @@ async def test_random_faults_give_good_pairs_or_capture_errors_and_nothing_else(
 
 
 def test_every_capture_error_has_a_code_of_its_own() -> None:
-    """The PLC tells them apart by a number that is never used twice."""
+    """The codes of all capture errors are unique."""
 
     def family(kind: type[CaptureError]) -> list[type[CaptureError]]:
         return [kind, *(one for child in kind.__subclasses__() for one in family(child))]
@@ -690,7 +690,7 @@ def test_every_capture_error_has_a_code_of_its_own() -> None:
 
 
 async def test_repeated_and_frozen_frames_are_told_apart() -> None:
-    """A number that comes again is one fault, a picture that comes again under a new number another."""
+    """A repeated frame id and a repeated image under a new id are different faults."""
     async with used() as bench:
         await bench.head.capture()
         bench.left.faults.repeat_id = True
@@ -703,7 +703,7 @@ async def test_repeated_and_frozen_frames_are_told_apart() -> None:
 
 
 async def test_a_camera_that_answers_and_never_shows_anything_has_a_stalled_stream() -> None:
-    """One missing image is a time-out; three in a row of a camera that says it is well are more than that."""
+    """One missing image is a time-out; three in a row of a responding camera are a stalled stream."""
     async with used(Bench(timeout_s=TIMEOUT_S)) as bench:
         await bench.head.capture()
         bench.left.faults.stall = True
@@ -716,7 +716,7 @@ async def test_a_camera_that_answers_and_never_shows_anything_has_a_stalled_stre
 
 
 async def test_after_a_missing_image_the_camera_is_asked_why() -> None:
-    """A camera that was taken by another host says so at the next cycle, not after three lost images."""
+    """After a missing image, a camera taken by another host is reported at the next cycle."""
     async with used(Bench(timeout_s=TIMEOUT_S)) as bench:
         await bench.head.capture()
         bench.left.faults.stall = True
@@ -727,12 +727,12 @@ async def test_after_a_missing_image_the_camera_is_asked_why() -> None:
             await bench.head.capture()
 
 
-# --- who is triggered when ----------------------------------------------------------------------------
+# --- trigger order ------------------------------------------------------------------------------------
 
 
 @SIDES
 async def test_the_follower_is_armed_before_the_other_is_triggered(name: str) -> None:
-    """Or it would miss the exposure that it is to follow; however long arming takes."""
+    """The follower is always armed before the other camera is triggered, however long arming takes."""
     order: list[str] = []
     async with used(Bench(follower=name, timeout_s=5.0)) as bench:
         for side in (bench.left, bench.right):

@@ -1,4 +1,4 @@
-"""Two exposures in a cycle: the right ones, merged, and a fault where they do not show the same."""
+"""Two exposures per cycle: with the right values, merged, and a fault if they differ."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ from edged.sim.inprocess import InProcessCamera
 
 LONG_US, RATIO = 4000.0, 8.0
 GLINT = 4.0
-"""Light of the brightest part, against what makes the long exposure white."""
+"""Radiance of the glint, relative to what saturates the long exposure."""
 
 
 class Metal:
-    """What both cameras see: a grey part with a glint, on a dark table. moved_px : between two exposures."""
+    """A grey part with a glint, on a dark table. moved_px : between two exposures."""
 
     def __init__(self) -> None:
         self.exposures: list[float] = []
@@ -64,7 +64,7 @@ async def closing(head: TwoExposureHead) -> AsyncIterator[None]:
 
 
 async def test_each_cycle_has_a_long_and_a_short_exposure_and_changes_once() -> None:
-    """It begins with what the last one ended with; both glint and table are seen in every pair."""
+    """Each cycle starts with the exposure of the previous one, and every pair shows both glint and table."""
     metal = Metal()
     head, _ = heads(metal)
     pairs = await _captured(head, 3)
@@ -82,7 +82,7 @@ async def _captured(head: TwoExposureHead, count: int) -> list[Any]:
 
 
 async def test_a_camera_that_takes_values_late_has_an_exposure_between_that_is_thrown_away() -> None:
-    """Where the adapter does not see to it: with triggers that it does not make itself."""
+    """With `settles`, one exposure after each change is discarded."""
     metal = Metal()
     head, _ = heads(metal, settles=True)
     await _captured(head, 1)
@@ -91,7 +91,7 @@ async def test_a_camera_that_takes_values_late_has_an_exposure_between_that_is_t
 
 
 async def test_the_time_of_a_pair_is_between_both_exposures_and_its_bound_reaches_to_each() -> None:
-    """Where a part moved a little, nobody knows better when it was seen."""
+    """The pair's time lies between both exposures, and its bound covers both."""
     metal = Metal()
     head, _ = heads(metal)
     (pair,) = await _captured(head, 1)
@@ -104,7 +104,7 @@ async def test_the_time_of_a_pair_is_between_both_exposures_and_its_bound_reache
 
 @pytest.mark.parametrize("moved_px", [3.0, 30.0])
 async def test_a_part_that_moves_between_the_two_is_a_fault(moved_px: float) -> None:
-    """Code 113, and the pair is no result."""
+    """The fault has code 113."""
     metal = Metal()
     metal.moved_px = moved_px
     head, _ = heads(metal)
@@ -114,7 +114,7 @@ async def test_a_part_that_moves_between_the_two_is_a_fault(moved_px: float) -> 
 
 
 async def test_light_that_changes_between_the_two_is_a_fault_beyond_flicker() -> None:
-    """A lamp that went off; a tenth is taken as it is."""
+    """A change by a tenth is accepted, one of 40 % is a fault."""
     metal = Metal()
     metal.flicker = 0.9
     head, _ = heads(metal)
@@ -126,7 +126,7 @@ async def test_light_that_changes_between_the_two_is_a_fault_beyond_flicker() ->
 
 
 async def test_what_a_person_sets_is_the_long_exposure() -> None:
-    """Also after a cycle that ended with the short one; the short one follows; `restore` brings both back."""
+    """An adjusted value is the long exposure, the short one follows, and `restore` resets both."""
     metal = Metal()
     head, _ = heads(metal)
     async with closing(head):
@@ -144,7 +144,7 @@ async def test_what_a_person_sets_is_the_long_exposure() -> None:
 
 
 async def test_after_a_fault_the_exposures_are_right_again() -> None:
-    """A camera that was lost between both exposures: the next pair is whole."""
+    """After a camera fault between both exposures, the next pair is complete."""
     metal = Metal()
     head, (left, _) = heads(metal)
     async with closing(head):
@@ -159,7 +159,7 @@ async def test_after_a_fault_the_exposures_are_right_again() -> None:
 
 
 async def test_nobody_else_can_trigger_two_exposures() -> None:
-    """The configuration refuses it; so does the head."""
+    """Listening to external triggers is refused."""
     head, _ = heads(Metal())
     with pytest.raises(FrameTimeout, match="others' triggers"):
         await head.listen()

@@ -1,4 +1,4 @@
-"""`edged accept` and `edged study`: what is not whole does not pass, and every wrong input is named."""
+"""`edged accept` and `edged study`: incomplete tests do not pass, and every wrong input is named."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from edged.sim.cell import VirtualCell, demo_part
 
 
 def write_pairs(folder: Path, count: int) -> None:
-    """The small rig's flange, with another noise in each pair."""
+    """Pairs of the small rig's flange, each with other noise."""
     folder.mkdir(parents=True)
     part, rng = flange(), np.random.default_rng(3)
     for number in range(count):
@@ -33,7 +33,7 @@ def write_pairs(folder: Path, count: int) -> None:
 def test_a_cell_is_accepted_only_by_all_of_its_tests(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """A still part alone does not pass the cell; the page is written and signed; wrong input is named."""
+    """A still part alone does not pass the cell; the document is written and signed; wrong input is named."""
     prepare_cell(tmp_path, VirtualCell(small_rig(), demo_part(), seed=11), DemoOptions(), gige=False)
     shown, out, key, public = (tmp_path / name for name in ("shown", "out", "key.pem", "public.pem"))
     rig, job = tmp_path / "rig.json", tmp_path / "jobs/flange"
@@ -76,7 +76,7 @@ def test_a_cell_is_accepted_only_by_all_of_its_tests(
 def test_a_study_of_a_size_says_whether_the_cell_is_fit(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """The flange's bore by 25 pictures; its own mean as reference is capable, one 10 um beside it is not."""
+    """With the mean of 25 pictures as reference the bore is capable, and with one 10 um beside it not."""
     prepare_cell(tmp_path, VirtualCell(small_rig(), demo_part(), seed=11), DemoOptions(), gige=False)
     folder, report = tmp_path / "study", tmp_path / "study.html"
     rig, job = tmp_path / "rig.json", tmp_path / "jobs/flange"

@@ -1,4 +1,4 @@
-"""What root runs on a folder that the daemon's user owns: no link there leads to what is root's."""
+"""Commands run as root on a folder that the daemon's user owns follow no link to root's files."""
 
 from __future__ import annotations
 
@@ -45,20 +45,20 @@ from edged.sim.cell import VirtualCell, demo_part
 pytestmark = pytest.mark.skipif(os.geteuid() != 0, reason="only root can be led to write what is root's")
 
 DAEMON = 65534
-"""The daemon's user: nobody's number, which every machine has."""
+"""The daemon's user: the uid of nobody, which every machine has."""
 SECRET = b"root's alone\n"
 CELL = (
     "[cell]\nname = 'c'\nrig = 'rig.json'\njobs = 'jobs'\njob = 'a'\n[cameras]\nsource = 'virtual'\n"
     "[web]\ncommissioning = true\n"
 )
 CONFIG = Path("cell.toml")
-"""Of root's, in the tests that read."""
+"""Configuration of root's, for the tests that read."""
 QUIET = Console(quiet=True)
 STATE_FILES = ("audit.jsonl", "audit.head", "invite.json", "users.json")
 
 
 def give(path: Path) -> Path:
-    """Let a file, a link or a folder with all in it belong to the daemon's user."""
+    """Give a file, a link or a folder with its contents to the daemon's user."""
     for place in (path, *(path.rglob("*") if path.is_dir() and not path.is_symlink() else ())):
         os.chown(place, DAEMON, DAEMON, follow_symlinks=False)
     return path
@@ -66,9 +66,9 @@ def give(path: Path) -> Path:
 
 @dataclass(frozen=True, slots=True)
 class Machine:
-    """A configuration of root's; a state folder of the daemon's user; and what the daemon's user wants.
+    """A configuration owned by root, a state folder of the daemon's user, and the target of an attack.
 
-    above : the folder of the daemon's user that the state folder is in. prize : root's folder, with a file.
+    above : parent of the state folder, owned by the daemon's user. prize : root's folder, with a file.
     """
 
     config: Path
@@ -82,7 +82,7 @@ class Machine:
         return self.prize / "secret"
 
     def what_root_has(self) -> dict[str, tuple[int, int, int, bytes]]:
-        """Owner, group, mode and content of all that the daemon's user may not touch."""
+        """Owner, group, mode and content of everything that the daemon's user may not touch."""
         found = {}
         for file in (self.prize, *sorted(self.prize.rglob("*"))):
             about = file.lstat()
@@ -93,7 +93,7 @@ class Machine:
 
 @pytest.fixture
 def machine(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Machine:
-    """All is in a folder that only root gets into, as into /var/lib/private."""
+    """Everything lies in a folder that only root can enter, like /var/lib/private."""
     prize, above = tmp_path / "prize", tmp_path / "above"
     for folder in (prize, above / "state", tmp_path / "etc"):
         folder.mkdir(parents=True)
@@ -108,7 +108,7 @@ def machine(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Machine:
 
 @pytest.fixture(autouse=True)
 def still_root() -> Iterator[None]:
-    """A command that has ended has its rights again, in this process of many tests; and it ends."""
+    """After a command this process has its rights again, and the command is limited in time."""
     before = os.getresuid(), os.getresgid(), os.getgroups()
     former = signal.signal(signal.SIGALRM, _give_up)
     signal.alarm(20)
@@ -122,13 +122,13 @@ def _give_up(_number: int, _frame: object) -> None:
     raise AssertionError("it waits for something that never comes")
 
 
-# --- what the daemon's user makes of its folder ---------------------------------------------------
+# --- attacks by the daemon's user -----------------------------------------------------------------
 
 Trap = Callable[[Machine], None]
 
 
 def linked(name: str) -> Trap:
-    """A file of the state folder is a link to root's file."""
+    """Replace a file of the state folder by a link to root's file."""
 
     def set_trap(machine: Machine) -> None:
         (machine.state / name).unlink(missing_ok=True)
@@ -139,7 +139,7 @@ def linked(name: str) -> Trap:
 
 
 def dangling(name: str) -> Trap:
-    """A file of the state folder is a link to a file that root does not have yet."""
+    """Replace a file of the state folder by a link to a missing file of root's."""
 
     def set_trap(machine: Machine) -> None:
         (machine.state / name).unlink(missing_ok=True)
@@ -150,14 +150,14 @@ def dangling(name: str) -> Trap:
 
 
 def folder_linked(machine: Machine) -> None:
-    """The state folder is a link to root's folder."""
+    """Replace the state folder by a link to root's folder."""
     machine.state.rename(machine.above / "aside")
     machine.state.symlink_to(machine.prize)
     give(machine.state)
 
 
 def parent_linked(machine: Machine) -> None:
-    """A folder above it is a link to root's folder, which has one of that name."""
+    """Replace a parent folder by a link to root's folder, which has a folder of that name."""
     (machine.prize / "state").mkdir()
     home = machine.above.parent / "home"
     home.mkdir()
@@ -167,18 +167,18 @@ def parent_linked(machine: Machine) -> None:
 
 
 def folder_missing_above_a_link(machine: Machine) -> None:
-    """The state folder is to be made, in a link to root's folder."""
+    """Remove the state folder, whose parent is a link to root's folder."""
     parent_linked(machine)
     (machine.prize / "state").rmdir()
 
 
 def hard_linked(machine: Machine) -> None:
-    """The chain is a second name of root's file, on a kernel that lets everybody make one."""
+    """Make the chain a hard link to root's file, as some kernels allow everyone."""
     os.link(machine.secret, machine.state / "audit.jsonl")
 
 
 def pipe(machine: Machine) -> None:
-    """The chain is a pipe, at which a reader waits for ever."""
+    """Make the chain a pipe that never yields data."""
     os.mkfifo(machine.state / "audit.jsonl")
     give(machine.state / "audit.jsonl")
 
@@ -200,7 +200,8 @@ OF_FILES = [name for name in TRAPS if name.startswith(STATE_FILES)] + ["a pipe"]
 def test_an_invitation_changes_nothing_of_roots(
     machine: Machine, trap: Trap, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """It is made as the daemon's user, in that user's folder, or is refused; what is not audited is said."""
+    """The invitation is made as the daemon's user or refused, root's files stay, and a missing audit is
+    reported."""
     trap(machine)
     before = machine.what_root_has()
     try:
@@ -216,7 +217,7 @@ def test_an_invitation_changes_nothing_of_roots(
 
 
 def test_an_invitation_belongs_to_the_daemons_user(machine: Machine) -> None:
-    """So do the chain and its head: the daemon can read them, and goes on with them."""
+    """Invitation, chain and its head belong to the daemon's user with mode 600."""
     invite(machine.config, "Anna")
     found = {file.name: file.stat() for file in machine.state.iterdir()}
     owners = {name: (about.st_uid, about.st_mode & 0o777) for name, about in found.items()}
@@ -227,7 +228,7 @@ def test_an_invitation_belongs_to_the_daemons_user(machine: Machine) -> None:
 def test_looking_at_the_audit_tells_nothing_of_roots(
     machine: Machine, trap: Trap, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Nor changes it; it says that the chain does not hold, or cannot be read, and where."""
+    """Root's files are neither read nor changed, and an invalid or unreadable chain is reported."""
     AuditFile(machine.state).add(AuditEntry("Anna", "", "", "make", "x", "ok"))
     AuditFile(machine.prize).add(AuditEntry("root", "", "", "hide", "treasure", "ok"))
     give(machine.state)
@@ -246,7 +247,7 @@ def test_looking_at_the_audit_tells_nothing_of_roots(
 @pytest.mark.slow
 @pytest.mark.parametrize("name", OF_FILES)
 def test_a_daemon_that_is_root_follows_no_link_either(machine: Machine, name: str) -> None:
-    """Its files' owner is the folder's, by descriptor; a link in place of one is an error or is replaced."""
+    """Files get the folder's owner by descriptor, and a link in place of one is an error or is replaced."""
     TRAPS[name](machine)
     before = machine.what_root_has()
     anna = User(name="Anna", role="engineer", password_hash=hash_password("secret words"))
@@ -267,7 +268,7 @@ def test_a_daemon_that_is_root_follows_no_link_either(machine: Machine, name: st
 def test_a_link_at_a_temporary_name_is_not_followed(
     machine: Machine, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Another name is taken: a draft of a file is always a new one."""
+    """A draft never uses an existing name: another one is taken."""
     names = iter(["guessed", "free", *(f"more{number}" for number in range(20))])
     monkeypatch.setattr("edged.files.atomic.token_hex", lambda _bytes: next(names))
     trap = machine.state / ".invite.json.guessed"
@@ -285,21 +286,22 @@ def test_a_link_at_a_temporary_name_is_not_followed(
 
 @pytest.fixture(scope="module")
 def cell(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A configuration file with its rig and its job."""
+    """Configuration file of a cell with rig and job."""
     folder = tmp_path_factory.mktemp("cell")
     return prepare_cell(folder, VirtualCell(small_rig(), demo_part()), DemoOptions(), gige=False)
 
 
 @pytest.fixture(scope="module")
 def archive(cell: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Its backup."""
+    """A backup of the cell."""
     file = tmp_path_factory.mktemp("backup") / "cell.tar.gz"
     assert 0 == backup(cell, file, QUIET)
     return file
 
 
 def test_a_file_that_root_asks_for_is_not_written_through_a_folder_that_is_a_link(machine: Machine) -> None:
-    """A rig, a report, a picture: a link of the daemon's user leads root to that user's folders only."""
+    """Output through a folder that is another user's link is refused, unless it leads to that user's own
+    folder."""
     folder_linked(machine)
     before = machine.what_root_has()
     with pytest.raises(UserError, match="link of another user"):
@@ -314,7 +316,7 @@ def test_a_file_that_root_asks_for_is_not_written_through_a_folder_that_is_a_lin
 
 @pytest.mark.parametrize("trap", [folder_linked, parent_linked])
 def test_a_folder_that_root_asks_for_is_not_made_through_a_link(machine: Machine, trap: Trap) -> None:
-    """For an export, pictures or register maps: it is theirs, or it is not made at all."""
+    """An output folder is made as the daemon's user, or not at all."""
     trap(machine)
     before = machine.what_root_has()
     with pytest.raises(UserError, match="cannot be written"):
@@ -331,7 +333,7 @@ def test_a_folder_that_root_asks_for_is_not_made_through_a_link(machine: Machine
 
 @pytest.mark.slow
 def test_a_backup_is_not_written_through_a_folder_that_is_a_link(cell: Path, machine: Machine) -> None:
-    """It is refused where root's own folder would get it."""
+    """It is refused where it would be written into root's folder."""
     folder_linked(machine)
     before = machine.what_root_has()
     with pytest.raises(UserError, match=r"cell\.tar\.gz: cannot be written"):
@@ -344,7 +346,7 @@ def test_a_backup_is_not_written_through_a_folder_that_is_a_link(cell: Path, mac
     "place", ["rig.json", "jobs/flange/taught/secret", "jobs/flange/job.toml", "jobs/flange", "jobs"]
 )
 def test_a_backup_takes_nothing_that_a_link_leads_to(cell: Path, machine: Machine, place: str) -> None:
-    """Where the daemon's user keeps rig and jobs, a link of theirs to what is root's is named and refused."""
+    """A link of the daemon's user to files of root's is refused, and no archive is made."""
     shutil.copytree(cell.parent, machine.state, dirs_exist_ok=True)
     hidden = machine.prize / "hidden"
     hidden.mkdir()
@@ -363,7 +365,7 @@ def test_a_backup_takes_nothing_that_a_link_leads_to(cell: Path, machine: Machin
 
 @pytest.mark.slow
 def test_a_link_of_the_daemons_user_to_its_own_files_is_followed(cell: Path, machine: Machine) -> None:
-    """As is one of root's: what it leads to is theirs anyway."""
+    """Links of the daemon's user to its own files are followed, as are links of root's."""
     shutil.copytree(cell.parent, machine.state, dirs_exist_ok=True)
     (machine.state / "jobs").rename(machine.above / "jobs")
     (machine.state / "jobs").symlink_to(machine.above / "jobs")
@@ -376,7 +378,7 @@ def test_a_link_of_the_daemons_user_to_its_own_files_is_followed(cell: Path, mac
 @pytest.mark.slow
 @pytest.mark.parametrize("trap", [folder_linked, parent_linked])
 def test_a_restore_changes_nothing_of_roots(archive: Path, machine: Machine, trap: Trap) -> None:
-    """Into a folder of the daemon's user it goes as that user."""
+    """The restore into a folder of the daemon's user is refused, and root's files stay."""
     trap(machine)
     before = machine.what_root_has()
     with pytest.raises(UserError, match="cannot be written"):
@@ -386,7 +388,7 @@ def test_a_restore_changes_nothing_of_roots(archive: Path, machine: Machine, tra
 
 @pytest.mark.slow
 def test_a_restore_into_a_folder_of_the_daemons_user_is_theirs(archive: Path, machine: Machine) -> None:
-    """Every file, and each folder; root's umask and groups leave nothing behind."""
+    """All restored files and folders belong to the daemon's user."""
     os.chown(archive, 0, 0)
     assert 0 == restore(archive, machine.state, QUIET, force=True)
     assert {DAEMON} == {file.lstat().st_uid for file in (machine.state, *machine.state.rglob("*"))}
@@ -396,7 +398,7 @@ def test_a_restore_into_a_folder_of_the_daemons_user_is_theirs(archive: Path, ma
 def test_a_folder_of_somebody_else_in_roots_leads_root_nowhere(
     cell: Path, archive: Path, machine: Machine, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Its owner exchanges it for a link while root restores the folder around it: nothing goes through it."""
+    """If its owner replaces a folder by a link during a restore by root, nothing is written through it."""
     etc = machine.config.parent
     shutil.copytree(cell.parent, etc, dirs_exist_ok=True)
     (etc / "notes" / "old").mkdir(parents=True)
@@ -406,7 +408,7 @@ def test_a_folder_of_somebody_else_in_roots_leads_root_nowhere(
     by_path, by_descriptor = os.chown, os.fchown
 
     def then_exchanged(place: Path | int, user: int, group: int) -> None:
-        """They act as soon as a folder of the draft is theirs."""
+        """Replaces the folder as soon as it belongs to its owner."""
         if isinstance(place, int):
             by_descriptor(place, user, group)
         else:
@@ -427,7 +429,7 @@ def test_a_folder_of_somebody_else_in_roots_leads_root_nowhere(
 
 @pytest.mark.slow
 def test_a_job_is_not_written_through_a_folder_that_is_a_link(cell: Path, machine: Machine) -> None:
-    """Root teaches into a folder of somebody else as that user."""
+    """Root saves the job as the folder's owner, and refuses a link."""
     job = load_job(cell.parent / "jobs" / "flange")
     save_job(machine.state / "flange", job)
     assert {DAEMON} == {file.lstat().st_uid for file in (machine.state / "flange").rglob("*")}
@@ -442,7 +444,8 @@ def test_a_job_is_not_written_through_a_folder_that_is_a_link(cell: Path, machin
 
 
 def test_root_is_the_owner_meanwhile_without_roots_groups(machine: Machine) -> None:
-    """Effective user and group, and no other group: what the folder's owner may do, and no more."""
+    """Effective user and group are the folder's owner's, without other groups, and rights are limited to
+    theirs."""
     os.setgroups([0, 4])
     try:
         with as_owner(machine.state) as place:
@@ -457,7 +460,7 @@ def test_root_is_the_owner_meanwhile_without_roots_groups(machine: Machine) -> N
 
 
 def test_roots_own_folder_needs_nobody_else(machine: Machine) -> None:
-    """Also behind a link of root's."""
+    """Root stays root in its own folder, also behind a link of root's."""
     (machine.prize / "link").symlink_to(machine.prize)
     for place in (machine.prize, machine.prize / "link" / "new"):
         with as_owner(place) as same:
@@ -466,7 +469,7 @@ def test_roots_own_folder_needs_nobody_else(machine: Machine) -> None:
 
 @pytest.mark.slow
 def test_root_runs_no_code_from_a_cache_of_the_daemons_user(machine: Machine) -> None:
-    """numba runs what it finds in its cache: root compiles beside the program instead, and says so."""
+    """numba's cache in a folder of the daemon's user is not used by root, which says so."""
     cache = machine.state / "numba"
     cache.mkdir()
     give(cache)
@@ -483,7 +486,7 @@ def test_root_runs_no_code_from_a_cache_of_the_daemons_user(machine: Machine) ->
         assert (left == "None") == (f"belongs to user {DAEMON}" in ran.stderr)
 
 
-# --- what root reads --------------------------------------------------------------------------------
+# --- reading as root --------------------------------------------------------------------------------
 
 READERS: dict[str, tuple[str, Callable[[Path], object]]] = {
     "a configuration": ("cell.toml", load),
@@ -509,7 +512,7 @@ READERS: dict[str, tuple[str, Callable[[Path], object]]] = {
 def test_root_reads_nothing_that_a_link_leads_to_and_waits_at_no_pipe(
     machine: Machine, monkeypatch: pytest.MonkeyPatch, reader: str, way: str
 ) -> None:
-    """Of the daemon's user, in any place of the way; nothing of what is behind it is said."""
+    """Links and pipes of the daemon's user are refused anywhere in a path, and no content is shown."""
     name, read_it = READERS[reader]
     monkeypatch.setattr(f"{__name__}.CONFIG", machine.config)
     place = machine.state / name
@@ -529,7 +532,7 @@ def test_root_reads_nothing_that_a_link_leads_to_and_waits_at_no_pipe(
 
 
 def test_root_reads_from_a_pipe_that_it_was_given() -> None:
-    """As /dev/stdin, whoever made it."""
+    """A pipe given to root, such as /dev/stdin, is read."""
     reading, writing = os.pipe()
     os.fchown(reading, DAEMON, DAEMON)
     os.write(writing, CELL.encode())

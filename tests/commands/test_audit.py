@@ -21,7 +21,8 @@ from edged.identity.audit import LINES, AuditEntry, AuditFile
 def test_the_chain_is_printed_and_verified(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """0 while it holds, also where a crash tore a line; 1 after one changed byte; 2 for what is no file."""
+    """The exit code is 0 while the chain holds, also after a torn line, 1 after a changed byte, 2 for no
+    file."""
     monkeypatch.setenv("COLUMNS", "300")
     config = tmp_path / "cell.toml"
     lines = state_folder(config) / LINES
@@ -61,7 +62,7 @@ def test_the_chain_is_printed_and_verified(
 
 @pytest.fixture(scope="module")
 def against_journal(tmp_path_factory: pytest.TempPathFactory) -> dict[str, tuple[int, str]]:
-    """What the command says beside a journald, by what was done to the files."""
+    """Outcome of the command with a journald, for each change of the files."""
     ran = subprocess.run(
         [
             "unshare",
@@ -98,7 +99,7 @@ def against_journal(tmp_path_factory: pytest.TempPathFactory) -> dict[str, tuple
 def test_the_journal_shows_what_the_files_alone_cannot(
     against_journal: dict[str, tuple[int, str]], step: str, code: int, expected: str
 ) -> None:
-    """That all of them were deleted, or written anew with a chain that holds; a stranger's entry is none."""
+    """The journal reveals deleted or rewritten records, and a forged entry of another user is ignored."""
     found, said = against_journal[step]
     assert expected in said
     assert code == found

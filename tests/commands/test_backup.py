@@ -1,4 +1,4 @@
-"""Backups: what comes back is the same cell, and no archive writes where or what it should not."""
+"""Backups: a restored cell is the same, and no archive can write elsewhere or anything unexpected."""
 
 from __future__ import annotations
 
@@ -37,21 +37,21 @@ Archive = tuple[Path, bytes]
 
 @pytest.fixture(scope="module")
 def cell(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A configuration file with its rig and its job."""
+    """Configuration file of a cell with rig and job."""
     folder = tmp_path_factory.mktemp("cell")
     return prepare_cell(folder, VirtualCell(small_rig(), demo_part()), DemoOptions(), gige=False)
 
 
 @pytest.fixture(scope="module")
 def archive(cell: Path, tmp_path_factory: pytest.TempPathFactory) -> Archive:
-    """Its backup: the file, and its bytes."""
+    """A backup of the cell: the file, and its bytes."""
     file = tmp_path_factory.mktemp("backup") / "cell.tar.gz"
     assert 0 == backup(cell, file, QUIET)
     return file, file.read_bytes()
 
 
 def contents(folder: Path) -> dict[str, bytes]:
-    """Every file below a folder."""
+    """Content of every file below a folder."""
     return {
         file.relative_to(folder).as_posix(): file.read_bytes() for file in folder.rglob("*") if file.is_file()
     }
@@ -59,7 +59,7 @@ def contents(folder: Path) -> dict[str, bytes]:
 
 @pytest.mark.slow
 def test_a_restored_cell_is_the_same_cell(cell: Path, archive: Archive, tmp_path: Path) -> None:
-    """Every file to the last byte, and the fingerprint that its results carry, in another folder."""
+    """Every file and the fingerprint are identical in another folder."""
     assert 0 == restore(archive[0], tmp_path / "new" / "cell", QUIET)
 
     restored = contents(tmp_path / "new" / "cell")
@@ -74,7 +74,7 @@ def test_a_restored_cell_is_the_same_cell(cell: Path, archive: Archive, tmp_path
 def test_a_pair_that_a_job_was_taught_from_is_in_it_where_there_is_room(
     cell: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Where there is none, the cell is worth more than the pairs; what is left out is said."""
+    """Pictures of jobs are included if there is space; otherwise they are left out, which is reported."""
     folder = Path(shutil.copytree(cell.parent, tmp_path / "cell"))
     (folder / "jobs" / "flange" / "taught").mkdir()
     picture = folder / "jobs" / "flange" / "taught" / "left.png"
@@ -91,7 +91,7 @@ def test_a_pair_that_a_job_was_taught_from_is_in_it_where_there_is_room(
 
 @pytest.mark.slow
 def test_files_from_elsewhere_move_beside_the_configuration(cell: Path, tmp_path: Path) -> None:
-    """Absolute paths lead to the copies afterwards; comments stay; keys of the machine are not taken."""
+    """External files are stored beside the configuration, whose paths are adapted; keys are not included."""
     here = tmp_path / "etc"
     here.mkdir()
     (here / "tls.key").write_text("secret")
@@ -117,7 +117,7 @@ def test_files_from_elsewhere_move_beside_the_configuration(cell: Path, tmp_path
 
 @pytest.mark.slow
 def test_a_cell_that_does_not_load_is_no_backup(cell: Path, tmp_path: Path) -> None:
-    """The mistakes are named now, not on the day the backup is needed; no file is left."""
+    """The mistakes are named, and no archive is left."""
     for name, data in contents(cell.parent).items():
         (tmp_path / "broken" / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / "broken" / name).write_bytes(data[: len(data) // 2] if name.endswith("npz") else data)
@@ -130,7 +130,7 @@ def test_a_cell_that_does_not_load_is_no_backup(cell: Path, tmp_path: Path) -> N
 
 @pytest.mark.slow
 def test_nothing_is_overwritten_without_force(cell: Path, archive: Archive, tmp_path: Path) -> None:
-    """Neither an archive nor a folder; with --force the cell's files are exchanged, the former ones kept."""
+    """An archive or folder is overwritten only with --force, which keeps the former files."""
     with pytest.raises(UserError, match="--force"):
         backup(cell, archive[0], QUIET)
     assert archive[0].read_bytes() == archive[1]
@@ -151,7 +151,7 @@ def test_nothing_is_overwritten_without_force(cell: Path, archive: Archive, tmp_
 
 @pytest.fixture
 def used_folder(cell: Path, tmp_path: Path) -> Path:
-    """A folder of two cells with rigs, jobs and keys of their own, and what else lies there."""
+    """A folder of two cells with their own rigs, jobs and keys, and other files."""
     etc = tmp_path / "edged"
     shutil.copytree(cell.parent, etc)
     shutil.copytree(etc / "jobs", etc / "jobs-left")
@@ -168,7 +168,7 @@ def used_folder(cell: Path, tmp_path: Path) -> Path:
 
 @pytest.mark.slow
 def test_only_this_cells_files_make_room(archive: Archive, used_folder: Path) -> None:
-    """Another cell of the folder, keys and links are the same files; jobs taught since are kept aside."""
+    """Other cells, keys and links in the folder are unchanged, and jobs taught since are kept aside."""
     shutil.copytree(used_folder / "jobs" / "flange", used_folder / "jobs" / "since")
     (used_folder / "rig.json").write_text("spoilt")
     before = {file: file.lstat() for file in used_folder.rglob("*")}
@@ -195,7 +195,8 @@ def test_only_this_cells_files_make_room(archive: Archive, used_folder: Path) ->
 @pytest.mark.slow
 @pytest.mark.parametrize("shared", ['rig = "rig.json"', 'jobs = "jobs"', 'jobs = "."'])
 def test_what_another_cell_stands_on_is_not_changed(archive: Archive, used_folder: Path, shared: str) -> None:
-    """Refused with its name; nothing has changed. The same content changes nothing, and is restored."""
+    """If another cell uses a file that would change, the restore is refused; identical content is no
+    conflict."""
     key = shared.partition(" ")[0]
     left = (used_folder / "left.toml").read_text()
     (used_folder / "left.toml").write_text(re.sub(rf'(?m)^{key} = "[^"]*"', shared, left))
@@ -212,7 +213,7 @@ def test_what_another_cell_stands_on_is_not_changed(archive: Archive, used_folde
 
 @pytest.mark.slow
 def test_a_link_to_elsewhere_makes_room_and_is_not_followed(archive: Archive, used_folder: Path) -> None:
-    """The folder that it leads to stays as it was."""
+    """A link is replaced, and the folder it leads to is unchanged."""
     elsewhere = used_folder.with_name("elsewhere")
     (used_folder / "jobs").rename(elsewhere)
     (used_folder / "jobs").symlink_to(elsewhere)
@@ -228,7 +229,7 @@ def test_a_link_to_elsewhere_makes_room_and_is_not_followed(archive: Archive, us
 
 @pytest.mark.slow
 def test_a_backup_that_names_a_folder_outside_takes_nothing_away(archive: Archive, used_folder: Path) -> None:
-    """Its jobs may be said to be anywhere: only names of members count."""
+    """A configuration that points to a folder outside of the archive removes nothing there."""
     taken = unpack(archive[1], "there")
     toml = taken.files["cell.toml"].replace(b'jobs = "jobs"', b'jobs = "."')
     hostile = used_folder.with_name("hostile.tar.gz")
@@ -242,7 +243,7 @@ def test_a_backup_that_names_a_folder_outside_takes_nothing_away(archive: Archiv
 
 @pytest.mark.slow
 def test_secrets_are_for_their_owner_alone(cell: Path, tmp_path: Path) -> None:
-    """An archive has mode 600 and says that it holds a hash; so has the configuration that comes out of it.
+    """Archive and restored configuration have mode 600, and the hash in them is mentioned.
 
     With the hash a restored cell works at once; other files are readable as before.
     """
@@ -266,7 +267,7 @@ def test_secrets_are_for_their_owner_alone(cell: Path, tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_a_restore_that_fails_changes_nothing(archive: Archive, tmp_path: Path) -> None:
-    """What cannot be written half-way through leaves the folder as it was, and no draft beside it."""
+    """After a failing write the folder is as before, without drafts beside it."""
     taken = unpack(archive[1], "there")
     blocked = tmp_path / "blocked.tar.gz"
     # "rig.json" is written before "rig.json/more", which needs a folder of that name
@@ -285,7 +286,7 @@ def test_a_restore_that_fails_changes_nothing(archive: Archive, tmp_path: Path) 
 @settings(max_examples=60)
 @given(st.data())
 def test_damage_is_found(archive: Archive, data: st.DataObject) -> None:
-    """Cut or changed bytes: the same content or one kind of error that names the file."""
+    """A cut or changed archive has the same content, or gives one kind of error that names the file."""
     cut = data.draw(st.integers(0, len(archive[1])))
     damaged = bytearray(archive[1][:cut])
     for _ in range(data.draw(st.integers(0, 4))):
@@ -300,7 +301,7 @@ def test_damage_is_found(archive: Archive, data: st.DataObject) -> None:
 
 
 def tar(*members: tarfile.TarInfo, data: bytes = b"") -> bytes:
-    """An archive by another hand."""
+    """An archive made without edged."""
     buffer = io.BytesIO()
     with tarfile.open(fileobj=buffer, mode="w") as archive:
         for info in members:
@@ -310,7 +311,7 @@ def tar(*members: tarfile.TarInfo, data: bytes = b"") -> bytes:
 
 
 def link(name: str, target: str, kind: bytes = tarfile.SYMTYPE) -> tarfile.TarInfo:
-    """A member that is no file."""
+    """A member that is a link."""
     info = tarfile.TarInfo(name)
     info.type, info.linkname = kind, target
     return info
@@ -331,7 +332,7 @@ def link(name: str, target: str, kind: bytes = tarfile.SYMTYPE) -> tarfile.TarIn
     ],
 )
 def test_a_name_that_leads_elsewhere_is_refused(name: str, tmp_path: Path) -> None:
-    """With the name and what was expected; nothing is written anywhere."""
+    """The error names the path and what was expected, and nothing is written."""
     hostile = tmp_path / "in" / "hostile.tar.gz"
     hostile.parent.mkdir()
     hostile.write_bytes(tar(tarfile.TarInfo("manifest.json"), tarfile.TarInfo(name), data=b"{}"))
@@ -355,13 +356,13 @@ def test_a_name_that_leads_elsewhere_is_refused(name: str, tmp_path: Path) -> No
     ids=["symbolic link", "hard link", "pipe", "device", "folder"],
 )
 def test_only_plain_files_are_taken(member: tarfile.TarInfo) -> None:
-    """A link would let the next member write elsewhere."""
+    """Members that are not plain files, such as links, are refused."""
     with pytest.raises(FileFormatError, match="expected a plain file"):
         unpack(tar(member), "there")
 
 
 def _with(change: Callable[[dict[str, bytes]], object], taken: Backup) -> bytes:
-    """An archive whose members no longer fit its manifest."""
+    """An archive whose members do not match its manifest."""
     with tarfile.open(fileobj=io.BytesIO(gzip.decompress(pack(taken)))) as archive:
         members = {info.name: archive.extractfile(info).read() for info in archive}
     change(members)
@@ -394,13 +395,13 @@ def _edit(old: bytes, new: bytes) -> Callable[[dict[str, bytes]], object]:
 def test_what_does_not_fit_the_manifest_is_named(
     archive: Archive, change: Callable[[dict[str, bytes]], object], expected: str
 ) -> None:
-    """Which member, and what is wrong with it."""
+    """The error names the member and the problem."""
     with pytest.raises(FileFormatError, match=expected):
         unpack(_with(change, unpack(archive[1], "there")), "there")
 
 
 def test_an_archive_made_to_fill_memory_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Packed it is small; unpacking stops at the limit."""
+    """Unpacking stops at the size limit, however small the archive."""
     monkeypatch.setattr(module, "MAX_BYTES", 2**20)
     bomb = tar(tarfile.TarInfo("manifest.json"), data=bytes(2**24))
     assert len(bomb) < 2**16
@@ -411,7 +412,7 @@ def test_an_archive_made_to_fill_memory_is_refused(monkeypatch: pytest.MonkeyPat
 
 @pytest.mark.slow
 def test_a_backup_of_another_version_says_what_differs(archive: Archive, tmp_path: Path) -> None:
-    """An unknown key keeps it from running: restored all the same, exit code 1, and the key is named."""
+    """An unknown key is named with exit code 1, but the files are restored."""
     taken = unpack(archive[1], "there")
     files = dict(taken.files) | {"registers.csv": b"address\n"}
     files["cell.toml"] += b"\n[laser]\npower = 3\n"
@@ -427,7 +428,7 @@ def test_a_backup_of_another_version_says_what_differs(archive: Archive, tmp_pat
 
 @pytest.mark.slow
 def test_the_commands_check_without_writing(cell: Path, tmp_path: Path) -> None:
-    """`edged restore FILE` alone says what is in it; the archive is whole or not there."""
+    """`edged restore FILE` alone only describes the archive."""
     runner = CliRunner()
     made = runner.invoke(app, ["backup", str(cell), "-o", str(tmp_path / "a.tar.gz")])
     checked = runner.invoke(app, ["restore", str(tmp_path / "a.tar.gz")])
@@ -446,7 +447,7 @@ def _said(archive: Path, output: Path | None, *, force: bool = False) -> str:
 
 
 def _changed(archive: Archive, change: Callable[[str], str], folder: Path) -> Path:
-    """An archive of somebody else's: another configuration, and a manifest that fits it."""
+    """A forged archive: another configuration with a matching manifest."""
     taken = unpack(archive[1], "there")
     toml = change(taken.files["cell.toml"].decode()).encode()
     hostile = folder / "hostile.tar.gz"
@@ -455,7 +456,7 @@ def _changed(archive: Archive, change: Callable[[str], str], folder: Path) -> Pa
 
 
 def test_a_replaced_password_is_not_called_the_same(cell: Path, tmp_path: Path) -> None:
-    """The fingerprint covers neither it nor Zenoh's own file: what differs is named, not shown."""
+    """Differences not covered by the fingerprint, such as a password, are named but not shown."""
     first, second = hash_password("correct horse"), hash_password("battery staple")
     here = Path(shutil.copytree(cell.parent, tmp_path / "etc"))
     (here / "zenoh.json5").write_text("{}")
@@ -478,7 +479,7 @@ def test_a_replaced_password_is_not_called_the_same(cell: Path, tmp_path: Path) 
 
 
 def test_what_an_archive_lets_others_do_is_named(archive: Archive, tmp_path: Path) -> None:
-    """Addresses, networks and passwords that a new folder gets; in a former one, what is other there."""
+    """Opened addresses, networks and passwords are listed, and differences to an existing folder named."""
     hashed = hash_password("correct horse")
     opening = f'\n[modbus]\nhost = "0.0.0.0"\nwriters = ["0.0.0.0/0"]\n[web]\npassword_hash = "{hashed}"\n'
 
@@ -496,7 +497,7 @@ def test_what_an_archive_lets_others_do_is_named(archive: Archive, tmp_path: Pat
 
 
 def test_an_archive_steers_no_terminal(archive: Archive, tmp_path: Path) -> None:
-    """Neither by a name or value that is printed, nor by an error."""
+    """Control characters in names, values and errors are not printed."""
     taken = unpack(archive[1], "there")
     toml = (
         taken.files["cell.toml"]

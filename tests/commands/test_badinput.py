@@ -1,7 +1,4 @@
-"""What `edged` answers to input that cannot be used: the place, what was found, what was expected.
-
-Each row is a mistake that somebody makes, and the whole message. Read it as the one who made it.
-"""
+"""Answers of `edged` to unusable input: the place, what was found, what was expected."""
 
 from __future__ import annotations
 
@@ -24,7 +21,7 @@ from edged.commands.demo import DemoOptions, prepare_cell
 from edged.sim.cell import VirtualCell, demo_part
 
 Change = tuple[str, str] | str | bytes | Callable[[Path], None]
-"""Of a file: an old text and the new one, its whole content, or what is done with it."""
+"""Change of a file: an old and a new text, its whole content, or a function."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,19 +35,19 @@ class Bad:
 
 
 def remove(path: Path) -> None:
-    """A file that is not there."""
+    """Remove a file or folder."""
     shutil.rmtree(path) if path.is_dir() else path.unlink()
 
 
 def picture(width: int, height: int, grey: int = 50) -> Callable[[Path], None]:
-    """An even picture."""
+    """Write a uniform picture."""
     return lambda path: path.write_bytes(
         cv2.imencode(".png", np.full((height, width), grey, np.uint8))[1].tobytes()
     )
 
 
 def folder(path: Path) -> None:
-    """An empty folder."""
+    """Make an empty folder."""
     path.mkdir()
 
 
@@ -73,27 +70,27 @@ END = "0\nENDSEC\n0\nEOF\n"
 
 
 def cell(old: str, new: str, message: str) -> Bad:
-    """One wrong line of cell.toml."""
+    """A wrong line in cell.toml."""
     return Bad(CHECK, f"edged: cell.toml: 1 problem\n{message}", {"cell.toml": (old, new)})
 
 
 def board(spec: str, message: str) -> Bad:
-    """A board that cannot be."""
+    """An impossible board."""
     return Bad(BOARD.format(spec), f"edged: {message}", {"boards": folder})
 
 
 def region(spec: str, message: str) -> Bad:
-    """A region of the left picture."""
+    """A wrong region of the left picture."""
     return Bad(f"{TEACH} --region {spec}", f"edged: {message}")
 
 
 def drawn(unit: int, message: str, command: str = DXF) -> Bad:
-    """A drawing of a circle, $INSUNITS as in DXF."""
+    """A wrong drawing of a circle; `unit` is $INSUNITS of DXF."""
     return Bad(command, f"edged: {message}", {"part.dxf": HEAD.format(unit) + CIRCLE + END})
 
 
 def touched(points: str, message: str) -> Bad:
-    """A table of touched points."""
+    """A wrong table of touched points."""
     return Bad(TOUCH, f"edged: {message}", {"touched.csv": points})
 
 
@@ -600,7 +597,7 @@ def pristine(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def place(pristine: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A copy that a case may spoil, where the command runs."""
+    """A copy that a case may spoil, as the current folder."""
     path = Path(shutil.copytree(pristine, tmp_path / "cell"))
     monkeypatch.chdir(path)
     monkeypatch.setenv("COLUMNS", "400")
@@ -609,13 +606,13 @@ def place(pristine: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Pa
 
 @pytest.fixture(scope="module")
 def busy() -> Iterator[int]:
-    """A port that somebody listens on."""
+    """A port in use."""
     with socket.create_server(("127.0.0.1", 0)) as server:
         yield int(server.getsockname()[1])
 
 
 def spoil(path: Path, change: Change, busy: int) -> None:
-    """Make the mistake."""
+    """Apply the change."""
     if callable(change):
         change(path)
     elif isinstance(change, bytes):
@@ -629,7 +626,7 @@ def spoil(path: Path, change: Change, busy: int) -> None:
 
 
 def plain(said: str, place: Path, busy: int) -> str:
-    """Without frames around it, and the same in any folder."""
+    """The message without frames, the same for any folder."""
     said = re.sub(r"[╭╮╰╯│─]+", " ", said).replace(str(place), "~").replace(str(busy), "BUSY")
     said = said.replace("python -m pytest.edged", "edged")
     return "\n".join(" ".join(line.split()) for line in said.splitlines() if line.strip())
@@ -638,7 +635,7 @@ def plain(said: str, place: Path, busy: int) -> str:
 @pytest.mark.slow
 @pytest.mark.parametrize("name", CASES)
 def test_a_mistake_is_named(name: str, place: Path, busy: int, capsys: pytest.CaptureFixture[str]) -> None:
-    """Its place, what was found and what was expected; the exit status that is documented; no traceback."""
+    """The message is exactly as listed, with the documented exit status."""
     case = CASES[name]
     for file, change in case.files.items():
         spoil(place / file, change, busy)
@@ -650,7 +647,7 @@ def test_a_mistake_is_named(name: str, place: Path, busy: int, capsys: pytest.Ca
 
 @pytest.mark.slow
 def test_a_port_in_use_is_named(place: Path, busy: int) -> None:
-    """By the daemon, which is a process of its own: address, and how to find out who has it."""
+    """The daemon's error names the address and how to find out what uses it."""
     spoil(place / "cell.toml", ("port = 1502", "port = BUSY"), busy)
     run = subprocess.run(
         [sys.executable, "-m", "edged", "run", "cell.toml"], capture_output=True, text=True, timeout=60
@@ -662,5 +659,5 @@ def test_a_port_in_use_is_named(place: Path, busy: int) -> None:
 
 
 def test_the_table_is_long_enough_to_be_of_use() -> None:
-    """Every kind of input that a cell has."""
+    """There are more than 100 cases."""
     assert len(CASES) > 100

@@ -1,4 +1,4 @@
-"""`edged board`: what is printed is found by the detector, in the size that was asked for."""
+"""`edged board`: the printed board is found by the detector, in the requested size."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ SPECS = ["chessboard:11x8:15", "dots:7x7:20", "charuco:12x9:15:11:5X5_250", "cir
 
 
 def printed(spec: str, folder: Path, paper: str | None = None) -> Image:
-    """The page as a renderer that is not ours draws it."""
+    """The page as rendered by an independent program."""
     board(spec, paper, folder / "board.pdf", Console(quiet=True))
     page = pypdfium2.PdfDocument(folder / "board.pdf")[0]
     return np.ascontiguousarray(np.squeeze(page.render(scale=DPI / 72, grayscale=True).to_numpy()))
@@ -32,7 +32,7 @@ def printed(spec: str, folder: Path, paper: str | None = None) -> Image:
 @pytest.mark.slow
 @pytest.mark.parametrize("spec", SPECS)
 def test_the_printed_board_is_found_in_its_size(spec: str, tmp_path: Path) -> None:
-    """Every mark, and each distance of two to a thousandth: rounding of the page to whole px."""
+    """Every mark is found, and each distance is right to a thousandth, the page's rounding to whole px."""
     wanted = parse_board(spec)
     found = detect_board(np.asarray(cv2.GaussianBlur(printed(spec, tmp_path), (0, 0), 0.8), np.uint8), wanted)
     assert isinstance(found, Detection)
@@ -44,7 +44,7 @@ def test_the_printed_board_is_found_in_its_size(spec: str, tmp_path: Path) -> No
 
 
 def test_the_rulers_have_their_length(tmp_path: Path) -> None:
-    """The one across the page: 200 mm of ink below the board."""
+    """The horizontal ruler is 200 mm long."""
     page = printed("chessboard:11x8:15", tmp_path)
     rows = [np.flatnonzero(row < 128) for row in page]
     longest = max((row for row in rows if len(row) and np.ptp(row) + 1 == len(row)), key=len)
@@ -52,7 +52,7 @@ def test_the_rulers_have_their_length(tmp_path: Path) -> None:
 
 
 def test_the_smallest_paper_that_fits_is_taken(tmp_path: Path) -> None:
-    """And the one that was asked for if it fits, also on its side."""
+    """The smallest paper that fits is used, or the requested one, rotated if needed."""
     assert printed("chessboard:5x4:10", tmp_path).shape[0] < 1.01 * PAPERS["A5"][1] / 25.4 * DPI
     wide = printed("chessboard:11x8:15", tmp_path, "a4")
     assert wide.shape[1] > wide.shape[0]
@@ -71,14 +71,14 @@ def test_the_smallest_paper_that_fits_is_taken(tmp_path: Path) -> None:
 def test_what_cannot_be_printed_is_named(
     spec: str, paper: str | None, name: str, message: str, tmp_path: Path
 ) -> None:
-    """The board, the paper and what would fit; nothing is written."""
+    """The error names the board, the paper and what would fit, and nothing is written."""
     with pytest.raises((UserError, CalibrationError), match=message):
         board(spec, paper, tmp_path / name, Console(quiet=True))
     assert [] == list(tmp_path.iterdir())
 
 
 def test_the_pitch_that_is_offered_fits(tmp_path: Path) -> None:
-    """As the message says."""
+    """The pitch suggested by the error fits."""
     with pytest.raises(UserError) as caught:
         board("chessboard:11x8:30", "A4", tmp_path / "b.pdf", Console(quiet=True))
     pitch = str(caught.value).partition("a pitch of ")[2].split()[0]
@@ -87,7 +87,7 @@ def test_the_pitch_that_is_offered_fits(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_printed_marks_are_found_where_they_were_asked_for(tmp_path: Path) -> None:
-    """Each code, and each distance of two dots to a thousandth."""
+    """Every code is found, and each distance of two dots is right to a thousandth."""
     board(None, None, tmp_path / "m.pdf", Console(quiet=True), marks="120x90:8:6:40")
     page = pypdfium2.PdfDocument(tmp_path / "m.pdf")[0]
     image = np.ascontiguousarray(np.squeeze(page.render(scale=DPI / 72, grayscale=True).to_numpy()))
@@ -100,12 +100,12 @@ def test_printed_marks_are_found_where_they_were_asked_for(tmp_path: Path) -> No
 
 @pytest.mark.parametrize(("spec", "marks"), [(None, None), ("chessboard:11x8:15", "120x90:8:4")])
 def test_a_board_or_marks_are_drawn_not_both(tmp_path: Path, spec: str | None, marks: str | None) -> None:
-    """And not neither."""
+    """Both and neither are refused."""
     with pytest.raises(UserError, match="either a board"):
         board(spec, None, tmp_path / "b.pdf", Console(quiet=True), marks=marks)
 
 
 def test_marks_that_fit_on_no_paper_are_refused(tmp_path: Path) -> None:
-    """With the largest paper there is."""
+    """The error names the largest paper."""
     with pytest.raises(UserError, match="A1 has"):
         board(None, None, tmp_path / "b.pdf", Console(quiet=True), marks="2000x90:8:4")

@@ -48,7 +48,7 @@ def folder(pictures: Path, tmp_path: Path) -> Path:
 def run(
     folder: Path, output: Path, report: Path | None = None, board: str | None = SPEC, model: str = "division"
 ) -> str:
-    """Run the command; returns what it said."""
+    """Run the command and return its output."""
     said = io.StringIO()
     assert calibrate(folder, board, output, model, report, Console(file=said, width=200)) == 0
     return said.getvalue()
@@ -56,8 +56,8 @@ def run(
 
 @pytest.mark.slow
 def test_a_folder_becomes_a_rig(pictures: Path, tmp_path: Path) -> None:
-    """The rig on disc is the rig that took the pictures, within its stated sigma; twice the same, and
-    the old file stays beside the new one under its own calibration id. A registration holds no longer."""
+    """The rig is the true one within its stated sigma and reproducible, the old file is kept under its own
+    calibration id, and a registration is dropped."""
     output, report = tmp_path / "rig.json", tmp_path / "report.html"
     save_rig(output, replace(RIG, robot_from_rig=np.eye(4)))
     said = run(pictures, output, report)
@@ -95,7 +95,7 @@ def test_a_folder_becomes_a_rig(pictures: Path, tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_the_lens_model_is_chosen_and_told(pictures: Path, tmp_path: Path) -> None:
-    """Left to the views, the command, the report and the rig file say which model it is, and how sure."""
+    """With model "auto" the command, the report and the rig file state the chosen model and its weight."""
     output, report = tmp_path / "rig.json", tmp_path / "report.html"
     said = run(pictures, output, report, model="auto")
     weights = json.loads(output.read_text())["quality"]["lenses"]
@@ -109,7 +109,7 @@ def test_the_lens_model_is_chosen_and_told(pictures: Path, tmp_path: Path) -> No
 
 @pytest.mark.slow
 def test_a_report_does_not_replace_the_rig(pictures: Path, tmp_path: Path) -> None:
-    """The same file for both is refused before the work."""
+    """Using the same file for both is refused before the work."""
     path = tmp_path / "x.json"
     with pytest.raises(UserError, match="--output and --report are the same file"):
         calibrate(pictures, "chessboard:9x6:5.0", path, "division", path, Console(stderr=True))
@@ -132,7 +132,7 @@ def test_jpeg_and_bmp_are_read_too(folder: Path, tmp_path: Path) -> None:
 def refused(
     folder: Path, tmp_path: Path, expected: str, board: str | None = SPEC, model: str = "division"
 ) -> None:
-    """The command raises a UserError that says `expected`, and leaves an existing rig alone."""
+    """The command raises a UserError matching `expected`, and leaves an existing rig unchanged."""
     output = tmp_path / "rig.json"
     output.write_text("precious")
     with pytest.raises(UserError, match=expected):
@@ -143,7 +143,7 @@ def refused(
 
 @pytest.mark.slow
 def test_missing_halves_are_refused(folder: Path, tmp_path: Path) -> None:
-    """A picture without its partner is an error that names both."""
+    """The error names the pictures without a partner."""
     (folder / "v2_right.png").unlink()
     (folder / "v3_left.png").unlink()
     refused(folder, tmp_path, r"v2_left.png: v2_right is missing(.|\n)*v3_right.png: v3_left is missing")
@@ -151,7 +151,7 @@ def test_missing_halves_are_refused(folder: Path, tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_mixed_sizes_are_refused(folder: Path, tmp_path: Path) -> None:
-    """A picture of another size is named with its size and the usual one."""
+    """The error names the picture with its size and the usual one."""
     image = cv2.imread(str(folder / "v1_left.png"), cv2.IMREAD_GRAYSCALE)
     cv2.imwrite(str(folder / "v1_left.png"), image[:400])
     refused(folder, tmp_path, r"640 x 480(.|\n)*v1_left.png: 640 x 400")
@@ -159,14 +159,14 @@ def test_mixed_sizes_are_refused(folder: Path, tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_a_broken_picture_is_refused(folder: Path, tmp_path: Path) -> None:
-    """A file that is no picture is named."""
+    """The error names a file that is no picture."""
     (folder / "v3_left.png").write_bytes(b"not a picture")
     refused(folder, tmp_path, "v3_left.png: not an image")
 
 
 @pytest.mark.slow
 def test_the_wrong_count_of_corners_is_refused(folder: Path, tmp_path: Path) -> None:
-    """A board that is in no picture is refused with the one that is, or with the reason of every view."""
+    """The error names the board that is in the pictures, or the reason for every view."""
     refused(
         folder, tmp_path, r"--board: .*show 8x6 .*, not 12x4.* chessboard:8x6:6", board="chessboard:12x4:6"
     )
@@ -184,7 +184,7 @@ def test_the_wrong_count_of_corners_is_refused(folder: Path, tmp_path: Path) -> 
 
 @pytest.mark.slow
 def test_without_a_board_the_pictures_are_asked(folder: Path, tmp_path: Path) -> None:
-    """They show which board it is, and never how large: what to measure and to type is said."""
+    """The error names the recognised board, and says what length to measure and enter."""
     refused(
         folder,
         tmp_path,
@@ -196,22 +196,22 @@ def test_without_a_board_the_pictures_are_asked(folder: Path, tmp_path: Path) ->
 
 @pytest.mark.slow
 def test_a_length_alone_suffices(folder: Path, tmp_path: Path) -> None:
-    """The board is recognised, said, and kept in the rig as if it had been stated in full.
+    """The board is recognised, reported, and stored in the rig as if it had been stated in full.
 
-    A wrong length cannot be seen in pictures: it scales the baseline, and the output says so.
+    A wrong length scales the baseline and cannot be seen in pictures, which the output says.
     """
     said = run(folder, tmp_path / "rig.json", board="6,06 mm")
     first, second, *_ = said.splitlines()
     assert "board chessboard:8x6:6.06: a chessboard of 8x6 inner corners (4 of 4 pictures looked at)" == first
     assert "the pictures cannot prove it" in said
     assert load_rig(tmp_path / "rig.json").baseline_mm == pytest.approx(RIG.baseline_mm * 1.01, rel=1e-3)
-    assert second.split() == ["left", "right"]  # progress leaves nothing where nobody looks
+    assert second.split() == ["left", "right"]  # no progress is shown without a terminal
     assert "chessboard:8x6:6.06" == json.loads((tmp_path / "rig.json").read_text())["quality"]["board"]
 
 
 @pytest.mark.slow
 def test_pictures_that_disagree_are_listed(folder: Path, tmp_path: Path) -> None:
-    """Half of them with another board: each picture is named with what it shows, in folders' order."""
+    """If pictures show different boards, each is named with what it shows, in the order of the folder."""
     other = parse_board("chessboard:7x5:6")
     for number, pose in enumerate(board_poses(RIG, other, 2, seed=5)):
         cv2.imwrite(str(folder / f"v{number}_left.png"), draw_board(other, RIG.left, pose))
@@ -225,7 +225,7 @@ def test_pictures_that_disagree_are_listed(folder: Path, tmp_path: Path) -> None
 
 @pytest.mark.slow
 def test_pictures_without_a_board_are_named(folder: Path, tmp_path: Path) -> None:
-    """Where nothing is recognised, that is said of these pictures, with an example of a board."""
+    """If no board is recognised, the error says so, with an example of a board."""
     for path in folder.glob("*.png"):
         cv2.imwrite(str(path), np.full((480, 640), 90, np.uint8))
     refused(
@@ -235,7 +235,7 @@ def test_pictures_without_a_board_are_named(folder: Path, tmp_path: Path) -> Non
 
 @pytest.mark.slow
 def test_one_camera_twice_is_refused(folder: Path, tmp_path: Path) -> None:
-    """Left and right from the same file: every pair is named, nothing is calibrated."""
+    """If left and right are the same file, every pair is named and nothing is calibrated."""
     for left in folder.glob("*_left.png"):
         shutil.copy(left, left.with_name(left.name.replace("left", "right")))
     refused(folder, tmp_path, r"0 of 4 pairs(.|\n)*v0: left: the left and the right picture are the same")
@@ -243,7 +243,7 @@ def test_one_camera_twice_is_refused(folder: Path, tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_both_images_of_one_camera_are_refused(folder: Path, tmp_path: Path) -> None:
-    """Two exposures of the same camera have no baseline: said as such."""
+    """Two exposures of the same camera have no baseline, which the error says."""
     rng = np.random.default_rng(0)
     for left in folder.glob("*_left.png"):
         image = cv2.imread(str(left), cv2.IMREAD_GRAYSCALE)
@@ -254,7 +254,7 @@ def test_both_images_of_one_camera_are_refused(folder: Path, tmp_path: Path) -> 
 
 @pytest.mark.slow
 def test_a_copied_pair_counts_once(folder: Path, tmp_path: Path) -> None:
-    """A pair that is there twice would make the sigmas too small: the copy is left out by name."""
+    """A duplicate pair is left out by name, as it would make the sigmas too small."""
     for side in ("left", "right"):
         shutil.copy(folder / f"v2_{side}.png", folder / f"v9_{side}.png")
     said = run(folder, tmp_path / "rig.json")
@@ -264,7 +264,7 @@ def test_a_copied_pair_counts_once(folder: Path, tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_one_view_only_is_refused(folder: Path, tmp_path: Path) -> None:
-    """One pair says nothing of focal length and distance."""
+    """A single pair is refused."""
     for path in folder.glob("v[1-3]_*"):
         path.unlink()
     refused(folder, tmp_path, "1 of 1 pairs show the board in both images, expected at least 3")
@@ -272,7 +272,7 @@ def test_one_view_only_is_refused(folder: Path, tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_a_blurred_view_is_named(folder: Path, tmp_path: Path) -> None:
-    """A view out of focus is used at its own precision, or left out; either way it is named."""
+    """A blurred view is named, whether it is used or left out."""
     image = cv2.imread(str(folder / "v3_left.png"), cv2.IMREAD_GRAYSCALE)
     cv2.imwrite(str(folder / "v3_left.png"), cv2.GaussianBlur(image, (0, 0), 3))
     said = run(folder, tmp_path / "rig.json")
@@ -282,7 +282,7 @@ def test_a_blurred_view_is_named(folder: Path, tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_unknown_model_and_impossible_outputs_are_refused(folder: Path, tmp_path: Path) -> None:
-    """What can be known to fail before the work is refused before the work."""
+    """An unknown model and impossible outputs are refused before the work."""
     refused(folder, tmp_path, "expected one of auto, division, brown", model="fisheye")
     for output in (tmp_path, tmp_path / "nowhere" / "rig.json"):
         with pytest.raises(UserError, match="folder"):
@@ -291,7 +291,7 @@ def test_unknown_model_and_impossible_outputs_are_refused(folder: Path, tmp_path
 
 @pytest.mark.slow
 def test_an_interrupt_leaves_no_file(folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Ctrl-C during the work leaves the output folder as it was, and no worker behind."""
+    """After Ctrl-C the output folder is unchanged."""
 
     def interrupted(*_: object) -> None:
         raise KeyboardInterrupt

@@ -1,4 +1,4 @@
-"""`teach`, `locate` and `check` as a person calls them: exit codes, messages, and nothing overwritten."""
+"""`teach`, `locate` and `check` on the command line: exit codes, messages, and no unwanted overwriting."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ def folder(pristine: Path, tmp_path: Path) -> Path:
 
 
 def pair_of(cell: VirtualCell, number: int) -> tuple[Image, Image]:
-    """The pictures of one random pose."""
+    """Pictures of one random pose."""
     views, world = stereo_views(cell.rig), cell.scene(cell.pose(number))
     left, right = (views[s].render(world, np.random.default_rng((number, len(s)))) for s in ("left", "right"))
     return left, right
@@ -93,7 +93,8 @@ def taught(pristine: Path, cell: VirtualCell) -> tuple[PreparedRig, Job]:
 def test_the_part_is_located_anywhere(
     cell: VirtualCell, taught: tuple[PreparedRig, Job], number: int
 ) -> None:
-    """At random poses: position to 0.02 mm, within 5 sigma, the right rotation, and the same bits again."""
+    """At random poses the position is right to 0.02 mm and within 5 sigma, the rotation is right, and a
+    repetition is bit-identical."""
     rig, job = taught
     where, pair = cell.pose(number), frame_pair(*pair_of(cell, number))
     outcome = locate(pair, job, rig)
@@ -113,7 +114,7 @@ def test_the_part_is_located_anywhere(
 def test_images_that_cannot_be_one_pair_are_no_result(
     cell: VirtualCell, taught: tuple[PreparedRig, Job]
 ) -> None:
-    """The same image twice, left and right swapped, one of them blank or black: never OK."""
+    """The same image twice, swapped images, and a blank or black one never give OK."""
     rig, job = taught
     for number in range(2):
         left, right = pair_of(cell, number)
@@ -127,7 +128,7 @@ def test_images_that_cannot_be_one_pair_are_no_result(
 
 @pytest.mark.slow
 def test_locate_prints_one_json_object(edged: Edged, pristine: Path) -> None:
-    """Exit code 0, one object on stdout, with the fields of the manual and the place that was taught."""
+    """The exit code is 0 and stdout holds one object with the manual's fields and the taught place."""
     arguments = ("--rig", pristine / "rig.json", "--job", pristine / "jobs" / "flange")
     code, out, err = edged("locate", *arguments, "--json", pristine / "left.png", pristine / "right.png")
     document = json.loads(out)
@@ -140,7 +141,7 @@ def test_locate_prints_one_json_object(edged: Edged, pristine: Path) -> None:
 
 @pytest.mark.slow
 def test_locate_shows_a_table_and_writes_a_picture(edged: Edged, folder: Path) -> None:
-    """For people: a table with every circle, and a picture of both images side by side."""
+    """The table lists every circle, and the picture shows both images side by side."""
     picture = folder / "overlay.png"
     arguments = ("--rig", folder / "rig.json", "--job", folder / "jobs" / "flange", "--overlay", picture)
     code, out, _ = edged("locate", *arguments, folder / "left.png", folder / "right.png")
@@ -154,7 +155,7 @@ def test_locate_shows_a_table_and_writes_a_picture(edged: Edged, folder: Path) -
 
 @pytest.mark.slow
 def test_locate_says_what_the_plc_would_read(edged: Edged, pristine: Path) -> None:
-    """Position and A, B, C in the robot's frame, as --json has the pose; each table names its frame."""
+    """Position and A, B, C are in the robot's frame as in --json, and each table names its frame."""
     files = ("--rig", pristine / "rig.json", "--job", pristine / "jobs" / "flange")
     pair = (pristine / "left.png", pristine / "right.png")
     _, out, _ = edged("locate", *files, "--convention", "kuka_abc", *pair)
@@ -169,7 +170,7 @@ def test_locate_says_what_the_plc_would_read(edged: Edged, pristine: Path) -> No
 
 @pytest.mark.slow
 def test_locate_writes_points_as_file_and_picture(edged: Edged, folder: Path) -> None:
-    """--ply and --cloud: a PLY whose header tells its length, and a picture; for no part, empty ones."""
+    """--ply and --cloud write a PLY with the right length and a picture; without a part they are empty."""
     arguments = ("--rig", folder / "rig.json", "--job", folder / "jobs" / "flange")
     ply, picture = folder / "points.ply", folder / "cloud.png"
     for stem, expected in (("left", 0), ("right", 1)):
@@ -185,7 +186,7 @@ def test_locate_writes_points_as_file_and_picture(edged: Edged, folder: Path) ->
 
 @pytest.mark.slow
 def test_locate_says_no(edged: Edged, pristine: Path) -> None:
-    """No part in the picture is an answer: exit code 1, NO_TARGET."""
+    """If there is no part, the exit code is 1 with NO_TARGET."""
     arguments = ("--rig", pristine / "rig.json", "--job", pristine / "jobs" / "flange", "--json")
     code, out, _ = edged("locate", *arguments, pristine / "blank.png", pristine / "blank.png")
     assert (code, json.loads(out)["status"], json.loads(out)["targets"]) == (1, "NO_TARGET", [])
@@ -213,7 +214,7 @@ def test_locate_says_no(edged: Edged, pristine: Path) -> None:
 def test_locate_refuses_what_it_cannot_use(
     edged: Edged, folder: Path, changed: dict[str, str], expected: str
 ) -> None:
-    """Exit code 2, nothing on stdout, and one line on stderr that names the file and what was expected."""
+    """The exit code is 2, stdout is empty, and stderr has one line naming the file and what was expected."""
     names = {"rig": "rig.json", "job": "jobs/flange", "left": "left.png", "right": "right.png"} | changed
     path = {key: folder / name for key, name in names.items()}
     extra = ("--overlay", path["overlay"]) if "overlay" in path else ()
@@ -227,14 +228,14 @@ def test_locate_refuses_what_it_cannot_use(
 
 @pytest.mark.slow
 def test_every_command_has_help_under_both_names(edged: Edged) -> None:
-    """-h as well as --help, also of commands of commands."""
+    """-h and --help are the same, also for subcommands."""
     for command in ((), ("teach",), ("calibrate",), ("register",), ("register", "touch"), ("rig", "convert")):
         short, long = (edged(*command, name) for name in ("-h", "--help"))
         assert (0, long[1]) == short[:2]
 
 
 def test_missing_arguments_are_wrong_usage(edged: Edged) -> None:
-    """Exit code 2, as for every other wrong input."""
+    """The exit code is 2."""
     assert edged("locate")[0] == 2
     assert edged("teach", "--rig", "x")[0] == 2
     assert edged("nonsense")[0] == 2
@@ -244,7 +245,7 @@ def test_missing_arguments_are_wrong_usage(edged: Edged) -> None:
 
 
 def teach_arguments(folder: Path, **changed: object) -> list[object]:
-    """Arguments of a teaching that works, with some of them changed."""
+    """Arguments of a successful teaching, with some of them changed."""
     r = flange().region
     values: dict[str, object] = {
         "rig": folder / "rig.json",
@@ -259,7 +260,7 @@ def teach_arguments(folder: Path, **changed: object) -> list[object]:
 
 @pytest.mark.slow
 def test_swapped_pictures_are_told_as_such(edged: Edged, folder: Path) -> None:
-    """By each command that takes a pair; an empty pair is not swapped."""
+    """Each command that takes a pair reports swapped pictures, but not empty ones."""
     rig, job = ("--rig", folder / "rig.json"), ("--job", folder / "jobs" / "flange")
     exchanged = folder / "right.png", folder / "left.png"
     blank = folder / "blank.png", folder / "blank.png"
@@ -287,14 +288,14 @@ UNIT = np.eye(4).tolist()
 
 
 def told_swapped(answer: tuple[int, str, str]) -> tuple[int, bool]:
-    """Exit code, and whether it was said."""
+    """Exit code, and whether swapped pictures were reported."""
     code, out, err = answer
     return code, SWAPPED in f"{out}{err}"
 
 
 @pytest.mark.slow
 def test_teach_writes_a_job_and_says_what_it_learnt(edged: Edged, folder: Path) -> None:
-    """Exit code 0, every circle listed, the job loads; the older one is kept."""
+    """The exit code is 0, every circle is listed, the job loads, and the former one is kept."""
     before = (folder / "jobs" / "flange" / "job.toml").read_bytes()
     code, out, err = edged(*teach_arguments(folder, number=4))
     assert (code, out) == (0, "")
@@ -309,7 +310,7 @@ def test_teach_writes_a_job_and_says_what_it_learnt(edged: Edged, folder: Path) 
 
 @pytest.mark.slow
 def test_numbers_of_jobs_do_not_collide(edged: Edged, folder: Path) -> None:
-    """A second job takes the next number by itself; one that is taken is refused with a free one."""
+    """A second job gets the next number, and a used number is refused with a free one suggested."""
     second = folder / "jobs" / "second"
     code, _, err = edged(*teach_arguments(folder, output=second, name="second", number=1))
     assert code == 2
@@ -320,7 +321,7 @@ def test_numbers_of_jobs_do_not_collide(edged: Edged, folder: Path) -> None:
 
 @pytest.mark.slow
 def test_an_edited_tolerance_survives_teaching_again(edged: Edged, folder: Path) -> None:
-    """It is in the new job, and on the terminal."""
+    """A limit edited in the job is kept in the new one and reported."""
     path = folder / "jobs" / "flange" / "job.toml"
     path.write_text(path.read_text().replace("max_sigma_mm = 0.2", "max_sigma_mm = 0.04"))
     code, _, err = edged(*teach_arguments(folder))
@@ -332,7 +333,7 @@ def test_an_edited_tolerance_survives_teaching_again(edged: Edged, folder: Path)
 
 @pytest.mark.slow
 def test_a_region_that_cuts_the_part_is_a_warning(edged: Edged, folder: Path) -> None:
-    """On the terminal, for programs and in the report, which shows the region; the job is written."""
+    """The warning is on the terminal, in JSON and in the report with the region, and the job is written."""
     r = flange().region
     narrow, report = f"{r.x},{r.y},{0.8 * r.width},{r.height}", folder / "report.html"
     code, out, err = edged(*teach_arguments(folder, roi=narrow, report=report), "--json")
@@ -350,7 +351,7 @@ def test_a_region_that_cuts_the_part_is_a_warning(edged: Edged, folder: Path) ->
 
 @pytest.mark.slow
 def test_teach_says_what_a_tilt_takes(edged: Edged, folder: Path) -> None:
-    """--tilt stands in the job; how many views that are and how deep the part then reaches is said."""
+    """--tilt is stored in the job, and the number of views and the resulting depth are reported."""
     code, out, err = edged(*teach_arguments(folder, tilt=45))
     assert (code, out) == (0, "")
     found = re.search(r"tilted by up to 45°: looked for in (\d+) views; it spans ([0-9.]+) mm", err)
@@ -394,7 +395,7 @@ def test_teach_says_what_a_tilt_takes(edged: Edged, folder: Path) -> None:
 def test_a_teaching_that_fails_changes_nothing(
     edged: Edged, folder: Path, changed: dict[str, object], expected: str
 ) -> None:
-    """Exit code 2, the option or file named, and the job that was there is as it was."""
+    """The exit code is 2, the option or file is named, and the existing job is unchanged."""
     files = {
         key: folder / str(value) if key in ("left", "right", "rig") else value
         for key, value in changed.items()
@@ -408,7 +409,7 @@ def test_a_teaching_that_fails_changes_nothing(
 
 @pytest.mark.slow
 def test_teach_does_not_write_over_something_else(edged: Edged, folder: Path) -> None:
-    """A folder of pictures given as output stays what it is; so does a file."""
+    """An output that is a file or a folder of pictures is refused and unchanged."""
     (folder / "photos").mkdir()
     (folder / "photos" / "cat.png").write_bytes(b"meow")
     for output in (folder / "photos", folder / "left.png", folder / "left.png" / "job"):
@@ -425,7 +426,7 @@ def test_teach_does_not_write_over_something_else(edged: Edged, folder: Path) ->
 
 @pytest.mark.slow
 def test_check_says_good(edged: Edged, pristine: Path) -> None:
-    """Exit code 0 with rig, jobs and cameras named; the same as JSON."""
+    """The exit code is 0 with rig, jobs and cameras named, also in JSON."""
     code, out, _ = edged("check", pristine / "cell.toml")
     assert code == 0
     assert "good" in out
@@ -437,18 +438,18 @@ def test_check_says_good(edged: Edged, pristine: Path) -> None:
 
 
 def rig_of_another_scale(rig: dict[str, Any]) -> None:
-    """Calibrated with a board that is a tenth of what was stated."""
+    """Make it ten times too large, as with a board of a tenth of its stated size."""
     for row in rig["right_from_left"][:3]:
         row[3] *= 10.0
 
 
 def rig_to_repeat(rig: dict[str, Any]) -> None:
-    """Calibrated from three views."""
+    """Give it the verdict of only three views."""
     rig["quality"] = {"verdict": {"grade": "repeat", "why": ["3 views\x1b", "2"], "add": ""}}
 
 
 def rig_of_something_else(rig: dict[str, Any]) -> None:
-    """Whatever another program keeps there."""
+    """Give it an unknown content under `quality`."""
     rig["quality"] = {"verdict": ["repeat"]}
 
 
@@ -467,7 +468,7 @@ def rig_of_something_else(rig: dict[str, Any]) -> None:
 def test_check_says_what_to_look_at(
     edged: Edged, folder: Path, spoil: Callable[[dict[str, Any]], None], told: str | None
 ) -> None:
-    """It would run, and is not called good; in JSON it is a warning; the doctor says it, too."""
+    """A doubtful rig is a warning instead of "good", also in JSON and in the doctor."""
     path = folder / "rig.json"
     rig = json.loads(path.read_text())
     spoil(rig)
@@ -485,7 +486,7 @@ def test_check_says_what_to_look_at(
 
 @pytest.mark.slow
 def test_two_jobs_of_one_name_are_a_mistake(edged: Edged, folder: Path) -> None:
-    """Nobody could tell which of them cell.job means."""
+    """Two jobs of the same name are refused."""
     shutil.copytree(folder / "jobs" / "flange", folder / "jobs" / "other")
     text = (folder / "jobs" / "other" / "job.toml").read_text()
     (folder / "jobs" / "other" / "job.toml").write_text(text.replace("number = 1", "number = 2"))
@@ -497,7 +498,7 @@ def test_two_jobs_of_one_name_are_a_mistake(edged: Edged, folder: Path) -> None:
 
 @pytest.mark.slow
 def test_check_names_every_mistake_at_once(edged: Edged, folder: Path) -> None:
-    """Rig gone, job damaged, active job unknown: exit code 2, all three with their dotted path."""
+    """A missing rig, a damaged job and an unknown active job are all reported, with exit code 2."""
     text = (folder / "cell.toml").read_text()
     text = text.replace('"rig.json"', '"nowhere.json"').replace('job = "flange"', 'job = "bracket"')
     (folder / "cell.toml").write_text(text)
@@ -518,7 +519,7 @@ def test_check_names_every_mistake_at_once(edged: Edged, folder: Path) -> None:
     [("[cell", "TOML"), ("", "cell"), ("[cell]\nnmae = 'x'\n", "nmae"), (None, "cannot")],
 )
 def test_check_of_an_unusable_file(edged: Edged, folder: Path, content: str | None, expected: str) -> None:
-    """Not TOML, empty, an unknown key, missing: exit code 2 and the file's name."""
+    """Invalid TOML, an empty or missing file, and an unknown key give exit code 2 and the file's name."""
     path = folder / "other.toml"
     if content is not None:
         path.write_text(content)

@@ -1,4 +1,4 @@
-"""The doctor: a healthy cell is well, each sick one is told what bites and what helps."""
+"""The doctor: a healthy cell passes, and each problem is reported with its consequence and remedy."""
 
 from __future__ import annotations
 
@@ -57,17 +57,17 @@ def taught(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def folder(taught: Path, tmp_path: Path) -> Path:
-    """A copy to make sick."""
+    """A copy to be changed."""
     return Path(shutil.copytree(taught, tmp_path / "cell"))
 
 
 def checks(config: Path, *, trigger: bool = False) -> dict[str, Check]:
-    """By name."""
+    """Checks by name."""
     return {check.name: check for check in examine(config, trigger=trigger)}
 
 
 def edit(folder: Path, old: str, new: str) -> Path:
-    """The configuration with something else in it."""
+    """The configuration with a text replaced."""
     path = folder / "cell.toml"
     text = path.read_text()
     assert old in text
@@ -77,7 +77,7 @@ def edit(folder: Path, old: str, new: str) -> Path:
 
 @pytest.mark.slow
 def test_a_healthy_cell_is_well(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Nothing is bad, pictures are taken, and the exit code says so; JSON carries the same."""
+    """Nothing is bad, pictures are taken, and the exit code is 0; JSON has the same result."""
     path = folder / "cell.toml"
     path.write_text(patient(path.read_text()))
     assert command(path, True, Console(), trigger=True) == 0
@@ -91,7 +91,7 @@ def test_a_healthy_cell_is_well(folder: Path, capsys: pytest.CaptureFixture[str]
 
 @pytest.mark.slow
 def test_what_is_bad_has_a_consequence_and_a_remedy(folder: Path) -> None:
-    """No finding leaves the reader alone with it."""
+    """Every bad finding has a consequence and a remedy."""
     path = edit(folder, "[modbus]", '[recorder]\nfolder = "r"\nmin_free_mib = 90000000\n\n[modbus]')
     path.write_text(
         path.read_text().replace("[zenoh]", '[modbus.serial]\ndevice = "/dev/ttyNONE"\n\n[zenoh]')
@@ -108,7 +108,7 @@ def test_what_is_bad_has_a_consequence_and_a_remedy(folder: Path) -> None:
 
 @pytest.mark.slow
 def test_mistakes_of_the_configuration_come_first(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Each is a finding; of a file that cannot be understood nothing else is looked at."""
+    """Each mistake is a finding, and nothing else is examined if the file cannot be read."""
     path = edit(folder, 'job = "flange"', 'jib = "flange"')
     assert command(path, False, Console(width=200), trigger=True) == 1
     out = capsys.readouterr().out
@@ -118,7 +118,7 @@ def test_mistakes_of_the_configuration_come_first(folder: Path, capsys: pytest.C
 
 @pytest.mark.slow
 def test_a_cell_that_is_not_calibrated_yet_is_examined_as_far_as_that_goes(folder: Path) -> None:
-    """Machine, ports, cameras and their pictures come before rig and jobs."""
+    """Without rig and jobs, the machine, the ports and the cameras are still examined."""
     (folder / "rig.json").unlink()
     path = edit(folder, 'source = "virtual-inprocess"', 'source = "aravis"')
     edit(folder, "[modbus]", '[cameras.left]\ndevice = "L"\n[cameras.right]\ndevice = "R"\n\n[modbus]')
@@ -134,7 +134,7 @@ def test_a_cell_that_is_not_calibrated_yet_is_examined_as_far_as_that_goes(folde
 @pytest.mark.slow
 @needs_aravis()
 def test_what_must_be_set_before_the_calibration_is_told_before_it(folder: Path) -> None:
-    """Pictures of cameras that have no rig yet: how they fare, and a response that is bent."""
+    """Pictures and a nonlinear response are reported before there is a rig."""
     (folder / "rig.json").unlink()
     edit(folder, 'source = "virtual-inprocess"', 'source = "virtual"')
     path = folder / "cell.toml"
@@ -149,7 +149,7 @@ def test_what_must_be_set_before_the_calibration_is_told_before_it(folder: Path)
 
 
 def test_a_daemon_that_is_set_up_by_a_person_is_well_and_has_its_cameras() -> None:
-    """Nobody needs to close another program, or look why; one without a calibration is told."""
+    """A daemon set up by a person is OK and has the cameras; one without a calibration is a warning."""
     person = OurDaemon(5, "0badcafe", ready=False, why="setup by Anna")
     assert (CheckResult.OK, True) == (person.look("0badcafe").verdict, person.has_cameras)
     nobody = OurDaemon(5, "0badcafe", ready=False, why="setup: no calibration yet")
@@ -157,7 +157,7 @@ def test_a_daemon_that_is_set_up_by_a_person_is_well_and_has_its_cameras() -> No
 
 
 def test_a_page_is_told_what_it_can_mend(folder: Path) -> None:
-    """Files that were changed are read again; a secret that others read is closed, where this process may."""
+    """Findings name the repair: a reload for changed files, closing a secret readable by others."""
     assert "reload" == OurDaemon(5, "0badcafe", ready=True, why="").look("00000001").mend
     path = edit(folder, "[modbus]", f'[web]\npassword_hash = "{HASH}"\n[modbus]')
     path.chmod(0o644)
@@ -169,7 +169,7 @@ def test_a_page_is_told_what_it_can_mend(folder: Path) -> None:
 
 @pytest.mark.slow
 def test_a_port_in_use_is_named(folder: Path) -> None:
-    """With the command that tells by whom."""
+    """The finding names what uses the port, and the remedy the command that shows it."""
     port = load(folder / "cell.toml").modbus.port
     with socket.socket() as server:
         server.bind(("127.0.0.1", port))
@@ -182,7 +182,7 @@ def test_a_port_in_use_is_named(folder: Path) -> None:
 
 
 def by_its_daemon(check: Check, port: int) -> bool:
-    """Whether a port is well because the cell's daemon has it."""
+    """Whether the port is OK because the cell's own daemon listens on it."""
     said = f"127.0.0.1:{port}: this cell's own daemon listens"
     return (check.verdict, check.finding) == (CheckResult.OK, said)
 
@@ -201,7 +201,7 @@ def by_its_daemon(check: Check, port: int) -> bool:
     ],
 )
 def test_a_daemon_is_known_by_how_it_was_started(tmp_path: Path, command: list[str], is_ours: bool) -> None:
-    """By the cell's file or its folder, by `run` or `demo`, with options in any place."""
+    """The daemon is recognised by the cell's file or folder, with `run` or `demo` and any options."""
     folder = tmp_path / "folder"
     folder.mkdir()
     for name in ("cell.toml", "other.toml"):
@@ -221,7 +221,7 @@ def test_a_daemon_is_known_by_how_it_was_started(tmp_path: Path, command: list[s
 def test_a_daemon_of_another_user_is_known_by_its_whole_path(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Where that user's folder must not be asked for."""
+    """It is recognised by its absolute path, without access to that user's folder."""
     config = tmp_path / "cell.toml"
     config.write_text(
         '[cell]\nname = "c"\nrig = "rig.json"\njobs = "jobs"\n[cameras]\nsource = "virtual-inprocess"\n'
@@ -247,9 +247,9 @@ def test_a_daemon_of_another_user_is_known_by_its_whole_path(
 
 @pytest.mark.slow
 def test_a_cell_whose_daemon_runs_is_well(tmp_path: Path) -> None:
-    """Its ports are its own, also those of its page's process; it says so itself, and what it runs by.
+    """Ports of the daemon and its page are OK, and the daemon reports itself and its configuration.
 
-    After a change it is said that a reload is due; a port that somebody else has stays bad.
+    After a change a reload is reported as due, and a port used by another program stays bad.
     """
     cell = SmallCell(tmp_path)
     before = our_daemon(cell.config, load(cell.config))
@@ -286,7 +286,7 @@ def test_a_cell_whose_daemon_runs_is_well(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_pictures_of_another_size_are_named(folder: Path) -> None:
-    """A camera whose image size was changed after the calibration."""
+    """The finding names the size of a camera changed after the calibration."""
     (folder / "pairs").mkdir()
     for side in ("left", "right"):
         cv2.imwrite(str(folder / "pairs" / f"a_{side}.png"), np.zeros((480, 640), np.uint8))
@@ -301,7 +301,7 @@ def test_pictures_of_another_size_are_named(folder: Path) -> None:
 @pytest.mark.slow
 @needs_aravis()
 def test_a_response_that_is_not_linear_is_named(folder: Path) -> None:
-    """A camera whose Gamma is 0.5, as it says itself: with the remedy, and of the other one not a word."""
+    """A camera's Gamma of 0.5 is reported with a remedy, and nothing about the other camera."""
     edit(folder, 'source = "virtual-inprocess"', 'source = "virtual"')
     path = folder / "cell.toml"
     path.write_text(patient(path.read_text()) + "\n[cameras.left.features]\nGamma = 0.5\n")
@@ -317,7 +317,7 @@ def test_a_response_that_is_not_linear_is_named(folder: Path) -> None:
 @pytest.mark.slow
 @needs_aravis()
 def test_cameras_that_do_not_answer_are_named(folder: Path) -> None:
-    """With those that do: it is mostly a mistyped serial number."""
+    """The finding lists the cameras that do answer."""
     cameras = '[cameras.left]\ndevice = "NOT-THERE-1"\n[cameras.right]\ndevice = "NOT-THERE-2"\n\n[modbus]'
     path = edit(folder, 'source = "virtual-inprocess"', 'source = "aravis"')
     edit(folder, "[modbus]", cameras)
@@ -331,7 +331,7 @@ def test_cameras_that_do_not_answer_are_named(folder: Path) -> None:
 
 @pytest.mark.parametrize("side", SIDES)
 def test_a_camera_that_nobody_has_chosen_is_no_fault(side: Side) -> None:
-    """Of a cell that knows nothing yet: it is said where one is chosen, and which answer."""
+    """A camera not yet chosen is a warning that lists those that answer."""
     check = cameras.camera(side, CameraSection(device=UNCHOSEN[side]), None, [info("11", "10.0.0.2")])
 
     assert check.verdict is CheckResult.WARN
@@ -340,19 +340,19 @@ def test_a_camera_that_nobody_has_chosen_is_no_fault(side: Side) -> None:
 
 
 def info(serial: str, address: str, control: str = "free") -> CameraInfo:
-    """A camera as discovery tells."""
+    """A camera as discovery reports it."""
     return CameraInfo(f"V-{serial}", "V", "M", serial, address, "GigEVision", "00:11", control)
 
 
 def test_two_cameras_at_one_address_are_found() -> None:
-    """Fresh from the box both may have the same one."""
+    """Two cameras with the same address are reported."""
     found = [info("1", "10.0.0.5"), info("2", "10.0.0.5"), info("3", "10.0.0.6")]
     (check,) = cameras.twins(found)
     assert check.finding == "10.0.0.5 is the address of 1, 2"
 
 
 def test_a_camera_that_answers_at_two_addresses_is_found() -> None:
-    """By its serial number, which is then no name for it; cameras without one are not confused."""
+    """A serial number at two addresses is reported, but not cameras without a serial number."""
     found = [info("1", "10.0.0.5"), info("1", "10.0.1.5"), info("", "10.0.0.6"), info("", "10.0.0.7")]
     (check,) = cameras.twins(found)
     assert (CheckResult.WARN, "1 answers at 10.0.0.5, 10.0.1.5") == (check.verdict, check.finding)
@@ -360,7 +360,7 @@ def test_a_camera_that_answers_at_two_addresses_is_found() -> None:
 
 @pytest.mark.parametrize(("ready", "verdict"), [(True, "ok"), (None, "ok"), (False, "warn")])
 def test_a_camera_that_the_cells_own_daemon_has_is_well(ready: bool | None, verdict: str) -> None:
-    """As far as the daemon is: of one that is not ready it cannot be told who has it."""
+    """It is OK if the daemon is ready, and uncertain otherwise."""
     daemon = OurDaemon(1, "", ready, "")
     place = info("1", "10.0.0.5", "controlled")
     assert verdict == cameras.camera("left", load_section("1"), place, [place], daemon=daemon).verdict
@@ -375,19 +375,19 @@ def test_a_camera_that_the_cells_own_daemon_has_is_well(ready: bool | None, verd
     ],
 )
 def test_who_controls_a_camera_decides(control: str, verdict: CheckResult) -> None:
-    """Free, taken by some program, or seen and out of reach."""
+    """A free camera is OK, a controlled or unreachable one is not."""
     camera = info("1", "10.0.0.5", control)
     section = load_section("1")
     assert cameras.camera("left", section, camera, [camera]).verdict is verdict
 
 
 def load_section(device: str) -> CameraSection:
-    """A camera's part of a configuration."""
+    """Camera section of a configuration."""
     return CameraSection(device=device)
 
 
 def test_a_camera_outside_of_every_network_is_named() -> None:
-    """The broadcast finds it; nothing else does."""
+    """A camera found only by broadcast is reported with its address."""
     port = Interface("eth1", (IPv4Interface("192.168.10.1/24"),), 9000, 1000)
     good, interface = network.home("left", info("1", "192.168.10.7"), [port])
     bad, nowhere = network.home("left", info("1", "169.254.3.4"), [port])
@@ -400,7 +400,7 @@ def test_a_camera_outside_of_every_network_is_named() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize(("period_s", "verdict"), [(0.5, CheckResult.OK), (0.02, CheckResult.BAD)])
 def test_the_link_has_a_budget(folder: Path, period_s: float, verdict: CheckResult) -> None:
-    """Two 1.2 MB images every 20 ms do not fit a gigabit; small packets are mentioned."""
+    """Two 1.2 MB images every 20 ms do not fit a gigabit, and a small MTU is reported."""
     config = load(edit(folder, "period_s = 0.25", f"period_s = {period_s}"))
     port = Interface("eth1", (IPv4Interface("192.168.10.1/24"),), 1500, 1000)
     mtu, budget = network.link(port, ["left", "right"], 2 * 1280 * 960, config)
@@ -426,14 +426,14 @@ def nft(*rules: dict[str, object], policy: str = "accept") -> Rules:
     ],
 )
 def test_a_firewall_shuts_by_policy_or_by_its_last_rule(rules: Rules, open_to_all: bool) -> None:
-    """ufw has the policy, firewalld a final reject; a rule that drops one thing shuts nothing else."""
+    """A drop policy or a final reject closes a firewall, a rule for one thing does not."""
     assert open_to_all == firewall.accepts_by_default(rules)
 
 
 def test_a_firewall_that_names_the_port_or_the_network_lets_the_camera_in(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """By interface, by network, or by a set of either; another network's rule does not help."""
+    """A rule for the interface, the network or a set of either is enough, one for another network is not."""
     network = {"prefix": {"addr": "192.168.77.0", "len": 24}}
     for right, verdict in (
         ("eth1", "ok"),
@@ -449,7 +449,7 @@ def test_a_firewall_that_names_the_port_or_the_network_lets_the_camera_in(
 
 @pytest.mark.slow
 def test_without_the_right_to_packet_sockets_the_receive_buffer_decides() -> None:
-    """In a process that lost CAP_NET_RAW, as a user's has: an image of 100 MB finds no room."""
+    """Without CAP_NET_RAW, a receive buffer too small for an image is bad."""
     if os.geteuid() != 0:
         pytest.skip("not root, who has a right to give up")
     program = "from edged.doctor.network import receive_buffers; print(receive_buffers(10**8).to_json())"
@@ -460,7 +460,7 @@ def test_without_the_right_to_packet_sockets_the_receive_buffer_decides() -> Non
 
 
 def test_a_clock_that_is_set_meanwhile_is_noticed() -> None:
-    """A step of 0.5 s is told; time that only passes is not."""
+    """A step of 0.5 s is reported, passing time is not."""
     set_by_s = 0.0
     watch = machine.ClockWatch(lambda: time.time() + set_by_s)
     assert [] == list(watch.look())
@@ -471,7 +471,7 @@ def test_a_clock_that_is_set_meanwhile_is_noticed() -> None:
 
 @pytest.mark.slow
 def test_a_port_on_an_address_of_another_machine_is_named(folder: Path) -> None:
-    """The usual slip: the address of the PLC instead of this PC's."""
+    """An address that is not this machine's is bad."""
     path = edit(folder, "[modbus]", '[modbus]\nhost = "192.0.2.7"')
     check = checks(path)["Modbus port"]
     assert check.verdict is CheckResult.BAD
@@ -491,7 +491,7 @@ def test_a_port_on_an_address_of_another_machine_is_named(folder: Path) -> None:
 def test_who_wrote_and_may_not_is_named(
     folder: Path, monkeypatch: pytest.MonkeyPatch, journal: str | None, verdict: CheckResult, finding: str
 ) -> None:
-    """As the journal says, unless the configuration lists it by now; without a journal it says so."""
+    """The journal's refused writers are reported unless now listed, and so is a missing journal."""
     monkeypatch.setattr(machine, "run", lambda *_: journal)
     (check,) = [one for one in machine.look_at_ports(load(folder / "cell.toml")) if "writers" in one.name]
     assert verdict is check.verdict
@@ -507,7 +507,7 @@ def test_who_wrote_and_may_not_is_named(
 def test_a_certificate_that_ends_is_told_before(
     folder: Path, days: int, verdict: CheckResult, finding: str
 ) -> None:
-    """By its place and its date: not good yet, a day left, over; what is none is said."""
+    """An expiring, expired, not yet valid or invalid certificate is reported with its place and date."""
     make_certificates(folder)
     text = '[modbus.tls]\ncertificate = "server.pem"\nkey = "server.key"\nauthority = "ca.pem"\n\n[zenoh]'
     config = load(edit(folder, "[zenoh]", text))
@@ -524,7 +524,8 @@ def test_a_certificate_that_ends_is_told_before(
     [(b"ACKF\x1c\0\0\0", CheckResult.OK), (b"HTTP/1.1", CheckResult.BAD), (b"", CheckResult.BAD)],
 )
 def test_what_answers_on_the_port_of_opc_ua_is_told(said: bytes, verdict: CheckResult) -> None:
-    """A server of OPC UA, another one, one that hangs up; where nobody listens there is nothing to tell."""
+    """An OPC UA server, another one, and one that disconnects are told apart; without one there is no
+    finding."""
     with socket.create_server(("127.0.0.1", 0)) as server:
         port = server.getsockname()[1]
 
@@ -544,7 +545,7 @@ def test_what_answers_on_the_port_of_opc_ua_is_told(said: bytes, verdict: CheckR
 
 
 def test_a_plc_that_does_not_answer_is_said_with_what_to_do(folder: Path) -> None:
-    """And how it is when it does; nothing was written."""
+    """A PLC that answers is OK without being written, and one that does not is bad with its address."""
     controller = S7Controller()
     try:
         assert CheckResult.OK is look_at_plc(controller.section).verdict

@@ -1,4 +1,4 @@
-"""`edged doctor` on reference marks: what a test picture shows of them."""
+"""`edged doctor` with reference marks: what a test picture shows of them."""
 
 from __future__ import annotations
 
@@ -19,7 +19,8 @@ from edged.sim.weather import Knock
 
 @pytest.mark.slow
 def test_the_doctor_says_what_the_marks_say(tmp_path: Path) -> None:
-    """Without marks nothing; seen and well; a camera that was knocked; covered ones; with what to do."""
+    """There is no finding without marks, and one each for marks that are OK, moved or covered, with
+    advice."""
     files = prepared(tmp_path)
     rig = load_rig(files.rig)
     cell = marked_cell(Knock(50.0, "left", (1.0, 0.0, 0.0)))

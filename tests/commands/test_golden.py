@@ -26,7 +26,8 @@ ROBOT_FROM_RIG = make_transform((0.4, 1.1, -0.7), (500.0, -200.0, 300.0))
 def test_the_part_of_a_pair_becomes_the_golden_one_or_it_is_said_why_not(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """As `edged locate` sees it, in the robot's frame; an empty table or a rig without robot keep nothing."""
+    """The kept pose is that of `edged locate` in the robot's frame; an empty table or no robot keeps
+    nothing."""
     prepare_cell(tmp_path, VirtualCell(small_rig(), demo_part(), seed=11), DemoOptions(), gige=False)
     part, job = flange(), tmp_path / "jobs" / "flange"
     rig, alone, carried = (tmp_path / name for name in ("rig.json", "alone.json", "carried.json"))

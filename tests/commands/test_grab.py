@@ -1,4 +1,4 @@
-"""`edged grab`: pairs of a board that was moved, and what was taken stays."""
+"""`edged grab`: pairs of a board that is moved, and pairs already taken are kept."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from edged.sim.cell import VirtualCell, demo_part, demo_rig
 
 
 def board(x: float, seed: int, gain: float = 1.0) -> Image:
-    """A chessboard at a place in a noisy picture under a lamp of some brightness."""
+    """A chessboard at a place in a noisy picture, with this brightness."""
     columns, rows = np.meshgrid(np.arange(320) - x, np.arange(240))
     inside = (columns > 40) & (columns < 200) & (rows > 40) & (rows < 200)
     grey = np.where(inside & ((columns // 20 + rows // 20) % 2 > 0), 200.0, 60.0)
@@ -36,31 +36,31 @@ def board(x: float, seed: int, gain: float = 1.0) -> Image:
 
 
 def pair_at(x: float, seed: int = 0, gain: float = 1.0) -> FramePair:
-    """Both cameras see the board there."""
+    """Both cameras see the board at this place."""
     images = board(x, 2 * seed, gain), board(x - 9, 2 * seed + 1, gain)
     left, right = (Frame(side, 1, image, 0, 0) for side, image in zip(("left", "right"), images, strict=True))
     return FramePair(left, right)
 
 
 class Head:
-    """Plays exposures, faults and interrupts."""
+    """Plays a script of exposures, faults and interrupts."""
 
     def __init__(self, script: Iterable[float | BaseException]) -> None:
         self.script: Iterator[tuple[int, float | BaseException]] = enumerate(script)
         self.closed = False
 
     async def open(self) -> None:
-        """Nothing to do."""
+        """Do nothing."""
 
     async def capture(self) -> FramePair:
-        """The next of the script."""
+        """Next entry of the script."""
         seed, what = next(self.script)
         if isinstance(what, BaseException):
             raise what
         return pair_at(what, seed)
 
     async def close(self) -> None:
-        """Remembered."""
+        """Note that it was closed."""
         self.closed = True
 
 
@@ -70,13 +70,13 @@ def _hurry(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def session(folder: Path, count: int) -> tuple[Grab, io.StringIO]:
-    """A session into a folder, and what it says."""
+    """A session for a folder, and its output."""
     said = io.StringIO()
     return Grab(folder, "pair", count, Console(file=said, width=200)), said
 
 
 def test_a_pair_is_taken_when_the_view_changed_and_rests(tmp_path: Path) -> None:
-    """Not while the board moves, and not again while it lies there."""
+    """No pair is taken while the board moves, nor twice at the same place."""
     places = [0.0, 0.0, 0.0, 0.0, 10.0, 20.0, 21.0, 40.0, 40.0, 40.0, 55.0, 55.0]
     grabbing, said = session(tmp_path, 3)
     asyncio.run(grabbing.run(Head(places), grabbing.resting))
@@ -91,14 +91,14 @@ def test_a_pair_is_taken_when_the_view_changed_and_rests(tmp_path: Path) -> None
 
 
 def test_noise_and_flicker_are_no_movement_and_half_a_pixel_is() -> None:
-    """A resting board rests under a lamp that flickers by 10 %; one that creeps does not."""
+    """Flicker by 10 % counts as rest, creeping by half a pixel does not."""
     resting, creeping = ViewChange(), ViewChange()
     assert [False, True] == [resting.rests_anew(pair_at(0.0, k, 1 - 0.1 * k)) for k in range(2)]
     assert not any(creeping.rests_anew(pair_at(0.5 * k, k)) for k in range(10))
 
 
 def test_a_view_that_never_rests_ends(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """After a minute, with what is to be done; what was taken stays."""
+    """It ends after a time limit with advice, and keeps pairs already taken."""
     monkeypatch.setattr(module, "PATIENCE_S", 0.3)
     grabbing, said = session(tmp_path, 2)
     asyncio.run(grabbing.run(Head(itertools.cycle([0.0, 30.0])), grabbing.resting))
@@ -111,7 +111,7 @@ def test_a_view_that_never_rests_ends(tmp_path: Path, monkeypatch: pytest.Monkey
     "end", [KeyboardInterrupt(), FrameTimeout("left", "unplugged")], ids=["ctrl-C", "cable"]
 )
 def test_what_was_taken_stays(tmp_path: Path, end: BaseException) -> None:
-    """Ctrl-C or a cable after two pairs: both are there, whole, and the head is closed."""
+    """After Ctrl-C or a camera fault both pairs taken are complete, and the head is closed."""
     head = Head([0.0, 30.0, *([end] * 9)])
     grabbing, _ = session(tmp_path, 20)
     with pytest.raises(type(end)):
@@ -123,7 +123,7 @@ def test_what_was_taken_stays(tmp_path: Path, end: BaseException) -> None:
 
 
 def test_one_lost_frame_ends_nothing(tmp_path: Path) -> None:
-    """It is said, and the pair is taken again."""
+    """A lost frame is reported, and the pair is taken again."""
     grabbing, said = session(tmp_path, 2)
     lost: CaptureError = FrameTimeout("left", "no image")
     asyncio.run(grabbing.run(Head([0.0, lost, 30.0]), grabbing.at_once))
@@ -133,7 +133,7 @@ def test_one_lost_frame_ends_nothing(tmp_path: Path) -> None:
 
 
 def test_nothing_is_overwritten(tmp_path: Path) -> None:
-    """Numbers go on after the highest, also after a hole and half a pair."""
+    """Numbers continue after the highest one, also after gaps and half a pair."""
     for name in ("pair_00_left", "pair_07_right", "other_99_left"):
         (tmp_path / f"{name}.png").write_bytes(b"old")
     grabbing, _ = session(tmp_path, 1)
@@ -146,7 +146,7 @@ def test_nothing_is_overwritten(tmp_path: Path) -> None:
 
 
 def test_a_terminal_is_asked_before_each_pair(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Enter takes one, `q` ends."""
+    """Enter takes a pair, `q` ends."""
     reader, writer = os.pipe()
     os.write(writer, b"\n")
     grabbing, said = session(tmp_path, 5)
@@ -163,7 +163,7 @@ def test_a_terminal_is_asked_before_each_pair(tmp_path: Path, monkeypatch: pytes
 
 @pytest.mark.slow
 def test_a_folder_that_cannot_be_written_is_found_before_the_cameras_are(tmp_path: Path) -> None:
-    """A file in its place is named; no camera is asked for."""
+    """A file in place of the folder is an error before any camera is opened."""
     options = DemoOptions(modbus_port=1, zenoh_port=2)
     prepare_cell(tmp_path, VirtualCell(demo_rig(), demo_part()), options, gige=True)
     (tmp_path / "out").write_text("a file")
@@ -173,7 +173,7 @@ def test_a_folder_that_cannot_be_written_is_found_before_the_cameras_are(tmp_pat
 
 @pytest.mark.slow
 def test_grab_saves_pairs_for_calibrate_and_teach(tmp_path: Path) -> None:
-    """Under the names that the other commands look for, without loss."""
+    """Pictures have the names that other commands expect, and are lossless."""
     prepare_cell(tmp_path, VirtualCell(demo_rig(), demo_part()), DemoOptions(), gige=False)
     assert 0 == grab(tmp_path / "cell.toml", tmp_path / "out", 2, "part", Console(stderr=True))
     names = sorted(path.name for path in (tmp_path / "out").iterdir())

@@ -1,4 +1,4 @@
-"""`edged grasp touch`: a grasp from where the robot stands when it takes the part."""
+"""`edged grasp touch`: a grasp from the robot's pose when it takes the part."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def cell(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def folder(cell: Path, tmp_path: Path) -> Path:
-    """A rig that knows its robot, one that does not, a job and the pictures of its part."""
+    """A rig with a robot, one without, a job and pictures of its part."""
     part = flange()
     save_rig(tmp_path / "rig.json", dataclasses.replace(part.rig, robot_from_rig=ROBOT_FROM_RIG))
     save_rig(tmp_path / "alone.json", dataclasses.replace(part.rig, robot_from_rig=None))
@@ -46,14 +46,14 @@ def folder(cell: Path, tmp_path: Path) -> Path:
 
 
 def arguments(folder: Path, brand: Brand, pose: str, left: str = "left.png") -> list[object]:
-    """Of a touch by a robot of a brand."""
+    """Arguments of a touch by a robot of a brand."""
     job, rig = folder / "flange", folder / "rig.json"
     options = ["--rig", rig, "--job", job, "--brand", brand, "--pose", pose, "--name", "rim"]
     return [*options, folder / left, folder / "right.png"]
 
 
 def where(folder: Path, brand: Brand) -> str:
-    """What the controller shows when the tool stands at PART_FROM_TCP."""
+    """The pose that the controller shows when the tool stands at PART_FROM_TCP."""
     part = flange()
     job, rig = load_job(folder / "flange"), prepare(part.rig)
     (target,) = locate(frame_pair(part.left, part.right), job, rig).targets
@@ -66,7 +66,7 @@ def where(folder: Path, brand: Brand) -> str:
 def test_where_the_robot_stands_becomes_a_grasp(
     folder: Path, brand: Brand, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """In the part's frame, to a micrometre; what people wrote into the job stays as it was."""
+    """The grasp is in the part's frame, to a micrometre, and the rest of the job file is unchanged."""
     path = folder / "flange" / "job.toml"
     before = path.read_text()
     assert 0 == exit_code("grasp", "touch", *arguments(folder, brand, where(folder, brand)), "--symmetry", 3)
@@ -81,7 +81,7 @@ def test_where_the_robot_stands_becomes_a_grasp(
 def test_what_cannot_become_a_grasp_is_said_and_nothing_is_written(
     folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """No part: 1. No robot, no brand, a pose that is none, a name twice: 2, with what was expected."""
+    """No part gives 1; no robot, no brand, an invalid pose and a used name give 2 with what was expected."""
     path = folder / "flange" / "job.toml"
     before, pose = path.read_text(), where(folder, Brand.KUKA)
     assert 1 == exit_code("grasp", "touch", *arguments(folder, Brand.KUKA, pose, "blank.png"))

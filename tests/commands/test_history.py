@@ -1,4 +1,4 @@
-"""Of a fleet the cell that drifts is named, and where none drifts hardly ever one; the report of a week."""
+"""Histories: the drifting cell of a fleet is named, healthy ones rarely are, and the report of a week."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from edged.files.history.fleet import compare
 
 @pytest.mark.parametrize("count", [6, 12, 40])
 def test_a_limit_keeps_its_promise(count: int) -> None:
-    """Of sets of normal values, other than it was drawn from, one in two hundred has an outlier."""
+    """Of sets of normal values, about one in two hundred has an outlier."""
     sets = np.random.default_rng(1000 + count).normal(size=(4000, count))
     named = np.mean([bool(outliers(values)) for values in sets])
     assert 0.002 <= named <= 0.009
 
 
 def test_deviations_are_counted_by_hand() -> None:
-    """Median 3, absolute deviations 2 1 0 1 97: their median is 1; equal values deviate by nothing."""
+    """Deviations are relative to the median absolute deviation, and equal values have none."""
     away = deviations(np.array([1.0, 2.0, 3.0, 4.0, 100.0]))
     assert pytest.approx([-2 / 1.4826, -1 / 1.4826, 0.0, 1 / 1.4826, 97 / 1.4826]) == away
     assert [0.0] * 6 == deviations(np.ones(6)).tolist()
@@ -42,7 +42,7 @@ def test_deviations_are_counted_by_hand() -> None:
 def test_the_cell_that_drifts_is_named(
     drifting: str, figure: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Among ten, by the figure that drifts and no other; exit code 1."""
+    """Of ten cells only the drifting one is named, with its figure, and the exit code is 1."""
     make_fleet(tmp_path, 10, seed=1, drifting=drifting)
     assert 1 == exit_code("history", "--compare", "--in", tmp_path, "--json")
     told = json.loads(capsys.readouterr().out)
@@ -54,7 +54,7 @@ def test_the_cell_that_drifts_is_named(
 
 @pytest.mark.slow
 def test_where_none_drifts_hardly_ever_one_is_named(tmp_path: Path) -> None:
-    """Of sixty healthy fleets of eight cells, with four figures each, three at most have one (of 240)."""
+    """Of sixty healthy fleets (240 comparisons) at most three name a cell."""
     alarms = 0
     for seed in range(60):
         make_fleet(tmp_path / str(seed), 8, seed, cycles=60, days=1)
@@ -67,7 +67,7 @@ def test_where_none_drifts_hardly_ever_one_is_named(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_few_cells_are_not_compared(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Five tell too little, and it is said; nor does a cell of a few cycles count."""
+    """Five cells, or cells with few cycles, are not compared, which is reported."""
     make_fleet(tmp_path, 5, seed=1, drifting="sigma", cycles=20)
     assert 0 == exit_code("history", "--compare", "--in", tmp_path)
     assert (
@@ -76,7 +76,7 @@ def test_few_cells_are_not_compared(tmp_path: Path, capsys: pytest.CaptureFixtur
 
 
 class Words(HTMLParser):
-    """The text of a page, and its tags."""
+    """Text and tags of a page."""
 
     def __init__(self, page: str) -> None:
         super().__init__()
@@ -92,7 +92,7 @@ class Words(HTMLParser):
 
 @pytest.mark.slow
 def test_the_report_of_a_week_has_every_cell(tmp_path: Path) -> None:
-    """Figures that can be counted again, charts by day, reasons, and the cell that differs; no script."""
+    """It has each cell's figures, daily charts, reasons and the outlier, and no script."""
     make_fleet(tmp_path / "in", 6, seed=2, drifting="size")
     assert 0 == exit_code("history", "--week", tmp_path / "week.html", "--in", tmp_path / "in")
     page = Words((tmp_path / "week.html").read_text())

@@ -1,4 +1,4 @@
-"""`edged marks`: taught from a folder of pairs, looked at in one; every wrong input is named."""
+"""`edged marks`: taught from a folder of pairs, checked in one pair; every wrong input is named."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from edged.sim.weather import Knock
 def test_fifty_pairs_teach_what_one_pair_is_compared_with(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """A still cell is corrected; after a knock there is no result, and dots say by how much they moved."""
+    """A still cell is corrected; after a knock there is no result, and the dots' displacements are listed."""
     rig, shots = tmp_path / "rig.json", tmp_path / "shots"
     save_rig(rig, demo_rig())
     cell = marked_cell(Knock(100.0, "left", (1.0, 0.0, 0.0)))
@@ -63,7 +63,7 @@ def test_fifty_pairs_teach_what_one_pair_is_compared_with(
 def test_what_cannot_be_taught_says_why_and_writes_nothing(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Too few pairs, no marks, pictures of another size, a rig that the robot carries, no folder."""
+    """Too few pairs, no marks, another size, a rig on the flange and no folder each give a reason."""
     rig, carried, shots = tmp_path / "rig.json", tmp_path / "carried.json", tmp_path / "shots"
     save_rig(rig, demo_rig())
     save_rig(carried, replace(demo_rig(), robot_from_rig=None, flange_from_rig=np.eye(4)))

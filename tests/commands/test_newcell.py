@@ -1,4 +1,4 @@
-"""A cell that knows nothing: `edged run` writes its configuration, and a person comes in by a code."""
+"""A new cell: `edged run` writes its configuration, and a person logs in by a code."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ CODE = re.compile(r"with the code ([a-z2-9]{4}-[a-z2-9]{4}-[a-z2-9]{4})")
 
 
 def camera(serial: str) -> CameraInfo:
-    """One that answered."""
+    """A camera that answered."""
     return CameraInfo(f"maker-{serial}", "maker", "model", serial, "10.0.0.1", "GigEVision", "", "free")
 
 
@@ -30,7 +30,7 @@ def camera(serial: str) -> CameraInfo:
 def test_an_empty_folder_becomes_a_cell_that_can_be_set_up(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, serials: list[str]
 ) -> None:
-    """With however many cameras, named however: it is read, set up on its page, and stays."""
+    """For any number and naming of cameras the configuration is valid, allows setting up, and is kept."""
     monkeypatch.setattr(newcell, "aravis_missing", lambda: "")
     monkeypatch.setattr(newcell, "list_cameras", lambda: [camera(serial) for serial in serials])
 
@@ -48,7 +48,7 @@ def test_an_empty_folder_becomes_a_cell_that_can_be_set_up(
 
 
 def test_a_file_that_is_missing_is_no_new_cell(tmp_path: Path) -> None:
-    """A name that was mistyped stays a mistake."""
+    """A missing file is an error, not a new cell."""
     assert tmp_path / "cel.toml" == config_in(tmp_path / "cel.toml")
     assert [] == list(tmp_path.iterdir())
     with pytest.raises(ConfigError, match=r"cel\.toml"):
@@ -56,7 +56,7 @@ def test_a_file_that_is_missing_is_no_new_cell(tmp_path: Path) -> None:
 
 
 def test_a_folder_that_cannot_be_written_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """With the reason."""
+    """The error gives the reason."""
 
     def refuse(path: Path, _data: bytes) -> None:
         raise PermissionError(13, "Permission denied", str(path))
@@ -69,7 +69,7 @@ def test_a_folder_that_cannot_be_written_is_named(tmp_path: Path, monkeypatch: p
 
 @pytest.mark.slow
 async def test_the_first_engineer_comes_in_by_the_code_of_the_console(tmp_path: Path) -> None:
-    """Nothing but the folder and what the console says: logged in, with the cell to take."""
+    """The code from the console makes an engineer who can take the cell."""
     web, modbus = free_port(), free_port()
     text = new_cell([]).replace("port = 1502", f"port = {modbus}").replace("[web]", f"[web]\nport = {web}")
     (tmp_path / "cell.toml").write_text(text)

@@ -1,4 +1,4 @@
-"""Whatever a command writes, and wherever that cannot be: one clear line, and exit code 2."""
+"""If a command cannot write its output, there is one clear line and exit code 2."""
 
 from __future__ import annotations
 
@@ -62,9 +62,9 @@ OUTPUTS = {
     ("teach", "output"): f"{TEACH} -o {{}}/new",
     ("teach", "report"): f"{TEACH} -o new --report {{}}/new.html",
 }
-"""A command for each option by which one writes, its place left open."""
+"""A command for each option that writes, with a placeholder for its path."""
 REPOSITORIES = {(f"release {name}", "repository") for name in ("countersign", "delegate", "publish", "sign")}
-"""Folders that another command made, which these write into."""
+"""Folders made by another command, into which these write."""
 INPUTS = {
     *(("belt", name) for name in ("images", "rig")),
     *((f"release {name}", "key") for name in ("countersign", "delegate", "publish", "root", "sign")),
@@ -96,18 +96,18 @@ INPUTS = {
     ("backup", "sign"),
     ("rig convert", "source"),
 }
-"""Every other path that a command takes: it is only read."""
+"""All other path parameters of commands, which are only read."""
 
 
 def kinds_in(kind: Any) -> Iterator[Any]:
-    """A type, and those that it is made of."""
+    """A type, and the types it is composed of."""
     yield kind
     for inner in get_args(kind):
         yield from kinds_in(inner)
 
 
 def paths_of(group: typer.Typer, above: str = "") -> Iterator[tuple[str, str]]:
-    """Each command, and each of its parameters that is a path."""
+    """Each command, with each of its path parameters."""
     for command in group.registered_commands:
         assert command.callback is not None
         name = f"{above} {command.name or command.callback.__name__}".strip()
@@ -123,14 +123,14 @@ def paths_of(group: typer.Typer, above: str = "") -> Iterator[tuple[str, str]]:
 
 
 def test_every_option_that_writes_is_tried() -> None:
-    """What the command line takes as a path is either read, or in the table above."""
+    """Every path parameter is either read, or listed above."""
     assert set() == INPUTS & OUTPUTS.keys()
     assert INPUTS | OUTPUTS.keys() | REPOSITORIES == {*paths_of(app)}
 
 
 @pytest.fixture(scope="module")
 def cell(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A cell's folder with all that the commands above read."""
+    """A cell's folder with everything that the commands above read."""
     path = tmp_path_factory.mktemp("cell")
     prepare_cell(path, VirtualCell(small_rig(), demo_part(), seed=11), DemoOptions(), gige=False)
     part = flange()
@@ -159,7 +159,7 @@ def cell(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def exit_code(command: str, monkeypatch: pytest.MonkeyPatch) -> int:
-    """Of a command, whose lines are not broken."""
+    """Exit code of a command, run without line wrapping."""
     monkeypatch.setenv("COLUMNS", "400")
     monkeypatch.setenv("EDGED_PASSPHRASE", PASSPHRASE)
     return commandline.exit_code(*command.split())
@@ -167,7 +167,7 @@ def exit_code(command: str, monkeypatch: pytest.MonkeyPatch) -> int:
 
 @pytest.fixture
 def run(cell: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Command:
-    """Run a command in the cell's folder; its exit code, and the lines that it said."""
+    """Run a command in the cell's folder; returns its exit code and output lines."""
     monkeypatch.chdir(cell)
 
     def said(command: str) -> tuple[int, list[str]]:
@@ -178,7 +178,7 @@ def run(cell: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixtu
 
 
 def without_rights(folder: Path) -> Path:
-    """A folder in which nobody, root included, may make anything; elsewhere than here for root."""
+    """A folder in which no one, not even root, can create files."""
     if os.geteuid() == 0:
         return Path("/sys/kernel")
     folder.mkdir(mode=0o555)
@@ -186,7 +186,7 @@ def without_rights(folder: Path) -> Path:
 
 
 def a_file(folder: Path) -> Path:
-    """A file where a folder is meant."""
+    """A file in place of a folder."""
     folder.write_text("")
     return folder
 
@@ -197,7 +197,7 @@ def a_file(folder: Path) -> Path:
 def test_where_nothing_can_be_written_one_line_says_so(
     output: tuple[str, str], where: str, cell: Path, tmp_path: Path, run: Command
 ) -> None:
-    """It names the place as it was typed, and why not; nothing is half written."""
+    """One line names the path as typed and the reason, and nothing is written."""
     place = (without_rights if where == "no rights" else a_file)(tmp_path / "place")
     before = {path for path in cell.rglob("*") if "__pycache__" not in path.parts}
     code, lines = run(OUTPUTS[output].format(place))
@@ -212,7 +212,7 @@ def test_where_nothing_can_be_written_one_line_says_so(
 def test_a_folder_that_is_not_there_is_made_or_named(
     output: tuple[str, str], tmp_path: Path, run: Command
 ) -> None:
-    """A folder to write is made; for a file its folder must be there, and the line says which one is not."""
+    """A missing output folder is made; for a file, one line names the missing folder."""
     place = tmp_path / "missing"
     code, lines = run(OUTPUTS[output].format(place))
 

@@ -1,4 +1,4 @@
-"""`edged register marks`: a new calibration takes the robot over by marks that the former one saw, too."""
+"""`edged register marks`: a new calibration keeps the robot's registration by means of reference marks."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ from edged.vision.geometry.rigid import invert, rotation_vector
 from edged.vision.marks.taught import teach_marks
 
 OLD_FROM_NEW = make_transform((0.003, -0.002, 0.004), (0.3, -0.4, 1.0))
-"""The cameras were mounted anew: from the new frame of the left one to the former."""
+"""From the left camera's new frame to its former one, after the cameras were remounted."""
 
 
 @pytest.mark.slow
 def test_the_robot_stays_known_over_a_new_calibration(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """To micrometres at the part, with a covariance; wrong files are named."""
+    """The registration is right to micrometres at the part, with a covariance; wrong files are named."""
     robot_from_old = make_transform((0.1, 3.0, 0.2), (400.0, -60.0, 500.0))
     known = np.diag([1e-4, 1e-4, 1e-4, 1e-10, 1e-10, 1e-10])
     old, new = tmp_path / "old.json", tmp_path / "rig.json"

@@ -1,4 +1,4 @@
-"""Backups signed by the plant: only what its key has signed comes back."""
+"""Backups signed by the plant: only archives signed with its key are restored."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ PEM, PKCS8 = Encoding.PEM, PrivateFormat.PKCS8
 
 
 def write_keys(folder: Path, name: str) -> tuple[Path, Path]:
-    """A pair of keys: the private file, and the public one."""
+    """A key pair: the private file, and the public one."""
     key = Ed25519PrivateKey.generate()
     private, public = folder / f"{name}.pem", folder / f"{name}.pub.pem"
     private.touch(0o600)
@@ -41,7 +41,7 @@ def write_keys(folder: Path, name: str) -> tuple[Path, Path]:
 
 @pytest.fixture(scope="module")
 def signed(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
-    """A folder with a signed archive, and the public key of who has signed it."""
+    """A folder with a signed archive, and the signer's public key."""
     folder = tmp_path_factory.mktemp("cell")
     cell = prepare_cell(folder / "cell", VirtualCell(small_rig(), demo_part()), DemoOptions(), gige=False)
     private, public = write_keys(folder, "plant")
@@ -50,7 +50,7 @@ def signed(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
 
 
 def test_what_the_plant_has_signed_comes_back(signed: tuple[Path, Path], tmp_path: Path) -> None:
-    """And OpenSSL says the same of the signature."""
+    """The archive is restored, and OpenSSL verifies the signature, too."""
     folder, public = signed
     archive = folder / "cell.tar.gz"
     assert 0 == restore(archive, tmp_path / "new", QUIET, signed_by=public)
@@ -64,7 +64,7 @@ def test_what_the_plant_has_signed_comes_back(signed: tuple[Path, Path], tmp_pat
 
 @pytest.mark.parametrize("what", ["changed", "another key", "no signature", "short", "long", "no key"])
 def test_nothing_else_does(signed: tuple[Path, Path], tmp_path: Path, what: str) -> None:
-    """Not one file is written; why is said."""
+    """No file is written, and the reason is given."""
     folder, public = signed
     archive = Path(shutil.copy(folder / "cell.tar.gz", tmp_path))
     signature = Path(shutil.copy(folder / "cell.tar.gz.sig", tmp_path))
@@ -94,7 +94,7 @@ def test_nothing_else_does(signed: tuple[Path, Path], tmp_path: Path, what: str)
 
 @pytest.mark.parametrize("kind", ["RSA", "with a password", "for all to read", "nonsense"])
 def test_only_a_key_of_this_kind_signs(tmp_path: Path, kind: str) -> None:
-    """What is wrong with another is said, before anything is written."""
+    """A key of another kind is refused with the reason, before anything is written."""
     private, _ = write_keys(tmp_path, "plant")
     key = Ed25519PrivateKey.generate()
     expected = {

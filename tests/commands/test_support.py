@@ -1,4 +1,4 @@
-"""A support bundle: a failed cycle that measures the same elsewhere, without a secret; no hostile one."""
+"""A support bundle: a failed cycle that measures the same elsewhere, no secrets, and no hostile bundles."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ folder = "recordings"
 
 @pytest.fixture(scope="module")
 def kept(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[bytes]]:
-    """Two good cycles, one in which nothing is found, and one without pictures."""
+    """Recordings of two good cycles, a miss, and a cycle without pictures."""
     folder = tmp_path_factory.mktemp("support")
     cell = SmallCell(folder / "cell", source="virtual-inprocess")
     config = cell.config
@@ -88,14 +88,14 @@ def kept(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[bytes]]:
 
 @pytest.fixture(scope="module")
 def made(kept: tuple[Path, list[bytes]], tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The bundle of that cell."""
+    """The support bundle of that cell."""
     output = tmp_path_factory.mktemp("made") / "help.zip"
     assert 0 == exit_code("support", kept[0], "-o", output)
     return output
 
 
 def all_bytes(data: bytes) -> Iterator[bytes]:
-    """A file, and all that is packed in it, in it, ..."""
+    """A file, and everything packed in it, recursively."""
     yield data
     if data.startswith(b"PK\3\4"):
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
@@ -108,7 +108,7 @@ def all_bytes(data: bytes) -> Iterator[bytes]:
 def test_a_bundle_measures_the_same_elsewhere(
     made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """The newest cycle with pictures that was not good, to the last bit, with nothing else there."""
+    """Its newest failed cycle with pictures replays bit-identically elsewhere."""
     there = Path(shutil.copy(made, tmp_path / "elsewhere.zip"))
     capsys.readouterr()
     assert 0 == exit_code("replay", there, "--json", "--export", tmp_path / "out")
@@ -123,7 +123,8 @@ def test_a_bundle_measures_the_same_elsewhere(
 def test_another_cycle_is_asked_for_by_its_number(
     kept: tuple[Path, list[bytes]], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """A good one: its replay says to the last digit what a replay here says. None that is not there."""
+    """--cycle chooses a good cycle, whose replay equals that of the recordings; an unknown number is
+    refused."""
     output = tmp_path / "a.zip"
     assert 0 == exit_code("support", kept[0], "-o", output, "--cycle", "1")
     assert ["OK"] == [
@@ -143,7 +144,8 @@ def test_another_cycle_is_asked_for_by_its_number(
 
 @pytest.mark.slow
 def test_no_secret_is_in_any_byte_of_it(kept: tuple[Path, list[bytes]], made: Path) -> None:
-    """Of configuration, comments, choices, keys, users and invitation; what was done, and findings, are."""
+    """It holds no secrets of configuration, comments, choices, keys, users or invitation, but audit and
+    findings."""
     parts = list(all_bytes(made.read_bytes()))
     assert [] == [secret for secret in kept[1] if any(secret in part for part in parts)]
     assert not any(b"argon2id" in part or b"PRIVATE KEY" in part for part in parts)
@@ -155,7 +157,7 @@ def test_no_secret_is_in_any_byte_of_it(kept: tuple[Path, list[bytes]], made: Pa
 
 
 def test_comments_go_and_nothing_else() -> None:
-    """In quotes a # is no comment; where that cannot be told for sure, nothing is left."""
+    """A # within quotes stays, and text that cannot be parsed safely is dropped entirely."""
     text = b'a = "x # y" # z\nb = """\n# in it\n""" # out\nc = \'# "\'\n# d = 1\n'
     assert b'a = "x # y"\nb = """\n# in it\n"""\nc = \'# "\'\n\n' == without_secrets(text, comments=False)
 
@@ -166,7 +168,8 @@ def test_comments_go_and_nothing_else() -> None:
     ["../evil", "setups/1a2b3c4d/../../../evil", "setups/1a2b3c4d//evil", "/tmp/evil", "cycles/evil.sh", "x"],
 )
 def test_a_member_that_leads_elsewhere_is_refused(name: str, made: Path, tmp_path: Path) -> None:
-    """Also where the document names it with its digest: exit 2, and no file is written."""
+    """It is refused with exit code 2, though the document lists it with its digest, and no file is
+    written."""
     document, members = bundle.unpack(made.read_bytes(), "made")
     hostile = tmp_path / "in" / "hostile.zip"
     hostile.parent.mkdir()
@@ -188,7 +191,7 @@ def test_a_member_that_leads_elsewhere_is_refused(name: str, made: Path, tmp_pat
 def test_a_changed_bundle_is_refused_as_a_whole(
     change: Callable[[dict[str, bytes]], dict[str, bytes]], made: Path, tmp_path: Path
 ) -> None:
-    """Members that are other or missing, and a document that is none: exit 2."""
+    """Changed or missing members and an invalid document give exit code 2."""
     with zipfile.ZipFile(made) as archive:
         files = {name: archive.read(name) for name in archive.namelist()}
     changed = tmp_path / "changed.zip"
@@ -199,7 +202,7 @@ def test_a_changed_bundle_is_refused_as_a_whole(
 
 
 def test_a_bomb_is_not_unpacked() -> None:
-    """Many members of an allowed size are too many together; a member may not say less than it has."""
+    """Many members of allowed size are limited in total, and a member may not understate its size."""
     buffer = io.BytesIO()
     with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
         for number in range(6):
@@ -210,7 +213,7 @@ def test_a_bomb_is_not_unpacked() -> None:
 
 
 def test_what_still_holds_a_secret_is_not_packed() -> None:
-    """The last look, whatever was forgotten before."""
+    """Data that still contain a secret are never packed."""
     for data in (HASH.encode(), KEY.encode()):
         with pytest.raises(Exception, match="no bundle is made"):
             bundle.pack({}, {"setups/1a2b3c4d/x": data})

@@ -1,4 +1,4 @@
-"""Parts whose holes are broken, and whose STEP file shows them sharp: stated, or in the sigma."""
+"""Parts with broken hole edges that the STEP file shows sharp: reported, or included in the sigma."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ SLICE_MM = 0.125
 
 
 def broken(holes: tuple[Hole, ...], by_mm: float) -> tuple[Hole, ...]:
-    """Holes that are wider, and open."""
+    """Holes widened by `by_mm`, and open."""
     return tuple(
         replace(one, shape=replace(one.shape, radius_mm=one.shape.radius_mm + by_mm), transmission=1.0)
         for one in holes
@@ -40,7 +40,7 @@ def layers(
     break_mm: float,
     grey: float,
 ) -> list[PlacedPart]:
-    """A plate with broken holes, the breaks of their own albedo."""
+    """A plate with broken holes, whose breaks have an albedo of their own."""
     placed = stacked(Part("p", outline, METAL, holes), where, thick_mm, DARK, 12)[:-1]
     for k in range(round(break_mm / SLICE_MM), 0, -1):
         down = np.eye(4)
@@ -51,7 +51,7 @@ def layers(
 
 
 def see(where: FloatArray, break_mm: float, grey: float, seed: int) -> tuple[Image, Image]:
-    """A pair of the part that the file is of, its holes broken."""
+    """A pair of the file's part, with its holes broken."""
     above = where.copy()
     above[:3, 3] -= PAD_MM * where[:3, 2]
     placed = [
@@ -64,7 +64,7 @@ def see(where: FloatArray, break_mm: float, grey: float, seed: int) -> tuple[Ima
 
 @functools.cache
 def taught(break_mm: float, grey: float) -> Settled:
-    """A pair of it, and its file."""
+    """The job from a pair of it and its file."""
     rectification = prepare(small_rig()).rectification
     pair = see(square(), break_mm, grey, 1)
     return settled(teach(*pair, rectification, None, "D3"), pair)
@@ -77,7 +77,7 @@ def taught(break_mm: float, grey: float) -> Settled:
 def test_a_break_that_the_file_does_not_show_is_in_the_sigma(
     break_mm: float, grey: float, tilt_deg: float
 ) -> None:
-    """Dark breaks are stated; bright ones, seen by their lower edges, leave the result as vague as it is."""
+    """Dark breaks are reported; bright ones, seen by their lower edges, are covered by the job's sigma."""
     found = taught(break_mm, grey)
     where = lying(small_rig(), tilt_deg, 200.0, 250.0)
     job = replace(found.job, tilt_rad=math.radians(45.0))

@@ -1,4 +1,4 @@
-"""`edged teach --step`: a pair and a STEP file become one job, and results have the file's frame."""
+"""`edged teach --step`: a pair and a STEP file give one job, whose results are in the file's frame."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ NO_DRAWING = DrawingSource(None, None, None, (), None)
 
 @pytest.fixture(scope="module", autouse=True)
 def laid_once() -> Iterator[None]:
-    """One body laid on one pair from one pose is laid once, whatever asks for it: it takes twelve seconds."""
+    """Fit a body to the same pair and pose only once, as it takes twelve seconds."""
     lay, laid = cadsettling.lay_with_breaks, dict[bytes, LaidBody | None]()
 
     def once(images: StereoImages, model: EdgeModel, where: FloatArray) -> LaidBody | None:
@@ -71,7 +71,7 @@ def laid_once() -> Iterator[None]:
 
 
 def see(where: FloatArray, holes: tuple[Hole, ...] = HOLES, seed: int = 1) -> tuple[Image, Image]:
-    """A pair of the part that the file is of, its frame at rig_from_model."""
+    """A pair of the file's part, with its frame at rig_from_model."""
     above = where.copy()
     above[:3, 3] -= PAD_MM * where[:3, 2]
     plate = Part("plate", OUTLINE, METAL, (*holes, CORNER))
@@ -83,24 +83,24 @@ def see(where: FloatArray, holes: tuple[Hole, ...] = HOLES, seed: int = 1) -> tu
 
 @functools.cache
 def taught() -> Job:
-    """What the pair alone teaches."""
+    """The job taught from the pair alone."""
     return teach_pair(*taught_pair(), prepare(small_rig()).rectification, None, "D3")
 
 
 @functools.cache
 def taught_job() -> Job:
-    """What the pair and the file teach: most tests begin with it, and it takes a quarter of a minute."""
+    """The job from pair and file, shared by most tests as it takes a quarter of a minute."""
     return settled(taught(), taught_pair()).job
 
 
 @functools.cache
 def taught_pair() -> tuple[Image, Image]:
-    """Of the part as it lies at teaching."""
+    """The pair of the part as it lies for teaching."""
     return see(square())
 
 
 def write_pair(folder: Path, name: str, pair: tuple[Image, Image]) -> tuple[Path, Path]:
-    """As files."""
+    """Write a pair to files."""
     paths = folder / f"{name}_left.png", folder / f"{name}_right.png"
     for path, image in zip(paths, pair, strict=True):
         cv2.imwrite(str(path), image)
@@ -109,7 +109,8 @@ def write_pair(folder: Path, name: str, pair: tuple[Image, Image]) -> tuple[Path
 
 @pytest.mark.slow
 def test_a_result_has_the_frame_of_the_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Taught and located by the commands: four places of the file's frame within 30 µm, tilted by 20°."""
+    """Taught and located by the commands, four points of the file's frame, tilted by 20°, are right within
+    30 µm."""
     save_rig(tmp_path / "rig.json", small_rig())
     left, right = write_pair(tmp_path, "taught", see(square()))
     source = chosen_source(PairSource(left, right, None, (), STEP, "-z"), NO_DRAWING)
@@ -131,7 +132,7 @@ def test_a_result_has_the_frame_of_the_file(tmp_path: Path, capsys: pytest.Captu
 
 @pytest.mark.slow
 def test_settled_sizes_are_those_of_the_file() -> None:
-    """A sharp part: every circle has the file's radius, and the distances between them to the last digit."""
+    """For a sharp part, every circle has the file's radius and place exactly."""
     job = taught_job()
     assert {2.1, 1.4, 1.0, 1.9} == {round(one.radius_mm, 9) for one in job.circles}
     assert job.part_from_model is not None
@@ -142,7 +143,7 @@ def test_settled_sizes_are_those_of_the_file() -> None:
 
 @pytest.mark.slow
 def test_a_moved_hole_is_another_revision() -> None:
-    """The file has it 0.3 mm elsewhere: it is named, and by how much it is off."""
+    """A hole 0.3 mm beside the file's is named with its offset."""
     holes = (HOLES[0], Hole("h1", Disc(3.3, -7, 1.4)), *HOLES[2:])
     job = teach_pair(*see(square(), holes), prepare(small_rig()).rectification, None, "D3")
     with pytest.raises(TeachError, match="another revision") as caught:
@@ -156,7 +157,7 @@ def test_a_moved_hole_is_another_revision() -> None:
 
 @pytest.mark.slow
 def test_a_moved_hole_is_named_by_all_edges_too() -> None:
-    """Most edges are where the file has them; the hole shows 0.3 mm beside its place in both pictures."""
+    """With all edges, a hole 0.3 mm beside its place is named, though most edges agree."""
     holes = (HOLES[0], Hole("h1", Disc(3.3, -7, 1.4)), *HOLES[2:])
     with pytest.raises(TeachError, match="another revision") as caught:
         with_model(see(square(), holes))
@@ -171,7 +172,8 @@ def test_a_moved_hole_is_named_by_all_edges_too() -> None:
 def test_what_the_pair_alone_takes_for_another_revision_is_asked_of_all_edges(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """A counterbore with a wall as bright as the face looks narrower to circles; the part does not."""
+    """If circles disagree with the file because of a bright counterbore wall, all edges still settle the
+    pose."""
 
     def accused(*_: object) -> Settled:
         raise TeachError("c0 is 0.089 mm smaller", "revision")
@@ -185,7 +187,7 @@ def test_what_the_pair_alone_takes_for_another_revision_is_asked_of_all_edges(
 
 
 def with_model(pair: tuple[Image, Image]) -> Settled:
-    """What a pair and the file teach together."""
+    """The job from a pair and the file."""
     _, model = read_model(STEP, "-z")
     view = view_of(*pair, prepare(small_rig()).rectification, None)
     return cadpair.teach_with_model(view, model.curves, "D3", WantedJob("D3", 1))
@@ -193,7 +195,7 @@ def with_model(pair: tuple[Image, Image]) -> Settled:
 
 @pytest.mark.slow
 def test_an_edge_break_is_stated_and_kept() -> None:
-    """Holes that are 0.4 mm wider than in the file are their broken edges: as wide as seen."""
+    """Holes 0.4 mm wider than in the file are reported as broken edges, and keep their seen radius."""
     job = taught()
     circles = tuple(replace(one, radius_mm=one.radius_mm + 0.4) for one in job.circles)
     found = settled(replace(job, circles=circles), taught_pair())
@@ -207,7 +209,7 @@ def test_an_edge_break_is_stated_and_kept() -> None:
 
 @pytest.mark.slow
 def test_a_smaller_hole_is_no_edge_break() -> None:
-    """Material is never added at an edge."""
+    """A hole smaller than in the file is refused, as breaking an edge adds no material."""
     job = taught()
     circles = tuple(replace(one, radius_mm=one.radius_mm - 0.2) for one in job.circles)
     with pytest.raises(TeachError, match=r"its radius is 0\.\d+ mm smaller"):
@@ -216,7 +218,7 @@ def test_a_smaller_hole_is_no_edge_break() -> None:
 
 @pytest.mark.slow
 def test_a_job_keeps_the_frame_on_disc(tmp_path: Path) -> None:
-    """Written and read again to the last digit; a motion that is none is an error with the key's name."""
+    """The frame is stored exactly, and a matrix that is not rigid is an error naming its key."""
     job = taught_job()
     save_job(tmp_path / "job", job)
     again = load_job(tmp_path / "job")
@@ -231,7 +233,7 @@ def test_a_job_keeps_the_frame_on_disc(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_the_frame_of_the_file_is_published_where_the_job_says_so(tmp_path: Path) -> None:
-    """Kept on disc: a point of the file within 30 µm, its axes the file's, its sigma that of its lever."""
+    """With `report` a point of the file is published within 30 µm, with the file's axes and levered sigma."""
     points = (
         ModelPoint("tip", np.array([-14.5, 12.5, 6.0])),
         ModelPoint("far", np.array([4000.0, 0.0, 0.0])),
@@ -264,7 +266,7 @@ def test_the_frame_of_the_file_is_published_where_the_job_says_so(tmp_path: Path
     ],
 )
 def test_a_report_that_is_none_is_refused(tmp_path: Path, line: str, said: str) -> None:
-    """With what it may be, and the file's name."""
+    """An invalid `report` is refused with the valid values and the file's name."""
     save_job(tmp_path / "job", drawn())
     path = tmp_path / "job" / "job.toml"
     key, _, tables = line.partition("\n") if line.startswith("report") else ("", "", line)
@@ -277,7 +279,7 @@ def test_a_report_that_is_none_is_refused(tmp_path: Path, line: str, said: str) 
 
 @pytest.mark.slow
 def test_a_job_without_a_model_has_no_frame_to_report(tmp_path: Path) -> None:
-    """Neither as it is written by hand, nor carried over from a job that had one."""
+    """`report` without a model is refused in the file, and dropped when carried over from a job with one."""
     job = replace(drawn(), part_from_model=None, sigma_mm=0.0)
     save_job(tmp_path / "job", job)
     path = tmp_path / "job" / "job.toml"
@@ -294,7 +296,7 @@ def test_a_job_without_a_model_has_no_frame_to_report(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_a_job_keeps_the_surface_of_its_part(tmp_path: Path) -> None:
-    """Beside its shape, in some kilobytes; one that is damaged is named, and a job without has none."""
+    """The surface is stored with the shape in some kilobytes, and damage to it is named."""
     job = drawn()
     save_job(tmp_path / "job", job)
     again = load_job(tmp_path / "job").body
@@ -313,7 +315,7 @@ def test_a_job_keeps_the_surface_of_its_part(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_what_an_overhang_hides_is_not_taught() -> None:
-    """The hole below a cap looks up, and no camera sees it: not a feature of the job."""
+    """A hole hidden below a cap is not taught as a feature."""
     cap = ring(60, 8.0, 1.5, 2.0) + np.array([0.0, 0.0, 4.0])
     points, triangles = welded(np.concatenate([ring(60, 12.0, 3.0, 2.0), cap]))
     model = CadModel(points, triangles, np.arange(len(triangles)), ())
@@ -324,7 +326,7 @@ def test_what_an_overhang_hides_is_not_taught() -> None:
 
 
 def stl_of(folder: Path, scale: float = 1.0) -> Path:
-    """The part's triangles, in a unit of so many to the mm."""
+    """The part's triangles as STL, in units of 1/scale mm."""
     model = read_step(STEP)
     path = folder / "D3.STL"
     path.write_bytes(binary(scale * model.points_mm[model.triangles]))
@@ -333,7 +335,8 @@ def stl_of(folder: Path, scale: float = 1.0) -> Path:
 
 @pytest.mark.slow
 def test_an_stl_file_settles_a_pair_as_well(tmp_path: Path) -> None:
-    """Radii and centres of the STEP file within 0.1 µm; what the facets leave open is in the job's sigma."""
+    """Radii and centres equal the STEP file's within 0.1 µm, with the facets' uncertainty in the job's
+    sigma."""
     curves = read_model(stl_of(tmp_path), "-z")[1].curves
     found = settle(
         taught(), curves, StereoImages.of(prepare(small_rig()).rectification, *taught_pair()), "D3.STL"
@@ -349,7 +352,7 @@ def test_an_stl_file_settles_a_pair_as_well(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_radii_of_a_coarse_file_are_those_of_the_pair(tmp_path: Path) -> None:
-    """Where chords leave 20 µm open, the pair knows better: said, and not in the sigma."""
+    """Where chords leave 20 µm of uncertainty, the radii of the pair are used, which is reported."""
     curves = read_model(stl_of(tmp_path), "-z")[1].curves
     coarse = replace(curves, circles=tuple(replace(one, sigma_mm=0.02) for one in curves.circles))
     found = settle(
@@ -363,7 +366,7 @@ def test_radii_of_a_coarse_file_are_those_of_the_pair(tmp_path: Path) -> None:
 
 
 def test_the_unit_of_an_stl_file_is_asked_for(tmp_path: Path) -> None:
-    """Of a file in inches the message says how large it was taken to be, and how to say it."""
+    """For a file in inches the error states its assumed size, and how to give the unit."""
     save_rig(tmp_path / "rig.json", small_rig())
     drawing = replace(NO_DRAWING, depth_mm=205.0)
     inches = PairSource(None, None, None, (), stl_of(tmp_path, 1 / 25.4), "-z")
@@ -377,13 +380,13 @@ def test_the_unit_of_an_stl_file_is_asked_for(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(("step", "up"), [(STEP, None), (None, "z")])
 def test_half_a_model_is_refused(step: Path | None, up: str | None) -> None:
-    """A file without its axis says nothing, nor does an axis without a file."""
+    """--step without --up, and --up without --step, are refused."""
     with pytest.raises(UserError, match="--step FILE and --up AXIS belong together"):
         chosen_source(PairSource(Path("l"), Path("r"), None, (), step, up), NO_DRAWING)
 
 
 def test_an_axis_is_one_of_six() -> None:
-    """Any other is named with what was expected."""
+    """Any other axis is refused with the valid ones."""
     with pytest.raises(
         TeachError, match="--up 'w': expected an axis of the file, one of x, y, z, -x, -y, -z"
     ):
@@ -392,7 +395,7 @@ def test_an_axis_is_one_of_six() -> None:
 
 @functools.cache
 def drawn() -> Job:
-    """What the file alone teaches."""
+    """The job taught from the file alone."""
     model, shown = read_model(STEP, "-z")
     return teach_model(model, shown.curves, prepare(small_rig()).rectification, 205.0, "D3")[0]
 
@@ -400,7 +403,7 @@ def drawn() -> Job:
 @pytest.mark.slow
 @pytest.mark.parametrize(("tilt_deg", "turn_deg"), [(0.0, 40.0), (30.0, 200.0)])
 def test_a_file_alone_is_enough_to_find_the_part(tilt_deg: float, turn_deg: float) -> None:
-    """A sharp part lies where the frame says, within 30 µm; the sigma says that nobody saw its edges."""
+    """A sharp part is found within 30 µm, with a sigma for edges that have not been seen."""
     where = lying(small_rig(), tilt_deg, 60.0, turn_deg)
     job = replace(drawn(), tilt_rad=math.radians(45.0))
     target = only(find(frame_pair(*see(where, seed=3)), job, prepare(small_rig())))
@@ -420,7 +423,7 @@ def test_a_file_alone_is_enough_to_find_the_part(tilt_deg: float, turn_deg: floa
 
 @pytest.mark.slow
 def test_a_file_alone_teaches_every_feature_of_its_faces() -> None:
-    """Five holes and the edges of both faces with their heights; the sigma is kept on disc."""
+    """It teaches five holes and the edges of both faces at their heights."""
     job = drawn()
     assert [0.0, 0.0, 0.0, 0.0, -2.5] == [float(one.centre_mm[2]) for one in job.circles]
     assert 6 == sum(float(one.start_mm[2]) == 0.0 for one in job.edges)
@@ -429,7 +432,7 @@ def test_a_file_alone_teaches_every_feature_of_its_faces() -> None:
 
 @pytest.mark.slow
 def test_of_a_broken_edge_the_upper_one_is_taught() -> None:
-    """The flange is drawn with its edge breaks: one circle of each, that of the face."""
+    """For each broken edge of the flange the face's circle is taught."""
     model, shown = read_model(STEP.with_name("D1.step"), "-z")
     job, _ = teach_model(model, shown.curves, prepare(small_rig()).rectification, 205.0, "D1")
     assert [15.8, 5.2, 2.4, 1.8, 1.8, 1.8, 1.8] == [round(one.radius_mm, 9) for one in job.circles]
@@ -438,7 +441,7 @@ def test_of_a_broken_edge_the_upper_one_is_taught() -> None:
 
 @pytest.mark.slow
 def test_an_axis_that_hides_every_feature_is_named() -> None:
-    """Of a file alone, as of one with a pair: what was expected, and the option that says it."""
+    """The error says what was expected, and names the option."""
     model, shown = read_model(STEP, "-z")
     nothing = replace(shown.curves, circles=(), edges=())
     with pytest.raises(TeachError, match=r"the model shows nothing .* or another up axis"):
@@ -447,7 +450,7 @@ def test_an_axis_that_hides_every_feature_is_named() -> None:
 
 @pytest.mark.slow
 def test_a_pair_ends_the_vagueness_of_a_file_alone() -> None:
-    """Taught again with both, the limit that such a job needs is not taken for a person's wish."""
+    """After teaching with both, the limit needed by a job from a file alone is not carried over."""
     again, said = carry_over(drawn(), taught_job())
     assert 0.2 == again.limits.max_sigma_mm
     assert not [line for line in said if "max_sigma_mm" in line]
@@ -455,14 +458,14 @@ def test_a_pair_ends_the_vagueness_of_a_file_alone() -> None:
 
 @pytest.mark.slow
 def test_a_job_keeps_its_sigma_on_disc(tmp_path: Path) -> None:
-    """A job from a file alone stays as vague as it is."""
+    """The sigma of a job from a file alone is stored."""
     save_job(tmp_path / "job", drawn())
     assert 0.1 == load_job(tmp_path / "job").sigma_mm
 
 
 @pytest.mark.slow
 def test_a_file_alone_needs_its_distance(tmp_path: Path) -> None:
-    """Without it nothing says how large the part appears; one that does not fit the picture is refused."""
+    """Without --depth it is refused, as is a distance at which the part does not fit the picture."""
     with pytest.raises(UserError, match="--depth missing"):
         chosen_source(PairSource(None, None, None, (), STEP, "-z"), NO_DRAWING)
     save_rig(tmp_path / "rig.json", small_rig())

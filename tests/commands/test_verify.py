@@ -1,4 +1,4 @@
-"""`edged verify`: a rig that holds, one that turned, one whose baseline is wrong, and what cannot be said."""
+"""`edged verify`: a rig that holds, a turned camera, a wrong baseline, and undecided cases."""
 
 from __future__ import annotations
 
@@ -34,21 +34,21 @@ LIMITS = Limits(0.3, 0.1)
 
 
 def longer_baseline(rig: StereoRig, factor: float) -> StereoRig:
-    """A rig that is wrong about its baseline."""
+    """The rig with its baseline multiplied by a factor."""
     relation = rig.right_from_left.copy()
     relation[:3, 3] *= factor
     return replace(rig, right_from_left=relation)
 
 
 def turned(rig: StereoRig, degrees: tuple[float, float, float]) -> StereoRig:
-    """A rig whose right camera was turned after the calibration."""
+    """The rig with its right camera turned."""
     turn = transform(rotation_matrix(np.radians(degrees)), np.zeros(3))
     return replace(rig, right_from_left=turn @ rig.right_from_left)
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """One pair of a plate and one of a part, the rigs that took them, and the taught part."""
+    """A pair of a plate and one of a part, their rigs, and the taught part."""
     folder = tmp_path_factory.mktemp("verify")
     board, part = parse_board(SPEC), flange()
     pose = board_poses(RIG, board, 1, seed=4)[0]
@@ -70,7 +70,7 @@ def run(
     images: tuple[str, str] = ("left.png", "right.png"),
     **options: object,
 ) -> tuple[int, str]:
-    """Exit code, and what was said."""
+    """Exit code and output."""
     arguments = {"board": None, "job": None, "lengths": [], "limits": LIMITS} | options
     said = io.StringIO()
     code = verify(
@@ -88,7 +88,7 @@ def run(
 
 @pytest.mark.slow
 def test_a_rig_that_holds_is_ok(folder: Path) -> None:
-    """The rig that took the picture passes; what the rows alone cannot see is said."""
+    """The true rig passes, and the output says what rows alone cannot show."""
     code, said = run(folder, board=SPEC)
     assert code == 0
     assert said.startswith("OK test")
@@ -97,7 +97,7 @@ def test_a_rig_that_holds_is_ok(folder: Path) -> None:
 
 @pytest.mark.slow
 def test_the_pitch_alone_names_the_plate(folder: Path) -> None:
-    """Which plate it is the pair shows; that is said before the verdict."""
+    """The plate is recognised in the pair and reported before the verdict."""
     code, said = run(folder, board="5.0 mm")
     assert code == 0
     assert said.startswith("board dots:7x7:5:2.5")
@@ -109,7 +109,8 @@ def test_the_pitch_alone_names_the_plate(folder: Path) -> None:
 def test_a_wrong_baseline_is_seen_by_the_length_alone(
     folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """0.5 % too long: every row still agrees, the plate comes out 0.5 % too large, the verdict is no."""
+    """With a baseline 0.5 % too long, all rows agree but the plate is 0.5 % too large, and the verdict
+    NOT_OK."""
     save_rig(folder / "long.json", longer_baseline(RIG, 1.005))
     console = Console(file=io.StringIO())
     images = folder / "left.png", folder / "right.png"
@@ -126,7 +127,7 @@ def test_a_wrong_baseline_is_seen_by_the_length_alone(
 
 @pytest.mark.slow
 def test_a_turned_camera_is_seen_by_the_rows(folder: Path) -> None:
-    """A right camera turned by 0.05° about its x axis moves the rows by more than a pixel."""
+    """A right camera turned by 0.05° about its x axis moves rows by more than a pixel."""
     save_rig(folder / "turned.json", turned(RIG, (0.05, 0.0, 0.0)))
     code, said = run(folder, "turned.json", board=SPEC)
     assert code == 1
@@ -136,7 +137,7 @@ def test_a_turned_camera_is_seen_by_the_rows(folder: Path) -> None:
 
 @pytest.mark.slow
 def test_a_wrong_plate_is_a_wrong_length(folder: Path) -> None:
-    """A plate stated 1 % too large fails: rig and plate disagree, whichever is wrong."""
+    """A plate stated 1 % too large is NOT_OK."""
     code, said = run(folder, board="dots:7x7:5.05")
     assert code == 1
     assert said.startswith("NOT_OK")
@@ -144,7 +145,7 @@ def test_a_wrong_plate_is_a_wrong_length(folder: Path) -> None:
 
 @pytest.mark.slow
 def test_a_limit_below_the_noise_is_undecided(folder: Path) -> None:
-    """Neither pass nor fail where this view cannot tell; the message says how well it can."""
+    """If the view is too uncertain for the limit, the verdict is UNDECIDED and states its uncertainty."""
     code, said = run(folder, board=SPEC, limits=Limits(0.3, 1e-4))
     assert code == 1
     assert said.startswith("UNDECIDED")
@@ -154,7 +155,7 @@ def test_a_limit_below_the_noise_is_undecided(folder: Path) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("images", [("blank.png", "right.png"), ("left.png", "blank.png")])
 def test_no_plate_is_no_verdict(images: tuple[str, str], folder: Path) -> None:
-    """A picture without the plate is an answer (exit code 1) with its reason, not a crash."""
+    """A picture without the plate gives exit code 1 with a reason."""
     code, said = run(folder, images=images, board=SPEC)
     assert code == 1
     assert f"{'left' if images[0] == 'blank.png' else 'right'}: " in said
@@ -178,7 +179,7 @@ def test_no_plate_is_no_verdict(images: tuple[str, str], folder: Path) -> None:
     ],
 )
 def test_wrong_usage_is_named(options: dict[str, object], expected: str, folder: Path) -> None:
-    """Exit code 2: the message names what is wrong."""
+    """The error names what is wrong."""
     with pytest.raises(UserError) as caught:
         run(folder, **options)
     assert expected in str(caught.value)
@@ -188,14 +189,14 @@ def test_wrong_usage_is_named(options: dict[str, object], expected: str, folder:
 
 
 def run_part(folder: Path, *lengths: str, rig: str = "part_rig.json") -> tuple[int, str]:
-    """`run` on the part."""
+    """`run` with the part's pictures and job."""
     images = "part_left.png", "part_right.png"
     return run(folder, rig, images, job=folder / "job", lengths=list(lengths))
 
 
 @pytest.mark.slow
 def test_a_part_of_known_size_verifies_a_rig(folder: Path) -> None:
-    """A diameter and a distance of two holes of the drawing come out: the rig holds."""
+    """With a known diameter and a distance of two holes the rig is OK."""
     circles = [circle.centre_mm for circle in teach_circles()]
     distance = float(np.linalg.norm(circles[2] - circles[3]))
     code, said = run_part(folder, "c0=28.0", f"c2-c3={distance:.5f}")
@@ -204,14 +205,14 @@ def test_a_part_of_known_size_verifies_a_rig(folder: Path) -> None:
 
 
 def teach_circles() -> tuple[object, ...]:
-    """The job's circles."""
+    """Circles of the job."""
     part = flange()
     return teach(part.left, part.right, make_rectification(part.rig), part.region, "f", 1).circles
 
 
 @pytest.mark.slow
 def test_a_part_shows_a_wrong_baseline(folder: Path) -> None:
-    """A baseline 1 % too long makes the part 1 % too large."""
+    """A baseline 1 % too long is NOT_OK, as the part is 1 % too large."""
     save_rig(folder / "part_long.json", longer_baseline(flange().rig, 1.01))
     code, said = run_part(folder, "c0=28.0", rig="part_long.json")
     assert code == 1
@@ -220,7 +221,7 @@ def test_a_part_shows_a_wrong_baseline(folder: Path) -> None:
 
 @pytest.mark.slow
 def test_a_part_without_a_known_length_is_refused(folder: Path) -> None:
-    """Rows alone are no verification: the error says why."""
+    """It is refused, as rows alone do not show a wrong baseline."""
     with pytest.raises(UserError, match="Rows alone do not see a wrong baseline"):
         run_part(folder)
 
@@ -232,7 +233,7 @@ def test_a_part_without_a_known_length_is_refused(folder: Path) -> None:
      ("c99=5", "the job has c0, c1"), ("c0-c99=5", "the job has c0, c1")],
 )  # fmt: skip
 def test_an_unknown_length_is_named(length: str, expected: str, folder: Path) -> None:
-    """A name that the job does not have is answered with those it has."""
+    """An unknown feature is refused with the known ones."""
     with pytest.raises(UserError) as caught:
         run_part(folder, length)
     assert expected in str(caught.value)
@@ -240,7 +241,7 @@ def test_an_unknown_length_is_named(length: str, expected: str, folder: Path) ->
 
 @pytest.mark.slow
 def test_no_part_is_no_verdict(folder: Path) -> None:
-    """Without the part in the picture nothing can be said."""
+    """Without the part in the picture the verdict is UNDECIDED with NO_TARGET."""
     code, said = run(
         folder, "part_rig.json", ("blank.png", "blank.png"), job=folder / "job", lengths=["c0=28"]
     )
@@ -255,7 +256,7 @@ def test_no_part_is_no_verdict(folder: Path) -> None:
 def check_of(
     rig: StereoRig, board: Chessboard, pose: FloatArray, seed: int, sigma_px: float = 0.05
 ) -> Length:
-    """The size that `rig` measures of a board that RIG saw with noise."""
+    """The length that `rig` measures for a board seen by RIG with noise."""
     view = synthetic_views(RIG, board, [pose], sigma_px, seed)[0]
     placed = pose_of_board(rig, view)
     assert not isinstance(placed, NotDetected)
@@ -264,7 +265,7 @@ def check_of(
 
 @pytest.mark.slow
 def test_the_stated_sigma_of_the_size_is_its_scatter() -> None:
-    """Over 120 draws of noise the normalised error of the size is 1."""
+    """Over 120 draws of noise, the normalised error of the length has a standard deviation of 1."""
     board = Chessboard(8, 6, 4.0)
     pose = board_poses(RIG, board, 1, seed=2)[0]
     sizes = [check_of(RIG, board, pose, seed) for seed in range(120)]
@@ -275,7 +276,7 @@ def test_the_stated_sigma_of_the_size_is_its_scatter() -> None:
 
 @pytest.mark.parametrize("factor", [0.98, 1.002])
 def test_the_size_is_the_error_of_the_baseline(factor: float) -> None:
-    """Without noise the size is wrong by exactly the factor of the baseline."""
+    """Without noise the length is wrong by exactly the baseline's factor."""
     board = Chessboard(8, 6, 4.0)
     pose = board_poses(RIG, board, 1, seed=2)[0]
     size = check_of(longer_baseline(RIG, factor), board, pose, 0, sigma_px=0.0)
@@ -283,7 +284,7 @@ def test_the_size_is_the_error_of_the_baseline(factor: float) -> None:
 
 
 def test_a_symmetric_board_may_be_numbered_from_either_end() -> None:
-    """The rows tell which end of a symmetric board is the first in the right image."""
+    """The rows determine which end of a symmetric board comes first in the right image."""
     board = Chessboard(8, 6, 4.0)
     view = synthetic_views(RIG, board, [board_poses(RIG, board, 1, seed=2)[0]], 0.02, 0)[0]
     right = view.found("right")
@@ -300,12 +301,12 @@ def test_a_symmetric_board_may_be_numbered_from_either_end() -> None:
      (0.11, 0.01, "UNDECIDED"), (0.0, 0.1, "UNDECIDED")],
 )  # fmt: skip
 def test_the_verdict_leaves_room_for_the_uncertainty(error: float, sigma: float, expected: str) -> None:
-    """Pass and fail keep two sigma from the limit on either side, as ISO 14253-1 does."""
+    """OK and NOT_OK keep two sigma from the limit on either side, as ISO 14253-1 does."""
     assert Length("x", 100.0, 100.0 + error, sigma).verdict(0.1) == expected
 
 
 @pytest.mark.slow
 def test_images_of_another_size_are_refused(folder: Path) -> None:
-    """The error is an ImageError that names both sizes."""
+    """An ImageError names both sizes."""
     with pytest.raises(ImageError, match="640x480"):
         run(folder, images=("small.png", "small.png"), board=SPEC)

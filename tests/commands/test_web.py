@@ -1,4 +1,4 @@
-"""`edged web`: a code for a cell that may be set up on its page."""
+"""`edged web`: a code for a cell that can be set up on its page."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ CELL = "[cell]\nname = 'c'\nrig = 'rig.json'\njobs = 'jobs'\njob = 'a'\n[cameras
 
 
 def invited(config: Path, capsys: pytest.CaptureFixture[str]) -> tuple[int, str]:
-    """Exit code, and what was printed or said."""
+    """Exit code and output."""
     code, (out, err) = exit_code("web", "invite", config, "Anna"), capsys.readouterr()
     return code, out + err
 
 
 def test_a_code_is_printed_that_the_daemon_knows(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """With the place where it is typed."""
+    """The daemon accepts the code, and the page's address is printed with it."""
     config = tmp_path / "cell.toml"
     config.write_text(CELL + "[web]\nport = 8081\ncommissioning = true\n")
     code, said = invited(config, capsys)
@@ -32,7 +32,7 @@ def test_a_code_is_printed_that_the_daemon_knows(tmp_path: Path, capsys: pytest.
 def test_a_cell_that_nobody_sets_up_on_its_page_has_no_code(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """It says which option is off."""
+    """The error names the option that is off."""
     config = tmp_path / "cell.toml"
     config.write_text(CELL + "[web]\n")
     code, said = invited(config, capsys)

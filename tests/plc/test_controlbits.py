@@ -1,4 +1,4 @@
-"""The start bit, driven by random clients, cells, faults and times on the real handshake."""
+"""The start bit with the real handshake, driven by random clients, cells, faults and times."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ UP, DOWN = int(ControlBit.START), 0
 
 
 class Bits:
-    """Handshake and start bit, joined as the registers join them. The payload of a result is its ticket."""
+    """Handshake and start bit, combined as in the registers. The payload of a result is its ticket."""
 
     def __init__(self) -> None:
         self.shake: Handshake[int] = Handshake(LIMITS)
@@ -35,12 +35,12 @@ class Bits:
         self.submitted: list[int] = []
 
     def tell(self, event: ev.Event[int]) -> None:
-        """One event of the handshake."""
+        """Apply one event to the handshake."""
         self.shake, effects = hs.step(self.shake, event, self.now_s)
         self.submitted += [effect.ticket for effect in effects if isinstance(effect, ev.Submit)]
 
     def write(self, client: int, word: int) -> bool:
-        """CONTROL from a client; False: it is another one's turn."""
+        """Write CONTROL as this client; False if another client has the turn."""
         self.tell(ev.Tick())
         if not hs.may_write(self.shake, client, self.now_s):
             return False
@@ -57,19 +57,19 @@ class Bits:
         return True
 
     def finish(self, ticket: int, verdict: ResultVerdict = ResultVerdict.GOOD, *rest: int) -> None:
-        """The cell has measured."""
+        """Finish a measurement."""
         basis = self.shake.basis
         self.tell(ev.Finished(ticket, 1, verdict, self.now_s, ticket, rest, 0, basis))
 
     def read(self) -> tuple[CellBit, NackReason]:
-        """BITS and BITS_REASON."""
+        """Read BITS and BITS_REASON."""
         self.tell(ev.Tick())
         valid = hs.is_valid(self.shake, self.now_s)
         return cell_bits(self.start, self.shake, is_ready=True, is_usable=valid, is_simulated=False)
 
 
 def test_four_steps_are_a_measurement() -> None:
-    """START up, DONE and OK up, START down, DONE down; the result is acknowledged with it."""
+    """START up gives DONE and OK; START down ends DONE and acknowledges the result."""
     run = Bits()
     assert CellBit(0) == run.read()[0], "nobody has written"
     run.write(1, DOWN)
@@ -89,7 +89,7 @@ def test_four_steps_are_a_measurement() -> None:
 
 
 def test_a_start_that_was_up_before_the_cell_runs_nothing() -> None:
-    """Of a client that writes cyclically over a restart, and of one that takes another's place."""
+    """A START already up runs nothing, neither after a restart nor from another client."""
     run = Bits()
     for client in (1, 2):
         run.now_s += 10
@@ -101,7 +101,7 @@ def test_a_start_that_was_up_before_the_cell_runs_nothing() -> None:
 
 
 def test_what_is_not_good_is_done_and_not_ok() -> None:
-    """Nothing found, a fault with its reason, too old, taken by another client."""
+    """A miss, a fault, an outdated and a taken-over result give DONE with NOK and the reason."""
     for verdict, reason in (
         (ResultVerdict.BAD, NackReason.NONE),
         (ResultVerdict.FAULT, NackReason.CAPTURE_FAULT),
@@ -121,7 +121,7 @@ def test_what_is_not_good_is_done_and_not_ok() -> None:
 
 
 def test_a_start_that_falls_early_takes_its_command_back() -> None:
-    """What comes later is nobody's; the next edge is a command of its own."""
+    """A START that falls early cancels its command, and the next edge is a new one."""
     run = Bits()
     run.write(1, DOWN)
     run.write(1, UP)
@@ -137,7 +137,7 @@ def test_a_start_that_falls_early_takes_its_command_back() -> None:
 
 
 def test_parts_of_one_picture_come_one_by_one() -> None:
-    """NEXT with START, without an exposure; at the end NOK and 9."""
+    """NEXT with START gives each part without an exposure, then NOK with reason 9."""
     run = Bits()
     run.write(1, DOWN)
     run.write(1, UP)

@@ -1,4 +1,4 @@
-"""Binary frames of robots: whatever is not a whole frame of this request is none."""
+"""Binary frames of robots: only complete frames of the right request are accepted."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ PAGE = Path(__file__).parents[2] / "docs/how-to/plc.md"
 def test_a_request_is_read_as_it_was_written(
     sequence: int, command: str, job: int, tries_all: bool, is_flange: bool, data: st.DataObject
 ) -> None:
-    """For every brand, with a flange and without."""
+    """Requests survive encoding and decoding for every brand, with a flange or without."""
     for brand in Brand:
         size = len(POSE_NAMES[brand])
         flange = tuple(data.draw(st.lists(FLOAT, min_size=size, max_size=size))) if is_flange else ()
@@ -55,7 +55,7 @@ def test_a_request_is_read_as_it_was_written(
 def test_an_answer_is_read_as_it_was_written(
     sequence: int, status: LineStatus, remaining: int, data: st.DataObject
 ) -> None:
-    """60 bytes of any brand; only for its own request and its own brand."""
+    """Answers of 60 bytes survive encoding and decoding, and are refused for another request or brand."""
     for brand in Brand:
         size = len(POSE_NAMES[brand])
         numbers = tuple(data.draw(st.lists(FLOAT, min_size=size + 4, max_size=size + 4)))
@@ -73,7 +73,7 @@ def test_an_answer_is_read_as_it_was_written(
 
 
 def test_a_frame_that_is_changed_anywhere_is_none() -> None:
-    """Each bit of it, each byte less or more, each shift by the frame before."""
+    """A frame with a bit changed, bytes missing or added, or shifted is refused."""
     request, answer = FrameRequest(7, "LOCATE", 2).frame(), answer_frame(LineAnswer(7, 0, 1), Brand.KUKA)
     for frame in (request, answer):
         wrong = [frame[:size] for size in range(len(frame))] + [frame + b"\0"]
@@ -93,7 +93,7 @@ def test_a_frame_that_is_changed_anywhere_is_none() -> None:
 @given(st.binary(min_size=REQUEST.size - 4, max_size=REQUEST.size - 4), st.booleans())
 @settings(max_examples=500, derandomize=True)
 def test_whatever_comes_is_a_request_or_none(body: bytes, is_headed: bool) -> None:
-    """Any bytes, also with the right head and the right CRC: a request that says the same, or ValueError."""
+    """Any bytes are a request that encodes to the same frame, or a ValueError."""
     head = FrameRequest(1, "LOCATE").frame()[:6] if is_headed else b""
     sealed = head + body[len(head) :]
     frame = sealed + zlib.crc32(sealed).to_bytes(4, "big")
@@ -106,7 +106,7 @@ def test_whatever_comes_is_a_request_or_none(body: bytes, is_headed: bool) -> No
 
 
 def test_an_answer_with_a_number_that_is_none_is_none() -> None:
-    """Infinite or not a number, though the frame is whole."""
+    """An infinite or NaN number in an intact frame is refused."""
     for number in (float("inf"), float("nan")):
         frame = answer_frame(LineAnswer(7, 0, 0, (number,) * 6), Brand.KUKA)
         with pytest.raises(ValueError, match="not finite"):
@@ -114,7 +114,7 @@ def test_an_answer_with_a_number_that_is_none_is_none() -> None:
 
 
 def test_a_refusal_of_what_was_no_request_is_heard() -> None:
-    """Sequence 0 and its status; never with status 0, which would be a pose."""
+    """An answer with sequence 0 is accepted if it has an error status, but not with status 0."""
     refused = LineAnswer(0, LineStatus.NOT_UNDERSTOOD)
     assert LineStatus.NOT_UNDERSTOOD == read_answer(answer_frame(refused, Brand.UR), Brand.UR, 7).status
     with pytest.raises(ValueError, match="an answer to 0"):
@@ -122,7 +122,7 @@ def test_a_refusal_of_what_was_no_request_is_heard() -> None:
 
 
 def test_the_page_says_where_everything_stands() -> None:
-    """Offset, name and type of each row, the commands' and the brands' numbers."""
+    """The manual states offset, name and type of each field, and the numbers of commands and brands."""
     text = PAGE.read_text()
     names = {"2s": "2 bytes", "B": "u8", "H": "u16", "I": "u32", "f": "f32", "3f": "3 f32", "7f": "7 f32"}
     for rows, form in ((REQUEST_ROWS, REQUEST), (ANSWER_ROWS, ANSWER)):

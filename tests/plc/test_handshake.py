@@ -18,7 +18,7 @@ LIMITS = HandshakeLimits(validity_s=2.0, heartbeat_s=1.0, owner_s=5.0, queue=8)
 
 
 class Run:
-    """A handshake that is driven step by step; remembers every effect."""
+    """A handshake driven step by step that records every effect."""
 
     def __init__(self, synchronised: int | None = 0) -> None:
         self.state: Handshake[str] = Handshake(LIMITS, synchronised=synchronised)
@@ -37,7 +37,7 @@ class Run:
         self.tell(ev.Finished(ticket, cycle, ResultVerdict.GOOD, self.now_s, payload, rest, job, basis))
 
     def next_part(self, sequence: int, client: int = 0, job: int = 0, once: bool = False) -> str:
-        """What NEXT_PART shows; "" for a NACK with the reason of its own. It always ends at once."""
+        """Payload shown by NEXT_PART; "" for a NACK with its own reason. It always ends at once."""
         (answered,) = self.tell(ev.SequenceWritten(sequence, client=client, once=once, next_of=job))
         assert isinstance(answered, ev.Answered) and answered.ticket & 0xFFFF == sequence
         assert () == self.state.open
@@ -54,7 +54,7 @@ class Run:
 
 
 def test_a_command_is_answered_and_its_result_is_valid_until_acknowledged() -> None:
-    """SEQ 7 is written: nothing valid; result: ACK, valid with SEQ 7; ACK_SEQ 7: not valid any more."""
+    """A written CMD_SEQ invalidates, its result is valid with that number, and ACK_SEQ ends that."""
     run = Run()
     assert (ev.Submit(7),) == run.tell(ev.SequenceWritten(7))
     assert not run.valid
@@ -71,14 +71,15 @@ def test_a_command_is_answered_and_its_result_is_valid_until_acknowledged() -> N
 
 
 def test_the_same_sequence_again_does_not_run_again() -> None:
-    """A PLC that writes its block cyclically triggers once."""
+    """A CMD_SEQ written repeatedly runs once."""
     run = Run()
     run.tell(ev.SequenceWritten(7))
     assert () == run.tell(ev.SequenceWritten(7))
 
 
 def test_the_first_number_after_the_start_runs_nothing() -> None:
-    """A PLC that goes on writing what it wrote to the daemon before this one: NACK 8, the next one runs."""
+    """The first CMD_SEQ gets NACK 8, so that one written to an earlier daemon does not run, and the next
+    runs."""
     run = Run(synchronised=None)
     assert (ev.Answered(7, AckState.NACK, NackReason.BASELINE),) == run.tell(ev.SequenceWritten(7))
     assert (7, 7, NackReason.BASELINE) == (
@@ -91,7 +92,7 @@ def test_the_first_number_after_the_start_runs_nothing() -> None:
 
 
 def test_zero_is_a_first_number_as_good_as_any() -> None:
-    """A PLC that starts with cleared registers commands with its next write, and no result is taken down."""
+    """A first CMD_SEQ of 0 keeps the current result, and the next number runs."""
     run = Run(synchronised=None)
     run.good(None, cycle=3)
     assert () == run.tell(ev.SequenceWritten(0))
@@ -100,7 +101,7 @@ def test_zero_is_a_first_number_as_good_as_any() -> None:
 
 
 def test_a_command_that_is_written_once_on_purpose_needs_no_number_before() -> None:
-    """And it makes this connection's number known, so that a cyclic repetition runs nothing."""
+    """With `once` the first number runs, and repeating it runs nothing."""
     run = Run(synchronised=None)
     assert (ev.Submit(7),) == run.tell(ev.SequenceWritten(7, client=5, once=True))
     assert () == run.tell(ev.SequenceWritten(7, client=5))
@@ -108,7 +109,7 @@ def test_a_command_that_is_written_once_on_purpose_needs_no_number_before() -> N
 
 
 def test_a_new_connection_and_another_client_begin_with_a_number_that_runs_nothing() -> None:
-    """Whoever wrote CMD_SEQ last goes on; anybody else, and a connection made anew, begins."""
+    """The last client's next number runs; another client's first, or one on a new connection, does not."""
     run = Run()
     assert (ev.Submit(1),) == run.tell(ev.SequenceWritten(1))
     run.good(1)
@@ -125,7 +126,7 @@ def test_a_new_connection_and_another_client_begin_with_a_number_that_runs_nothi
 
 
 def test_a_command_that_had_to_wait_for_its_turn_runs_nothing() -> None:
-    """It may have been given up meanwhile, and a PLC goes on writing it."""
+    """A command written during another client's turn runs nothing afterwards."""
     run = Run()
     run.tell(ev.Barred(3))
     assert (ev.Submit(1),) == run.tell(ev.SequenceWritten(1)), "another client's turn is nothing to this one"
@@ -136,7 +137,7 @@ def test_a_command_that_had_to_wait_for_its_turn_runs_nothing() -> None:
 
 
 def test_a_connection_never_gets_the_answer_of_another_under_its_own_number() -> None:
-    """7 is shown, or still measured, for a client that is gone: a new one that writes 7 sees neither."""
+    """A new connection that writes the number of a departed client sees neither its result nor a late one."""
     done, late = Run(), Run()
     done.tell(ev.SequenceWritten(7))
     done.good(7)
@@ -155,7 +156,7 @@ def test_a_connection_never_gets_the_answer_of_another_under_its_own_number() ->
 
 
 def test_a_late_result_of_an_older_command_with_the_same_number_is_not_shown() -> None:
-    """5 times out, 0 resets, 5 again: the first 5's result comes late and belongs to nobody."""
+    """The late result of a timed-out command is not shown for a new one with the same number."""
     run = Run()
     run.tell(ev.SequenceWritten(5, timeout_s=0.5))
     run.now_s += 1.0
@@ -170,7 +171,7 @@ def test_a_late_result_of_an_older_command_with_the_same_number_is_not_shown() -
 
 
 def test_the_sequence_wraps() -> None:
-    """After 65535 comes 1, and its ticket is a new one."""
+    """After 65535 comes 1, with a new ticket."""
     run = Run()
     run.tell(ev.SequenceWritten(65535))
     run.good(65535)
@@ -181,7 +182,7 @@ def test_the_sequence_wraps() -> None:
 
 
 def test_a_ninth_open_command_is_refused_with_overrun_and_the_next_accepted_one_clears_it() -> None:
-    """Eight wait at most; a refused command leaves nothing valid."""
+    """The ninth open command gets QUEUE_FULL with overrun, and no result is valid."""
     run = Run()
     for sequence in range(1, 9):
         run.tell(ev.SequenceWritten(sequence))
@@ -197,7 +198,7 @@ def test_a_ninth_open_command_is_refused_with_overrun_and_the_next_accepted_one_
 
 
 def test_the_newest_answer_is_not_written_over_by_an_older_command() -> None:
-    """2 times out while 1 is still measured; 1 ends later: DONE_SEQ goes on to say 2, NACK."""
+    """If 2 times out while 1 is measured, DONE_SEQ still shows 2 after 1 has ended."""
     run = Run()
     run.tell(ev.SequenceWritten(1))
     run.tell(ev.SequenceWritten(2, timeout_s=0.1))
@@ -215,7 +216,7 @@ def test_the_newest_answer_is_not_written_over_by_an_older_command() -> None:
 
 
 def test_an_unknown_or_declined_command_is_a_nack_with_its_reason() -> None:
-    """And what was on display before is gone: nobody can take it for the answer."""
+    """It gives a NACK with its reason and withdraws the displayed result."""
     run = Run()
     run.good(None, cycle=3)
     assert run.valid
@@ -228,7 +229,7 @@ def test_an_unknown_or_declined_command_is_a_nack_with_its_reason() -> None:
 
 
 def test_a_camera_fault_is_a_nack_and_never_valid() -> None:
-    """The command could not be carried out; the fault itself may be displayed."""
+    """It gives a NACK; the fault is displayed but never valid."""
     run = Run()
     run.tell(ev.SequenceWritten(4))
     run.tell(ev.Finished(4, 1, ResultVerdict.FAULT, run.now_s, "fault"))
@@ -238,7 +239,7 @@ def test_a_camera_fault_is_a_nack_and_never_valid() -> None:
 
 
 def test_age_counts_from_the_exposure() -> None:
-    """A result that took 1.5 s to compute is valid for another 0.5 s; one from the future never."""
+    """A result computed in 1.5 s is valid for another 0.5 s, and one from the future never."""
     run = Run()
     run.tell(ev.Finished(None, 1, ResultVerdict.GOOD, run.now_s - 1.5, "slow"))
     assert run.valid
@@ -249,7 +250,7 @@ def test_age_counts_from_the_exposure() -> None:
 
 
 def test_a_free_running_cell_shows_the_newest_and_keeps_quiet_while_commanded() -> None:
-    """With CMD_SEQ 0 each cycle replaces the last; with another only the command's own result counts."""
+    """With CMD_SEQ 0 each cycle replaces the last result; otherwise only the command's result counts."""
     run = Run()
     run.good(None, cycle=65535)
     assert 65535 == run.state.result.sequence
@@ -267,7 +268,7 @@ def test_a_free_running_cell_shows_the_newest_and_keeps_quiet_while_commanded() 
 
 
 def test_a_client_whose_heartbeat_stops_loses_its_result_and_its_right_to_write() -> None:
-    """Counting supervises, 0 ends it, silence withdraws."""
+    """A counting heartbeat is supervised, 0 ends that, and silence withdraws the result."""
     run = Run()
     run.tell(ev.ClaimedBy(1))
     run.tell(ev.HeartbeatWritten(1))
@@ -277,7 +278,7 @@ def test_a_client_whose_heartbeat_stops_loses_its_result_and_its_right_to_write(
     run.now_s += 0.9
     run.tell(ev.Tick())
     assert run.valid
-    run.tell(ev.HeartbeatWritten(2))  # the same value is no sign of life
+    run.tell(ev.HeartbeatWritten(2))  # an unchanged value is no sign of life
     run.now_s += 0.2
     run.tell(ev.Tick())
     assert run.state.client_lost
@@ -288,7 +289,7 @@ def test_a_client_whose_heartbeat_stops_loses_its_result_and_its_right_to_write(
 
 
 def test_one_client_writes_at_a_time() -> None:
-    """The right lapses with time, but not while a command is open; and it ends with the connection."""
+    """The right to write lapses with time, but not during an open command, and ends with the connection."""
     run = Run()
     run.tell(ev.ClaimedBy(1))
     assert may_write(run.state, 1, run.now_s)
@@ -305,7 +306,7 @@ def test_one_client_writes_at_a_time() -> None:
 
 
 def test_one_exposure_gives_part_after_part_each_held_until_it_is_acknowledged() -> None:
-    """LOCATE shows the first of three, NEXT_PART the others under their own numbers; then there is none."""
+    """LOCATE shows the first of three parts, NEXT_PART the others under their own numbers, then none."""
     run = Run()
     run.tell(ev.SequenceWritten(1))
     run.good(1, 1, "a", "b", "c")
@@ -323,7 +324,7 @@ def test_one_exposure_gives_part_after_part_each_held_until_it_is_acknowledged()
 
 
 def test_the_same_number_again_gives_no_other_part() -> None:
-    """A PLC that writes NEXT_PART cyclically gets one part; a number that comes round again, the next one."""
+    """A repeated NEXT_PART number shows the same part, and a reused one the next part."""
     run = Run()
     run.tell(ev.SequenceWritten(1))
     run.good(1, 1, "a", "b", "c")
@@ -334,7 +335,7 @@ def test_the_same_number_again_gives_no_other_part() -> None:
 
 
 def test_a_list_is_as_old_as_its_exposure() -> None:
-    """NEXT_PART makes no part younger: all of a list end together, shown or not."""
+    """All parts of a list expire together with their exposure."""
     run = Run()
     run.tell(ev.SequenceWritten(1))
     run.good(1, 1, "a", "b", "c")
@@ -361,7 +362,7 @@ OTHERS = {
 
 @pytest.mark.parametrize("what", OTHERS)
 def test_whatever_else_happens_ends_the_list(what: str) -> None:
-    """A trigger, accepted or not, CMD_SEQ 0, another client, a reload, SETUP, a connection that ends."""
+    """Any other command, client, reload, SETUP or disconnection ends the list."""
     run = Run()
     run.tell(ev.SequenceWritten(1))
     run.good(1, 1, "a", "b")
@@ -373,7 +374,7 @@ def test_whatever_else_happens_ends_the_list(what: str) -> None:
 
 
 def test_a_list_belongs_to_who_asked_for_it_and_to_its_job() -> None:
-    """Another connection, a client that is lost, or another job's number: NACK, and the list is gone."""
+    """Another connection, a lost client or another job's number gets a NACK, and the list ends."""
     for client, job, given in ((0, 7, "b"), (0, 0, "b"), (0, 8, ""), (4, 7, "")):
         run = Run()
         run.tell(ev.SequenceWritten(1))
@@ -389,7 +390,7 @@ def test_a_list_belongs_to_who_asked_for_it_and_to_its_job() -> None:
 
 
 def test_only_a_good_result_of_the_newest_command_leaves_a_list() -> None:
-    """Not a checked part, not a rejected one, not a free-running cycle, not one that came too late."""
+    """Only a GOOD result of the newest command, in time, leaves a list."""
     for verdict in ResultVerdict:
         run = Run()
         run.tell(ev.SequenceWritten(1))
@@ -406,7 +407,7 @@ def test_only_a_good_result_of_the_newest_command_leaves_a_list() -> None:
 
 
 def test_a_next_part_that_overtakes_its_measurement_gets_none() -> None:
-    """The list of LOCATE 1, which ends after NEXT_PART 2, is nobody's."""
+    """The list of a LOCATE that ends after a NEXT_PART is discarded."""
     run = Run()
     run.tell(ev.SequenceWritten(1))
     (answered,) = run.tell(ev.SequenceWritten(2, next_of=0))
@@ -417,7 +418,7 @@ def test_a_next_part_that_overtakes_its_measurement_gets_none() -> None:
 
 
 def test_setup_ends_what_is_open_and_takes_the_result_down() -> None:
-    """Two open commands: NACK, SETUP each; the newest answer is on display; the old result is gone."""
+    """Open commands get NACK with SETUP, the newest answer is displayed, and the result is withdrawn."""
     run = Run()
     run.tell(ev.SequenceWritten(1))
     run.good(1)
@@ -437,7 +438,7 @@ def test_setup_ends_what_is_open_and_takes_the_result_down() -> None:
 
 
 def test_in_setup_each_command_ends_so_and_free_cycles_are_not_shown() -> None:
-    """First of a connection or not, known or not; after it the next number runs, the same one does not."""
+    """Every command in SETUP gets NACK with SETUP, and afterwards the next number runs."""
     run = Run(synchronised=None)
     run.tell(ev.Suspended())
     assert () == run.tell(ev.Suspended()), "it is set up already"
@@ -457,7 +458,7 @@ def test_in_setup_each_command_ends_so_and_free_cycles_are_not_shown() -> None:
 
 
 def test_a_result_of_before_is_not_valid_after_setup() -> None:
-    """Young enough by the clock, and measured by what may have been exchanged."""
+    """A result from before SETUP is not valid after it."""
     run = Run()
     run.good(None)
     run.tell(ev.Suspended())
@@ -468,7 +469,7 @@ def test_a_result_of_before_is_not_valid_after_setup() -> None:
 
 
 def test_a_robots_registration_runs_in_setup_and_nothing_else_does() -> None:
-    """Its commands are carried out and show nothing, even by mistake; a person ends what is open."""
+    """Its commands run without displaying a result, and SETUP by a person ends them."""
     run = Run()
     assert (ev.Submit(1),) == run.tell(ev.SequenceWritten(1, registers=True))
     run.tell(ev.Finished(1, 0, ResultVerdict.DONE, run.now_s, None))
@@ -491,7 +492,7 @@ def test_a_robots_registration_runs_in_setup_and_nothing_else_does() -> None:
 
 
 def test_a_result_is_none_any_more_when_what_it_stands_on_is_exchanged() -> None:
-    """Not VALID, no EXPOSURE_DONE; its number stays, its answer too, and the next command runs."""
+    """The result is withdrawn, its number and answer stay, and the next command runs."""
     run = Run()
     run.tell(ev.SequenceWritten(7))
     run.tell(ev.Exposed(7))
@@ -508,7 +509,7 @@ def test_a_result_is_none_any_more_when_what_it_stands_on_is_exchanged() -> None
 
 
 def test_what_is_said_to_be_exchanged_and_is_not_changes_nothing() -> None:
-    """A publisher that begins to listen is told by what the cell measures."""
+    """An exchange with the same basis changes nothing."""
     run = Run()
     run.tell(ev.SequenceWritten(7))
     run.good(7)
@@ -519,7 +520,7 @@ def test_what_is_said_to_be_exchanged_and_is_not_changes_nothing() -> None:
 
 
 def test_a_command_that_waits_while_its_basis_is_exchanged_ends_so() -> None:
-    """NACK, RELOADED, for each; what is measured for one of them all the same is not shown."""
+    """Each gets NACK with RELOADED, and its late result is not shown."""
     run = Run()
     run.tell(ev.SequenceWritten(7))
     run.tell(ev.SequenceWritten(8))
@@ -535,7 +536,7 @@ def test_a_command_that_waits_while_its_basis_is_exchanged_ends_so() -> None:
 
 
 def test_what_was_measured_by_another_basis_is_never_shown() -> None:
-    """However late it comes: of a command it ends in NACK, RELOADED, of a free-running cell it is nothing."""
+    """A command's late result gets NACK with RELOADED, and a free-running one is ignored."""
     run = Run()
     run.tell(ev.Exchanged(1))
     run.tell(ev.Finished(None, 1, ResultVerdict.GOOD, run.now_s, "old", basis=0))
@@ -546,7 +547,7 @@ def test_what_was_measured_by_another_basis_is_never_shown() -> None:
 
 
 def test_a_registration_ends_by_an_exchange_of_its_own() -> None:
-    """Its command is answered after the basis has changed, with ACK."""
+    """Its command gets ACK after the basis has changed."""
     run = Run()
     run.tell(ev.Suspended(registers=True))
     run.tell(ev.SequenceWritten(7, registers=True))
@@ -557,7 +558,7 @@ def test_a_registration_ends_by_an_exchange_of_its_own() -> None:
 
 @pytest.mark.parametrize("fell", ["acknowledged", "too old"])
 def test_a_result_that_fell_never_becomes_valid_again(fell: str) -> None:
-    """Not by another ACK_SEQ, as of a program that clears its registers, nor by a clock."""
+    """An acknowledged or expired result never becomes valid again."""
     run = Run()
     run.tell(ev.SequenceWritten(7))
     run.good(7)
@@ -573,7 +574,7 @@ def test_a_result_that_fell_never_becomes_valid_again(fell: str) -> None:
 
 
 def test_another_way_to_take_the_part_on_display_leaves_the_list_as_it_is() -> None:
-    """NEXT_GRASP: under its own number, no younger; without another way, and once acknowledged, a NACK."""
+    """NEXT_GRASP shows the part under its own number with the same age; without another way it is a NACK."""
     run = Run()
     run.tell(ev.SequenceWritten(1))
     run.good(1, 1, "a", "b")
@@ -591,7 +592,7 @@ def test_another_way_to_take_the_part_on_display_leaves_the_list_as_it_is() -> N
 
 
 def test_only_who_asked_for_a_part_gets_another_way_to_take_it() -> None:
-    """Another connection's NEXT_GRASP is a NACK, and ends the list as any command of its does."""
+    """NEXT_GRASP of another connection is a NACK and ends the list."""
     run = Run()
     run.tell(ev.SequenceWritten(1))
     run.good(1, 1, "a", "b")
@@ -602,7 +603,7 @@ def test_only_who_asked_for_a_part_gets_another_way_to_take_it() -> None:
 class AnyClientAnyCell(RuleBasedStateMachine):
     """Random clients, cells, faults and times. The payload of a result is the ticket that asked for it.
 
-    The model beside the machine: which tickets were accepted, and how often each was answered; which parts of
+    The model: which tickets were accepted, and how often each was answered; which parts of
     the newest exposure are still to be given, to whom, until when.
     """
 
@@ -674,7 +675,7 @@ class AnyClientAnyCell(RuleBasedStateMachine):
     def check_next_part(
         self, effects: tuple[ev.Effect, ...], sequence: int, client: int, next_of: int | None, *, asked: bool
     ) -> None:
-        """One command, one result: the next part to who may have it, else a NACK; others end it."""
+        """The next part goes to its owner only, else there is a NACK; other commands end the list."""
         due, self.shown = self.due(), ""
         if next_of is None or sequence == 0:
             self.list = []
@@ -699,7 +700,7 @@ class AnyClientAnyCell(RuleBasedStateMachine):
         sequence=st.sampled_from([0, 1, 2, 3, 4]), client=st.sampled_from([1, 1, 1, 2]), has_one=st.booleans()
     )
     def ask_another_way(self, sequence: int, client: int, has_one: bool) -> None:
-        """The part on display once more, to its client alone, to whom what is left of the list stays."""
+        """The displayed part again, for its client only, whose list stays."""
         before, is_heard = self.run.state, client == self.last_writer and not self.is_set_up
         self.last_writer, mine = client, client == self.last_writer
         shown = before.result.payload if before.result is not None and self.run.valid else ""
@@ -725,7 +726,7 @@ class AnyClientAnyCell(RuleBasedStateMachine):
 
     @rule(is_another=st.booleans())
     def exchange(self, is_another: bool) -> None:
-        """All that is open ends at once, but what a registration asked; nothing is shown as before."""
+        """All open commands end at once, except those of a registration, and nothing earlier is shown."""
         still_open = {command.ticket for command in self.run.state.open}
         if is_another:
             self.basis += 1
@@ -789,7 +790,7 @@ class AnyClientAnyCell(RuleBasedStateMachine):
 
     @rule(ticket_back=st.integers(0, 3))
     def stray_event(self, ticket_back: int) -> None:
-        """An event of a command that has ended, or never was, must change nothing that counts."""
+        """An event of a command that has ended, or never existed, changes nothing."""
         stray = self.run.state.ticket - ticket_back
         if stray not in self.in_cell:
             before = len(self.run.effects)
@@ -813,9 +814,9 @@ class AnyClientAnyCell(RuleBasedStateMachine):
 
     @rule(late=st.booleans(), registers=st.booleans())
     def is_taken_for_setup(self, late: bool, registers: bool) -> None:
-        """All that is open ends at once; what the cell still finishes of it, late, changes nothing.
+        """All open commands end at once, and their late results change nothing.
 
-        Said again, it changes nothing: a robot's registration goes on.
+        Repeated, it changes nothing: a robot's registration continues.
         """
         still_open = {command.ticket for command in self.run.state.open}
         again = self.is_set_up and self.is_registering == registers
@@ -834,7 +835,7 @@ class AnyClientAnyCell(RuleBasedStateMachine):
 
     @rule()
     def is_given_back(self) -> None:
-        """Nothing appears by that alone, and nothing runs."""
+        """Nothing becomes valid by that alone, and nothing runs."""
         was_valid = self.run.valid
         assert not any(isinstance(effect, ev.Submit) for effect in self.run.tell(ev.Resumed()))
         assert was_valid or not self.run.valid
@@ -842,7 +843,7 @@ class AnyClientAnyCell(RuleBasedStateMachine):
 
     @rule(ticket_back=st.integers(0, 3))
     def exposure(self, ticket_back: int) -> None:
-        """Of a command, of none, or of one that has ended."""
+        """An exposure of a command, of none, or of one that has ended."""
         self.run.tell(ev.Exposed(None if ticket_back == 0 else self.run.state.ticket - ticket_back + 1))
         assert not (self.is_set_up and not self.is_registering and self.run.state.exposure_done)
 
@@ -864,7 +865,7 @@ class AnyClientAnyCell(RuleBasedStateMachine):
 
     @invariant()
     def nothing_is_valid_open_or_shown_while_it_is_set_up(self) -> None:
-        """But that a robot's program may have its commands open; nothing is shown for those."""
+        """Only commands of a robot's registration may be open, and nothing is shown for those."""
         if hasattr(self, "run") and self.is_set_up:
             state = self.run.state
             assert state.result is None
@@ -880,7 +881,7 @@ class AnyClientAnyCell(RuleBasedStateMachine):
 
     @invariant()
     def what_fell_stays_down(self) -> None:
-        """A result that was good is as it was published for as long as it is valid, and then never again."""
+        """A good result is unchanged while it is valid, and never valid again afterwards."""
         if not hasattr(self, "run"):
             return
         self.run.tell(ev.Tick())
@@ -943,7 +944,7 @@ TestAnyClientAnyCell.settings = settings(max_examples=150, stateful_step_count=4
 
 
 def test_when_a_result_falls_by_time_alone_is_known_beforehand() -> None:
-    """Valid until just before that moment, and not from it on; with a heartbeat it may be earlier."""
+    """A result is valid until just before `valid_until_s`, which a heartbeat may shorten."""
     run = Run()
     assert hs.valid_until_s(run.state, run.now_s) is None
     run.tell(ev.SequenceWritten(7))

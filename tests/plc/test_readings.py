@@ -1,4 +1,4 @@
-"""Registers for people: no digit is lost, and bits, codes and times have their names."""
+"""Registers as text: no digit is lost, and bits, codes and times have names."""
 
 from __future__ import annotations
 
@@ -27,13 +27,13 @@ REGISTERS = {register.name: register for block in BLOCKS for register in block.r
     ],
 )
 def test_a_value_is_shown_with_every_digit(kind: Kind, value: float, expected: str) -> None:
-    """Large integers are not rounded; a float is as short as it can be."""
+    """Large integers are not rounded, and a float has as few digits as needed."""
     assert expected == text_of(Register("X", 0, kind, "", ""), value)
 
 
 @given(st.floats(width=32, allow_nan=False, allow_infinity=False))
 def test_the_text_of_a_float_is_that_float(value: float) -> None:
-    """Typed in again it gives the same bits."""
+    """Parsing the text gives the same bits."""
     text = text_of(Register("X", 0, Kind.F32, "", ""), value)
     assert struct.pack(">f", value) == struct.pack(">f", float(text))
 
@@ -53,5 +53,5 @@ def test_the_text_of_a_float_is_that_float(value: float) -> None:
     ],
 )
 def test_a_value_has_its_meaning(name: str, value: int, expected: str) -> None:
-    """Codes and bits by name, lengths in mm, times as dates."""
+    """Codes and bits are shown by name, lengths in mm, times as dates."""
     assert expected == meaning_of(REGISTERS[name], value)

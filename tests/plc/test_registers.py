@@ -38,7 +38,7 @@ def words_of(data: bytes) -> tuple[int, ...]:
 
 
 def shown(snapshot: Snapshot, *, valid: bool = True, order: reg.WordOrder = "high") -> dict[str, reg.Number]:
-    """The result blocks of a snapshot, encoded and decoded again."""
+    """Result blocks of a snapshot, encoded and decoded again."""
     measured = reg.measured(snapshot, Convention.FIXED_XYZ)
     values = reg.result_values(measured, 7, valid=valid, free_running=False)
     decoded: dict[str, reg.Number] = {}
@@ -51,7 +51,7 @@ def shown(snapshot: Snapshot, *, valid: bool = True, order: reg.WordOrder = "hig
 
 
 def test_blocks_lie_where_the_contract_says_and_do_not_overlap() -> None:
-    """First and last word of each block are fixed; no word belongs to two registers."""
+    """First and last word of each block are as specified, and no word belongs to two registers."""
     for block in reg.BLOCKS:
         if block.name in STARTS:
             assert STARTS[block.name] == (block.address, block.address + block.words - 1)
@@ -67,7 +67,7 @@ def test_blocks_lie_where_the_contract_says_and_do_not_overlap() -> None:
 
 
 def test_every_listing_names_every_register() -> None:
-    """md, csv and json come from the schema: same addresses, same names."""
+    """md, csv and json list the same registers at the same addresses."""
     total = sum(len(block.registers) for block in reg.BLOCKS)
     from_json = json.loads(render("json"))["registers"]
     from_csv = list(csv.DictReader(io.StringIO(render("csv"))))
@@ -91,7 +91,7 @@ def test_every_listing_names_every_register() -> None:
 
 
 def test_probes_show_the_word_order() -> None:
-    """0x01020304 reads 0x0102 0x0304, or the other way round; 123.456 is 0x42F6E979."""
+    """0x01020304 is sent as 0x0102 0x0304, or reversed; 123.456 is 0x42F6E979."""
     values = reg.constant_values(Convention.FIXED_XYZ, 0, 0)
     assert (0x0102, 0x0304, 0x42F6, 0xE979) == words_of(reg.encode(reg.CONSTANTS, values))[2:6]
     assert (0x0304, 0x0102, 0xE979, 0x42F6) == words_of(reg.encode(reg.CONSTANTS, values, "low"))[2:6]
@@ -103,7 +103,7 @@ def test_crc_is_the_published_check_value() -> None:
 
 
 def test_crc_is_the_same_in_pieces_and_byte_by_byte() -> None:
-    """Of an even and of an odd number of bytes, each shifted out bit by bit."""
+    """The CRC equals a bitwise computation, for data in pieces of even and odd length."""
     data = bytes(range(7, 256, 31))
     for count in range(len(data)):
         expected = reg.CRC_START
@@ -117,7 +117,7 @@ def test_crc_is_the_same_in_pieces_and_byte_by_byte() -> None:
 
 @pytest.mark.parametrize("order", ["high", "low"])
 def test_a_result_reads_back(order: reg.WordOrder) -> None:
-    """X Y Z in µm, angles in 0.001°, sigma, mirror and UR block all say what the snapshot said."""
+    """X Y Z in µm, angles in 0.001°, sigmas, the mirror and the UR block equal the snapshot."""
     snapshot = make_snapshot(cycle=70_000)
     target = snapshot.targets[0]
     decoded = shown(snapshot, order=order)
@@ -139,7 +139,7 @@ def test_a_result_reads_back(order: reg.WordOrder) -> None:
 
 
 def test_an_invalid_result_has_no_coordinates_anywhere() -> None:
-    """INT32_MIN, NaN, 65535; but what was found and why it is no good stays readable."""
+    """Coordinates are INT32_MIN, NaN or 65535, while code and reason stay readable."""
     decoded = shown(make_snapshot(), valid=False)
     coordinates = [*"XYZABC", "RADIUS", "DEPTH", *(f"UR_{a}" for a in "XYZ"), *(f"UR_R{a}" for a in "XYZ")]
     assert {reg.INT32_MIN} == {decoded[name] for name in coordinates}
@@ -151,7 +151,7 @@ def test_an_invalid_result_has_no_coordinates_anywhere() -> None:
 
 
 def test_robot_frame_moves_position_and_sigma() -> None:
-    """With robot_from_rig the coordinates are its; a turn by 90° about z swaps the sigmas of x and y."""
+    """With robot_from_rig coordinates are in its frame; a turn by 90° about z swaps the sigmas of x and y."""
     robot_from_rig = make_transform((0, 0, np.pi / 2), (100.0, 0.0, 0.0))
     plain, moved = shown(make_snapshot()), shown(make_snapshot(robot_from_rig=robot_from_rig))
     assert [80_000, 10_000, 200_000] == [moved[axis] for axis in "XYZ"]
@@ -161,14 +161,14 @@ def test_robot_frame_moves_position_and_sigma() -> None:
 
 
 def held_snapshot(robot_from_rig: np.ndarray | None = None) -> Snapshot:
-    """A good part with its grasp: second of the job, turned by 90°, 40 mm beside the part's origin."""
+    """A good part with a grasp: the second of the job, turned by 90°, 40 mm beside the part's origin."""
     target, tool = make_target(), make_transform((0.3, -0.2, 0.1), (40.0, 0.0, 5.0))
     pose = GraspPose("g", 2, np.pi / 2, target.rig_from_part @ tool, 4 * target.covariance, 50.0, 80.0)
     return make_snapshot(targets=(dataclasses.replace(target, grasp=pose),), robot_from_rig=robot_from_rig)
 
 
 def test_a_grasp_reads_back_in_the_robots_frame() -> None:
-    """Tool, approach, turn, retreat and sigma in both blocks, each with head, tail and CRC."""
+    """Tool, approach, turn, retreat and sigma are in both blocks, each with head, tail and CRC."""
     robot_from_rig = make_transform((0.2, 0.1, -2.0), (500.0, -100.0, 800.0))
     snapshot = held_snapshot(robot_from_rig)
     grasp = snapshot.targets[0].grasp
@@ -203,7 +203,7 @@ def test_a_grasp_reads_back_in_the_robots_frame() -> None:
 
 @pytest.mark.parametrize("valid", [True, False])
 def test_without_a_grasp_there_are_no_coordinates_of_a_tool(valid: bool) -> None:
-    """A part without one, and one whose result is not valid: not VALID, INT32_MIN, number 0."""
+    """Without a grasp, or with an invalid result, the blocks are not VALID, with INT32_MIN and number 0."""
     snapshot = make_snapshot() if valid else held_snapshot()
     values = reg.result_values(
         reg.measured(snapshot, Convention.FIXED_XYZ), 7, valid=valid, free_running=False
@@ -217,7 +217,7 @@ def test_without_a_grasp_there_are_no_coordinates_of_a_tool(valid: bool) -> None
 
 
 def test_a_tool_that_fits_no_register_is_none() -> None:
-    """The part is good, its grasp 3 km away: nothing is wrapped."""
+    """A grasp 3 km away gives no tool, while the part stays good."""
     snapshot = held_snapshot()
     grasp = snapshot.targets[0].grasp
     assert grasp is not None
@@ -229,7 +229,8 @@ def test_a_tool_that_fits_no_register_is_none() -> None:
 
 
 def test_counters_say_what_was_found_and_why_it_was_bad() -> None:
-    """Cycles, parts, good and bad ones, each reason; pictures only count as nothing, a fault as a fault."""
+    """Counters count cycles, parts, good and bad ones and each reason; a grab counts nowhere, a fault as a
+    fault."""
     targets = (
         make_target(),
         make_target(Reject.TOLERANCE | Reject.RESIDUAL),
@@ -261,7 +262,7 @@ def test_counters_say_what_was_found_and_why_it_was_bad() -> None:
 
 
 def test_names_of_jobs_can_be_read() -> None:
-    """By number; a long name is cut, other letters are question marks, what is left is empty."""
+    """Names are listed by number, cut if too long, with "?" for other letters, and empty if unused."""
     jobs = [(7, "flange"), (65535, "x" * 64), (2, "Träger")]
     rows = [
         reg.decode(reg.JOBS[i], words_of(reg.encode(reg.JOBS[i], reg.job_values(i, jobs)))) for i in range(4)
@@ -275,7 +276,7 @@ def test_names_of_jobs_can_be_read() -> None:
 
 @pytest.mark.parametrize("x_mm", [2.2e6, -2.2e6, math.nan, math.inf])
 def test_out_of_range_is_a_fault_and_never_wraps(x_mm: float) -> None:
-    """±2147 m is what a register holds; more, and what is no number, is not good."""
+    """Beyond ±2147 m, or NaN, the result is OUT_OF_RANGE and not good."""
     measured = reg.measured(make_snapshot(targets=(make_target(x_mm=x_mm),)), Convention.FIXED_XYZ)
     assert not measured.good
     assert reg.ResultCode.OUT_OF_RANGE == measured.code
@@ -286,7 +287,7 @@ def test_out_of_range_is_a_fault_and_never_wraps(x_mm: float) -> None:
 
 @pytest.mark.parametrize("status", [s for s in Status if s is not Status.OK])
 def test_only_ok_without_reject_is_good(status: Status) -> None:
-    """Every other status, and a rejected target, is not for robots."""
+    """Any other status, a rejected target, or none is not good."""
     assert not reg.measured(make_snapshot(status=status), Convention.FIXED_XYZ).good
     rejected = make_snapshot(targets=(make_target(reject=Reject.TOLERANCE),))
     assert not reg.measured(rejected, Convention.FIXED_XYZ).good
@@ -295,7 +296,7 @@ def test_only_ok_without_reject_is_good(status: Status) -> None:
 
 
 def test_the_table_lists_all_targets_and_shows_only_those_that_are_good() -> None:
-    """Row 1 is rejected: listed, without coordinates; row 2 is empty; each row has its own CRC."""
+    """A rejected target is listed without coordinates, an empty row is empty, and each has its CRC."""
     snapshot = make_snapshot(targets=(make_target(), make_target(reject=Reject.LOW_SCORE, x_mm=50.0)))
     measured = reg.measured(snapshot, Convention.FIXED_XYZ)
     rows = []
@@ -316,7 +317,7 @@ def test_the_table_lists_all_targets_and_shows_only_those_that_are_good() -> Non
 )
 @settings(max_examples=80, derandomize=True)
 def test_whatever_the_cell_says_can_be_encoded(x_mm: float, score: float, exposed_ns: int) -> None:
-    """No number that a snapshot can hold makes the encoder raise."""
+    """No number in a snapshot makes the encoder raise."""
     target = make_target(x_mm=x_mm)
     target = dataclasses.replace(
         target, match=dataclasses.replace(target.match, score=score), epipolar_rms_px=score
@@ -349,7 +350,7 @@ def matrix_of(angles_deg: tuple[float, float, float], convention: Convention) ->
 @given(st.tuples(UNIT, UNIT, UNIT, UNIT).filter(lambda q: sum(x * x for x in q) > 1e-3))
 @settings(max_examples=60, derandomize=True)
 def test_angles_give_the_rotation_back(convention: Convention, q: tuple[float, float, float, float]) -> None:
-    """Whatever the rotation, the controller makes the same rotation of A, B, C (judge: scipy)."""
+    """The controller makes the same rotation from A, B, C, for any rotation (judge: scipy)."""
     R = Rotation.from_quat(q).as_matrix()
     np.testing.assert_allclose(matrix_of(ANGLES_DEG[convention](R), convention), R, atol=2e-9)
 
@@ -357,14 +358,14 @@ def test_angles_give_the_rotation_back(convention: Convention, q: tuple[float, f
 @pytest.mark.parametrize("convention", Convention)
 @pytest.mark.parametrize("turn", ["x", "y", "z", "-x", "-y", "-z", "xx", "yy", "zz"])
 def test_quarter_and_half_turns_give_the_rotation_back(convention: Convention, turn: str) -> None:
-    """The singular positions of every angle set: tool down, tool level."""
+    """The angles are correct at the singular positions of every angle set: tool down, tool level."""
     sign = -90 if turn.startswith("-") else 90 * len(turn)
     R = np.round(Rotation.from_euler(turn[-1], sign, degrees=True).as_matrix())
     np.testing.assert_allclose(matrix_of(ANGLES_DEG[convention](R), convention), R, atol=1e-12)
 
 
 def normal_of(convention: Convention, a_deg: float, b_deg: float, c_deg: float) -> tuple[float, float, float]:
-    """The part's z axis, as docs/how-to/robot-frame.md tells a PLC to compute it."""
+    """The part's z axis, as docs/how-to/robot-frame.md computes it in a PLC."""
     (ca, cb, cc), (sa, sb, sc) = (
         np.cos(np.radians((a_deg, b_deg, c_deg))),
         np.sin(np.radians((a_deg, b_deg, c_deg))),
@@ -387,7 +388,7 @@ SINGULAR_AT = {Convention.KAWASAKI_OAT: ((0.0, 1), (180.0, -1))} | {
     Convention.ABB_ZYX: ((90.0, -1), (-90.0, 1)),
     Convention.STAUBLI_XYZ: ((90.0, 1), (-90.0, -1)),
 }
-"""The second angle, and the sign of C in the sum that has a meaning there."""
+"""The second angle there, and the sign of C in the meaningful sum."""
 
 
 @pytest.mark.parametrize("convention", EULER)
@@ -396,20 +397,20 @@ SINGULAR_AT = {Convention.KAWASAKI_OAT: ((0.0, 1), (180.0, -1))} | {
 def test_the_normal_of_the_manual_is_the_parts_z_axis(
     convention: Convention, q: tuple[float, float, float, float]
 ) -> None:
-    """Whatever the rotation, A, B, C give the part's z axis by the formula of the convention."""
+    """The manual's formula gives the part's z axis from A, B, C, for any rotation."""
     R = Rotation.from_quat(q).as_matrix()
     np.testing.assert_allclose(normal_of(convention, *ANGLES_DEG[convention](R)), R[:, 2], atol=2e-9)
 
 
 @pytest.mark.parametrize("convention", EULER)
 def test_near_the_singular_position_only_normal_and_sum_have_a_meaning(convention: Convention) -> None:
-    """Tilts of 0.01° about any axis: A jumps by more than 90° and its sigma grows, sum and normal stay."""
+    """For tilts of 0.01°, A jumps by more than 90° and its sigma grows, while sum and normal stay."""
     covariance = np.eye(3) * np.radians(0.01) ** 2
     for b_deg, sign in SINGULAR_AT[convention]:
         R = matrix_of((20.0, b_deg, 30.0), convention)
         around = np.linspace(0, 2 * np.pi, 12, endpoint=False)
         turns = [Rotation.from_rotvec(np.radians(0.01) * np.array([np.cos(t), np.sin(t), 0])) for t in around]
-        # in the part's own frame for OAT, about fixed axes for the others: all round the singular position
+        # in the part's own frame for OAT, about fixed axes for the others: all around the singular position
         tilted = [R @ turn.as_matrix() if b_deg in (0.0, 180.0) else turn.as_matrix() @ R for turn in turns]
         angles = np.array([ANGLES_DEG[convention](one) for one in tilted])
         spread = np.abs((angles[:, None, 0] - angles[None, :, 0] + 180) % 360 - 180)
@@ -424,7 +425,7 @@ def test_near_the_singular_position_only_normal_and_sum_have_a_meaning(conventio
 @given(st.tuples(UNIT, UNIT, UNIT, UNIT).filter(lambda q: sum(x * x for x in q) > 1e-3))
 @settings(max_examples=60, derandomize=True)
 def test_quaternion_and_rotation_vector_agree_with_scipy(q: tuple[float, float, float, float]) -> None:
-    """The scalar-first quaternion with q1 >= 0, and UR's vector no longer than π."""
+    """The quaternion is scalar-first with q1 >= 0, and UR's vector no longer than π."""
     rotation = Rotation.from_quat(q)
     mine = quaternion(rotation.as_matrix())
     assert mine[0] >= 0
@@ -438,7 +439,7 @@ def test_quaternion_and_rotation_vector_agree_with_scipy(q: tuple[float, float, 
 
 @pytest.mark.parametrize("convention", Convention)
 def test_sigma_of_angles_is_what_sampling_gives(convention: Convention) -> None:
-    """20,000 small rotations drawn from the covariance scatter A, B, C by the stated sigma (within 3 %)."""
+    """The stated sigma is within 3 % of the scatter of A, B, C over 20,000 sampled rotations."""
     R = Rotation.from_euler("xyz", (20, 35, -50), degrees=True).as_matrix()
     factor = np.array([[3e-4, 0, 0], [1e-4, 2e-4, 0], [-1e-4, 5e-5, 4e-4]])
     draws = np.random.default_rng(1).standard_normal((20_000, 3)) @ factor.T

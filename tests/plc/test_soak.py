@@ -26,7 +26,7 @@ def _quiet(caplog: pytest.LogCaptureFixture) -> None:
 
 @pytest.mark.slow
 def test_ten_minutes_of_handshakes_without_a_violation() -> None:
-    """Dead cameras, a clock that is set, restarts, reloads, three clients and triggers: every rule holds."""
+    """With dead cameras, clock changes, restarts, reloads, three clients and triggers, every rule holds."""
     book = Soak(3).run(600.0)
     assert [] == book.violations
     for event in (
@@ -51,7 +51,7 @@ def test_ten_minutes_of_handshakes_without_a_violation() -> None:
 
 @pytest.mark.slow
 def test_a_scanner_of_images_beside_them_is_given_nothing_old_either() -> None:
-    """Two minutes over restarts and reloads: each part of an image was asked for, once, and is young."""
+    """In two minutes with restarts and reloads, each part in an image was requested once and is recent."""
     book = Soak(5, image_s=120.0).run(120.0)
     assert [] == book.violations
     assert book.counts["parts picked over images"] > 10
@@ -59,7 +59,7 @@ def test_a_scanner_of_images_beside_them_is_given_nothing_old_either() -> None:
 
 @pytest.mark.slow
 def test_a_cell_that_forgets_the_age_is_caught(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The observer is not blind: a handshake whose results never grow old is found out."""
+    """The observer finds a handshake whose results never expire."""
     real = hs.HandshakeLimits
 
     def ageless(validity_s: float, *others: Any, **named: Any) -> hs.HandshakeLimits:
@@ -71,7 +71,7 @@ def test_a_cell_that_forgets_the_age_is_caught(monkeypatch: pytest.MonkeyPatch) 
 
 @pytest.mark.slow
 def test_a_cell_that_leaves_the_old_result_up_is_caught(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Nor to a command that does not take the result of the one before down."""
+    """The observer finds a handshake that keeps the previous result after a new command."""
     real = hs.step
 
     def sticky(state: Any, event: Any, now_s: float) -> Any:
@@ -86,7 +86,7 @@ def test_a_cell_that_leaves_the_old_result_up_is_caught(monkeypatch: pytest.Monk
 
 @pytest.mark.slow
 def test_a_cell_that_answers_twice_is_caught(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Nor to a second answer."""
+    """The observer finds a command that is answered twice."""
     real = hs.step
 
     def twice(state: Any, event: Any, now_s: float) -> Any:
@@ -99,7 +99,7 @@ def test_a_cell_that_answers_twice_is_caught(monkeypatch: pytest.MonkeyPatch) ->
 
 @pytest.mark.slow
 def test_the_function_block_is_never_wrong_over_restarts_and_reloads() -> None:
-    """In every scan xValid means: exposed after xExecute, not too old, of the job that was asked for."""
+    """In every scan xValid means: exposed after xExecute, not too old, of the requested job."""
     book = Soak(1, block_s=60.0).run(60.0)
     assert [] == book.violations
     assert book.counts["scans of the function block with something valid"]
@@ -111,14 +111,14 @@ def test_the_function_block_is_never_wrong_over_restarts_and_reloads() -> None:
     ("defect", "violation"),
     [
         ("gives the same part again", "twice"),
-        # who takes the part notices it more often than who looks on
+        # who takes the part notices it more often than the observer
         ("keeps the list", "s too old|s older than its command"),
     ],
 )
 def test_a_cell_whose_lists_are_wrong_is_caught(
     defect: str, violation: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Nor to a part that is given twice, or to a list that outlives another trigger."""
+    """The observer finds a part given twice, and a list that outlives another trigger."""
     real = hs.step
 
     def wrong(state: Any, event: Any, now_s: float) -> Any:

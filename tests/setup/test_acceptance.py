@@ -1,4 +1,4 @@
-"""Acceptance tests and studies of a size: what is right passes, what is wrong does not, and why."""
+"""Acceptance tests and studies of a size: what is right passes, what is wrong does not, with a reason."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ STAGE = transform(rotation_matrix(np.array([0.3, -0.2, 2.0])), np.array([100.0, 
 
 
 def placed(places: FloatArray, sigma_mm: float = 0.001, circles: FloatArray | None = None) -> PlacedPoses:
-    """Poses of a part that only shifts, whose calibration is exact."""
+    """Poses of a part that is only shifted, with an exact calibration."""
     count = len(places)
     poses = np.tile(np.eye(4), (count, 1, 1))
     poses[:, :3, 3] = places
@@ -48,12 +48,12 @@ def placed(places: FloatArray, sigma_mm: float = 0.001, circles: FloatArray | No
 
 
 def places(rng: np.random.Generator) -> FloatArray:
-    """Where a stage was."""
+    """Random positions of a stage."""
     return rng.uniform(-1, 1, (LEAST_POSES, 3)) * (30.0, 22.5, 15.0) + (0, 0, 205.0)
 
 
 def test_poses_on_a_stage_pass_when_they_scatter_as_stated() -> None:
-    """The stage's own axes do not matter, chi² is about 1, and 95 % are within 10 um."""
+    """Whatever the stage's axes are, chi² is about 1, and 95 % of the poses are within 10 um."""
     rng = np.random.default_rng(1)
     true = places(rng)
     tested = pose_test(placed(true + rng.normal(0, 0.001, true.shape)), apply(STAGE, true), 0.0)
@@ -70,7 +70,7 @@ def test_poses_on_a_stage_pass_when_they_scatter_as_stated() -> None:
     ],
 )
 def test_poses_of_a_wrong_scale_or_a_bent_space_do_not_pass(wrong: object, why: str) -> None:
-    """A wrong board length, even where it is within 10 um, and a depth that bends."""
+    """A wrong board length, even if within 10 um, and a bent depth do not pass."""
     rng = np.random.default_rng(2)
     true = places(rng)
     measured = wrong(true) + rng.normal(0, 0.001, true.shape)
@@ -80,7 +80,8 @@ def test_poses_of_a_wrong_scale_or_a_bent_space_do_not_pass(wrong: object, why: 
 
 
 def test_what_poses_share_counts_as_shared() -> None:
-    """A calibration whose scale is known to 0.03 % explains a scale error of that size, not scatter."""
+    """A scale error as large as the calibration's known uncertainty of 0.03 % passes; without it chi² is
+    too large."""
     rng = np.random.default_rng(3)
     true = places(rng)
     shared = replace(placed(true * 1.0003), moved=(true - true.mean(axis=0))[..., None])
@@ -90,7 +91,7 @@ def test_what_poses_share_counts_as_shared() -> None:
 
 
 def test_without_a_stage_the_part_is_its_own_witness() -> None:
-    """Distances between its circles are the same everywhere, or it is not passed; one circle tells none."""
+    """Without a stage the distances between circles must be constant to pass; one circle gives no verdict."""
     rng = np.random.default_rng(4)
     true = places(rng)
     circles = np.tile(np.array([[0.0, 0, 0], [20, 0, 0], [0, 15, 0]]), (len(true), 1, 1))
@@ -102,7 +103,7 @@ def test_without_a_stage_the_part_is_its_own_witness() -> None:
 
 
 def test_a_turn_that_is_not_the_stages_is_named() -> None:
-    """The stage only shifts: turns of 0.1 degrees are errors."""
+    """If the stage only shifts, turns of 0.1 degrees are named as errors."""
     rng = np.random.default_rng(5)
     true = places(rng)
     turned = placed(true)
@@ -112,7 +113,7 @@ def test_a_turn_that_is_not_the_stages_is_named() -> None:
 
 
 def test_lengths_pass_within_five_um_and_a_twenty_thousandth() -> None:
-    """Of 40 mm 7 um; the worst position is named, and six positions are too few."""
+    """An error of 7 um at 40 mm passes; the worst position is named, and six positions are too few."""
     names = [f"p{k}" for k in range(7)]
     errors = np.array([0, 1, -2, 3, -6.9, 4, 0]) / 1000
     assert length_test(names, 40.0 + errors, 40.0).good
@@ -123,7 +124,8 @@ def test_lengths_pass_within_five_um_and_a_twenty_thousandth() -> None:
 
 
 def test_a_robot_with_backlash_does_not_pass() -> None:
-    """Touches scatter as stated, or the robot is named; what points share is no fault of a touch."""
+    """A robot passes if its touches scatter as stated, fails with backlash, and has no verdict with nine
+    points; an error that all points share does not count."""
     rng = np.random.default_rng(6)
     points = rng.uniform(-50, 50, (12, 3))
     shared = np.tile(0.2**2 * np.eye(3), (12, 12))  # all of them 0.2 mm beside it
@@ -135,7 +137,7 @@ def test_a_robot_with_backlash_does_not_pass() -> None:
 
 
 def test_a_still_part_is_judged_by_its_scatter() -> None:
-    """Honest passes; what moved, or scatters more than stated, does not; few pictures say nothing."""
+    """An honest sigma passes; a larger scatter, a movement or too few pictures does not."""
     sigma = np.full(3, 0.001)
     result = StillResult("honest", 50, sigma, sigma, sigma, 1.0, (0.8, 1.2), True)
     assert still_verdict(result).good
@@ -146,7 +148,7 @@ def test_a_still_part_is_judged_by_its_scatter() -> None:
 
 
 def test_a_pair_without_the_part_fails_a_test_that_was_good() -> None:
-    """Nobody leaves out what was not found; the pairs are named."""
+    """A pair in which the part was not found fails a good test, and is named."""
     names = [f"p{k}" for k in range(7)]
     tested = without(length_test(names, np.full(7, 40.0), 40.0), {"p9": "no good part: NO_TARGET"})
     assert tested.good is False
@@ -174,11 +176,12 @@ AIAG = np.array(
         ],
     ]
 )
-"""(people, trials, parts): the example that everybody computes, of AIAG's manual."""
+"""(people, trials, parts): the well-known example of AIAG's manual."""
 
 
 def test_a_gauge_study_gives_the_published_figures() -> None:
-    """0.200, 0.227, 0.302 and 1.042 by analysis of variance, without interaction; four categories."""
+    """The published figures 0.200, 0.227, 0.302 and 1.042 come out by analysis of variance without
+    interaction."""
     found = gauge_study(AIAG.transpose(2, 0, 1), 8.0)
     assert found.repeatability_mm == pytest.approx(0.19993, abs=2e-5)
     assert found.reproducibility_mm == pytest.approx(0.22684, abs=2e-5)
@@ -194,7 +197,7 @@ def test_a_gauge_study_gives_the_published_figures() -> None:
 
 
 def test_an_interaction_counts_as_the_gauges() -> None:
-    """Where people measure parts differently, in ways of their own, repeatability alone does not tell."""
+    """If people differ part by part, that interaction counts as reproducibility of the gauge."""
     rng = np.random.default_rng(7)
     values = rng.normal(0, 1, (10, 1, 1)) + rng.normal(0, 0.3, (10, 3, 1)) + rng.normal(0, 0.01, (10, 3, 3))
     found = gauge_study(values, 10.0)
@@ -204,7 +207,7 @@ def test_an_interaction_counts_as_the_gauges() -> None:
 
 
 def test_a_master_tells_spread_and_bias() -> None:
-    """C_g by the spread alone, C_gk by the bias, too; 24 measurements are too few."""
+    """C_g depends on the spread alone and C_gk also on the bias; 24 measurements are too few."""
     rng = np.random.default_rng(8)
     values = rng.normal(8.002, 0.001, 50)
     found = capability(values, 8.0, 0.1)
@@ -218,14 +221,14 @@ def test_a_master_tells_spread_and_bias() -> None:
 
 
 def test_guard_bands_leave_one_bad_part_in_twenty() -> None:
-    """A part at the limit of the tolerance is inside the guard band in 5 % of measurements."""
+    """A part at the tolerance limit is measured inside the guard band in 5 % of measurements."""
     low, _ = guard_bands(7.99, 8.01, 0.001)
     measured = 7.99 + np.random.default_rng(9).normal(0, 0.001, 100_000)
     assert np.mean(measured > low) == pytest.approx(0.05, abs=0.003)
 
 
 def test_a_study_that_is_not_whole_is_named(tmp_path: Path) -> None:
-    """Somebody who did not measure a part, and another count of trials."""
+    """A part that a person did not measure, and a different number of trials, are named."""
     whole = {(part, person): [1.0, 2.0] for part in "abc" for person in "xy"}
     assert crossed(whole, tmp_path).shape == (3, 2, 2)
     with pytest.raises(UserError, match="y did not measure b"):
@@ -238,7 +241,8 @@ def test_a_study_that_is_not_whole_is_named(tmp_path: Path) -> None:
 
 
 def test_an_acceptance_is_read_back_and_says_what_it_says_today(tmp_path: Path) -> None:
-    """Passed, overdue, failed; of another calibration or registration it says nothing; none is none."""
+    """An acceptance is read back as passed, overdue or failed, and counts as none for another calibration
+    or registration."""
     path = acceptance_file(tmp_path / "rig.json")
     assert load_acceptance(path, "cal", "reg").state(5) is AcceptanceState.NONE
     made = Acceptance(passed=True, made_ns=NS_PER_DAY, due_ns=11 * NS_PER_DAY)
@@ -265,7 +269,7 @@ def test_an_acceptance_is_read_back_and_says_what_it_says_today(tmp_path: Path) 
     ],
 )
 def test_a_damaged_acceptance_is_named(tmp_path: Path, field: str, value: object, message: str) -> None:
-    """File, field and expectation."""
+    """A damaged acceptance is refused with file, field and expectation."""
     path = tmp_path / "acceptance.json"
     document = json.loads(document_of(Acceptance(True, 1, 2), "cal", "reg", {}))
     path.write_text(json.dumps(document | {field: value}))
@@ -277,7 +281,7 @@ def test_a_damaged_acceptance_is_named(tmp_path: Path, field: str, value: object
 
 
 def test_a_stages_table_is_read_with_suspicion(tmp_path: Path) -> None:
-    """Twice the same pair, too few numbers, and what is no number."""
+    """A stage's table is refused if a pair occurs twice, numbers are missing, or a value is no number."""
     path = tmp_path / "truth.csv"
     path.write_text("pair,x,y,z\np1,1,2,3\np2,4,5,6\n")
     assert read_truth(path)["p2"].tolist() == [4.0, 5.0, 6.0]
@@ -292,7 +296,7 @@ def test_a_stages_table_is_read_with_suspicion(tmp_path: Path) -> None:
 
 
 def test_the_page_says_what_was_found_and_escapes_it() -> None:
-    """HTML and PDF have verdicts and figures; a job's name cannot add to the page."""
+    """The HTML and the PDF contain verdicts and figures, and a job's name is escaped."""
     tests = [ReportedTest("pose", "NOT PASSED", "too <b>far</b>", {"largest": "12 um"})]
     page = acceptance_page("Acceptance test", "The cell DID NOT PASS", {"job": "<script>"}, tests)
     assert "NOT PASSED" in page

@@ -1,4 +1,4 @@
-"""A configuration with its rig and jobs: what the daemon starts with, or every reason why it does not."""
+"""A configuration with its rig and jobs: the daemon starts with it, or names every reason why not."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from edged.vision.part.job import Job
 
 @pytest.fixture(scope="module")
 def taught(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The folder of a virtual cell, taught twice."""
+    """The folder of a virtual cell whose job was taught twice."""
     folder = tmp_path_factory.mktemp("cell")
     for seed in (1, 2):
         prepare_cell(folder, VirtualCell(small_rig(), demo_part(), seed=seed), DemoOptions(), gige=False)
@@ -34,13 +34,13 @@ def taught(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def folder(taught: Path, tmp_path: Path) -> Path:
-    """A copy of it to spoil."""
+    """A copy of it to damage."""
     return Path(shutil.copytree(taught, tmp_path / "cell"))
 
 
 @pytest.mark.slow
 def test_a_job_that_was_taught_again_is_one_job(folder: Path) -> None:
-    """The older one that is kept beside it is no second job, and does not change the fingerprint."""
+    """The older version that is kept beside a job is no second job, and does not change the fingerprint."""
     assert (folder / "jobs" / "flange.old").is_dir()
     cell = read_cell(folder / "cell.toml")
     shutil.rmtree(folder / "jobs" / "flange.old")
@@ -51,7 +51,7 @@ def test_a_job_that_was_taught_again_is_one_job(folder: Path) -> None:
 
 @pytest.mark.slow
 def test_rig_and_job_mistakes_are_named_together(folder: Path) -> None:
-    """A damaged rig, a damaged shape and a missing job: one report."""
+    """A damaged rig, a damaged shape and a missing job are named in one report."""
     (folder / "rig.json").write_text("{")
     (folder / "jobs" / "flange" / "shape.npz").write_bytes(b"no zip")
 
@@ -66,7 +66,7 @@ def test_rig_and_job_mistakes_are_named_together(folder: Path) -> None:
 
 @pytest.mark.slow
 def test_mistakes_of_all_files_are_named_together(folder: Path) -> None:
-    """A misspelt key hides neither the rig's damage nor the job that is missing."""
+    """A misspelt key, the damaged rig and the missing job are named together."""
     config = folder / "cell.toml"
     config.write_text(config.read_text().replace("[cycle]", "[cycle]\nperoid_s = 1"), "utf-8-sig")
     (folder / "rig.json").write_text("{")
@@ -81,7 +81,7 @@ def test_mistakes_of_all_files_are_named_together(folder: Path) -> None:
 
 @pytest.mark.slow
 def test_two_jobs_with_one_number_are_refused(folder: Path) -> None:
-    """The PLC could not tell them apart."""
+    """Two jobs with one number are refused."""
     shutil.copytree(folder / "jobs" / "flange", folder / "jobs" / "twin")
 
     with pytest.raises(
@@ -92,7 +92,7 @@ def test_two_jobs_with_one_number_are_refused(folder: Path) -> None:
 
 @pytest.mark.slow
 def test_the_fingerprint_follows_the_rig_and_the_jobs(folder: Path) -> None:
-    """Whoever edits a limit or calibrates again gets another fingerprint in every result."""
+    """An edited limit or another calibration changes the fingerprint."""
     before = read_cell(folder / "cell.toml").fingerprint
     job = folder / "jobs" / "flange" / "job.toml"
     job.write_text(job.read_text().replace("max_sigma_mm = 0.2", "max_sigma_mm = 0.1"))
@@ -114,7 +114,7 @@ def test_the_fingerprint_follows_the_rig_and_the_jobs(folder: Path) -> None:
 def test_a_cell_without_rig_or_jobs_is_not_finished(
     folder: Path, gone: list[str], lacks: SetupSource, named: list[str]
 ) -> None:
-    """What it lacks first is said, and what is missing line by line: the lines that a check says."""
+    """An unfinished cell names first what it lacks, and lists the missing files as a check does."""
     for name in gone:
         path = folder / name
         shutil.rmtree(path) if path.is_dir() else path.unlink()
@@ -131,7 +131,7 @@ def test_a_cell_without_rig_or_jobs_is_not_finished(
 
 @pytest.mark.slow
 def test_without_a_word_the_job_with_the_lowest_number_is_the_first(folder: Path) -> None:
-    """And a cell that says no job lacks one as any other does."""
+    """If no job is named, the one with the lowest number is active; a cell without jobs is unfinished."""
     config = folder / "cell.toml"
     config.write_text(config.read_text().replace('job = "flange"', ""))
     shutil.copytree(folder / "jobs" / "flange", folder / "jobs" / "a_lid")
@@ -173,7 +173,7 @@ def test_without_a_word_the_job_with_the_lowest_number_is_the_first(folder: Path
     ids=["rig", "shape", "other job", "jobs is a file", "half a job", "certificate", "key"],
 )
 def test_any_other_mistake_is_one_in_a_cell_that_is_not_finished_too(folder: Path, spoil: Callable) -> None:
-    """A damaged file is no missing one: it is named, and the daemon does not start."""
+    """A damaged file is named as a problem in an unfinished cell, too, and the daemon does not start."""
     spoil(folder)
     if (folder / "jobs" / "lid").is_dir():
         text = (folder / "jobs" / "lid" / "job.toml").read_text()
@@ -189,7 +189,8 @@ def test_any_other_mistake_is_one_in_a_cell_that_is_not_finished_too(folder: Pat
 
 @pytest.mark.slow
 def test_files_of_the_machine_are_missed_before_the_start(folder: Path) -> None:
-    """Certificates, keys and Zenoh's own file, each by its key; not when it is to run elsewhere."""
+    """Missing certificates, keys and Zenoh's file are named by their keys, except if the cell runs
+    elsewhere."""
     config = folder / "cell.toml"
     text = config.read_text().replace("[zenoh]", '[zenoh]\nconfig_file = "z.json5"')
     text += '\n[modbus.tls]\ncertificate = "c.pem"\nkey = "k.pem"\nauthority = "a.pem"\n'
@@ -238,8 +239,8 @@ DENY = {"enabled": True, "default_permission": "deny", "rules": [], "subjects": 
 def test_zenohs_own_file_guards_commands_or_the_cell_does_not_start(
     own: dict[str, object], section: str, expected: str, folder: Path
 ) -> None:
-    """Certificates on both sides, or access control that denies what it does not name, for every endpoint
-    that others reach, wherever it is written."""
+    """Zenoh's own file must have certificates on both sides, or access control that denies by default, for
+    every endpoint that others reach."""
     (folder / "zenoh.json5").write_text(json.dumps(own))
     config = folder / "cell.toml"
     head, _, tail = config.read_text().partition("[zenoh]\n")
@@ -259,7 +260,7 @@ def test_zenohs_own_file_guards_commands_or_the_cell_does_not_start(
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["zenoh-acl-example.json5", "zenoh-router-example.json5"])
 def test_the_example_files_guard_commands(name: str, folder: Path) -> None:
-    """They are the remedy that the message names."""
+    """The example files of config/ guard commands."""
     config, examples = folder / "cell.toml", Path(__file__).parents[2] / "config"
     shutil.copy(examples / name, folder)
     config.write_text(config.read_text().replace("[zenoh]", f'[zenoh]\nconfig_file = "{name}"'))
@@ -269,7 +270,7 @@ def test_the_example_files_guard_commands(name: str, folder: Path) -> None:
 
 @pytest.mark.slow
 def test_what_is_recorded_is_what_is_measured_by(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Everything is replaced as soon as it was read once: what counts is what was read."""
+    """Files that are replaced after they were read do not change what the cell uses and records."""
     before = read_cell(folder / "cell.toml")
     calibrated, taught = (folder / "rig.json").read_bytes(), folder / "jobs" / "flange"
     real = cellfiles.make_rectification

@@ -1,4 +1,4 @@
-"""A job from a DXF drawing in a draft, over HTTP and a running daemon: the very job of the command line."""
+"""A job from a DXF drawing in a draft, over HTTP and a running daemon, equals the command's job."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ DEPTH_MM = 205.0
 
 
 def sent(path: Path, **how: Any) -> dict[str, Any]:
-    """As the page sends it."""
+    """The drawing as the page sends it."""
     return {"name": path.name, "data": b64encode(path.read_bytes()).decode(), **how}
 
 
 @pytest.mark.slow
 async def test_the_job_is_that_of_the_command_line(tmp_path: Path) -> None:
-    """Byte by byte, also at the distance that the pair tells by itself; its features lie on the part in the
-    pictures; a gripping point that was tapped on the part is there, where nobody said a pose.
+    """The job equals the command's byte by byte, also with the depth that the pair tells; its features lie
+    on the part in the pictures, and a tapped gripping point is kept.
     """
     path, made = flange_drawing(tmp_path), list[bytes]()
 
@@ -74,8 +74,8 @@ async def test_the_job_is_that_of_the_command_line(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 async def test_what_is_no_drawing_of_the_part_is_said(tmp_path: Path) -> None:
-    """With its place; what would fill the memory is refused; one of another size is not found in the pair;
-    the draft stays as it was, or goes back with one step.
+    """A wrong drawing is refused with its place, one that is too large is refused, one of another size is
+    not found in the pair, and the draft stays or goes back by one step.
     """
     (tmp_path / "cell").mkdir()
     async with PartCell(tmp_path / "cell").running() as cell:

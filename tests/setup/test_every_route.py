@@ -1,4 +1,4 @@
-"""All routes of a daemon, of every room: its own document, every role, and every question."""
+"""All routes of a daemon: its OpenAPI document, the roles, and the questions."""
 
 from __future__ import annotations
 
@@ -35,8 +35,8 @@ def asked(tmp_path: Path) -> Callable[[Callable[[BrowserSession], Awaitable[None
 def test_all_of_the_api_is_what_its_document_says(
     asked: Callable[[Callable[[BrowserSession], Awaitable[None]]], None],
 ) -> None:
-    """Of cameras, calibrations and tasks as of users: nobody gets further than their role; the page has
-    words for whatever the audit notes.
+    """All routes behave as the API document says, nobody exceeds their role, and the page has a text for
+    every audit entry.
     """
 
     async def test(browser: BrowserSession) -> None:

@@ -1,4 +1,4 @@
-"""A study of a size over the page: one measurement after another, and the report of `edged study`."""
+"""A study of a size over the page: one measurement after another, with the report of `edged study`."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ PARTS = {"parts": 5, "people": 2, "trials": 2}
 
 @pytest.fixture
 def cell(tmp_path: Path) -> PartCell:
-    """The flange lies before a cell that knows it."""
+    """A cell with a job of the flange, and the flange before its cameras."""
     made, part = PartCell(tmp_path), flange()
     job = teach(part.left, part.right, prepare(part.rig).rectification, part.region, "flange")
     save_job(tmp_path / "jobs" / "flange", job)
@@ -30,19 +30,19 @@ def cell(tmp_path: Path) -> PartCell:
 
 
 def plan(**other: Any) -> dict[str, Any]:
-    """Of the flange's bore: five parts, two people, twice."""
+    """A study of the flange's bore: five parts, two people, two trials."""
     return {"job": "flange", "size": "c0", "low_mm": 27.95, "high_mm": 28.05, **PARTS, **other}
 
 
 async def asked(cell: PartCell, path: str, **body: Any) -> tuple[int, Any]:
-    """What a request to the study answers."""
+    """The answer to a request to the study."""
     return await cell.ask("POST", f"/acceptance/study{path}", body)
 
 
 @pytest.mark.slow
 def test_a_study_goes_on_where_it_was_and_ends_in_the_commands_report(cell: PartCell) -> None:
-    """Who measures which part is said; what is pressed twice, is not there or is not seen counts nothing; the
-    study outlives the daemon; its figures are those of `edged study`, and the audit has who took one back."""
+    """The study names who measures which part, ignores repeated or failed measurements, outlives the
+    daemon, and gives the figures of `edged study`; the audit names who took one back."""
 
     async def begun(cell: PartCell) -> None:
         assert (await cell.ask("GET", "/acceptance/study"))[1]["plan"] is None

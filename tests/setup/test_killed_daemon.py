@@ -1,4 +1,4 @@
-"""kill -9 of a daemon that is being set up, step by step: the next one has all that was answered."""
+"""kill -9 of a daemon during setup, step by step: the next one has everything that was answered."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ POSES = list(calibration_poses(demo_rig(), stage_board(), 5))
 
 
 class Stage(Visitor):
-    """Somebody at a daemon of its own."""
+    """A user at a daemon of its own."""
 
     async def view(self, place: str, number: int) -> Any:
-        """Hold the board at one of a careful person's poses, and take a pair."""
+        """Hold the board at one of the careful person's poses, and take a pair."""
         await self.ask("PUT", "stage/hand", {"rig_from_board": POSES[number].tolist()})
         await self.until("stage", lambda one: not one["moving"])
         status = 503
@@ -40,7 +40,7 @@ class Stage(Visitor):
 
 @asynccontextmanager
 async def stage(folder: Path, ports: tuple[int, int, int]) -> AsyncIterator[Stage]:
-    """The daemon, which is killed at the end. ports : web, Modbus, Zenoh."""
+    """The daemon, killed at the end. ports : web, Modbus, Zenoh."""
     given = [f"--{name}-port={port}" for name, port in zip(("web", "modbus", "zenoh"), ports, strict=True)]
     command = ["-m", "edged", "demo", "--stage", "--in-process", "--folder", str(folder), *given]
     process = await asyncio.create_subprocess_exec(
@@ -61,7 +61,8 @@ async def stage(folder: Path, ports: tuple[int, int, int]) -> AsyncIterator[Stag
 
 @pytest.mark.slow
 async def test_what_was_answered_is_there_after_each_kill(tmp_path: Path) -> None:
-    """While views are taken, while it is solved, after it was activated; SETUP ends for a person alone."""
+    """Views, draft and activated calibration survive kills while views are taken, while it is solved and
+    afterwards; SETUP stays until a person ends it."""
     kept: dict[str, Any] = {}
 
     async def taking(cell: Stage) -> None:

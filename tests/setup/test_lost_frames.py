@@ -1,4 +1,4 @@
-"""The second pass with a lost frame in every action: it is exposed once more, and nobody hears of it."""
+"""The second pass with a lost frame in every action: the pair is taken again, and no action fails."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class Losses:
 async def test_a_lost_frame_costs_no_action_of_a_second_pass(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Test pair, part, other part, board, other board, check, touch, other robot: each with a loss."""
+    """Every action of a second pass takes its picture although one frame is lost."""
     save_rig(tmp_path / "rig.json", replace(small_rig(), robot_from_rig=None), {"board": BOARD})
     async with staged(tmp_path, gige=False) as newcomer:
         losses = Losses(monkeypatch)

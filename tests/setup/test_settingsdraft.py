@@ -1,4 +1,4 @@
-"""Settings are a draft first: beside what is in force, checked with reasons, released, discarded."""
+"""Drafts of settings: beside the settings in force, checked with reasons, released, discarded."""
 
 from __future__ import annotations
 
@@ -35,26 +35,26 @@ class DraftedCell:
         self.draft = SettingsDraft(self.cell, Activation(self.releases, self.cell))
 
     def change(self, revision: int | None = None, **settings: Scalar | None) -> None:
-        """Choose these, with two underscores for a dot, and no others."""
+        """Choose exactly these settings; two underscores stand for a dot."""
         named = {name.replace("__", "."): value for name, value in settings.items()}
         changed = lambda before: before.model_copy(update={"settings": named})  # noqa: E731  (short)
         run(self.draft.change(changed, "Anna", revision))
 
 
 def run(work: Coroutine[Any, Any, None]) -> None:
-    """To its end."""
+    """Run a coroutine to its end."""
     asyncio.run(work)
 
 
 @pytest.fixture
 def drafted(own_cell: Path) -> DraftedCell:
-    """Of one's own."""
+    """A cell of the test's own."""
     return DraftedCell(own_cell)
 
 
 @pytest.mark.slow
 def test_what_is_chosen_is_in_force_when_it_is_released(drafted: DraftedCell) -> None:
-    """Until then the cell knows nothing of it; then there is no draft any more, and a way back."""
+    """A chosen setting takes effect at the release; then there is no draft any more, and a way back."""
     timeout_s = drafted.cell.files.config.cameras.timeout_s
     drafted.change(cameras__timeout_s=3.0)
     document = drafted.draft.document()
@@ -76,7 +76,8 @@ def test_what_is_chosen_is_in_force_when_it_is_released(drafted: DraftedCell) ->
 
 
 def test_what_the_cell_cannot_run_with_is_said_by_name_and_not_released(drafted: DraftedCell) -> None:
-    """Of each setting; the draft stays, and is good again when it is mended."""
+    """A wrong combination is named by setting and not released; the draft stays, and is good once it is
+    corrected."""
     drafted.change(drift__warn_rows_px=9.0)
     document = drafted.draft.document()
     assert document is not None
@@ -94,7 +95,8 @@ def test_what_the_cell_cannot_run_with_is_said_by_name_and_not_released(drafted:
 
 
 def test_a_draft_that_nobody_has_seen_is_not_overwritten(drafted: DraftedCell) -> None:
-    """Who saw an older one is told; what is as in force again is no draft; a damaged one can be discarded."""
+    """A change based on an older draft is refused, a change back to the values in force removes the draft,
+    and a damaged draft can be discarded."""
     drafted.change(revision=0, cameras__timeout_s=3.0)
     with pytest.raises(Problem, match="somebody else has changed it"):
         drafted.change(revision=0, cameras__timeout_s=4.0)
@@ -117,7 +119,7 @@ def test_a_draft_that_nobody_has_seen_is_not_overwritten(drafted: DraftedCell) -
 
 
 def test_another_password_is_said_and_not_shown(drafted: DraftedCell) -> None:
-    """Neither it nor its hash."""
+    """A changed password is listed as a change; its hash is not shown."""
     hashed = "$argon2id$v=19$m=8,t=1,p=1$c2FsdHNhbHQ$aGFzaGhhc2hoYXNoaGFzaA"
     server = {"port": 4842, "anonymous": True, "password_hash": hashed}
     run(drafted.draft.change(lambda _: ChosenConnections(opcua=server), "Anna"))

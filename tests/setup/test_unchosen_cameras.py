@@ -1,4 +1,4 @@
-"""Cameras of a cell whose sides nobody has chosen yet: neither can be tried alone."""
+"""Cameras of a cell whose sides are not chosen yet: neither can be tried alone."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from edged.setup.cameras.service import CameraService
 
 
 class Session:
-    """What is tried."""
+    """What the test tries."""
 
     def __init__(self) -> None:
         self.camera_changes: Mapping[Side, ChosenCamera] = {}
@@ -29,19 +29,19 @@ class Session:
 
 
 def camera(serial: str, control: str = "free") -> CameraInfo:
-    """One that answers."""
+    """A camera that answers."""
     return CameraInfo(serial, "maker", "model", serial, f"10.0.0.{serial}", "GigEVision", "", control)
 
 
 def chosen(cameras: CameraService) -> dict[Side, bool]:
-    """Whether somebody has chosen a camera for a side."""
+    """Whether a camera is chosen, by side."""
     return {side: camera["chosen"] for side, camera in cameras.configured().items()}
 
 
 def assigned(
     monkeypatch: pytest.MonkeyPatch, cameras: list[CameraInfo], right: str = UNCHOSEN["right"]
 ) -> dict[Side, str | None]:
-    """Serial numbers by side, after "use 2 as left"."""
+    """Serial numbers by side after "use 2 as left"."""
     monkeypatch.setattr(service, "list_cameras", lambda: cameras)
     monkeypatch.setattr(service, "aravis_missing", lambda: "")
     session = Session()
@@ -57,19 +57,19 @@ def assigned(
 
 
 def test_the_only_other_free_camera_becomes_the_other_side(monkeypatch: pytest.MonkeyPatch) -> None:
-    """With one click; one that somebody else controls is none of this cell's."""
+    """One click assigns both sides; a camera that somebody else controls is not used."""
     cameras = [camera("1", "controlled"), camera("2"), camera("3")]
     assert {"left": "2", "right": "3"} == assigned(monkeypatch, cameras)
 
 
 @pytest.mark.parametrize("others", [[], ["1", "3"]])
 def test_no_camera_is_guessed(monkeypatch: pytest.MonkeyPatch, others: list[str]) -> None:
-    """Of one camera, or of three, nothing is tried, and it is said how many there are."""
+    """With one or three free cameras nothing is tried, and their number is named."""
     cameras = [camera("2"), *map(camera, others)]
     with pytest.raises(UserError, match=f"two free cameras are needed, and {1 + len(others)} answer"):
         assigned(monkeypatch, cameras)
 
 
 def test_a_side_that_was_chosen_stays(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Though its camera is silent: a broken one is not replaced by whichever answers."""
+    """A chosen camera stays assigned although it does not answer."""
     assert {"left": "2"} == assigned(monkeypatch, [camera("2"), camera("3")], right="10.0.0.9")

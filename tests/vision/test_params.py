@@ -1,4 +1,4 @@
-"""Numbers of the numerical core: tuned ones stand in the Params of their stage, each with its source."""
+"""Numbers of the numerical core: tuned ones are in the Params of their stage, each with its source."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def _is_number(text: str) -> bool:
 
 @pytest.mark.slow
 def test_a_number_of_a_module_says_why_it_is_none_of_its_stage() -> None:
-    """Sizes of a kernel's arrays, limits of requests and bounds against rounding stay where they are used."""
+    """Every number of a module outside of a stage's Params has a comment or a docstring."""
     for source in SOURCES:
         text = source.read_text()
 
@@ -44,7 +44,7 @@ def test_a_number_of_a_module_says_why_it_is_none_of_its_stage() -> None:
 
 @pytest.mark.parametrize("source", STAGES, ids=lambda path: path.parent.name)
 def test_every_field_of_a_stage_has_its_source(source: Path) -> None:
-    """On its line or below it."""
+    """Every field of a stage has a comment or docstring with its source."""
     text = source.read_text()
     stages = [
         node
@@ -59,7 +59,7 @@ def test_every_field_of_a_stage_has_its_source(source: Path) -> None:
 
 
 def test_every_field_of_a_stage_is_read() -> None:
-    """A number that nothing reads earns nothing, and says the contrary."""
+    """Every field of a stage is read somewhere."""
     sources = [ast.parse(source.read_text()) for source in sorted(VISION.parent.rglob("*.py"))]
     read = {node.attr for tree in sources for node in ast.walk(tree) if isinstance(node, ast.Attribute)}
     stages = [node for path in STAGES for node in ast.parse(path.read_text()).body]

@@ -1,4 +1,4 @@
-"""Every block of Python in the manual is run, as it stands there."""
+"""Every block of Python in the manual is run as printed."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from edged.robots.formats import render
 ROOT = Path(__file__).parents[2]
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
 GENERATED = re.compile(r"<!-- generated: .*?<!-- end -->", re.DOTALL)
-"""Signatures and examples that `tools/reference` writes; tests/tools/test_reference.py has them."""
+"""Signatures and examples written by `tools/reference`, which tests/tools/test_reference.py checks."""
 BLOCK = re.compile(r"^(?P<indent> *)```(?:python|py)\n(?P<code>.*?)^ *```", re.MULTILINE | re.DOTALL)
 ELSEWHERE = {
     ("docs/tutorial/first-part.md", 0): "tests/tools/test_rerun.py",
@@ -29,7 +29,7 @@ ELSEWHERE = {
     ("docs/how-to/robots.md", 0): "tests/wire/test_robot_examples.py",  # DRL, which is Python
     ("docs/how-to/robots.md", 1): "tests/wire/test_robot_examples.py",
 }
-"""Blocks that the tests of their subject run: by page and place on it."""
+"""Blocks run by the tests of their subject, by page and index on it."""
 HERE = {
     ("docs/how-to/plc.md", 0),
     ("docs/how-to/picking.md", 0),
@@ -38,7 +38,7 @@ HERE = {
 
 
 def blocks() -> dict[tuple[str, int], str]:
-    """Every block of Python that a person has written, by page and place on it."""
+    """Every hand-written block of Python, by page and index on it."""
     found = dict[tuple[str, int], str]()
     for page in PAGES:
         for place, block in enumerate(BLOCK.finditer(GENERATED.sub("", page.read_text()))):
@@ -47,7 +47,7 @@ def blocks() -> dict[tuple[str, int], str]:
 
 
 def run(code: str, folder: Path) -> list[str]:
-    """The lines that a program prints; it ends with 0 and complains of nothing."""
+    """Lines printed by a program, which must end with 0 and print no errors."""
     done = subprocess.run(
         [sys.executable, "-c", code], cwd=folder, capture_output=True, text=True, timeout=LIMIT_S, check=False
     )
@@ -56,7 +56,7 @@ def run(code: str, folder: Path) -> list[str]:
 
 
 def test_every_block_is_run() -> None:
-    """Here, or by the test of its subject, which reads the page."""
+    """Each block is run in this file, or in a test of its subject that reads the page."""
     assert set() == HERE & ELSEWHERE.keys()
     assert HERE | ELSEWHERE.keys() == blocks().keys()
     for (page, _), test in ELSEWHERE.items():
@@ -66,7 +66,7 @@ def test_every_block_is_run() -> None:
 
 @pytest.mark.slow
 def test_the_result_as_floats(tmp_path: Path) -> None:
-    """What was measured, in mm; nothing without a valid result."""
+    """The program prints the measured values in mm, and nothing without a valid result."""
     code = blocks()["docs/how-to/plc.md", 0].replace("192.168.10.20", "127.0.0.1")
     with LiveCell() as cell, EdgedCell("127.0.0.1", cell.port) as client:
         wait_until(lambda: client.status()["STATUS_BITS"] & StatusBit.READY)
@@ -85,7 +85,7 @@ def test_the_result_as_floats(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_part_after_part(tmp_path: Path) -> None:
-    """The generated client beside it, as `edged registers --format python` writes it."""
+    """With the client from `edged registers --format python`, it prints each part and how many remain."""
     (tmp_path / "edged_cell.py").write_text(render("python"))
     code = blocks()["docs/how-to/picking.md", 0]
     with LiveCell() as cell:
@@ -99,7 +99,7 @@ def test_part_after_part(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_virtual_cameras(tmp_path: Path) -> None:
-    """They start, are triggered, lose packets, reboot and end; the minute of waiting is left out."""
+    """They start, are triggered, lose packets, reboot and end; the minute of waiting is shortened."""
     code = blocks()["docs/how-to/virtual-cameras.md", 0]
     assert "time.sleep(60)" in code
     code = code.replace("time.sleep(60)", "time.sleep(0.5)")

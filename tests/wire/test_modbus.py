@@ -56,7 +56,7 @@ READY = CellState(CellPhase.READY, True, True, "flange", 1, 0)
 
 
 class Cell:
-    """A commander that keeps what it was given, or refuses it."""
+    """A commander that keeps its commands, or refuses them."""
 
     def __init__(self) -> None:
         self.commands: list[Command] = []
@@ -69,7 +69,7 @@ class Cell:
 
 
 class Clock:
-    """A clock that stands still until it is moved."""
+    """A clock that is moved by hand."""
 
     def __init__(self) -> None:
         self.now_s = 1000.0
@@ -104,7 +104,7 @@ class Rig:
         return StatusBit(int((await self.block(reg.STATUS))["STATUS_BITS"]))
 
     async def command(self, kind: int, job: int, sequence: int) -> None:
-        """COMMAND, JOB, CMD_SEQ in one write; before the first of the connection a CMD_SEQ of 0."""
+        """Write COMMAND, JOB, CMD_SEQ at once; on a new connection, a CMD_SEQ of 0 before."""
         if not self.is_known:
             self.is_known = True
             assert not (await self.client.write_register(self.base + 102, 0)).isError()
@@ -114,7 +114,7 @@ class Rig:
 
 @asynccontextmanager
 async def served(settings: ModbusSettings = ON_ANY_PORT) -> AsyncIterator[Rig]:
-    """A server on a free port, and a client."""
+    """A server on a free port, with a client."""
     rig = Rig(settings)
     await rig.server.start()
     rig.client = AsyncModbusTcpClient("127.0.0.1", port=rig.server.port, timeout=LIMIT_S)
@@ -132,12 +132,12 @@ async def raw(rig: Rig) -> tuple[asyncio.StreamReader, asyncio.StreamWriter]:
 
 
 def frame(pdu: bytes, transaction: int = 1, unit: int = 1) -> bytes:
-    """Modbus/TCP around a PDU."""
+    """Wrap a PDU in Modbus/TCP."""
     return struct.pack(">HHHB", transaction, 0, len(pdu) + 1, unit) + pdu
 
 
 async def ask(rig: Rig, pdu: bytes, unit: int = 1) -> bytes:
-    """One request over its own connection; the response PDU."""
+    """Send one request over a connection of its own; returns the response PDU."""
     reader, writer = await raw(rig)
     try:
         writer.write(frame(pdu, 0x1234, unit))
@@ -156,7 +156,7 @@ async def response(reader: asyncio.StreamReader, transaction: int) -> bytes:
 
 
 async def ended(reader: asyncio.StreamReader) -> bool:
-    """Whether the server closes the connection (after whatever it still says)."""
+    """Wait until the server closes the connection, after any remaining data."""
     try:
         while await asyncio.wait_for(reader.read(4096), LIMIT_S):
             pass
@@ -165,7 +165,7 @@ async def ended(reader: asyncio.StreamReader) -> bool:
     return True
 
 
-# --- the protocol of the cell ------------------------------------------------------------------
+# --- the cell's protocol -----------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -174,7 +174,7 @@ async def ended(reader: asyncio.StreamReader) -> bool:
     ids=["default", "low word first, base 1000"],
 )
 async def test_a_plc_locates_a_part(settings: ModbusSettings) -> None:
-    """Trigger, EXPOSURE_DONE, result with its sequence, acknowledge: VALID only in between."""
+    """A trigger gives EXPOSURE_DONE, then a result with its sequence, VALID until it is acknowledged."""
     async with served(settings) as rig:
         rig.server.announce(READY)
         assert StatusBit.READY == await rig.bits()
@@ -203,7 +203,7 @@ async def test_a_plc_locates_a_part(settings: ModbusSettings) -> None:
 
 
 async def test_who_connects_for_each_request_says_once() -> None:
-    """The first CMD_SEQ of a connection runs nothing, NACK 8; with ONCE in the same request it runs."""
+    """A connection's first CMD_SEQ runs nothing (NACK 8), unless ONCE is set in the same request."""
     async with served() as rig:
         write = struct.pack(">BHHB6H", 16, 100, 6, 12, CommandKind.LOCATE, 0, 5, 0, 0, 0)
         assert 16 == (await ask(rig, write))[0]
@@ -217,7 +217,7 @@ async def test_who_connects_for_each_request_says_once() -> None:
 
 
 async def test_each_start_of_the_server_has_another_epoch() -> None:
-    """In status and result alike, never 0; and until a client has written CMD_SEQ a warning says so."""
+    """START_EPOCH is the same in status and result and never 0; a warning is up until CMD_SEQ is written."""
     epochs = []
     for _ in range(3):
         async with served() as rig:
@@ -231,7 +231,7 @@ async def test_each_start_of_the_server_has_another_epoch() -> None:
 
 
 async def test_a_result_grows_old() -> None:
-    """Two seconds after its exposure a result is neither valid nor readable; its age goes on."""
+    """Two seconds after its exposure, a result is neither valid nor readable."""
     async with served() as rig:
         rig.server.announce(make_snapshot(3))  # exposed 50 ms before it was published
         rig.clock.now_s += 1.9
@@ -244,7 +244,7 @@ async def test_a_result_grows_old() -> None:
 
 
 async def test_a_dead_camera_shows() -> None:
-    """CAPTURE_FAULT replaces the free-running result; CAM_FAULT and its number are up."""
+    """CAPTURE_FAULT replaces the free-running result, and CAM_FAULT is up with its error number."""
     async with served() as rig:
         rig.server.announce(make_snapshot(3))
         assert StatusBit.RESULT_VALID in await rig.bits()
@@ -259,7 +259,7 @@ async def test_a_dead_camera_shows() -> None:
 
 
 async def test_commands_that_are_refused_or_unknown_end_in_nack() -> None:
-    """The write itself succeeds, NACK and NACK_REASON say why nothing happens."""
+    """The write itself succeeds, and NACK with NACK_REASON says why nothing happens."""
     async with served() as rig:
         rig.cell.refuses = True
         await rig.command(CommandKind.CHANGE_JOB, 77, 1)
@@ -272,7 +272,7 @@ async def test_commands_that_are_refused_or_unknown_end_in_nack() -> None:
 
 
 async def test_job_change_and_grab_are_acknowledged_without_a_result() -> None:
-    """ACK says "prepared", or "the picture was taken"; neither makes coordinates."""
+    """ACK means that the job is prepared, or the picture taken; neither gives coordinates."""
     async with served() as rig:
         await rig.command(CommandKind.CHANGE_JOB, 2, 1)
         rig.server.announce(JobChanged(2, "lid", rig.cell.commands[0]))
@@ -287,7 +287,7 @@ async def test_job_change_and_grab_are_acknowledged_without_a_result() -> None:
 
 
 async def test_verify_answers_ok_and_gives_no_coordinates() -> None:
-    """VERIFY of a good part: ACK and OK, RESULT_VALID stays down; of none: ACK and NOK."""
+    """VERIFY of a good part gives ACK and OK without RESULT_VALID; without a part it gives ACK and NOK."""
     async with served() as rig:
         await rig.command(CommandKind.VERIFY, 0, 1)
         rig.server.announce(make_snapshot(1, command=rig.cell.commands[0]))
@@ -305,7 +305,7 @@ async def test_verify_answers_ok_and_gives_no_coordinates() -> None:
 
 
 async def test_one_client_writes_the_other_gets_an_exception_until_the_first_has_gone() -> None:
-    """DEVICE BUSY while another holds the right; the end of its connection passes it on."""
+    """A second client gets DEVICE BUSY until the first releases the right to write or disconnects."""
     async with served() as rig:
 
         async def claim() -> bytes:
@@ -320,7 +320,7 @@ async def test_one_client_writes_the_other_gets_an_exception_until_the_first_has
 
 
 async def test_one_read_is_never_half_of_two_results() -> None:
-    """Results change between requests while a client reads: head, tail, CRC and X always belong together."""
+    """While results change between a client's requests, head, tail, CRC and X always belong together."""
     async with served() as rig:
         for cycle in range(1, 150):
             reads = [rig.client.read_holding_registers(300, count=48) for _ in range(3)]
@@ -338,7 +338,7 @@ async def test_one_read_is_never_half_of_two_results() -> None:
 
 
 async def test_both_tables_and_bits_show_the_same_words() -> None:
-    """FC3 and FC4 read the same; FC1 and FC2 read the bits of register r at 16 r; FC23 writes and reads."""
+    """FC3 and FC4 read the same, FC1 and FC2 read bits of register r at 16 r, and FC23 writes and reads."""
     async with served() as rig:
         rig.server.announce(READY)
         rig.server.announce(make_snapshot(1))
@@ -382,21 +382,21 @@ EXCEPTIONS = {
 
 @pytest.mark.parametrize("case", EXCEPTIONS)
 async def test_a_wrong_request_gets_the_right_exception(case: str) -> None:
-    """Function code with its high bit, the code of the specification, and the connection goes on."""
+    """The answer has the function code with its high bit and the specified code; the connection continues."""
     pdu, code = EXCEPTIONS[case]
     async with served() as rig:
         assert bytes((pdu[0] | 0x80, code)) == await ask(rig, pdu)
 
 
 async def test_a_refused_fc23_writes_nothing() -> None:
-    """Its read lies in a gap: the write is not carried out either."""
+    """If the read of an FC23 is in a gap, its write is not carried out either."""
     async with served() as rig:
         assert bytes((0x97, 2)) == await ask(rig, struct.pack(">BHHHHBH", 23, 50, 1, 104, 1, 2, 9))
         assert 0 == (await rig.block(reg.COMMAND))["CLIENT_HEARTBEAT"]
 
 
 async def test_unit_ids() -> None:
-    """The own unit, 0 and 255 are this device; another one is a gateway target that does not respond."""
+    """The configured unit id, 0 and 255 are this device; any other gets exception 11."""
     async with served() as rig:
         read = struct.pack(">BHH", 3, 0, 1)
         for unit in (1, 0, 255):
@@ -405,7 +405,7 @@ async def test_unit_ids() -> None:
 
 
 async def test_a_peer_cannot_flood_the_log(caplog: pytest.LogCaptureFixture) -> None:
-    """200 refused commands, 50 strangers: one line each; the next line says how many were held back."""
+    """200 refused commands or 50 strangers give one log line, and a later line says how many were dropped."""
 
     async with served() as rig:
         rig.cell.refuses = True
@@ -427,7 +427,7 @@ async def test_a_peer_cannot_flood_the_log(caplog: pytest.LogCaptureFixture) -> 
 
 
 async def test_device_identification() -> None:
-    """FC43/14 as pymodbus asks for it, whole and object by object."""
+    """FC43/14 works with pymodbus, as a whole and object by object."""
     async with served() as rig:
         basic = await rig.client.execute(False, ReadDeviceInformationRequest(read_code=1, object_id=0))
         assert {0, 1, 2} == set(basic.information)
@@ -442,7 +442,7 @@ async def test_device_identification() -> None:
 
 
 async def test_pipelined_requests_all_get_their_answer_in_order() -> None:
-    """100 requests in one segment, the last one cut in two."""
+    """100 requests in one segment, the last one split, are answered in order."""
     async with served() as rig:
         reader, writer = await raw(rig)
         data = b"".join(frame(struct.pack(">BHH", 3, 0, 1), i) for i in range(1, 101))
@@ -467,7 +467,7 @@ async def test_pipelined_requests_all_get_their_answer_in_order() -> None:
     ids=["protocol id", "no function", "length 0", "length 255", "a browser"],
 )
 async def test_lost_framing_closes_the_connection(data: bytes) -> None:
-    """What follows a header that cannot be right would be guesswork."""
+    """A header that cannot be right closes the connection, and other clients are still served."""
     async with served() as rig:
         reader, writer = await raw(rig)
         writer.write(data)
@@ -477,7 +477,7 @@ async def test_lost_framing_closes_the_connection(data: bytes) -> None:
 
 
 async def test_hostile_frames_leave_no_trace() -> None:
-    """3,000 random and mutated frames on 30 connections: a good client is served, nobody stays connected."""
+    """After 3,000 random and mutated frames on 30 connections, a good client is served and none stay open."""
     async with served(ModbusSettings(port=0, writers=(ip_network("10.0.0.0/8"),))) as rig:
         dice = random.Random(5)
         good = [pdu for pdu, _ in EXCEPTIONS.values()] + [struct.pack(">BHH", 3, 300, 48)]
@@ -492,7 +492,7 @@ async def test_hostile_frames_leave_no_trace() -> None:
                 if dice.random() < 0.02:
                     data = bytearray(dice.randbytes(dice.randrange(1, 300)))
                 writer.write(bytes(data))
-            writer.write(struct.pack(">HHHB", 1, 7, 6, 1) + bytes(5))  # ends it, if nothing before did
+            writer.write(struct.pack(">HHHB", 1, 7, 6, 1) + bytes(5))  # ends it, unless something before did
             assert await ended(reader)
             writer.close()
             assert not (await rig.client.read_holding_registers(300, count=48)).isError()
@@ -500,7 +500,7 @@ async def test_hostile_frames_leave_no_trace() -> None:
 
 
 async def test_who_may_not_write_is_named_once(caplog: pytest.LogCaptureFixture) -> None:
-    """Exception 1 for each write, from every connection; one line of the log, with a field to search for."""
+    """Each write gets exception 1, with one log line that has a field to search for."""
     async with served(ModbusSettings(port=0, writers=(ip_network("10.0.0.0/8"),))) as rig:
         for write in (rig.client.write_registers(100, [1, 0, 1]), rig.client.write_register(102, 1)):
             answer = await write
@@ -514,7 +514,7 @@ async def test_who_may_not_write_is_named_once(caplog: pytest.LogCaptureFixture)
 
 @pytest.mark.slow
 async def test_a_client_that_does_not_read_is_not_answered_for_ever() -> None:
-    """Back-pressure: it cannot make the server buffer its answers; others are served meanwhile."""
+    """A client that never reads gets back-pressure, and others are served meanwhile."""
     async with served() as rig:
         with socket.create_connection(("127.0.0.1", rig.server.port)) as lazy:
             lazy.setblocking(False)
@@ -529,7 +529,7 @@ async def test_a_client_that_does_not_read_is_not_answered_for_ever() -> None:
 
 
 async def test_idle_and_dribbling_connections_are_closed() -> None:
-    """A connection that completes no request in the time is closed, even if bytes come."""
+    """A connection without a complete request in time is closed, even if bytes arrive."""
     async with served(ModbusSettings(port=0, idle_s=0.2)) as rig:
         reader, writer = await raw(rig)
         writer.write(b"\0")
@@ -538,7 +538,7 @@ async def test_idle_and_dribbling_connections_are_closed() -> None:
 
 
 async def test_too_many_clients_are_closed_at_once() -> None:
-    """The third of two connections ends; the others go on."""
+    """The client beyond the limit is disconnected, and the others continue."""
     async with served(ModbusSettings(port=0, max_clients=2)) as rig:
         _, second = await raw(rig)
         reader, third = await raw(rig)
@@ -549,7 +549,7 @@ async def test_too_many_clients_are_closed_at_once() -> None:
 
 
 async def test_a_plc_that_lost_its_power_gets_in_again(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Its own dead connections take all places: one that was silent makes room, an active one never."""
+    """When its dead connections fill all places, a silent one is displaced, an active one never."""
     monkeypatch.setattr(tcp, "SILENT_S", 0.3)
     async with served(ModbusSettings(port=0, max_clients=2)) as rig:
         dead_reader, dead = await raw(rig)
@@ -568,7 +568,7 @@ async def test_a_plc_that_lost_its_power_gets_in_again(monkeypatch: pytest.Monke
 
 
 async def test_connections_are_kept_for_the_plc_that_has_reserved_them() -> None:
-    """Two of three places are kept for 127.0.0.9: 127.0.0.1 gets one, 127.0.0.9 both of its own."""
+    """With two of three places reserved for 127.0.0.9, 127.0.0.1 gets one and 127.0.0.9 both others."""
     async with served(ModbusSettings(port=0, max_clients=3, reserved={ip_address("127.0.0.9"): 2})) as rig:
         reader, second = await raw(rig)
         assert await ended(reader)
@@ -586,7 +586,7 @@ async def test_connections_are_kept_for_the_plc_that_has_reserved_them() -> None
 
 
 async def test_networks_that_may_not_connect_or_not_write() -> None:
-    """A stranger is closed when there is a list of readers; who is no writer gets "illegal function"."""
+    """Clients outside `readers` are disconnected, and those outside `writers` get "illegal function"."""
 
     async with served(ModbusSettings(port=0, writers=(ip_network("10.0.0.0/8"),))) as rig:
         assert bytes((0x86, 1)) == await ask(rig, struct.pack(">BHH", 6, 102, 1))
@@ -602,7 +602,7 @@ async def test_networks_that_may_not_connect_or_not_write() -> None:
 
 
 async def test_a_port_in_use_is_named() -> None:
-    """`ListenError` says which port and how to find out who has it."""
+    """`ListenError` names the port and the reason."""
     async with served() as rig:
         second = ModbusPublisher(ModbusSettings(port=rig.server.port), Cell())
         with pytest.raises(ListenError, match=f"127.0.0.1:{rig.server.port}: the port is in use"):
@@ -614,13 +614,13 @@ async def test_a_port_in_use_is_named() -> None:
 
 
 def rtu_frame(unit: int, pdu: bytes) -> bytes:
-    """Modbus RTU around a PDU."""
+    """Wrap a PDU in Modbus RTU."""
     body = bytes((unit,)) + pdu
     return body + struct.pack("<H", crc16(body))
 
 
 class Line:
-    """Two pseudo terminals joined by a thread: what is written to one can be read from the other."""
+    """Two pseudo terminals joined by a symbolic link that can be unplugged."""
 
     def __init__(self, name: Path) -> None:
         self.master, slave = pty.openpty()
@@ -631,14 +631,14 @@ class Line:
         self._slave = slave  # kept open: without a reader a pseudo terminal reports an error to its master
 
     def unplug(self) -> None:
-        """The device vanishes."""
+        """Make the device vanish."""
         self.path.unlink()
         os.close(self.master)
         os.close(self._slave)
 
 
 async def rtu_answer(line: Line, data: bytes, size: int) -> bytes:
-    """Write to the line and wait for so many bytes."""
+    """Write to the line and wait for this many bytes."""
     loop = asyncio.get_running_loop()
     os.write(line.master, data)
     received = b""
@@ -659,7 +659,7 @@ MAGIC_ANSWER = rtu_frame(1, struct.pack(">BBH", 3, 2, reg.MAGIC))
 
 
 def test_frames_that_arrive_together_are_told_apart() -> None:
-    """A request to another slave, its answer, and one to us in one piece; noise in front is dropped."""
+    """Adjacent frames are split, noise in front is dropped, and incomplete frames are not returned."""
     frames = [rtu_frame(9, READ_MAGIC), rtu_frame(9, bytes((3, 2, 1, 2))), rtu_frame(1, READ_MAGIC)]
     assert frames == split_frames(b"".join(frames))
     assert frames[2:] == split_frames(b"\x55\xaa" + frames[2])
@@ -668,7 +668,8 @@ def test_frames_that_arrive_together_are_told_apart() -> None:
 
 
 async def test_rtu_answers_its_own_id_only_and_comes_back_after_a_re_plug(tmp_path: Path) -> None:
-    """Foreign ids and damaged frames: silence. Broadcast: carried out in silence. Unplugged: reopened."""
+    """Other unit ids and damaged frames get no answer, broadcasts are obeyed, an unplugged line is
+    reopened."""
     line = Line(tmp_path / "line")
     cell = Cell()
     settings = SerialSettings(str(line.path), parity="none", gap_s=0.02, retry_s=0.05)
@@ -676,7 +677,7 @@ async def test_rtu_answers_its_own_id_only_and_comes_back_after_a_re_plug(tmp_pa
     await server.start()
     try:
         assert MAGIC_ANSWER == await rtu_answer(line, rtu_frame(1, READ_MAGIC), 7)
-        # whatever was answered to these would come before the answer to the last one
+        # an answer to one of these would come before the answer to the last one
         damaged = bytearray(rtu_frame(1, READ_MAGIC))
         damaged[3] ^= 1
         broadcast = rtu_frame(0, struct.pack(">BHHB6H", 16, 100, 6, 12, 1, 0, 5, 0, 0, reg.Option.ONCE))
@@ -704,7 +705,7 @@ async def test_rtu_answers_its_own_id_only_and_comes_back_after_a_re_plug(tmp_pa
 async def test_a_serial_line_comes_back_over_errors_of_the_terminal(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """An adapter that re-enumerates can be opened and not be set up: that is tried again, too."""
+    """A device that can be opened but not set up is tried again."""
     line = Line(tmp_path / "line")
     settings = SerialSettings(str(line.path), parity="none", gap_s=0.02, retry_s=0.01)
     server = ModbusPublisher(ModbusSettings(port=0, serial=settings), Cell())
@@ -734,7 +735,7 @@ async def test_a_serial_line_comes_back_over_errors_of_the_terminal(
 
 
 async def test_a_serial_line_that_is_not_there_is_a_listen_error(tmp_path: Path) -> None:
-    """And the TCP port that was opened before is closed again."""
+    """The error asks whether it is plugged in, and the TCP port is closed again."""
     settings = SerialSettings(str(tmp_path / "nothing"))
     server = ModbusPublisher(ModbusSettings(port=0, serial=settings), Cell())
     with pytest.raises(ListenError, match="is it plugged in"):
@@ -766,7 +767,7 @@ def certificate(
 
 @pytest.mark.parametrize("critical", [False, True])
 def test_the_role_is_read_from_its_extension(critical: bool) -> None:
-    """OID 1.3.6.1.4.1.50316.802.1, a UTF8String; with and without "critical"."""
+    """The UTF8String with OID 1.3.6.1.4.1.50316.802.1 is read, whether marked critical or not."""
     assert "operator" == certificate_role(certificate((ROLE, OPERATOR, critical)))
 
 
@@ -784,12 +785,12 @@ def test_the_role_is_read_from_its_extension(critical: bool) -> None:
     ids=["empty", "tag alone", "cut", "more behind it", "PrintableString", "no UTF-8", "no DER"],
 )
 def test_an_extension_that_is_no_utf8string_is_no_role(value: bytes) -> None:
-    """Whatever else stands there gives no right."""
+    """Any other content gives no role."""
     assert certificate_role(certificate((ROLE, value, False))) is None
 
 
 def test_the_roles_bytes_elsewhere_in_a_certificate_are_no_role() -> None:
-    """A public key or another extension that holds the extension's bytes does not make an operator."""
+    """The extension's bytes within a public key or another extension give no role."""
     hidden = bytes.fromhex("060b2b0601040183890c862201040a") + OPERATOR
     modulus = int.from_bytes(b"\xc1" + hidden + bytes(256 - 2 - len(hidden)) + b"\x01")
     key = rsa.RSAPublicNumbers(65537, modulus).public_key()
@@ -805,7 +806,7 @@ def test_the_roles_bytes_elsewhere_in_a_certificate_are_no_role() -> None:
 
 
 def test_what_is_no_certificate_has_no_role() -> None:
-    """Nothing at all, other bytes, and a certificate that ends too early."""
+    """Empty data, other bytes and a truncated certificate have no role."""
     whole = certificate((ROLE, OPERATOR, False))
 
     assert [None, None, None] == [certificate_role(der) for der in (b"", b"operator", whole[:-1])]
@@ -813,7 +814,7 @@ def test_what_is_no_certificate_has_no_role() -> None:
 
 @needs("openssl")
 async def test_tls_needs_a_certificate_and_its_role_decides_about_writing(tmp_path: Path) -> None:
-    """An operator writes, a viewer reads, and who shows no certificate of ours gets nothing."""
+    """An operator may write, a viewer only read, and a client without a valid certificate gets nothing."""
     make_certificates(tmp_path)
     tls = TlsSettings(tmp_path / "server.pem", tmp_path / "server.key", tmp_path / "ca.pem")
 
@@ -843,7 +844,7 @@ async def test_tls_needs_a_certificate_and_its_role_decides_about_writing(tmp_pa
 
 @pytest.fixture
 def tls(tmp_path: Path) -> TlsSettings:
-    """Certificates of a server that insists on those of its clients."""
+    """Settings of a server that requires client certificates."""
     if shutil.which("openssl") is None:
         pytest.skip("openssl is not installed")
     make_certificates(tmp_path)
@@ -851,7 +852,7 @@ def tls(tmp_path: Path) -> TlsSettings:
 
 
 def operator(tls: TlsSettings) -> ssl.SSLContext:
-    """What a PLC shows."""
+    """TLS context with the PLC's certificate."""
     context = ssl.create_default_context(cafile=str(tls.authority))
     folder = tls.authority.parent
     context.load_cert_chain(folder / "operator.pem", folder / "operator.key")
@@ -872,7 +873,7 @@ async def served_tls(settings: ModbusSettings) -> AsyncIterator[ModbusPublisher]
 
 
 async def locate_id(server: ModbusPublisher, tls: TlsSettings, host: str) -> bytes:
-    """A new PLC at an address: what it reads first."""
+    """Connect as a PLC from this address, and return its first answer."""
     reader, writer = await asyncio.open_connection(
         "127.0.0.1", server.port, ssl=operator(tls), local_addr=(host, 0)
     )
@@ -885,7 +886,7 @@ async def locate_id(server: ModbusPublisher, tls: TlsSettings, host: str) -> byt
 
 @pytest.mark.parametrize("plc", ["127.0.0.9", "127.0.0.1"], ids=["elsewhere", "at the same address"])
 async def test_handshakes_take_places_and_give_way_to_a_plc(tls: TlsSettings, plc: str) -> None:
-    """Forty connections that say nothing: four are left, the others end at once, and a PLC gets in."""
+    """Of forty silent connections four stay, the others are closed at once, and a PLC still gets in."""
     settings = ModbusSettings(port=0, tls=tls, max_clients=4, writers=(ip_network(f"{plc}/32"),))
     async with served_tls(settings) as server:
         half = [await asyncio.open_connection("127.0.0.1", server.port) for _ in range(40)]
@@ -901,7 +902,7 @@ async def test_handshakes_take_places_and_give_way_to_a_plc(tls: TlsSettings, pl
 
 
 async def test_strangers_are_closed_before_the_handshake(tls: TlsSettings) -> None:
-    """Who is not in the list of networks costs no handshake."""
+    """Clients outside the listed networks are closed before any handshake."""
     settings = ModbusSettings(
         port=0, tls=tls, readers=(ip_network("127.0.0.9/32"),), writers=(ip_network("127.0.0.9/32"),)
     )
@@ -915,7 +916,7 @@ async def test_strangers_are_closed_before_the_handshake(tls: TlsSettings) -> No
 @pytest.mark.slow
 @pytest.mark.parametrize("sent", [b"no TLS", b""], ids=["nonsense", "nothing"])
 async def test_a_handshake_that_fails_leaves_no_memory(tls: TlsSettings, sent: bytes) -> None:
-    """Its buffers, 256 KiB, go with it, without a search for garbage; so do those of a PLC that leaves."""
+    """Its 256 KiB of buffers are freed without the garbage collector, also after a client disconnects."""
 
     gc.collect()
     gc.disable()
@@ -940,7 +941,7 @@ async def test_a_handshake_that_fails_leaves_no_memory(tls: TlsSettings, sent: b
 
 
 async def test_the_longest_silent_of_many_writers_makes_room(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Each has one connection, and lost its power: the one that was heard of last stays, who polls too."""
+    """Of silent writers with one connection each, the longest silent is displaced, never one that polls."""
     monkeypatch.setattr(tcp, "SILENT_S", 0.3)
     async with served(ModbusSettings(port=0, max_clients=4, owner_s=0.3)) as rig:
 
@@ -966,7 +967,7 @@ async def test_the_longest_silent_of_many_writers_makes_room(monkeypatch: pytest
 
 
 async def test_a_stranger_takes_the_place_of_silent_strangers_only(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of what they leave behind; never that of a PLC, which may be silent between two commands."""
+    """A stranger displaces silent strangers only, never a PLC, which may be silent between commands."""
     monkeypatch.setattr(tcp, "SILENT_S", 0.0)
     writers = (ip_network("127.0.0.1/32"), ip_network("127.0.0.2/32"))
     async with served(ModbusSettings(port=0, max_clients=3, owner_s=0.0, writers=writers)) as rig:
@@ -989,7 +990,7 @@ async def test_a_stranger_takes_the_place_of_silent_strangers_only(monkeypatch: 
 
 
 async def test_one_that_takes_many_places_gives_one_up(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A silent connection of whoever has more than the newcomer makes room, also where both may write."""
+    """An address with more connections than the newcomer's loses a silent one, also if both may write."""
     monkeypatch.setattr(tcp, "SILENT_S", 0.3)
     async with served(ModbusSettings(port=0, max_clients=4)) as rig:
         many = [await raw(rig) for _ in range(3)]
@@ -1009,7 +1010,7 @@ async def test_one_that_takes_many_places_gives_one_up(monkeypatch: pytest.Monke
 
 
 async def test_a_server_that_closes_ends_the_handshakes(tls: TlsSettings) -> None:
-    """Before it, under way, and failed: no socket is left behind."""
+    """Handshakes not begun, under way or failed leave no open socket."""
     async with served_tls(ModbusSettings(port=0, tls=tls)) as server:
         ends = [await asyncio.open_connection("127.0.0.1", server.port) for _ in range(3)]
         hello = ssl.MemoryBIO()
@@ -1029,7 +1030,7 @@ async def test_a_server_that_closes_ends_the_handshakes(tls: TlsSettings) -> Non
 
 
 def read_out(place: str, base_address: int = 0) -> str:
-    """What the command prints."""
+    """Output of the command."""
     out = io.StringIO()
     assert 0 == read_command(place, base_address, 1, Console(file=out, width=200))
     return out.getvalue()
@@ -1039,7 +1040,7 @@ def read_out(place: str, base_address: int = 0) -> str:
     "settings", [ModbusSettings(port=0), ModbusSettings(port=0, word_order="low", base_address=1000)]
 )
 async def test_a_cell_is_read_and_decoded(settings: ModbusSettings) -> None:
-    """Result by name, lengths in mm, the exposure as a date; empty rows of the target table are left out."""
+    """The result is printed by name, lengths in mm and the exposure as a date, without empty target rows."""
     async with served(settings) as rig:
         rig.server.announce(make_snapshot(7))
         text = await asyncio.to_thread(read_out, f"127.0.0.1:{rig.server.port}", settings.base_address)
@@ -1051,7 +1052,7 @@ async def test_a_cell_is_read_and_decoded(settings: ModbusSettings) -> None:
 
 
 async def test_what_is_no_cell_is_named() -> None:
-    """Nobody there, a wrong base address, a wrong port: one line with what to look at."""
+    """No server, a wrong base address or a wrong port give one line that says what to check."""
     with pytest.raises(UserError, match=r"nothing answers at 127\.0\.0\.1"):
         read_command("127.0.0.1:1", 0, 1, Console())
     with pytest.raises(UserError, match="expected HOST or HOST:PORT"):

@@ -1,4 +1,4 @@
-"""The full handshake over every line, driven by programs of other people: pymodbus and mbpoll (libmodbus)."""
+"""The full handshake over every line, driven by independent programs: pymodbus and mbpoll (libmodbus)."""
 
 from __future__ import annotations
 
@@ -29,14 +29,14 @@ from edged.plc.registers import StatusBit
 
 
 class Line(Protocol):
-    """A master: reads and writes holding registers, 0-based."""
+    """A Modbus master that reads and writes holding registers, 0-based."""
 
     def read(self, address: int, count: int) -> list[int]:
-        """Words."""
+        """Read words."""
         ...
 
     def write(self, address: int, words: list[int]) -> None:
-        """Write; raises when the answer is an exception."""
+        """Write words; raises if the answer is an exception."""
         ...
 
 
@@ -48,7 +48,7 @@ class Pymodbus:
         assert client.connect()
 
     def read(self, address: int, count: int) -> list[int]:
-        """Words."""
+        """Read words."""
         answer = self._client.read_holding_registers(address, count=count)
         assert not answer.isError(), answer
         return list(answer.registers)
@@ -60,7 +60,7 @@ class Pymodbus:
 
 
 class Mbpoll:
-    """mbpoll, one process for each request."""
+    """mbpoll, with one process per request."""
 
     def __init__(self, *place: str) -> None:
         *self._mode, self._target = place
@@ -73,7 +73,7 @@ class Mbpoll:
         return run.stdout
 
     def read(self, address: int, count: int) -> list[int]:
-        """Words."""
+        """Read words."""
         text = self._run(address, ["-c", str(count)], [])
         return [int(line.split()[1]) for line in text.splitlines() if line.startswith("[")]
 
@@ -83,7 +83,7 @@ class Mbpoll:
 
 
 def drive(line: Line) -> None:
-    """Two parts, from READY to the acknowledgement, as a PLC does."""
+    """Locate two parts, from READY to the acknowledgement, as a PLC does."""
     for sequence in (7, 8):
         wait_for(line, lambda status: int(status["STATUS_BITS"]) & StatusBit.READY)
         # mbpoll makes a connection for each request
@@ -101,7 +101,7 @@ def drive(line: Line) -> None:
 
 
 def pick(line: Line) -> None:
-    """Every part of one picture, as a PLC does."""
+    """Get every part of one picture, as a PLC does."""
     line.write(102, [0])
     wait_for(line, lambda status: int(status["STATUS_BITS"]) & StatusBit.READY)
     seen = []
@@ -117,7 +117,7 @@ def pick(line: Line) -> None:
 
 
 def wait_for(line: Line, condition: Any) -> dict[str, reg.Number]:
-    """Read the status until it is so."""
+    """Read the status until it fulfils the condition."""
     deadline_s = time.monotonic() + LIMIT_S
     while True:
         status = reg.decode(reg.STATUS, line.read(200, reg.STATUS.words))
@@ -134,7 +134,7 @@ def cable() -> Iterator[SerialCable]:
 
 
 def test_tcp_and_rtu_at_once_by_pymodbus(cable: SerialCable) -> None:
-    """One cell, a PLC on TCP, then another one on the serial line: the same registers, the same handshake."""
+    """A PLC on TCP and then one on the serial line complete the same handshake with one cell."""
     serial = SerialSettings(cable.ends[0], parity="none", gap_s=0.004)  # a pseudo terminal has no parity
     with LiveCell(ModbusSettings(port=0, serial=serial, validity_s=30.0)) as cell, ExitStack() as stack:
         for client in (
@@ -146,7 +146,7 @@ def test_tcp_and_rtu_at_once_by_pymodbus(cable: SerialCable) -> None:
 
 
 def test_part_after_part_by_pymodbus() -> None:
-    """One picture, three parts with their remaining count, then NACK 9."""
+    """One picture gives three parts with their remaining count, then NACK 9."""
     with LiveCell() as cell, ExitStack() as stack:
         cell.targets = tuple(make_target(x_mm=x_mm) for x_mm in (10.0, 20.0, 30.0))
         client = ModbusTcpClient("127.0.0.1", port=cell.port, timeout=2)
@@ -158,7 +158,7 @@ def test_part_after_part_by_pymodbus() -> None:
 @pytest.mark.slow
 @needs("mbpoll")
 def test_part_after_part_by_mbpoll_on_the_serial_line(cable: SerialCable) -> None:
-    """The same by libmodbus; over TCP it connects for each request, and a list ends with its connection."""
+    """libmodbus gets part after part on the serial line; over TCP its list ends with each connection."""
     serial = SerialSettings(cable.ends[0], parity="none", gap_s=0.004)
     with LiveCell(ModbusSettings(port=0, serial=serial, validity_s=30.0)) as cell:
         cell.targets = tuple(make_target(x_mm=x_mm) for x_mm in (10.0, 20.0, 30.0))
@@ -173,7 +173,7 @@ def test_part_after_part_by_mbpoll_on_the_serial_line(cable: SerialCable) -> Non
 @pytest.mark.slow
 @needs("mbpoll")
 def test_tcp_and_rtu_at_once_by_mbpoll(cable: SerialCable) -> None:
-    """The same by somebody else's implementation (libmodbus)."""
+    """libmodbus completes the handshake over TCP and on the serial line."""
     serial = SerialSettings(cable.ends[0], parity="none", gap_s=0.004)
     settings = ModbusSettings(port=0, serial=serial, validity_s=30.0, owner_s=0.01)
     with LiveCell(settings) as cell:
@@ -188,7 +188,7 @@ def test_tcp_and_rtu_at_once_by_mbpoll(cable: SerialCable) -> None:
 def test_parity_and_speed_reach_the_line(
     monkeypatch: pytest.MonkeyPatch, parity: Any, expected: str, stop_bits: int, silence_s: float
 ) -> None:
-    """A character has 11 bits with every parity; a frame ends after 3.5 of them."""
+    """A character has 11 bits with every parity, and a frame ends after 3.5 characters."""
     opened: list[dict[str, Any]] = []
 
     def refuse(*_: object, **options: Any) -> None:
@@ -209,11 +209,11 @@ def test_parity_and_speed_reach_the_line(
 
 @needs("openssl")
 def test_tls_by_pymodbus(tmp_path: Path) -> None:
-    """Modbus/TCP Security: the operator's certificate drives the handshake."""
+    """With an operator's certificate pymodbus completes the handshake over Modbus/TCP Security."""
     make_certificates(tmp_path)
     tls = TlsSettings(tmp_path / "server.pem", tmp_path / "server.key", tmp_path / "ca.pem")
     context = ssl.create_default_context(cafile=str(tmp_path / "ca.pem"))
-    context.check_hostname = False  # pymodbus does not tell ssl whom it talks to
+    context.check_hostname = False  # pymodbus does not pass the host name to ssl
     context.load_cert_chain(tmp_path / "operator.pem", tmp_path / "operator.key")
     with LiveCell(ModbusSettings(port=0, tls=tls, validity_s=30.0)) as cell, ExitStack() as stack:
         client = ModbusTlsClient("127.0.0.1", port=cell.port, sslctx=context, timeout=5)

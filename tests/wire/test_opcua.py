@@ -1,4 +1,4 @@
-"""OPC UA against a live cell: asyncua's client, python-opcua's, and open62541's."""
+"""OPC UA with a live cell, by asyncua's, python-opcua's and open62541's clients."""
 
 from __future__ import annotations
 
@@ -55,14 +55,14 @@ def secure(tmp_path_factory: pytest.TempPathFactory) -> OpcUaSettings:
 
 @pytest.fixture
 def cell(secure: OpcUaSettings) -> Iterator[OpcUaCell]:
-    """A cell that only who has a certificate and the password can reach."""
+    """A cell that requires a certificate and the password."""
     with OpcUaCell(secure) as running:
         yield running
 
 
 @pytest.fixture(scope="module")
 def open_cell() -> Iterator[OpcUaCell]:
-    """A cell that everybody may look at and nobody command."""
+    """A cell that anyone may read and no one may command."""
     with OpcUaCell(OpcUaSettings("cell1", port=0, anonymous=True)) as running:
         yield running
 
@@ -94,28 +94,28 @@ async def connected(
 
 
 class Notes:
-    """What a subscription is told."""
+    """Notifications of a subscription."""
 
     def __init__(self) -> None:
         self.changes: list[tuple[str, Any, int]] = []
         self.events: list[Any] = []
 
     def datachange_notification(self, node: Any, value: Any, data: Any) -> None:
-        """A value."""
+        """Note a value."""
         got = data.monitored_item.Value
         self.changes.append((node.nodeid.Identifier.rpartition(".")[2], value, got.StatusCode.value))
 
     def event_notification(self, event: Any) -> None:
-        """An event."""
+        """Note an event."""
         self.events.append(event)
 
     def types(self) -> list[int]:
-        """Numbers of the events' types."""
+        """Type numbers of the events."""
         return [event.EventType.Identifier for event in self.events]
 
 
 async def until(holds: Callable[[], Any], seconds: float = LIMIT_S) -> None:
-    """Wait until it holds; fail after the time."""
+    """Wait until the condition holds; fail after the time."""
     async with asyncio.timeout(seconds):
         while True:
             found = holds()
@@ -125,7 +125,7 @@ async def until(holds: Callable[[], Any], seconds: float = LIMIT_S) -> None:
 
 
 async def events_of(client: Client) -> Notes:
-    """Everything that the vision system says."""
+    """Subscribe to all events of the vision system."""
     notes = Notes()
     subscription = await client.create_subscription(20, notes)
     kinds = [
@@ -137,7 +137,7 @@ async def events_of(client: Client) -> Notes:
 
 
 async def start(client: Client, recipe: str = "") -> tuple[str, int]:
-    """StartSingleJob: its JobId and Error."""
+    """Call StartSingleJob; returns its JobId and Error."""
     job, error = await client.get_node(AUTOMATIC).call_method(
         "2:StartSingleJob",
         ua.MeasIdDataType(Id="measurement 1"),
@@ -150,7 +150,7 @@ async def start(client: Client, recipe: str = "") -> tuple[str, int]:
 
 
 async def command(client: Client, kind: int, job: int = 0, flange: tuple[float, ...] = ()) -> tuple[int, int]:
-    """The cell's own command."""
+    """Call the cell's own command method."""
     sequence, error = await client.get_node("ns=3;s=Handshake").call_method(
         "3:Command",
         ua.Variant(kind, U16),
@@ -162,7 +162,7 @@ async def command(client: Client, kind: int, job: int = 0, flange: tuple[float, 
 
 
 async def register(client: Client, block: str, name: str) -> Any:
-    """Value of a register; None where it has none."""
+    """Value of a register; None if it has none."""
     data = await client.get_node(f"ns=3;s=Registers.{block}.{name}").read_data_value(
         raise_on_bad_status=False
     )
@@ -175,7 +175,7 @@ async def has_x(client: Client) -> bool:
 
 
 async def has_no_x(client: Client) -> bool:
-    """Whether none is."""
+    """Whether no coordinate is shown."""
     return not await has_x(client)
 
 
@@ -184,12 +184,12 @@ async def nobody_owns(client: Client) -> bool:
     return not await register(client, "status", "WRITE_OWNER")
 
 
-# --- what it looks like ------------------------------------------------------------------------
+# --- the address space --------------------------------------------------------------------------
 
 
 @pytest.mark.slow
 def test_the_table_has_every_type_of_the_specification_and_each_number_once() -> None:
-    """OPC 40100-1 has 35 types of objects, 1 of variables, 22 of data and 2 of references."""
+    """The table has the 35 object, 1 variable, 22 data and 2 reference types of OPC 40100-1."""
     rows = read_model().rows
     kinds = [row.kind for row in rows]
 
@@ -199,7 +199,7 @@ def test_the_table_has_every_type_of_the_specification_and_each_number_once() ->
 
 @pytest.mark.slow
 async def test_every_mandatory_part_of_the_vision_system_is_there(open_cell: OpcUaCell) -> None:
-    """As the tables of the specification have them: names, types and arguments of methods."""
+    """Names, types and method arguments are as in the specification's tables."""
     model = read_model()
     expected = {
         SYSTEM: 1003,
@@ -221,7 +221,7 @@ async def test_every_mandatory_part_of_the_vision_system_is_there(open_cell: Opc
 
 @pytest.mark.slow
 async def test_every_register_is_a_variable_with_its_number_and_unit(open_cell: OpcUaCell) -> None:
-    """The same numbers as over Modbus, from the one schema; what stands for none is BadNoData."""
+    """The variables equal the Modbus registers, and those that stand for no number are BadNoData."""
     async with client_of(open_cell.url) as client:
         names = [(block.name, register) for block in reg.BLOCKS for register in block.registers]
         nodes = [client.get_node(f"ns=3;s=Registers.{block}.{register.name}") for block, register in names]
@@ -241,7 +241,7 @@ async def test_every_register_is_a_variable_with_its_number_and_unit(open_cell: 
 
 @pytest.mark.slow
 async def test_a_job_is_a_recipe_and_comes_and_goes_with_the_configuration(open_cell: OpcUaCell) -> None:
-    """After a reload with other jobs the folder has those, each with its methods."""
+    """After a reload with other jobs, the folder has those recipes with their methods."""
 
     async def names(client: Client) -> set[str]:
         children = await client.get_node(f"{RECIPES}.Recipes").get_children()
@@ -250,7 +250,7 @@ async def test_a_job_is_a_recipe_and_comes_and_goes_with_the_configuration(open_
     async def has_jobs(client: Client, expected: set[str]) -> bool:
         try:
             return await names(client) == expected
-        except ua.uaerrors.BadNodeIdUnknown:  # it went between the list and its name
+        except ua.uaerrors.BadNodeIdUnknown:  # removed between listing and reading its name
             return False
 
     async with client_of(open_cell.url) as client:
@@ -270,7 +270,7 @@ async def test_a_job_is_a_recipe_and_comes_and_goes_with_the_configuration(open_
 async def test_a_single_job_ends_in_one_result_with_the_numbers_of_the_payload(
     cell: OpcUaCell, secure: OpcUaSettings
 ) -> None:
-    """JobStarted, ResultReady and Ready carry the job's id; the content is the message of `edged.payload`."""
+    """JobStarted, ResultReady and Ready carry the job's id, and the content is the payload message."""
     async with connected(cell, secure) as client:
         notes = await events_of(client)
         job, error = await start(client)
@@ -296,7 +296,7 @@ async def test_a_single_job_ends_in_one_result_with_the_numbers_of_the_payload(
 async def test_an_acknowledged_result_falls_everywhere_in_one_write(
     cell: OpcUaCell, secure: OpcUaSettings
 ) -> None:
-    """Coordinates, the latest result and its flag: value gone, status BadNoData, told in one message."""
+    """Coordinates, latest result and its flag lose their values with BadNoData, in one notification."""
     async with connected(cell, secure) as client:
         sequence, _ = await command(client, 1)
         latest = client.get_node(f"{RESULTS}.Results.Latest")
@@ -314,7 +314,7 @@ async def test_an_acknowledged_result_falls_everywhere_in_one_write(
         assert [("X", NO_DATA), ("Latest", NO_DATA)] == [(name, code) for name, _, code in notes.changes[2:]]
         bits = await register(client, "status", "STATUS_BITS")
         assert not bits & reg.StatusBit.RESULT_VALID
-        # what holds without a result stays
+        # what is independent of a result stays
         assert 0 == await register(client, "reference marks", "M_STATE")
         assert reg.INT32_MIN == await register(client, "acceptance", "A_DAYS")
         _, data, error = await client.get_node(RESULTS).call_method(
@@ -327,7 +327,7 @@ async def test_an_acknowledged_result_falls_everywhere_in_one_write(
 async def test_no_value_that_has_fallen_waits_in_a_slow_subscription(
     cell: OpcUaCell, secure: OpcUaSettings
 ) -> None:
-    """It was valid and acknowledged between two messages: the next one says BadNoData, and no coordinate."""
+    """A value that was valid between two notifications is reported as BadNoData, without its coordinate."""
     async with connected(cell, secure) as client:
         notes = Notes()
         subscription = await client.create_subscription(1000, notes)
@@ -342,7 +342,7 @@ async def test_no_value_that_has_fallen_waits_in_a_slow_subscription(
 
 @pytest.mark.slow
 async def test_a_result_that_grows_old_falls_without_anybody_doing_anything(secure: OpcUaSettings) -> None:
-    """Validity is a promise in time: after it no read gives a coordinate, and subscribers are told."""
+    """After validity_s no read gives a coordinate, and subscribers are notified without any request."""
     with OpcUaCell(secure, ModbusSettings(port=0, validity_s=0.4)) as cell:
         async with connected(cell, secure) as client:
             notes = Notes()
@@ -364,7 +364,7 @@ async def test_a_result_that_grows_old_falls_without_anybody_doing_anything(secu
 async def test_a_result_whose_time_is_over_is_not_shown_though_the_cell_is_busy_elsewhere(
     secure: OpcUaSettings,
 ) -> None:
-    """The server's thread lets it fall itself: it does not need the cell's loop for that."""
+    """The server's thread withdraws the result itself, while the cell's loop is blocked."""
     with OpcUaCell(secure, ModbusSettings(port=0, validity_s=0.5)) as cell:
         async with connected(cell, secure) as client:
             await command(client, 1)
@@ -383,7 +383,7 @@ async def test_a_result_whose_time_is_over_is_not_shown_though_the_cell_is_busy_
 
 @pytest.mark.slow
 def test_no_read_sees_halves_of_two_results(secure: OpcUaSettings) -> None:
-    """Head, tail and every block's sequence of one read belong to one result, in a cell that never rests."""
+    """In a constantly measuring cell, head, tail and every block's sequence of one read belong together."""
     names = [
         ("result", "SEQ_HEAD"),
         ("result", "SEQ_TAIL"),
@@ -410,7 +410,7 @@ def test_no_read_sees_halves_of_two_results(secure: OpcUaSettings) -> None:
 async def test_a_part_that_no_robot_may_use_has_a_result_and_no_coordinate(
     cell: OpcUaCell, secure: OpcUaSettings
 ) -> None:
-    """LOW_QUALITY: completed, rejected, and the content's list of good targets is empty."""
+    """A rejected part gives a result without targets in its content, and no coordinate."""
     async with connected(cell, secure) as client:
         cell.targets = (make_target(Reject.RESIDUAL),)
         notes = await events_of(client)
@@ -426,7 +426,7 @@ async def test_a_part_that_no_robot_may_use_has_a_result_and_no_coordinate(
 async def test_verify_gives_no_coordinates_also_not_in_the_content(
     cell: OpcUaCell, secure: OpcUaSettings
 ) -> None:
-    """It answers OK or NOK: nothing for a robot."""
+    """The result has no content and no coordinate, and the status is OK."""
     async with connected(cell, secure) as client:
         notes = await events_of(client)
         await command(client, 4)
@@ -441,7 +441,8 @@ async def test_verify_gives_no_coordinates_also_not_in_the_content(
 async def test_a_recipe_is_prepared_by_the_handshakes_job_change(
     cell: OpcUaCell, secure: OpcUaSettings, monkeypatch: pytest.MonkeyPatch, is_seldom_shown: bool
 ) -> None:
-    """IsCompleted is false until RecipePrepared says so, not Ready until then; a loaded one needs none."""
+    """IsCompleted is false and the state not Ready until RecipePrepared; a loaded recipe needs no
+    preparation."""
     if is_seldom_shown:  # the job changes between two pictures
         post, last_s = ServerThread.post, time.monotonic()
 
@@ -477,7 +478,7 @@ async def test_a_recipe_is_prepared_by_the_handshakes_job_change(
 async def test_a_camera_that_fails_is_a_failed_result_and_the_state_error(
     cell: OpcUaCell, secure: OpcUaSettings
 ) -> None:
-    """The handshake answers NACK, CAPTURE_FAULT; the machine leaves Error when the camera is back."""
+    """The result is a CAPTURE_FAULT with state Error, which is left when the camera works again."""
     async with connected(cell, secure) as client:
         notes = await events_of(client)
         cell.head.broken = True
@@ -496,7 +497,7 @@ async def test_a_camera_that_fails_is_a_failed_result_and_the_state_error(
 
 @pytest.mark.slow
 async def test_a_job_that_does_not_exist_runs_nothing(cell: OpcUaCell, secure: OpcUaSettings) -> None:
-    """Neither by the specification's method nor by the cell's own: refused, as over Modbus."""
+    """Both the specification's and the cell's method are refused as over Modbus, and nothing runs."""
     async with connected(cell, secure) as client:
         assert ("", -int(NackReason.REFUSED)) == await start(client, "job9")
         assert -int(NackReason.REFUSED) == (await command(client, 1, 9))[1]
@@ -508,7 +509,7 @@ async def test_a_job_that_does_not_exist_runs_nothing(cell: OpcUaCell, secure: O
 async def test_only_one_client_commands_at_a_time_whatever_it_speaks(
     cell: OpcUaCell, secure: OpcUaSettings
 ) -> None:
-    """While a PLC holds the right to write a method answers Error -114, and the other way round."""
+    """While a PLC holds the right to write, a method answers Error -114, and the other way round."""
     plc = ModbusTcpClient("127.0.0.1", port=cell.port)
     async with connected(cell, secure) as client:
         await asyncio.to_thread(plc.connect)
@@ -527,13 +528,13 @@ async def test_only_one_client_commands_at_a_time_whatever_it_speaks(
             assert not taken.isError()
         await until(lambda: 1024 in notes.types())
         begun = next(event for event in notes.events if event.EventType.Identifier == 1018)
-        assert "ReadyToSingleExecutionAuto" == begun.Transition.Text  # no method caused it
+        assert "ReadyToSingleExecutionAuto" == begun.Transition.Text  # caused by no method
     plc.close()
 
 
 @pytest.mark.slow
 async def test_who_hangs_up_gives_up_its_right_to_write(cell: OpcUaCell, secure: OpcUaSettings) -> None:
-    """The next client need not wait until it lapses."""
+    """After a client disconnects, no one owns the right to write."""
     async with connected(cell, secure) as client:
         await command(client, 3)
         assert 1 == await register(client, "status", "WRITE_OWNER")
@@ -544,7 +545,7 @@ async def test_who_hangs_up_gives_up_its_right_to_write(cell: OpcUaCell, secure:
 
 @pytest.mark.slow
 async def test_what_a_cell_cannot_do_is_said(cell: OpcUaCell, secure: OpcUaSettings) -> None:
-    """BadNotSupported, and the cell measures on."""
+    """Unsupported methods answer BadNotSupported, and the cell continues."""
     cause = (ua.Variant(0, I32), ua.Variant("", ua.VariantType.String))
     async with connected(cell, secure) as client:
         for path, name in (
@@ -564,14 +565,14 @@ async def test_what_a_cell_cannot_do_is_said(cell: OpcUaCell, secure: OpcUaSetti
             await command(client, 1, 0, (1.0, 2.0))
 
 
-# --- who may -------------------------------------------------------------------------------------
+# --- access --------------------------------------------------------------------------------------
 
 
 @pytest.mark.slow
 async def test_without_certificate_nothing_can_be_read_unless_it_is_allowed(
     cell: OpcUaCell, secure: OpcUaSettings
 ) -> None:
-    """The endpoints can be asked for, all of them encrypted; a session cannot be had."""
+    """The endpoints, all encrypted, can be listed, but no session can be opened."""
     client = client_of(cell.url)
     endpoints = await client.connect_and_get_server_endpoints()
     assert {ua.MessageSecurityMode.SignAndEncrypt} == {one.SecurityMode for one in endpoints}
@@ -594,7 +595,7 @@ async def test_without_certificate_nothing_can_be_read_unless_it_is_allowed(
 async def test_a_wrong_password_no_user_and_a_strange_certificate_are_refused(
     name: str, user: str, password: str, cell: OpcUaCell, secure: OpcUaSettings
 ) -> None:
-    """One thing alone is not enough."""
+    """Certificate, user and password must all be right."""
     with pytest.raises((ua.UaError, ConnectionError, TimeoutError)):
         async with connected(cell, secure, name=name, user=user, password=password):
             pass
@@ -606,7 +607,7 @@ async def test_a_wrong_password_no_user_and_a_strange_certificate_are_refused(
 async def test_a_strange_certificate_is_kept_so_that_it_can_be_trusted(
     cell: OpcUaCell, secure: OpcUaSettings
 ) -> None:
-    """As a file beside the folder of trusted ones, the same bytes."""
+    """The refused certificate is saved unchanged in a folder beside the trusted ones."""
     assert secure.trusted is not None
     folder = secure.trusted.parent
     with pytest.raises((ua.UaError, ConnectionError, TimeoutError)):
@@ -619,7 +620,7 @@ async def test_a_strange_certificate_is_kept_so_that_it_can_be_trusted(
 
 @pytest.mark.slow
 async def test_who_is_anonymous_may_look_and_not_command(secure: OpcUaSettings) -> None:
-    """Also over an encrypted channel; and no password is taken over one that is not."""
+    """Reading is allowed but commands are not, also on an encrypted channel; passwords need encryption."""
     with OpcUaCell(replace(secure, anonymous=True)) as cell:
         async with client_of(cell.url) as client:
             assert 1 == await register(client, "status", "ACTIVE_JOB")
@@ -642,7 +643,8 @@ async def test_who_is_anonymous_may_look_and_not_command(secure: OpcUaSettings) 
 
 @pytest.mark.slow
 async def test_a_client_reaches_its_own_subscriptions_only(open_cell: OpcUaCell) -> None:
-    """asyncua numbers those of all clients in one row: a stranger could end them."""
+    """A client cannot delete or change another's subscription, though asyncua numbers them in one
+    sequence."""
     notes = Notes()
     async with client_of(open_cell.url) as one, client_of(open_cell.url) as other:
         subscription = await one.create_subscription(20, notes)
@@ -662,7 +664,7 @@ async def test_a_client_reaches_its_own_subscriptions_only(open_cell: OpcUaCell)
 
 @pytest.mark.slow
 async def test_a_network_that_is_not_listed_is_not_let_in(secure: OpcUaSettings) -> None:
-    """Its connection is closed before a byte is read."""
+    """Its connection is closed without an answer."""
     with OpcUaCell(replace(secure, readers=(ip_network("10.0.0.0/8"),))) as cell:
         reader, writer = await asyncio.open_connection("127.0.0.1", cell.publisher.port)
         with pytest.raises(ConnectionError):
@@ -688,7 +690,7 @@ async def test_a_network_that_is_not_listed_is_not_let_in(secure: OpcUaSettings)
 def test_files_that_do_not_fit_are_named(
     change: dict[str, str], expected: str, secure: OpcUaSettings
 ) -> None:
-    """Before anything listens."""
+    """The error names the problem, before anything listens."""
     assert secure.certificate is not None
     folder = secure.certificate.parent
     wrong = replace(secure, **{name: folder / file for name, file in change.items()})
@@ -699,7 +701,7 @@ def test_files_that_do_not_fit_are_named(
 
 @pytest.mark.slow
 async def test_a_port_that_is_taken_is_a_listen_error_and_leaves_nothing(open_cell: OpcUaCell) -> None:
-    """No thread, no socket."""
+    """The error is raised, and no thread or socket is left."""
     settings = OpcUaSettings("cell1", port=open_cell.publisher.port, anonymous=True)
     publisher = OpcUaPublisher(settings, lambda: None, lambda: JOBS)
     with pytest.raises(ListenError, match="cannot listen"):
@@ -747,7 +749,7 @@ print(json.dumps(said))
 
 
 def client_process(program: str, cell: OpcUaCell, secure: OpcUaSettings) -> dict[str, Any]:
-    """What a client says that runs in a process of its own: its deprecated calls are no warnings of ours."""
+    """Output of a client in a process of its own, so that its deprecation warnings are not ours."""
     assert secure.certificate is not None
     done = subprocess.run(
         [sys.executable, "-c", program, cell.url, str(secure.certificate.parent), PASSWORD],
@@ -765,7 +767,7 @@ def client_process(program: str, cell: OpcUaCell, secure: OpcUaSettings) -> dict
 def test_another_client_commands_and_reads(cell: OpcUaCell, secure: OpcUaSettings) -> None:
     """python-opcua, encrypted; structures arrive under the specification's ids, in OPC UA's binary encoding.
 
-    asyncua began as a copy of it: what both may have wrong alike is held against the specification's bytes.
+    asyncua began as a copy of it: what both may get wrong alike is compared with the specification's bytes.
     """
     said = client_process(OTHER_CLIENT, cell, secure)
 
@@ -840,7 +842,7 @@ print(json.dumps(said))
 def test_a_stack_of_another_origin_reads_structures_commands_and_follows_the_states(
     cell: OpcUaCell, secure: OpcUaSettings
 ) -> None:
-    """open62541, in C, with types that its makers compiled from the specification's file.
+    """open62541, in C, decodes results and commands, with types compiled from the specification's file.
 
     It finds which type is sent under which id, and decodes the whole result; its own structures are
     understood; a good job ends by the transition that no method causes.
@@ -862,7 +864,7 @@ def test_a_stack_of_another_origin_reads_structures_commands_and_follows_the_sta
 
 @pytest.fixture(autouse=True, scope="module")
 def _expired(secure: OpcUaSettings) -> None:
-    """A trusted certificate whose time is over."""
+    """A trusted certificate that has expired."""
     assert secure.certificate is not None
     assert secure.trusted is not None
     make_certificate(secure.certificate.parent, "expired", "urn:test:expired", days=-1)
@@ -875,7 +877,7 @@ def _expired(secure: OpcUaSettings) -> None:
 
 @pytest.mark.slow
 async def test_a_daemon_serves_it_and_goes_on_when_a_reload_exchanges_the_registers(tmp_path: Path) -> None:
-    """Modbus on another port: other registers, another epoch, and the same OPC UA session shows them."""
+    """After Modbus moved to another port, the same OPC UA session shows the new registers and epoch."""
     small, port, modbus = SmallCell(tmp_path, period_s=0.5), free_port(), free_port()
     small.config.write_text(small.config.read_text() + f"\n[opcua]\nport = {port}\nanonymous = true\n")
     daemon = DaemonProcess(small.config)

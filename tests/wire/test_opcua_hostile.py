@@ -1,4 +1,4 @@
-"""OPC UA clients that mean harm, or are broken: each limit by itself, all of it at once from the fuzzer."""
+"""Hostile or broken OPC UA clients: each limit by itself, and all together with the fuzzer."""
 
 from __future__ import annotations
 
@@ -27,26 +27,26 @@ HOSTILE = "127.0.0.2"
 
 @pytest.fixture(scope="module")
 def cell() -> Iterator[OpcUaCell]:
-    """A cell that everybody may look at."""
+    """A cell that anyone may read."""
     with OpcUaCell(OpcUaSettings("cell1", port=0, anonymous=True, max_clients=8)) as running:
         yield running
 
 
 def connect(cell: OpcUaCell, source: str = HOSTILE) -> socket.socket:
-    """A bare connection."""
+    """A plain TCP connection."""
     line = socket.create_connection(("127.0.0.1", cell.publisher.port), 10, source_address=(source, 0))
     line.settimeout(LIMIT_S)
     return line
 
 
 def hello(buffers: int = 65535) -> bytes:
-    """The first message of a client."""
+    """First message of a client."""
     body = struct.pack("<IIIII", 0, buffers, buffers, 0, 0) + struct.pack("<i", len(HELLO_URL)) + HELLO_URL
     return b"HELF" + struct.pack("<I", len(body) + 8) + body
 
 
 def answer(line: socket.socket) -> tuple[bytes, int]:
-    """Kind of the answer, and the status of an error; (b"", 0) when it was hung up without one."""
+    """Kind of the answer, and the status of an error; (b"", 0) if closed without one."""
     data = line.recv(4096)
     while data and line.recv(4096):
         pass
@@ -55,7 +55,7 @@ def answer(line: socket.socket) -> tuple[bytes, int]:
 
 @pytest.mark.slow
 def test_ten_thousand_hostile_frames_leave_no_trace() -> None:
-    """No crash, nothing stuck, no growth; a good client gets every answer, and the cell measures on."""
+    """After 10000 frames nothing has crashed, hung or grown, and a good client got every answer."""
     run = subprocess.run(
         [sys.executable, str(FUZZER), "--frames", "10000"],
         capture_output=True,
@@ -81,7 +81,7 @@ def test_ten_thousand_hostile_frames_leave_no_trace() -> None:
     ],
 )
 def test_what_is_no_opc_ua_is_hung_up_on_at_once(sent: bytes, cell: OpcUaCell) -> None:
-    """With an error and without waiting for what was announced: nothing of it is kept."""
+    """Invalid data get an error at once, without waiting for the announced length."""
     with closing(connect(cell)) as line:
         line.sendall(sent)
         data = b""
@@ -94,7 +94,7 @@ def test_what_is_no_opc_ua_is_hung_up_on_at_once(sent: bytes, cell: OpcUaCell) -
 
 @pytest.mark.slow
 def test_buffers_that_would_cut_answers_into_crumbs_are_refused(cell: OpcUaCell) -> None:
-    """The specification wants 8192 bytes: with 60 each answer would be encrypted in a hundred pieces."""
+    """Buffers below the specified 8192 bytes are refused: with 60, answers would need a hundred pieces."""
     with closing(connect(cell)) as line:
         line.sendall(hello(60))
 
@@ -103,7 +103,7 @@ def test_buffers_that_would_cut_answers_into_crumbs_are_refused(cell: OpcUaCell)
 
 @pytest.mark.slow
 def test_who_says_nothing_has_to_go(cell: OpcUaCell, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Also one that has begun, and dribbles."""
+    """A silent connection and one that sends an incomplete message are closed."""
     monkeypatch.setattr(connection, "ACTIVATE_S", 0.3)
     with closing(connect(cell)) as silent, closing(connect(cell)) as slow:
         slow.sendall(hello()[:20])
@@ -116,7 +116,7 @@ def test_who_says_nothing_has_to_go(cell: OpcUaCell, monkeypatch: pytest.MonkeyP
 
 @pytest.mark.slow
 async def test_a_full_house_of_strangers_leaves_room_for_others(cell: OpcUaCell) -> None:
-    """One address gets half of the connections, however many it opens; who is logged in stays."""
+    """One address gets at most half of the connections, and other clients can connect and stay."""
     async with client_of(cell.url) as first:
         with ExitStack() as lines:
             for _ in range(30):
@@ -128,7 +128,7 @@ async def test_a_full_house_of_strangers_leaves_room_for_others(cell: OpcUaCell)
 
 @pytest.mark.slow
 async def test_a_request_is_bounded(cell: OpcUaCell) -> None:
-    """As many nodes as the server says that it takes, and no more; one method a request."""
+    """Reads accept the stated number of nodes and no more, and calls one method per request."""
     async with client_of(cell.url) as client:
         said = client.get_node(ua.ObjectIds.Server_ServerCapabilities_OperationLimits_MaxNodesPerRead)
         assert MAX_NODES == await said.read_value()
@@ -143,11 +143,11 @@ async def test_a_request_is_bounded(cell: OpcUaCell) -> None:
 
 @pytest.mark.slow
 async def test_a_session_holds_a_share_and_no_more(cell: OpcUaCell) -> None:
-    """Of subscriptions; they go with it."""
+    """A session has a limited number of subscriptions, which end with it."""
 
     class Notes:
         def datachange_notification(self, node: object, value: object, data: object) -> None:
-            """Nothing of interest."""
+            """Ignore it."""
 
     for _ in range(3):
         async with client_of(cell.url) as client:
@@ -165,7 +165,7 @@ async def test_a_session_holds_a_share_and_no_more(cell: OpcUaCell) -> None:
 
 
 class Clock:
-    """A clock that is set."""
+    """A clock that is set by hand."""
 
     now_s = 0.0
 
@@ -174,7 +174,7 @@ class Clock:
 
 
 def users(clock: Clock, *, anonymous: bool = False) -> Users:
-    """Those of one server, with a client on an encrypted channel."""
+    """Users of one server, with a client on an encrypted channel."""
     found = Users(OpcUaSettings("c", password_hash=PASSWORD_HASH, anonymous=anonymous), clock)
     found.peer, found.is_encrypted = "10.0.0.1", True
     return found
@@ -182,7 +182,7 @@ def users(clock: Clock, *, anonymous: bool = False) -> Users:
 
 @pytest.mark.slow
 def test_a_user_with_a_name_may_command_and_nobody_else() -> None:
-    """Name and password; without a password who is anonymous may look, where that is allowed."""
+    """Only the right name and password give a user; without a password a client is anonymous if allowed."""
     found = users(Clock(), anonymous=True).get_user(None, "operator", PASSWORD)
     assert found is not None
     assert ("operator", UserRole.User) == (found.name, found.role)
@@ -195,7 +195,7 @@ def test_a_user_with_a_name_may_command_and_nobody_else() -> None:
 
 @pytest.mark.slow
 def test_no_password_is_looked_at_that_came_unencrypted() -> None:
-    """Also the right one."""
+    """On an unencrypted channel even the right password is refused."""
     some = users(Clock(), anonymous=True)
     some.is_encrypted = False
 
@@ -204,7 +204,7 @@ def test_no_password_is_looked_at_that_came_unencrypted() -> None:
 
 @pytest.mark.slow
 def test_who_guesses_has_to_wait_and_others_need_not() -> None:
-    """Five wrong ones, then not even the right one for half a minute; from another address it is taken."""
+    """After five wrong passwords even the right one is refused for half a minute, but not from elsewhere."""
     clock = Clock()
     some = users(clock)
     for _ in range(FREE_ATTEMPTS):
@@ -226,7 +226,7 @@ def test_who_guesses_has_to_wait_and_others_need_not() -> None:
 
 @pytest.mark.slow
 def test_the_first_of_a_chain_of_certificates_is_the_clients() -> None:
-    """Each says how long it is; what says nothing of the kind is taken as it is."""
+    """The first certificate of a chain is cut by its length, and other data are returned unchanged."""
     short, long = b"0\x03abc", b"0\x82\x01\x00" + bytes(256)
 
     assert short == first_certificate(short + long)

@@ -1,4 +1,4 @@
-"""The page's process beside a running cell: killed, stopped, started anew; the cell does not notice."""
+"""The page's process beside a running cell, killed, stopped and restarted without affecting the cell."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ pytestmark = pytest.mark.slow
 
 @pytest.fixture
 def cell(tmp_path: Path) -> Iterator[tuple[SmallCell, DaemonProcess]]:
-    """A daemon that measures by itself, and has a page."""
+    """A daemon that measures on its own, with a page."""
     small = SmallCell(tmp_path, period_s=0.2)
     daemon = DaemonProcess(small.config)
     try:
@@ -37,7 +37,7 @@ def cell(tmp_path: Path) -> Iterator[tuple[SmallCell, DaemonProcess]]:
 
 
 def page_of(daemon: DaemonProcess) -> int | None:
-    """The process of the page, once there is one."""
+    """Process id of the page, or None."""
     for child in daemon.children():
         with suppress(OSError):
             if b"edged.app.page" in Path(f"/proc/{child}/cmdline").read_bytes():
@@ -46,13 +46,13 @@ def page_of(daemon: DaemonProcess) -> int | None:
 
 
 def asked(cell: SmallCell, path: str) -> Any:
-    """What the page answers, as soon as it does."""
+    """The page's answer, as soon as it gives one."""
     deadline_s = time.monotonic() + LIMIT_S
     while True:
         try:
             with urlopen(f"http://127.0.0.1:{cell.web_port}{path}", timeout=LIMIT_S) as answer:
                 return json.load(answer)
-        except (URLError, OSError, ValueError):  # it has ended in the middle of an answer
+        except (URLError, OSError, ValueError):  # it ended in the middle of an answer
             assert time.monotonic() < deadline_s
             time.sleep(0.01)
 
@@ -60,7 +60,7 @@ def asked(cell: SmallCell, path: str) -> Any:
 def test_a_page_that_is_killed_is_back_and_the_cell_measures_on(
     cell: tuple[SmallCell, DaemonProcess],
 ) -> None:
-    """Three times: no result is wrong or late, READY stays, and the next page shows what there is now."""
+    """After three kills no result is wrong or late, READY stays, and the next page shows current data."""
     small, daemon = cell
     cycles, pages = [0], set[int]()
     with Witness(small.modbus_port) as witness:
@@ -86,7 +86,7 @@ def test_a_page_that_is_killed_is_back_and_the_cell_measures_on(
 
 
 def test_a_page_that_hangs_is_replaced(cell: tuple[SmallCell, DaemonProcess]) -> None:
-    """It reads nothing any more: the cell has let go of it, and another one answers."""
+    """A stopped page is replaced by another one, which answers."""
     small, daemon = cell
     asked(small, "/ready")
     page = page_of(daemon)
@@ -100,8 +100,8 @@ def test_a_page_that_hangs_is_replaced(cell: tuple[SmallCell, DaemonProcess]) ->
 
 
 def refused(cell: SmallCell) -> str:
-    """Why /ready says that no trigger would be carried out; "" when it would."""
-    time.sleep(0.1)  # who asks too often is refused
+    """Reason why /ready says that no trigger would be carried out; "" if it would."""
+    time.sleep(0.1)  # requests that come too often are refused
     try:
         urlopen(f"http://127.0.0.1:{cell.web_port}/ready", timeout=LIMIT_S).close()
     except HTTPError as error:
@@ -110,7 +110,7 @@ def refused(cell: SmallCell) -> str:
 
 
 def test_the_page_of_a_cell_that_hangs_says_so(cell: tuple[SmallCell, DaemonProcess]) -> None:
-    """It is not READY on the page because it was once; when it goes on, that is seen, too."""
+    """While the cell is stopped /ready reports that it does not answer, and afterwards that it does."""
     small, daemon = cell
     asked(small, "/ready")
     daemon.process.send_signal(signal.SIGSTOP)
@@ -122,7 +122,7 @@ def test_the_page_of_a_cell_that_hangs_says_so(cell: tuple[SmallCell, DaemonProc
 
 
 def test_the_page_of_a_killed_cell_ends(cell: tuple[SmallCell, DaemonProcess]) -> None:
-    """The port is free for the next cell, and nobody is told old things."""
+    """The page ends with its cell, and a new cell can use the port."""
     small, daemon = cell
     asked(small, "/ready")
     page = page_of(daemon)
@@ -138,7 +138,7 @@ def test_the_page_of_a_killed_cell_ends(cell: tuple[SmallCell, DaemonProcess]) -
 
 
 def test_the_page_keeps_nothing_that_the_cell_needs(cell: tuple[SmallCell, DaemonProcess]) -> None:
-    """It gives way in processor time and memory, gets no new privileges, and loads none of its servers."""
+    """It has lower priority and a high OOM score, cannot gain privileges, and loads none of the servers."""
     small, daemon = cell
     asked(small, "/ready")
     page = page_of(daemon)

@@ -1,4 +1,4 @@
-"""The page as a service of its own: another user, who comes to a socket, and whom the kernel knows."""
+"""The page as a service of its own: another user that connects to a socket and is verified by the kernel."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ STRANGER = 12345
 
 @dataclass
 class Service:
-    """A cell, and its page as two services are; of the page, the last process."""
+    """A cell and its page as two services. pages : all processes of the page, the newest last."""
 
     cell: SmallCell
     daemon: DaemonProcess
@@ -47,11 +47,11 @@ class Service:
     pages: list[subprocess.Popen[bytes]] = field(default_factory=list)
 
     def start_page(self, user: str | int = PAGE) -> subprocess.Popen[bytes]:
-        """As the service manager does."""
+        """Start the page as the service manager does."""
         return self.start(["-m", "edged.app.page", "20", str(self.socket)], user)
 
     def start(self, arguments: list[str], user: str | int = PAGE) -> subprocess.Popen[bytes]:
-        """A Python that may come to the socket."""
+        """Start a Python process that may connect to the socket."""
         process = subprocess.Popen(
             [sys.executable, *arguments],
             user=user,
@@ -64,7 +64,7 @@ class Service:
         return process
 
     def asked(self, path: str) -> Any:
-        """What the page answers, as soon as it does."""
+        """The page's answer, as soon as it gives one."""
         deadline_s = time.monotonic() + LIMIT_S
         while True:
             try:
@@ -77,7 +77,7 @@ class Service:
 
 @contextmanager
 def folder_for_all() -> Iterator[Path]:
-    """A folder that other users get into, as they do not into those of pytest."""
+    """A folder that other users can access, unlike those of pytest."""
     folder = Path(tempfile.mkdtemp(prefix="edged-page-"))
     folder.chmod(0o755)
     try:
@@ -88,11 +88,11 @@ def folder_for_all() -> Iterator[Path]:
 
 @pytest.fixture
 def service() -> Iterator[Service]:
-    """Both run, and the page has answered."""
+    """Both services, after the page has answered."""
     with folder_for_all() as folder:
         runtime, own = folder / "run", folder / "page"
         runtime.mkdir()
-        # the kernels that are compiled, as the unit copies them
+        # the compiled kernels, as the unit copies them
         shutil.copytree(os.environ["NUMBA_CACHE_DIR"], own / "numba")
         for place in (own, *own.rglob("*")):
             shutil.chown(place, PAGE)
@@ -113,7 +113,7 @@ def service() -> Iterator[Service]:
 
 
 def test_a_page_of_another_user_serves_what_the_cell_opened(service: Service) -> None:
-    """The port is the cell's, the process is not: it cannot write in the cell's folder, and needs not."""
+    """The cell opens the port, and the page runs as another user that is not the cell's child."""
     assert service.asked("/ready")["ready"]
     status = Path(f"/proc/{service.pages[0].pid}/status").read_text()
     assert "Uid:\t65534\t65534" in status
@@ -122,7 +122,8 @@ def test_a_page_of_another_user_serves_what_the_cell_opened(service: Service) ->
 
 
 def test_who_is_not_the_page_is_turned_away(service: Service) -> None:
-    """By the user that the kernel states, whatever they say; then the page comes as before."""
+    """A process of another user is refused as the page, whatever it claims, and the page can still
+    connect."""
     service.asked("/ready")
     service.pages[0].kill()
     service.pages[0].wait()
@@ -135,7 +136,7 @@ def test_who_is_not_the_page_is_turned_away(service: Service) -> None:
 
 
 def test_a_page_that_is_killed_comes_again_and_the_cell_measures_on(service: Service) -> None:
-    """Its manager starts it again, and it gets the port; no result is wrong or late."""
+    """A restarted page gets the port again, and no result is wrong or late."""
     with Witness(service.cell.modbus_port) as witness:
         start_s = time.monotonic()
         for _ in range(2):
@@ -159,7 +160,8 @@ sys.exit(main(["20", sys.argv[1]]))
 
 
 def test_another_version_is_refused_by_name(service: Service) -> None:
-    """A page of after an upgrade, a cell of before it: the cell says so, and waits for the right one."""
+    """A page of another version is named in the cell's log and refused, and the right one can still
+    connect."""
     service.asked("/ready")
     service.pages[0].kill()
     service.pages[0].wait()
@@ -170,7 +172,7 @@ def test_another_version_is_refused_by_name(service: Service) -> None:
 
 
 def test_a_page_that_does_not_end_keeps_no_port(service: Service) -> None:
-    """A reload exchanges the page on its port: one that hangs is in nobody's way, and need not be killed."""
+    """After a reload a hanging old page does not block the port for the new one."""
     service.asked("/ready")
     old = service.pages[0]
     old.send_signal(signal.SIGSTOP)
@@ -186,7 +188,7 @@ def test_a_page_that_does_not_end_keeps_no_port(service: Service) -> None:
 
 
 def test_the_page_of_a_killed_cell_ends(service: Service) -> None:
-    """Within its second, and the next cell listens at the same place, where a socket still lies."""
+    """The page ends, and a new cell and page work with the socket file that is still there."""
     service.asked("/ready")
     service.daemon.kill()
     service.pages[0].wait(LIMIT_S)
@@ -203,7 +205,7 @@ def test_the_page_of_a_killed_cell_ends(service: Service) -> None:
 
 
 def test_outside_of_a_service_there_is_no_place_to_come_to(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The option without a runtime directory says what is missing."""
+    """The page option without a runtime directory raises an error that says so."""
     monkeypatch.delenv("RUNTIME_DIRECTORY", raising=False)
     with pytest.raises(UserError, match="RUNTIME_DIRECTORY is not set"):
         awaited_page(PAGE)

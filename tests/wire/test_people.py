@@ -1,4 +1,4 @@
-"""Users over HTTP: how they come in, what an engineer does with them, and when rights end."""
+"""Users over HTTP: logging in, management by an engineer, and the end of rights."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ NEW = "battery staple"
 
 
 async def me(cell: Cell) -> tuple[str, str]:
-    """Name and role."""
+    """Name and role of the session."""
     _, told = await cell.ask("GET", "/api/v1/me", None)
     return told["name"], told["role"]
 
 
 async def test_everybody_is_who_they_said() -> None:
-    """By name and password; with the page's password alone somebody may look; a wrong one is nobody."""
+    """A name and password give that user's role, the page's password alone a viewer, a wrong one nothing."""
     async with running() as cell:
         for said, name, role in (
             ("anna", "Anna", "engineer"),
@@ -41,7 +41,7 @@ async def test_everybody_is_who_they_said() -> None:
 
 
 async def test_an_engineer_makes_changes_and_removes_users() -> None:
-    """It holds at once; sessions end with the user, and with the password."""
+    """Changes take effect at once, and sessions end when their user or password is changed."""
     async with running(visitor="Anna") as cell:
         anna = cell.cookies()
         new = {"name": "Jörg B.", "role": "operator", "password": NEW, "language": "de"}
@@ -72,7 +72,7 @@ async def test_an_engineer_makes_changes_and_removes_users() -> None:
 
 
 async def test_there_is_always_an_engineer() -> None:
-    """The last one can neither be taken out nor made less."""
+    """The last engineer can be neither removed nor demoted."""
     async with running(visitor="Anna") as cell:
         assert (204, None) == await cell.ask("DELETE", "/api/v1/users/Ben", None)
         for method, document in (("DELETE", None), ("PUT", {"role": "viewer"})):
@@ -82,7 +82,7 @@ async def test_there_is_always_an_engineer() -> None:
 
 
 async def test_everybody_changes_their_own_password() -> None:
-    """With the old one; other sessions of theirs end, this one goes on; nobody's cannot be changed."""
+    """It needs the old one, ends the user's other sessions, and is impossible without a name."""
     async with running(visitor="Vera") as cell:
         other = cell.cookies()
         await cell.log_in("Vera")
@@ -117,7 +117,7 @@ async def test_everybody_changes_their_own_password() -> None:
     ],
 )
 async def test_a_user_that_cannot_be_names_the_field(document: dict[str, Any], field: str) -> None:
-    """And nobody is made."""
+    """The error names the invalid field, and no user is created."""
     async with running(visitor="Anna") as cell:
         status, problem = await cell.ask("POST", "/api/v1/users", document)
         assert (400, "invalid", field) == (status, problem["code"], problem["field"])
@@ -126,7 +126,7 @@ async def test_a_user_that_cannot_be_names_the_field(document: dict[str, Any], f
 
 
 async def test_the_first_engineer_comes_in_by_the_code(caplog: pytest.LogCaptureFixture) -> None:
-    """Which the journal names, once; a wrong one and two passwords that differ let nobody in."""
+    """The code from the log creates the first engineer; a wrong code or differing passwords do not."""
     async with running(users={}) as cell:
         (line,) = [one.getMessage() for one in caplog.records if "with the code" in one.getMessage()]
         code = line.partition("with the code ")[2].partition(",")[0]
@@ -152,7 +152,7 @@ async def test_the_first_engineer_comes_in_by_the_code(caplog: pytest.LogCapture
 async def test_who_comes_to_set_up_a_cell_that_all_may_look_at_is_asked_who_they_are(
     users: Mapping[str, RoleName], to: str
 ) -> None:
-    """By the code as long as there is no engineer: without a session the page would be told nothing."""
+    """Without an engineer the visitor is sent to the invitation form, otherwise to log in."""
     async with (
         running(users=users, is_open=True) as cell,
         cell.session.get("/setup", allow_redirects=False) as answer,
@@ -161,7 +161,7 @@ async def test_who_comes_to_set_up_a_cell_that_all_may_look_at_is_asked_who_they
 
 
 async def test_rights_of_an_engineer_end_without_a_sign_of_them(tmp_path: Path) -> None:
-    """After ten minutes they may look; what they did meanwhile counts, and the password brings them back."""
+    """After ten minutes without activity an engineer is only a viewer, until the password is given again."""
     users = UserFile(tmp_path / "users.json")
     for who, role in (("Anna", "engineer"), ("Otto", "operator")):
         users.put(User(name=who, role=role, password_hash=HASH))
@@ -196,7 +196,8 @@ async def test_rights_of_an_engineer_end_without_a_sign_of_them(tmp_path: Path) 
 
 
 async def test_who_is_idle_is_told_so_and_wakes() -> None:
-    """403 with a code of its own, by which the page asks for the password; the lease goes on meanwhile."""
+    """The answer is a 403 with its own code until the password is given, and the lease continues
+    meanwhile."""
     async with running(visitor="Anna") as cell:
         _, entered = await cell.ask("POST", "/api/v1/setup", {})
         cell.sleep(IDLE_S)
@@ -220,7 +221,7 @@ async def test_who_is_idle_is_told_so_and_wakes() -> None:
 
 @pytest.mark.slow
 async def test_users_that_cannot_be_read_let_nobody_in(caplog: pytest.LogCaptureFixture) -> None:
-    """It is in the journal; the page goes on, with its own password, and no code makes an engineer."""
+    """The log says so, the page's own password still works, and no code makes an engineer."""
     async with running(users=None) as cell:
         assert any("nobody can log in by name" in one.getMessage() for one in caplog.records)
         assert not await cell.comes_in("Anna")

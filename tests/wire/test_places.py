@@ -1,4 +1,4 @@
-"""Connections to the page: how many places a stranger has, and that people who have logged in have theirs."""
+"""Connections to the page: how many a stranger has, and that logged-in users always get theirs."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ PLACE = "/api/v1/ws"
 
 
 async def connect(cell: Cell, address: str, sent: bytes = b"") -> tuple[StreamReader, StreamWriter]:
-    """A connection of a stranger, who sends this."""
+    """Open a stranger's connection and send this."""
     reader, writer = await asyncio.open_connection("127.0.0.1", cell.web.port, local_addr=(address, 0))
     writer.write(sent)
     await writer.drain()
@@ -35,7 +35,7 @@ async def connect(cell: Cell, address: str, sent: bytes = b"") -> tuple[StreamRe
 
 
 async def is_closed(reader: StreamReader) -> bool:
-    """Whether the page has ended a connection."""
+    """Whether the page has closed a connection."""
     with contextlib.suppress(TimeoutError, ConnectionError):
         async with asyncio.timeout(0.05):
             return await reader.read(65536) == b""
@@ -44,19 +44,19 @@ async def is_closed(reader: StreamReader) -> bool:
 
 
 async def still_open(lines: list[tuple[StreamReader, StreamWriter]]) -> int:
-    """How many of them are."""
+    """Number of connections that are still open."""
     return sum([not await is_closed(reader) for reader, _ in lines])
 
 
 def shut(lines: list[tuple[StreamReader, StreamWriter]]) -> None:
-    """End them."""
+    """Close the connections."""
     for _, writer in lines:
         writer.close()
 
 
 @pytest.mark.slow
 async def test_a_stranger_has_eight_places(monkeypatch: pytest.MonkeyPatch) -> None:
-    """At one address; the ninth takes that of their own which was silent longest."""
+    """One address has eight connections, and another one displaces its longest silent one."""
     monkeypatch.setattr(login, "FORM_S", 60.0)
     async with running() as cell:
         lines = [await connect(cell, "127.0.0.9") for _ in range(20)]
@@ -67,7 +67,7 @@ async def test_a_stranger_has_eight_places(monkeypatch: pytest.MonkeyPatch) -> N
 
 
 def clients(cell: Cell) -> list[str]:
-    """Hosts that are connected."""
+    """Addresses of the connected clients."""
     listener = cell.web._listener  # noqa: SLF001  (what the page counts itself)
     assert listener is not None
     return [client.peer for client in listener.clients]
@@ -75,8 +75,8 @@ def clients(cell: Cell) -> list[str]:
 
 @pytest.mark.slow
 async def test_a_form_that_does_not_come_keeps_no_place(monkeypatch: pytest.MonkeyPatch) -> None:
-    """From a hundred and twenty addresses, each with a body that is awaited: another stranger comes in, and
-    who has logged in is served on a new connection.
+    """While strangers hold unfinished forms from a hundred addresses, another stranger gets in, and a
+    logged-in user is served on a new connection.
     """
     monkeypatch.setattr(login, "FORM_S", 60.0)
     async with running(visitor="Anna") as cell:
@@ -93,7 +93,7 @@ async def test_a_form_that_does_not_come_keeps_no_place(monkeypatch: pytest.Monk
 
 @pytest.mark.slow
 async def test_strangers_end_no_connection_of_people() -> None:
-    """Ten idle ones of somebody who has logged in outlast two hundred of strangers at the same address."""
+    """Ten idle connections of a logged-in user outlast two hundred of strangers at the same address."""
     async with running(visitor="Anna") as cell:
         cookie = "; ".join(f"{name}={value}" for name, value in cell.cookies().items())
         asked = f"GET /api/v1/me HTTP/1.1\r\nHost: 127.0.0.1\r\nCookie: {cookie}\r\n\r\n".encode()
@@ -111,7 +111,7 @@ async def test_strangers_end_no_connection_of_people() -> None:
 
 
 async def test_a_session_has_four_sockets() -> None:
-    """The fifth is refused; another session has its own."""
+    """A fifth socket of a session is refused, while another session can open one."""
     async with running(visitor="Vera") as cell:
         tabs = [await cell.session.ws_connect(PLACE, origin=cell.origin) for _ in range(4)]
         with pytest.raises(aiohttp.WSServerHandshakeError, match="503"):
@@ -124,7 +124,7 @@ async def test_a_session_has_four_sockets() -> None:
 
 @pytest.mark.slow
 async def test_sockets_are_kept_for_people() -> None:
-    """Whoever has the page's password takes half of them at most, however often they log in."""
+    """Sessions with only the page's password get at most half of the sockets, however many there are."""
     async with running() as cell:
         tabs = list[aiohttp.ClientWebSocketResponse]()
         with contextlib.suppress(aiohttp.WSServerHandshakeError):
@@ -141,7 +141,7 @@ async def test_sockets_are_kept_for_people() -> None:
 
 @pytest.mark.slow
 async def test_requests_that_expect_too_much_are_counted() -> None:
-    """`Expect:` is answered before anything else of a request is asked: it counts all the same."""
+    """Requests with `Expect:`, which are answered early, also count towards the limit."""
     line, count = b"GET /health HTTP/1.1\r\nHost: 127.0.0.1\r\nExpect: more\r\n\r\n", 4000
     async with running() as cell:
         reader, writer = await connect(cell, "127.0.0.9")
@@ -156,7 +156,7 @@ async def test_requests_that_expect_too_much_are_counted() -> None:
 
 @pytest.mark.parametrize("coding", ["deflate", "gzip", "br"])
 async def test_a_compressed_body_is_not_unpacked(coding: str) -> None:
-    """A few kilobytes of it would be megabytes in the loop, before anybody is asked who they are."""
+    """It is refused with 415, as unpacking could use megabytes before the log-in."""
     async with running() as cell:
         form = zlib.compress(urlencode({"name": "Vera", "password": PASSWORD}).encode())
         headers = {
@@ -170,7 +170,7 @@ async def test_a_compressed_body_is_not_unpacked(coding: str) -> None:
 
 
 async def test_a_request_without_a_host_asks_no_name_server(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A load balancer's, for example; it is answered, and it is no browser's."""
+    """Requests without a host, as from a load balancer, are answered without a DNS look-up."""
     asked = list[tuple[str, ...]]()
     monkeypatch.setattr("socket.getfqdn", lambda *names: asked.append(names) or "cellpc")
     async with running() as cell:
@@ -186,7 +186,7 @@ async def test_a_request_without_a_host_asks_no_name_server(monkeypatch: pytest.
 
 @pytest.mark.slow
 async def test_handshakes_of_one_address_keep_nobody_out(tmp_path: Path) -> None:
-    """Two hundred connections at once that want TLS: somebody else's is served beside them."""
+    """Beside two hundred connections that wait for TLS, one from another address is served."""
     make_certificates(tmp_path)
     certificate, key = tmp_path / "server.pem", tmp_path / "server.key"
     settings = WebSettings(port=0, password_hash=HASH, certificate=certificate, key=key)

@@ -1,4 +1,4 @@
-"""How PLCs and robots connect, chosen on the page in a real browser, and what became of it."""
+"""PLC and robot connections, chosen on the page in a real browser, and their effect."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ CHANGE = 'document.querySelector("#plc-settings ~ details")'
 
 
 async def save(page: Browser) -> None:
-    """Check what was chosen, and use it."""
+    """Check the chosen connections and put them in force."""
     await press(page, "Check these connections")
     await put_in_force(page)
 
@@ -41,7 +41,8 @@ async def save(page: Browser) -> None:
 @pytest.mark.slow
 @needs("chromium")
 def test_a_plc_and_a_robot_are_connected_on_the_page(tmp_path: Path) -> None:
-    """Twice, in any order, and back; a brand that does not fit is asked about; what fails changes nothing."""
+    """Connections are changed twice and back, an unsuitable brand is questioned, and failures change
+    nothing."""
     first, second, lines = free_port(), free_port(), free_port()
 
     async def test(newcomer: Newcomer) -> None:
@@ -80,7 +81,7 @@ def test_a_plc_and_a_robot_are_connected_on_the_page(tmp_path: Path) -> None:
                 await press(page, "Put them in force")
                 await page.until(said("the cell cannot run with it, and goes on as before"))
                 assert answers(first)
-            page.complaints.clear()  # of the refusal
+            page.complaints.clear()  # about the refusal
             await press(page, "Put them in force")
             await page.until(IN_FORCE)
             assert answers(second) and not answers(first)
@@ -105,7 +106,7 @@ def test_a_plc_and_a_robot_are_connected_on_the_page(tmp_path: Path) -> None:
 
 
 def test_what_was_chosen_counts_before_the_file(tmp_path: Path) -> None:
-    """Key by key; null leaves a key out, and a whole server; the rest of the file stays."""
+    """Chosen values override the file key by key, null removes a key or server, and the rest stays."""
     config = tmp_path / "cell.toml"
     config.write_text(
         '[cell]\nname = "c"\nrig = "rig.json"\njobs = "jobs"\n[cameras]\nsource = "virtual-inprocess"\n'
@@ -132,7 +133,7 @@ def test_what_was_chosen_counts_before_the_file(tmp_path: Path) -> None:
     [b"{", b"[]", b'{"modbus": 3}', b'{"zenoh": {}}', b"[" * 100_000, b'{"modbus": {"port": 99999999}}'],
 )
 def test_a_damaged_choice_is_named(tmp_path: Path, content: bytes) -> None:
-    """The file, what is wrong with it, and what helps."""
+    """The error names the damaged file."""
     config, file = tmp_path / "cell.toml", tmp_path / "rig.connections.json"
     config.write_text(
         '[cell]\nname = "c"\nrig = "rig.json"\njobs = "jobs"\n[cameras]\nsource = "virtual-inprocess"\n'
@@ -143,7 +144,7 @@ def test_a_damaged_choice_is_named(tmp_path: Path, content: bytes) -> None:
 
 
 def test_a_choice_of_nothing_is_the_file(tmp_path: Path) -> None:
-    """No key is added to a configuration that has none."""
+    """An empty choice leaves the configuration unchanged."""
     data = {"cell": {"name": "c"}, "modbus": {"port": 5}}
     assert data == connections_of(b"{}", tmp_path).over(data)
     assert {"cell": {}} == ChosenConnections().over({"cell": {}})

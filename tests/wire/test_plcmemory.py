@@ -1,4 +1,4 @@
-"""The cell in a PLC's own memory: the handshake as over Modbus, by servers of the makers' protocols."""
+"""The cell in a PLC's own memory: the handshake as over Modbus, with servers of the makers' protocols."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def controller(request: pytest.FixtureRequest) -> Iterator[Controller]:
 def program_beside(
     cell: LiveCell, controller: Controller, handshake: str = "start-bit"
 ) -> Iterator[tuple[Program, PlcMemoryPublisher]]:
-    """The cell runs and has reached the PLC."""
+    """A running cell that has reached the PLC."""
     section = controller.section.model_copy(update={"handshake": handshake})
     with cell, memory_of(cell, section) as publisher:
         program = Program(controller)
@@ -70,7 +70,7 @@ def program_beside(
 
 
 def test_four_steps_give_a_part_in_mm(controller: Controller) -> None:
-    """Job in the upper byte; again and again; the next part with NEXT; what fails says why."""
+    """START with a job in the upper byte gives a part, NEXT the next one, and failures give a reason."""
     with program_beside(cell := LiveCell(), controller) as (program, _):
         for job, x_mm in ((0, 10.0), (2, -12.5)):
             cell.targets = tuple(make_target(x_mm=x) for x in (x_mm, x_mm + 5.0))
@@ -91,7 +91,7 @@ def test_four_steps_give_a_part_in_mm(controller: Controller) -> None:
 
 
 def test_sequences_work_as_over_modbus(controller: Controller) -> None:
-    """The first CMD_SEQ of a connection runs nothing, another one does, and an acknowledged result falls."""
+    """A connection's first CMD_SEQ runs nothing, later ones do, and an acknowledged result is withdrawn."""
     Program(controller).write(at.CMD_SEQ, 7)
     Program(controller).write(at.CMD, 1)
     with program_beside(cell := LiveCell(), controller, "sequence") as (program, _):
@@ -130,7 +130,8 @@ def test_the_belt_in_an_image_reaches_the_registers(controller: Controller, hand
 
 
 def test_a_start_that_was_up_before_runs_nothing(controller: Controller) -> None:
-    """Also after the cell was away; and a cell that stops leaves no number behind."""
+    """A START that was already up runs nothing, also after a restart, and a stopping cell clears its
+    image."""
     Program(controller).write(at.CONTROL, 1)
     with program_beside(cell := LiveCell(), controller) as (program, _):
         heartbeat = program.word(at.HEARTBEAT)
@@ -144,7 +145,7 @@ def test_a_start_that_was_up_before_runs_nothing(controller: Controller) -> None
 
 
 def test_the_flange_that_stands_before_start_is_the_one_that_counts(controller: Controller) -> None:
-    """Each command has the pose that was written before it, however short before; also the same once more."""
+    """Each command has the pose written before it, however shortly before, also if it is repeated."""
     cell = LiveCell()
     commands = []
     with program_beside(cell, controller) as (program, _):
@@ -161,7 +162,7 @@ def test_the_flange_that_stands_before_start_is_the_one_that_counts(controller: 
 
 
 class Spy:
-    """A commander that remembers."""
+    """A commander that records its commands."""
 
     def __init__(self, commands, submit, cell) -> None:
         self._commands, self._submit, self._cell = commands, submit, cell
@@ -175,7 +176,7 @@ class Spy:
 
 
 def test_a_plc_that_comes_back_is_served_again_and_runs_nothing_old(controller: Controller) -> None:
-    """Off while START is up: nobody holds the right to write; on again: START must fall first."""
+    """The right to write ends when the PLC is off, and a START still up must fall first when it is back."""
     with program_beside(cell := LiveCell(), controller) as (program, publisher):
         program.locate()
         controller.stop()
@@ -196,18 +197,18 @@ def test_a_plc_that_comes_back_is_served_again_and_runs_nothing_old(controller: 
 
 
 OTHER = 99
-"""A client that has no connection here."""
+"""A client without a connection here."""
 
 
 @pytest.mark.parametrize("handshake", ["start-bit", "sequence"])
 def test_during_another_clients_turn_a_plc_waits_as_one_that_writes_for_ever(handshake: str) -> None:
-    """What was begun in it runs nothing: START must fall, CMD_SEQ is only taken note of (NACK 8)."""
+    """A START or CMD_SEQ written during another client's turn runs nothing and must be given again."""
     controller = S7Controller()
     settings = ModbusSettings(port=0, validity_s=30.0, owner_s=1e6)
     try:
         with program_beside(cell := LiveCell(settings), controller, handshake) as (program, _):
             wait_until(lambda: cell.call(lambda: cell.server.owner))
-            # as when it lapses: the PLC is silent for longer than owner_s
+            # as when it lapses because the PLC is silent for longer than owner_s
             cell.call(lambda: vars(cell.server)["_cell"].gone(2_000_000))
             cell.call(lambda: cell.server.write(OTHER, {"CLIENT_HEARTBEAT": 0}))
             program.write(at.CONTROL, 1)
@@ -231,7 +232,7 @@ def test_during_another_clients_turn_a_plc_waits_as_one_that_writes_for_ever(han
 
 
 def test_registers_that_a_reload_exchanges_run_nothing_of_before() -> None:
-    """The same thread goes on with the new ones, as a new client: START must be seen down."""
+    """The same thread continues with the new registers, and START must be seen down first."""
     controller, cell = S7Controller(), LiveCell()
     Program(controller).write(at.CONTROL, 0)
     try:
@@ -270,19 +271,19 @@ def test_registers_that_a_reload_exchanges_run_nothing_of_before() -> None:
 
 
 def silent(line: socket.socket) -> None:
-    """Takes everything, says nothing."""
+    """Receives everything and answers nothing."""
     while line.recv(4096):
         pass
 
 
 def babbling(line: socket.socket) -> None:
-    """Bytes that are no answer."""
+    """Sends bytes that are no answer."""
     line.recv(4096)
     line.sendall(bytes(range(256)) * 40)
 
 
 def truncated(line: socket.socket) -> None:
-    """The beginning of a frame that is said to be long, then nothing but a byte now and then."""
+    """Begins a frame that claims to be long, then sends only a byte now and then."""
     line.recv(4096)
     line.sendall(b"\x03\x00\xff\xff")
     while True:
@@ -291,7 +292,7 @@ def truncated(line: socket.socket) -> None:
 
 
 def hanging_up(line: socket.socket) -> None:
-    """As for a wrong rack or slot: connected, and at once no longer."""
+    """Disconnects at once, as for a wrong rack or slot."""
     line.recv(4096)
 
 
@@ -303,7 +304,7 @@ SECTIONS = {"s7": {"db": 100}, "logix": {}, "melsec": {"cpu": "iq-f"}}
 def test_the_cell_measures_whatever_the_plc_answers(
     family: str, answer: Callable[[socket.socket], None], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """It says what is wrong, tries again, and no command of another client waits for it."""
+    """The problem is reported and retried, and commands of other clients do not wait for it."""
     monkeypatch.setattr("edged.adapters.plcmemory.exchange.HANG_S", 0.5)
     with BadServer(answer) as server:
         section = PlcSection.model_validate(
@@ -321,7 +322,7 @@ def test_the_cell_measures_whatever_the_plc_answers(
 def test_mangled_answers_end_in_a_new_connection(
     family: str, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """A thousand answers, a tenth of them wrong: never a bug, nor a thread that ends; then all goes on."""
+    """With a tenth of the answers mangled there is no unhandled error, and afterwards everything works."""
     for name, value_s in (("HANG_S", 0.3), ("FIRST_RETRY_S", 0.005), ("LAST_RETRY_S", 0.005)):
         monkeypatch.setattr(f"edged.adapters.plcmemory.exchange.{name}", value_s)
     monkeypatch.setattr("edged.adapters.plcmemory.publisher.ANSWER_S", 0.2)
@@ -339,7 +340,7 @@ def test_mangled_answers_end_in_a_new_connection(
                 assert mangler.connections > 20
                 program.write(at.CONTROL, 0)
                 connections = 0
-                while connections != mangler.connections:  # what is still on its way may be wrong
+                while connections != mangler.connections:  # answers still under way may be wrong
                     connections, heartbeat = mangler.connections, program.word(at.HEARTBEAT)
                     wait_until(lambda before=heartbeat: program.word(at.HEARTBEAT) > before + 4)
                 assert not publisher.problem
@@ -350,7 +351,7 @@ def test_mangled_answers_end_in_a_new_connection(
 
 
 def test_a_block_that_is_too_short_or_missing_is_named() -> None:
-    """By `ask`, as `edged doctor` does, and by the cell: nothing was written."""
+    """`ask`, as used by `edged doctor`, and the cell name the problem, and nothing is written."""
     controller = S7Controller(size=191)
     try:
         with pytest.raises(PlcFault, match=r"DB100, 192 bytes from 0 on: .*that long"):
@@ -367,14 +368,14 @@ def test_a_block_that_is_too_short_or_missing_is_named() -> None:
 
 
 def test_a_plc_is_asked_without_being_written(controller: Controller) -> None:
-    """What stands there is said."""
+    """`ask` reports the current words and writes nothing."""
     Program(controller).write(at.CMD_SEQ, 7)
     assert "192 bytes for edged: CMD_SEQ 7, CONTROL 0" in ask(controller.section)
     assert bytes(128) == controller.get(64, 128)
 
 
 def logix_names(name: str) -> str:
-    """A variable of FB_EDGED_DB as the add-on instruction calls it."""
+    """Name of a variable of FB_EDGED_DB in the add-on instruction."""
     names = {"xError": "Failed", "uiReason": "Reason", "uiJob": "Job", "stResult": "Result"}
     return names.get(name, name if name in ("xExecute", "xBusy") else name.removeprefix("x"))
 
@@ -387,7 +388,7 @@ def logix_names(name: str) -> str:
 def test_the_generated_program_locates_parts_in_its_memory(
     make: Callable[[], Controller], run_by: Callable[[Controller], Any], named: Callable[[str], str]
 ) -> None:
-    """Part by part; a START that falls early is no command of another job; a lost link is an error."""
+    """It gets each part, a START that falls early starts no command, and a lost link is an error."""
     controller = make()
     program = run_by(controller)
 
@@ -433,7 +434,7 @@ def test_the_generated_program_locates_parts_in_its_memory(
     ],
 )
 def test_a_tag_that_is_another_is_named(changes: dict[str, bytes | int], expected: str) -> None:
-    """Its type or its length; nothing is written."""
+    """The error names its type or length, and nothing is written."""
     controller = UdtController(**changes)
     try:
         with pytest.raises(PlcFault, match=expected):
@@ -444,7 +445,7 @@ def test_a_tag_that_is_another_is_named(changes: dict[str, bytes | int], expecte
 
 
 def test_a_tag_that_is_missing_is_named_and_a_programs_tag_is_found_by_its_path() -> None:
-    """Each part of the name is a segment of its own, of even length."""
+    """Each part of the name is a segment of its own, padded to even length."""
     controller = UdtController()
     try:
         logix = controller.section.logix
@@ -462,12 +463,12 @@ def test_a_tag_that_is_missing_is_named_and_a_programs_tag_is_found_by_its_path(
     ("device", "expected"), [("D1000", "D1032"), ("W1F0", "W210"), ("ZR96", "ZR128"), ("R0", "R32")]
 )
 def test_the_second_image_is_32_devices_behind_the_first(device: str, expected: str) -> None:
-    """Link registers count in hexadecimal."""
+    """The second image is 32 devices after the first; link registers count in hexadecimal."""
     assert (device, expected) == MelsecSection(port=5007, cpu="iq-r", device=device).devices(32)
 
 
 def test_devices_that_a_cpu_does_not_have_are_named() -> None:
-    """An FX5U has D0 to D7999; nothing is written."""
+    """The error names the missing devices of an FX5U, and nothing is written."""
     controller = MelsecController()
     try:
         melsec = controller.section.melsec

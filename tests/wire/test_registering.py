@@ -1,4 +1,4 @@
-"""A robot's program registers the rig, over a socket or Modbus: true to what was rendered, or refused."""
+"""A robot's program registers the rig, over a socket or Modbus: close to the rendered truth, or refused."""
 
 from __future__ import annotations
 
@@ -29,14 +29,14 @@ GOOD_MM = 0.03
 
 @pytest.fixture(scope="module")
 def cell(tmp_path_factory: pytest.TempPathFactory) -> Iterator[WalkedCell]:
-    """Cameras that stand still; registering it again and again."""
+    """A cell whose cameras stand still, registered by each test."""
     with WalkedCell(tmp_path_factory.mktemp("cell"), Arm()) as cell:
         yield cell
 
 
 @pytest.mark.slow
 def test_ten_poses_register_the_rig_and_the_robot_measures_at_once(cell: WalkedCell) -> None:
-    """Until then nothing is measured; the answer says how good it is; the file of before is kept."""
+    """Nothing is measured before, the answer states the error, and the old rig file is kept."""
     before = cell.rig
     with cell.robot() as robot:
         assert 0 == robot.ask("HAND_EYE_START")[0]
@@ -61,7 +61,7 @@ def test_ten_poses_register_the_rig_and_the_robot_measures_at_once(cell: WalkedC
 
 @pytest.mark.slow
 def test_what_adds_nothing_says_so(cell: WalkedCell) -> None:
-    """Out of order, too few, the same pose again, no board, no pose: each its own number."""
+    """Wrong order, too few poses, a repeated pose, no board and no pose each have a status of their own."""
     walk = cell.arm.walk()
     with cell.robot() as robot:
         for request in ("REGISTER_ADD,0", "REGISTER_SOLVE"):
@@ -87,7 +87,7 @@ def test_what_adds_nothing_says_so(cell: WalkedCell) -> None:
 
 @pytest.mark.slow
 def test_a_pose_that_was_said_wrongly_is_named(cell: WalkedCell) -> None:
-    """One of ten is 5 mm off: it is rejected, and its number is in the answer; half of them: not good."""
+    """One pose that is 5 mm off is rejected and named; if half are wrong, the result is not good."""
     saved = cell.rig.robot_from_rig
     with cell.robot() as robot:
         robot.ask("HAND_EYE_START")
@@ -113,7 +113,7 @@ def test_a_pose_that_was_said_wrongly_is_named(cell: WalkedCell) -> None:
 
 @pytest.mark.slow
 def test_another_makers_convention_is_found_out(cell: WalkedCell, caplog: pytest.LogCaptureFixture) -> None:
-    """KUKA's angles sent to a cell that reads FANUC's: its own number, and the log says how they read."""
+    """KUKA's angles sent to a FANUC cell give a status of their own, and the log says how they read."""
     with caplog.at_level("WARNING"), cell.robot() as robot:
         robot.ask("HAND_EYE_START")
         for pose in cell.arm.walk():
@@ -124,7 +124,7 @@ def test_another_makers_convention_is_found_out(cell: WalkedCell, caplog: pytest
 
 @pytest.mark.slow
 def test_touched_points_register_it_and_mirrored_ones_do_not(cell: WalkedCell) -> None:
-    """The tip's place at each of five parts; one axis with the wrong sign is refused."""
+    """Five touched points register the rig, and points with one axis mirrored are refused."""
     places = TAUGHT_MM + np.array([[-10, -5, -5], [10, -5, 5], [8, 5, -6], [-8, 5, 6], [0.0, 0, 0]])
     cell.arm.shows = "part"
     for mirror, expected in ((-1.0, NackReason.NOT_GOOD), (1.0, 0)):
@@ -147,7 +147,8 @@ def test_touched_points_register_it_and_mirrored_ones_do_not(cell: WalkedCell) -
 
 @pytest.mark.slow
 def test_over_modbus_it_is_the_same(cell: WalkedCell) -> None:
-    """The block `registration` speaks of the command by its sequence; a reload in between ends it."""
+    """The block `registration` shows each command's progress, and a reload in between ends the
+    registration."""
     client = ModbusTcpClient("127.0.0.1", port=cell.port, timeout=10)
     assert client.connect()
     sequence = 100
@@ -198,7 +199,7 @@ def test_over_modbus_it_is_the_same(cell: WalkedCell) -> None:
 
 
 def test_the_python_client_goes_step_by_step(cell: WalkedCell) -> None:
-    """Each step returns how far it is; what cannot be is a refusal with its reason."""
+    """Each step returns its progress, and an impossible one raises CommandNacked with its reason."""
     with EdgedCell("127.0.0.1", cell.port) as client:
         assert 0 == client.register("HAND_EYE_START")["H_SAMPLES"]
         for number, pose in enumerate(cell.arm.walk()[:2], 1):
@@ -212,7 +213,7 @@ def test_the_python_client_goes_step_by_step(cell: WalkedCell) -> None:
 
 @pytest.mark.slow
 def test_a_rig_that_was_changed_on_the_disc_is_not_written_over(cell: WalkedCell) -> None:
-    """Somebody has calibrated anew and not reloaded yet: the registration is of the old cameras."""
+    """If the rig file has changed since it was loaded, REGISTER_SOLVE fails and the file stays as it is."""
     file = cell.config.with_name("rig.json")
     text = file.read_text()
     with cell.robot() as robot:
@@ -228,7 +229,7 @@ def test_a_rig_that_was_changed_on_the_disc_is_not_written_over(cell: WalkedCell
 
 @pytest.mark.slow
 def test_cameras_on_the_flange(tmp_path: Path) -> None:
-    """flange_from_rig from ten poses over a board that lies still; TOUCH_START is refused there."""
+    """Ten poses over a fixed board give flange_from_rig, and TOUCH_START is refused."""
     registration = 'board = "chessboard:9x6:4.0"\nmount = "flange"\nlimit_mm = 0.1'
     with WalkedCell(tmp_path, Arm(carries_rig=True), "ur", registration) as cell, cell.robot() as robot:
         assert NackReason.REFUSED == robot.ask("TOUCH_START")[0]
@@ -244,8 +245,8 @@ def test_cameras_on_the_flange(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_a_second_look_from_the_approach_takes_off_what_is_wrong_in_the_robot(tmp_path: Path) -> None:
-    """Cameras on the flange of an arm with wrong axes: LOCATE from 100 mm farther, aside and turned, then
-    from 30 mm before the part. The tool lands five times nearer."""
+    """With cameras on the flange of an arm with wrong axes, a LOCATE from 100 mm farther, aside and turned is
+    followed by one from 30 mm before the part, after which the tool lands five times closer."""
     rig_from_tip = transform(np.eye(3), TAUGHT_MM - (0.0, 0.0, 30.0))
     flange_from_tip = FLANGE_FROM_RIG @ rig_from_tip
     world, erring = Arm(carries_rig=True), ErringArm.drawn(4, size=4.0)
@@ -284,7 +285,7 @@ def test_a_second_look_from_the_approach_takes_off_what_is_wrong_in_the_robot(tm
 
 @pytest.mark.slow
 def test_without_leave_no_program_registers_anything(tmp_path: Path) -> None:
-    """No [registration], or one without a board: refused, and the cell goes on measuring."""
+    """Without [registration], or a board in it, starting is refused, and the cell continues to measure."""
     with WalkedCell(tmp_path, Arm(), registration="") as cell, cell.robot() as robot:
         for request in ("HAND_EYE_START", "TOUCH_START"):
             assert NackReason.REFUSED == robot.ask(request)[0]

@@ -1,4 +1,4 @@
-"""A request that is sent again because its answer was lost is answered, and not done twice."""
+"""A request that is repeated because its answer was lost is answered again, but not carried out twice."""
 
 from __future__ import annotations
 
@@ -14,13 +14,14 @@ USERS, NEW = "/api/v1/users", {"name": "Erna", "role": "viewer", "password": PAS
 
 
 def again(key: str) -> dict[str, str]:
-    """The header."""
+    """The idempotency header."""
     return {"Idempotency-Key": key}
 
 
 @pytest.mark.slow
 async def test_what_is_sent_again_is_answered_as_before() -> None:
-    """Also while the first is still being done; what else is sent with its key is refused."""
+    """A repeated request gets the same answer, also while the first runs; another one with its key is
+    refused."""
     async with running(visitor="Anna") as cell:
         first, second = await asyncio.gather(
             *(cell.ask("POST", USERS, NEW, **again("erna")) for _ in range(2))
@@ -37,7 +38,7 @@ async def test_what_is_sent_again_is_answered_as_before() -> None:
 
 
 async def test_what_was_refused_may_be_possible_later() -> None:
-    """With the same key it is tried again."""
+    """A refused request is carried out when it is repeated with the same key."""
     async with running(visitor="Anna") as cell:
         cell.cycle.lock_setup(True)
         assert 409 == (await cell.ask("POST", "/api/v1/setup", {}, **again("1")))[0]
@@ -47,7 +48,8 @@ async def test_what_was_refused_may_be_possible_later() -> None:
 
 @pytest.mark.slow
 async def test_a_key_is_that_of_its_session_for_ten_minutes() -> None:
-    """Others may use the same; what is old is forgotten, and what is too much; too long a key is none."""
+    """Keys belong to a session and expire, the oldest beyond a limit are dropped, and too long ones
+    refused."""
     async with running(visitor="Ben") as cell:
         tongue = "/api/v1/me", {"language": "de"}
         assert 200 == (await cell.ask("PUT", *tongue, **again("1")))[0]

@@ -1,4 +1,4 @@
-"""What a session may do and from where: cookies, names of the host, tokens, and the password once more."""
+"""Rights of a session: cookies, host names, tokens, and confirmation by password."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ TOKEN = "of prometheus alone"
 async def page(
     name: str, certificate: Path | None = None, key: Path | None = None, **settings: Any
 ) -> AsyncIterator[BrowserSession]:
-    """A page of a cell with this name, and a browser."""
+    """A page of a cell with this name, and a browser session."""
     wanted = WebSettings(port=0, password_hash=HASH, certificate=certificate, key=key, **settings)
     web = WebPublisher(
         name, wanted, FixedSources(rectification=lambda: pytest.fail("no cycle has made a picture"))
@@ -44,7 +44,7 @@ async def page(
 
 
 async def logged_in(browser: BrowserSession, **how: Any) -> aiohttp.ClientResponse:
-    """The answer to a log-in with the page's password."""
+    """Answer to a log-in with the page's password."""
     headers = {"Origin": browser.origin} | how.pop("headers", {})
     async with browser.session.post(
         "/login", data={"password": PASSWORD}, headers=headers, allow_redirects=False, **how
@@ -56,14 +56,14 @@ async def logged_in(browser: BrowserSession, **how: Any) -> aiohttp.ClientRespon
 
 
 async def test_two_cells_on_one_host_have_two_cookies() -> None:
-    """Browsers send cookies to every port of a host: logging in at one cell leaves the other alone."""
+    """As browsers send cookies to every port of a host, each cell has a cookie name of its own."""
     async with page("cell1") as one, page("cell2") as other:
         names = [set((await logged_in(browser)).cookies) for browser in (one, other)]
         assert 2 == len(names[0] | names[1])
 
 
 async def test_the_cookie_of_a_page_with_tls_is_bound_to_its_host(tmp_path: Path) -> None:
-    """`__Host-`: neither another host nor a page without TLS can set it in a browser."""
+    """The cookie has the `__Host-` prefix, Secure and Path=/, and no Domain."""
     make_certificates(tmp_path)
     trusting = ssl.create_default_context()
     trusting.check_hostname, trusting.verify_mode = False, ssl.CERT_NONE
@@ -75,7 +75,7 @@ async def test_the_cookie_of_a_page_with_tls_is_bound_to_its_host(tmp_path: Path
 
 
 async def test_only_names_of_this_machine_are_served(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Also by a page with a password: its addresses, its host's name, and those that the settings name."""
+    """Only its addresses, its host name and configured names are served, also with a password."""
     monkeypatch.setattr("socket.gethostname", lambda: "cellpc")
     async with page("cell1", names=("cells.plant.example",)) as browser:
         for host, expected in (
@@ -94,7 +94,7 @@ async def test_only_names_of_this_machine_are_served(monkeypatch: pytest.MonkeyP
 
 
 async def test_a_page_elsewhere_logs_nobody_in_or_out() -> None:
-    """Their own account into somebody's browser, for example."""
+    """Log-in, invitation and log-out from another origin are refused, and the session stays the same."""
     async with running(visitor="Anna") as cell:
         form = {"name": "Vera", "password": PASSWORD}
         for origin in ({"Origin": "http://evil.example"}, {"Origin": "null"}, {}):
@@ -110,7 +110,7 @@ async def test_a_page_elsewhere_logs_nobody_in_or_out() -> None:
 
 
 async def test_a_token_is_of_use_to_its_session_alone() -> None:
-    """Not to another engineer who has seen it, nor to another session of hers: they take the cell over."""
+    """A token does not work in another engineer's session, nor in another session of the same engineer."""
     async with running(visitor="Anna") as cell:
         anna = cell.cookies()
         _, token = await cell.ask("POST", "/api/v1/setup", {})
@@ -134,7 +134,7 @@ async def test_a_token_is_of_use_to_its_session_alone() -> None:
 
 
 async def test_people_are_changed_with_the_own_password_alone() -> None:
-    """Said within the last minutes: to log in, or again. Looking, and setting up, go on without."""
+    """Changing users needs a recent password; other actions do not."""
     person = {"name": "Erna", "role": "operator", "password": NEW}
     async with running(visitor="Anna") as cell:
         assert CONFIRMED_S < IDLE_S
@@ -154,7 +154,7 @@ async def test_people_are_changed_with_the_own_password_alone() -> None:
 
 
 async def test_a_weak_password_is_refused() -> None:
-    """Of the lists, of rows of keys, of one's own name: for somebody new, for oneself, and by a code."""
+    """Common passwords, key rows and one's own name are refused when creating, changing and inviting."""
     async with running(visitor="Anna") as cell:
         for password in ("Password1!", "qwertzuiop", "20252026", "abababab", "Erna1990", "P@ssw0rd"):
             person = {"name": "Erna", "role": "operator", "password": password}
@@ -170,7 +170,7 @@ async def test_a_weak_password_is_refused() -> None:
 
 
 async def redeemed(cell: Cell, code: str, name: str, password: str = NEW) -> str:
-    """Where the form of a code leads."""
+    """Redirect after redeeming a code."""
     form = {"code": code, "name": name, "password": password, "again": password}
     headers = {"Origin": cell.origin}
     async with cell.session.post("/invite", data=form, headers=headers, allow_redirects=False) as answer:
@@ -178,7 +178,7 @@ async def redeemed(cell: Cell, code: str, name: str, password: str = NEW) -> str
 
 
 async def test_an_invitation_makes_nobody_but_whom_it_was_made_for() -> None:
-    """One for Erna gives nobody Anna's account; the journal's first one is for a name that is new."""
+    """An invitation works only for its name, and the log's first code only for a new name."""
     async with running() as cell:
         code = Invite(cell.state).make("Erna")
         for name in ("Anna", "Somebody", "\u0415rna"):
@@ -191,7 +191,7 @@ async def test_an_invitation_makes_nobody_but_whom_it_was_made_for() -> None:
 
 
 async def test_nobody_gets_a_name_that_looks_like_anothers() -> None:
-    """With a Cyrillic letter, or a digit for a letter; a name in another form logs in the same user."""
+    """Look-alike names are refused as existing, and an equivalent form of a name logs in the same user."""
     async with running(visitor="Anna") as cell:
         for name in ("\u0410nna", "Ann\u0430", "Anna\u3164", "\uff21nna", "0tto"):
             person = {"name": name, "role": "engineer", "password": NEW}
@@ -203,7 +203,7 @@ async def test_nobody_gets_a_name_that_looks_like_anothers() -> None:
 
 
 async def test_everybody_sees_their_sessions_and_ends_them_all() -> None:
-    """Where they are logged in, and nobody else's; this one ends with the others."""
+    """A user sees only their own sessions, and ending all of them ends the current one, too."""
     async with running(visitor="Ben") as cell:
         ben = cell.cookies()
         seen = list[Mapping[str, str]]()
@@ -224,7 +224,7 @@ async def test_everybody_sees_their_sessions_and_ends_them_all() -> None:
 
 
 async def test_a_token_reads_the_metrics_and_nothing_else() -> None:
-    """So that a scraper needs no password of the page; a wrong one is a guess."""
+    """The metrics token opens only /metrics, and wrong ones are limited like password guesses."""
     hashed = PasswordHasher(1, 512, 1).hash(TOKEN)
     async with page("cell1", metrics_password_hash=hashed) as browser:
         for path, token, expected in (

@@ -1,4 +1,4 @@
-"""The examples of the manual, as a new user types them in: they come along the tool's axis, or not at all."""
+"""The manual's examples, as a new user types them: they approach along the tool's axis, or do not move."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def bits(cell: LiveCell) -> int:
 
 
 def ready(cell: LiveCell) -> None:
-    """Wait until commands are carried out."""
+    """Wait until the cell is READY."""
     deadline_s = time.monotonic() + LIMIT_S
     while not bits(cell) & StatusBit.READY:
         assert time.monotonic() < deadline_s
@@ -49,27 +49,28 @@ def ready(cell: LiveCell) -> None:
 
 
 def same_pose(expected: FloatArray, given: FloatArray) -> None:
-    """To 1 µm, 0.001° of an angle that is written out, and what a robot's 32 bits hold."""
+    """Compare poses to 1 µm, 0.001° of printed angles, and a robot's 32 bits."""
     np.testing.assert_allclose(given[:3, 3], expected[:3, 3], atol=6e-3)
     np.testing.assert_allclose(given[:3, :3], expected[:3, :3], atol=5e-5)
 
 
 def before(tool: FloatArray, away_mm: float) -> FloatArray:
-    """Where the tool comes from: so far back along its own axis, on the robot's side of the part."""
+    """Pose from which the tool comes: this far back along its own axis, on the robot's side of the part."""
     place = np.asarray(tool @ transform(np.eye(3), np.array([0.0, 0.0, -away_mm])))
     assert 0.8 * away_mm < place[2, 3] - tool[2, 3] < 0.99 * away_mm, "above, and not straight above"
     return place
 
 
 def lying(x_mm: float, face_mm: tuple[float, float] = (20.0, 200.0)) -> Target:
-    """A part whose face looks up at robot and cameras, some 20° askew: its Z goes down into it."""
+    """A part whose face looks up at robot and cameras, some 20° askew: its Z points down into it."""
     return replace(make_target(x_mm=x_mm), rig_from_part=make_transform((2.7, 0.3, 0.2), (x_mm, *face_mm)))
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("example", EXAMPLES, ids=lambda one: str(one.brand))
 def test_an_example_comes_to_the_part_along_its_tool_and_says_that_it_was_used(example: Example) -> None:
-    """One picture; before the part (Yaskawa: its grasp), on the robot's side, and then, if at all, there."""
+    """One picture; the first move is before the part (Yaskawa: the grasp) on the robot's side, the last
+    there."""
     settings = ModbusSettings(port=0, validity_s=30.0, line=LineSettings(0, example.brand))
     with LiveCell(settings).pick(TILTED) as cell:
         ready(cell)
@@ -86,7 +87,7 @@ def test_an_example_comes_to_the_part_along_its_tool_and_says_that_it_was_used(e
 
 
 def test_the_last_move_is_by_a_second_look_from_the_approach() -> None:
-    """Of cameras on the flange: two pictures, and the part is where the second saw it from there."""
+    """Cameras on the flange take two pictures, and the last move goes where the second saw the part."""
     flange_from_rig = make_transform((0.1, -0.2, 1.0), (60.0, 20.0, 90.0))
     cell = LiveCell(ModbusSettings(port=0, validity_s=30.0, line=LineSettings(0, Brand.ABB)))
     cell.setup = replace(cell.setup, robot_from_rig=None, flange_from_rig=flange_from_rig)
@@ -106,7 +107,7 @@ def test_the_last_move_is_by_a_second_look_from_the_approach() -> None:
 @pytest.mark.parametrize("example", EXAMPLES, ids=lambda one: str(one.brand))
 @pytest.mark.parametrize("is_there", [True, False], ids=["nothing found", "no cell"])
 def test_an_example_does_not_move_without_a_pose(example: Example, is_there: bool) -> None:
-    """Whether nothing was found, or nobody answers at all (Doosan's controller would try for ever)."""
+    """Nothing moves if no part was found or no cell answers (Doosan's controller would retry for ever)."""
     settings = ModbusSettings(port=0, validity_s=30.0, line=LineSettings(0, example.brand))
     with LiveCell(settings) as cell:
         ready(cell)
@@ -119,7 +120,7 @@ def test_an_example_does_not_move_without_a_pose(example: Example, is_there: boo
 
 
 def test_a_part_whose_z_was_taught_upwards_is_turned_as_the_page_says() -> None:
-    """ABB: a half turn about the part's x before RelTool shifts along what is then the tool's z."""
+    """On ABB, a half turn about the part's x before RelTool makes the shift follow the tool's z."""
     settings = ModbusSettings(port=0, validity_s=30.0, line=LineSettings(0, Brand.ABB))
     (example,) = (one for one in EXAMPLES if one.brand is Brand.ABB)
     (turn,) = re.findall(r"`(pick:=RelTool\(.*?;)`", (DOCS / "robots.md").read_text())
@@ -143,7 +144,7 @@ UNIVERSAL = {
 
 @pytest.mark.parametrize("page", UNIVERSAL)
 def test_urscript_comes_to_the_part_along_its_tool(page: str) -> None:
-    """In m, from before the part, on the robot's side: on each page that shows it."""
+    """In m, it moves first before the part, on the robot's side, on each page that shows it."""
     found = re.search(r"^```\w*\n(.*?)^```", UNIVERSAL[page](), re.MULTILINE | re.DOTALL)
     assert found is not None
     tool = lying(312.5).rig_from_part
@@ -186,7 +187,7 @@ APPROACHES = {
 
 @pytest.mark.parametrize("fmt", APPROACHES)
 def test_the_note_at_a_programs_head_approaches_as_the_page_does(fmt: str) -> None:
-    """By the same words, which the tests above have run."""
+    """The note contains the same instruction as the page, which the tests above have run."""
     file, approach = APPROACHES[fmt]
     text = written(fmt)[file]
     pages = "".join((DOCS / f"{page}.md").read_text() for page in ("robots", "plc-makers"))
@@ -196,7 +197,8 @@ def test_the_note_at_a_programs_head_approaches_as_the_page_does(fmt: str) -> No
 
 @pytest.mark.parametrize("brand", SHIFTED)
 def test_a_taught_path_is_shifted_to_where_the_part_is_as_the_page_says(brand: Brand) -> None:
-    """A metre from the base, by each maker's instruction; without a golden part, or a part, nothing moves."""
+    """The path is shifted a metre from the base by each maker's instruction; without golden part or part,
+    nothing moves."""
     maker, run = SHIFTED[brand]
     cell = LiveCell(ModbusSettings(port=0, validity_s=30.0, line=LineSettings(0, brand)))
     golden_cell(cell)
@@ -217,7 +219,7 @@ def test_a_taught_path_is_shifted_to_where_the_part_is_as_the_page_says(brand: B
 
 
 def keep(cell: LiveCell, target: Target) -> None:
-    """Make it the golden part."""
+    """Make this target the golden part."""
     cell.targets = (target,)
     cell.call(lambda: cell.cycle.submit(Command(CommandKind.GOLDEN, "test", 1)))
     wait_until(lambda: cell.setup.jobs[1].golden is not None)

@@ -1,4 +1,4 @@
-"""The clients in the robots' languages, executed against the socket of a running cell and of a lying one."""
+"""The clients in the robots' languages, executed with the socket of a running cell and of a lying one."""
 
 from __future__ import annotations
 
@@ -49,10 +49,10 @@ from edged.vision.geometry.rigid import rotation_matrix, transform
 
 TALKERS = [one for one in SIDES if hasattr(one, "acknowledge")]
 talkers = pytest.mark.parametrize("make", TALKERS, ids=lambda one: one.__name__)
-"""Those that fetch the next target by a call of its own."""
+"""Sides that fetch each further target with a separate call."""
 CALLERS = [one for one in SIDES if hasattr(one, "locate_grasps")]
 callers = pytest.mark.parametrize("make", CALLERS, ids=lambda one: one.__name__)
-"""Those that fetch all targets in one call."""
+"""Sides that fetch all targets in one call."""
 sides = pytest.mark.parametrize("make", SIDES, ids=lambda one: one.__name__)
 
 
@@ -64,7 +64,7 @@ def running(
     piece: int = 1024,
     **changes: Any,
 ) -> Iterator[tuple[LiveCell, Side]]:
-    """A cell that is ready, and the robot of that brand beside it."""
+    """A ready cell, and a robot of that brand beside it."""
     brand = make.brand
     line = LineSettings(line_port, brand, allow_simulated=False)
     cell = LiveCell(ModbusSettings(port=0, validity_s=30.0, line=line))
@@ -81,7 +81,7 @@ def running(
 
 @contextlib.contextmanager
 def beside(make: type[Any], liar: Liar) -> Iterator[Side]:
-    """The robot of that brand, whose clock jumps when the liar has said all that it will."""
+    """A robot of that brand, whose clock jumps when the liar has nothing more to send."""
     liar.end = getattr(make, "end", b"\n")
     link = Link(liar.port)
     link.is_done = liar.has_answered
@@ -99,7 +99,7 @@ def bits(cell: LiveCell) -> int:
 
 
 def posed(generator: np.random.Generator) -> Target:
-    """A target anywhere within 1.5 m, turned anyhow."""
+    """A target anywhere within 1.5 m, in any orientation."""
     axis = generator.normal(size=3)
     turn = axis / np.linalg.norm(axis) * generator.uniform(0, np.pi)
     rig_from_part = transform(rotation_matrix(turn), generator.uniform(-1500, 1500, 3))
@@ -107,15 +107,15 @@ def posed(generator: np.random.Generator) -> Target:
 
 
 def asked_of(request: str) -> tuple[str, str, str]:
-    """The brand, the sequence and the rest of a request, without blanks and where the flange is."""
+    """Brand, sequence and rest of a request, without blanks and flange."""
     brand, sequence, *rest = "".join(request.split()).split(",")
     return brand, sequence, ",".join(rest[:2])
 
 
 class Liar:
-    """A cell that answers what it is told: `answers` are bytes, made of the request; None hangs up.
+    """A cell that answers as the test says: `answers` make bytes from the request; None disconnects.
 
-    end : what the robot ends its lines with; so end those of the answers, which are written with LF.
+    end : the robot's end of line, which replaces the LF at the end of the answers.
     """
 
     def __init__(self, *answers: Callable[[str], bytes | None]) -> None:
@@ -139,7 +139,7 @@ class Liar:
             one.close()
 
     def has_answered(self, requests: int) -> bool:
-        """Whether nothing more will be said to so many."""
+        """Whether nothing more will be sent in reply to this many requests."""
         return not self.waiting or self.answered == requests
 
     def _serve(self) -> None:
@@ -172,7 +172,7 @@ class Liar:
         if not line or said is None:
             reader.close()
             link.close()
-        if line:  # only now: who sees it believes that nothing more will come
+        if line:  # only now, as whoever sees it concludes that nothing more will come
             self.waiting.pop(0)
             self.answered += 1
         return bool(line) and said is not None
@@ -181,7 +181,7 @@ class Liar:
 @pytest.mark.slow
 @sides
 def test_a_pose_arrives_as_the_cell_measured_it(make: type[Any]) -> None:
-    """Any pose, however the network cuts the line: to 1 µm and 0.001° and what a robot's 32 bits hold."""
+    """Any pose arrives to 1 µm and 0.001° within a robot's 32 bits, however the network splits the line."""
     generator = np.random.default_rng(7)
     with running(make, piece=7) as (cell, side):
         for _ in range(12):
@@ -201,7 +201,7 @@ def test_a_pose_arrives_as_the_cell_measured_it(make: type[Any]) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("configured", Brand)
 def test_a_program_moves_by_its_own_makers_pose_whatever_the_cell_is_set_to(configured: Brand) -> None:
-    """Where the configured brand is another robot's the tool's axis points where the part's does, too."""
+    """The pose is correct although another brand is configured."""
     cell = LiveCell(ModbusSettings(port=0, validity_s=30.0, line=LineSettings(0, configured)))
     cell.targets = (posed(np.random.default_rng(11)),)
     wrong = []
@@ -222,7 +222,7 @@ def test_a_program_moves_by_its_own_makers_pose_whatever_the_cell_is_set_to(conf
 
 @talkers
 def test_every_target_is_given_and_then_withdrawn(make: type[Any]) -> None:
-    """NEXT gives the others of the same picture; after the acknowledgement there is nothing to move by."""
+    """NEXT gives the picture's other targets, and after the acknowledgement no pose is left."""
     with running(make) as (cell, side):
         cell.targets = tuple(make_target(x_mm=x_mm) for x_mm in (10.0, 20.0, 30.0))
         seen = [(side.locate(1) or (0,))[0]]
@@ -240,7 +240,7 @@ def test_every_target_is_given_and_then_withdrawn(make: type[Any]) -> None:
 
 @talkers
 def test_parts_may_be_acknowledged_one_by_one(make: type[Any]) -> None:
-    """Each is withdrawn when it was used, the next comes of the same picture; the last one ends the link."""
+    """Each part is withdrawn when acknowledged, and the next one comes from the same picture."""
     with running(make) as (cell, side):
         for _ in range(2):
             cell.targets = tuple(make_target(x_mm=x_mm) for x_mm in (10.0, 20.0, 30.0))
@@ -257,7 +257,7 @@ def test_parts_may_be_acknowledged_one_by_one(make: type[Any]) -> None:
 
 
 def exposed(cell: LiveCell, side: Any) -> list[float]:
-    """Let a robot expose two parts, which it knows before the cell has measured, and fetch x of both."""
+    """Expose two parts, which returns before the cell has measured, and fetch x of both."""
     cell.targets = tuple(make_target(x_mm=x_mm) for x_mm in (10.0, 20.0))
     cell.may_end.clear()
     assert side.expose(), side.error()
@@ -270,7 +270,7 @@ def exposed(cell: LiveCell, side: Any) -> list[float]:
     "make", [Abb, Doosan, Staubli, Kawasaki, Epson, Denso, Yaskawa], ids=lambda one: one.__name__
 )
 def test_a_robot_may_go_when_its_picture_is_taken(make: type[Any]) -> None:
-    """Its program goes on while the cell measures, and fetches the pose afterwards; so again and again."""
+    """Its program continues while the cell measures, and fetches the pose afterwards, repeatedly."""
     with running(make) as (cell, side):
         for captures in (1, 2):
             assert ([10.0, 20.0], 0) == (exposed(cell, side), side.error())
@@ -285,7 +285,7 @@ def test_a_robot_may_go_when_its_picture_is_taken(make: type[Any]) -> None:
 
 @pytest.mark.parametrize("make", [Kuka, Kuka6], ids=lambda one: one.__name__)
 def test_krl_lets_the_robot_go_when_its_picture_is_taken(make: type[Any]) -> None:
-    """The link stays open in between; a result that was never asked for is given up by the next command."""
+    """The link stays open in between, and an unused result is dropped by the next command."""
     with running(make) as (cell, side):
         for captures in (1, 2):
             assert ([10.0, 20.0], 0, captures) == (exposed(cell, side), side.error(), cell.head.captures)
@@ -301,7 +301,7 @@ def test_krl_lets_the_robot_go_when_its_picture_is_taken(make: type[Any]) -> Non
 
 @pytest.mark.parametrize("make", [Fanuc, FanucWithEnds], ids=lambda one: one.__name__)
 def test_karel_lets_the_robot_go_when_its_picture_is_taken(make: type[Any]) -> None:
-    """It is run beside the program that moves: R[88] is 1, and in the end 2, whatever R[81] says then."""
+    """Run beside the moving program, R[88] becomes 1 after the picture and 2 at the end."""
     with running(make) as (cell, side):
         cell.targets = tuple(make_target(x_mm=x_mm) for x_mm in (10.0, 20.0))
         cell.may_end.clear()
@@ -322,7 +322,7 @@ def test_karel_lets_the_robot_go_when_its_picture_is_taken(make: type[Any]) -> N
 
 @talkers
 def test_parts_without_a_grasp_may_be_left_for_the_next(make: type[Any]) -> None:
-    """119 says nothing of the others: they are still given, also after an acknowledgement."""
+    """After status 119 the other parts are still given, also after an acknowledgement."""
     with running(make) as (cell, side):
         cell.targets = tuple(make_target(x_mm=x_mm) for x_mm in (10.0, 20.0))
         assert side.locate() is not None
@@ -333,7 +333,7 @@ def test_parts_without_a_grasp_may_be_left_for_the_next(make: type[Any]) -> None
 
 @talkers
 def test_the_tool_and_from_where_it_comes_are_given(make: type[Any]) -> None:
-    """Of the part that was given last; without a grasp None and 119, and the part goes on being valid."""
+    """Grasp and approach are of the part given last; without a grasp they are None with 119."""
     with running(make) as (cell, side):
         assert side.locate(1) is not None
         assert (None, LineStatus.NO_GRASP) == (side.grasp(), side.error())
@@ -353,7 +353,7 @@ def test_the_tool_and_from_where_it_comes_are_given(make: type[Any]) -> None:
     "make", [one for one in TALKERS if hasattr(one, "next_grasp")], ids=lambda one: one.__name__
 )
 def test_another_way_to_take_the_part_is_asked_for(make: type[Any]) -> None:
-    """Half a turn of a symmetric part, then None and 119; the next part of the picture is still given."""
+    """It gives half a turn of a symmetric part, then None with 119; NEXT still works."""
     with running(make) as (cell, side):
         turned = Picking(grasps=(dataclasses.replace(GRASPS.grasps[0], symmetry=2),))
         cell.call(lambda: cell.cycle.exchange(cell.pick(turned).setup))
@@ -371,7 +371,7 @@ def test_another_way_to_take_the_part_is_asked_for(make: type[Any]) -> None:
 
 @callers
 def test_one_call_fetches_every_way_to_take_a_part(make: type[Any]) -> None:
-    """A quarter turn and the next; of one part alone; without a grasp 119."""
+    """It gives all turns of one part, and status 119 without a grasp."""
     with running(make) as (cell, side):
         assert ([], LineStatus.NO_GRASP) == (side.locate_ways(), side.error())
         turned = Picking(grasps=(dataclasses.replace(GRASPS.grasps[0], symmetry=3),))
@@ -394,7 +394,7 @@ TRAY = Tray((0.0, 20.0, 200.0), ((300.0, 20.0, 200.0), *((0.0, 20.0, 200.0),) * 
 
 @talkers
 def test_what_was_found_in_the_tray_is_told(make: type[Any]) -> None:
-    """Pocket of the part, how many are taken, the first empty one; 122 without a tray; none is taken."""
+    """It gives the part's pocket, how many are taken and the first empty one; status 122 without a tray."""
     with running(make) as (cell, side):
         assert side.locate() is not None
         assert (None, LineStatus.NO_TRAY) == (side.tray(0), side.error())
@@ -414,7 +414,7 @@ def test_what_was_found_in_the_tray_is_told(make: type[Any]) -> None:
 
 @callers
 def test_one_call_tells_what_was_found_in_the_tray(make: type[Any]) -> None:
-    """Pockets, how many are taken, the first empty one; and of each part its own; of an empty tray, too."""
+    """It gives pockets, how many are taken and the first empty one, and each part's pocket, also if empty."""
     with running(make) as (cell, side):
         assert ([[0], []], LineStatus.NO_TRAY) == (side.locate_tray(), side.error())
         cell.call(lambda: cell.cycle.exchange(cell.pick(Picking(Order.POCKET, tray=TRAY)).setup))
@@ -429,7 +429,8 @@ def test_one_call_tells_what_was_found_in_the_tray(make: type[Any]) -> None:
 
 @sides
 def test_a_part_that_is_held_askew_is_placed_as_the_golden_one(make: type[Any]) -> None:
-    """The place times what the program says, whatever the tool; 121 without a golden part."""
+    """The place times the returned pose is right, wherever the tool stands; status 121 without a golden
+    part."""
     place = transform_of(Brand.KUKA, (700.0, 350.0, -40.0, 95.0, -10.0, 170.0))
     tool_from_golden = make_transform((0.2, -0.1, 0.4), (4.0, -3.0, 60.0))
     tool_from_now = tool_from_golden @ make_transform((0.02, 0.03, -0.05), (1.5, -0.8, 0.4))
@@ -460,7 +461,7 @@ def test_a_part_that_is_held_askew_is_placed_as_the_golden_one(make: type[Any]) 
 
 @pytest.mark.parametrize("make", [one for one in SIDES if one is not Yaskawa], ids=lambda one: one.__name__)
 def test_a_robot_that_carries_the_cameras_says_where_its_flange_is(make: type[Any]) -> None:
-    """The part is where they saw it from there, however the flange stands and whatever tool is on it."""
+    """The part's pose is correct for any flange pose and tool."""
     generator = np.random.default_rng(3)
     flange_from_rig = transform(rotation_matrix(np.array([0.3, -2.0, 0.5])), np.array([40.0, -25.0, 90.0]))
     with running(make, robot_from_rig=None, flange_from_rig=flange_from_rig) as (cell, side):
@@ -473,14 +474,14 @@ def test_a_robot_that_carries_the_cameras_says_where_its_flange_is(make: type[An
                 transform_of(side.brand, numbers),
                 flange @ flange_from_rig @ target.rig_from_part,
             )
-            # the registers say where the flange is to 1 µm and 0.001°
+            # the registers hold the flange to 1 µm and 0.001°
             np.testing.assert_allclose(pose[:3, 3], expected[:3, 3], atol=0.05)
             np.testing.assert_allclose(pose[:3, :3], expected[:3, :3], atol=8e-5)
 
 
 @pytest.mark.parametrize("make", [one for one in TALKERS if one is not Yaskawa], ids=lambda one: one.__name__)
 def test_a_symmetric_part_is_taken_as_the_flange_stands(make: type[Any]) -> None:
-    """Cameras that stand still look at it, too, where the limits say what is on it: half a turn stays one."""
+    """With fixed cameras and a known gripper, a symmetric part is grasped in the flange's half turn."""
     bounds = Bounds(gripper=Gripper((10.0, 0.0, 150.0), (0.0, 0.0, 0.0)))
     with running(make, robot_from_rig=np.eye(4), bounds=bounds) as (cell, side):
         part = cell.targets[0].rig_from_part
@@ -496,7 +497,7 @@ def test_a_symmetric_part_is_taken_as_the_flange_stands(make: type[Any]) -> None
 
 
 def test_karel_says_no_flange_where_a_tool_or_a_frame_is_active() -> None:
-    """CURPOS is another place then: LOCATE is refused where the robot carries the cameras, and only there."""
+    """As CURPOS depends on them, LOCATE is refused with an active tool or frame, if the cameras move."""
     with running(Fanuc, robot_from_rig=None, flange_from_rig=np.eye(4)) as (_, side):
         for tool, frame, error in ((1, 0, 2), (0, 1, 2), (0, 0, 0)):
             side.controller.activate(tool, frame)
@@ -510,7 +511,7 @@ def test_karel_says_no_flange_where_a_tool_or_a_frame_is_active() -> None:
 @callers
 @pytest.mark.parametrize("found", [1, 3])
 def test_one_call_fetches_every_grasp(make: type[Any], found: int) -> None:
-    """Each part with its own, the sigmas are the first tool's; then the result is withdrawn."""
+    """Each part comes with its own grasp, with the first tool's sigmas; then the result is withdrawn."""
     with running(make) as (cell, side):
         cell.call(lambda: cell.cycle.exchange(cell.pick(GRASPS).setup))
         for _ in range(2):
@@ -535,7 +536,7 @@ def test_one_call_fetches_every_grasp(make: type[Any], found: int) -> None:
 
 @callers
 def test_a_part_without_a_grasp_is_not_taken_by_one(make: type[Any]) -> None:
-    """119 and no pose; without asking for grasps the part is given."""
+    """Without a grasp the status is 119 without a pose, and a locate without grasps gives the part."""
     with running(make) as (_, side):
         assert (None, LineStatus.NO_GRASP) == (side.locate_grasps(), side.error())
         assert side.locate() is not None
@@ -545,7 +546,7 @@ def test_a_part_without_a_grasp_is_not_taken_by_one(make: type[Any]) -> None:
 @pytest.mark.parametrize("honest_ones", [1, 2])
 @pytest.mark.parametrize("lie", ["of the request before", "one field more", "half a line", "another failure"])
 def test_a_grasp_that_is_no_answer_gives_no_pose(make: type[Any], lie: str, honest_ones: int) -> None:
-    """Neither of the tool nor of the part; and the next call is answered as ever."""
+    """No pose is given, neither of the tool nor of the part, and the next call works."""
     said, failure = make.excuses.get(lie, LIES[lie])
     brand: Brand = make.brand
 
@@ -564,7 +565,7 @@ def test_a_grasp_that_is_no_answer_gives_no_pose(make: type[Any], lie: str, hone
 
 
 def test_karel_says_which_register_it_could_not_write() -> None:
-    """The approach has none: 204, and nothing may be used."""
+    """Without an approach register the status is 204 and no result is stored."""
     with running(Fanuc) as (cell, side):
         cell.call(lambda: cell.cycle.exchange(cell.pick(GRASPS).setup))
         assert (None, 204) == (side.locate(grasps=(71,)), side.error())
@@ -573,7 +574,7 @@ def test_karel_says_which_register_it_could_not_write() -> None:
 
 @pytest.mark.parametrize("make", [Fanuc, FanucWithEnds])
 def test_one_call_fetches_every_target_and_acknowledges(make: type[Any]) -> None:
-    """As many as there are registers for; then the result is withdrawn."""
+    """It gets as many targets as there are registers, and the result is withdrawn."""
     with running(make) as (cell, side):
         for found, taken, more in ((1, 1, 0), (3, 3, 0), (5, 3, 2)):
             cell.targets = tuple(make_target(x_mm=10.0 + i) for i in range(found))
@@ -586,7 +587,7 @@ def test_one_call_fetches_every_target_and_acknowledges(make: type[Any]) -> None
 
 
 def test_krl_fetches_as_many_targets_as_it_has_room_for() -> None:
-    """Ten of the twelve, each its own; then the result is withdrawn."""
+    """It gets ten of twelve targets, and the result is withdrawn."""
     with running(Kuka) as (cell, side):
         cell.targets = tuple(make_target(x_mm=10.0 + i) for i in range(12))
         seen = [(side.locate() or (0,))[0], *((side.next() or (0,))[0] for _ in range(9))]
@@ -598,7 +599,8 @@ def test_krl_fetches_as_many_targets_as_it_has_room_for() -> None:
 
 @sides
 def test_a_taught_path_times_the_offset_lands_where_the_part_is(make: type[Any]) -> None:
-    """Kept and fetched by the robot's own program, multiplied from the left as the robot reads it."""
+    """Golden part and offset are obtained by the robot's program, and the offset is multiplied from the
+    left."""
     generator = np.random.default_rng(3)
     with running(make) as (cell, side):
         assert (None, True) == (side.offset(), side.error() in (0, LineStatus.NO_OFFSET))
@@ -620,7 +622,7 @@ def test_a_taught_path_times_the_offset_lands_where_the_part_is(make: type[Any])
 
 
 def near(generator: np.random.Generator) -> Target:
-    """A target a metre before the robot, turned a little."""
+    """A target a metre before the robot, slightly turned."""
     turn, shift = generator.uniform(-0.3, 0.3, 3), generator.uniform(-100.0, 100.0, 3)
     rig_from_part = transform(rotation_matrix(turn), np.array([900.0, -300.0, 200.0]) + shift)
     return dataclasses.replace(make_target(), rig_from_part=rig_from_part)
@@ -628,7 +630,7 @@ def near(generator: np.random.Generator) -> Target:
 
 @sides
 def test_what_is_no_result_gives_no_pose(make: type[Any]) -> None:
-    """Nothing found, an unknown job, a dead camera: None, and the cell's reason."""
+    """If nothing was found, a job is unknown or a camera is dead, there is no pose but the cell's reason."""
     with running(make) as (cell, side):
         assert (None, 2) == (side.locate(99), side.error())
         cell.targets = ()
@@ -649,7 +651,7 @@ def test_what_is_no_result_gives_no_pose(make: type[Any]) -> None:
 def test_no_robot_moves_by_the_rigs_frame_or_a_virtual_cell(
     make: type[Any], changes: dict[str, Any], status: int
 ) -> None:
-    """None, and which of the two it is."""
+    """There is no pose, and the status says which of both it is."""
     with running(make, **changes) as (_, side):
         assert (None, status) == (side.locate(), side.error())
 
@@ -658,7 +660,8 @@ def test_no_robot_moves_by_the_rigs_frame_or_a_virtual_cell(
 @sides
 @pytest.mark.parametrize("lie", LIES)
 def test_only_the_whole_answer_to_this_request_moves_the_robot(make: type[Any], lie: str) -> None:
-    """Old, foreign, torn, too long, no numbers: None and why; and the next request is answered as ever."""
+    """Old, foreign, torn, too long or non-numeric answers give no pose but a reason; the next request
+    works."""
     said, failure = make.excuses.get(lie, LIES[lie])
     brand: Brand = make.brand
     right = f"{honest(brand, '2')}\n".encode()
@@ -674,13 +677,13 @@ def test_only_the_whole_answer_to_this_request_moves_the_robot(make: type[Any], 
 
 @sides
 def test_a_link_that_is_lost_fails_the_command(make: type[Any]) -> None:
-    """Whether nobody listens or the cell hangs up on the request; nothing waits for the time-out."""
+    """If nothing listens or the cell disconnects, the command fails without waiting for the time-out."""
     with Liar(lambda _: None) as liar, beside(make, liar) as side:
-        # KAREL and MELFA-BASIC cannot see that nothing will come
+        # KAREL and MELFA-BASIC cannot see that the link is lost
         failure = Failure.LATE if isinstance(side, (Fanuc, Kuka6, Mitsubishi)) else Failure.NO_LINK
         assert (None, failure) == (side.locate(timeout_s=15.0), side.error())
     if make is Doosan:
-        return  # its controller tries for ever
+        return  # its controller retries for ever
     with beside(make, liar) as side:
         assert (None, Failure.NO_LINK) == (side.locate(), side.error())
         assert None is side.next()
@@ -688,7 +691,7 @@ def test_a_link_that_is_lost_fails_the_command(make: type[Any]) -> None:
 
 @sides
 def test_an_answer_that_came_too_late_is_never_used(make: type[Any]) -> None:
-    """After a time-out the next pose is one that was measured for the request that gets it."""
+    """After a time-out, the next pose is one measured for the request that gets it."""
     with running(make) as (cell, side):
         cell.may_end.clear()
         cell.targets = (make_target(x_mm=10.0),)
@@ -704,7 +707,8 @@ def test_an_answer_that_came_too_late_is_never_used(make: type[Any]) -> None:
 @pytest.mark.slow
 @sides
 def test_a_cell_that_was_started_anew_is_spoken_to_as_before(make: type[Any]) -> None:
-    """While it is down a command fails; afterwards the same program goes on, also with a used sequence."""
+    """While the cell is down commands fail, and afterwards the same program works, also with a used
+    sequence."""
     with running(make) as (cell, side):
         port = cell.server.line_port
         assert wait_until(side.locate)

@@ -1,4 +1,4 @@
-"""A cell that runs by a map of its robot's error: OPC UA, Modbus, lines of text, and its state as JSON."""
+"""A cell with a map of its robot's error: OPC UA, Modbus, lines of text, and its state as JSON."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ LINES = ModbusSettings(port=0, validity_s=30.0, line=LineSettings(0, Brand.KUKA)
 
 
 def small_map() -> ErrorMap:
-    """Around `INSIDE`: the robot is off by some tenths of a millimetre, and by 0.1 % of X."""
+    """A map around `INSIDE`: the robot is off by some tenths of a millimetre, and by 0.1 % of X."""
     rng = np.random.default_rng(2)
     corners = np.array(np.meshgrid(*[(-1.0, 1.0)] * 3)).reshape(3, -1).T
     places = np.concatenate([corners, rng.uniform(-1, 1, (16, 3))]) * (100.0, 90.0, 60.0) + (0, 0, 200.0)
@@ -46,8 +46,8 @@ async def shown(client: Client, block: str, name: str) -> Any:
 
 @pytest.mark.slow
 async def test_the_map_is_in_all_that_a_running_cell_says() -> None:
-    """None at first. After a reload X is that of the map, over OPC UA, Modbus and in a line, and registers
-    say what it is worth; a part beyond it has no coordinate, and the bit that says why."""
+    """After a reload with a map, OPC UA, Modbus and lines give its X, and registers its quality; a part
+    beyond the map has no coordinate but a bit with the reason."""
     made = small_map()
     shift = made.at(INSIDE.position_mm)
     assert shift is not None
@@ -56,7 +56,7 @@ async def test_the_map_is_in_all_that_a_running_cell_says() -> None:
         async with client_of(cell.url) as client:
 
             async def located(sequence: int) -> tuple[int, list[float], Any, int]:
-                """Status and pose of the line; X and REJECT over OPC UA, which Modbus says, too."""
+                """Status and pose of the line; X and REJECT over OPC UA, which equal those of Modbus."""
                 cell.targets = (INSIDE,) if sequence != 3 else (BEYOND,)
                 _, status, _, pose = await asyncio.to_thread(robot.ask, f"{sequence},LOCATE,0")
                 async with asyncio.timeout(10.0):
@@ -90,13 +90,13 @@ async def test_the_map_is_in_all_that_a_running_cell_says() -> None:
             status, _, x_um, reject = await located(3)
             assert (LineStatus.OUT_OF_LIMITS, None, Reject.OUT_OF_MAP) == (status, x_um, reject)
             cell.reload(error_map=None)
-            again = await located(4)  # the last field of a line is how long it took
+            again = await located(4)  # the last field of a line is its duration
             assert (plain[0], plain[1][:9], *plain[2:]) == (again[0], again[1][:9], *again[2:])
             assert 0 == await shown(client, "robot map", "E_DEGREE")
 
 
 def test_the_state_has_it_as_the_schema_says() -> None:
-    """Only where there is one; and nothing of it is missing in the schema."""
+    """The state has it only with a map, with exactly the fields of the schema."""
     plain = CellState(CellPhase.READY, True, True, "flange", 1, 0)
     assert "robot_map" not in state_to_json(plain)
     document = state_to_json(replace(plain, robot_map=small_map().figures))["robot_map"]

@@ -1,4 +1,4 @@
-"""The daemon on a cell PC that fails: power, disk, clock. What the PLC sees of it, and what is left."""
+"""The daemon on a failing cell PC (power, disk, clock): what the PLC sees, and what is left behind."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ def may_mount() -> bool:
 
 @pytest.mark.slow
 def test_kill_9_leaves_whole_files_and_no_old_result(tmp_path: Path) -> None:
-    """Recordings are whole, torn ones go at the next start, the PLC never sees a result twice.
+    """Recordings are complete, torn ones are removed at the next start, and the PLC sees no result twice.
 
-    The start after that is quiet, READY comes, the page is its only child, SIGTERM ends it with code 0.
+    The following start logs no errors and has the page as its only child.
     """
     cell = SmallCell(tmp_path / "cell", recordings=tmp_path / "recordings")
     with Witness(cell.modbus_port) as witness:
@@ -45,9 +45,9 @@ def test_kill_9_leaves_whole_files_and_no_old_result(tmp_path: Path) -> None:
 @pytest.mark.skipif(not FAKETIME.exists(), reason="libfaketime is not installed")
 @pytest.mark.skipif(not may_mount(), reason="this kernel lets us mount no disk")
 def test_a_bad_disk_and_a_clock_that_is_set_do_not_reach_the_plc(tmp_path: Path) -> None:
-    """Full, read-only, an hour ahead: always READY, results go on, none stale, mixed or shown twice.
+    """On a full or read-only disk, or an hour ahead, READY stays and no result is stale, mixed or repeated.
 
-    The log says that there are no recordings and that there are again, not with every cycle.
+    The log says when recordings stop and when they resume, not for every cycle.
     """
     run = subprocess.run(
         [*NAMESPACE, sys.executable, "-m", "helpers.brokencell", str(tmp_path)],
@@ -67,7 +67,7 @@ def test_a_bad_disk_and_a_clock_that_is_set_do_not_reach_the_plc(tmp_path: Path)
     assert told["recordings"] > 0
     words = ("no recordings", "recording again")
     lines = [line for line in told["log"] if any(word in line for word in words)]
-    # the two that fill the disk and make room on it may take turns for a moment
+    # filling the disk and freeing space may alternate for a moment
     assert [words[0], words[1]] * (len(lines) // 2) == [
         next(word for word in words if word in line) for line in lines
     ]

@@ -1,4 +1,4 @@
-"""Taking the cell over HTTP: who may, from where, and what it does to the cell."""
+"""Taking the cell over HTTP: who may, from where, and its effect on the cell."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ CHANGING = (
 
 
 async def test_somebody_takes_the_cell_looks_and_gives_it_back() -> None:
-    """The state changes before the answer; pictures are what the cameras gave, to the last grey value."""
+    """The state changes before the answer, and pictures are exactly those of the cameras."""
     async with running(visitor="Anna") as cell:
         status, entered = await cell.ask("POST", "/api/v1/setup", {"name": "Anna"})
         assert (201, CellPhase.SETUP) == (status, cell.ear.state())
@@ -42,7 +42,7 @@ async def test_somebody_takes_the_cell_looks_and_gives_it_back() -> None:
 
 
 async def test_two_people_are_told_of_each_other() -> None:
-    """The second is refused with the first one's name, may take over, and the first one's token ends."""
+    """A second user is refused with the first one's name, and may take over, which ends the first token."""
     async with running(visitor="Anna") as cell:
         _, first = await cell.ask("POST", "/api/v1/setup", {"name": "Anna"})
         status, refused = await cell.ask("POST", "/api/v1/setup", {"name": "Ben"})
@@ -58,7 +58,7 @@ async def test_two_people_are_told_of_each_other() -> None:
 
 
 async def test_a_dead_camera_and_an_old_picture_are_problems_with_a_code() -> None:
-    """Of RFC 9457: what a program needs, and a sentence."""
+    """A picture that is too old and a dead camera give problems with a code and a sentence (RFC 9457)."""
     async with running(visitor="Anna") as cell:
         _, entered = await cell.ask("POST", "/api/v1/setup", {"name": "Anna"})
         for _ in range(5):
@@ -76,7 +76,7 @@ async def test_a_dead_camera_and_an_old_picture_are_problems_with_a_code() -> No
 async def test_nobody_changes_the_cell_but_from_the_page(
     method: str, path: str, document: dict[str, str]
 ) -> None:
-    """Not without logging in, not with the password of a scraper, not from another page or from none."""
+    """Requests without a log-in, with a scraper's password, or from another or no origin are refused."""
     async with running() as cell:
         async with cell.session.request(method, path, json=document) as answer:
             assert 401 == answer.status
@@ -100,7 +100,7 @@ async def test_nobody_changes_the_cell_but_from_the_page(
 async def test_without_the_switch_there_is_no_such_route(
     method: str, path: str, document: dict[str, str]
 ) -> None:
-    """A page that only shows has nothing that changes the cell."""
+    """With commissioning off, changing routes do not exist."""
     async with running(commissioning=False, visitor="") as cell:
         assert 404 == (await cell.ask(method, path, document))[0]
 
@@ -123,7 +123,7 @@ async def test_without_the_switch_there_is_no_such_route(
     ],
 )
 async def test_what_is_no_request_is_said(body: bytes, status: int, code: str, field: str | None) -> None:
-    """By its place; and it takes no cell."""
+    """The problem names the invalid field, and the cell is not taken."""
     async with running(visitor="Anna") as cell:
         headers = {"Origin": cell.origin, "Content-Type": "application/json"}
         async with cell.session.post("/api/v1/setup", data=body, headers=headers) as answer:
@@ -135,7 +135,7 @@ async def test_what_is_no_request_is_said(body: bytes, status: int, code: str, f
 
 
 async def test_the_plant_that_runs_is_named() -> None:
-    """409 with AUTO_LOCK, and READY stays."""
+    """With AUTO_LOCK the answer is 409, and READY stays."""
     async with running(visitor="Anna") as cell:
         cell.cycle.lock_setup(True)
         status, problem = await cell.ask("POST", "/api/v1/setup", {"name": "Anna"})

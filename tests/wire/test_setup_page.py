@@ -1,4 +1,4 @@
-"""Setting a cell up in a real browser: who has it, in which language, on a screen and on a phone."""
+"""The setup page in a real browser: the lease, languages, keyboards, on a screen and on a phone."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ pytestmark = [pytest.mark.slow, needs("chromium")]
 async def on_the_page(
     width: int = 1280, height: int = 900, place: str = "/setup"
 ) -> AsyncIterator[tuple[Browser, Cell]]:
-    """Anna's page; nothing may fail unseen."""
+    """Anna's page; fails if its console shows any error."""
     async with running() as cell, browser() as page:
         await log_in(page, cell.origin, "Anna", PASSWORD, place, (width, height))
         yield page, cell
@@ -48,7 +48,8 @@ async def on_the_page(
 
 
 async def test_somebody_takes_the_cell_and_gives_it_back() -> None:
-    """The state stands in words; a reload and the back button keep cell and step; leaving is asked about."""
+    """The state is shown in words, a reload and the back button keep cell and step, and leaving asks
+    first."""
     async with on_the_page() as (page, cell):
         await page.until(f'{STATE} === "READY"')
         await take(page)
@@ -68,7 +69,7 @@ async def test_somebody_takes_the_cell_and_gives_it_back() -> None:
 
 
 async def test_whoever_loses_the_cell_is_told_who_has_it() -> None:
-    """And can only look from then on, until they take it over again."""
+    """The page names the new holder and is read-only until the cell is taken over again."""
     async with on_the_page() as (page, cell):
         await take(page)
         await cell.log_in()
@@ -82,12 +83,12 @@ async def test_whoever_loses_the_cell_is_told_who_has_it() -> None:
         assert "Take over from Ben?" in await page.value(f"{DIALOG}.textContent")
         await page.click("dialog[open] .primary")
         await page.until('document.querySelector(".lease.mine")')
-        page.complaints.clear()  # of the lease that was lost
+        page.complaints.clear()  # about the lost lease
 
 
 async def test_the_page_speaks_as_it_is_told() -> None:
-    """The language is chosen at once and kept, also with the user and for the Run page, where it is chosen
-    likewise; numbers are written, and read, as people write them.
+    """The chosen language applies at once and is kept, also for the user and the Run page, and numbers are
+    written and read in its notation.
     """
     async with on_the_page() as (page, cell):
         await page.choose(".language select", "de")
@@ -101,7 +102,7 @@ async def test_the_page_speaks_as_it_is_told() -> None:
         wrong = texts + ".then((m) => %s.filter((x) => !Number.isNaN(m.parseNumber(x))))"
         assert [] == await page.value(wrong % "['1.000,5', '', '4 mm', '1e3', '.', '--1']")
 
-        # another screen: only the user's record is left
+        # another device: only the user's record is left
         await page.value("document.cookie = 'edged_language=; path=/; max-age=0'")
         await page.open(f"{cell.origin}/", 1280, 900)
         await page.until(said("Letzte Zyklen"))
@@ -115,7 +116,7 @@ async def test_the_page_speaks_as_it_is_told() -> None:
 
 
 async def test_a_step_that_is_chosen_while_the_page_comes_is_entered() -> None:
-    """The one that it would begin with does not take its place."""
+    """A step chosen while the page loads is not replaced by the first one."""
     async with on_the_page() as (page, cell):
         await page.ask(
             "Page.addScriptToEvaluateOnNewDocument",
@@ -130,7 +131,7 @@ async def test_a_step_that_is_chosen_while_the_page_comes_is_entered() -> None:
 
 
 async def test_of_an_answer_and_what_was_told_meanwhile_the_newer_one_holds() -> None:
-    """A message that overtakes an answer is newer: of the same document, and no older revision."""
+    """A message that overtakes an answer wins if it has the same id and no older revision."""
     race = """Promise.all([import("/static/setup/shared/live.js"), import("/static/vendor/ui.js")])
     .then(async ([{ newest }, { signal }]) => {
       const heard = signal({ id: "a", revision: 9 });
@@ -147,7 +148,7 @@ async def test_of_an_answer_and_what_was_told_meanwhile_the_newer_one_holds() ->
 
 
 async def test_no_word_is_written_into_the_page() -> None:
-    """With texts that are stretched and marked, whatever can be read or heard carries the mark, and fits."""
+    """With marked and stretched texts, all readable text carries the mark, and fits."""
     async with on_the_page(360, 740, "/setup?pseudo") as (page, _):
         assert [] == await page.value(UNTRANSLATED)
         await take(page)
@@ -157,7 +158,8 @@ async def test_no_word_is_written_into_the_page() -> None:
 
 @pytest.mark.parametrize(("width", "height"), [(360, 740), (800, 480), (1920, 1080)])
 async def test_everybody_can_use_the_shell(width: int, height: int) -> None:
-    """axe finds nothing; all fits the window, also with letters twice as large; fingers find every target."""
+    """axe finds nothing, everything fits the window, also with doubled font size, and targets are large
+    enough."""
     async with on_the_page(width, height) as (page, _):
         await take(page)
         assert [] == await page.violations()
@@ -168,7 +170,7 @@ async def test_everybody_can_use_the_shell(width: int, height: int) -> None:
 
 
 async def test_who_was_away_says_the_password_again() -> None:
-    """After ten minutes an engineer may only look; the page says so, and the password changes it."""
+    """After ten minutes an engineer is read-only; the page says so, and the password ends it."""
     async with on_the_page() as (page, cell):
         await page.until(f'{STATE} === "READY"')
         cell.sleep(660.0)
@@ -177,7 +179,7 @@ async def test_who_was_away_says_the_password_again() -> None:
         await page.click("dialog[open] .primary")
         await page.until(said("Anna, you have been idle for ten minutes"))
         assert cell.ear.state() is CellPhase.READY
-        page.complaints.clear()  # of the refusal
+        page.complaints.clear()  # about the refusal
         await page.type(".wake [type=password]", PASSWORD)
         await press(page, "I am here")
         await page.until('!document.querySelector(".wake")')
@@ -186,7 +188,7 @@ async def test_who_was_away_says_the_password_again() -> None:
 
 
 async def test_an_engineer_says_who_may_come_in() -> None:
-    """Name, role and first password; nobody takes the own rights away; what was done stands in the audit."""
+    """Users are added with name, role and password, one's own role is fixed, and the audit shows it."""
     people = '[...document.querySelectorAll(".people strong")].map((e) => e.textContent)'
     async with on_the_page() as (page, cell):
         await page.click('header nav a[href="#/system"]')
@@ -211,7 +213,8 @@ async def test_an_engineer_says_who_may_come_in() -> None:
 
 
 async def test_who_may_come_in_is_changed_with_the_password() -> None:
-    """Some minutes after the log-in it is asked for; a wrong one is said there, and the right one goes on."""
+    """Some minutes after the log-in the password is asked for; a wrong one is reported, the right one
+    works."""
     people = '[...document.querySelectorAll(".people strong")].map((e) => e.textContent)'
     async with on_the_page() as (page, cell):
         await go(page, "system")
@@ -227,13 +230,13 @@ async def test_who_may_come_in_is_changed_with_the_password() -> None:
             await page.click("dialog[open] form .primary")
             if password == "wrong":
                 await page.until('document.querySelector("dialog[open] .wrong")')
-                page.complaints.clear()  # of the refusals
+                page.complaints.clear()  # about the refusals
         await page.until(f'!{people}.includes("Vera")')
         assert not await cell.comes_in("Vera")
 
 
 async def test_a_page_shows_where_somebody_is_logged_in_and_ends_it_all() -> None:
-    """The other device stands there with this one; then both ask for the password."""
+    """Both devices are listed, and after logging out everywhere both ask for the password."""
     lines = '[...document.querySelectorAll("[aria-labelledby=sessions] li")].map((e) => e.textContent)'
     async with on_the_page() as (page, cell):
         await cell.log_in()
@@ -243,18 +246,18 @@ async def test_a_page_shows_where_somebody_is_logged_in_and_ends_it_all() -> Non
         await press(page, "Log out everywhere")
         await page.until('document.querySelector("#password")')
         assert 401 == (await cell.ask("GET", "/api/v1/me"))[0]
-        page.complaints.clear()  # of the session that has ended
+        page.complaints.clear()  # about the ended session
 
 
 async def test_everybody_has_a_password_of_their_own() -> None:
-    """Who knows the present one changes it; it is said aloud, and counts at once."""
+    """The present password is needed to change it, and the change is confirmed and counts at once."""
     async with on_the_page() as (page, cell):
         await go(page, "system")
         await page.type(".own [autocomplete=current-password]", "wrong")
         await page.type(".own [autocomplete=new-password]", "another horse")
         await press(page, "Change it")
         await page.until(said("Wrong password."))
-        page.complaints.clear()  # of the refusal
+        page.complaints.clear()  # about the refusal
         await press(page, "Understood")
         await page.value('document.querySelector(".own [autocomplete=current-password]").select()')
         await page.type(".own [autocomplete=current-password]", PASSWORD)
@@ -265,7 +268,7 @@ async def test_everybody_has_a_password_of_their_own() -> None:
 
 
 async def test_a_keyboard_is_enough() -> None:
-    """Tab comes to the link that skips the head first, and Escape leaves a question as it was."""
+    """Tab first reaches the skip link, and Escape closes a question without an answer."""
     focused = "document.activeElement.textContent.trim()"
 
     async def key(page: Browser, name: str, code: int, **text: str) -> None:
@@ -293,7 +296,7 @@ async def test_a_keyboard_is_enough() -> None:
 
 
 async def test_few_keys_lead_about_and_none_while_somebody_types() -> None:
-    """They are listed by "?", go to steps, press nothing, and single ones can be switched off."""
+    """Keys are listed by "?", go to steps, do nothing in fields or dialogs, and can be switched off."""
     shown = 'document.querySelector("main").dataset.page'
 
     async def key(page: Browser, name: str, expected: str) -> None:
@@ -306,13 +309,13 @@ async def test_few_keys_lead_about_and_none_while_somebody_types() -> None:
         assert [] == await page.violations()
         rows = 'document.querySelectorAll("dialog[open] tr").length'
         assert 7 == await page.value(rows)
-        await page.press("9")  # an open dialog takes no keys
+        await page.press("9")  # an open dialog ignores keys
         await page.click("dialog[open] .actions button")
         await page.until(f"!{DIALOG}")
         assert "welcome" == await page.value(shown)
         await go(page, "system")
         await key(page, "1", "welcome")
-        await key(page, "9", "welcome")  # no such page in this cell
+        await key(page, "9", "welcome")  # this cell has no such page
         await go(page, "system")
         await page.value('document.querySelector("main input:not([hidden])").focus()')
         await page.press("1")
@@ -328,18 +331,18 @@ async def test_few_keys_lead_about_and_none_while_somebody_types() -> None:
 
 
 async def test_a_page_that_does_not_come_says_so() -> None:
-    """It is fetched when it is first entered; what happened is said, and what is there stays."""
+    """A page module that cannot be loaded is reported, and the other pages still work."""
     async with on_the_page() as (page, _):
         await page.ask("Network.enable")
         await page.ask("Network.setBlockedURLs", urls=["*/cell/system.js"])
         await page.value('location.hash = "#/system"')
         await page.until(said("This page could not be loaded."))
         await go(page, "welcome")
-        page.complaints.clear()  # of the page that was kept away
+        page.complaints.clear()  # about the blocked page
 
 
 async def test_what_cannot_be_fetched_is_no_uncaught_error() -> None:
-    """As where a page is left, or the cell is out of reach: that is said, and the language changes."""
+    """A failing fetch is reported, and the language can still be changed."""
     async with on_the_page() as (page, _):
         await page.value("globalThis.fetch = () => Promise.reject(new TypeError('NetworkError')), 0")
         await page.value('location.hash = "#/system"')
@@ -349,7 +352,7 @@ async def test_what_cannot_be_fetched_is_no_uncaught_error() -> None:
 
 
 async def test_a_fault_is_said_in_words_with_what_ends_it() -> None:
-    """On every page; it stays while the cell fails in a beat, and goes soon after it is over."""
+    """The fault is shown on every page, stays while it recurs, and goes soon after it is over."""
     async with on_the_page(360, 740) as (page, cell):
         await page.until(f'{STATE} === "READY"')
         well = next(event for event in reversed(cell.ear.events) if isinstance(event, CellState))
@@ -367,7 +370,7 @@ async def test_a_fault_is_said_in_words_with_what_ends_it() -> None:
 
 
 async def test_what_nobody_has_begun_is_no_fault() -> None:
-    """Of a cell whose cameras were never chosen, the step says so; where one is silent, to look again."""
+    """If cameras were never chosen the step says "not begun", and if one is missing "look again"."""
     state = """[...document.querySelectorAll(".steps li")].find((e) => e.innerText.includes("Cameras"))
       .querySelector(".unseen").textContent"""
     cameras = """import("/static/setup/shared/live.js")
@@ -379,17 +382,17 @@ async def test_what_nobody_has_begun_is_no_fault() -> None:
 
 
 async def test_a_page_without_its_cell_says_so() -> None:
-    """As soon as the connection ends, in words."""
+    """The lost connection is reported in words."""
     async with on_the_page() as (page, cell):
         await page.until(f'{STATE} === "READY"')
         await cell.web.close()
         await page.until(said("Connection to the cell lost"))
-        page.complaints.clear()  # of the connection
+        page.complaints.clear()  # about the connection
 
 
 @pytest.mark.parametrize("way", ["leave", "freeze"])
 async def test_a_page_that_comes_back_from_the_browsers_memory_listens_again(way: str) -> None:
-    """Its socket is closed when it is left; what happened meanwhile stands there, without a reload."""
+    """The socket is closed on leaving, and afterwards the page shows what happened, without a reload."""
     connected = "live.isConnected.value"
     async with on_the_page() as (page, cell):
         await page.value('import("/static/setup/shared/live.js").then((live) => { globalThis.live = live; })')

@@ -1,4 +1,4 @@
-"""The acceptance on the page that sets a cell up: pictures, touched points, the verdict, the page to sign."""
+"""Acceptance on the setup page: pictures, touched points, the verdict, the document to sign."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ pytestmark = [
 
 
 def flange_cell(folder: Path) -> PartCell:
-    """The flange lies before a cell that knows it."""
+    """A cell that knows the flange, which lies before it."""
     cell, part = PartCell(folder), flange()
     job = teach(part.left, part.right, prepare(part.rig).rectification, part.region, "flange")
     save_job(folder / "jobs" / "flange", job)
@@ -35,8 +35,8 @@ def flange_cell(folder: Path) -> PartCell:
 
 
 async def test_a_person_accepts_the_cell_by_the_page(tmp_path: Path) -> None:
-    """50 pictures of a still part and one elsewhere: the tests that were made say so, what was not made is
-    open, the cell has not passed, and knows it; the document lies beside the rig, the audit has a line."""
+    """After 50 pictures of a still part and one elsewhere, finished tests show results and others are
+    open; the cell has not passed, the document is beside the rig, and the audit has a record."""
     cell = flange_cell(tmp_path)
     async with cell.running(), browser() as page:
         place = f"http://127.0.0.1:{cell.port}"
@@ -84,8 +84,8 @@ async def test_a_person_accepts_the_cell_by_the_page(tmp_path: Path) -> None:
 
 
 async def test_people_study_a_size_by_the_page(tmp_path: Path) -> None:
-    """One part 25 times: what cannot begin is said, a page that is loaded anew goes on where it was, the last
-    measurement is taken back and repeated, and at the end there are C_g, C_gk and the page to sign."""
+    """With one part measured 25 times, wrong input is named, a reloaded page continues, the last
+    measurement is taken back and repeated, and the end shows C_g, C_gk and the document to sign."""
     cell = flange_cell(tmp_path)
     async with cell.running(), browser() as page:
         place, size = f"http://127.0.0.1:{cell.port}", (1280, 1500)

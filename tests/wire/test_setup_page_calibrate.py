@@ -1,4 +1,4 @@
-"""A calibration, and its check, on the page that sets a cell up, with the virtual stage's board in a hand."""
+"""Calibration and its check on the setup page, with the virtual stage's board moved by hand."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ CHECK_STEP = """document.querySelector('a[href="#/check"] .state').textContent.t
 
 
 async def ask_for_a_board(page: Browser, newcomer: Newcomer) -> None:
-    """The page of calibrating, with the cell taken, as it asks which board there is."""
+    """Open the calibration page with the cell taken, where it asks for the board."""
     await log_in(page, newcomer.origin, USER, PASSWORD, "/setup", (1280, 900))
     await take_over(page)
     await go(page, "calibrate")
@@ -52,7 +52,7 @@ async def ask_for_a_board(page: Browser, newcomer: Newcomer) -> None:
 
 
 async def test_views_are_taken_left_out_and_found_again_after_a_reload(tmp_path: Path) -> None:
-    """The seen board and the next one are drawn over the pictures; what was begun goes on anywhere."""
+    """Pictures show the board and its next place, views can be left out, and a reload keeps the draft."""
     async with staged(tmp_path, gige=False) as newcomer:
         await newcomer.ask("PUT", "stage", {"showing": "board", "still": True})
         async with browser() as page:
@@ -86,7 +86,7 @@ async def test_views_are_taken_left_out_and_found_again_after_a_reload(tmp_path:
 
 
 async def test_the_hand_follows_until_something_else_is_laid_there(tmp_path: Path) -> None:
-    """A part that was laid before the cameras stays there, though the calibration still draws a place."""
+    """The hand stops following the drawn place once a part is laid before the cameras."""
     async with staged(tmp_path, gige=False) as newcomer:
         await newcomer.ask("PUT", "stage", {"showing": "board", "still": True})
         async with browser() as page:
@@ -107,7 +107,8 @@ async def test_the_hand_follows_until_something_else_is_laid_there(tmp_path: Pat
 
 
 async def test_a_wrongly_chosen_board_is_put_right(tmp_path: Path) -> None:
-    """By another calibration, while live pairs are looked at: nothing opens the first one again by itself."""
+    """After another calibration with the right board is begun, the first one is not opened again by
+    itself."""
     async with staged(tmp_path, gige=False) as newcomer:
         await newcomer.ask("PUT", "stage", {"showing": "board", "still": True})
         async with browser() as page:
@@ -139,7 +140,8 @@ async def test_a_wrongly_chosen_board_is_put_right(tmp_path: Path) -> None:
 
 
 async def test_what_was_begun_is_gone_on_with_or_discarded(tmp_path: Path) -> None:
-    """On this screen and from another one; a calibration that is begun after that has nothing of it."""
+    """Drafts can be continued or discarded on either screen, and a later calibration contains nothing of
+    them."""
     async with staged(tmp_path, gige=False) as newcomer:
         await newcomer.ask("PUT", "stage", {"showing": "board", "still": True})
         first = await newcomer.ask("POST", "calibrations", {"boards": ["chessboard:9x8:4"]}, 201)
@@ -167,7 +169,7 @@ async def test_what_was_begun_is_gone_on_with_or_discarded(tmp_path: Path) -> No
 
 
 async def overtaken(newcomer: Newcomer, page: Browser, identity: str) -> None:
-    """What is told of a draft has come to a page."""
+    """Wait until the page has received what was published about a draft."""
     await page.value(
         """import("/static/setup/shared/live.js")
           .then((live) => { live.told("mark"); globalThis.live = live; })"""
@@ -179,7 +181,7 @@ async def overtaken(newcomer: Newcomer, page: Browser, identity: str) -> None:
 
 
 async def test_another_calibration_is_begun_when_one_is_in_use(tmp_path: Path) -> None:
-    """At once, on the page where it was activated, and on one that comes later."""
+    """Another one can be begun at once, both on the page that activated the first and on one opened later."""
     cell = BoardCell(tmp_path)
     async with asyncio.timeout(WHOLE_S), cell.running(), browser() as page:
         place, token = await with_views(cell, 6)
@@ -203,7 +205,7 @@ async def test_another_calibration_is_begun_when_one_is_in_use(tmp_path: Path) -
         await page.until(said("Which board?"))
         await page.type("[name=mm]", "6")
         await press(page, "Begin")
-        await page.until(said(SPEC))  # it is recognised in live pairs
+        await page.until(said(SPEC))  # the board is recognised in live pairs
         await press(page, "Take this view now")
         await page.until(f"{VIEWS} === 1")
         await discard(page)
@@ -214,7 +216,8 @@ async def test_another_calibration_is_begun_when_one_is_in_use(tmp_path: Path) -
 
 
 async def test_another_calibration_is_begun_after_a_stop(tmp_path: Path) -> None:
-    """What was under way then is still there, is put aside or thrown away, and hinders nothing."""
+    """After a restart the earlier draft is still there, can be put aside or discarded, and hinders
+    nothing."""
     cell = BoardCell(tmp_path)
     async with asyncio.timeout(WHOLE_S), browser() as page:
         async with cell.running():
@@ -230,7 +233,7 @@ async def test_another_calibration_is_begun_after_a_stop(tmp_path: Path) -> None
                     await page.type("[name=mm]", "6")
                     await press(page, "Begin")
                     await page.until(said("Hold the board before both cameras"))
-                    page.complaints.clear()  # of a socket whose cell has stopped
+                    page.complaints.clear()  # about a socket whose cell has stopped
                 else:
                     await page.until(said("Hold the board before both cameras"))
                     await discard(page)
@@ -243,7 +246,7 @@ async def test_another_calibration_is_begun_after_a_stop(tmp_path: Path) -> None
 
 
 async def test_a_check_says_in_words_and_shapes_whether_the_calibration_holds(tmp_path: Path) -> None:
-    """The board is stated once; what is wrong has a remedy; the step is ticked by the verdict alone."""
+    """The board is asked for once, a wrong calibration has a remedy, and only the verdict ticks the step."""
     true = small_rig()
     relation = true.right_from_left.copy()
     relation[:3, 3] *= 1.005

@@ -1,4 +1,4 @@
-"""Recorded cycles in a real browser: a failed one beside a good one, what if, and the test before use."""
+"""Recorded cycles in a real browser: a failed one beside a good one, what-if trials, a test before use."""
 
 from __future__ import annotations
 
@@ -36,12 +36,13 @@ LINES = """[...document.querySelectorAll(".cycles .status")].map((e) => e.innerT
 THUMBNAILS = """[...document.querySelectorAll(".cycle .small")]
   .map((e) => e.querySelector("img")?.naturalWidth ?? 0)"""
 GOOD = 3
-"""Good cycles, and after them one of too much sigma, a table without a part, and no pictures."""
+"""Number of good cycles; they are followed by one with too large a sigma, one without a part, one without
+pictures."""
 
 
 @pytest.fixture(scope="module")
 def cell(tmp_path_factory: pytest.TempPathFactory) -> Callable[[], RecordingCell]:
-    """A cell with five recorded cycles, each time anew, and a draft of a rig with another baseline."""
+    """Makes a cell with five recorded cycles, and a draft of a rig with another baseline."""
     folder = tmp_path_factory.mktemp("cycles")
     small = SmallCell(folder / "template", source="virtual-inprocess")
     job = small.config.parent / "jobs" / "flange" / "job.toml"
@@ -88,7 +89,7 @@ async def on_the_page(
     place: str = "/setup#/cycles",
     there: str = 'document.querySelector(".cycle")',
 ) -> AsyncIterator[tuple[Browser, RecordingCell]]:
-    """Anna's page; nothing may fail unseen."""
+    """Anna's page; fails if its console shows any error."""
     async with made().running() as cell, browser() as page:
         await log_in(page, f"http://127.0.0.1:{cell.port}", "Anna", PASSWORD, place, (width, height))
         await page.until(there)
@@ -97,7 +98,7 @@ async def on_the_page(
 
 
 async def look(page: Browser, status: str) -> None:
-    """At the newest cycle that ended so."""
+    """Open the newest cycle with this status."""
     await page.value(
         f"""(() => {{ const all = [...document.querySelectorAll(".cycle")];
         all.find((e) => e.innerText.includes({status!r})).click(); }})()"""
@@ -108,10 +109,10 @@ async def look(page: Browser, status: str) -> None:
 async def test_a_failed_cycle_is_understood_and_a_rig_tested_before_its_use(
     cell: Callable[[], RecordingCell],
 ) -> None:
-    """A failed cycle stands beside a good one at the same zoom, feature by feature; what would have helped is
-    tried at once; a reload shows the same cycle. A rig is tested on all: which good cycles become bad, each
-    with its picture; it is used with a reason that is signed, and not before. After that no job is taught
-    from a cycle of the rig before.
+    """A failed cycle is shown beside a good one at the same zoom, feature by feature; a remedy is tried at
+    once, and a reload shows the same cycle. A rig is tested on all cycles, naming good ones that become
+    bad with their pictures, and used only with a signed reason, after which no job is taught from older
+    cycles.
     """
     async with on_the_page(cell) as (page, cell):
         assert ["No pictures", "No part", "Not good", "OK", "OK", "OK"] == await page.value(LINES)
@@ -173,7 +174,7 @@ async def test_a_failed_cycle_is_understood_and_a_rig_tested_before_its_use(
 
 
 async def test_a_job_is_taught_from_a_recorded_cycle(cell: Callable[[], RecordingCell]) -> None:
-    """Its pair, every grey value, is that of a new draft; the page Teach opens it, also after a reload."""
+    """The new draft has the cycle's pair exactly, and the Teach page opens it, also after a reload."""
     async with on_the_page(cell) as (page, cell):
         await look(page, "OK")
         count = int(await page.value('document.querySelector("#cycle").textContent.match(/[0-9]+/)[0]'))
@@ -193,8 +194,8 @@ async def test_a_job_is_taught_from_a_recorded_cycle(cell: Callable[[], Recordin
 async def test_whoever_renames_a_job_that_an_editor_has_changed_signs_for_it(
     cell: Callable[[], RecordingCell],
 ) -> None:
-    """Its name alone needs no signature; what would become active with it does, in the same dialog, which can
-    be used by everybody; what is wrong otherwise is said there, too.
+    """Renaming alone needs no signature, but activating another editor's change with it does, in the same
+    dialog, which is accessible and shows other errors.
     """
     async with on_the_page(cell, place="/setup#/jobs", there='document.querySelector(".job")') as (
         page,
@@ -210,7 +211,7 @@ async def test_whoever_renames_a_job_that_an_editor_has_changed_signs_for_it(
         await page.click("dialog[open] .primary")
         await page.until(f"!{DIALOG} && document.querySelector('.job .count').textContent === '7'")
 
-        for count, note in (("1", "not after all"), ("7", "after all")):  # undone, and that undone
+        for count, note in (("1", "not after all"), ("7", "after all")):  # undone and redone
             await press(page, "Undo")
             await page.until(f"{DIALOG}.querySelector('[name=number]').value === '{count}'")
             await page.type("dialog[open] [name=note]", note)

@@ -55,7 +55,7 @@ async def test_firefox_logs_in_takes_the_cell_and_sees_every_page(tmp_path: Path
 
 
 async def test_what_leaving_a_page_breaks_off_is_no_error(tmp_path: Path) -> None:
-    """Left again while its texts, or what it asks of the cell, are on their way: its console says nothing."""
+    """Leaving pages while their texts or requests are loading logs no error."""
     async with staged(tmp_path, gige=False) as newcomer, firefox() as page:
         await log_in(page, newcomer.origin, USER, PASSWORD, "/setup", (1280, 900))
         for place in ("/setup", "/"):
@@ -63,5 +63,5 @@ async def test_what_leaving_a_page_breaks_off_is_no_error(tmp_path: Path) -> Non
                 await page.value(f"location.assign('{place}?{wait_ms}#/welcome'), 0")
                 await page.value(f"new Promise((done) => setTimeout(done, {wait_ms}))")
             await page.until(f"location.pathname === '{place}' && document.querySelector('main')")
-        # of a stream that had not begun yet Firefox says that it cannot connect
+        # about an event stream not yet open Firefox says that it cannot connect
         assert [] == [one for one in page.complaints if not one.endswith("/events.")]

@@ -1,4 +1,4 @@
-"""The machine on the page: findings and their mending, a backup that is downloaded, one that is restored."""
+"""The machine's page: findings and their repair, downloading a backup and restoring another."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ pytestmark = pytest.mark.slow
 KEPT = """{ const made = URL.createObjectURL;
   window.files = [];
   URL.createObjectURL = (file) => { files.push(file); return made(file); }; }"""
-"""What a page lets the browser save, for whoever tests."""
+"""Keeps files that the page lets the browser save, for the test."""
 LAST = """new Promise((done) => { const reader = new FileReader();
   reader.onload = () => done([files.at(-1).name, reader.result.split(",")[1]]);
   reader.readAsDataURL(files.at(-1)); })"""
@@ -44,7 +44,7 @@ def complete(folder: Path) -> BoardCell:
 
 
 async def downloaded(page: Browser, label: str, count: int) -> tuple[str, bytes]:
-    """Name and content of what a button gives."""
+    """Name and content of the file that a button downloads."""
     await press(page, label)
     await page.until(f"window.files.length === {count}")
     name, data = await page.value(LAST)
@@ -53,9 +53,9 @@ async def downloaded(page: Browser, label: str, count: int) -> tuple[str, bytes]
 
 @pytest.mark.parametrize("opened", BROWSERS)
 def test_findings_are_mended_by_a_button(tmp_path: Path, opened: Opener) -> None:
-    """A file that others may read, and one that was changed by hand; each finding says what helps.
+    """A file readable by others and one changed by hand are found and mended; each finding has advice.
 
-    A backup of the cell is downloaded, too.
+    A backup of the cell can be downloaded, too.
     """
 
     async def test(cell: BoardCell) -> None:
@@ -95,7 +95,8 @@ def test_findings_are_mended_by_a_button(tmp_path: Path, opened: Opener) -> None
 
 @needs("chromium")
 def test_a_backup_is_downloaded_and_another_one_restored(tmp_path: Path) -> None:
-    """What comes is proven to be an archive; what goes is looked at first; the file for help comes, too."""
+    """The download is a valid archive, a restore is shown before it is done, and the support file
+    downloads."""
     cell = complete(tmp_path)
     rig = rig_text(replace(load_rig(cell.rig), calibration_id="cal-of-before"))
     other = tmp_path / "before.tar.gz"
@@ -127,7 +128,7 @@ def test_a_backup_is_downloaded_and_another_one_restored(tmp_path: Path) -> None
 
             await choose(page, wrong)
             await page.until('document.querySelector(".trouble")')
-            page.complaints.clear()  # of the refusal
+            page.complaints.clear()  # about the refusal
             await take(page)
             await choose(page, other)
             await page.until(said("cal-of-before"))

@@ -1,4 +1,4 @@
-"""Reference marks on the page that sets a cell up: taught, looked at in each state, and in the audit."""
+"""Reference marks on the setup page: taught, checked in each state, and in the audit."""
 
 from __future__ import annotations
 
@@ -54,16 +54,16 @@ class MarkedBoardCell(BoardCell):
 
 @asynccontextmanager
 async def on_page(cell: MarkedBoardCell, size: tuple[int, int] = (1280, 1500)) -> AsyncIterator[Browser]:
-    """The page of the marks, by who has the cell."""
+    """The page of the marks, with the cell taken."""
     async with cell.running(), browser() as page:
         await log_in(page, f"http://127.0.0.1:{cell.port}", "Anna", PASSWORD, "/setup#/marks", size)
-        await page.click(".lease .primary")  # a cell without jobs asks nothing
+        await page.click(".lease .primary")  # a cell without jobs asks no question
         await page.until('document.querySelector(".lease.mine")')
         yield page
 
 
 def covered(images: Images, marks: range) -> Images:
-    """With a dark sheet over some marks."""
+    """Cover some marks with a dark sheet."""
     found = [image.copy() for image in images]
     for index, image in enumerate(found):
         for mark in marks:
@@ -73,7 +73,7 @@ def covered(images: Images, marks: range) -> Images:
 
 
 def displaced(images: Images, mark: int, px: int) -> Images:
-    """One mark elsewhere: what is around it, beside where it was."""
+    """Move one mark: copy its surroundings beside its place."""
     found = [image.copy() for image in images]
     for index, image in enumerate(found):
         x, y = taught().pixels[index, mark].round().astype(int)
@@ -84,8 +84,8 @@ def displaced(images: Images, mark: int, px: int) -> Images:
 
 @dataclass(frozen=True)
 class Sight:
-    """What lies before the cameras, and what the page says of it. rows : marks that agree, disagree, are not
-    seen."""
+    """A view of the cameras, and what the page says about it. rows : marks that agree, disagree, are
+    unseen."""
 
     images: Callable[[], Images]
     says: str
@@ -94,18 +94,18 @@ class Sight:
 
 
 def elsewhere(x_mm: float) -> Images:
-    """The plate, or the rig, moved."""
+    """The plate (or the rig) moved along x."""
     return pair(transform(np.eye(3), np.add(MIDDLE, (x_mm, 0.0, 0.0))), 25)
 
 
 def mirrored(images: Images) -> Images:
-    """As in a mirror."""
+    """Both images mirrored."""
     left, right = (np.ascontiguousarray(image[:, ::-1]) for image in images)
     return left, right
 
 
 def larger(size: float) -> Images:
-    """Our codes on a plate of another size."""
+    """Codes of this cell on a plate of another size."""
     return pair(AT, 26, instead=PlacedPart(marks_plate(parse_frame("60x52:8:2:40"), size), AT))
 
 
@@ -146,8 +146,8 @@ SIGHTS = {
 
 
 async def test_each_state_is_said_and_drawn(tmp_path: Path) -> None:
-    """Good, shifted, knocked, one mark moved, covered, and plates that are not this cell's; EDGED_SHOTS keeps
-    pictures of them."""
+    """Good, shifted, knocked, one mark moved, covered, and foreign plates each have their texts and results;
+    EDGED_SHOTS keeps pictures of them."""
     cell = MarkedBoardCell(tmp_path, taught_before=True)
     async with on_page(cell) as page:
         await page.until('document.querySelector("main .primary:not([disabled])")')
@@ -165,7 +165,7 @@ async def test_each_state_is_said_and_drawn(tmp_path: Path) -> None:
             words = "agrees", "disagrees, left out", "not seen"
             assert sight.rows == tuple(rows.count(word) for word in words), name
             if shots := os.environ.get("EDGED_SHOTS"):
-                await asyncio.sleep(1.0)  # the live picture
+                await asyncio.sleep(1.0)  # wait for the live picture
                 (Path(shots) / f"marks-{name.replace(' ', '-')}.png").write_bytes(await page.picture())
         assert not await page.value(TOO_WIDE)
         assert [] == await page.value(SMALL_TARGETS)
@@ -174,8 +174,8 @@ async def test_each_state_is_said_and_drawn(tmp_path: Path) -> None:
 
 
 async def test_marks_are_taught_by_the_page_and_stand_in_the_audit(tmp_path: Path) -> None:
-    """They are in use at once, the same as the command teaches; a picture without marks teaches none, and
-    what was there stays."""
+    """Marks are in use at once and equal those of the command; a picture without marks teaches none and keeps
+    the old ones."""
     cell = MarkedBoardCell(tmp_path, taught_before=False)
     async with on_page(cell) as page:
         await page.until("document.querySelector('main').innerText.includes('No marks of this calibration')")

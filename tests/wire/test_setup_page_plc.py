@@ -1,4 +1,4 @@
-"""The page of PLC and go live: what both said, which words are swapped, a client's source, and READY."""
+"""The PLC and go-live page: exchanges, swapped words, client sources, and READY."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from edged.robots.formats import DOWNLOADS, FORMATS, written
 
 pytestmark = pytest.mark.slow
 CLIENT = 4711
-"""Of no connection: as OPC UA writes."""
+"""A client number without a connection, as OPC UA uses."""
 
 
 @asynccontextmanager
@@ -37,7 +37,7 @@ async def beside(order: WordOrder = "high") -> AsyncIterator[tuple[Cell, ModbusP
 
 
 async def command(cell: Cell, modbus: ModbusPublisher, sequence: int, code: int = 1) -> dict[str, Any]:
-    """Write a command; its ladder when it has ended."""
+    """Write a command; returns its ladder when it has ended."""
     modbus.write(CLIENT, {"COMMAND": code, "JOB": 0, "CMD_SEQ": sequence})
     ends = ("ack", "nack")
     await until(lambda: modbus.exchanges[0].rungs[-1].what in ends)
@@ -45,7 +45,8 @@ async def command(cell: Cell, modbus: ModbusPublisher, sequence: int, code: int 
 
 
 async def test_exchanges_and_client_sources_are_told_as_they_are() -> None:
-    """Two commands as they were; every source is what `edged registers` prints, several files are packed."""
+    """Two commands are reported as they were, and each source is what `edged registers` prints, zipped if
+    several."""
     async with beside() as (cell, modbus):
         await cell.log_in("Vera")
         modbus.write(CLIENT, {"CMD_SEQ": 0})
@@ -79,7 +80,7 @@ async def test_exchanges_and_client_sources_are_told_as_they_are() -> None:
 
 
 def swapped(value: int, words: bool, octets: bool) -> int:
-    """As a client reads 32 bits that it puts together otherwise."""
+    """A 32-bit value as read by a client that swaps words or bytes."""
     pair = struct.unpack(">2H", struct.pack(">I", value))
     pair = tuple(((word & 255) << 8) | word >> 8 for word in pair) if octets else pair
     return int.from_bytes(struct.pack(">2H", *(pair[::-1] if words else pair)), "big")
@@ -87,7 +88,8 @@ def swapped(value: int, words: bool, octets: bool) -> int:
 
 @needs("chromium")
 async def test_the_page_tells_what_is_swapped_shows_the_ladder_and_gives_the_cell_back() -> None:
-    """Words, bytes, an address that is one off; READY; the last commands as they come; nothing is cut off."""
+    """Swapped words, swapped bytes and an address off by one are named, READY returns, the last commands are
+    listed as they come, and nothing is cut off."""
     async with beside() as (cell, modbus), browser() as page:
         await log_in(page, cell.origin, "Anna", PASSWORD, "/setup", (1280, 900))
         await take(page)
@@ -117,7 +119,7 @@ async def test_the_page_tells_what_is_swapped_shows_the_ladder_and_gives_the_cel
 
 
 async def check_probes(page: Browser) -> None:
-    """What stands there after each thing that a PLC may show."""
+    """Check the text for each value that a PLC may show."""
     u32 = 0x01020304
     shown = {
         str(u32): "Right: words",

@@ -1,4 +1,4 @@
-"""The robot's registration on the page that sets a cell up, with the stage's virtual robot beside it."""
+"""The robot's registration on the setup page, with the stage's virtual robot."""
 
 from __future__ import annotations
 
@@ -31,16 +31,16 @@ window.fetch = async (path, request) => {
   while (request?.method === "PUT" && !document.body.innerText.includes("All of them agree."))
     await new Promise((done) => setTimeout(done, 20));
   return answer; }; 0 }"""
-"""From now on answers to changes come after what is told of them."""
+"""From now on, answers to changes arrive after the published messages about them."""
 
 
 async def paste(page: Browser, text: str) -> None:
-    """What was copied elsewhere, into the field for it."""
+    """Paste a text copied elsewhere into its field."""
     await page.type("[name=pasted]", text)
 
 
 async def type_and_press(page: Browser, field: str, text: str, button: str) -> None:
-    """Sooner than the page is drawn again."""
+    """Type into a field and press a button before the page is drawn again."""
     await page.value(
         f"""(async () => {{
         const field = document.querySelector({field!r});
@@ -53,7 +53,7 @@ async def type_and_press(page: Browser, field: str, text: str, button: str) -> N
 
 
 async def accessible(page: Browser) -> None:
-    """Nothing that axe finds, no small target, no complaint."""
+    """Check that axe finds nothing, no target is too small, and the console is empty."""
     assert [] == await page.violations()
     assert [] == await page.value(SMALL_TARGETS)
     assert [] == page.complaints
@@ -61,7 +61,7 @@ async def accessible(page: Browser) -> None:
 
 @asynccontextmanager
 async def on_stage(folder: Path) -> AsyncIterator[tuple[Newcomer, Browser]]:
-    """With a rig that knows no robot, a board before it, and a page that has the cell."""
+    """A stage with a rig without a robot and a board before it, and a page that has the cell."""
     save_rig(folder / "rig.json", replace(small_rig(), robot_from_rig=None), {"board": "chessboard:11x8:4"})
     async with staged(folder, gige=False) as newcomer, browser() as page:
         await newcomer.ask("PUT", "stage", {"showing": "board", "still": True})
@@ -77,8 +77,8 @@ async def on_stage(folder: Path) -> AsyncIterator[tuple[Newcomer, Browser]]:
 
 
 async def test_a_robot_is_registered_by_touch(tmp_path: Path) -> None:
-    """Five touches, one of them mistyped, named, put right; kept, proved by one more touch, active. What is
-    sent is what stands in the field, and an answer that comes after newer news takes nothing back.
+    """Five touches, one mistyped and corrected, register the rig, proved by another touch and activated;
+    what is sent equals the field, and a late answer does not overwrite newer messages.
     """
     async with on_stage(tmp_path) as (_, page):
         await accessible(page)
@@ -96,7 +96,7 @@ async def test_a_robot_is_registered_by_touch(tmp_path: Path) -> None:
                 await paste(page, f"X {float(x) + 4:.2f}°\t{y}\t{z}".replace(".", ","))
             await press(page, "Add this point")
             await page.until(said(f"Points and poses ({step + 1})"))
-            # the point is pushed, too, before its answer empties the field for the next one
+            # the point is pushed before its answer, which empties the field for the next one
             await page.until("""document.querySelector("[name=pasted]").value === ''""")
         await page.until(said("point 5 is wrong by"))
         assert "Wrong, if the others are right." == await page.value(
@@ -130,7 +130,7 @@ async def test_a_robot_is_registered_by_touch(tmp_path: Path) -> None:
 
 
 async def test_the_map_of_the_robots_error_is_shown(tmp_path: Path) -> None:
-    """What it is worth, and where the robot was off; EDGED_SHOTS keeps a picture."""
+    """Its quality and the robot's errors are shown; EDGED_SHOTS keeps a picture."""
     rig = small_rig()
     rng = np.random.default_rng(4)
     corners = np.array(np.meshgrid(*[(-1.0, 1.0)] * 3)).reshape(3, -1).T
@@ -157,7 +157,7 @@ async def test_the_map_of_the_robots_error_is_shown(tmp_path: Path) -> None:
 
 
 async def test_another_registration_is_begun_and_one_is_discarded(tmp_path: Path) -> None:
-    """Nothing opens the one before again but who says so: neither another step nor a reload."""
+    """An earlier registration opens only on request, neither by changing steps nor by a reload."""
     async with on_stage(tmp_path) as (newcomer, page):
         await press(page, "Begin")
         await page.until(said("Point 1 of 6"))
@@ -186,12 +186,13 @@ async def test_another_registration_is_begun_and_one_is_discarded(tmp_path: Path
         await page.until(f"!{said('Begun before')}")
         await press(page, "Begin")
         await page.until(said("Pose 1 of 10"))
-        # the page may be asking for what the other screen discards
+        # the page may request what the other screen discards
         assert [] == [complaint for complaint in page.complaints if first["id"] not in complaint]
 
 
 async def test_poses_of_another_brand_are_told_and_read_rightly_by_one_button(tmp_path: Path) -> None:
-    """They are said to be KUKA's and are those of Universal Robots; the sky has them; nothing is cut off."""
+    """Poses entered as KUKA's are recognised as Universal Robots', and one button reads them so; nothing
+    is cut off."""
     async with on_stage(tmp_path) as (newcomer, page):
         await page.click("[name=way][value=poses]")
         await page.choose('[name="brand"]', "kuka")

@@ -1,4 +1,4 @@
-"""What else the configuration can say, chosen on the page in a real browser, and what became of it."""
+"""Other configuration settings, chosen on the page in a real browser, and their effect."""
 
 from __future__ import annotations
 
@@ -29,14 +29,14 @@ CHOSEN = 'document.querySelectorAll(".setting button").length'
 
 
 async def use(page: Browser) -> None:
-    """What was entered, until the cell runs by it."""
+    """Put the entered settings in force."""
     await page.until(DRAFT)
     await put_in_force(page)
 
 
 @pytest.mark.parametrize("opened", BROWSERS)
 def test_a_setting_is_chosen_and_goes_back(tmp_path: Path, opened: Opener) -> None:
-    """Twice and in any order; what fails changes nothing; connections that are chosen later leave it."""
+    """A setting is changed twice and reset, failures change nothing, and choosing connections keeps it."""
 
     async def test(newcomer: Newcomer) -> None:
         def config():  # type: ignore[no-untyped-def]  # the daemon's, as it is now
@@ -67,7 +67,7 @@ def test_a_setting_is_chosen_and_goes_back(tmp_path: Path, opened: Opener) -> No
             await page.value("document.querySelectorAll('form details').forEach((one) => (one.open = true))")
             await page.type('[name="drift.warn_rows_px"]', "9")
             await page.until(said("warn_rows_px 9 is beyond invalid_rows_px 1"))
-            # beside both that it names, and in the draft
+            # beside both settings that it names, and in the draft
             assert 3 == await page.value("document.querySelectorAll('.wrong').length")
             assert await page.value(f"{DRAFT}.parentElement.querySelector('.primary').disabled")
             assert (1.5, 0.5) == (config().cycle.period_s, config().drift.warn_rows_px)

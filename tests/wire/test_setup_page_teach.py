@@ -1,4 +1,4 @@
-"""A job is taught on the page, by taps and by keys, tried and used, on a stage whose truth is known."""
+"""A job is taught on the page, with taps and keys, tried and used, on a stage with known truth."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ from edged.files.statefolder import state_folder
 pytestmark = [pytest.mark.slow, needs("chromium")]
 
 DIAMETERS_MM = [28.0, 8.0, 3.2, 3.2, 3.2, 3.2, 1.8]
-"""Of the stage's flange, in the order of its features."""
+"""True diameters of the stage's flange, in the order of its features."""
 LEFT = "[data-side=left]"
 VIEW = f"""document.querySelector("{LEFT}").getAttribute("viewBox").split(" ").map(Number)"""
 PROPOSED = f"""document.querySelectorAll("{LEFT} .feature").length >= 7"""
@@ -49,7 +49,7 @@ ROWS = '[...document.querySelectorAll(".features-list li")].map((row) => row.inn
 CHECKED = '[...document.querySelectorAll(".features-list input")].map((box) => box.checked)'
 FIGURES = '[...document.querySelectorAll(".figures-of dd")]'
 QUIET = '!document.querySelector("progress")'
-"""The cell looks for nothing any more."""
+"""No search is running."""
 STILL = 'document.querySelector("[aria-labelledby=try-still] tbody")'
 STILL_ROWS = f"""[...{STILL}.rows].map((row) => [...row.cells].map((cell) => cell.innerText))"""
 CTRL, SHIFT, ALT = 2, 8, 1
@@ -57,7 +57,7 @@ CTRL, SHIFT, ALT = 2, 8, 1
 
 @dataclass(frozen=True)
 class Stand:
-    """A stage with a rig and its part on the table, one browser, and a draft that is proposed.
+    """A stage with a rig and its part on the table, one browser, and a draft with its proposal.
 
     still : file of the last still test.
     """
@@ -76,25 +76,25 @@ class Stand:
         step: str = "teach",
         there: str = PROPOSED,
     ) -> None:
-        """A page, of teaching that with the draft, as it comes back after a reload."""
+        """Open a page; on the teaching page the draft is opened as after a reload."""
         await self.page.value(f'localStorage.setItem("edged.teaching", "{self.draft}")')
         await self.page.open("about:blank", width, height)
         await self.page.open(f"{self.newcomer.origin}/setup{query}#/{step}", width, height)
         await self.page.until(there)
 
     async def take(self) -> None:
-        """The cell, if another test has not taken it yet."""
+        """Take the cell, unless another test has it already."""
         await self.page.until('document.querySelector(".lease")')
         if not await self.page.value('Boolean(document.querySelector(".lease.mine"))'):
             is_free = await self.page.value('Boolean(document.querySelector(".lease .primary"))')
             await (take if is_free else take_over)(self.page)
 
     async def until(self, is_so: Callable[[dict[str, Any]], bool]) -> dict[str, Any]:
-        """The draft, as soon as the cell keeps it so."""
+        """Wait until the stored draft fulfils the condition."""
         return await self.newcomer.until(f"teachings/{self.draft}", is_so)
 
     async def key(self, name: str, modifiers: int = 0, code: int = 0) -> None:
-        """A key with others held."""
+        """Press a key with modifiers held."""
         for kind in ("keyDown", "keyUp"):
             await self.page.ask(
                 "Input.dispatchKeyEvent", type=kind, key=name, modifiers=modifiers, windowsVirtualKeyCode=code
@@ -103,14 +103,14 @@ class Stand:
 
 @pytest.fixture(scope="module")
 def stand(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stand]:
-    """One for all."""
+    """One stand for all tests."""
     folder = tmp_path_factory.mktemp("teach")
     save_rig(folder / "rig.json", small_rig())
 
     async def ready(stack: AsyncExitStack) -> tuple[Newcomer, Browser, str]:
         newcomer = await stack.enter_async_context(staged(folder, gige=False))
         page = await stack.enter_async_context(browser())
-        newcomer.world.cell.teach_pair()  # what is drawn for the first time takes longer than a camera may
+        newcomer.world.cell.teach_pair()  # the first rendering takes longer than a camera may
         await newcomer.ask("PUT", "stage", {"showing": "part"})
         draft = (await newcomer.ask("POST", "teachings", newcomer.token, 201))["id"]
         await newcomer.until(f"teachings/{draft}", lambda document: document["proposing"] is None)
@@ -126,13 +126,14 @@ def stand(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stand]:
 
 @pytest.fixture(autouse=True)
 def _nothing_fails_unseen(stand: Stand) -> Iterator[None]:
-    """Also what no test looks at."""
+    """No test may leave a console error."""
     yield
     assert [] == stand.page.complaints
 
 
 async def test_a_part_is_proposed_with_its_true_sizes_and_each_tap_says_what_it_costs(stand: Stand) -> None:
-    """Picture and list are one: what is tapped or ticked in one shows in both; keys undo the last tap."""
+    """Proposed sizes are true, taps and ticks show in both picture and list with their cost, and keys undo
+    them."""
     page = stand.page
     await stand.take()
     await go(page, "teach")
@@ -149,18 +150,18 @@ async def test_a_part_is_proposed_with_its_true_sizes_and_each_tap_says_what_it_
     before = await page.value(figures)
     assert 6 == len(before)  # X Y Z A B C
     assert all(0 < value < 10 for value in before)
-    await page.click(f"{LEFT} [data-key=c0]")  # within it are smaller ones: c1 has its middle
+    await page.click(f"{LEFT} [data-key=c0]")  # within it are smaller ones: c1 is in its middle
     await page.until(f"{CHECKED}[1] === false")
     await page.until('document.querySelectorAll(".feature.left[data-key=c1]").length === 2')
     for row in (1, 3, 4, 5):
         await page.click(f".features-list li:nth-child({row}) input")
         await page.until(f"{CHECKED}[{row - 1}] === false")
-    # with two small holes, both on one side; what a tap costs is shown against the tap before it
+    # with two small holes on the same side; the cost of a tap is relative to the one before
     await page.until(f"{figures}[3] > {before[3]} && document.querySelector('dd .before')")
 
     await page.value('document.querySelector(".features-list li:nth-child(3) input").focus()')
     await page.until('document.querySelectorAll(".feature.lit[data-key=c2]").length === 2')
-    await stand.key("z", CTRL, 90)  # the box that was ticked last has the focus
+    await stand.key("z", CTRL, 90)  # the box ticked last has the focus
     await page.until(f"{CHECKED}[4] === true")
     for row in (4, 3, 1, 2):
         await press(page, "Undo")
@@ -174,7 +175,7 @@ async def test_a_part_is_proposed_with_its_true_sizes_and_each_tap_says_what_it_
 
 
 async def test_wheel_and_fingers_bring_a_place_nearer_and_both_pictures_show_it(stand: Stand) -> None:
-    """The point under the wheel stays where it was; the right picture has the same size."""
+    """The point under the wheel stays in place, and the right picture zooms alike."""
     page = stand.page
     await stand.open()
     await press(page, "All")
@@ -192,13 +193,13 @@ async def test_wheel_and_fingers_bring_a_place_nearer_and_both_pictures_show_it(
 
 
 async def test_keys_alone_tap_and_move_points_as_finely_as_one_likes(stand: Stand) -> None:
-    """Arrows 1 px, with shift 10, with alt 0.1; a cross in the picture taps with Enter; Delete removes."""
+    """Arrows move by 1 px, with shift 10, with alt 0.1; Enter taps at a cross, and Delete removes."""
     page = stand.page
     await stand.open()
     await page.value(f"""document.querySelector("{LEFT}").focus()""")
     was = await page.value(CHECKED)
     assert was[1]
-    await stand.key("Enter")  # the middle of what is shown, which is that of the part: the bore
+    await stand.key("Enter")  # the middle of the view is that of the part: the bore
     await page.until(f"{CHECKED}[1] === false")
     await stand.key("Enter")
     await page.until(f"{CHECKED}[1] === true")
@@ -220,13 +221,14 @@ async def test_keys_alone_tap_and_move_points_as_finely_as_one_likes(stand: Stan
     await page.value('document.querySelector(".handle").focus()')
     await stand.key("Delete")
     await page.until('!document.querySelector(".handle")')
-    for _ in range(3):  # the rectangle, its corner, and that it is gone
+    for _ in range(3):  # the rectangle, its corner, and then nothing
         await press(page, "Undo")
     await stand.until(lambda now: now["shapes"] == start)
 
 
 async def test_reference_grip_and_sizes_are_picked_on_the_part(stand: Stand) -> None:
-    """A tap near a hole makes its middle the reference; a size is judged at once against the true one."""
+    """A tap near a hole makes its centre the reference, and a size is judged at once against its true
+    value."""
     page = stand.page
     await stand.open()
     await press(page, "Tap it in the picture")
@@ -269,7 +271,7 @@ async def test_reference_grip_and_sizes_are_picked_on_the_part(stand: Stand) -> 
 
 
 async def test_a_further_pair_is_added_shown_and_removed(stand: Stand) -> None:
-    """Both pictures of it stand there, and that the flange's edges are sharp; axe finds nothing."""
+    """Both its pictures are shown with the finding that edges are sharp, and axe finds nothing."""
     page = stand.page
     await stand.open()
     await stand.take()
@@ -285,8 +287,8 @@ async def test_a_further_pair_is_added_shown_and_removed(stand: Stand) -> None:
 
 
 async def test_a_job_is_learnt_from_a_drawing_instead(stand: Stand, tmp_path: Path) -> None:
-    """A chosen DXF file gives the drawing's own sizes, on the part in the pictures; what is wrong with one is
-    said with its place; one step back is what the pair taught.
+    """A DXF file gives the drawing's sizes on the pictured part, an error names its place in the file, and
+    undo restores what the pair taught.
     """
     is_drawn = 'document.querySelector("#teach-drawing ~ .verdict")'
     is_open = flange_drawing(tmp_path, is_open=True).read_text()
@@ -305,7 +307,7 @@ async def test_a_job_is_learnt_from_a_drawing_instead(stand: Stand, tmp_path: Pa
     before = await stand.until(lambda now: now["proposing"] is None)
     await choose(page, "open.dxf", is_open)
     await page.until(said("An outline is open: it ends at x 40.000, y 5.000 mm."))
-    page.complaints.clear()  # of the refusal
+    page.complaints.clear()  # about the refusal
     await press(page, "Understood")
     await choose(page, "flange.dxf", whole)
     await page.until(is_drawn)
@@ -328,7 +330,7 @@ async def test_a_job_is_learnt_from_a_drawing_instead(stand: Stand, tmp_path: Pa
 
 
 async def test_who_was_slower_is_told_and_sees_what_the_other_did(stand: Stand) -> None:
-    """A change to what is no longer so is not made; the page has the newer draft, and says so."""
+    """A change based on an old revision is refused, and the page shows the newer draft and says so."""
     page = stand.page
     await stand.until(lambda now: now["proposing"] is None)
     await stand.open()
@@ -341,14 +343,15 @@ async def test_who_was_slower_is_told_and_sees_what_the_other_did(stand: Stand) 
     await page.until(said("This was changed meanwhile"))
     assert was == await page.value(CHECKED)
     assert "older" != await page.value('document.querySelector(".draft-bar strong").textContent')
-    page.complaints.clear()  # of the refusal
+    page.complaints.clear()  # about the refusal
 
 
 async def test_a_tap_on_the_part_holds_whatever_the_cell_has_found_meanwhile(stand: Stand) -> None:
-    """A place in the picture is the same one: it is sent again, and nobody is told to do so."""
+    """A tap based on an old revision is sent again automatically, as its place in the picture is
+    unchanged."""
     page = stand.page
     before = await stand.until(lambda now: now["proposing"] is None)
-    for name in (f"{before['name']}-", before["name"]):  # there is a revision before this one
+    for name in (f"{before['name']}-", before["name"]):  # so that an older revision exists
         named = {"revision": before["revision"], "name": name}
         before = await stand.newcomer.ask("PUT", f"teachings/{stand.draft}", named)
     await stand.open()
@@ -360,7 +363,7 @@ async def test_a_tap_on_the_part_holds_whatever_the_cell_has_found_meanwhile(sta
     )
     assert await page.value("globalThis.isTapped")
     assert not await page.value(said("This was changed meanwhile"))
-    page.complaints.clear()  # of the first try
+    page.complaints.clear()  # about the first try
     tapped = await stand.until(lambda now: now["proposing"] is None and now["revision"] > before["revision"])
     await stand.newcomer.ask("POST", f"teachings/{stand.draft}/undo", {"revision": tapped["revision"]})
     await stand.until(lambda now: now["proposing"] is None and now["revision"] > tapped["revision"])
@@ -368,7 +371,7 @@ async def test_a_tap_on_the_part_holds_whatever_the_cell_has_found_meanwhile(sta
 
 @pytest.mark.parametrize(("width", "height"), [(360, 740), (1920, 1080)])
 async def test_everybody_can_teach(stand: Stand, width: int, height: int) -> None:
-    """axe finds nothing, all is translated and fits, also twice as large, and a finger hits every target."""
+    """axe finds nothing, all texts are translated and fit, also doubled, and targets are large enough."""
     page = stand.page
     await stand.open(width, height, "?pseudo")
     await page.until(QUIET)
@@ -382,7 +385,7 @@ async def test_everybody_can_teach(stand: Stand, width: int, height: int) -> Non
 
 
 async def test_the_cell_is_turned_in_space_by_mouse_and_keys(stand: Stand) -> None:
-    """Both cameras are there, and what a key turns a drag turns back; everybody can use it."""
+    """Both cameras are drawn, a drag reverses a key's turn, and the page is accessible."""
     paths = """[...document.querySelectorAll(".space path")].map((e) => e.getAttribute("d")).join()"""
     page = stand.page
     await stand.open(
@@ -416,7 +419,7 @@ async def test_the_cell_is_turned_in_space_by_mouse_and_keys(stand: Stand) -> No
 
 @pytest.mark.parametrize("language", ["fr", "ja", "zh"])
 async def test_every_page_fits_a_phone_in_every_language(stand: Stand, language: str) -> None:
-    """360 px are enough, every text has its words and not its name, and nothing is English but names."""
+    """360 px are enough, every text is translated, and only names are English."""
     texts = 'import("/static/setup/shared/texts.js")'
     page = stand.page
     await stand.open(360, 740)
@@ -433,7 +436,7 @@ async def test_every_page_fits_a_phone_in_every_language(stand: Stand, language:
 
 
 async def test_a_draft_is_tried_where_the_part_lies_and_the_map_says_what_is_to_come(stand: Stand) -> None:
-    """Every outline is drawn, each place is kept; who leaves the page tries nothing any more."""
+    """Every outline is drawn and each place kept, and leaving the page ends the trial."""
     placed = 'document.querySelectorAll(".covered").length'
     page = stand.page
     await stand.open(
@@ -451,7 +454,7 @@ async def test_a_draft_is_tried_where_the_part_lies_and_the_map_says_what_is_to_
     assert [] == await page.value(SMALL_TARGETS)
     await go(page, "jobs")
     await stand.newcomer.until("trials", lambda now: not now["on"])
-    # as a part that shakes leaves it: more than its noise, and within its sigma
+    # as for a part that shakes: more than its noise, but within its sigma
     um = {name: dict.fromkeys("xyz", um) for name, um in (("scatter", 0.5), ("noise", 0.2), ("edges", 0.75))}
     found: dict[str, Any] = {f"{name}_um": values for name, values in um.items()}
     found |= {
@@ -474,7 +477,8 @@ async def test_a_draft_is_tried_where_the_part_lies_and_the_map_says_what_is_to_
 
 
 async def test_a_job_in_use_finds_the_part_where_it_truly_is(stand: Stand) -> None:
-    """From a draft to a release by two buttons; the cell measures by it; the list says how well."""
+    """Two buttons turn a draft into a release that the cell measures with, and the list shows its
+    accuracy."""
     page = stand.page
     await stand.open()
     await stand.take()
@@ -492,7 +496,7 @@ async def test_a_job_in_use_finds_the_part_where_it_truly_is(stand: Stand) -> No
     await page.type("dialog[open] [name=number]", "7")
     await page.type("dialog[open] [name=note]", "as the drawing calls it")
     await page.click("dialog[open] .primary")
-    await page.until(f"!{DIALOG}")  # the list may be fresh before the answer is there
+    await page.until(f"!{DIALOG}")  # the list may be updated before the answer arrives
     await stand.newcomer.until("jobs", lambda now: "cover" in [job["name"] for job in now["jobs"]])
     await page.until(said("cover"))
     await press(page, "Duplicate")
@@ -520,7 +524,7 @@ async def test_a_job_in_use_finds_the_part_where_it_truly_is(stand: Stand) -> No
 
 
 async def test_another_part_is_taught_after_one_is_in_use_and_after_one_is_discarded(stand: Stand) -> None:
-    """Each from a fresh pair, on the page where the one before was ended."""
+    """Each next part is taught from a fresh pair, on the page where the previous one was finished."""
     page = stand.page
     await stand.open()
     await stand.take()

@@ -1,4 +1,4 @@
-"""What goes wrong is said beside what was pressed, and nothing that was typed is lost; in a real browser."""
+"""Errors are shown beside the pressed button, and no typed text is lost; in a real browser."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from helpers.webcell import Cell, running
 
 pytestmark = [pytest.mark.slow, needs("chromium")]
 APART_PX = 40
-"""Between a button and what is said about it."""
+"""Largest distance between a button and its message."""
 BESIDE = """(() => {
   const box = document.querySelector(".trouble").getBoundingClientRect();
   const pressed = [...document.querySelectorAll("button")].find((b) => b.textContent.trim() === "Change it")
@@ -25,7 +25,7 @@ BESIDE = """(() => {
 
 @asynccontextmanager
 async def with_a_page(name: str, size: tuple[int, int], place: str) -> AsyncIterator[tuple[Browser, Cell]]:
-    """The page of somebody."""
+    """A user's page."""
     async with running() as cell, browser() as page:
         await log_in(page, cell.origin, name, PASSWORD, place, size)
         yield page, cell
@@ -33,7 +33,7 @@ async def with_a_page(name: str, size: tuple[int, int], place: str) -> AsyncIter
 
 @pytest.mark.parametrize("size", [(360, 740), (800, 480), (1280, 900)])
 async def test_an_error_stands_beside_what_was_pressed(size: tuple[int, int]) -> None:
-    """In sight, also on a small screen, far down a page, and when the page is scrolled after that."""
+    """The message is visible, also on small screens, far down a page and after scrolling."""
     async with with_a_page("Anna", size, "/setup#/system") as (page, _):
         await page.until('document.querySelector(".own")')
         await page.type(".own [autocomplete=current-password]", "wrong")
@@ -52,7 +52,7 @@ async def test_an_error_stands_beside_what_was_pressed(size: tuple[int, int]) ->
 
 
 async def test_the_next_person_is_typed_while_the_first_one_is_added() -> None:
-    """What was entered meanwhile stays in its fields."""
+    """Text typed meanwhile stays in its fields."""
     name = 'document.querySelector("#users ~ form label:nth-child(1) input")'
     people = '[...document.querySelectorAll(".people strong")].map((e) => e.textContent)'
     slow = """{ const asked = fetch;

@@ -1,4 +1,4 @@
-"""SETUP as a PLC sees it: real clients, a running cell, a daemon that is killed."""
+"""SETUP as a PLC sees it: real clients, a running cell, a killed daemon."""
 
 from __future__ import annotations
 
@@ -37,11 +37,11 @@ from edged.plc.registers import StatusBit, Warn
 
 PASSWORD = "correct horse"
 LEAVE = StatusBit.READY | StatusBit.RESULT_VALID | StatusBit.OK | StatusBit.EXPOSURE_DONE
-"""What lets a robot move, or a PLC command."""
+"""Bits that let a robot move, or a PLC command."""
 
 
 class Plc:
-    """A pymodbus client that counts its commands; with writes=False one that only looks."""
+    """A pymodbus client that numbers its commands; with writes=False a read-only one."""
 
     def __init__(self, port: int, *, writes: bool = True) -> None:
         self._client = ModbusTcpClient("127.0.0.1", port=port, timeout=5)
@@ -66,13 +66,13 @@ class Plc:
         assert not answer.isError(), answer
 
     def command(self, kind: CommandKind) -> dict[str, Any]:
-        """The status when it has ended."""
+        """Run a command; returns the status when it has ended."""
         self._sequence += 1
         self.write("COMMAND", [kind, 0, self._sequence])
         return self.until(lambda status: status["DONE_SEQ"] == self._sequence)
 
     def until(self, condition: Callable[[dict[str, Any]], bool]) -> dict[str, Any]:
-        """The first status for which it holds."""
+        """First status that fulfils the condition."""
         deadline_s = time.monotonic() + LIMIT_S
         while True:
             status = self.read(reg.STATUS)
@@ -82,14 +82,14 @@ class Plc:
 
 
 def in_setup(status: dict[str, Any]) -> bool:
-    """Whether all that says so says so."""
+    """Whether the cell is in SETUP; all registers that say so must agree."""
     words = status["STATE"] == 5, bool(status["WARNING"] & Warn.SETUP), status["SETUP_SOURCE"] != 0
     assert len(set(words)) == 1, status
     return words[0]
 
 
 def on_loop(cell: LiveCell, work: Callable[[], Any]) -> Any:
-    """Await something on the cell's event loop."""
+    """Await a coroutine on the cell's event loop."""
     return asyncio.run_coroutine_threadsafe(work(), cell.loop).result(LIMIT_S)
 
 
@@ -101,10 +101,10 @@ def cell(request: pytest.FixtureRequest) -> Iterator[LiveCell]:
 
 
 def test_in_setup_nothing_is_ready_valid_or_carried_out(cell: LiveCell) -> None:
-    """While people come and go, a client that polls sees each picture of the status whole.
+    """While SETUP begins and ends, a polling client sees each state of the status consistently.
 
-    In no answer that says SETUP is anything ready or valid, nor in a result that is read between two such
-    answers; each command that begins and ends in SETUP is NACK 7; outside of it commands run.
+    No status in SETUP is ready or valid, nor a result read between two of them; commands within SETUP get
+    NACK 7, and outside of it they run.
     """
     stop = threading.Event()
     wrong: list[object] = []
@@ -120,7 +120,7 @@ def test_in_setup_nothing_is_ready_valid_or_carried_out(cell: LiveCell) -> None:
                 if not (in_setup(before) and in_setup(after)):
                     continue
                 counts["setup"] += 1
-                # between both it may have been ready, but whatever was measured then has a later time
+                # the cell may have been ready in between, but later measurements have a later time
                 if result["FLAGS"] & reg.Flag.VALID and result["EXPOSURE_NS"] <= entered_ns[-1]:
                     wrong.append(result)
 
@@ -162,7 +162,7 @@ def test_in_setup_nothing_is_ready_valid_or_carried_out(cell: LiveCell) -> None:
 
 
 def test_a_result_does_not_survive_setup(cell: LiveCell) -> None:
-    """VALID before, young enough after: what it stands on may have been exchanged."""
+    """A valid result, though young enough, is withdrawn by SETUP, as its basis may have changed."""
     with Plc(cell.port) as plc:
         status = plc.command(CommandKind.LOCATE)
         assert status["STATUS_BITS"] & StatusBit.RESULT_VALID
@@ -178,7 +178,7 @@ def test_a_result_does_not_survive_setup(cell: LiveCell) -> None:
 
 
 def test_auto_lock_refuses_and_ends_setup_for_as_long_as_its_connection(cell: LiveCell) -> None:
-    """1 ends it, and it is refused until 0, or until the PLC is gone: then no plant runs by this cell."""
+    """AUTO_LOCK 1 ends SETUP and prevents it until it is 0 or the PLC disconnects."""
     with Plc(cell.port) as plc:
         token = on_loop(cell, lambda: cell.cycle.session.enter_setup("Anna"))
         plc.write("AUTO_LOCK", [1])
@@ -206,7 +206,7 @@ def _may_enter(cell: LiveCell) -> bool:
 
 @needs("mbpoll")
 def test_mbpoll_sees_setup_and_ends_it(cell: LiveCell) -> None:
-    """A program of other people reads STATE 5, WARNING bit 1 and SETUP_SOURCE 1, and writes word 119."""
+    """mbpoll reads STATE 5, WARNING bit 1 and SETUP_SOURCE 1, and ends SETUP by writing word 119."""
 
     def mbpoll(*arguments: str) -> str:
         command = ["mbpoll", "-m", "tcp", "-p", str(cell.port), "-a", "1", "-1", "-q", "-t", "4", *arguments]
@@ -228,9 +228,9 @@ def test_mbpoll_sees_setup_and_ends_it(cell: LiveCell) -> None:
 
 @pytest.mark.slow
 def test_a_cell_without_a_calibration_runs_in_setup_until_it_has_one(tmp_path: Path) -> None:
-    """READY=1 to systemd, 503 with the reason, NACK 7 to the PLC; kill -9 changes nothing of it.
+    """It has READY=1 for systemd, 503 with the reason, and NACK 7 for the PLC, also after kill -9.
 
-    First the rig comes, then the job, each with a reload; then a LOCATE gives coordinates.
+    After the rig and then the job are added, each with a reload, a LOCATE gives coordinates.
     """
     small = SmallCell(tmp_path / "cell", recordings=tmp_path / "recordings")
     text = small.config.read_text().replace('mode = "free"', 'mode = "command"')
@@ -273,7 +273,7 @@ def test_a_cell_without_a_calibration_runs_in_setup_until_it_has_one(tmp_path: P
 
 
 def _ready(port: int) -> tuple[int, str]:
-    """Code and reason of /ready."""
+    """Status code and reason of /ready."""
     try:
         with urllib.request.urlopen(f"http://127.0.0.1:{port}/ready", timeout=WHOLE_S) as answer:
             return answer.status, json.load(answer)["error"]
@@ -283,9 +283,10 @@ def _ready(port: int) -> tuple[int, str]:
 
 @pytest.mark.slow
 def test_a_killed_daemon_does_not_make_a_cell_ready_that_somebody_has(tmp_path: Path) -> None:
-    """kill -9, twice: SETUP again with nobody's name, NACK 7, never READY; a person ends it, and only then.
+    """After kill -9, twice, the cell is in SETUP without a name, NACK 7 and never READY, until a user ends
+    it.
 
-    What a client reads meanwhile has no READY, and nothing VALID.
+    Clients that poll meanwhile see neither READY nor VALID.
     """
     small = SmallCell(tmp_path / "cell", recordings=tmp_path / "recordings")
     web = f"password_hash = '{hash_password(PASSWORD)}'\ncommissioning = true\n"
@@ -325,7 +326,7 @@ def test_a_killed_daemon_does_not_make_a_cell_ready_that_somebody_has(tmp_path: 
 
 
 class Browser:
-    """Somebody who has logged in on the page."""
+    """A user who has logged in on the page."""
 
     def __init__(self, port: int) -> None:
         self._host = f"http://127.0.0.1:{port}"
@@ -336,7 +337,7 @@ class Browser:
         self._opener.open(request, timeout=WHOLE_S).close()
 
     def ask(self, method: str, path: str, document: dict[str, str]) -> Any:
-        """The answer's object; None for one without."""
+        """JSON of the answer; None if empty."""
         headers = {"Origin": self._host, "Content-Type": "application/json"}
         url, data = f"{self._host}/api/v1/{path}", json.dumps(document).encode()
         request = urllib.request.Request(url, data, headers, method=method)

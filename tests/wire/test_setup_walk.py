@@ -1,4 +1,4 @@
-"""The way through all pages that set a cell up: nothing that was done is lost, and everybody can go it."""
+"""The walk through all setup pages: no work is lost, and everyone can use them."""
 
 from __future__ import annotations
 
@@ -33,9 +33,9 @@ from edged.files.rig import save_rig
 
 pytestmark = [pytest.mark.slow, needs("chromium")]
 SCREENS = [(360, 740, 1.0), (800, 480, 1.0), (1024, 768, 1.0), (1920, 1080, 1.0), (1024, 768, 2.0)]
-"""Width, height, and how much all is enlarged."""
+"""Width, height, and zoom."""
 SPARE = 3
-"""Tab also stops at what scrolls."""
+"""Tab stops allowed for scrollable elements."""
 BOARD = "chessboard:11x8:4"
 ENTERED = {
     "cameras": 'document.querySelectorAll(".tile .shape").length === 2',
@@ -48,17 +48,17 @@ ENTERED = {
     "robot": said("Points and poses (1)"),
     "plc": said("Modbus TCP 127.0.0.1:"),
 }
-"""What shows that the cell has kept what was done on a page; without a line here: its heading."""
+"""Shows that the cell has kept what was done on a page; pages without an entry need only their heading."""
 BESIDE_STAGE = """document.documentElement.scrollHeight > innerHeight
   ? (document.querySelector(".foot")?.getBoundingClientRect().top ?? innerHeight)
     - document.querySelector(".stage").getBoundingClientRect().bottom : 0"""
-"""Height of the slit between the stage, where it is pinned, and what is below it; 0 where the page ends."""
+"""Gap between the pinned stage and what is below it; 0 where the page ends."""
 FOOT_PX, FINGER_PX = 'document.querySelector(".foot")?.offsetHeight ?? 0', 48
-"""Back, next and what is to be done stand in one row, however many of them there are."""
+"""Back, next and the action stand in one row, however many there are."""
 OTHERS = ["viewer", "operator"]
-"""Who may not set the cell up."""
+"""Roles that may not set up the cell."""
 ALONE = {"light"}
-"""What a camera is set to is told to who has the cell."""
+"""Pages whose contents only the lease's holder gets, as a camera's settings."""
 USE_ALL = """(async () => {
   const mine = "input[type=password], [aria-labelledby=sessions] button";
   const all = "main :is(button, input, select, summary), .lease button, .foot button, .stage button";
@@ -72,7 +72,7 @@ USE_ALL = """(async () => {
     document.querySelector("dialog[open]")?.close();
   }
   await new Promise((done) => setTimeout(done, 500)); })()"""
-"""Whatever may be used on a page, but for one's own password and sessions."""
+"""Uses everything enabled on a page, except one's own password and sessions."""
 HERE = """location.hash === "#/{step}" && document.querySelector('main[data-page="{step}"] h1')
   && document.querySelector('[href="#/{step}"][aria-current]')"""
 
@@ -93,17 +93,17 @@ ASLEEP = """
   globalThis.cutOff = () => sockets.forEach((one) => { one.isDead = true; });
   globalThis.skip = (ms) => { late += ms; };
 """
-"""A network that fails without a word, and a clock that goes on, while a tablet is away."""
+"""A network that fails silently and a clock that continues, as while a tablet is away."""
 
 
 def there(step: str) -> str:
-    """Whether a page is shown, with what was done on it."""
+    """Expression: whether a page is shown, with what was done on it."""
     return f"{HERE.format(step=step)} && ({ENTERED.get(step, 'true')})"
 
 
 @dataclass(frozen=True, slots=True)
 class Walk:
-    """A stage on which something was done at every step, and two people's browsers."""
+    """A stage with work done at every step, and the browsers of two users."""
 
     runner: asyncio.Runner
     newcomer: Newcomer
@@ -111,7 +111,7 @@ class Walk:
     other: Browser
 
     async def hold(self, page: Browser, step: str) -> None:
-        """Have the cell, and be at a step."""
+        """Have the cell, and go to a step."""
         await go(page, step)
         if not await page.value('Boolean(document.querySelector(".lease.mine"))'):
             await take_over(page)
@@ -119,7 +119,7 @@ class Walk:
 
     @asynccontextmanager
     async def watched(self, refused: str = "no code") -> AsyncIterator[None]:
-        """Nothing may fail unseen. refused : a status that is part of it."""
+        """Fails if the consoles show any error. refused : a status that is expected."""
         yield
         complaints = self.page.complaints + self.other.complaints
         self.page.complaints.clear()
@@ -128,13 +128,13 @@ class Walk:
 
 
 async def worked(newcomer: Newcomer) -> None:
-    """Do something at every step, as the pages would ask for it."""
+    """Do something at every step, with the pages' requests."""
     ask, token = newcomer.ask, newcomer.token
 
     for role in OTHERS:
         someone = {"name": f"a {role}", "role": role, "password": PASSWORD}
         await ask("POST", "users", someone, 201)
-    newcomer.world.cell.teach_pair()  # what is drawn for the first time takes longer than a camera may
+    newcomer.world.cell.teach_pair()  # the first rendering takes longer than a camera may
     await ask("PUT", "stage", {"showing": "part"})
     draft = f"teachings/{(await ask('POST', 'teachings', token, 201))['id']}"
     while (taught := await ask("GET", draft))["proposing"]:  # noqa: ASYNC110  (nothing else tells)
@@ -158,12 +158,12 @@ async def worked(newcomer: Newcomer) -> None:
     touched = {"revision": looked["revision"], "place": looked["places"][0]["key"], "text": shown}
     await ask("POST", f"{draft}/samples", touched, 201)
     await ask("PUT", "cameras/left", {**token, "exposure_us": 2345.0})
-    await ask("PUT", "stage", {"showing": "nothing"})  # its pictures are quicker
+    await ask("PUT", "stage", {"showing": "nothing"})  # its pictures are faster
 
 
 @pytest.fixture(scope="module")
 def walk(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Walk]:
-    """One for all."""
+    """One walk for all tests."""
     folder = tmp_path_factory.mktemp("walk")
     save_rig(folder / "rig.json", replace(small_rig(), robot_from_rig=None), {"board": BOARD})
 
@@ -187,7 +187,7 @@ def walk(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Walk]:
 
 @pytest.mark.parametrize(("before", "step"), [*zip(STEPS[-1:] + STEPS[:-1], STEPS, strict=True)])
 async def test_reload_back_and_forward_lead_to_what_was_there(walk: Walk, before: str, step: str) -> None:
-    """At every step: the same step, with what was done there; never an empty page."""
+    """Reload, back and forward lead to the same step with its work, never to an empty page."""
     async with walk.watched():
         page = walk.page
         await walk.hold(page, before)
@@ -203,7 +203,7 @@ async def test_reload_back_and_forward_lead_to_what_was_there(walk: Walk, before
 
 @pytest.mark.parametrize("step", STEPS)
 async def test_a_second_screen_shows_the_same_and_takes_over(walk: Walk, step: str) -> None:
-    """It says who has the cell; the first one is told at once that it has it no longer."""
+    """It names the holder, and after taking over the first screen is informed at once."""
     async with walk.watched("409 (Conflict)"):
         page, other = walk.page, walk.other
         await walk.hold(page, step)
@@ -219,7 +219,7 @@ async def test_a_second_screen_shows_the_same_and_takes_over(walk: Walk, step: s
 
 @pytest.mark.parametrize("step", STEPS[::3])
 async def test_who_slept_comes_back_to_what_is_so_now(walk: Walk, step: str) -> None:
-    """Ten minutes without a network: live without a reload, and told that the cell has gone to another."""
+    """After ten minutes without a network the page is live without a reload and knows the new holder."""
     async with walk.watched("409 (Conflict)"):
         page, other = walk.page, walk.other
         await walk.hold(page, step)
@@ -234,13 +234,14 @@ async def test_who_slept_comes_back_to_what_is_so_now(walk: Walk, step: str) -> 
 
 @pytest.mark.parametrize("step", STEPS)
 async def test_every_screen_key_and_finger_will_do(walk: Walk, step: str) -> None:
-    """All of a page fits and can be hit; Tab comes to all of it, and shows where; all comes from the cell."""
+    """On every screen all elements fit and can be hit, Tab reaches them visibly, and all data are the
+    cell's."""
     async with walk.watched():
         page = walk.page
         await walk.hold(page, step)
         await page.value(
             "import('/static/setup/shared/live.js').then((m) => { m.liveViews.value = -1; })"
-        )  # quicker
+        )  # faster
         for screen in SCREENS:
             await page.resize(*screen)
             assert (0, []) == (await page.value(TOO_WIDE), await page.value(CUT_OFF)), screen
@@ -277,7 +278,7 @@ async def test_every_screen_key_and_finger_will_do(walk: Walk, step: str) -> Non
 
 
 async def test_what_was_refused_stays_in_its_field(walk: Walk) -> None:
-    """Somebody else was faster: a sentence says so, the newer state shows, what was typed can be sent."""
+    """After a concurrent change a message and the newer state are shown, and the typed value can be sent."""
     number = 'document.querySelector("[name=number]").value'
     async with walk.watched("412 (Precondition Failed)"):
         page, ask = walk.page, walk.newcomer.ask
@@ -299,7 +300,7 @@ async def test_what_was_refused_stays_in_its_field(walk: Walk) -> None:
 
 
 async def test_tabs_of_one_browser_have_one_lease(walk: Walk) -> None:
-    """What another tab has taken or given back, this one has, too."""
+    """A tab shares the lease that another tab took or gave back."""
     async with walk.watched("409 (Conflict)"):
         page = walk.page
         await walk.hold(page, "welcome")
@@ -321,10 +322,8 @@ async def test_tabs_of_one_browser_have_one_lease(walk: Walk) -> None:
 
 @pytest.mark.parametrize("role", OTHERS)
 async def test_who_may_not_is_refused_nothing(walk: Walk, role: str) -> None:
-    """Whoever only looks, or only operates, comes through all pages without one error: what can be pressed,
-    chosen or typed there may be done.
-    """
-    async with walk.watched("AudioContext"):  # a script's click is no gesture of a person
+    """Viewers and operators get through all pages without an error: whatever can be used there is allowed."""
+    async with walk.watched("AudioContext"):  # a script's click is no user gesture
         page, name = walk.other, f"a {role}"
         await page.ask("Network.clearBrowserCookies")
         await log_in(page, walk.newcomer.origin, name, PASSWORD, "/setup", (1280, 900))
@@ -341,7 +340,7 @@ async def test_who_may_not_is_refused_nothing(walk: Walk, role: str) -> None:
 
 
 async def test_whoever_logs_in_again_is_where_they_were(walk: Walk) -> None:
-    """Also after a wrong password, which is said."""
+    """Logging in again leads back to the same page, also after a wrong password, which is reported."""
     async with walk.watched(""):
         page = walk.other
         await go(page, "robot")

@@ -1,4 +1,4 @@
-"""The WebSocket of a tab: who may open one, what it hears, and that it cannot hold anybody up."""
+"""The WebSocket of a tab: who may open one, what it receives, and that it blocks nobody."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ PLACE = "/api/v1/ws"
 
 
 class Tab:
-    """The browser's end. pictures : (number, side) of those that came; told : the texts."""
+    """The browser's end. pictures : (number, side) of those received; told : the JSON messages."""
 
     def __init__(self, socket: aiohttp.ClientWebSocketResponse) -> None:
         self.socket = socket
@@ -33,7 +33,7 @@ class Tab:
         self.jpeg = b""
 
     async def hear(self, kind: str, **expected: Any) -> dict[str, Any]:
-        """The next message of a kind that holds this; whatever comes before is remembered."""
+        """Next message of a kind with these values; earlier ones are recorded."""
         while True:
             message = await self.socket.receive()
             if message.type is aiohttp.WSMsgType.BINARY:
@@ -47,7 +47,7 @@ class Tab:
                 return document
 
     async def look(self) -> int:
-        """One pair, to its second picture; returns its number."""
+        """Receive one pair to its second picture; returns its number."""
         number = (await self.hear_frame())["number"]
         while (number, 1) not in self.pictures:
             message = await self.socket.receive()
@@ -57,19 +57,19 @@ class Tab:
         return int(number)
 
     async def hear_frame(self) -> dict[str, Any]:
-        """What is said of the next pair."""
+        """Next announcement of a pair."""
         while "number" not in (document := await self.hear("live")):
             pass
         return document
 
 
 async def opened(cell: Cell) -> Tab:
-    """As the page opens it."""
+    """Open a socket as the page does."""
     return Tab(await cell.session.ws_connect(PLACE, origin=cell.origin))
 
 
 async def test_a_tab_hears_of_the_cell_as_it_changes() -> None:
-    """At once after it was opened, and after each change; of who has the cell, too."""
+    """A tab receives the cell's state on opening and after each change, including the lease."""
     async with running(visitor="Anna") as cell:
         tab = await opened(cell)
         await tab.hear("cell", state="READY", setup=None)
@@ -82,7 +82,8 @@ async def test_a_tab_hears_of_the_cell_as_it_changes() -> None:
 
 
 async def test_live_pictures_come_one_after_another_as_they_are_seen() -> None:
-    """Left and right of one exposure; the next only after `seen`; a viewer sees the same; off is off."""
+    """Left and right of one exposure are sent, the next only after `seen`, to viewers as well, until
+    switched off."""
     async with running(visitor="Anna") as cell:
         _, entered = await cell.ask("POST", "/api/v1/setup", {"name": "Anna"})
         tab, other = await opened(cell), await opened(cell)
@@ -108,7 +109,7 @@ async def test_live_pictures_come_one_after_another_as_they_are_seen() -> None:
 
 
 async def test_closing_the_tab_ends_its_pictures() -> None:
-    """The cameras rest, and the cell is still taken."""
+    """The cameras stop, and the lease stays."""
     async with running(visitor="Anna") as cell:
         _, entered = await cell.ask("POST", "/api/v1/setup", {"name": "Anna"})
         tab, other = await opened(cell), await opened(cell)
@@ -121,7 +122,7 @@ async def test_closing_the_tab_ends_its_pictures() -> None:
 
 
 async def test_live_without_the_cell_is_refused() -> None:
-    """It is said why, to who asked, and the tab stays."""
+    """Without a valid token live is refused with a code, no picture is taken, and the tab stays open."""
     async with running(visitor="Anna") as cell:
         tab = await opened(cell)
         for said in ({"live": True}, {"live": True, "token": "of nobody"}):
@@ -133,9 +134,7 @@ async def test_live_without_the_cell_is_refused() -> None:
 
 
 async def test_only_an_engineer_lets_cameras_run() -> None:
-    """Who may look is told so, so is one who has somebody else's token, and one of whom there was no sign; a
-    finger is one.
-    """
+    """A viewer, an engineer with another's token, and an idle one are refused; activity ends idleness."""
     async with running(visitor="Anna") as cell:
         anna = cell.cookies()
         _, entered = await cell.ask("POST", "/api/v1/setup", {})
@@ -165,7 +164,7 @@ async def test_only_an_engineer_lets_cameras_run() -> None:
 
 
 async def test_what_the_plant_says_is_told_without_an_event(monkeypatch: pytest.MonkeyPatch) -> None:
-    """AUTO_LOCK changes nothing of a cell that is ready: when it is idle it is looked at, too."""
+    """AUTO_LOCK of a ready cell, which causes no event, is reported when the cell is idle."""
     monkeypatch.setattr("edged.cell.context.IDLE_S", 0.05)
     async with running(visitor="Anna") as cell:
         tab = await opened(cell)
@@ -177,7 +176,7 @@ async def test_what_the_plant_says_is_told_without_an_event(monkeypatch: pytest.
 
 @pytest.mark.parametrize("said", ["{", "[]", '{"seen": -1}', '{"seen": 1.5}', '{"colour": 1}', "[" * 900])
 async def test_what_is_no_message_ends_the_socket(said: str) -> None:
-    """A page that says such things is none of ours."""
+    """An invalid message closes the socket with a policy violation."""
     async with running(visitor="Anna") as cell:
         tab = await opened(cell)
         await tab.socket.send_str(said)
@@ -187,7 +186,7 @@ async def test_what_is_no_message_ends_the_socket(said: str) -> None:
 
 
 async def test_a_page_elsewhere_or_without_a_session_opens_no_socket() -> None:
-    """Browsers open a WebSocket to any host: its Origin is looked at, as for all that changes the cell."""
+    """Without a session the answer is 401, and from another origin 403."""
     async with running() as cell:
         with pytest.raises(aiohttp.WSServerHandshakeError, match="401"):
             await cell.session.ws_connect(PLACE, origin=cell.origin)
@@ -199,7 +198,7 @@ async def test_a_page_elsewhere_or_without_a_session_opens_no_socket() -> None:
 
 
 async def test_logging_out_ends_the_socket() -> None:
-    """With a code by which the page asks for the password."""
+    """The socket is closed after logging out."""
     async with running(visitor="Anna") as cell:
         tab = await opened(cell)
         await tab.hear("cell")
@@ -214,7 +213,7 @@ async def test_logging_out_ends_the_socket() -> None:
 
 
 async def test_there_are_so_many_sockets_and_no_more(monkeypatch: pytest.MonkeyPatch) -> None:
-    """One that is closed makes room."""
+    """Beyond the limit a socket is refused with 503, and closing one frees its place."""
     monkeypatch.setattr(sockets, "MAX_SOCKETS", 2)
     async with running(visitor="Anna") as cell:
         tabs = [await opened(cell) for _ in range(2)]
@@ -233,7 +232,7 @@ async def test_there_are_so_many_sockets_and_no_more(monkeypatch: pytest.MonkeyP
 
 
 async def test_stopping_ends_every_socket() -> None:
-    """The browser is told, and the daemon does not wait for it."""
+    """Stopping closes every socket with "going away", without waiting for the browser."""
     async with running(visitor="Anna") as cell:
         tab = await opened(cell)
         await tab.hear("cell")
@@ -245,7 +244,7 @@ async def test_stopping_ends_every_socket() -> None:
 
 
 async def test_a_ping_is_answered_and_too_many_end_the_socket(monkeypatch: pytest.MonkeyPatch) -> None:
-    """It says why; for a while whoever did it has no turn, on another connection, too; others have theirs."""
+    """Too many messages close the socket, and the sender is refused for a while, but not others."""
     monkeypatch.setattr(server, "FLOODED_S", 60.0)
     async with running(visitor="Vera") as cell:
         socket = await cell.session.ws_connect(PLACE, origin=cell.origin, autoping=False)
@@ -268,7 +267,7 @@ async def test_a_ping_is_answered_and_too_many_end_the_socket(monkeypatch: pytes
 
 
 async def test_a_cell_that_fails_in_a_beat_is_not_only_seen_failing() -> None:
-    """Every second picture is lost, a fifth of a second after each result: both are told, with the code."""
+    """If every second picture fails, both states are sent, with the error code."""
     async with running(visitor="Vera") as cell:
         await until(lambda: cell.ear.state() is CellPhase.READY)
         well = next(event for event in reversed(cell.ear.events) if isinstance(event, CellState))

@@ -1,4 +1,4 @@
-"""The daemon with a shell's 1024 descriptors, and strangers who open more connections than that."""
+"""The daemon with a shell's 1024 descriptors, and more connections of strangers than that."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ PLC = "127.0.0.9"
 
 @contextlib.contextmanager
 def descriptors(wanted: int) -> Iterator[None]:
-    """For a while this process may open so many."""
+    """Set this process's limit of descriptors within the context."""
     before = resource.getrlimit(resource.RLIMIT_NOFILE)
     resource.setrlimit(resource.RLIMIT_NOFILE, (wanted, before[1]))
     yield
@@ -30,7 +30,7 @@ def descriptors(wanted: int) -> Iterator[None]:
 
 
 def magic(port: int) -> bool:
-    """Whether a PLC that connects anew reads the first register."""
+    """Whether a new connection of the PLC reads the first register."""
     with socket.socket() as plc, contextlib.suppress(OSError):
         plc.bind((PLC, 0))
         plc.settimeout(LIMIT_S)
@@ -41,7 +41,7 @@ def magic(port: int) -> bool:
 
 
 def is_ready(port: int) -> bool:
-    """What the page says to a program."""
+    """What /ready answers."""
     with (
         contextlib.suppress(OSError),
         urllib.request.urlopen(f"http://127.0.0.1:{port}/ready", timeout=LIMIT_S) as answer,
@@ -52,7 +52,8 @@ def is_ready(port: int) -> bool:
 
 @pytest.mark.slow
 def test_more_strangers_than_descriptors_take_nothing_from_the_cell(tmp_path: Path) -> None:
-    """At page, Zenoh and Modbus: the PLC connects, recordings go on, the log stays short, READY returns."""
+    """With 1100 strangers each at page, Zenoh and Modbus, the PLC connects, recordings go on, the log stays
+    short, and READY returns."""
     cell = SmallCell(tmp_path / "cell", recordings=tmp_path / "recordings", period_s=0.2)
     text = cell.config.read_text().replace("[modbus]\n", f'[modbus]\nreserved = {{ "{PLC}" = 2 }}\n', 1)
     cell.config.write_text(text)

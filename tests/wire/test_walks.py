@@ -29,18 +29,18 @@ GOOD_MM = 0.03
 """At 320x240 a board's place is uncertain by some micrometres; a robot's numbers have 1 µm and 24 bits."""
 Walked = tuple[WalkedCell, Callable[[RobotArm], int]]
 Walk = Callable[[WalkedCell, RobotArm], int]
-"""Runs the maker's program; what it says of its end, 0 for a registered rig."""
+"""Runs the maker's program; returns its error code, 0 for a registered rig."""
 
 
 def abb(cell: WalkedCell, arm: RobotArm) -> int:
-    """RAPID's EdgedHandEye with tool1."""
+    """Run RAPID's EdgedHandEye with tool1."""
     program = rapid.load(render("rapid"), rapid.Sockets(Link(cell.line_port), arm))
     program.call("EdgedHandEye", 10, rapid.TYPES.variable("tooldata", "tool1"))
     return int(program.named("edged_error").get())
 
 
 def kuka(cell: WalkedCell, arm: RobotArm) -> int:
-    """KRL's EDGED_HAND_EYE with $TOOL."""
+    """Run KRL's EDGED_HAND_EYE with $TOOL."""
     files = written("krl")
     program = krl.load(files, krl.Controller(files["edged.xml"], Link(cell.line_port), arm))
     is_registered = program.call("EDGED_HAND_EYE", 10.0)
@@ -50,7 +50,7 @@ def kuka(cell: WalkedCell, arm: RobotArm) -> int:
 
 
 def fanuc(cell: WalkedCell, arm: RobotArm) -> int:
-    """EDGEDREG on the teach pendant, which calls the KAREL program."""
+    """Run EDGEDREG on the teach pendant, which calls the KAREL program."""
     files = written("karel")
     controller = karel.Controller(Link(cell.line_port))
     program = karel.load(files["edged.kl"], controller)
@@ -73,7 +73,7 @@ def fanuc(cell: WalkedCell, arm: RobotArm) -> int:
 
 
 def universal(cell: WalkedCell, arm: RobotArm) -> int:
-    """URScript's edged_hand_eye, over Modbus."""
+    """Run URScript's edged_hand_eye, over Modbus."""
 
     def moved(pose: tuple[float, ...], _acceleration: float, _speed: float) -> None:
         arm.move(transform_of(Brand.UR, pose))
@@ -103,11 +103,12 @@ MAKERS: dict[str, tuple[Walk, str]] = {
     "fanuc": (fanuc, "kuka_abc"),
     "ur": (universal, "ur_rotation_vector"),
 }
-"""The program, and the convention of the registers, which is not the robot's where that is free."""
+"""Each maker's program, with the registers' convention, which differs from the robot's where possible."""
 
 
 def arm_of(world: Arm) -> RobotArm:
-    """At the first pose, with the tool's tip in the middle of the board, or where the cameras look."""
+    """Robot arm at the first pose, with the tool's tip in the middle of the board, or where the cameras
+    look."""
     tip = FLANGE_FROM_RIG @ transform(np.eye(3), PLACE_MM)
     if not world.carries_rig:
         tip = FLANGE_FROM_BOARD @ transform(np.eye(3), CENTRE_MM)
@@ -116,7 +117,7 @@ def arm_of(world: Arm) -> RobotArm:
 
 @pytest.fixture(scope="module", params=[*((brand, False) for brand in MAKERS), ("ur", True)], ids=str)
 def walked(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Walked]:
-    """A cell for that maker's robot, which stands before the board or carries the cameras."""
+    """A cell for that maker's robot, which holds the board or carries the cameras."""
     brand, carries = request.param
     walk, convention = MAKERS[brand]
     mount = "flange" if carries else "fixed"
@@ -128,7 +129,7 @@ def walked(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFact
 
 @pytest.mark.slow
 def test_a_program_that_sees_no_board_says_so_and_changes_nothing(walked: Walked) -> None:
-    """Each pose is left out, and then there are too few."""
+    """Every pose is left out, so that there are too few, and the rig file is unchanged."""
     cell, walk = walked
     before = cell.config.with_name("rig.json").read_bytes()
     cell.arm.shows = "nothing"
@@ -138,7 +139,7 @@ def test_a_program_that_sees_no_board_says_so_and_changes_nothing(walked: Walked
 
 @pytest.mark.slow
 def test_the_program_walks_ten_poses_and_the_rig_is_registered(walked: Walked) -> None:
-    """True to what was rendered, at where the cameras look; the robot ends where it began."""
+    """The error is below GOOD_MM where the cameras look, and the robot ends at its start."""
     cell, walk = walked
     cell.arm.shows, cell.arm.flange = "board", cell.arm.walk()[0]
     arm = arm_of(cell.arm)
@@ -146,4 +147,4 @@ def test_the_program_walks_ten_poses_and_the_rig_is_registered(walked: Walked) -
     assert 0 == walk(arm)
     assert cell.error_mm() < GOOD_MM
     np.testing.assert_allclose(arm.flange, start, atol=2e-3)
-    assert 10 <= len(arm.places) <= 12  # with the start, and the end
+    assert 10 <= len(arm.places) <= 12  # including start and end

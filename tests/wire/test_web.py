@@ -1,4 +1,4 @@
-"""The status page over real HTTP: what it shows, who may see it, and that it never holds up a cycle."""
+"""The status page over real HTTP: what it shows, who may see it, and that it never delays a cycle."""
 
 from __future__ import annotations
 
@@ -62,12 +62,12 @@ SETUP = CellState(CellPhase.SETUP, False, True, "flange", 1, 0, setup=SetupSourc
 
 
 async def some_metrics() -> bytes:
-    """Prometheus' text."""
+    """Prometheus text."""
     return b"# HELP edged_x x\nedged_x 1\n"
 
 
 def sources(facts: Mapping[str, Mapping[str, Any]] | None = None) -> FixedSources:
-    """What the page asks for, fixed."""
+    """Fixed sources of the page."""
     return FixedSources(
         rectification=lambda: RECTIFICATION,
         jobs=lambda: [(1, "flange"), (2, "<script>alert(1)</script>")],
@@ -81,7 +81,7 @@ def sources(facts: Mapping[str, Mapping[str, Any]] | None = None) -> FixedSource
 
 
 def make_pair(grey: int = 100) -> FramePair:
-    """Images of the rig's size."""
+    """A pair of the rig's image size."""
     rig = RECTIFICATION.rig
     return FramePair(
         *(
@@ -92,7 +92,7 @@ def make_pair(grey: int = 100) -> FramePair:
 
 
 def measure(web: WebPublisher | StatusPage, cycle: int, status: Status = Status.OK, error: str = "") -> None:
-    """One cycle with pictures; without, when it is a fault of the cameras."""
+    """Publish one cycle with pictures, or without in case of a camera fault."""
     take = web.announce if isinstance(web, WebPublisher) else web.take
     if not error:
         take(ExposureDone(cycle, None, make_pair()))
@@ -100,7 +100,7 @@ def measure(web: WebPublisher | StatusPage, cycle: int, status: Status = Status.
 
 
 def words(fault: Mapping[str, Any]) -> str:
-    """What a fault says in English."""
+    """English text of a fault."""
     return ". ".join(one["text"] for one in fault["why"])
 
 
@@ -110,7 +110,7 @@ async def served(
     asked: FixedSources | None = None,
     metrics: Callable[[], Awaitable[bytes]] = some_metrics,
 ) -> AsyncIterator[tuple[WebPublisher, aiohttp.ClientSession]]:
-    """A page on a free port, and a browser's session with it."""
+    """A page on a free port, with a browser's session."""
     web = WebPublisher("cell<1>", settings or WebSettings(port=0), asked or sources(), metrics)
     await web.start()
     try:
@@ -137,7 +137,7 @@ async def next_event(stream: aiohttp.StreamReader) -> tuple[str, dict[str, Any]]
 
 
 async def test_every_path_has_its_headers() -> None:
-    """No script but our own, no frame, no cache; also on errors."""
+    """Only own scripts, no frames and no caching, also for errors."""
     async with served() as (_, session):
         for path in (
             "/",
@@ -154,7 +154,7 @@ async def test_every_path_has_its_headers() -> None:
 
 
 async def test_the_page_needs_nothing_from_elsewhere() -> None:
-    """A cell PC has no internet: no address outside of the page itself."""
+    """No page or asset refers to an external address, as a cell PC has no internet."""
     async with served() as (_, session):
         for path in ("/", "/login", *map("/static/{}".format, read_assets())):
             async with session.get(path) as answer:
@@ -168,7 +168,7 @@ async def test_the_page_needs_nothing_from_elsewhere() -> None:
 
 
 async def test_a_viewer_hears_of_each_cycle() -> None:
-    """First everything, then the newest state with the points in between, none twice."""
+    """A viewer gets everything first, then the newest state with the points since, each once."""
     async with served() as (web, session):
         web.announce(READY)
         measure(web, 1)
@@ -189,7 +189,7 @@ async def test_a_viewer_hears_of_each_cycle() -> None:
 
 @pytest.mark.slow
 async def test_a_viewer_that_does_not_read_holds_nothing_up() -> None:
-    """Announcing is as quick as without it, and the connection holds no queue of states."""
+    """Announcing stays fast with a viewer that does not read, and no states are queued for it."""
     async with served() as (web, session), session.get("/events"):
         for cycle in range(1, 3 * HISTORY):
             measure(web, cycle)
@@ -200,7 +200,7 @@ async def test_a_viewer_that_does_not_read_holds_nothing_up() -> None:
 
 
 async def test_closing_ends_every_viewer() -> None:
-    """A stop of the daemon does not wait for a browser."""
+    """Closing the page ends open event streams at once."""
     async with served() as (web, session), session.get("/events") as answer:
         await next_event(answer.content)
         await asyncio.wait_for(web.close(), LIMIT_S)
@@ -208,7 +208,8 @@ async def test_closing_ends_every_viewer() -> None:
 
 
 async def test_pictures_are_rectified_and_end_with_their_cycle() -> None:
-    """A JPEG in the shape of the rectified image; an old cycle is 404, and so is a foreign side or size."""
+    """A picture is a JPEG in the shape of the rectified image, and 404 for an old cycle, other sides or
+    sizes."""
     async with served() as (web, session):
         for cycle in range(1, RECENT + SPARE + 2):
             measure(web, cycle)
@@ -228,7 +229,7 @@ async def test_pictures_are_rectified_and_end_with_their_cycle() -> None:
 
 @pytest.mark.parametrize("width_px", [960, 200])
 def test_a_picture_is_the_rectified_image_in_small(width_px: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Sampled at once at the size of the page it shows the same, in the same place, as shrunk afterwards."""
+    """Sampled directly at the page's size, it equals the rectified image shrunk afterwards."""
     monkeypatch.setattr(page, "WIDTH_PX", width_px)
     pair = frame_pair(flange().left, flange().right)
     rectification = make_rectification(flange().rig)
@@ -253,8 +254,8 @@ def test_a_picture_is_the_rectified_image_in_small(width_px: int, monkeypatch: p
 
 
 def test_marks_lie_on_the_parts_edge() -> None:
-    """A circle of the rig, projected by the camera models and rectified, is the drawn outline; so are a slot
-    and an edge, by their ends."""
+    """A circle, slot and edge of the rig, projected by the camera models and rectified, lie on the drawn
+    outlines."""
     target = replace(make_target(), rig_from_part=make_transform((0.0, 0.0, 0.0), (10.0, 20.0, 200.0)))
     circle = target.circles[0]
     marks = {side: outlines(target, RECTIFICATION, side) for side in ("left", "right")}
@@ -278,7 +279,8 @@ def test_marks_lie_on_the_parts_edge() -> None:
 
 
 def test_the_page_says_where_a_sigma_comes_from() -> None:
-    """Of the first good part, mm and degrees, with the job's limit; squares add up to the published sigma."""
+    """The budget is that of the first good part, with the job's limit, and its squares add up to the
+    sigma."""
     page = StatusPage("cell", replace(sources(), limits=lambda: {1: 0.2}))
     assert page.status()["budget"] is None
     target = make_target()
@@ -297,7 +299,7 @@ def test_the_page_says_where_a_sigma_comes_from() -> None:
 
 
 def test_the_tool_is_drawn_where_it_takes_the_part() -> None:
-    """From where it comes to its tip, as the camera models see them; a part without a grasp has none."""
+    """The tool is drawn from approach to tip as the cameras see it, and not without a grasp."""
     target = make_target()
     assert [] == outlines(target, RECTIFICATION, "left")["tool"]
     (grasp,) = allowed_grasps(target, GRASPS.grasps, lambda _pose: True)
@@ -316,7 +318,7 @@ def test_the_tool_is_drawn_where_it_takes_the_part() -> None:
 
 
 def test_the_last_faults_stay_and_a_repeated_one_is_listed_once() -> None:
-    """A night without a camera leaves room for what happened before it."""
+    """A repeated fault is listed once with its count, leaving earlier faults in the list."""
     page = StatusPage("cell", sources())
     measure(page, 1, Status.LOW_QUALITY)
     for cycle in range(2, 50):
@@ -334,7 +336,7 @@ def test_the_last_faults_stay_and_a_repeated_one_is_listed_once() -> None:
 
 
 def test_a_miss_that_repeats_is_listed_once() -> None:
-    """An empty table all night is one line with its count; another reason, job or hour is another line."""
+    """A repeated miss is one line with its count; another reason, job or hour starts another line."""
     page, match = StatusPage("cell", sources()), Match(512.0, 300.4, 0.1, 1.0, 1.0, 0.91)
     for cycle in range(1, 40):
         measure(page, cycle, Status.NO_TARGET if cycle % 3 else Status.OK)
@@ -350,7 +352,7 @@ def test_a_miss_that_repeats_is_listed_once() -> None:
 
 
 def test_the_last_cycles_stay_to_be_looked_at(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Good or bad, newest first, with marks and reasons; with large cameras only the newest."""
+    """Recent cycles, newest first, have marks and reasons; with large cameras only the newest is kept."""
     page = StatusPage("cell", sources())
     newest = RECENT + SPARE + 2
     for cycle in range(1, newest + 1):
@@ -363,9 +365,9 @@ def test_the_last_cycles_stay_to_be_looked_at(monkeypatch: pytest.MonkeyPatch) -
     shown = page.cycle(newest - 1)
     assert shown is not None
     assert 1 == len(shown["picture"]["marks"])
-    assert page.cycle(newest - RECENT) is not None  # for a viewer who has just been told of it
+    assert page.cycle(newest - RECENT) is not None  # for a viewer who has just received its number
     assert page.cycle(1) is None
-    assert page.cycle(2) is not None  # no longer a recent one, but the first of its kind of fault
+    assert page.cycle(2) is not None  # no longer recent, but the first of its kind of fault
     assert page.cycle(99) is None
 
     monkeypatch.setattr("edged.adapters.web.page.RECENT_BYTES", 1)
@@ -374,7 +376,7 @@ def test_the_last_cycles_stay_to_be_looked_at(monkeypatch: pytest.MonkeyPatch) -
 
 
 async def test_a_cycle_can_be_asked_for() -> None:
-    """What the enlarged pictures say of it; 404 once it is forgotten, as for its pictures."""
+    """/cycle gives what the enlarged pictures need, and 404 once it is forgotten."""
     async with served() as (web, session):
         web.announce(ExposureDone(5, None, make_pair()))
         web.announce(make_snapshot(5, Status.LOW_QUALITY, (make_target(Reject.SIGMA_LIMIT),)))
@@ -388,7 +390,7 @@ async def test_a_cycle_can_be_asked_for() -> None:
 
 
 def test_a_page_in_fault_knows_since_when_there_is_no_picture() -> None:
-    """The last picture's time outlives it: an old picture would look like the present one."""
+    """Without a picture, the time of the last one is still known."""
     page = StatusPage("cell", sources())
     assert 0 == page.status()["pictured_ns"]
     measure(page, 1)
@@ -400,7 +402,7 @@ def test_a_page_in_fault_knows_since_when_there_is_no_picture() -> None:
 
 
 def test_trends_are_of_what_can_get_worse() -> None:
-    """Sigma, rows and drift of good cycles; a fault has its status and nothing that looks measured."""
+    """Trends hold sigma, rows and drift of good cycles; a fault has only cycle, time and status."""
     page = StatusPage("cell", sources())
     page.take(replace(make_snapshot(1), drift=DriftState(CalibrationHealth.HOLDS, 0.05, math.nan)))
     measure(page, 2, Status.CAPTURE_FAULT, "cable")
@@ -411,7 +413,7 @@ def test_trends_are_of_what_can_get_worse() -> None:
 
 
 def test_the_orientation_is_what_the_plc_reads() -> None:
-    """A, B, C in the cell's convention and the robot's frame: the numbers of the registers."""
+    """The angles are those of the registers, in the cell's convention and the robot's frame."""
     page = StatusPage("cell", sources())
     turned = make_transform((0.3, -0.2, 2.0), (100.0, 0.0, 0.0))
     snapshot = make_snapshot(1, robot_from_rig=turned)
@@ -425,7 +427,7 @@ def test_the_orientation_is_what_the_plc_reads() -> None:
 
 
 async def test_the_log_in_names_the_cell() -> None:
-    """Who has ten of them open knows which password is asked for; a name is text, not HTML."""
+    """The form shows the cell's name, escaped."""
     async with (
         served(WebSettings(port=0, password_hash=HASH)) as (_, session),
         session.get("/login") as answer,
@@ -434,7 +436,8 @@ async def test_the_log_in_names_the_cell() -> None:
 
 
 def test_why_nothing_was_found_reaches_the_page() -> None:
-    """A match that could not be measured, with its place; else the best score, where, and what to try."""
+    """A match that could not be measured is shown with its place, else the best score, its place and
+    advice."""
     page, match = StatusPage("cell", sources()), Match(512.0, 300.4, 0.1, 1.0, 1.0, 0.91)
     for cycle, code, found, expected in (
         (
@@ -453,7 +456,7 @@ def test_why_nothing_was_found_reaches_the_page() -> None:
     ):
         page.take(replace(make_snapshot(cycle, Status.NO_TARGET), **found))
         for question in set(page.questions()):
-            assert [] == page.status()["why"]  # not yet: it would be a guess
+            assert [] == page.status()["why"]  # not yet known
             question.ask()
         (line,) = page.status()["why"]
         assert code == line["code"]
@@ -462,7 +465,7 @@ def test_why_nothing_was_found_reaches_the_page() -> None:
 
 
 async def test_only_a_viewer_has_the_cell_look_again() -> None:
-    """A miss alone asks nothing; the first who looks at the page does, and the answer is kept."""
+    """A miss starts the search for the nearest match only when a viewer looks, once, outside of the loop."""
     looks = list[str]()
 
     def look() -> None:
@@ -476,11 +479,11 @@ async def test_only_a_viewer_has_the_cell_look_again() -> None:
                 (line,) = (await answer.json())["why"]
                 assert "nothing in the left picture is like the part" in line["text"]
         (thread,) = looks
-        assert thread.startswith("web")  # never the loop's, which has the PLC to answer
+        assert thread.startswith("web")  # never the loop's thread, which has to answer the PLC
 
 
 def test_a_fault_without_pictures_is_not_looked_at(monkeypatch: pytest.MonkeyPatch) -> None:
-    """What is forgotten of it are the pictures that a look would need; the text does not guess."""
+    """If its pictures have been dropped, a fault is not searched again and has no reason."""
     monkeypatch.setattr(page, "FAULT_BYTES", 0)
     shown, asked = StatusPage("cell", sources()), [Nearest(lambda: None), Nearest(lambda: None)]
     for cycle, nearest in enumerate(asked, 1):
@@ -493,7 +496,7 @@ def test_a_fault_without_pictures_is_not_looked_at(monkeypatch: pytest.MonkeyPat
 
 
 def test_pictures_of_faults_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
-    """With large cameras the oldest faults lose their pictures, and say so; the newest always has them."""
+    """With large cameras the oldest faults lose their pictures and say so; the newest always has them."""
     pair = make_pair()
     monkeypatch.setattr(page, "FAULT_BYTES", 2 * (pair.left.image.nbytes + pair.right.image.nbytes))
     shown = StatusPage("cell", sources())
@@ -510,7 +513,7 @@ def test_pictures_of_faults_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None
 
 
 def test_why_a_target_was_not_good_is_in_words() -> None:
-    """The operator reads "sigma over its limit", not 4."""
+    """The reason is "sigma over its limit", with its code."""
     page = StatusPage("cell", sources())
     page.take(make_snapshot(1, Status.LOW_QUALITY, (make_target(Reject.SIGMA_LIMIT),)))
 
@@ -520,7 +523,7 @@ def test_why_a_target_was_not_good_is_in_words() -> None:
 
 
 async def test_a_terminal_says_facts_and_the_last_fault_in_english() -> None:
-    """`edged status`: values as they are, sentences without their codes, several of them in one line."""
+    """`edged status` prints values as they are and messages as sentences, several on one line."""
     facts = {
         "Cameras": {
             "source": "gige",
@@ -541,14 +544,14 @@ async def test_a_terminal_says_facts_and_the_last_fault_in_english() -> None:
 
 
 async def test_numbers_that_are_none_are_null() -> None:
-    """JSON has no NaN; a browser would refuse the whole answer."""
+    """A register that is NaN is null in JSON."""
     async with served() as (_, session), session.get("/registers.json") as answer:
         rows = json.loads(await answer.text(), parse_constant=lambda name: pytest.fail(name))
         assert [(row["value"], row["text"]) for row in rows] == [(7, "7"), (None, "–")]
 
 
 async def test_ready_tells_a_load_balancer_and_a_person() -> None:
-    """503 with the reason until a trigger would be carried out; alive all the time."""
+    """/ready is 503 with the reason until a trigger would be carried out, and /health always 200."""
     async with served() as (web, session):
         for state, expected in (
             (CellState(CellPhase.FAULT, False, False, "flange", 1, 0, "cable", 104), 503),
@@ -564,7 +567,8 @@ async def test_ready_tells_a_load_balancer_and_a_person() -> None:
 
 
 async def test_without_a_session_only_the_form_is_shown() -> None:
-    """Every other path asks for the password; a browser is led to the form, a scraper told how."""
+    """Every other path needs the password; a browser is redirected to the form, a scraper gets a
+    challenge."""
     async with served(WebSettings(port=0, password_hash=HASH)) as (_, session):
         for path in (
             "/status.json",
@@ -587,7 +591,7 @@ async def test_without_a_session_only_the_form_is_shown() -> None:
 
 
 async def test_links_of_the_plant_stand_below_the_page() -> None:
-    """As the configuration says them, and harmless whatever they say."""
+    """Configured links are in the footer, with names and addresses escaped."""
     links = {"Grafana": "https://grafana.example/d/edged-fleet?var-plant=north", "<b>": 'http://a/"onclick'}
     async with served(WebSettings(port=0, links=links)) as (_, session), session.get("/") as answer:
         text = await answer.text()
@@ -599,7 +603,7 @@ async def test_links_of_the_plant_stand_below_the_page() -> None:
 
 @pytest.mark.slow
 async def test_the_password_opens_a_session_and_log_out_ends_it() -> None:
-    """The cookie is out of reach of scripts and other sites."""
+    """The cookie is HttpOnly and SameSite=Strict, and logging out ends the session."""
     async with served(WebSettings(port=0, password_hash=HASH)) as (_, session):
         own, form = own_origin(session), {"password": PASSWORD}
         async with session.post("/login", data={"password": "guess"}, headers=own) as answer:
@@ -616,7 +620,7 @@ async def test_the_password_opens_a_session_and_log_out_ends_it() -> None:
 
 @pytest.mark.slow
 async def test_guessing_is_slowed_down() -> None:
-    """After five wrong passwords the right one has to wait too; others are not locked out with it."""
+    """After five wrong passwords even the right one must wait, but not from other addresses."""
     now_s = [0.0]
     access = Access(HASH, lambda: now_s[0])
     for _ in range(5):
@@ -629,7 +633,7 @@ async def test_guessing_is_slowed_down() -> None:
 
 
 async def test_log_ins_at_once_cost_one_hash_after_another(monkeypatch: pytest.MonkeyPatch) -> None:
-    """While a password is checked a few others wait, and the rest is told when to come again."""
+    """Only one password is checked at a time; a few others wait, and the rest is told when to retry."""
     hashed, at_once, most = list[str](), [0], [0]
     started, may_end = threading.Event(), threading.Event()
 
@@ -652,7 +656,7 @@ async def test_log_ins_at_once_cost_one_hash_after_another(monkeypatch: pytest.M
         ]
         refused = 1500 - MAX_WAITING
         await until(lambda: sum(task.done() for task in others) == refused)
-        # who hangs up does not make room: the thread goes on
+        # disconnecting does not free its place: the thread continues
         first.cancel()
         await asyncio.wait({first})
         assert ["guess"] == hashed
@@ -664,7 +668,7 @@ async def test_log_ins_at_once_cost_one_hash_after_another(monkeypatch: pytest.M
 
 
 async def test_an_attempt_counts_before_it_is_checked(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Who breaks off each guess has spent it all the same: after five the sixth is not looked at."""
+    """Guesses that are broken off count, too: after five the next is refused unchecked."""
     hashed = list[str]()
     monkeypatch.setattr("edged.identity.access.is_password", lambda _, password: hashed.append(password))
     access = Access(HASH, lambda: 0.0)
@@ -678,12 +682,12 @@ async def test_an_attempt_counts_before_it_is_checked(monkeypatch: pytest.Monkey
             break
     else:
         pytest.fail("no guess was refused for a while")
-    # whoever broke off before a thread was free was not looked at either
+    # those broken off before a thread was free were not checked either
     assert len(hashed) <= 5
 
 
 async def test_who_hangs_up_as_it_is_their_turn_takes_nobody_elses(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A log-in that ends at the moment when the one before it does: the next is looked at all the same."""
+    """If a waiting log-in is cancelled just as its turn comes, the next one is still checked."""
     may_end, ended = threading.Event(), threading.Event()
 
     def check(_: str, password: str) -> bool:
@@ -698,8 +702,8 @@ async def test_who_hangs_up_as_it_is_their_turn_takes_nobody_elses(monkeypatch: 
     await asyncio.sleep(0.1)  # the others wait
     may_end.set()
     ended.wait(LIMIT_S)
-    time.sleep(0.2)  # noqa: ASYNC251  (the loop stands still: what the thread says is in its queue)
-    await asyncio.sleep(0)  # that it has ended is known; its turn is not given on yet
+    time.sleep(0.2)  # noqa: ASYNC251  (the loop is blocked: the thread's result is in its queue)
+    await asyncio.sleep(0)  # its end is known, but its turn not passed on yet
     second.cancel()
     await asyncio.wait({first, second, third}, timeout=LIMIT_S)
     assert third.done()
@@ -707,7 +711,7 @@ async def test_who_hangs_up_as_it_is_their_turn_takes_nobody_elses(monkeypatch: 
 
 
 async def test_who_has_to_wait_is_told_how_long(monkeypatch: pytest.MonkeyPatch) -> None:
-    """429 with Retry-After in whole seconds, never 0; over the form and over HTTP Basic."""
+    """The answer is 429 with Retry-After in whole seconds, never 0, for the form and HTTP Basic."""
     monkeypatch.setattr("edged.identity.access.is_password", lambda *_: False)
     async with served(WebSettings(port=0, password_hash=HASH)) as (_, session):
         basic = {"Authorization": "Basic " + b64encode(b"x:guess").decode()}
@@ -737,7 +741,7 @@ async def test_who_has_to_wait_is_told_how_long(monkeypatch: pytest.MonkeyPatch)
 async def test_bytes_that_are_no_text_are_not_logged_in(
     header: bytes, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """A cookie or a password of other bytes is a wrong one: 401 or 400, and no traceback in the log."""
+    """Cookies or passwords with invalid bytes give 401 or 400, and no traceback in the log."""
     async with served(WebSettings(port=0, password_hash=HASH)) as (web, _):
         for path in (b"GET /status.json", b"POST /logout"):
             head, _ = await answered(web.port, path, header)
@@ -761,7 +765,7 @@ async def test_bytes_that_are_no_text_are_not_logged_in(
 async def test_a_form_of_other_bytes_is_a_wrong_password(
     content_type: bytes, body: bytes, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """Whatever is sent to the form: back to the form, and no traceback in the log."""
+    """Any invalid form leads back to the form, without a traceback in the log."""
     async with served(WebSettings(port=0, password_hash=HASH)) as (web, _):
         fields = b"Content-Type: " + content_type + b"\r\nContent-Length: %d" % len(body)
         head, rest = await answered(web.port, b"POST /login", fields, body)
@@ -770,7 +774,7 @@ async def test_a_form_of_other_bytes_is_a_wrong_password(
 
 
 async def answered(port: int, request: bytes, header: bytes, body: bytes = b"") -> tuple[bytes, bytes]:
-    """Version and status of a raw request's answer, and the rest."""
+    """Status line and rest of the answer to a raw request."""
     reader, writer = await asyncio.open_connection("127.0.0.1", port)
     try:
         head = (
@@ -787,7 +791,7 @@ async def answered(port: int, request: bytes, header: bytes, body: bytes = b"") 
 
 
 async def test_a_session_ends_by_itself() -> None:
-    """Twelve hours after the log-in."""
+    """A session ends twelve hours after the log-in."""
     now_s = [0.0]
     access = Access(HASH, lambda: now_s[0])
     cookie = await access.log_in("10.0.0.9", PASSWORD)
@@ -798,7 +802,7 @@ async def test_a_session_ends_by_itself() -> None:
 
 
 async def test_a_foreign_host_name_reaches_no_open_page() -> None:
-    """A page elsewhere whose name was made to point here (DNS rebinding) gets nothing."""
+    """A host name other than this machine's gets 421, which prevents DNS rebinding."""
     async with served() as (_, session):
         for host, expected in (
             ("evil.example", 421),
@@ -811,7 +815,7 @@ async def test_a_foreign_host_name_reaches_no_open_page() -> None:
 
 
 async def test_nothing_can_be_changed_and_large_bodies_are_refused() -> None:
-    """The page is read-only: other methods are 405, and a body that is no form is cut off."""
+    """Other methods on the read-only page are 405, and a body that is too large is 413."""
     async with served() as (_, session):
         for path in ("/", "/status.json", "/registers.json", "/metrics"):
             async with session.post(path, data=b"x") as answer:
@@ -822,7 +826,7 @@ async def test_nothing_can_be_changed_and_large_bodies_are_refused() -> None:
 
 
 async def test_a_port_in_use_is_named() -> None:
-    """With the place, before anything else is started."""
+    """The error names the address, and nothing is started."""
     async with served() as (web, _):
         other = WebPublisher("cell", WebSettings(port=web.port), sources())
         with pytest.raises(ListenError, match=f"127.0.0.1:{web.port}"):
@@ -831,7 +835,7 @@ async def test_a_port_in_use_is_named() -> None:
 
 
 def test_a_snapshot_without_its_exposure_has_no_picture() -> None:
-    """An older pair is never shown for a newer result."""
+    """A result without its exposure has no picture, rather than an older one."""
     page = StatusPage("cell", sources())
     measure(page, 1)
     page.take(make_snapshot(2))
@@ -845,12 +849,12 @@ def test_a_snapshot_without_its_exposure_has_no_picture() -> None:
 
 
 async def connect(web: WebPublisher, host: str = "127.0.0.1") -> tuple[StreamReader, StreamWriter]:
-    """A connection without a client library, from an address of this machine."""
+    """A plain connection from an address of this machine."""
     return await asyncio.open_connection("127.0.0.1", web.port, local_addr=(host, 0))
 
 
 async def ended(reader: StreamReader) -> bool:
-    """Whether the server closes the connection."""
+    """Wait until the server closes the connection."""
     with contextlib.suppress(ConnectionError):
         while await reader.read(65536):
             pass
@@ -864,7 +868,7 @@ async def ended(reader: StreamReader) -> bool:
 async def test_a_request_that_does_not_come_is_not_waited_for(
     sent: bytes, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Nothing, half a header, half a form: closed, whatever is dribbled meanwhile."""
+    """Silent, half a header or half a form: the connection is closed, even if more bytes dribble in."""
     monkeypatch.setattr(server, "IDLE_S", 0.4)
     monkeypatch.setattr(login, "FORM_S", 0.2)
     async with served() as (web, _):
@@ -879,7 +883,7 @@ async def test_a_request_that_does_not_come_is_not_waited_for(
 
 
 async def test_an_answer_that_nobody_fetches_is_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Requests without end, and not one answer is read: closed."""
+    """A client that sends requests without reading the answers is disconnected."""
     monkeypatch.setattr(server, "IDLE_S", 0.4)
     async with served() as (web, _):
         _, writer = await connect(web)
@@ -891,7 +895,7 @@ async def test_an_answer_that_nobody_fetches_is_given_up(monkeypatch: pytest.Mon
 
 
 async def test_many_connections_take_no_place_from_others() -> None:
-    """Three times as many as there are places, from one address: its own make room, and others are served."""
+    """With three times the limit from one address, its own oldest are closed, and others are served."""
     async with served() as (web, session):
         other_reader, other = await connect(web, "127.0.0.2")
         many = [await connect(web) for _ in range(3 * places.MAX_CONNECTIONS)]
@@ -906,7 +910,7 @@ async def test_many_connections_take_no_place_from_others() -> None:
 
 
 async def test_viewers_that_do_not_read_are_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
-    """What is written to them goes nowhere: the connection is ended."""
+    """A viewer that does not read its events is disconnected."""
     monkeypatch.setattr(viewers, "WRITE_S", 0.2)
     monkeypatch.setattr(viewers, "PERIOD_S", 0.0)
     async with served(asked=sources({"Modbus": {"text": "x" * 1_000_000}})) as (web, _):
@@ -923,7 +927,7 @@ async def test_viewers_that_do_not_read_are_given_up(monkeypatch: pytest.MonkeyP
 
 
 async def test_viewers_of_one_address_do_not_keep_others_out() -> None:
-    """All places are taken by one address: its first viewer goes, and another address sees the cell."""
+    """If one address holds all event streams, its first one is closed for another address."""
     asked = b"GET /events HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n"
     async with served() as (web, _):
         many = []
@@ -940,7 +944,7 @@ async def test_viewers_of_one_address_do_not_keep_others_out() -> None:
 
 
 async def test_what_is_no_http_is_one_line_of_the_log(caplog: pytest.LogCaptureFixture) -> None:
-    """Not one for each request, and none of the parser's insides."""
+    """Invalid HTTP gives one log line, not one per request, without parser details."""
     async with served() as (web, _):
         for sent in (
             b"\x16\x03\x01",
@@ -958,7 +962,7 @@ async def test_what_is_no_http_is_one_line_of_the_log(caplog: pytest.LogCaptureF
 
 
 async def test_a_bug_that_strangers_find_is_one_trace(caplog: pytest.LogCaptureFixture) -> None:
-    """Whatever request makes the page or its library fail: not one trace for each."""
+    """Repeated internal errors give one traceback."""
     async with served(metrics=lambda: 1 / 0) as (_, session):
         for _ in range(5):
             async with session.get("/metrics") as answer:
@@ -968,7 +972,7 @@ async def test_a_bug_that_strangers_find_is_one_trace(caplog: pytest.LogCaptureF
 
 
 async def test_who_leaves_in_the_middle_of_a_form_leaves_no_trace(caplog: pytest.LogCaptureFixture) -> None:
-    """It is no fault of the page."""
+    """Disconnecting in the middle of a form logs nothing."""
     async with served() as (web, session):
         _, writer = await connect(web)
         writer.write(SLOW_FORM)
@@ -998,7 +1002,7 @@ async def test_who_leaves_in_the_middle_of_a_form_leaves_no_trace(caplog: pytest
 async def test_no_form_makes_an_internal_error(
     header: str, body: bytes, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """Whatever is posted to the login is answered with a status of the client's, and leaves no trace."""
+    """Any body or header posted to the log-in gets a client status, and logs no traceback."""
     async with served(WebSettings(port=0, password_hash=HASH)) as (web, _):
         reader, writer = await connect(web)
         head = (

@@ -1,4 +1,5 @@
-"""Outputs when things go wrong: a row of the table in docs/how-to/plc.md is a test here or in test_modbus."""
+"""Outputs when something fails: each row of the table in docs/how-to/plc.md is tested here or in
+test_modbus."""
 
 from __future__ import annotations
 
@@ -29,7 +30,7 @@ PATIENT = ModbusSettings(port=0, validity_s=30.0)
 
 
 class Plc:
-    """A PLC by pymodbus."""
+    """A PLC that uses pymodbus."""
 
     def __init__(self, port: int) -> None:
         self._client = ModbusTcpClient("127.0.0.1", port=port, timeout=5)
@@ -37,13 +38,13 @@ class Plc:
         self._sequences = itertools.count(0)
 
     def read(self, block: reg.Block) -> dict[str, reg.Number]:
-        """One block by name."""
+        """Read one block by name."""
         answer = self._client.read_holding_registers(block.address, count=block.words)
         assert not answer.isError(), answer
         return reg.decode(block, answer.registers)
 
     def write(self, address: int, *words: int) -> bool:
-        """Whether it was taken."""
+        """Write; whether it was accepted."""
         return not self._client.write_registers(address, list(words)).isError()
 
     @property
@@ -52,7 +53,7 @@ class Plc:
         return StatusBit(int(self.read(reg.STATUS)["STATUS_BITS"]))
 
     def trigger(self, timeout_ms: int = 0) -> int:
-        """LOCATE; returns its sequence. Before the first of the connection a CMD_SEQ of 0."""
+        """LOCATE; returns its sequence. Before the first of the connection a CMD_SEQ of 0 is written."""
         sequence = next(self._sequences)
         if sequence == 0:
             assert self.write(reg.ADDRESS["CMD_SEQ"], sequence)
@@ -62,12 +63,12 @@ class Plc:
         return sequence
 
     def answer(self, sequence: int) -> tuple[StatusBit, int]:
-        """Wait for the end of a command: bits and NACK_REASON."""
+        """Wait for the end of a command; returns bits and NACK_REASON."""
         status = self.until(lambda: self.read(reg.STATUS), lambda status: status["DONE_SEQ"] == sequence)
         return StatusBit(int(status["STATUS_BITS"])), int(status["NACK_REASON"])
 
     def until(self, look: Callable[[], Any], is_so: Callable[[Any], bool]) -> Any:
-        """Look until it is so; what was seen."""
+        """Poll until the condition holds; returns the value."""
         deadline_s = time.monotonic() + LIMIT_S
         while not is_so(seen := look()):
             assert time.monotonic() < deadline_s, seen
@@ -75,18 +76,18 @@ class Plc:
         return seen
 
     def shows_nothing(self) -> bool:
-        """Neither VALID nor a coordinate in any block."""
+        """Whether there is no VALID and no coordinate in any block."""
         places = (self.read(reg.RESULT)["X"], self.read(reg.UR)["UR_X"], self.read(reg.TABLE[0])["T0_X"])
         return set(places) == {reg.INT32_MIN} and StatusBit.RESULT_VALID not in self.bits
 
     def close(self) -> None:
-        """Hang up."""
+        """Disconnect."""
         self._client.close()
 
 
 @contextmanager
 def plc_at(cell: LiveCell) -> Iterator[Plc]:
-    """A PLC that is connected to a cell that is ready."""
+    """A PLC connected to a ready cell."""
     plc = Plc(cell.port)
     try:
         plc.until(lambda: plc.bits, lambda bits: StatusBit.READY in bits)
@@ -97,7 +98,7 @@ def plc_at(cell: LiveCell) -> Iterator[Plc]:
 
 @pytest.mark.slow
 def test_a_camera_is_lost_and_returns() -> None:
-    """NACK 6, RESULT 4, CAM_FAULT, ERROR 104, not READY; when it answers again: READY, and a good result."""
+    """NACK 6, RESULT 4, CAM_FAULT, ERROR 104 and not READY, until the camera answers again."""
     with LiveCell(PATIENT) as cell, plc_at(cell) as plc:
         cell.head.broken = True
         bits, reason = plc.answer(plc.trigger())
@@ -115,7 +116,7 @@ def test_a_camera_is_lost_and_returns() -> None:
 
 
 def test_vision_takes_longer_than_the_time_out() -> None:
-    """NACK 4 at once; the result that comes late is dropped; the next command is good."""
+    """NACK 4 at the time-out, the late result is dropped, and the next command is good."""
     with LiveCell(PATIENT) as cell, plc_at(cell) as plc:
         cell.slow_s = 0.3
         bits, reason = plc.answer(plc.trigger(timeout_ms=50))
@@ -129,7 +130,7 @@ def test_vision_takes_longer_than_the_time_out() -> None:
 
 
 def test_a_result_that_is_too_old_at_birth_is_not_valid() -> None:
-    """Slow vision without a time-out: ACK, but the exposure is longer ago than validity_s."""
+    """With slow vision and no time-out the command gets ACK, but the result is older than validity_s."""
     with LiveCell(ModbusSettings(port=0, validity_s=0.1)) as cell, plc_at(cell) as plc:
         cell.slow_s = 0.3
         bits, _ = plc.answer(plc.trigger())
@@ -138,7 +139,7 @@ def test_a_result_that_is_too_old_at_birth_is_not_valid() -> None:
 
 
 def test_nothing_is_found() -> None:
-    """ACK with NOK and RESULT 2: the command was carried out, there is nothing to move to."""
+    """ACK with NOK and RESULT 2, without coordinates."""
     with LiveCell(PATIENT) as cell, plc_at(cell) as plc:
         cell.targets = ()
         bits, _ = plc.answer(plc.trigger())
@@ -148,7 +149,7 @@ def test_nothing_is_found() -> None:
 
 
 def test_the_plcs_heartbeat_stops() -> None:
-    """The result is withdrawn, CLIENT_LOST is up, another client may write."""
+    """The result is withdrawn, CLIENT_LOST is up, and another client may write."""
     settings = ModbusSettings(port=0, validity_s=30.0, heartbeat_s=0.3, owner_s=30.0)
     with LiveCell(settings) as cell, plc_at(cell) as plc, plc_at(cell) as other:
         sequence = plc.trigger()
@@ -175,7 +176,7 @@ def test_the_plc_disconnects() -> None:
 
 
 def test_nine_commands_at_once() -> None:
-    """The ninth: NACK 3 and OVERRUN, which the next accepted command takes down."""
+    """The ninth gets NACK 3 and OVERRUN, which the next accepted command clears."""
     with LiveCell(PATIENT) as cell, plc_at(cell) as plc:
         cell.slow_s = 0.3
         sequences = [plc.trigger() for _ in range(9)]
@@ -191,7 +192,7 @@ def test_nine_commands_at_once() -> None:
 
 @pytest.mark.slow
 def test_zenohs_router_goes() -> None:
-    """Registers go on, handshake and all."""
+    """Registers and handshake continue."""
 
     def config(**values: object) -> zenoh.Config:
         made = zenoh.Config()
@@ -221,7 +222,7 @@ def test_zenohs_router_goes() -> None:
 
 
 def test_the_clock_of_the_pc_is_set() -> None:
-    """Forward during a cycle: stale at once. Back: the age counts from the images, not from the stamps."""
+    """Set forward during a cycle, the result is stale at once; set back, its age counts from the images."""
     now_s = 1000.0
     cell = CellRegisters(ModbusSettings(), None, lambda: now_s)
     command = Command(CommandKind.LOCATE, "free", 1)
@@ -242,7 +243,7 @@ def test_the_clock_of_the_pc_is_set() -> None:
 
 
 def test_the_daemon_restarts() -> None:
-    """It stops in order with a command open; after the start CMD_SEQ is 0 and nothing of before is shown."""
+    """After a stop with an open command and a start, CMD_SEQ is 0 and no earlier result is shown."""
     with LiveCell(PATIENT) as cell, plc_at(cell) as plc:
         plc.answer(plc.trigger())
         cell.slow_s = 0.1

@@ -54,12 +54,12 @@ SCHEMA = load_schema()
 
 
 def listener(port: int) -> contextlib.AbstractContextManager[Peer]:
-    """A process that listens to every cell at this port."""
+    """A process that subscribes to every cell at this port."""
     return peer("listen", mode="peer", listen__endpoints=[], connect__endpoints=[f"tcp/127.0.0.1:{port}"])
 
 
 def python_threads() -> set[str]:
-    """Names of the threads that run, apart from those of the test's own executor."""
+    """Names of the running threads, except those of the test's own executor."""
     return {thread.name for thread in threading.enumerate() if not thread.name.startswith("asyncio_")}
 
 
@@ -74,7 +74,7 @@ async def test_every_cycle_arrives_in_order_and_documented():
             lines = []
             for cycle in range(1, 21):
                 cell.publisher.announce(make_snapshot(cycle, list(Status)[cycle % len(Status)]))
-                # each is heard before the next: in a burst beside other work the publisher drops some
+                # each is received before the next is sent: under load the publisher drops some of a burst
                 lines.append(await other.until(is_message("target")))
             health = await other.until(is_message("health", cycles=20))
             *targets, health = [line["document"] for line in (*lines, health)]
@@ -88,7 +88,7 @@ async def test_every_cycle_arrives_in_order_and_documented():
 
 
 async def test_who_comes_late_gets_the_last_result_and_state():
-    """A subscriber that appears after the last cycle learns it without another one."""
+    """A subscriber that appears after the last cycle receives it without another one."""
     async with Cell() as cell:
         cell.publisher.announce(READY)
         for cycle in (1, 2, 3):
@@ -101,7 +101,7 @@ async def test_who_comes_late_gets_the_last_result_and_state():
 
 
 async def test_a_trigger_is_answered_by_the_result_it_asked_for():
-    """The reply carries the command; a result of another cycle does not answer it."""
+    """The reply is the result of its own command, not of another cycle."""
     async with Cell() as cell:
 
         def react(command: Command) -> None:
@@ -120,7 +120,8 @@ async def test_a_trigger_is_answered_by_the_result_it_asked_for():
 
 
 async def test_a_trigger_ends_in_exactly_one_answer_whatever_happens():
-    """Refused, failed later, never finished, job changed: one reply each, and nothing stays pending."""
+    """Refused, failed later, timed out or job changed: each gets exactly one reply, and nothing stays
+    pending."""
     async with Cell() as cell:
 
         def refuse(command: Command) -> None:
@@ -142,7 +143,7 @@ async def test_a_trigger_ends_in_exactly_one_answer_whatever_happens():
         selectors = ("", "?job=2", "?timeout_s=0.2", "?kind=change_job;job=2")
         selectors += ("?kind=register_solve", "?kind=register_add;flange=1,2,3,1,0,0,0")
         replies = await ask(cell.port, *(f"edged/cell1/trigger{selector}" for selector in selectors))
-        cell.publisher.announce(make_snapshot(command=cell.commander.commands[2]))  # too late: no harm
+        cell.publisher.announce(make_snapshot(command=cell.commander.commands[2]))  # too late, without effect
     assert [False, False, False, True, True, False] == [reply["ok"] for reply in replies]
     errors = [reply["document"].get("error") for reply in replies]
     assert [
@@ -164,12 +165,12 @@ async def test_a_trigger_ends_in_exactly_one_answer_whatever_happens():
 
 
 def test_a_job_is_the_number_that_is_written():
-    """Also with noughts before it: not its first six digits, which are another job."""
+    """A job number with leading zeros is read as a whole."""
     assert 121 == parse_trigger(zenoh.Parameters("job=0000121"), 5.0).job
 
 
 async def test_wrong_parameters_are_refused_with_what_was_expected():
-    """Hostile or mistyped parameters reach nobody but the one who sent them."""
+    """Invalid parameters are refused with the expected values, and no command is submitted."""
     bad = {
         "kind=melt": "kind: expected one of locate, change_job, grab, verify, hand_eye_start, touch_start, "
         "register_add, register_solve, golden, got 'melt'",
@@ -194,7 +195,7 @@ async def test_wrong_parameters_are_refused_with_what_was_expected():
 
 
 async def test_looking_around_with_wildcards_triggers_nothing():
-    """`get edged/**` reads what can be read and moves nothing."""
+    """`get edged/**` reads what can be read and triggers nothing."""
     async with Cell() as cell:
         cell.publisher.announce(READY)
         cell.publisher.announce(make_snapshot(5))
@@ -212,7 +213,7 @@ async def test_looking_around_with_wildcards_triggers_nothing():
 
 
 async def test_last_says_how_old_it_is_and_when_there_is_none():
-    """`last` before the first cycle is an error, after it the result and its age; a reload ends it."""
+    """Before the first cycle and after a reload `last` is an error, otherwise the result and its age."""
     async with Cell() as cell:
         before = await ask(cell.port, "edged/cell1/last")
         snapshot = make_snapshot(4)
@@ -223,13 +224,13 @@ async def test_last_says_how_old_it_is_and_when_there_is_none():
         before, after, reloaded = before + after + await ask(cell.port, "edged/cell1/last")
     for without in (before, reloaded):
         assert without["document"]["error"] == "nothing has been measured since the start or the last reload"
-    # the stamps are years old: a clock that somebody sets makes no result younger or older
+    # the stamps are years old: setting the clock makes no result younger or older
     assert 10_000 <= after["document"]["age_ms"] < 10_000 + 1000 * LIMIT_S
     assert [] == violations(after["document"], SCHEMA, SCHEMA)
 
 
 async def test_the_liveliness_token_goes_with_the_cell():
-    """`alive` appears with the cell and is withdrawn by its end, without any message of it."""
+    """`alive` appears with the cell and is withdrawn when it ends, without any message from it."""
 
     def alive(kind: str) -> Callable[[dict[str, Any]], bool]:
         return lambda line: (line.get("key"), line.get("kind")) == ("edged/cell1/alive", kind)
@@ -242,21 +243,21 @@ async def test_the_liveliness_token_goes_with_the_cell():
 
 
 async def test_closing_answers_who_waits_and_leaves_no_thread():
-    """A trigger that is pending at the end gets an error at once; all our threads are gone."""
+    """A pending trigger gets an error at once, and no thread is left."""
     before = python_threads()
     async with Cell() as cell:
         cell.publisher.announce(READY)
         asked = asyncio.create_task(ask(cell.port, "edged/cell1/trigger?timeout_s=60"))
         await cell.commander.came.wait()
         await cell.publisher.close()
-        cell.publisher.announce(make_snapshot())  # the loop may still talk: nobody listens
+        cell.publisher.announce(make_snapshot())  # the loop may still announce, without effect
         (reply,) = await asked
     assert "the daemon is stopping" == reply["document"]["error"]
     await until(lambda: python_threads() <= before)
 
 
 async def test_a_port_in_use_is_a_listen_error_that_names_it():
-    """A second cell at the same endpoint does not start, says why, and leaves nothing behind."""
+    """A second cell at the same endpoint raises an error that names it, and leaves nothing behind."""
     before = python_threads()
     async with Cell() as cell:
         rival = ZenohPublisher(ZenohSettings("cell2", (f"tcp/127.0.0.1:{cell.port}",)), None)
@@ -268,7 +269,7 @@ async def test_a_port_in_use_is_a_listen_error_that_names_it():
 
 @pytest.mark.parametrize("endpoint", ["nonsense", "tcp/127.0.0.1:99999x", "carrier-pigeon/roof:1"])
 async def test_an_endpoint_that_cannot_be_is_refused(endpoint):
-    """A mistyped endpoint is an error of the user that shows the endpoint."""
+    """A mistyped endpoint is an error that shows it."""
     publisher = ZenohPublisher(ZenohSettings("cell1", (endpoint,)), None)
     with pytest.raises((ConfigError, ListenError), match=endpoint.split("/")[0]):
         try:
@@ -279,7 +280,7 @@ async def test_an_endpoint_that_cannot_be_is_refused(endpoint):
 
 @pytest.mark.parametrize("content", [None, "{", "{ mode: 'peer', lisen: 3 }"])
 def test_a_zenoh_file_with_a_mistake_is_a_config_error(tmp_path, content):
-    """A file that is missing, broken or has an unknown key is named, not ignored."""
+    """A file that is missing, broken or has an unknown key is named in the error."""
     file = tmp_path / "zenoh.json5"
     if content is not None:
         file.write_text(content)
@@ -289,7 +290,7 @@ def test_a_zenoh_file_with_a_mistake_is_a_config_error(tmp_path, content):
 
 
 async def test_what_zenohs_own_file_says_wins(tmp_path):
-    """Endpoints of the file are used instead of those of the cell's configuration."""
+    """Endpoints of Zenoh's own file replace those of the cell's configuration."""
     port = free_port()
     file = tmp_path / "zenoh.json5"
     file.write_text(json.dumps({"listen": {"endpoints": [f"tcp/127.0.0.1:{port}"]}}))
@@ -302,9 +303,9 @@ async def test_what_zenohs_own_file_says_wins(tmp_path):
 
 @pytest.mark.slow
 async def test_results_come_back_when_the_router_does(caplog):
-    """A fleet's router that dies and returns is found again by cell and subscriber, without a restart.
+    """Cell and subscriber find a router that dies and returns, without a restart.
 
-    The cell's log says when it goes and when it is there.
+    The cell's log says when it disappears and when it is connected.
     """
     caplog.set_level(logging.INFO)
     port = free_port()
@@ -332,7 +333,7 @@ async def test_results_come_back_when_the_router_does(caplog):
 
 
 def test_a_router_that_is_not_there_is_said_once(caplog):
-    """Not with every look, and not before there was time to connect; nor where none is asked for."""
+    """A missing router is logged once, after enough time to connect, and not if none is configured."""
     for endpoints in (["tcp/192.0.2.1:7447"], []):
         watched = Routers(endpoints)
         for _ in range(3 * PATIENCE):
@@ -342,7 +343,7 @@ def test_a_router_that_is_not_there_is_said_once(caplog):
 
 
 async def test_strangers_do_not_take_every_descriptor(monkeypatch):
-    """Sessions beyond the limit are refused; who connects and says nothing is closed."""
+    """Sessions beyond the limit are refused, and a silent connection is closed."""
     monkeypatch.setattr(session, "MAX_SESSIONS", 2)
     monkeypatch.setattr(session, "ACCEPT_TIMEOUT_MS", 300)
     async with Cell() as cell:
@@ -360,7 +361,7 @@ async def test_strangers_do_not_take_every_descriptor(monkeypatch):
 
 
 async def test_ros2_nodes_get_good_poses_and_see_the_publisher(monkeypatch):
-    """Both topics carry the same sequence with an attachment of 33 bytes; faults carry no pose."""
+    """Both topics have the same sequence with an attachment of 33 bytes; faults have no pose."""
     monkeypatch.setattr(ros2, "_xxh3_128", lambda _data: bytes(range(16)))
     samples: queue.Queue[zenoh.Sample] = queue.Queue()
     async with Cell(ros2_domain_id=5) as cell:
@@ -382,7 +383,7 @@ async def test_ros2_nodes_get_good_poses_and_see_the_publisher(monkeypatch):
 
 
 async def test_previews_are_sent_only_while_somebody_looks(monkeypatch):
-    """One side that is looked at is sent as a JPEG of its exposure; the other one is never encoded."""
+    """Only the subscribed side is encoded and sent, as a JPEG of its exposure."""
     samples: queue.Queue[zenoh.Sample] = queue.Queue()
     image = np.tile(np.arange(0, 256, dtype=np.uint8), (960, 5))
     left = Frame("left", 17, image, 0, 1_700_000_000_000_000_000)
@@ -395,7 +396,7 @@ async def test_previews_are_sent_only_while_somebody_looks(monkeypatch):
     )
     exposure = ExposureDone(4, None, FramePair(left, right))
     async with Cell() as cell:
-        cell.publisher.announce(exposure)  # nobody looks
+        cell.publisher.announce(exposure)  # without a subscriber
         with open_session(session_config("peer", [], [f"tcp/127.0.0.1:{cell.port}"])) as other:
             other.declare_subscriber("edged/cell1/preview/left", samples.put)
             deadline_s = time.monotonic() + LIMIT_S
@@ -414,7 +415,7 @@ async def test_previews_are_sent_only_while_somebody_looks(monkeypatch):
 
 
 def test_a_full_outbox_loses_its_oldest_job():
-    """What is queued behind a stalled send is replaced by newer jobs, counted, and done in order."""
+    """Jobs queued behind a stalled send are replaced by newer ones, counted, and run in order."""
     worker, gate, done = JobThread("test", 3), threading.Event(), []
     started = threading.Event()
 
@@ -434,7 +435,7 @@ def test_a_full_outbox_loses_its_oldest_job():
 
 
 def test_a_job_that_fails_does_not_end_the_worker(caplog):
-    """A message that cannot be shaped is logged with its trace and counted; the next one is sent."""
+    """A failing job is logged with its traceback and counted, and the next one runs."""
     worker, done = JobThread("test", 3), []
     worker.post(lambda: 1 / 0)
     worker.post(lambda: done.append(True))

@@ -1,4 +1,4 @@
-"""Whether a message is a cell's own: false, changed and repeated ones are told apart, over real sessions."""
+"""Authenticity of a cell's messages: false, changed and repeated ones are detected, over real sessions."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ Message = tuple[str, bytes, bytes | None]
 
 
 class Stranger:
-    """A client that is let in, and publishes whatever it likes; keeps what the cell says."""
+    """A client with access that publishes whatever it likes, and records what the cell publishes."""
 
     def __init__(self, port: int) -> None:
         self.session = open_session(session_config("client", [], [f"tcp/127.0.0.1:{port}"]))
@@ -55,13 +55,13 @@ class Stranger:
         self.session.put(key, payload, attachment=attachment, encoding=zenoh.Encoding.APPLICATION_JSON)
 
     def targets(self) -> list[Message]:
-        """What the cell said of parts."""
+        """Target messages of the cell."""
         return [message for message in self.heard if message[0].endswith("/target")]
 
 
 @contextlib.contextmanager
 def stranger_at(port: int) -> Iterator[Stranger]:
-    """One that is connected."""
+    """A connected stranger."""
     stranger = Stranger(port)
     try:
         yield stranger
@@ -70,7 +70,7 @@ def stranger_at(port: int) -> Iterator[Stranger]:
 
 
 class Subscriber:
-    """What is heard of cell1, and what is doubted."""
+    """Records what is received from cell1."""
 
     def __init__(self, port: int, key: bytes | None, stack: contextlib.ExitStack) -> None:
         self.cycles: list[int] = []
@@ -88,19 +88,19 @@ class Subscriber:
 
 
 def changed(message: Message, **fields: object) -> Message:
-    """The same with another payload."""
+    """The message with a changed payload."""
     key, payload, attachment = message
     return key, json.dumps({**json.loads(payload), **fields}).encode(), attachment
 
 
 def resealed(message: Message, **fields: object) -> Message:
-    """The same with another attachment."""
+    """The message with a changed attachment."""
     key, payload, attachment = message
     return key, payload, json.dumps({**json.loads(attachment or b"{}"), **fields}).encode()
 
 
 def signed_with(key: bytes, message: Message) -> Message:
-    """The same by somebody who has another key: the layout as the manual has it."""
+    """The message signed with another key, with the layout of the manual."""
     name, payload, attachment = message
     seal = json.loads(attachment or b"{}")
     head = f"edged/1\n{name}\n{seal['session']}\n{seal['counter']}\n0\n\n".encode()
@@ -127,7 +127,7 @@ FALSE: dict[str, Callable[[Message], Message]] = {
 
 @pytest.mark.slow
 async def test_who_has_the_key_hears_the_cell_alone():
-    """Not what others publish under the cell's name without it, whatever that is made of; each is counted."""
+    """With the shared key, a subscriber gets only the cell's own messages, and each false one is counted."""
     async with Cell(mode="router", shared_key=KEY) as cell:
         with contextlib.ExitStack() as stack:
             stranger = stack.enter_context(stranger_at(cell.port))
@@ -141,19 +141,19 @@ async def test_who_has_the_key_hears_the_cell_alone():
             cell.publisher.announce(make_snapshot(2))
             await until(lambda: subscriber.cycles == [1, 2])
             old = stranger.targets()[0]
-            stranger.says(*old)  # what was true once
+            stranger.says(*old)  # a message that was valid before
             await until(lambda: dropped(subscriber) == len(FALSE) + 1)
             assert [1, 2] == subscriber.cycles
 
 
 def dropped(subscriber: Subscriber) -> int:
-    """How many messages were not let in, of all cells."""
+    """Number of messages dropped, of all cells."""
     return sum(int(re.search(r": (\d+) messages?", text)[1]) for text in subscriber.listening.doubts())
 
 
 @pytest.mark.slow
 async def test_who_comes_late_or_meets_a_restart_hears_the_cell():
-    """The last result is signed, too; after a restart the counter goes on, though the session is another."""
+    """The last result is signed, too, and after a restart the counter continues in another session."""
     async with Cell(mode="router", shared_key=KEY) as cell:
         cell.publisher.announce(READY)
         cell.publisher.announce(make_snapshot(1))
@@ -170,7 +170,8 @@ async def test_who_comes_late_or_meets_a_restart_hears_the_cell():
 
 @pytest.mark.slow
 async def test_without_a_key_two_sessions_of_a_name_are_named():
-    """A restart is none of that; a peer that publishes beside the cell is, as soon as the cell goes on."""
+    """A peer that publishes under the cell's name is reported once the cell continues, but a restart is
+    not."""
     async with Cell(mode="router") as cell:
         with contextlib.ExitStack() as stack:
             stranger = stack.enter_context(stranger_at(cell.port))
@@ -189,7 +190,8 @@ async def test_without_a_key_two_sessions_of_a_name_are_named():
 
 @pytest.mark.parametrize("key", [KEY, None])
 async def test_an_answer_is_bound_to_what_was_asked(key: bytes | None):
-    """Its MAC is over the parameters, a nonce among them: a former answer is none. It always names who."""
+    """The MAC covers the parameters with their nonce, so that an earlier answer is invalid; the cell is
+    named."""
     async with Cell(mode="router", shared_key=key) as cell:
         cell.publisher.announce(make_snapshot(4))
         cell.commander.react = lambda command: cell.publisher.announce(make_snapshot(5, command=command))
@@ -216,7 +218,7 @@ async def test_an_answer_is_bound_to_what_was_asked(key: bytes | None):
 async def watched(
     cell: Cell, stranger: Stranger, key: Path | None, capsys: pytest.CaptureFixture[str]
 ) -> tuple[str, str]:
-    """What `edged watch` prints of two results of a cell and of the false one between them."""
+    """Output of `edged watch` for two results of a cell with a false one between them."""
     shown = io.StringIO()
     options = WatchOptions(
         connect=(f"tcp/127.0.0.1:{cell.port}",), count=2 if key else 3, timeout_s=30.0, shared_key=key
@@ -240,7 +242,7 @@ async def watched(
 async def test_watch_shows_what_is_the_cells_own_and_says_what_is_not(
     has_key: bool, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ):
-    """With the key the false result is dropped and counted; without it, it is shown, with a warning."""
+    """With the key the false result is dropped and counted; without it, it is shown with a warning."""
     file = tmp_path / "zenoh.key"
     file.write_bytes(KEY + b"\n")
     file.chmod(0o600)
@@ -261,7 +263,7 @@ async def test_watch_shows_what_is_the_cells_own_and_says_what_is_not(
     ],
 )
 def test_a_key_that_is_none_is_refused(content: bytes, mode: int, words: str, tmp_path: Path):
-    """One that others may read, or guess."""
+    """A key that others may read, or that is too short or long, is refused."""
     file = tmp_path / "zenoh.key"
     file.write_bytes(content)
     file.chmod(mode)
@@ -270,7 +272,7 @@ def test_a_key_that_is_none_is_refused(content: bytes, mode: int, words: str, tm
 
 
 class Program:
-    """Lines of Python that run, and what they print."""
+    """A running Python program, and the lines it prints."""
 
     def __init__(self, text: str, folder: Path) -> None:
         self.lines: list[str] = []
@@ -295,11 +297,11 @@ class Program:
 
 @pytest.mark.slow
 async def test_the_manuals_subscriber_prints_what_comes(tmp_path: Path):
-    """The first lines of the manual, as they stand there."""
+    """The manual's first program, run as printed, prints each result."""
     block = re.findall(r"```python\n(.*?)```", HOW_TO.read_text("utf-8"), re.DOTALL)[0]
     async with Cell(mode="router") as cell:
         with Program(block.replace("7447", str(cell.port)), tmp_path) as running:
-            while not running.lines:  # it is connected
+            while not running.lines:  # wait until it is connected
                 cell.publisher.announce(make_snapshot(1))
                 await asyncio.sleep(0.1)
             cell.publisher.announce(make_snapshot(2, Status.NO_TARGET))
@@ -310,7 +312,7 @@ async def test_the_manuals_subscriber_prints_what_comes(tmp_path: Path):
 
 @pytest.mark.slow
 async def test_the_manuals_subscriber_tells_false_messages_apart(tmp_path: Path):
-    """The very lines of the manual, beside a stranger: of the cell's own results each is printed, once."""
+    """The manual's program, run as printed beside a stranger, prints each of the cell's own results once."""
     blocks = re.findall(r"```python\n(.*?)```", HOW_TO.read_text("utf-8"), re.DOTALL)
     (block,) = [block for block in blocks if "hmac" in block]
     (tmp_path / "zenoh.key").write_bytes(KEY + b"\n")
@@ -318,7 +320,7 @@ async def test_the_manuals_subscriber_tells_false_messages_apart(tmp_path: Path)
         program = block.replace("7447", str(cell.port))
         with stranger_at(cell.port) as stranger, Program(program, tmp_path) as running:
             cell.publisher.announce(make_snapshot(0))
-            while not running.lines:  # it is connected
+            while not running.lines:  # wait until it is connected
                 cell.publisher.announce(make_snapshot(1))
                 await asyncio.sleep(0.1)
             await until(stranger.targets)

@@ -1,4 +1,4 @@
-"""The example configurations let in whom they say, and nobody else: TLS, certificates, access control."""
+"""The example configurations give access to those they name, and to no one else: TLS, certificates, ACLs."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ pytestmark = needs("openssl")
 
 @pytest.fixture(scope="module")
 def certificates(tmp_path_factory) -> Path:
-    """A folder with ca.pem and NAME.pem, NAME.key; "stranger" is signed by somebody else."""
+    """A folder with ca.pem and NAME.pem, NAME.key; "stranger" is signed by another CA."""
     folder = tmp_path_factory.mktemp("tls")
 
     def openssl(*arguments: str) -> None:
@@ -65,7 +65,7 @@ def certificates(tmp_path_factory) -> Path:
 
 
 def identity(certificates: Path, name: str) -> dict[str, Any]:
-    """The TLS block of somebody."""
+    """TLS block with this name's certificate."""
     return {
         "root_ca_certificate": str(certificates / "ca.pem"),
         "listen_certificate": str(certificates / f"{name}.pem"),
@@ -77,7 +77,7 @@ def identity(certificates: Path, name: str) -> dict[str, Any]:
 
 
 def example(name: str, certificates: Path, own: str, port: int, folder: Path) -> Path:
-    """A copy of an example with paths and endpoint of this test; everything else as it is shipped."""
+    """A copy of an example with this test's paths and endpoint; everything else as shipped."""
     text = (CONFIG / name).read_text()
     for shipped, here in (
         ("/etc/edged/tls/ca.pem", str(certificates / "ca.pem")),
@@ -92,7 +92,7 @@ def example(name: str, certificates: Path, own: str, port: int, folder: Path) ->
 
 
 def as_somebody(certificates: Path, name: str, port: int) -> dict[str, Any]:
-    """Configuration of a peer with somebody's certificate."""
+    """Configuration of a peer with this name's certificate."""
     return {
         "mode": "peer",
         "listen__endpoints": [],
@@ -102,7 +102,7 @@ def as_somebody(certificates: Path, name: str, port: int) -> dict[str, Any]:
 
 
 async def ask_as(certificates: Path, name: str, port: int, *selectors: str) -> list[dict[str, Any]]:
-    """Replies to queries of somebody; [] when nobody answers, or when there is no way in."""
+    """Replies to queries with this certificate; [] if nothing answers or access is denied."""
     config = {**as_somebody(certificates, name, port), "mode": "client", "queries_default_timeout": 1000}
 
     def run() -> list[dict[str, Any]]:
@@ -117,7 +117,7 @@ async def ask_as(certificates: Path, name: str, port: int, *selectors: str) -> l
 
 
 async def who_may_what(cell: Cell, certificates: Path, port: int) -> None:
-    """Both examples promise the same to readers, controllers and strangers."""
+    """Check the access of readers, controllers and strangers, which is the same in both examples."""
     cell.commander.react = lambda command: cell.publisher.announce(make_snapshot(9, command=command))
     cell.publisher.announce(make_snapshot(3))
     with peer("listen", **as_somebody(certificates, "viewer", port)) as viewer:
@@ -135,7 +135,7 @@ async def who_may_what(cell: Cell, certificates: Path, port: int) -> None:
 
 @pytest.mark.slow
 async def test_a_cell_with_the_example_is_closed_to_who_is_not_named(certificates, tmp_path):
-    """Readers read, controllers trigger, a certificate of somebody else does not even connect."""
+    """Readers can read, controllers can trigger, and a certificate of another CA cannot connect."""
     port = free_port()
     file = example("zenoh-acl-example.json5", certificates, "cell1", port, tmp_path)
     async with Cell(config_file=file) as cell:
@@ -144,7 +144,7 @@ async def test_a_cell_with_the_example_is_closed_to_who_is_not_named(certificate
 
 @pytest.mark.slow
 async def test_a_fleet_router_with_the_example_is_closed_to_who_is_not_named(certificates, tmp_path):
-    """The same through the router; and a cell cannot speak under another cell's name."""
+    """Access is the same through the router, and a cell cannot publish under another cell's name."""
     port = free_port()
     endpoint = f"tls/127.0.0.1:{port}"
     file = example("zenoh-router-example.json5", certificates, "router", port, tmp_path)
@@ -160,7 +160,7 @@ async def test_a_fleet_router_with_the_example_is_closed_to_who_is_not_named(cer
         async with Cell(listen=(), connect=(endpoint,), config_file=joins("cell2")) as impostor:
             impostor.publisher.announce(make_snapshot(66))
             async with asyncio.timeout(LIMIT_S):
-                # let in as cell2: what follows is the rules' work
+                # it may connect as cell2: the rest is enforced by the rules
                 while not impostor.publisher.links():  # noqa: ASYNC110  (Zenoh has no event for it)
                     await asyncio.sleep(0.05)
             assert [] == await ask_as(certificates, "viewer", port, "edged/cell1/last")

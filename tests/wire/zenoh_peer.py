@@ -19,7 +19,7 @@ import zenoh.ext
 
 
 def say(**what: object) -> None:
-    """One line for the test, in one write: subscribers call from several threads."""
+    """Print one line for the test in one write, as subscribers call from several threads."""
     sys.stdout.write(json.dumps(what) + "\n")
     sys.stdout.flush()
 
@@ -49,7 +49,7 @@ def heard(sample: zenoh.Sample) -> None:
 
 
 def main() -> None:
-    """Do what the command line says."""
+    """Run the mode given on the command line."""
     what, config = sys.argv[1], config_of(sys.argv[2])
     session = zenoh.open(config)
     try:

@@ -22,7 +22,7 @@ KINDS = {Path: "PATH", str: "TEXT", int: "INTEGER", float: "NUMBER"}
 
 @dataclass(frozen=True, slots=True)
 class Parameter:
-    """names : as they are typed.  kind : of value, "" for a switch.  bounds, default : in words."""
+    """names : as typed.  kind : of value, "" for a switch.  bounds, default : in words."""
 
     names: tuple[str, ...]
     kind: str
@@ -34,13 +34,13 @@ class Parameter:
 
     @property
     def is_option(self) -> bool:
-        """Whether it begins with a dash."""
+        """Whether its name begins with a dash."""
         return self.names[0].startswith("-")
 
 
 @dataclass(frozen=True, slots=True)
 class Command:
-    """One command under the heading that `edged --help` has it under."""
+    """One command, under its heading of `edged --help`."""
 
     name: str
     panel: str
@@ -49,7 +49,7 @@ class Command:
 
 
 def commands() -> Iterator[Command]:
-    """All of them, in the order of `edged --help`."""
+    """All commands, in the order of `edged --help`."""
     yield from _below(typer.main.get_command(app), "edged")
 
 
@@ -96,7 +96,7 @@ def _bounds(info: ArgumentInfo | OptionInfo) -> str:
 
 
 def _default(default: object, name: str) -> str:
-    """As it would be typed; "" for what may be left out."""
+    """Default value as it would be typed; "" if it may be left out."""
     if isinstance(default, bool):
         return code(name) if default else ""
     return "" if default in (None, "") else code(default)

@@ -16,7 +16,7 @@ from referencepages.jsonschema import Schema, in_words
 from referencepages.markdown import code, first_line, table
 
 ALIKE = {"cameras.right": "cameras.left", "limits.keep_out": "limits.box"}
-"""Sections that have one table."""
+"""Sections that share the table of another one."""
 HEAD = ("key", "value", "default", "meaning")
 
 
@@ -31,12 +31,12 @@ def sections(model: type[BaseModel] = Config, path: str = "") -> Iterator[tuple[
 
 
 def heading(path: str, is_list: bool) -> str:
-    """As the table begins in the file."""
+    """Header of the table in the file."""
     return code(f"[[{path}]]" if is_list else f"[{path}]")
 
 
 def body(model: type[BaseModel], schema: Schema) -> list[str]:
-    """What it is for, and its keys, where it has any that are no tables."""
+    """Its purpose, and its keys, if it has any that are no tables."""
     keys = list(rows(model, schema))
     return [first_line(model) + ".", *([table(HEAD, keys)] if keys else [])]
 
@@ -48,7 +48,7 @@ def model_of(field: FieldInfo) -> type[BaseModel] | None:
 
 
 def default_of(field: FieldInfo) -> str:
-    """As it would be written in TOML; "" where there is none but to leave it out."""
+    """Default value as written in TOML; "" if the only default is to leave it out."""
     value = field.get_default(call_default_factory=True)
     if value is PydanticUndefined:
         return "required"
@@ -82,7 +82,7 @@ def all_keys() -> str:
 
 
 def modes() -> str:
-    """Which keys belong to which trigger mode."""
+    """Keys that belong to each trigger mode."""
     return table(
         ("`mode`", "keys"),
         (

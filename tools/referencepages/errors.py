@@ -1,4 +1,4 @@
-"""Every error, fault, status and reason, with the number that it has elsewhere."""
+"""Every error, fault, status and reason, with its number where it has one."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def subclasses(kind: type[EdgedError], depth: int = 0) -> Iterator[tuple[type[Ed
 
 
 def tree() -> str:
-    """As a nested list."""
+    """The exceptions as a nested list."""
     return "\n".join(
         f"{'    ' * depth}- {code(kind.__name__)}{_number(kind)}: {_small(first_line(kind))}"
         for kind, depth in subclasses(EdgedError)
@@ -46,13 +46,13 @@ def faults() -> str:
 
 
 def statuses() -> str:
-    """How a cycle may end."""
+    """How a cycle may end, by status."""
     docs = member_docs(Status)
     return table(("status", "meaning"), ((code(one.value), docs[one.name]) for one in Status))
 
 
 def calibration() -> str:
-    """What is said of the calibration."""
+    """Verdicts on the calibration."""
     docs = member_docs(CalibrationHealth)
     return table(
         ("value", "name", "meaning"),

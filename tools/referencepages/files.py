@@ -1,4 +1,4 @@
-"""What stands in the files of a cell, from the tables of those that read them."""
+"""Content of a cell's files, from the tables of the code that reads them."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from referencepages.markdown import code, table
 
 
 def distortions() -> str:
-    """What belongs to which lens model."""
+    """Distortion parameters of each lens model."""
     return table(
         ("`model`", "`distortion`"),
         ((code(model), ", ".join(map(code, names))) for model, names in DISTORTION_NAMES.items()),
@@ -37,7 +37,7 @@ def job_keys() -> str:
 
 
 def measures() -> str:
-    """What each kind of measurement needs."""
+    """Requirements of each kind of measurement."""
     return table(("`kind`", "`of`"), _measures())
 
 
@@ -47,7 +47,7 @@ def _measures() -> Iterator[tuple[str, str]]:
 
 
 def bounds() -> str:
-    """What a file may hold at most, as its reader has it."""
+    """Maximum content of a file, according to its reader."""
     return table(
         ("file", "at most"),
         (

@@ -1,4 +1,4 @@
-"""What a JSON Schema allows, in words: for the configuration, for jobs, and for what is published."""
+"""Describes in words what a JSON Schema allows: for the configuration, jobs, and published messages."""
 
 from __future__ import annotations
 
@@ -29,8 +29,8 @@ PLURALS = {
 def in_words(schema: Schema, *, optional: bool = False, table: str = "table") -> str:
     """The kind of value and its bounds.
 
-    optional : the value may be left out and is null then, which goes without saying.
-    table : what a value with names in it is called, in TOML or in JSON.
+    optional : the value may be left out and is null then, which is not mentioned.
+    table : word for a value with named fields, in TOML or in JSON.
     """
     if "$ref" in schema:
         name = schema["$ref"].rpartition("/")[2]

@@ -1,4 +1,4 @@
-"""The library's functions and the types that they take and give, as their docstrings say."""
+"""The library's functions, and the types that they take and return, from their docstrings."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ TYPES = (
     *(Region, CircleRegion, PolygonRegion, Stroke, Painted),
 )
 FIELD = re.compile(r"(?:^|(?<=\. ))(?P<names>\w+(?:, \w+)*)(?P<shape> \([^)]*\))? ?: ")
-"""How a docstring names what it explains: "left, right : images", at the beginning of a sentence."""
+"""How docstrings introduce an explanation: "left, right : images", at the beginning of a sentence."""
 
 
 def functions() -> str:
-    """Each with its signature and its arguments."""
+    """Each function with its signature and its arguments."""
     return "\n\n".join(_function(name) for name in edged.__all__)
 
 
@@ -58,7 +58,7 @@ def _arguments(signature: inspect.Signature) -> Iterator[str]:
 
 
 def types() -> str:
-    """Each with where it stands, its fields and what is computed from them."""
+    """Each type with its module, its fields and the values computed from them."""
     return "\n\n".join(_type(kind) for kind in TYPES)
 
 
@@ -79,7 +79,7 @@ def _type(kind: type) -> str:
 
 
 def _explained(thing: object, names: Set[str]) -> tuple[list[str], dict[str, str]]:
-    """The paragraphs of a docstring, and what it says of each of these names."""
+    """The paragraphs of a docstring, and its explanation of each of these names."""
     said, meanings = list[str](), dict[str, str]()
     for paragraph in (inspect.getdoc(thing) or "").split("\n\n"):
         text = " ".join(paragraph.split())

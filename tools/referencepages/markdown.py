@@ -1,4 +1,4 @@
-"""Markdown as the manual has it, and what the code says of itself in places that a program does not see."""
+"""Markdown as used in the manual, and documentation in the code that is not available at run time."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ def _cell(value: object) -> str:
 
 
 def code(value: object) -> str:
-    """As a program would write it."""
+    """Format as code."""
     return f"`{value}`"
 
 
 def number(value: float) -> str:
-    """1500000 as 1 500 000, without an end of line in it; fractions as they are."""
+    """1500000 as 1 500 000, with no-break spaces; fractions as they are."""
     if float(value).is_integer():
         return f"{int(value):,}".replace(",", "\N{NO-BREAK SPACE}")
     return f"{value:g}"
@@ -51,7 +51,7 @@ def first_line(thing: object) -> str:
 
 
 def member_docs(codes: type[enum.Enum]) -> dict[str, str]:
-    """What stands below each member of an enumeration as a string: "" where nothing does."""
+    """The string below each member of an enumeration: "" if there is none."""
     (body,) = ast.parse(textwrap.dedent(inspect.getsource(codes))).body
     assert isinstance(body, ast.ClassDef)
     found: dict[str, str] = {}

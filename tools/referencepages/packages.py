@@ -1,4 +1,4 @@
-"""The packages of edged: which may import which, as `[tool.importlinter]` has it, and what each is."""
+"""The packages of edged: permitted imports according to `[tool.importlinter]`, and purposes."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ def _layers(container: str) -> list[list[str]]:
 
 
 def _purpose(module: str) -> str:
-    """The first line of its docstring."""
+    """The first line of a module's docstring."""
     path = ROOT.joinpath(*module.split("."))
     source = path / "__init__.py" if path.is_dir() else path.with_suffix(".py")
     return (ast.get_docstring(ast.parse(source.read_text())) or "").partition("\n")[0].removesuffix(".")
@@ -41,7 +41,7 @@ def _layer_table(container: str) -> str:
 
 
 def _member_table(container: str) -> str:
-    """The packages of a container that has no layers."""
+    """A table of a container's packages, if it has no layers."""
     packages = sorted(ROOT.joinpath(*container.split(".")).glob("*/__init__.py"))
     names = (package.parent.name for package in packages)
     return table(("package", "what it is"), ((code(name), _purpose(f"{container}.{name}")) for name in names))

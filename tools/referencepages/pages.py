@@ -1,9 +1,9 @@
 """Brings the generated parts of the documents up to date.
 
     tools/reference           writes every page whose code has changed
-    tools/reference --check   writes nothing; 1 when a page is not current, and says which
+    tools/reference --check   writes nothing; 1 if a page is not current, and says which
 
-A part stands between `<!-- generated: NAME -->` and `<!-- end -->`; what is around it is written by people.
+A part lies between `<!-- generated: NAME -->` and `<!-- end -->`; the text around it is written by people.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ PART = re.compile(r"(?<=<!-- generated: )(?P<name>[a-z-]+) -->\n.*?(?=<!-- end -
 
 
 def current(text: str, parts: Mapping[str, Callable[[], str]]) -> str:
-    """The page with its parts as the code has them now. `ValueError` unless each has one place."""
+    """The page with its parts as the code has them now. Raises `ValueError` unless each has one place."""
     found = [part["name"] for part in PART.finditer(text)]
     if sorted(found) != sorted(parts):
         raise ValueError(f"expected the parts {sorted(parts)}, found {sorted(found)}")

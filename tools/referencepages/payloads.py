@@ -1,4 +1,4 @@
-"""Zenoh's keys, and every field of what is published, from the schema."""
+"""Zenoh's keys, and every field of the published messages, from the schema."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def keys() -> str:
 
 
 def trigger() -> str:
-    """What a trigger may say."""
+    """Parameters of a trigger."""
     rows = (
         (code(name), code(default) if default else "", text)
         for name, (default, text) in TRIGGER_PARAMETERS.items()
@@ -47,7 +47,7 @@ def trigger() -> str:
 
 
 def fields(definition: Schema, prefix: str = "") -> Iterator[tuple[str, str, str]]:
-    """Name, value and meaning of each field; those of a table inside follow it, named after it."""
+    """Name, value and meaning of each field; fields of a nested table follow it, with its name as prefix."""
     required = definition.get("required", [])
     for name, one in definition.get("properties", {}).items():
         meaning = one.get("description", "")
@@ -61,7 +61,7 @@ def fields(definition: Schema, prefix: str = "") -> Iterator[tuple[str, str, str
 
 
 def messages() -> str:
-    """A section for each message and each thing in it."""
+    """A section for each message and each of its parts."""
     parts = []
     for name, definition in schema()["$defs"].items():
         description = definition["description"]

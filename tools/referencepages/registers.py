@@ -1,4 +1,4 @@
-"""The Modbus map, and what each bit and code in it means."""
+"""The Modbus map, and the meaning of each bit and code in it."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ BITS: dict[str, type[enum.IntFlag]] = {
     "CONTROL": ControlBit,
     "BITS": CellBit,
 }
-"""By the register that holds them."""
+"""Bits by the register that holds them."""
 
 
 def the_map() -> str:
@@ -42,21 +42,21 @@ def the_map() -> str:
 
 
 def codes_of(codes: type[enum.IntEnum]) -> str:
-    """Value, name and meaning of each."""
+    """Value, name and meaning of each code."""
     docs = member_docs(codes)
     rows = ((one.value, code(one.name), docs[one.name]) for one in codes)
     return table(("value", "name", "meaning"), rows, numbers=1)
 
 
 def bits_of(bits: type[enum.IntFlag]) -> str:
-    """Number, value, name and meaning of each."""
+    """Number, value, name and meaning of each bit."""
     docs = member_docs(bits)
     rows = ((one.bit_length() - 1, f"0x{one:04X}", code(one.name), docs[str(one.name)]) for one in bits)
     return table(("bit", "value", "name", "meaning"), rows, numbers=2)
 
 
 def rejects() -> str:
-    """The bits of REJECT, with the words for people that pictures and reports have."""
+    """The bits of REJECT, with the words for people that pictures and reports use."""
     docs = member_docs(Reject)
     rows = (
         (one.bit_length() - 1, f"0x{one:04X}", code(one.name), REASONS[one], docs[str(one.name)])
@@ -78,7 +78,7 @@ def all_bits() -> str:
 
 
 def the_image() -> str:
-    """Both images of a PLC's own memory, by their bytes."""
+    """Both images of a PLC's own memory, byte by byte."""
     fields = image_fields()
     parts = []
     for title, those in (("To the cell", fields.to_cell), ("From the cell", fields.from_cell)):

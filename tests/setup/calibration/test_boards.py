@@ -1,4 +1,4 @@
-"""Which board pictures show: a few that look like something else do not outvote what was stated."""
+"""Which board the pictures show: a few false recognitions do not outvote the stated board."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ BLANK = np.full((480, 640), 90, np.uint8)
 
 
 def picture(label: str, image: Image) -> Picture:
-    """In memory."""
+    """A picture in memory."""
     return Picture(label, lambda: image)
 
 
 def drawn(board: NominalBoard, count: int) -> list[Picture]:
-    """Of a board."""
+    """Pictures of a board."""
     poses = board_poses(SMALL, board, count, seed=4)
     return [picture(f"{board}_{n}", draw_board(board, SMALL.left, pose)) for n, pose in enumerate(poses)]
 
@@ -35,7 +35,7 @@ def drawn(board: NominalBoard, count: int) -> list[Picture]:
 @pytest.mark.slow
 @pytest.mark.parametrize(("others", "blanks", "refused"), [(3, 2, True), (2, 2, False), (1, 5, False)])
 def test_another_board_must_be_in_most_pictures(others: int, blanks: int, refused: bool) -> None:
-    """One odd picture among many without a board is no reason to stop; more than half of them are."""
+    """Another board is an error only if most pictures show it."""
     pictures = [*drawn(OTHER, others), *(picture(f"blank {n}", BLANK) for n in range(blanks))]
     if refused:
         with pytest.raises(CalibrationError, match=r"7x5 inner corners, not 8x6.*chessboard:7x5:3"):
@@ -46,7 +46,7 @@ def test_another_board_must_be_in_most_pictures(others: int, blanks: int, refuse
 
 @pytest.mark.slow
 def test_another_board_is_told_after_a_few_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A board that was counted wrongly costs some looks, and one search in vain, which takes longest."""
+    """Another board is found after looking at a few pictures, with one full search in vain."""
     looked: list[str] = []
     searched: list[object] = []
 
@@ -73,7 +73,7 @@ def test_another_board_is_told_after_a_few_pictures(monkeypatch: pytest.MonkeyPa
 
 @pytest.mark.slow
 def test_a_few_pictures_of_another_board_do_not_stop_many_of_the_stated_one() -> None:
-    """Also where they are those that are looked at first; and each picture is looked at once."""
+    """A few pictures of another board do not stop a calibration, in any order, and each is looked at once."""
     pictures = drawn(STATED, 4) + drawn(OTHER, 1)
     for order in (pictures, pictures[::-1]):
         views = Views([STATED])
@@ -83,7 +83,7 @@ def test_a_few_pictures_of_another_board_do_not_stop_many_of_the_stated_one() ->
 
 @pytest.mark.slow
 def test_what_looks_like_the_stated_board_is_no_other() -> None:
-    """Columns and rows exchanged, or the same circles in other words: it was missed for another reason."""
+    """Exchanged columns and rows, or an equivalent circle grid, count as the stated board."""
     check_board_shown(drawn(STATED, 2), parse_board("chessboard:6x8:3"))
     circles = drawn(parse_board("circles:4x6:4"), 1)
     check_board_shown(circles, parse_board("circles:3x8:4"))
@@ -104,12 +104,12 @@ def test_what_looks_like_the_stated_board_is_no_other() -> None:
     ],
 )
 def test_what_can_be_stated(text: str | None, expected: object) -> None:
-    """A length in mm with point or comma, one or more boards, nothing."""
+    """A board can be stated as a length in mm with point or comma, as one or more boards, or not at all."""
     assert expected == stated_boards(text)
 
 
 def test_the_pictures_are_spread_over_the_folder() -> None:
-    """Six of forty, from the first to the last: two boards taken one after the other are both seen."""
+    """Six of forty pictures are looked at, from the first to the last."""
     read: list[int] = []
 
     def note(number: int) -> Image:

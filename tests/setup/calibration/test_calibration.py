@@ -1,4 +1,4 @@
-"""Calibrating without a console: the same numbers as the command, and pairs that come and go."""
+"""Calibrating without a console: the same numbers as the command, with pairs added and removed."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def images() -> Images:
 
 @pytest.fixture(scope="module")
 def solved(images: Images) -> Calibrated:
-    """From arrays: a seventh pair came and went, and one came as a copy of another first."""
+    """A rig solved from arrays, after a seventh pair was added and removed, and a copy of one added first."""
     views = Views([BOARD])
     views.add([Pair.of_images(name, *pair) for name, pair in images.items() if name != "v5"])
     views.add([Pair.of_images("v5", *images["v0"])])
@@ -59,7 +59,7 @@ def solved(images: Images) -> Calibrated:
 def test_arrays_and_files_give_the_same_rig_to_the_last_bit(
     images: Images, solved: Calibrated, tmp_path: Path
 ) -> None:
-    """Whoever calls: parameters, covariance, identity and what is kept of the quality."""
+    """Parameters, covariance, id and quality are bit-identical."""
     folder, output = tmp_path / "pictures", tmp_path / "rig.json"
     folder.mkdir()
     for name, pair in images.items():
@@ -78,9 +78,9 @@ def test_arrays_and_files_give_the_same_rig_to_the_last_bit(
 
 @pytest.mark.slow
 def test_each_picture_is_read_twice(images: Images) -> None:
-    """Once to find the board, once to measure its marks and edges; small copies stay for the report.
+    """Each picture is read once to find the board and once to measure, with small copies kept for the report.
 
-    The first one once more: a board that was counted wrongly is told by it.
+    The first one is read once more, to find out early if the board was stated wrongly.
     """
     reads: Counter[str] = Counter()
 
@@ -106,7 +106,7 @@ def test_each_picture_is_read_twice(images: Images) -> None:
 def test_a_check_says_the_same_to_the_last_bit(
     images: Images, solved: Calibrated, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Of one pair in memory, and of the command's files."""
+    """A check of a pair in memory equals that of the command exactly."""
     paths = [tmp_path / f"{side}.png" for side in ("left", "right")]
     for path, image in zip(paths, images["v2"], strict=True):
         cv2.imwrite(str(path), image)
@@ -124,7 +124,7 @@ def test_a_check_says_the_same_to_the_last_bit(
 
 @pytest.mark.slow
 def test_progress_counts_each_stage_to_its_end(images: Images) -> None:
-    """Stages of many pieces end with all of them; those of one piece say only that they have begun."""
+    """Stages of many pieces report all of them, others only their start."""
     told: list[tuple[str, int, int]] = []
     views = Views([BOARD])
     views.add(
@@ -139,7 +139,7 @@ def test_progress_counts_each_stage_to_its_end(images: Images) -> None:
 
 @pytest.mark.slow
 def test_whoever_is_told_can_end_the_work(images: Images) -> None:
-    """An error of the progress ends it, and the pairs are as they were before."""
+    """An exception in the progress function ends the work, and no pair is added."""
 
     def stop(stage: str, done: int, total: int) -> None:
         raise InterruptedError(stage)
@@ -152,7 +152,7 @@ def test_whoever_is_told_can_end_the_work(images: Images) -> None:
 
 @pytest.mark.slow
 def test_a_picture_that_cannot_be_read_adds_none(images: Images, tmp_path: Path) -> None:
-    """Pairs are added together or not at all."""
+    """If one picture cannot be read, none of the pairs is added."""
     broken = ImagePair("broken", tmp_path / "no_left.png", tmp_path / "no_right.png")
     views = Views([BOARD])
     with pytest.raises(ImageError, match=r"no_left\.png"):
@@ -161,14 +161,14 @@ def test_a_picture_that_cannot_be_read_adds_none(images: Images, tmp_path: Path)
 
 
 def test_nothing_gives_no_rig() -> None:
-    """No pairs, no calibration: said, not crashed."""
+    """Without pairs an error says so."""
     with pytest.raises(CalibrationError, match="no pairs"):
         solve(Views([BOARD]), "division")
 
 
 @pytest.mark.slow
 def test_pairs_of_several_sizes_are_named(images: Images) -> None:
-    """By the names of their pictures; the usual size is said."""
+    """Pictures of an unusual size are named, with the usual size."""
     left, right = images["v0"]
     views = Views([BOARD])
     views.add([Pair.of_images("v0", left, right), Pair.of_images("v1", *images["v1"])])

@@ -1,4 +1,4 @@
-"""Whether the rig in use still holds, asked over HTTP of a stage whose true rig is known."""
+"""Checking the rig in use over HTTP, on a stage whose true rig is known."""
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ BOARD = "chessboard:11x8:4"
 
 @pytest.mark.slow
 async def test_a_check_says_whether_the_rig_is_what_the_cameras_are(tmp_path: Path) -> None:
-    """The true rig holds; half a percent of baseline is a length that is wrong by as much, and no row; a
-    camera that turned by a pixel is rows that are off by as much; without a board nothing is said of either.
+    """The true rig holds; half a percent of baseline gives lengths wrong by as much with good rows; a camera
+    turned by a pixel gives rows off by as much; without a board there is no verdict.
     """
     async with staged(tmp_path, gige=False) as newcomer:
         body = {**newcomer.token, "board": BOARD}
@@ -55,7 +55,7 @@ async def test_a_check_says_whether_the_rig_is_what_the_cameras_are(tmp_path: Pa
             assert rig.calibration_id == document["calibration"]
             return dict(document)
 
-        # half a percent of baseline: every length is half a percent longer, and every row where it was
+        # with half a percent of baseline every length is half a percent longer, and every row unchanged
         relation = true.right_from_left.copy()
         relation[:3, 3] *= 1.005
         wide = await checked(replace(true, right_from_left=relation, calibration_id="wide"))
@@ -64,7 +64,7 @@ async def test_a_check_says_whether_the_rig_is_what_the_cameras_are(tmp_path: Pa
         assert 0.5 == pytest.approx(length["error_percent"], abs=0.05)
         assert 0.1 == length["limit_percent"]
 
-        # about its X axis, by the angle of one pixel
+        # about its X axis, by the angle of a pixel
         turn = transform(rotation_matrix(np.array([1 / true.right.matrix[1, 1], 0, 0])), np.zeros(3))
         turned = replace(true, right_from_left=turn @ true.right_from_left, calibration_id="turned")
         rows = (await checked(turned))["rows"]
@@ -107,7 +107,7 @@ def _size(length: OfferedLength) -> tuple[str, float | None]:
 
 @pytest.mark.slow
 async def test_a_part_of_known_size_says_whether_the_rig_holds(tmp_path: Path) -> None:
-    """Its diameter comes out as drawn; a baseline one percent too long makes it one percent too large."""
+    """The part's diameter is as drawn, and a baseline one percent too long makes it one percent too large."""
     cell = SmallCell(tmp_path / "cell", source="virtual-inprocess")
     left, right = pictures(cell.virtual, 1)[0]
     pair = FramePair(Frame("left", 1, left, 0, 0), Frame("right", 1, right, 0, 0))

@@ -1,4 +1,4 @@
-"""Drafts of calibrations: a kill loses nothing, nothing hostile is read, every step can be undone."""
+"""Drafts of calibrations: they survive kills, reject hostile files, and every step can be undone."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def begin(folder: Path, boards: Sequence[str] = (SPEC,)) -> Draft:
 
 
 def add(draft: Draft, left: Seen = SEEN) -> str:
-    """A view whose pictures are of no matter."""
+    """Add a view with arbitrary pictures."""
     name = draft.next_view
     for side in ("left", "right"):
         (draft.pictures / f"{name}_{side}.png").write_bytes(b"png")
@@ -39,12 +39,12 @@ def add(draft: Draft, left: Seen = SEEN) -> str:
 
 
 def again(folder: Path, draft: Draft) -> Draft:
-    """The same, as another process reads it."""
+    """The same draft, loaded as by another process."""
     return Drafts(folder).load(draft.state.id)
 
 
 def test_a_draft_is_on_disc_after_each_step(tmp_path: Path) -> None:
-    """Another process finds the same state, revision by revision."""
+    """After each step another process loads the same state and revision."""
     draft = begin(tmp_path)
     steps = [
         lambda: add(draft),
@@ -72,7 +72,7 @@ def test_a_draft_is_on_disc_after_each_step(tmp_path: Path) -> None:
 
 
 def test_every_step_can_be_undone_and_done_again(tmp_path: Path) -> None:
-    """Until something else is done; names of views that were undone are not given again."""
+    """Undo and redo work until another change, and names of undone views are not reused."""
     draft = begin(tmp_path)
     first, second = add(draft), add(draft)
     draft.remove(first)
@@ -97,7 +97,7 @@ def test_every_step_can_be_undone_and_done_again(tmp_path: Path) -> None:
 
 
 def test_a_solution_is_of_the_views_it_was_made_of(tmp_path: Path) -> None:
-    """With one more or less it is none any more; a goal changes nothing."""
+    """A solution is dropped when its views change, but not when the goal does."""
     draft = begin(tmp_path)
     add(draft)
     draft.solve(Solution("first", b"old", b"", {}))
@@ -115,7 +115,7 @@ def test_a_solution_is_of_the_views_it_was_made_of(tmp_path: Path) -> None:
 
 
 def test_a_board_is_stated_before_the_first_view(tmp_path: Path) -> None:
-    """What it was looked for by cannot change afterwards; what is no board is refused."""
+    """The board cannot be changed after the first view, and an invalid one is refused."""
     draft = begin(tmp_path, [])
     assert () == draft.state.board_models
     with pytest.raises(CalibrationError, match="is not a kind of board"):
@@ -128,7 +128,7 @@ def test_a_board_is_stated_before_the_first_view(tmp_path: Path) -> None:
 
 
 def test_old_drafts_go(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The youngest are kept, and listed first."""
+    """Only the newest drafts are kept, listed newest first."""
     monkeypatch.setattr(drafts_module, "KEPT", 2)
     made = [
         Drafts(tmp_path).create("Anna", [SPEC], None, "division", NOW.replace(second=second)).state.id
@@ -162,7 +162,7 @@ def test_old_drafts_go(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     ],
 )
 def test_what_is_no_draft_is_refused_by_place(tmp_path: Path, change: dict[str, Any], expected: str) -> None:
-    """File, field and what was expected; nothing of it is used."""
+    """The error names file, field and expected value."""
     draft = begin(tmp_path)
     add(draft)
     file = draft.folder / "state.json"
@@ -174,7 +174,7 @@ def test_what_is_no_draft_is_refused_by_place(tmp_path: Path, change: dict[str, 
 
 @pytest.mark.parametrize("content", [b"", b"{", b"[]", b"\xff", b"[" * 100_000, b'{"done": NaN}'])
 def test_garbage_is_refused(tmp_path: Path, content: bytes) -> None:
-    """Whatever a disc may hold after all."""
+    """An invalid state file is refused by name."""
     draft = begin(tmp_path)
     (draft.folder / "state.json").write_bytes(content)
     with pytest.raises(FileFormatError, match=r"state\.json"):
@@ -182,7 +182,7 @@ def test_garbage_is_refused(tmp_path: Path, content: bytes) -> None:
 
 
 def test_pictures_are_files_of_the_draft(tmp_path: Path) -> None:
-    """Not gone, and no link that leads elsewhere."""
+    """A missing picture, or a link to elsewhere, is refused."""
     draft = begin(tmp_path)
     name = add(draft)
     picture = draft.pictures / f"{name}_left.png"
@@ -196,7 +196,7 @@ def test_pictures_are_files_of_the_draft(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_a_kept_pair_is_found_again(tmp_path: Path) -> None:
-    """What its files show after a restart is what was seen when they were written."""
+    """Looking again at a kept pair gives the same results as when it was written."""
     draft = begin(tmp_path)
     (left, right), seen_left, _ = keep_pair(draft.folder, "view_001", *pairs(1)[0], [BOARD])
     found = look_again(draft.pictures, ["view_001"], [BOARD])["view_001"]
@@ -208,7 +208,7 @@ def test_a_kept_pair_is_found_again(tmp_path: Path) -> None:
 
 
 def test_a_disc_that_refuses_costs_the_pair_alone(tmp_path: Path) -> None:
-    """It is said; the draft is as it was."""
+    """If the disk refuses a pair, an error says so and the draft is unchanged."""
     draft = begin(tmp_path)
     (draft.folder / "small").rmdir()
     with pytest.raises(CalibrationError, match="the pair cannot be kept: No such file"):
@@ -218,7 +218,7 @@ def test_a_disc_that_refuses_costs_the_pair_alone(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_power_cuts_leave_the_draft_of_before_or_after_a_step(tmp_path: Path) -> None:
-    """At any call, in any order that a disc may keep: what is read is one of the states there were."""
+    """After a power cut at any call, the loaded draft has one of its earlier states."""
     root = tmp_path / "real"
     root.mkdir()
     record, states = Record(root), []

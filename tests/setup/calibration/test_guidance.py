@@ -1,4 +1,4 @@
-"""From view to view: what the calibration is worth, where the board should be next, and the rig at last."""
+"""Guidance between views: the calibration's quality, the board's next place, and the final rig."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from edged.vision.calibration.nextbestview import plan_views
 
 @pytest.fixture(scope="module")
 def kept(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Views]:
-    """Six pairs in a draft's folder, and what they show."""
+    """Six pairs in a draft's folder, and their views."""
     folder = tmp_path_factory.mktemp("draft")
     for place in ("pictures", "small"):
         (folder / place).mkdir()
@@ -46,7 +46,7 @@ def some(views: Views, count: int) -> Views:
 
 @pytest.mark.slow
 def test_too_few_views_say_so_and_ask_for_the_next_tilt(kept: tuple[Path, Views]) -> None:
-    """With the solver's code; another tilt with each view."""
+    """With too few views the trouble has the solver's code, and each view asks for another tilt."""
     one, two = guide(some(kept[1], 1), "division"), guide(some(kept[1], 2), "division")
 
     assert one.trouble is not None
@@ -57,7 +57,7 @@ def test_too_few_views_say_so_and_ask_for_the_next_tilt(kept: tuple[Path, Views]
 
 @pytest.mark.slow
 def test_each_view_is_worth_what_the_ghost_promised(kept: tuple[Path, Views]) -> None:
-    """A pair taken as it is drawn: its outline is the ghost's, and sigma falls to about what was said."""
+    """A pair taken at the ghost has its outline, and lowers sigma to about the predicted value."""
     _, views = kept
     before = guide(views, "division", goal_um=1.0)
     assert before.sigma_um is not None
@@ -82,7 +82,7 @@ def test_each_view_is_worth_what_the_ghost_promised(kept: tuple[Path, Views]) ->
 
 @pytest.mark.slow
 def test_sigma_is_believed_the_more_views_there_are() -> None:
-    """Of marks that are better than usual, few views state the usual sigma, many what they are worth."""
+    """With few views the usual mark noise is stated, and with many the observed one."""
 
     def excess(count: int) -> float:
         seen = synthetic_views(RIG, BOARD, board_poses(RIG, BOARD, count, 1), 0.004, 1)
@@ -105,7 +105,7 @@ def test_sigma_is_believed_the_more_views_there_are() -> None:
 def test_a_draft_and_the_command_give_the_same_rig_to_the_last_bit(
     kept: tuple[Path, Views], tmp_path: Path
 ) -> None:
-    """The same pictures, the same file, byte by byte: parameters, covariance, identity, quality."""
+    """From the same pictures both write the same rig file, byte for byte."""
     pictures, views = kept
     output = tmp_path / "rig.json"
     calibrate(pictures, SPEC, output, "division", None, Console(file=io.StringIO()))
@@ -135,7 +135,7 @@ def test_a_draft_and_the_command_give_the_same_rig_to_the_last_bit(
 
 @pytest.mark.slow
 def test_points_move_by_as_much_as_the_rig_did() -> None:
-    """Ten micrometres of baseline more: points lie farther by their share; other cameras are not compared."""
+    """With a longer baseline points move by its share, and other cameras are not compared."""
     from dataclasses import replace
 
     views = Views([BOARD])

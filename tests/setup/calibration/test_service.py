@@ -29,7 +29,8 @@ from edged.vision.geometry.uncertainty import calibration_covariance
 
 @pytest.mark.slow
 async def test_views_become_a_rig_that_is_right(tmp_path: Path) -> None:
-    """Over HTTP: suggestions, a solution with its report, its activation, and points where they truly are."""
+    """Over HTTP there are suggestions, a solution with its report and its activation, and measured points
+    are true."""
     async with BoardCell(tmp_path).running(page_is_here=False) as cell:
         place, token = await with_views(cell, 6)
         draft = await cell.until(place, lambda draft: not draft["guiding"])
@@ -76,7 +77,8 @@ async def test_views_become_a_rig_that_is_right(tmp_path: Path) -> None:
 
 
 def error_in_sigmas(rig: StereoRig) -> float:
-    """Of points all over the volume, measured in pictures of the true rig, over what the rig states."""
+    """Largest error of points in the working volume, measured with pictures of the true rig, over the
+    stated sigma."""
     depth_mm = RIG.baseline_mm / (2 * np.tan(np.radians(12)))
     x, y, z = np.meshgrid([-20.0, 0.0, 20.0], [-15.0, 0.0, 15.0], [0.95 * depth_mm, 1.05 * depth_mm])
     points = np.column_stack([x.ravel(), y.ravel(), z.ravel()])
@@ -89,7 +91,7 @@ def error_in_sigmas(rig: StereoRig) -> float:
 
 @pytest.mark.slow
 async def test_pictures_take_themselves_when_the_board_is_still(tmp_path: Path) -> None:
-    """The board is recognised, pairs come over the socket, and one is taken of each place it is held at."""
+    """The board is recognised in live pairs, and a view is taken of each place where it rests."""
     async with BoardCell(tmp_path).running() as cell:
         _, entered = await cell.ask("POST", "/setup", {"name": "Anna"})
         token = entered["token"]
@@ -121,7 +123,7 @@ async def test_pictures_take_themselves_when_the_board_is_still(tmp_path: Path) 
 
 
 async def look(socket: aiohttp.ClientWebSocketResponse) -> None:
-    """A tab that has seen each pair at once."""
+    """A tab that acknowledges each pair at once."""
     async for message in socket:
         if message.type is aiohttp.WSMsgType.TEXT and "number" in (told := message.json()):
             await socket.send_json({"seen": told["number"]})
@@ -129,7 +131,7 @@ async def look(socket: aiohttp.ClientWebSocketResponse) -> None:
 
 @pytest.mark.slow
 async def test_a_draft_survives_the_daemon(tmp_path: Path) -> None:
-    """Views, what was left out and undone: the next daemon goes on with the same, and suggests the same."""
+    """Another daemon continues with the same views, undo history and suggestion."""
     cell = BoardCell(tmp_path)
 
     async with cell.running():
@@ -150,11 +152,12 @@ async def test_a_draft_survives_the_daemon(tmp_path: Path) -> None:
 async def test_a_worker_that_is_killed_costs_one_task(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """While it solves, keeps a pair or suggests: that has failed and says so, and the draft is as it was."""
+    """If the worker is killed while solving, keeping a pair or suggesting, that task fails and the draft
+    is kept."""
     async with BoardCell(tmp_path).running() as cell:
         place, token = await with_views(cell, 3)
         await cell.until(place, lambda draft: not draft["guiding"])
-        # nobody else knows its process, nor what it can do
+        # no other reference knows its process
         worker = worker_of(cell.pages)
         functions = worker._functions  # noqa: SLF001  (as above)
         with monkeypatch.context() as patch:
@@ -183,7 +186,7 @@ async def test_a_worker_that_is_killed_costs_one_task(
 
 @pytest.mark.slow
 async def test_a_discarded_draft_is_gone_with_what_was_under_way_for_it(tmp_path: Path) -> None:
-    """Suggestions, a solution, views by themselves: ended. What is begun next is as if it was the first."""
+    """Discarding cancels suggestions, solving and automatic views, and the next draft is independent."""
     async with BoardCell(tmp_path).running() as cell:
         place, token = await with_views(cell, 3)
         _, begun = await cell.ask("POST", f"{place}/solve", {})
@@ -207,7 +210,7 @@ async def test_a_discarded_draft_is_gone_with_what_was_under_way_for_it(tmp_path
 
 @pytest.mark.slow
 async def test_live_pairs_are_looked_at_for_the_draft_that_somebody_goes_on_with(tmp_path: Path) -> None:
-    """The one begun last, until somebody goes on with another; the others take no view by themselves."""
+    """Live pairs are for the draft begun or continued last; others take no view automatically."""
     async with BoardCell(tmp_path).running() as cell:
         _, entered = await cell.ask("POST", "/setup", {"name": "Anna"})
         token = entered["token"]
@@ -238,12 +241,12 @@ WRONG: dict[str, tuple[str, Callable[[int], tuple[Image, Image]]]] = {
     "calibration_moving": (SPEC, lambda view: (pairs(6)[view][0], pairs(6)[view - 1][1])),
     "calibration_few_views": (SPEC, lambda view: tuple(np.full_like(one, 90) for one in pairs(6)[view])),
 }
-"""Mistakes that pictures can tell: what is stated, and what a view shows."""
+"""Mistakes visible in pictures: the stated board, and what a view shows."""
 
 
 @pytest.mark.slow
 async def test_a_mistake_at_the_board_has_a_name(tmp_path: Path) -> None:
-    """Each with a code of its own, for which the page has a sentence with the remedy; nothing is solved."""
+    """Each mistake has a code of its own, and nothing is solved."""
     async with BoardCell(tmp_path).running() as cell:
         _, entered = await cell.ask("POST", "/setup", {"name": "Anna"})
         for code, (stated, view) in WRONG.items():
@@ -265,7 +268,7 @@ async def test_a_mistake_at_the_board_has_a_name(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 async def test_another_board_than_the_stated_one_is_told_at_once(tmp_path: Path) -> None:
-    """Before anybody has taken a view of it."""
+    """Another board is reported before any view is taken."""
     async with BoardCell(tmp_path).running() as cell:
         _, entered = await cell.ask("POST", "/setup", {"name": "Anna"})
         _, draft = await cell.ask("POST", "/calibrations", {"boards": ["chessboard:9x6:6"]})
@@ -284,14 +287,14 @@ async def test_another_board_than_the_stated_one_is_told_at_once(tmp_path: Path)
 
 
 async def refused(cell: BoardCell, method: str, path: str, document: Any = None) -> tuple[int, str]:
-    """Status and code."""
+    """Status and error code."""
     status, problem = await cell.ask(method, path, {} if document is None else document)
     return status, problem["code"]
 
 
 @pytest.mark.slow
 async def test_what_cannot_be_is_refused_with_a_code(tmp_path: Path) -> None:
-    """No board, no lease, nothing of that name, nothing to undo or to solve; and nothing changes."""
+    """Requests without board, lease, known id, or anything to undo or solve are refused with a code."""
     async with BoardCell(tmp_path).running() as cell:
         assert (422, "calibration") == await refused(
             cell, "POST", "/calibrations", {"boards": ["carpet:1x1:1"]}

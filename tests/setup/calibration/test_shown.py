@@ -1,4 +1,4 @@
-"""What live pictures show: where the board is, whether it is still, and what is waited for."""
+"""What live pictures show: where the board is, whether it rests, and what is awaited."""
 
 from __future__ import annotations
 
@@ -45,19 +45,19 @@ TRUE = np.array(outlines_of(RIG, BOARD, POSE))
 
 
 def watched(outlines: FloatArray = TRUE) -> Watched:
-    """A look that found these."""
+    """A look that found these outlines."""
     left, right = (Seen(outline, "", "", clipped=False) for outline in outlines)
     return Watched(left, right, (640, 480))
 
 
 def ghost(outlines: FloatArray) -> Ghost:
-    """To bring the board there."""
+    """A ghost at these outlines."""
     return Ghost(outlines[0], outlines[1], None, "", "")
 
 
 @pytest.mark.parametrize("turned", range(4))
 def test_a_board_in_space_is_where_it_was_whichever_corner_comes_first(turned: int) -> None:
-    """A plain board looks the same upside down: each picture may begin with another corner of it."""
+    """The corners in space are right, whichever corner each picture begins with."""
     for number, pose in enumerate(board_poses(RIG, BOARD, 6, seed=3)):
         outlines = np.array(outlines_of(RIG, BOARD, pose))
         right = np.roll(outlines[1] if turned < 3 else outlines[1][::-1], turned, axis=0)
@@ -66,14 +66,14 @@ def test_a_board_in_space_is_where_it_was_whichever_corner_comes_first(turned: i
 
 
 def test_what_no_order_explains_is_no_board_in_space() -> None:
-    """Corners of two boards do not meet anywhere."""
+    """Outlines of two different poses give no corners in space."""
     first, other = board_poses(RIG, BOARD, 2, seed=3)
     left, right = outlines_of(RIG, BOARD, first)[0], outlines_of(RIG, BOARD, other)[1]
     assert np.isnan(corners_in_space(RIG, np.array([left, right]))).all()
 
 
 def test_an_outline_is_where_the_board_is() -> None:
-    """In both pictures, to a pixel: the lens bends it by less."""
+    """In both pictures the outline is right to a pixel."""
     found = watch(*pairs(1)[0], [BOARD])
 
     assert found.is_seen
@@ -83,7 +83,7 @@ def test_an_outline_is_where_the_board_is() -> None:
 
 @pytest.mark.slow
 def test_a_large_picture_is_looked_at_in_half_the_size() -> None:
-    """Outlines are of the full one all the same."""
+    """The outlines are in pixels of the full picture."""
     rig, board = make_rig(), parse_board("chessboard:8x6:5")
     pose = board_poses(rig, board, 1, seed=3)[0]
     left = draw_board(board, rig.left, pose, noise=1.5)
@@ -97,7 +97,7 @@ def test_a_large_picture_is_looked_at_in_half_the_size() -> None:
 
 @pytest.mark.slow
 def test_why_there_is_none() -> None:
-    """Too dark and too bright are told apart from a picture of something else; with the detector's words."""
+    """Too dark, too bright and no board are told apart, with the detector's reason."""
     left, right = pairs(1)[0]
 
     for picture, expected in (
@@ -113,7 +113,7 @@ def test_why_there_is_none() -> None:
 
 
 def test_glare_on_the_board_is_told() -> None:
-    """Whites beyond what the camera can tell."""
+    """Saturated whites on the board are reported."""
     left, right = pairs(1)[0]
     bright = np.clip(left.astype(np.int64) * 2, 0, 255).astype(np.uint8)
 
@@ -124,7 +124,7 @@ def test_glare_on_the_board_is_told() -> None:
 
 @pytest.mark.slow
 def test_without_a_board_it_is_recognised() -> None:
-    """Kind and size, in units of its pitch; and found at once."""
+    """Kind and size are recognised, in units of its pitch, and the board is found at once."""
     found = watch(*pairs(1)[0], [])
 
     assert "chessboard:8x6:1" == str(found.recognised)
@@ -132,7 +132,7 @@ def test_without_a_board_it_is_recognised() -> None:
 
 
 def test_still_is_what_does_not_move_for_a_while() -> None:
-    """Not after one look, not before the time, and from then on with each look."""
+    """A board is still only after it has rested for STILL_S, and no longer once it is lost."""
     stillness = Stillness()
     times = np.arange(0.0, 1.3, 0.2)
 
@@ -145,7 +145,7 @@ def test_still_is_what_does_not_move_for_a_while() -> None:
 
 @pytest.mark.parametrize(("moved_px", "still"), [(0.5 * STILL_SHARE * 640, True), (3.0, False)])
 def test_a_hand_may_tremble(moved_px: float, still: bool) -> None:
-    """By as much as smears no edge; not by more, in either picture."""
+    """A small tremble counts as still, a larger one in either picture does not."""
     stillness = Stillness()
     for number in range(8):
         outlines = TRUE + np.array([[[0.0, 0.0]], [[moved_px * (-1) ** number, 0.0]]])
@@ -155,7 +155,7 @@ def test_a_hand_may_tremble(moved_px: float, still: bool) -> None:
 
 
 def test_nobody_knows_what_happened_in_a_gap() -> None:
-    """Two looks at one place, far apart in time, are not still."""
+    """Two looks far apart in time are not still."""
     stillness = Stillness()
     stillness.look(0.0, watched())
 
@@ -163,7 +163,7 @@ def test_nobody_knows_what_happened_in_a_gap() -> None:
 
 
 def test_the_ghost_fills_as_the_board_comes_nearer() -> None:
-    """1 where it is wanted, whichever corner is the first; less with each step away, and 0 elsewhere."""
+    """Nearness is 1 at the ghost, whichever corner is first, falls with the distance, and is 0 far away."""
     diagonal = diagonal_px(TRUE)
 
     near = [nearness(watched(TRUE + share * diagonal), ghost(TRUE)) for share in (0.0, 0.05, 0.1, 1.0)]
@@ -174,7 +174,7 @@ def test_the_ghost_fills_as_the_board_comes_nearer() -> None:
 
 
 def test_a_pair_is_taken_in_the_ghost_or_where_none_was() -> None:
-    """Held still; not where a view is already, and not anywhere else."""
+    """A still pair is taken within the ghost or where there is no view yet, and nowhere else."""
     diagonal = diagonal_px(TRUE)
     beside, far = TRUE + 0.1 * diagonal, TRUE + 0.6 * diagonal
 
@@ -192,7 +192,7 @@ def test_a_pair_is_taken_in_the_ghost_or_where_none_was() -> None:
 
 
 def test_a_ghost_beside_a_view_is_no_trap() -> None:
-    """Within a hand's miss of both, a board is taken where it is nearer to the ghost than to the view."""
+    """Close to both, a board is taken if it is nearer to the ghost than to the view."""
     step = 0.08 * diagonal_px(TRUE) / np.sqrt(2.0)
     wanted, nearer = ghost(TRUE + step), watched(TRUE + 0.55 * step)
 
@@ -217,9 +217,10 @@ def test_a_ghost_beside_a_view_is_no_trap() -> None:
 def test_another_ghost_is_offered_where_no_view_comes_of_one(
     seen: FloatArray | None, still: bool, expected_s: float | None
 ) -> None:
-    """Soon where the board rests in it, later where it rests elsewhere or is not seen; never while it moves.
+    """Another ghost is offered soon if the board rests in it, later if it rests elsewhere or is not seen, and
+    never while it moves.
 
-    Each in its turn, and the best first once other ghosts are known."""
+    Ghosts come in turn, and the best one first once others are known."""
     patience, ghosts = Patience(), [ghost(TRUE), ghost(TRUE + 1.0)]
     look = watched() if seen is None else watched(seen)
     if seen is None:
@@ -240,7 +241,7 @@ def test_another_ghost_is_offered_where_no_view_comes_of_one(
 
 
 def test_before_any_calibration_there_is_a_ghost_in_the_left_picture() -> None:
-    """Four tilts in turn, whole in the picture; the right picture has none, and counts for nothing."""
+    """Four tilts come in turn, fully within the left picture, and the right picture has no ghost."""
     found = [first_ghosts(BOARD, (640, 480), views)[0] for views in range(5)]
 
     assert 4 == len({one.code for one in found})
@@ -253,7 +254,7 @@ def test_before_any_calibration_there_is_a_ghost_in_the_left_picture() -> None:
 
 
 def test_the_first_ghosts_are_as_far_as_the_board_is_held() -> None:
-    """Held farther away, it is asked for there; where it is not seen, at a usual distance."""
+    """The first ghosts are as large as the board appears, or of a usual size if it is not seen."""
     far = watched(np.array([one.mean(axis=0) + 0.7 * (one - one.mean(axis=0)) for one in TRUE]))
     assert pytest.approx(0.7 * held_share(watched())) == held_share(far)
     assert FIRST_SHARE == held_share(replace(far, right=Seen(None, "dark", "", clipped=False)))
@@ -266,7 +267,7 @@ def test_the_first_ghosts_are_as_far_as_the_board_is_held() -> None:
 
 @pytest.mark.slow
 def test_a_board_at_an_angle_looks_as_its_ghost() -> None:
-    """What is drawn and what is found are the same four corners: held there, the board fills its ghost."""
+    """A board held at its ghost fills it by more than 0.98."""
     left, right = outlines_of(RIG, BOARD, POSE)
 
     assert nearness(watch(*drawn(POSE), [BOARD]), Ghost(left, right, None, "", "")) > 0.98

@@ -1,4 +1,4 @@
-"""A fetched release becomes active by itself once recordings speak for it, and goes back if it is worse."""
+"""A fetched release becomes active automatically once recordings support it, and is rolled back if worse."""
 
 from __future__ import annotations
 
@@ -20,18 +20,18 @@ from edged.setup.releases.installing import finish_installation
 from edged.setup.releases.jobsfolder import jobs_in
 
 CUTS = int(os.environ.get("EDGED_POWER_CUTS", "12"))
-"""Spread over all writes; a number that is larger than theirs cuts at each."""
+"""Number of power cuts spread over all writes; a number above theirs cuts at each."""
 
 
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory: pytest.TempPathFactory) -> GatedCell:
-    """The demo's flange, six good cycles, and a window at night."""
+    """The demo's flange, six good cycles, and a maintenance window at night."""
     return gated_cell(tmp_path_factory.mktemp("gate") / "cell")
 
 
 @pytest.fixture
 def cell(recorded: GatedCell, tmp_path: Path) -> GatedCell:
-    """One's own."""
+    """A copy for one test."""
     return GatedCell(shutil.copytree(recorded.folder, tmp_path / "cell"), recorded.pairs)
 
 
@@ -40,12 +40,12 @@ def stricter(text: str) -> str:
     return text.replace("max_sigma_mm = 0.2", "max_sigma_mm = 0.000001")
 
 
-# --- the way of a good release ----------------------------------------------------------------------
+# --- a good release ---------------------------------------------------------------------------------
 
 
 @pytest.mark.slow
 async def test_a_good_release_waits_for_leave_and_stays_after_its_probation(cell: GatedCell) -> None:
-    """Neither while the plant's PLC locks the cell, nor while a person has it, nor outside the window."""
+    """It is not activated while the PLC locks the cell, a person has it, or outside the window."""
     before = cell.fingerprint
     cell.stage(edited(cell.folder, better))
     assert "waiting" == (await cell.step()).step
@@ -70,7 +70,7 @@ async def test_a_good_release_waits_for_leave_and_stays_after_its_probation(cell
 
 @pytest.mark.slow
 async def test_a_release_that_turns_the_part_by_180_degrees_is_refused(cell: GatedCell) -> None:
-    """Every cycle stays good, and every place as it was: the turn alone betrays it, whatever it may move."""
+    """The turn is found although every cycle stays good at its place, whatever displacement is allowed."""
     before = cell.fingerprint
     for name, may_move_um in (("r1", 0), ("r2", 1_000_000)):
         cell.stage(edited(cell.folder, turned), name, may_move_um=may_move_um)
@@ -82,7 +82,8 @@ async def test_a_release_that_turns_the_part_by_180_degrees_is_refused(cell: Gat
 
 @pytest.mark.slow
 async def test_a_release_that_makes_good_recordings_bad_is_refused(cell: GatedCell) -> None:
-    """And the same release is not tried again; another one is."""
+    """It is refused with the number of cycles that become bad, and not tried again, unlike another
+    release."""
     cell.stage(edited(cell.folder, stricter))
     note = await cell.step()
     assert "refused" == note.step
@@ -94,7 +95,7 @@ async def test_a_release_that_makes_good_recordings_bad_is_refused(cell: GatedCe
 
 @pytest.mark.slow
 async def test_a_cell_that_has_recorded_too_little_takes_nothing_by_itself(cell: GatedCell) -> None:
-    """It could not tell whether it still measures as it did."""
+    """It is refused with the number of recorded good cycles."""
     shutil.rmtree(cell.folder / "recordings" / "cycles")
     cell.stage(edited(cell.folder, better))
     note = await cell.step()
@@ -104,7 +105,7 @@ async def test_a_cell_that_has_recorded_too_little_takes_nothing_by_itself(cell:
 
 @pytest.mark.slow
 async def test_a_new_job_comes_beside_the_others(cell: GatedCell) -> None:
-    """Nothing recorded is measured otherwise, and there is nothing to compare it with."""
+    """A new job is activated without a comparison, as no recording uses it."""
     jobs = {place.replace("flange", "lid", 1): data for place, data in jobs_in(cell.folder / "jobs").items()}
     text = jobs["lid/job.toml"].decode().replace('"flange"', '"lid"').replace("number = 1 ", "number = 2 ")
     cell.stage({**jobs, "lid/job.toml": text.encode()})
@@ -129,7 +130,7 @@ async def test_a_new_job_comes_beside_the_others(cell: GatedCell) -> None:
 async def test_a_release_that_does_worse_goes_back_by_itself_once_the_plant_lets_it(
     cell: GatedCell, measured: dict[str, Any], why: str
 ) -> None:
-    """At any time of day, and never while the PLC locks the cell: it says so. Files are as before."""
+    """It is rolled back at any time of day, but not while the PLC locks the cell, and files are as before."""
     before, jobs = cell.fingerprint, jobs_in(cell.folder / "jobs")
     cell.measure(60)
     cell.stage(edited(cell.folder, better))
@@ -147,7 +148,7 @@ async def test_a_release_that_does_worse_goes_back_by_itself_once_the_plant_lets
 
 @pytest.mark.slow
 async def test_what_a_person_changes_meanwhile_is_theirs(cell: GatedCell) -> None:
-    """The gate judges and takes back only what it has brought."""
+    """If a person changes the cell meanwhile, the gate leaves it alone."""
     cell.stage(edited(cell.folder, better))
     await cell.reach("probation")
     place = cell.folder / "jobs" / "flange" / TEXT
@@ -157,7 +158,7 @@ async def test_what_a_person_changes_meanwhile_is_theirs(cell: GatedCell) -> Non
 
 @pytest.mark.slow
 async def test_a_cell_that_refuses_it_goes_on_as_before(cell: GatedCell) -> None:
-    """The daemon's own check has the last word."""
+    """If the daemon refuses to reload, the release is refused and the cell unchanged."""
     before = cell.fingerprint
     cell.running.refuses = "no light"
     cell.stage(edited(cell.folder, better))
@@ -174,7 +175,7 @@ async def test_a_cell_that_refuses_it_goes_on_as_before(cell: GatedCell) -> None
 async def test_the_power_fails_at_any_write_and_the_cell_is_the_old_or_the_new_one(
     cell: GatedCell, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """From the first note of the gate to the roll-back: what starts afterwards goes on to the end."""
+    """At every write, from the first note to the roll-back, a restart continues to the end."""
     cell.measure(60)
     cell.stage(edited(cell.folder, better))
     kept, cut = cell.folder, failing_writes(monkeypatch)
@@ -188,7 +189,7 @@ async def test_the_power_fails_at_any_write_and_the_cell_is_the_old_or_the_new_o
             note = await there.reach(*DONE)
         return note
 
-    # without a cut: how many writes there are
+    # without a cut, to count the writes
     cut.at, cut.count = 10**9, 0
     first = shutil.copytree(kept, tmp_path / "first")
     expected = await whole_way(first)
@@ -203,7 +204,7 @@ async def test_the_power_fails_at_any_write_and_the_cell_is_the_old_or_the_new_o
             await whole_way(folder)
         except PowerCut:
             cut.at = -1
-        else:  # what the first one compiled or made in passing is there by now
+        else:  # what the first one compiled or made exists by now
             assert cut_at > 0.8 * writes
             break
         finish_installation(folder / "cell.toml")

@@ -1,4 +1,4 @@
-"""hawkBit, here a stub of its device API, says which release a cell takes; what the gate says goes back."""
+"""hawkBit (a stub of its device API) assigns a cell's release, and receives the gate's feedback."""
 
 from __future__ import annotations
 
@@ -19,24 +19,24 @@ TOKEN = "TargetToken 6f1d0c"
 
 
 class Assigning:
-    """A plant with two releases for nobody, and a cell that asks hawkBit."""
+    """A plant with two releases in no ring, and a cell that asks hawkBit."""
 
     def __init__(self, releases: Releases, config: Path, stub: DdiStub) -> None:
         self.releases, self.config, self.stub = releases, config, stub
         self.kept = page_folder(config) / "fleet"
 
     def assign(self, action: str, name: str) -> None:
-        """The file of a release, as somebody has put it into hawkBit."""
+        """Assign a release's file, as uploaded to hawkBit."""
         (file,) = (self.releases.repository / "targets/north").glob(f"*.{name}.jobs.tar.gz")
         digest = hashlib.sha256(file.read_bytes()).hexdigest()
         self.stub.assign(action, file, f"{name}.jobs.tar.gz", digest)
 
     def pull(self) -> int:
-        """A poll."""
+        """Poll once."""
         return exit_code("release", "pull", self.config)
 
     def gate(self, step: str, why: str) -> None:
-        """As the gate of the page notes a step of what was fetched."""
+        """Note a step of the fetched release, as the page's gate does."""
         staged = fetched_in(self.kept)
         assert staged is not None
         note = GateNote.model_validate({"staged": staged.model_dump(), "step": step, "why": why})
@@ -44,14 +44,14 @@ class Assigning:
 
     @property
     def fetched(self) -> str:
-        """Name of what was fetched last."""
+        """Name of the release fetched last."""
         staged = fetched_in(self.kept)
         return "" if staged is None else staged.offer.name
 
 
 @pytest.fixture(scope="module")
 def plant(tmp_path_factory: pytest.TempPathFactory, template: Path) -> Releases:
-    """Two releases in no ring, which hawkBit will assign."""
+    """Two releases in no ring, for hawkBit to assign."""
     releases = Releases(tmp_path_factory.mktemp("plant"))
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("EDGED_PASSPHRASE", PASSPHRASE)
@@ -66,7 +66,7 @@ def plant(tmp_path_factory: pytest.TempPathFactory, template: Path) -> Releases:
 def assigning(
     plant: Releases, own_cell: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> Iterator[Assigning]:
-    """The cell asks the stub over TLS."""
+    """A cell that asks the stub over TLS."""
     stub = DdiStub(TOKEN)
     with over_tls(stub.handler(), tmp_path / "tls") as url:
         monkeypatch.setenv("SSL_CERT_FILE", str(tmp_path / "tls" / "ca.pem"))
@@ -78,7 +78,8 @@ def assigning(
 
 
 def test_what_is_assigned_is_fetched_and_the_gate_closes_it(assigning: Assigning) -> None:
-    """No ring decides; each step is told once; the next assignment comes after it."""
+    """An assigned release is fetched regardless of rings, each step is reported once, and then the next
+    comes."""
     stub = assigning.stub
     assert (1, "") == (assigning.pull(), assigning.fetched)
     assigning.assign("7", "first")
@@ -102,7 +103,7 @@ def test_what_is_assigned_is_fetched_and_the_gate_closes_it(assigning: Assigning
 
 
 def test_what_no_plant_has_signed_is_closed_as_a_failure(assigning: Assigning) -> None:
-    """Another content by the name of a release: hawkBit is believed in nothing."""
+    """Other content under a release's name is not fetched, and closed as a failure."""
     (file,) = (assigning.releases.repository / "targets/north").glob("*.first.jobs.tar.gz")
     assigning.stub.assign("7", file, "first.jobs.tar.gz", "ab" * 32)
     assert (1, "") == (assigning.pull(), assigning.fetched)
@@ -111,7 +112,7 @@ def test_what_no_plant_has_signed_is_closed_as_a_failure(assigning: Assigning) -
 
 
 def test_what_is_taken_back_in_time_is_not_fetched_and_later_is_refused(assigning: Assigning) -> None:
-    """What the gate has begun goes its way, and closes the action as ever."""
+    """A cancelled assignment is not fetched; if the gate has begun, cancelling is refused."""
     stub = assigning.stub
     assigning.assign("7", "first")
     stub.stops.add("7")
@@ -135,7 +136,7 @@ def test_what_is_taken_back_in_time_is_not_fetched_and_later_is_refused(assignin
 def test_a_server_that_is_no_hawkbit_or_refuses_is_named(
     assigning: Assigning, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Nothing is fetched; the token stands in no message."""
+    """Nothing is fetched, and the error does not contain the token."""
     assigning.assign("7", "first")
     assigning.stub.token = "GatewayToken other"
     assert 2 == assigning.pull()

@@ -1,4 +1,4 @@
-"""Keys that sign releases, in a token of PKCS #11: SoftHSM's, which no private key leaves."""
+"""Signing keys in a PKCS #11 token (SoftHSM), which private keys never leave."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def token(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     made = [util, "--init-token", "--free", "--label", "plant", "--so-pin", "1234", "--pin", PIN]
     subprocess.run(made, check=True, capture_output=True)
     library = pkcs11.lib(str(LIBRARY))
-    library.reinitialize()  # SoftHSM reads its configuration once a process
+    library.reinitialize()  # SoftHSM reads its configuration once per process
     with library.get_token(token_label="plant").open(rw=True, user_pin=PIN) as session:
         curve = {pkcs11.Attribute.EC_PARAMS: pkcs11.util.ec.encode_named_curve_parameters("secp256r1")}
         parameters = session.create_domain_parameters(pkcs11.KeyType.EC, curve, local=True)
@@ -42,7 +42,7 @@ def token(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 def test_a_release_that_a_token_has_signed_is_fetched(
     own_cell: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """The plant's key lives there, and its public half is delegated to; a wrong PIN signs nothing."""
+    """A release signed by a delegated key in a token is fetched, and a wrong PIN signs nothing."""
     monkeypatch.setenv("EDGED_PASSPHRASE", PASSPHRASE)
     releases = Releases(tmp_path / "fleet")
     releases.make()

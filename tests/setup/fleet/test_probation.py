@@ -1,4 +1,4 @@
-"""Probation keeps a release that does as well as the one before, and withdraws a worse one in few cycles."""
+"""Probation keeps a release that does as well as the one before, and rolls back a worse one in few cycles."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ PARAMS = ProbationParams()
 
 
 def cycles(rng: np.random.Generator, number: int, bad_share: float, larger: float = 1.0) -> list[JudgedCycle]:
-    """Sigma is log-normal with a scatter of 10 %."""
+    """Cycles with log-normal sigmas of 10 % scatter."""
     good = rng.random(number) >= bad_share
     sigmas = 8.0 * larger * np.exp(rng.normal(0, 0.1, number))
     return [
@@ -27,7 +27,7 @@ def cycles(rng: np.random.Generator, number: int, bad_share: float, larger: floa
 
 
 def outcome(seed: int, bad_share: float, larger: float = 1.0) -> tuple[str, int]:
-    """The decision on one release, and after how many cycles; before it a hundredth was bad."""
+    """Decision on a release, and after how many cycles; before it one in a hundred was bad."""
     rng = np.random.default_rng(seed)
     before, after = baseline_of(cycles(rng, LAST, 0.01)), cycles(rng, PARAMS.most, bad_share, larger)
     tally = ProbationTally()
@@ -40,7 +40,7 @@ def outcome(seed: int, bad_share: float, larger: float = 1.0) -> tuple[str, int]
 
 @pytest.mark.slow
 def test_a_release_like_the_one_before_stays() -> None:
-    """99 of 100 at least: the baseline of 200 cycles is itself uncertain."""
+    """At least 99 of 100 equal releases are committed."""
     found = [outcome(seed, 0.01) for seed in range(100)]
     assert 99 <= sum(decision == "commit" for decision, _ in found)
     assert np.median([seen for _, seen in found]) < 300
@@ -49,14 +49,14 @@ def test_a_release_like_the_one_before_stays() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize(("bad_share", "larger", "most"), [(1.0, 1.0, 10), (0.3, 1.0, 40), (0.01, 1.6, 30)])
 def test_a_worse_release_goes_back_within_few_cycles(bad_share: float, larger: float, most: int) -> None:
-    """All cycles bad, or 30 % of them, or sigma 60 % larger."""
+    """All cycles bad, 30 % of them, or sigma 60 % larger is rolled back within few cycles."""
     found = [outcome(seed, bad_share, larger) for seed in range(50)]
     assert {"roll back"} == {decision for decision, _ in found}
     assert np.median([seen for _, seen in found]) < most
 
 
 def measured(rng: np.random.Generator, number: int, **changed: float) -> list[JudgedCycle]:
-    """Good cycles; changed : a factor of a figure, of the cameras' places mm."""
+    """Good cycles; changed : factor of a figure, or displacement of the cameras in mm."""
     usual: dict[Figure, float] = {"sigma": 8.0, "rows": 0.08, "time": 60.0}
     sides: tuple[Figure, Figure] = ("left", "right")
     made = []
@@ -77,7 +77,7 @@ def measured(rng: np.random.Generator, number: int, **changed: float) -> list[Ju
     ],
 )
 def test_the_figure_that_is_worse_is_named_with_how_much(changed: dict[str, float], why: str) -> None:
-    """After some ten cycles, which are counted; and nothing else is blamed."""
+    """The worse figure is named with its factor."""
     rng = np.random.default_rng(1)
     before = baseline_of(measured(rng, LAST), moves_marks=True)
     found = judge(before, counted(before, ProbationTally(), measured(rng, 12, **changed)))
@@ -90,7 +90,8 @@ def test_the_figure_that_is_worse_is_named_with_how_much(changed: dict[str, floa
 
 
 def test_a_slower_release_goes_back_and_a_busy_pc_does_not_send_one_back() -> None:
-    """A hundred cycles tell; some dozens that take longer may be of a backup, or of people on the page."""
+    """A slower release is rolled back after a hundred cycles, while some dozens of slow cycles are
+    tolerated."""
     rng = np.random.default_rng(1)
     before = baseline_of(measured(rng, LAST))
     slower = judge(before, counted(before, ProbationTally(), measured(rng, 100, time=2.0)))
@@ -101,7 +102,7 @@ def test_a_slower_release_goes_back_and_a_busy_pc_does_not_send_one_back() -> No
 
 
 def test_figures_as_before_commit_and_better_ones_too() -> None:
-    """Nothing is held against a release that is faster, with rows that meet better."""
+    """Equal and better figures are committed."""
     for changed in ({}, {"rows": 0.5, "time": 0.3}):
         rng = np.random.default_rng(2)
         before = baseline_of(measured(rng, LAST), moves_marks=True)
@@ -112,7 +113,7 @@ def test_figures_as_before_commit_and_better_ones_too() -> None:
 
 
 def test_cameras_that_go_away_slowly_are_seen_as_long_as_probation_lasts() -> None:
-    """Their test has said "as before" long ago, and goes on."""
+    """A slow displacement of a camera is found at any time during probation."""
     rng = np.random.default_rng(3)
     before, tally = baseline_of(measured(rng, LAST), moves_marks=True), ProbationTally()
     for index in range(60):
@@ -121,7 +122,7 @@ def test_cameras_that_go_away_slowly_are_seen_as_long_as_probation_lasts() -> No
 
 
 def test_jobs_are_not_blamed_for_where_cameras_are() -> None:
-    """They cannot move them; weather, people and another version of the software can."""
+    """A release of jobs is not judged by the cameras' positions."""
     rng = np.random.default_rng(4)
     before = baseline_of(measured(rng, LAST))
     assert {"sigma", "rows", "time"} == set(before.figures)
@@ -129,7 +130,7 @@ def test_jobs_are_not_blamed_for_where_cameras_are() -> None:
 
 
 def test_a_figure_of_few_cycles_is_not_compared() -> None:
-    """Its scatter would be a guess."""
+    """Figures of fewer than LEAST cycles are not compared."""
     rng = np.random.default_rng(5)
     assert not baseline_of(measured(rng, LEAST - 1)).figures
     assert baseline_of(measured(rng, LEAST)).figures
@@ -137,7 +138,7 @@ def test_a_figure_of_few_cycles_is_not_compared() -> None:
 
 @given(st.floats(0.05, 20.0), st.floats(0.1, 3.0))
 def test_bounded_steps_keep_the_bound_of_false_alarms(shift: float, bound: float) -> None:
-    """E0 exp(step) is 1 at most, whatever the shift in scatters: a supermartingale."""
+    """The expectation of exp(step) is at most 1 for any shift: a supermartingale."""
     x = np.linspace(-12, 12, 20001)
     steps = np.clip(shift * (x - shift / 2), -bound, bound)
     density = np.exp(-(x**2) / 2) / np.sqrt(2 * np.pi)
@@ -145,7 +146,7 @@ def test_bounded_steps_keep_the_bound_of_false_alarms(shift: float, bound: float
 
 
 def test_a_note_without_further_figures_is_what_earlier_versions_read_and_wrote() -> None:
-    """They know no other keys, and must read it once they are gone back to."""
+    """A note without further figures has exactly the keys of earlier versions, which can read it."""
     old = {"good": 3, "bad": 0, "sigmas": {"1": {"log": 2.0, "scatter": 0.1}}}
     before = Baseline.model_validate_json(json.dumps(old))
     assert old == before.model_dump(mode="json")
@@ -154,20 +155,20 @@ def test_a_note_without_further_figures_is_what_earlier_versions_read_and_wrote(
 
 
 def test_one_cycle_decides_nothing() -> None:
-    """Neither a miss nor one that is measured a hundred times less surely."""
+    """Neither a single miss nor a single cycle with a hundredfold sigma decides."""
     before = baseline_of(cycles(np.random.default_rng(0), LAST, 0.0))
     for single in (JudgedCycle(1, False), JudgedCycle(1, True, {"sigma": 800.0})):
         assert "go on" == judge(before, counted(before, ProbationTally(), [single])).decision
 
 
 def test_new_jobs_have_nothing_to_be_compared_with() -> None:
-    """They are kept, and it is said."""
+    """A release of new jobs is committed, with a reason that says so."""
     found = judge(baseline_of([]), counted(baseline_of([]), ProbationTally(), []))
     assert ("commit", True) == (found.decision, "new" in found.why)
 
 
 def test_what_is_counted_in_parts_is_what_is_counted_at_once() -> None:
-    """A recorder keeps fewer cycles than a probation takes, and its page may be started again."""
+    """Counting in parts gives the same tally as counting at once."""
     rng = np.random.default_rng(3)
     before = baseline_of(measured(rng, LAST), moves_marks=True)
     after = [*cycles(rng, 60, 0.1), *measured(rng, 60, rows=1.2)]

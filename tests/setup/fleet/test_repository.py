@@ -1,4 +1,4 @@
-"""A repository of releases: what is signed as it must be arrives, everything else is refused by its name."""
+"""A release repository: properly signed releases are fetched, everything else is refused by name."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from edged.setup.releases.jobsfolder import jobs_in
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory: pytest.TempPathFactory, template: Path) -> Releases:
-    """With one release for all, published."""
+    """A repository with one published release for all."""
     releases = Releases(tmp_path_factory.mktemp("releases"))
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("EDGED_PASSPHRASE", PASSPHRASE)
@@ -41,7 +41,7 @@ def made(tmp_path_factory: pytest.TempPathFactory, template: Path) -> Releases:
 
 @pytest.fixture
 def releases(made: Releases, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Releases:
-    """One's own."""
+    """A copy for one test."""
     monkeypatch.setenv("EDGED_PASSPHRASE", PASSPHRASE)
     shutil.copytree(made.keys.parent, tmp_path / "fleet")
     return Releases(tmp_path / "fleet")
@@ -49,21 +49,21 @@ def releases(made: Releases, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
 
 @pytest.fixture
 def cell(releases: Releases, own_cell: Path) -> Path:
-    """Configuration of a cell of the plant north."""
+    """Configuration of a cell of plant "north"."""
     config = own_cell / "cell.toml"
     config.write_text(config.read_text() + releases.section())
     return config
 
 
 def staged(cell: Path) -> dict[str, Any]:
-    """What was fetched."""
+    """The fetched release."""
     return dict(json.loads((page_folder(cell) / "fleet" / STAGED).read_bytes()))
 
 
 def test_a_release_arrives_from_a_folder_as_it_was_signed(
     releases: Releases, cell: Path, template: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """A stick is a folder: no network is asked. The jobs are the very ones that the plant has signed."""
+    """A folder is enough, without any network, and the fetched jobs are exactly the signed ones."""
     stick = shutil.copytree(releases.repository, tmp_path / "stick")
     shutil.rmtree(releases.repository / "targets")
     assert 0 == exit_code("release", "pull", cell, "--from", stick)
@@ -81,7 +81,7 @@ def test_a_release_arrives_from_a_static_https_server_that_the_cell_trusts(
     releases: Releases, cell: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:  # fmt: skip
-    """The cell asks; it opens no port. A server that shows a certificate of nobody is not believed."""
+    """The cell fetches over HTTPS, and refuses a server whose certificate it does not trust."""
     with served(releases.repository, tmp_path / "tls") as url:
         config = cell.read_text()
         cell.write_text(config.replace(str(releases.repository), url, 1))
@@ -113,7 +113,7 @@ def test_what_is_not_as_it_was_signed_is_refused_and_its_place_named(
     attack: Callable[[Releases], None], expected: str, releases: Releases, cell: Path,
     capsys: pytest.CaptureFixture[str],
 ) -> None:  # fmt: skip
-    """Nothing of it is fetched."""
+    """Nothing is fetched, and the error names the invalid metadata."""
     attack(releases)
     assert 2 == exit_code("release", "pull", cell)
     assert f"{releases.repository}: {expected}" in printed(capsys)
@@ -123,7 +123,7 @@ def test_what_is_not_as_it_was_signed_is_refused_and_its_place_named(
 def test_an_older_repository_than_the_cell_has_seen_is_refused(
     releases: Releases, cell: Path, tmp_path: Path, template: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Every signature in it is right, and it has not expired: it is the roll-back that the cell remembers."""
+    """An older state with valid signatures is refused as a roll-back."""
     before = shutil.copytree(releases.repository, tmp_path / "before")
     assert 0 == releases.sign("second", "--jobs", template / "jobs", "--ring", "all")
     assert 0 == releases.publish()
@@ -137,7 +137,7 @@ def test_an_older_repository_than_the_cell_has_seen_is_refused(
 def test_a_root_counts_once_enough_of_its_keys_have_signed(
     releases: Releases, cell: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """A key can be exchanged: the new root is signed by two of the old one, and cells follow it."""
+    """A new root counts once two of the old root's keys have signed it."""
     keys = [argument for key in ("root1", "root2", "root3") for argument in ("--key", releases.public(key))]
     counts = ("--targets", releases.public("targets"), "--online", releases.public("south"))
     assert 0 == exit_code("release", "root", releases.repository, *keys, *counts)
@@ -153,7 +153,7 @@ def test_a_root_counts_once_enough_of_its_keys_have_signed(
 def test_a_key_opens_by_its_passphrase_alone_and_is_never_replaced(
     releases: Releases, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """The private half is encrypted on disc, and its owner's alone."""
+    """The private key is encrypted with mode 600, and never overwritten."""
     file = releases.private("north")
     assert file.read_bytes().startswith(b"-----BEGIN ENCRYPTED PRIVATE KEY-----")
     assert 0o600 == file.stat().st_mode & 0o777
@@ -167,7 +167,7 @@ def test_a_key_opens_by_its_passphrase_alone_and_is_never_replaced(
 
 
 def test_rings_hold_one_cell_then_5_then_25_percent_then_all() -> None:
-    """Of 500 cells; each release begins with another cell, and every machine computes the same."""
+    """Of 500 cells the rings hold 1, 25, 125 and 500, beginning with another cell for each release."""
     cells = [f"cell-{number:03}" for number in range(500)]
     rings = [ring_of(cell, "r7", cells) for cell in cells]
     assert (1, 25, 125, 500) == tuple(sum(ring <= most for ring in rings) for most in (1, 2, 3, 4))
@@ -180,7 +180,7 @@ def test_rings_hold_one_cell_then_5_then_25_percent_then_all() -> None:
 def test_a_cell_takes_a_release_once_its_ring_is_reached(
     releases: Releases, cell: Path, template: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Widening needs the plant's key, and no server; before it the cell has the release of before."""
+    """A cell gets the release once its ring is reached, which only the plant's key can widen."""
     cells = tmp_path / "cells"
     cells.write_text("\n".join(f"other-{number}" for number in range(20)))
     ring = ("--ring", "1", "--cells", cells)
@@ -200,7 +200,7 @@ def test_a_cell_takes_a_release_once_its_ring_is_reached(
 def test_a_name_keeps_its_content(
     releases: Releases, tmp_path: Path, template: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """What a name once meant it means for ever; and what is no job is not signed as one."""
+    """A used name cannot be signed with other content, and invalid jobs are not signed."""
     other = shutil.copytree(template / "jobs", tmp_path / "jobs")
     text = next(other.iterdir()) / "job.toml"
     text.write_text(text.read_text() + "\n# another\n")
@@ -216,7 +216,7 @@ def test_a_name_keeps_its_content(
 def test_any_file_of_the_plant_arrives_verified_and_no_cell_takes_it_by_itself(
     releases: Releases, cell: Path, tmp_path: Path
 ) -> None:
-    """A template of a cell, or wheels: by name, for people."""
+    """Other files are fetched by name only, verified."""
     (tmp_path / "station.toml").write_text("[cell]\n")
     assert 0 == releases.sign("station.toml", "--file", tmp_path / "station.toml")
     assert 0 == releases.publish()

@@ -1,4 +1,4 @@
-"""A release of software: wheels by their hashes, tried by the new version itself, and a switch of a link."""
+"""A software release: wheels verified by hash, tried by the new version itself, and activated by a link."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ BOM = json.dumps(
 
 @pytest.fixture(scope="module")
 def keys(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Keys, and a repository in which nothing is signed."""
+    """Keys, and a repository without signed releases."""
     folder = tmp_path_factory.mktemp("keys")
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("EDGED_PASSPHRASE", PASSPHRASE)
@@ -56,13 +56,13 @@ def keys(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def releases(keys: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Releases:
-    """One's own."""
+    """A copy for one test."""
     monkeypatch.setenv("EDGED_PASSPHRASE", PASSPHRASE)
     return Releases(shutil.copytree(keys, tmp_path / "fleet"))
 
 
 def cell_of(releases: Releases, own_cell: Path, opt: Path) -> Path:
-    """Configuration of a cell that takes software."""
+    """Configuration of a cell that accepts software."""
     config = own_cell / "cell.toml"
     config.write_text(config.read_text() + releases.section() + f'software = "{opt}"\n')
     return config
@@ -72,7 +72,7 @@ def cell_of(releases: Releases, own_cell: Path, opt: Path) -> Path:
 def test_wheels_are_signed_fetched_and_installed_by_pip_beside_what_runs(
     releases: Releases, own_cell: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A real environment, from verified files alone: it runs, and measures as a release is tried."""
+    """The new environment is installed from verified files alone, runs, and measures."""
     monkeypatch.setattr("edged.setup.fleet.versions.WARM", "--version")  # compiles for minutes
     wheels, opt = tmp_path / "wheels", tmp_path / "opt"
     make_wheel(wheels, needs="small>=1")
@@ -99,7 +99,7 @@ def test_wheels_are_signed_fetched_and_installed_by_pip_beside_what_runs(
 def test_a_wheel_that_is_not_what_was_signed_is_not_installed(
     releases: Releases, own_cell: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Changed on the server, by one bit."""
+    """A wheel changed by one bit is refused."""
     wheels, opt = tmp_path / "wheels", tmp_path / "opt"
     make_wheel(wheels)
     assert 0 == releases.sign(NEW, "--wheels", wheels, "--ring", "all")
@@ -116,7 +116,7 @@ def test_a_wheel_that_is_not_what_was_signed_is_not_installed(
 
 @pytest.mark.parametrize("name", ["../evil-1-py3-none-any.whl", "evil.tar.gz", "a/b-1-py3-none-any.whl"])
 def test_a_bill_of_materials_names_no_other_place(name: str) -> None:
-    """Whoever signs it: files of a release lie in one folder."""
+    """A bill of materials with a path instead of a file name is refused."""
     with pytest.raises(FileFormatError, match="no release of software"):
         wheels_in(BOM.replace(b"edged-0.2.0-py3-none-any.whl", name.encode()), "place")
 
@@ -126,13 +126,13 @@ def test_a_bill_of_materials_names_no_other_place(name: str) -> None:
 
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory: pytest.TempPathFactory) -> GatedCell:
-    """With six good cycles."""
+    """A cell with six good cycles."""
     return gated_cell(tmp_path_factory.mktemp("software") / "cell")
 
 
 @pytest.fixture(scope="module")
 def measured(recorded: GatedCell) -> list[dict[str, Any]]:
-    """What any version says of them."""
+    """Results of any version for them."""
     return [dict(line) for line in measured_again(recorded.config, 10)]
 
 
@@ -143,7 +143,7 @@ Made = Callable[[Callable[[dict[str, Any]], object]], VersionedCell]
 def made(
     recorded: GatedCell, measured: list[dict[str, Any]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> Made:
-    """A cell with a new version that finds otherwise by an edit of each line, staged."""
+    """A cell with a staged new version whose results are changed by an edit of each line."""
 
     def make(edit: Callable[[dict[str, Any]], object]) -> VersionedCell:
         lines = json.loads(json.dumps(measured))
@@ -156,7 +156,7 @@ def made(
         )
         config = folder / "cell.toml"
         config.write_text(config.read_text() + f'software = "{tmp_path}/made/opt"\n')
-        # the running version measures in this test's own environment
+        # the running version measures in this test's environment
         (tmp_path / "old").write_text(f"#!/bin/sh\n{canned(measured, tmp_path / 'before')}\n")
         (tmp_path / "old").chmod(0o755)
         monkeypatch.setattr("edged.setup.fleet.software.PYTHON", tmp_path / "old")
@@ -169,16 +169,16 @@ def made(
 
 
 def the_same(shown: dict[str, Any]) -> None:
-    """A version that measures as before."""
+    """Measure as before."""
 
 
 def moved(shown: dict[str, Any]) -> None:
-    """By a tenth of a millimetre."""
+    """Move each part by a tenth of a millimetre."""
     shown["targets"][0]["position_mm"][0] += 0.1
 
 
 def blind(shown: dict[str, Any]) -> None:
-    """A version that finds nothing."""
+    """Find nothing."""
     shown.update(status="NO_TARGET", targets=[])
 
 
@@ -186,7 +186,7 @@ def blind(shown: dict[str, Any]) -> None:
 def test_the_version_that_runs_measures_recorded_cycles_as_a_process(
     recorded: GatedCell, made: Made, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The real program: by two processes of it every recorded cycle stays as it is."""
+    """With the real program as both versions, every recorded cycle stays the same."""
     cell = made(the_same)
     monkeypatch.setattr("edged.setup.fleet.software.PYTHON", Path(sys.executable))
     note = cell.step()
@@ -197,7 +197,7 @@ def test_the_version_that_runs_measures_recorded_cycles_as_a_process(
 @pytest.mark.slow
 @pytest.mark.parametrize(("edit", "why"), [(moved, "come out elsewhere"), (blind, "become bad")])
 def test_a_version_that_measures_otherwise_is_refused(edit: Any, why: str, made: Made) -> None:
-    """Before it ever ran the cell."""
+    """It is refused before it ever runs the cell."""
     cell = made(edit)
     note = cell.reach("refused", "waiting")
     assert ("refused", OLD) == (note.step, cell.current)
@@ -206,7 +206,7 @@ def test_a_version_that_measures_otherwise_is_refused(edit: Any, why: str, made:
 
 @pytest.mark.slow
 def test_a_version_that_measures_as_before_runs_and_stays(made: Made) -> None:
-    """Not while the plant's PLC locks the cell. The one that can go back is the version that ran before."""
+    """It is activated once the PLC's lock ends, and the previous version stays available for going back."""
     cell = made(the_same)
     cell.cell.running.session.is_locked = True
     assert ["waiting"] * 2 == [cell.step().step for _ in range(2)]
@@ -227,7 +227,7 @@ def test_a_version_that_measures_as_before_runs_and_stays(made: Made) -> None:
 def test_a_version_that_does_worse_goes_back_once_the_plant_lets_it(
     changed: dict[str, Any], why: str, made: Made
 ) -> None:
-    """The link means the old version again, which says why."""
+    """The link points to the old version again, which gives the reason."""
     cell = made(the_same)
     cell.reach("probation")
     cell.measure(20, **changed)
@@ -245,7 +245,8 @@ def test_a_version_that_does_worse_goes_back_once_the_plant_lets_it(
 @pytest.mark.slow
 @pytest.mark.parametrize("how", ["silent", "ends"])
 def test_a_version_that_does_not_come_up_is_taken_back_by_root(how: str, made: Made) -> None:
-    """Nobody is there to judge it, or it ends again and again; the old version says so."""
+    """If the new version is silent or ends repeatedly, root's service switches back, and the old one says
+    so."""
     cell = made(the_same)
     cell.comes_up, cell.ended = how != "silent", 3 if how == "ends" else 0
     note = cell.reach("refused", "rolled back")
@@ -262,7 +263,7 @@ def test_a_version_that_does_not_come_up_is_taken_back_by_root(how: str, made: M
 def test_the_power_fails_at_any_write_and_one_whole_version_runs(
     made: Made, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """From the first note of the gate to the switch back, in the page's process and in root's."""
+    """At every write, from the first note to the switch back, one complete version runs."""
     kept = made(the_same)
     cut = failing_writes(monkeypatch)
     cut.at = 10**9

@@ -1,4 +1,4 @@
-"""What crosses between the page and its worker: values of a closed list, and nothing that is run."""
+"""Messages between the page and its worker: values of a closed list of types, never code."""
 
 from __future__ import annotations
 
@@ -44,11 +44,11 @@ from edged.vision.geometry.camera import calibration_identity
 
 SERVICES = (calibration, registration, teaching, trials, recordings, regressions)
 NOT_DECLARED = {Brand, Status}
-"""In fields that may hold anything: a reading's robot, and the status of a cycle that was tried again."""
+"""In fields of any type: a reading's robot, and the status of a cycle tried again."""
 
 
 def test_the_list_has_what_the_tasks_take_and_give_and_no_more() -> None:
-    """Of every function that the worker can be asked for, by its annotations."""
+    """It equals the types in the annotations of all functions that the worker offers."""
     found: set[type] = set()
     reachable(workerprocess.TaskOrder, found)
     reachable(workerprocess.TaskAnswer, found)
@@ -62,7 +62,7 @@ def test_the_list_has_what_the_tasks_take_and_give_and_no_more() -> None:
 
 
 def test_an_answer_comes_back_as_it_was() -> None:
-    """Bit by bit: results of this method are compared so."""
+    """Results are identical after encoding and decoding, down to the bits."""
     rig = demo_rig()
     found = {
         "rig": rig,
@@ -82,7 +82,7 @@ def test_an_answer_comes_back_as_it_was() -> None:
 
 
 def test_errors_times_and_names_that_are_no_text_come_back() -> None:
-    """A file's name may be no UTF-8, and an error has fields of its own."""
+    """Errors with their fields, times, and file names that are not UTF-8 are restored."""
     error = CalibrationError("no views", "few", seen=2)
     told = decode_message(encode_message(TaskRefused(error))).error
     assert (CalibrationError, "no views", "few", {"seen": 2}) == (
@@ -102,14 +102,14 @@ def test_errors_times_and_names_that_are_no_text_come_back() -> None:
     "value", [object(), print, Path.open, np.array([{}], object), [1, {"a": {1, 2}}], 2**70, Status]
 )
 def test_what_is_no_value_is_not_written(value: object) -> None:
-    """The sender hears which kind it is."""
+    """The sender gets an error that names the type."""
     for codec in (CODEC, LINK):
         with pytest.raises((TypeError, ValueError), match=r"is no message|64 bits"):
             codec.encode(value)
 
 
 def test_a_kind_that_is_not_on_the_list_is_refused_by_name_on_both_sides() -> None:
-    """A snapshot is the cell's, progress the worker's: neither end writes or reads the other's."""
+    """Neither end encodes or decodes types of the other direction, and the error names the type."""
     for writes, reads, value in ((LINK, CODEC, make_snapshot()), (CODEC, LINK, TaskProgress("a", 1, 2))):
         name = type(value).__name__
         with pytest.raises(TypeError, match=name):
@@ -119,7 +119,7 @@ def test_a_kind_that_is_not_on_the_list_is_refused_by_name_on_both_sides() -> No
 
 
 def hostile() -> dict[str, bytes]:
-    """What a process that was taken over might send, and what is said of it."""
+    """Messages that a compromised process might send, by the expected error."""
     error = ["error", "UserError", "a", {"code": "", "params": "ab"}]
     values: dict[str, object] = {
         "make_folders is not on the list": ["make_folders", "/tmp/x"],
@@ -156,7 +156,7 @@ def hostile() -> dict[str, bytes]:
 
 @pytest.mark.parametrize("why", hostile())
 def test_anything_else_is_refused_and_says_why(why: str) -> None:
-    """Before it takes memory: millions of empty lists would be a gigabyte."""
+    """Each is refused with its reason, before it uses much memory."""
     data = hostile()[why]
     codec = dataclasses.replace(CODEC, bounds=dataclasses.replace(CODEC.bounds, items=1000))
     tracemalloc.start()
@@ -169,7 +169,7 @@ def test_anything_else_is_refused_and_says_why(why: str) -> None:
 
 
 def test_random_and_mutated_messages_are_a_value_of_the_list_or_an_error_that_says_why() -> None:
-    """Nothing else is raised, whatever bytes come; and whatever is made can be written again."""
+    """Random and mutated messages give a listed value that encodes again, or an error with a reason."""
     chance = random.Random(7)
     written = [
         (CODEC, encode_message(TaskResult({"rig": demo_rig(), "at": (1, 2.0, None)}))),
@@ -197,7 +197,7 @@ def test_random_and_mutated_messages_are_a_value_of_the_list_or_an_error_that_sa
 
 @pytest.mark.parametrize("codec", [CODEC, LINK], ids=["worker", "link"])
 def test_the_fields_of_every_kind_can_be_checked(codec: Codec) -> None:
-    """What they are declared with is known where they are read, and none takes what is no value."""
+    """Every field of every listed type has a check, and none accepts an invalid value."""
     for name, listed in codec.kinds.items():
         kind = getattr(import_module(listed), name) if isinstance(listed, str) else listed
         if dataclasses.is_dataclass(kind):
@@ -224,7 +224,7 @@ def test_the_fields_of_every_kind_can_be_checked(codec: Codec) -> None:
     ids=str,
 )
 def test_a_field_takes_what_it_is_declared_with(hint: Any, right: list[Any], wrong: list[Any]) -> None:
-    """And nothing that only looks like it."""
+    """Each check accepts the right values and rejects similar ones."""
     check = check_of(hint)
     assert [True] * len(right) == [check(value) for value in right]
     assert [False] * len(wrong) == [check(value) for value in wrong]

@@ -1,4 +1,4 @@
-"""Tasks that the pages ask for: how long one is known after it has ended."""
+"""Tasks requested by pages: how long they are known after their end."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ async def started(tasks: Tasks, what: str) -> str:
 
 
 async def test_as_many_tasks_as_promised_are_known() -> None:
-    """The first 20 all stay, with their outcome; each further one has the oldest forgotten."""
+    """The last 20 tasks are known with their outcome; each further one drops the oldest."""
     tasks = Tasks(Notices())
     ids = [await started(tasks, f"task {number}") for number in range(KEPT)]
     assert ["done"] * KEPT == [tasks.document(identity).state for identity in ids]

@@ -1,4 +1,4 @@
-"""The worker process: its turn is after everything else, and killing it costs one task."""
+"""The worker process: it has low priority, and killing it costs only one task."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ TASKS = {
 
 @asynccontextmanager
 async def working(limits: TaskLimits | None = None) -> AsyncIterator[Worker]:
-    """A worker; afterwards its process is gone."""
+    """A worker, whose process is gone afterwards."""
     worker = Worker(TASKS, lambda: 1, limits)
     try:
         yield worker
@@ -56,22 +56,22 @@ async def working(limits: TaskLimits | None = None) -> AsyncIterator[Worker]:
 
 
 def lives(pid: int | None) -> bool:
-    """Whether there is such a process; one that has ended and was not waited for counts."""
+    """Whether this process exists, including as a zombie."""
     return pid is not None and Path(f"/proc/{pid}").exists()
 
 
 def own_oom_score() -> int:
-    """Of this process, where memory runs out."""
+    """OOM score of this process."""
     return int(Path("/proc/self/oom_score_adj").read_text())
 
 
 def wait_for_end(pid: int) -> None:
-    """Of a child, which stays to be waited for."""
+    """Wait for a child to end, without reaping it."""
     os.waitid(os.P_PID, pid, os.WEXITED | os.WNOWAIT)
 
 
 async def test_it_stands_back_and_stays_for_the_next_task() -> None:
-    """Nicer than who started it, first to go, on as many processors as it may use; one process for all."""
+    """It has higher niceness and OOM score than its parent, and one process serves all tasks."""
     async with working() as worker:
         first, second = await worker.run("about"), await worker.run("about")
         assert first["pid"] == second["pid"] == worker.pid != os.getpid()
@@ -81,7 +81,8 @@ async def test_it_stands_back_and_stays_for_the_next_task() -> None:
 
 
 async def test_progress_comes_on_the_loop_and_mistakes_come_back_as_such() -> None:
-    """First and last word of a stage always; a `UserError` by its kind, a bug without ending the process."""
+    """The first and last progress of a stage are reported, user errors keep their type, and bugs are
+    TaskFailed."""
     told: list[tuple[str, int, int]] = []
     async with working() as worker:
         got = await worker.run("count", 3, progress=lambda *said: told.append(said))
@@ -97,7 +98,7 @@ async def test_progress_comes_on_the_loop_and_mistakes_come_back_as_such() -> No
 
 
 async def test_a_task_that_is_cancelled_is_killed() -> None:
-    """At once, whatever it does; tasks that wait are carried out by a new process."""
+    """A cancelled task is killed at once, and waiting tasks run in a new process."""
     async with working() as worker:
         began = asyncio.Event()
         hanging = asyncio.create_task(worker.run("hang", progress=lambda *_: began.set()))
@@ -112,7 +113,7 @@ async def test_a_task_that_is_cancelled_is_killed() -> None:
 
 
 async def test_one_that_is_cancelled_before_it_began_never_does() -> None:
-    """Also while the process is being started for it."""
+    """A task cancelled before it starts never runs."""
     async with working() as worker:
         hanging = asyncio.create_task(worker.run("hang"))
         await asyncio.sleep(0)
@@ -123,7 +124,7 @@ async def test_one_that_is_cancelled_before_it_began_never_does() -> None:
 
 
 async def test_a_process_that_dies_is_told_and_replaced() -> None:
-    """kill -9 from outside, and an exit of its own: what it did fails, the next task has a new process."""
+    """A process that is killed or exits fails its task, and the next task gets a new process."""
     async with working() as worker:
         began = asyncio.Event()
         hanging = asyncio.create_task(worker.run("hang", progress=lambda *_: began.set()))
@@ -136,14 +137,14 @@ async def test_a_process_that_dies_is_told_and_replaced() -> None:
             await worker.run("leave", 3)
         assert [0] == await worker.run("count", 1)
         assert worker.pid is not None
-        os.kill(worker.pid, signal.SIGKILL)  # while it waits: nobody has lost anything
+        os.kill(worker.pid, signal.SIGKILL)  # while idle: nothing is lost
         wait_for_end(worker.pid)
         assert [0] == await worker.run("count", 1)
 
 
 @pytest.mark.parametrize(("task", "size"), [("fill", 1500), ("fill_picture", 40_000)])
 async def test_a_task_that_takes_too_much_memory_fails_alone(task: str, size: int) -> None:
-    """With a sentence, also where it is a library that has none; the next task has a process of its own."""
+    """A task beyond the memory limit fails with a sentence, and the next one gets a new process."""
     async with working(limits=TaskLimits(1024 * MIB, 60)) as worker:
         pid = (await worker.run("about"))["pid"]
         with pytest.raises(TaskTooLarge, match=rf"^{task}: more than the 1024 MiB .* expected fewer"):
@@ -154,7 +155,7 @@ async def test_a_task_that_takes_too_much_memory_fails_alone(task: str, size: in
 
 @pytest.mark.slow
 async def test_a_task_that_takes_too_long_is_ended() -> None:
-    """By the processor time that it took itself, not that of the tasks before it; waiting is no work."""
+    """A task beyond its own processor time is ended; earlier tasks and waiting do not count."""
     async with working(limits=TaskLimits(4096 * MIB, 2)) as worker:
         used_s = [await worker.run("burn", 0.7) for _ in range(3)]
         assert used_s[-1] > 2
@@ -164,14 +165,14 @@ async def test_a_task_that_takes_too_long_is_ended() -> None:
 
 
 def test_a_task_may_take_half_of_the_machine_at_most() -> None:
-    """As the cell needs the other half; on the smallest machine, enough to work at all."""
+    """The limit is at most half of the machine's memory, but at least 2048 MiB."""
     there = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
 
     assert 2048 * MIB <= limits_here().memory_bytes <= max(2048 * MIB, there // 2)
 
 
 async def test_it_ends_when_nobody_wants_it_any_more(monkeypatch: pytest.MonkeyPatch) -> None:
-    """It holds memory; the next task starts another one."""
+    """An idle worker's process ends, and the next task starts another one."""
     monkeypatch.setattr(workers, "IDLE_S", 0.05)
     async with working() as worker:
         pid = (await worker.run("about"))["pid"]
@@ -181,7 +182,7 @@ async def test_it_ends_when_nobody_wants_it_any_more(monkeypatch: pytest.MonkeyP
 
 
 def test_it_ends_with_who_started_it() -> None:
-    """Killed with -9 in the middle of a task, they leave no process behind."""
+    """If the parent is killed during a task, no process is left."""
     script = (
         "import asyncio, os, signal\n"
         "from edged.setup.jobs.worker import Worker\n"
@@ -203,7 +204,7 @@ def test_it_ends_with_who_started_it() -> None:
 
 
 async def test_it_reaches_no_network_and_gains_no_rights() -> None:
-    """It reads strangers' files: who takes it over finds no PLC, and no program that gives it more."""
+    """It has no network access, no capabilities, and cannot gain privileges."""
     async with working() as worker:
         with socket.create_server(("127.0.0.1", 0)) as server:
             assert await worker.run("connect", server.getsockname()[1])
@@ -216,7 +217,7 @@ async def test_it_reaches_no_network_and_gains_no_rights() -> None:
 
 @pytest.mark.parametrize("kind", ["function", "lock", "object"])
 async def test_what_is_no_value_is_no_answer(kind: str) -> None:
-    """A bug of the task, and the process stays."""
+    """A task result that cannot be encoded is TaskFailed, and the process stays."""
     async with working() as worker:
         with pytest.raises(TaskFailed, match="is no message"):
             await worker.run("answer", kind)
@@ -224,7 +225,7 @@ async def test_what_is_no_value_is_no_answer(kind: str) -> None:
 
 
 class Harm:
-    """Leaves a file where pickle reads it."""
+    """Creates a file when unpickled."""
 
     def __init__(self, file: Path) -> None:
         self.file = file
@@ -235,7 +236,7 @@ class Harm:
 
 @pytest.mark.parametrize("is_pickle", [True, False])
 async def test_what_it_sends_is_never_run(is_pickle: bool, tmp_path: Path) -> None:
-    """A process that was taken over is ended, and costs one task."""
+    """Forged messages are not executed, and cost one task."""
     file = tmp_path / "harm"
     forged = pickle.dumps(Harm(file)) if is_pickle else cbor2.dumps([FORMAT, ["make_folders", str(file)]])
     async with working() as worker:
@@ -247,7 +248,7 @@ async def test_what_it_sends_is_never_run(is_pickle: bool, tmp_path: Path) -> No
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root can become another user with a capability")
 def test_a_services_worker_has_no_capability() -> None:
-    """Its user is not root, and its capabilities are those that the daemon was given for its ports."""
+    """The worker of a service has none of the daemon's capabilities."""
     script = (
         "import os, ctypes\nfrom pathlib import Path\nfrom edged.setup.jobs import workerprocess\n"
         "libc = ctypes.CDLL(None)\nlibc.prctl(8, 1, 0, 0, 0)\nos.setgroups([])\n"  # 8: PR_SET_KEEPCAPS

@@ -1,4 +1,4 @@
-"""A backup made on the page restores the cell; what is no archive, or another one, changes nothing."""
+"""Backups made and restored on the page; invalid or outdated archives change nothing."""
 
 from __future__ import annotations
 
@@ -37,12 +37,12 @@ class ExaminedCell(StillCell):
     summary = CellSummary(jobs=((1, "token"),))
 
     async def examine(self) -> Sequence[Mapping[str, str]]:
-        """It."""
+        """Return the finding."""
         return [{"name": "clock", "verdict": "warn", "finding": "not synchronised"}]
 
 
 def machine_of(template: Path, folder: Path) -> tuple[MachineService, ExaminedCell]:
-    """Of a copy of the cell."""
+    """The service for a copy of the cell."""
     shutil.copytree(template, folder)
     running = ExaminedCell(folder / "cell.toml")
     cell = running.in_use()
@@ -51,7 +51,7 @@ def machine_of(template: Path, folder: Path) -> tuple[MachineService, ExaminedCe
 
 @pytest.mark.slow
 def test_a_backup_of_another_day_becomes_a_release(template: Path, tmp_path: Path) -> None:
-    """Its calibration is in use then, what was chosen meanwhile stays, and it is not restored twice."""
+    """The restored calibration is in use, newer settings stay, and it cannot be restored twice."""
     machine, running = machine_of(template, tmp_path / "cell")
     rig = load_rig(running.files.config.cell.rig)
     other = rig_text(replace(rig, calibration_id="cal-of-before"))
@@ -81,7 +81,7 @@ def test_a_backup_of_another_day_becomes_a_release(template: Path, tmp_path: Pat
 
 @pytest.mark.slow
 def test_what_the_page_gives_is_what_it_takes(template: Path, tmp_path: Path) -> None:
-    """A download is an archive of the cell as it is, with a name of its own; one that is cut is refused."""
+    """A download is an archive of the current cell with a name of its own, and a cut one is refused."""
     machine, _running = machine_of(template, tmp_path / "cell")
     name, archive = asyncio.run(machine.backup())
     assert name.endswith(".tar.gz")
@@ -93,7 +93,7 @@ def test_what_the_page_gives_is_what_it_takes(template: Path, tmp_path: Path) ->
 
 @pytest.mark.slow
 def test_a_file_for_help_holds_no_secret(template: Path, tmp_path: Path) -> None:
-    """Findings, configuration and choices are in it, and of passwords not even a hash."""
+    """It contains findings, configuration and choices, but no password hash."""
     machine, running = machine_of(template, tmp_path / "cell")
     chosen = ChosenConnections(opcua={"password_hash": HASH, "anonymous": True})
     connections_file(running.files.config.cell.rig).write_bytes(chosen.content() or b"")
@@ -109,7 +109,7 @@ def test_a_file_for_help_holds_no_secret(template: Path, tmp_path: Path) -> None
 
 @pytest.mark.slow
 def test_a_file_for_help_has_the_cycle_that_failed(template: Path, tmp_path: Path) -> None:
-    """The newest one with pictures that was not good, which anybody can measure again, and what was done."""
+    """It contains the newest failed cycle with pictures and its setup, and the audit."""
     machine, running = machine_of(template, tmp_path / "cell")
     text = running.path.read_text().split("[recorder]")[0]
     running.path.write_text(f'{text}\n[recorder]\nfolder = "recordings"\n')

@@ -1,4 +1,4 @@
-"""A new job or rig against the one that runs, on recorded cycles: what it makes worse is found."""
+"""A new job or rig compared with the active one on recorded cycles: what gets worse is found."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ class Cell(NamedTuple):
 
 @pytest.fixture(scope="module")
 def cell(tmp_path_factory: pytest.TempPathFactory) -> Cell:
-    """The part in seven places."""
+    """Recordings of the part in seven places."""
     folder = tmp_path_factory.mktemp("regression")
     small = SmallCell(folder / "cell", source="virtual-inprocess")
     files = read_cell(small.config)
@@ -65,7 +65,7 @@ def cell(tmp_path_factory: pytest.TempPathFactory) -> Cell:
 def tried(
     cell: Cell, candidate: Contents, *, of_rig: bool, active: Contents | None = None
 ) -> CycleComparison:
-    """As the worker does it."""
+    """The comparison, as the worker makes it."""
     before, after = (
         measured_by(active or cell.files.contents, Path("active")),
         measured_by(candidate, Path("new")).in_place_of(successors(active or cell.files.contents, candidate)),
@@ -78,7 +78,7 @@ TEXT, SHAPE = "jobs/flange/job.toml", "jobs/flange/shape.npz"
 
 
 def called(contents: Contents, name: str, number: int, **limits: float) -> Contents:
-    """The same files, with their job under another name, in a folder of that name, and by other limits."""
+    """The files with their job renamed, renumbered, and with other limits."""
     text = renamed({"job.toml": contents[TEXT]}, name=name, number=number)["job.toml"].decode()
     for limit, value in limits.items():
         text = re.sub(rf"^{limit} = \S+", f"{limit} = {value}", text, flags=re.MULTILINE)
@@ -97,7 +97,7 @@ def with_job(cell: Cell, tmp_path: Path, **changes: Any) -> Contents:
 
 @pytest.mark.slow
 def test_the_same_job_and_rig_give_the_same_bits(cell: Cell) -> None:
-    """Measured again, not only looked up: nothing differs, nothing is lost, no frame moves."""
+    """Measured again with the same job and rig, nothing differs, is lost or moves."""
     retold = {**cell.files.contents, "rig.json": cell.files.contents["rig.json"] + b"\n"}
     for active in (cell.files.contents, retold):
         result = tried(cell, cell.files.contents, of_rig=True, active=active)
@@ -115,8 +115,8 @@ def test_the_same_job_and_rig_give_the_same_bits(cell: Cell) -> None:
 def test_a_job_of_another_name_and_number_has_the_same_cycles(
     cell: Cell, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Those recorded before: what they came to is taken as it is, and only the new one measures. A job that
-    was renumbered is known by its name, one that was renamed by its number.
+    """Earlier results are reused, and only the new job is measured. A renumbered job is matched by its
+    name, a renamed one by its number.
     """
     measured = []
     counted = comparing.inspect
@@ -133,7 +133,7 @@ def test_a_job_of_another_name_and_number_has_the_same_cycles(
 
 
 def test_what_changes_no_measurement_concerns_no_cycle(cell: Cell) -> None:
-    """Another name, number or remark, a copy, a job that is retired; a byte of its shape or a limit does."""
+    """Name, number, remarks, copies and retiring concern no cycle; a byte of the shape or a limit does."""
     contents = cell.files.contents
     copied = {**contents, **called(contents, "cover", 2)}
     for active, candidate in (
@@ -156,9 +156,9 @@ def test_what_changes_no_measurement_concerns_no_cycle(cell: Cell) -> None:
     for changed in ({**contents, SHAPE: bytes(shape)}, called(contents, "flange", 1, max_rms_px=0.4)):
         assert digest_of(contents) != digest_of(changed)
         assert {1} == concerned(contents, changed)
-        # the copy is as it was: whoever is measured by it has nothing to fear
+        # the copy is unchanged: what it measures is not affected
         assert {1} == concerned(copied, {**copied, **changed})
-    # what replaces a job under another name and number escapes by neither alone
+    # a replacement under another name and number is not exempt by either alone
     for name, number in (("cover", 1), ("flange", 9)):
         assert {1} == concerned(contents, called(contents, name, number, max_rms_px=0.4))
     assert {1: 9} == successors(contents, called(contents, "flange", 9, max_rms_px=0.4))
@@ -166,7 +166,7 @@ def test_what_changes_no_measurement_concerns_no_cycle(cell: Cell) -> None:
 
 @pytest.mark.slow
 def test_a_feature_that_was_moved_is_caught(cell: Cell, tmp_path: Path) -> None:
-    """A circle taught two millimetres too large is none of the part's: each good cycle becomes a bad one."""
+    """With a circle taught two millimetres too large every good cycle becomes bad."""
     circle = cell.files.jobs[0].circles[0]
     wrong = replace(circle, radius_mm=circle.radius_mm + 2.0)
     result = tried(cell, with_job(cell, tmp_path, circles=(wrong,)), of_rig=False)
@@ -174,7 +174,8 @@ def test_a_feature_that_was_moved_is_caught(cell: Cell, tmp_path: Path) -> None:
 
 
 def test_places_that_move_are_told_in_both_sigmas(cell: Cell, tmp_path: Path) -> None:
-    """A reference point a tenth of a millimetre beside: the cycles stay good, and are apart by so much."""
+    """A reference point moved by a tenth of a millimetre is reported in both sigmas, while cycles stay
+    good."""
     job = cell.files.jobs[0]
     moved = transform(np.eye(3), np.array([0.1, 0.0, 0.0]))
     circle = replace(job.circles[0], centre_mm=job.circles[0].centre_mm)
@@ -189,8 +190,8 @@ def test_places_that_move_are_told_in_both_sigmas(cell: Cell, tmp_path: Path) ->
 
 @pytest.mark.slow
 def test_the_common_motion_of_a_new_rig_is_told_apart(cell: Cell) -> None:
-    """A principal point that moved turns all that the cameras see: that is told for all at once, and a
-    tenth is left at most. A baseline that is too long is no motion, and is left whole.
+    """The common turn from a moved principal point is reported once, leaving at most a tenth. A wrong
+    baseline is no motion and is left entirely.
     """
     rig = cell.files.rig
     turn = transform(rotation_matrix(np.array([0.0, 0.002, 0.0])), np.zeros(3))
@@ -213,7 +214,7 @@ def test_the_common_motion_of_a_new_rig_is_told_apart(cell: Cell) -> None:
 
 
 def test_what_cannot_be_tried_says_why(cell: Cell, tmp_path: Path) -> None:
-    """Damaged, without pictures, or of a job that one of both lacks: skipped, and the others are tried."""
+    """Damaged recordings, ones without pictures and unknown jobs are skipped with a reason."""
     folder = tmp_path / "recordings"
     shutil.copytree(cell.folder, folder)
     entries = recording.entries(folder)
@@ -227,7 +228,7 @@ def test_what_cannot_be_tried_says_why(cell: Cell, tmp_path: Path) -> None:
     assert ["no_job"] * (CYCLES - 1) == [try_on(one, setup, without).skipped for one in entries[1:CYCLES]]
 
 
-# --- the pure part ----------------------------------------------------------------------------
+# --- comparison only --------------------------------------------------------------------------
 
 
 def place(x: float, y: float = 0.0, z: float = 200.0, sigma: float = 0.01) -> GoodPart:
@@ -236,7 +237,7 @@ def place(x: float, y: float = 0.0, z: float = 200.0, sigma: float = 0.01) -> Go
 
 
 def cycle(number: int, before: Sequence[GoodPart], after: Sequence[GoodPart]) -> TriedCycle:
-    """Good where there is a part."""
+    """A cycle that is good where there is a part."""
 
     def found(places: Sequence[GoodPart]) -> Found:
         return Found("OK" if places else "NO_TARGET", () if places else ("NOT_FOUND",), tuple(places))
@@ -245,7 +246,7 @@ def cycle(number: int, before: Sequence[GoodPart], after: Sequence[GoodPart]) ->
 
 
 def test_parts_are_compared_with_themselves() -> None:
-    """Whatever their order: each with the nearest one, each once; one that is gone is lost."""
+    """Parts are matched with the nearest one, each once, in any order; a missing one is lost."""
     result = compare([cycle(1, [place(0), place(50)], [place(50.01), place(0)])], of_rig=False)
     (one,) = result.compared
     assert one.apart is not None
@@ -256,7 +257,7 @@ def test_parts_are_compared_with_themselves() -> None:
 
 
 def test_a_turn_counts_but_about_the_free_axis() -> None:
-    """In the rotation's own sigmas; of a round part nobody knows the turn about its axis."""
+    """A rotation counts in its own sigmas, except about a round part's axis."""
     first = place(0)
     turned = replace(first, rotation=rotation_matrix(np.array([0.0, 0.0, 0.02])))
     (one,) = compare([cycle(1, [first], [turned])], of_rig=False).compared
@@ -280,7 +281,7 @@ MILLIMETRES = st.floats(-1.0, 1.0)
 def test_a_shared_motion_is_found_whatever_single_points_do(
     shift: tuple[float, float, float], turn: tuple[float, float, float], outlier: float
 ) -> None:
-    """To a few µm, with one point in nine elsewhere: what most share is told, not the mean of all."""
+    """The motion of the majority is found to a few µm, with one point in nine elsewhere."""
     grid = np.array([[x, y, 200.0 + 0.1 * x * y] for x in (-30.0, 0.0, 30.0) for y in (-20.0, 0.0, 20.0)])
     moved: FloatArray = apply(transform(rotation_matrix(np.array(turn)), np.array(shift)), grid)
     wrong = moved.copy()
@@ -292,7 +293,7 @@ def test_a_shared_motion_is_found_whatever_single_points_do(
 
 
 def test_few_places_tell_no_motion() -> None:
-    """Two say nothing; three say a shift; places on one spot say no turn, however many they are."""
+    """Two places give no motion, three a shift, and places at one spot no rotation."""
     grid = np.array([[0.0, 0.0, 200.0], [40.0, 0.0, 200.0], [0.0, 40.0, 200.0]])
     assert None is motion_of(grid[:2], grid[:2] + 1.0)
     motion = motion_of(grid, grid + np.array([1.0, 2.0, 3.0]))
@@ -306,7 +307,7 @@ def test_few_places_tell_no_motion() -> None:
 
 
 def test_pictures_of_other_cameras_are_no_bug(cell: Cell, tmp_path: Path) -> None:
-    """A pair that does not fit the rig is skipped."""
+    """A pair that does not fit the rig is skipped as damaged."""
     folder = tmp_path / "recordings"
     entry = recording.entries(cell.folder)[0]
     taken = recording.load(entry.path)
@@ -330,7 +331,7 @@ def test_pictures_of_other_cameras_are_no_bug(cell: Cell, tmp_path: Path) -> Non
 
 
 def test_an_offset_is_not_measured_again() -> None:
-    """It follows from a golden part, too, which no recording has: a replay says the same without it."""
+    """Offsets are ignored, as they depend on a golden part that no recording has."""
     part = {"score": 0.9, "position_mm": [1.0, 2.0, 3.0]}
     assert [] == [*differences("targets", [{**part, "offset": {"position_mm": [0.1, 0.0, 0.0]}}], [part])]
     assert ["targets[0].score: 0.9 -> 0.8 (-0.1)"] == [

@@ -1,4 +1,4 @@
-"""A new job or rig is tried on recorded cycles before the cell runs by it; what gets worse is signed for."""
+"""A new job or rig is tried on recorded cycles before use, and degradations must be signed for."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ CYCLES = 6
 
 
 class Recorded(NamedTuple):
-    """A cell that has recorded six good cycles, and one without pictures."""
+    """A cell with six recorded good cycles, and one without pictures."""
 
     template: Path
     recordings: Path
@@ -35,7 +35,7 @@ class Recorded(NamedTuple):
 
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory: pytest.TempPathFactory) -> Recorded:
-    """By the real pipeline."""
+    """Recordings by the real pipeline."""
     folder = tmp_path_factory.mktemp("regressions")
     cell = SmallCell(folder / "cell", source="virtual-inprocess")
     files, pairs = read_cell(cell.config), exposures(cell.virtual, CYCLES)
@@ -44,12 +44,12 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Recorded:
 
 
 def cell_of(recorded: Recorded, folder: Path) -> RecordingCell:
-    """A cell that has these recordings."""
+    """A cell with these recordings."""
     return RecordingCell(folder / "cell", recorded.template, recorded.recordings, recorded.pairs)
 
 
 def solved(cell: RecordingCell, rig: StereoRig) -> str:
-    """The id of a draft that was solved to a rig."""
+    """Id of a draft solved to a rig."""
     draft = Drafts(cell.state / "drafts").create(
         "Anna", ("chessboard:11x8:4",), None, "brown", datetime.now(UTC)
     )
@@ -59,14 +59,14 @@ def solved(cell: RecordingCell, rig: StereoRig) -> str:
 
 
 def wider(rig: StereoRig, factor: float) -> StereoRig:
-    """With another baseline."""
+    """The rig with another baseline."""
     moved = rig.right_from_left.copy()
     moved[:3, 3] *= factor
     return replace(rig, right_from_left=moved, calibration_id=f"cal-{factor}")
 
 
 async def tried(cell: RecordingCell, body: dict[str, object]) -> dict[str, object]:
-    """The result of a regression."""
+    """Result of a regression."""
     status, begun = await cell.ask("POST", "/regressions", body)
     assert 202 == status, begun
     assert "done" == (await cell.done(begun["task"]))["state"]
@@ -79,8 +79,9 @@ async def tried(cell: RecordingCell, body: dict[str, object]) -> dict[str, objec
 async def test_a_rig_that_makes_good_cycles_bad_is_signed_for_or_stays_out(
     recorded: Recorded, tmp_path: Path
 ) -> None:
-    """Untried it is refused, and tried, too: until a reason is signed, which stands in the release. One that
-    keeps every cycle good needs none. Nothing of the cell has changed before; the way back is never barred.
+    """It is refused untried and tried, until a signed reason is given, which the release states. A rig
+    that keeps every cycle good needs none. Before, nothing in the cell has changed, and going back is
+    always allowed.
     """
     async with cell_of(recorded, tmp_path).running() as cell:
         before = cell.rig.read_bytes()
@@ -142,8 +143,8 @@ async def test_a_rig_that_makes_good_cycles_bad_is_signed_for_or_stays_out(
 
 @pytest.mark.slow
 async def test_a_changed_limit_is_tried_on_all_cycles(recorded: Recorded, tmp_path: Path) -> None:
-    """Every good cycle is bad by a limit that none keeps; results are kept, the youngest first, and a
-    damaged one harms none.
+    """A limit that fails every good cycle is reported; results are kept, newest first, and a damaged one is
+    skipped.
     """
     async with cell_of(recorded, tmp_path).running() as cell:
         strict = {"job": "flange", "limits": {"max_sigma_mm": 0.0001}}
@@ -177,7 +178,7 @@ async def test_a_changed_limit_is_tried_on_all_cycles(recorded: Recorded, tmp_pa
 async def test_a_regression_is_cancelled_and_others_have_their_turn(
     recorded: Recorded, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A few recordings at a time: a change of one cycle is answered between; cancelled, nothing is kept."""
+    """Recordings are tried a few at a time with other requests in between; cancelled, no result is kept."""
     monkeypatch.setattr(regressions, "CHUNK_S", 0.0)
     async with cell_of(recorded, tmp_path).running() as cell:
         strict = {"job": "flange", "limits": {"max_sigma_mm": 0.0001}}
@@ -186,13 +187,13 @@ async def test_a_regression_is_cancelled_and_others_have_their_turn(
         assert (200, "LOW_QUALITY") == (status, told["after"]["status"])
         await cell.ask("DELETE", f"/tasks/{begun['task']}", {})
         ended = await cell.done(begun["task"])
-        if ended["state"] == "cancelled":  # else it was quicker
+        if ended["state"] == "cancelled":  # unless it was faster
             assert 404 == (await cell.ask("GET", f"/regressions/{begun['regression']}"))[0]
 
 
 @pytest.mark.slow
 async def test_a_job_that_was_taught_again_is_tried_as_used(recorded: Recorded, tmp_path: Path) -> None:
-    """From a recorded pair, for the one that runs: refused untried; tried, the very same files pass."""
+    """A job taught again is refused untried, and the files tried are those used."""
     async with cell_of(recorded, tmp_path).running() as cell:
         status, draft = await cell.ask("POST", "/teachings", {"cycle": 1, "job": "flange"})
         assert 201 == status, draft
@@ -210,8 +211,8 @@ async def test_a_job_that_was_taught_again_is_tried_as_used(recorded: Recorded, 
 
 @pytest.mark.slow
 async def test_what_jobs_are_called_is_not_measured(recorded: Recorded, tmp_path: Path) -> None:
-    """Renamed, renumbered, copied and retired at once; the recorded cycles stay those of the job. What an
-    editor has changed in it meanwhile would become active with its name: that is measured, or signed for.
+    """Renaming, renumbering, copying and retiring need no trial. An edit activated together with a name is
+    tried, or signed for.
     """
     async with cell_of(recorded, tmp_path).running() as cell:
         flange = cell.config.parent / "jobs" / "flange"
@@ -225,7 +226,7 @@ async def test_what_jobs_are_called_is_not_measured(recorded: Recorded, tmp_path
             assert wanted == status, answer
         _, listed = await cell.ask("GET", "/releases")
         assert {None} == {one["tested"] for one in listed["releases"]}
-        # by its name: the number is 7 by now
+        # by its name: its number is 7 by now
         result = await tried(cell, {"change": {"job": "flange", "limits": {"max_sigma_mm": 0.0001}}})
         assert CYCLES == result["counts"]["good_to_bad"]
 
@@ -241,7 +242,7 @@ async def test_what_jobs_are_called_is_not_measured(recorded: Recorded, tmp_path
 
 @pytest.mark.slow
 def test_a_robot_that_stands_elsewhere_changes_no_measurement(recorded: Recorded) -> None:
-    """Only a job, or a cell, that bounds where the robot may go is concerned by a registration."""
+    """A registration concerns only jobs with bounds on the robot."""
     contents = dict(recorded.files.contents)
     assert set() == concerned(contents, contents)
     rig = json.loads(contents["rig.json"])

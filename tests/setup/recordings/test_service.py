@@ -1,4 +1,4 @@
-"""Recorded cycles as people look at them: listed, shown feature by feature, and what would have helped."""
+"""Recorded cycles as shown on the page: listed, feature by feature, and what would have helped."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ from edged.vision.geometry.rigid import apply
 
 
 class Recorded(NamedTuple):
-    """A cell whose recorder kept: two good ones, then by the names below."""
+    """A cell with recordings: two good ones, then those named below."""
 
     folder: Path
     files: CellFiles
@@ -49,7 +49,7 @@ GOOD, VAGUE, COVERED, EMPTY, UNPLUGGED = 1, 2, 3, 4, 5
 
 
 def changed(pair: FramePair, change: Callable[[Any], Any]) -> FramePair:
-    """The same exposure with other pixels."""
+    """The exposure with changed pixels."""
     return FramePair(
         *(replace(one, image=change(one.image).astype(np.uint8)) for one in (pair.left, pair.right))
     )
@@ -102,13 +102,13 @@ def seen(recorded: Recorded, number: int) -> tuple[Json, list[PartSight]]:
 
 
 def tried(recorded: Recorded, number: int, change: Change | None) -> WhatIf:
-    """As the worker does it."""
+    """What-if result, as the worker makes it."""
     return cyclework.what_if(Records(recorded.folder).entry(number).path, change, silent)
 
 
 @pytest.mark.slow
 def test_the_list_says_what_became_of_each_cycle(recorded: Recorded) -> None:
-    """Newest first, each with its reasons; by status, reason, job and number, a page at a time."""
+    """The list is newest first, with reasons, filtered by status, reason, job and number, in pages."""
     records = Records(recorded.folder)
     page = records.page(CycleFilter())
     assert [5, 4, 3, 2, 1, 0] == [line.number for line in page.cycles]
@@ -131,8 +131,8 @@ def test_the_list_says_what_became_of_each_cycle(recorded: Recorded) -> None:
 
 
 def test_damaged_recordings_are_told_and_take_nothing_with_them(recorded: Recorded, tmp_path: Path) -> None:
-    """No archive, no document, a number where an object must be, a document that unpacks to more than is
-    sane, a pipe: each is named, and the others are listed.
+    """Files that are no archive, have no or an invalid document, unpack to too much, or are pipes are
+    named as damaged, and the others are listed.
     """
     folder = tmp_path / "recordings"
     shutil.copytree(recorded.folder, folder)
@@ -162,7 +162,8 @@ def test_damaged_recordings_are_told_and_take_nothing_with_them(recorded: Record
 
 
 def test_outlines_lie_where_the_part_is(recorded: Recorded) -> None:
-    """Of a measured part within a tenth of a pixel of its true edge, in both pictures; taught beside now."""
+    """Outlines are within a tenth of a pixel of the true edge in both pictures, with taught beside
+    measured."""
     _, (part,) = seen(recorded, GOOD)
     truth = recorded.virtual.truth(10**9)
     assert truth is not None
@@ -190,7 +191,7 @@ def test_outlines_lie_where_the_part_is(recorded: Recorded) -> None:
 
 
 def test_a_miss_shows_where_it_nearly_was(recorded: Recorded) -> None:
-    """The outline of what scored too little lies over the part, a few pixels off at most."""
+    """For a miss the outline of the best candidate is within a few pixels of the part."""
     snapshot, (part,) = seen(recorded, COVERED)
     assert snapshot["nearest"]["needed_score"] == part.needed_score == 0.8
     assert part.score is not None
@@ -210,7 +211,7 @@ def test_a_miss_shows_where_it_nearly_was(recorded: Recorded) -> None:
 
 
 def test_a_feature_beyond_the_picture_says_so(recorded: Recorded) -> None:
-    """What was not measured and has no place in the picture is outside; a strange number harms nobody."""
+    """A feature outside of the picture is marked so, and an invalid snapshot raises FileFormatError."""
     snapshot, _ = seen(recorded, GOOD)
     rig, job = recorded.virtual.rig, recorded.files.jobs[0]
     target = {**snapshot["targets"][0], "circles": []}
@@ -231,8 +232,8 @@ def test_a_feature_beyond_the_picture_says_so(recorded: Recorded) -> None:
 
 
 def test_what_would_have_helped_is_tried_and_costs_are_said(recorded: Recorded) -> None:
-    """Too much sigma: a limit that lets this pass, and not much more, is told as loosened; each change that
-    is told does make it OK, by itself; nothing is told of a good cycle, or of an empty table.
+    """Helpful changes are listed with their cost, each making the cycle OK by itself; for a good cycle or an
+    empty table there are none.
     """
     vague = tried(recorded, VAGUE, None)
     assert ("LOW_QUALITY", ["SIGMA_LIMIT"], None) == (vague.before.status, vague.before.reasons, vague.after)
@@ -263,7 +264,8 @@ def test_what_would_have_helped_is_tried_and_costs_are_said(recorded: Recorded) 
 
 
 def test_without_a_change_the_verdict_is_that_of_then(recorded: Recorded) -> None:
-    """The same bits; a stricter limit turns it, and a change that leaves nothing to measure by is refused."""
+    """Without a change the result is bit-identical, a stricter limit changes it, and an empty job is
+    refused."""
     snapshot, parts = seen(recorded, GOOD)
     same = tried(recorded, GOOD, Change(light=1.0))
     assert same.after is not None
@@ -281,7 +283,7 @@ def test_without_a_change_the_verdict_is_that_of_then(recorded: Recorded) -> Non
 
 
 async def test_a_rig_or_job_that_is_not_kept_leaves_the_pictures(recorded: Recorded, tmp_path: Path) -> None:
-    """The document says what is missing; the list, and what lies outside of the folder, are as ever."""
+    """If rig or job are missing, the document says so and pictures remain; other files cannot be reached."""
     folder = tmp_path / "recordings"
     shutil.copytree(recorded.folder, folder)
     shutil.rmtree(folder / "setups")
@@ -305,8 +307,8 @@ async def test_a_rig_or_job_that_is_not_kept_leaves_the_pictures(recorded: Recor
 
 @pytest.mark.slow
 async def test_over_http_a_failed_cycle_stands_beside_a_good_one(recorded: Recorded, tmp_path: Path) -> None:
-    """List, document, both pictures as JPEG, and the change in the worker process; a picture of too many
-    pixels is not unpacked; who asks wrongly is told what.
+    """List, document, JPEG pictures and what-if work over HTTP, oversized pictures are not unpacked, and
+    wrong requests are refused with a reason.
     """
     folder = tmp_path / "cell" / "recordings"
     shutil.copytree(recorded.folder, folder)
@@ -366,7 +368,7 @@ async def test_over_http_a_failed_cycle_stands_beside_a_good_one(recorded: Recor
 def test_seven_hundred_cycles_are_read_once(
     recorded: Recorded, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A list that is asked for again opens no file that it knows; one that is gone is forgotten."""
+    """Listing again opens no known file, and deleted ones disappear."""
     folder = tmp_path / "recordings"
     shutil.copytree(recorded.folder, folder)
     records = Records(folder)

@@ -1,4 +1,4 @@
-"""Registering without a console: the same numbers as the commands, and nothing saved by solving."""
+"""Registering without a console: the same numbers as the commands, and solving saves nothing."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ ROBOT_FROM_RIG = transform(rotation_matrix(np.array([2.0, 0.3, -0.4])), np.array
 def test_touched_points_give_the_same_registration(
     limit_mm: float, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Here and by the command, to the last bit; over the limit nobody saves."""
+    """The result is bit-identical to the command's, and above the limit nothing is saved."""
     source, by_command, by_hand = (tmp_path / f"{name}.json" for name in ("rig", "command", "hand"))
     save_rig(source, make_rig(), {"views": 6})
     random = np.random.default_rng(4)

@@ -1,4 +1,4 @@
-"""What a robot's own program registers, as people see it on the page."""
+"""A registration by a robot's program, as shown on the page."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ pytestmark = pytest.mark.slow
 
 
 class Page:
-    """A viewer by the page's password, of a cell that does not run yet."""
+    """A viewer with the page's password, of a cell that does not run yet."""
 
     def __init__(self, cell: WalkedCell) -> None:
         self._port = free_port()
@@ -31,7 +31,7 @@ class Page:
         cell.write(cell.config.read_text() + web)
 
     def ask(self, path: str) -> Any:
-        """The answer."""
+        """Answer to a request."""
         code = base64.b64encode(f"edged:{PASSWORD}".encode()).decode()
         asked = Request(
             f"http://127.0.0.1:{self._port}/api/v1/{path}", headers={"Authorization": f"Basic {code}"}
@@ -40,7 +40,7 @@ class Page:
             return json.load(answer)
 
     def draft(self, **wanted: object) -> dict[str, Any]:
-        """The youngest, when it is as wanted and judged."""
+        """The newest draft, once it has these values and is judged."""
         deadline_s = time.monotonic() + LIMIT_S
         while True:
             assert time.monotonic() < deadline_s, wanted
@@ -54,8 +54,8 @@ class Page:
 
 
 def test_a_robots_program_is_seen_pose_by_pose_and_point_by_point(tmp_path: Path) -> None:
-    """Six poses as they come, judged as its own answers are, in its words; active when it has solved; then a
-    part that its tip touches."""
+    """Six poses are listed as they come, judged as in the robot's answers, and active after solving; then
+    touched points of a part."""
     cell = WalkedCell(tmp_path, Arm())
     page = Page(cell)  # a reload later on would refuse the commands that wait for it
     with cell:
@@ -71,7 +71,7 @@ def test_a_robots_program_is_seen_pose_by_pose_and_point_by_point(tmp_path: Path
             )
             assert (True, None, False) == (draft["good"], draft["trouble"], draft["active"])
             assert draft["conventions"][0]["rms_mm"] < 0.03
-            # in whole micrometres, as its registers are
+            # in whole micrometres, as in its registers
             _, _, rms, held_out, *_ = robot.ask("REGISTER_SOLVE")
             assert [rms, held_out] == pytest.approx(
                 [draft["figures"]["rms_mm"], draft["figures"]["worst_mm"]], abs=5.1e-4

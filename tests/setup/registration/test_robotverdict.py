@@ -1,4 +1,4 @@
-"""What the samples of a registration say, against a truth that is known."""
+"""Verdicts on the samples of a registration, with known truth."""
 
 from __future__ import annotations
 
@@ -21,7 +21,8 @@ PLACES = np.random.default_rng(4).uniform(-80, 80, (6, 3)) + np.array([0, 0, 400
 
 
 def touched(change: FloatArray | float = 1.0, brand: Brand = Brand.KUKA, rig_scale: float = 1.0) -> Judged:
-    """Six points with 10 µm of noise. change : of what is typed; rig_scale : of the rig's lengths."""
+    """Six points with 10 µm of noise. change : factor of the typed values; rig_scale : of the rig's
+    lengths."""
     noise = np.random.default_rng(5).normal(0, 0.01, (6, 3))
     shown = (apply(ROBOT_FROM_RIG, PLACES) + noise) * change
     if brand is Brand.UR:
@@ -34,13 +35,13 @@ def touched(change: FloatArray | float = 1.0, brand: Brand = Brand.KUKA, rig_sca
 
 
 def told(judged: Judged) -> tuple[str, dict[str, str | float]]:
-    """Code and params of its trouble; nothing is good with one."""
+    """Code and params of the trouble, with which nothing is registered."""
     assert judged.trouble is not None and judged.registered is None
     return judged.trouble.code, judged.trouble.params
 
 
 def test_touches_that_agree_are_good_in_any_brands_units() -> None:
-    """Of a robot that shows metres, too; the sigma is that of the noise."""
+    """Agreeing touches are good with the noise's sigma, also for a robot that uses metres."""
     for brand in (Brand.KUKA, Brand.UR):
         judged = touched(brand=brand)
         assert judged.trouble is None and judged.registered is not None
@@ -51,7 +52,7 @@ def test_touches_that_agree_are_good_in_any_brands_units() -> None:
 
 
 def test_a_board_of_another_length_a_mirror_and_other_units_are_told() -> None:
-    """None of them is called good; the lengths by how much, the units by their name."""
+    """A wrong board length, a mirrored axis and other units each have a code, with percent or unit."""
     code, params = told(touched(rig_scale=1.02))
     assert "scale" == code
     assert -1.96 == pytest.approx(params["percent"], abs=0.02)
@@ -62,7 +63,7 @@ def test_a_board_of_another_length_a_mirror_and_other_units_are_told() -> None:
 
 
 def test_points_that_say_too_little_are_told_by_name() -> None:
-    """Too few; one place twice; on one line."""
+    """Too few points, a repeated place, and points on a line are named."""
     zero = (0.0, 0.0, 0.0)
     assert ("too_few", {"count": 1, "least": 3}) == told(
         judge_points(RIG, {"point_1": (PLACES[0], zero)}, Brand.KUKA, 0.5)
@@ -75,7 +76,7 @@ def test_points_that_say_too_little_are_told_by_name() -> None:
 
 
 def posed(turns_deg: list[tuple[float, float, float]], brand: Brand | None = Brand.KUKA) -> Judged:
-    """Poses of a KUKA whose flange turns so, about its own axes, from one pose."""
+    """Poses of a KUKA whose flange is turned like this, about its own axes, from one pose."""
     flange = transform(rotation_matrix(np.array([3.0, 0.1, 0.2])), np.array([500.0, 50.0, 300.0]))
     poses = {}
     for k, turn in enumerate(turns_deg):
@@ -88,7 +89,7 @@ def posed(turns_deg: list[tuple[float, float, float]], brand: Brand | None = Bra
 
 @pytest.mark.slow
 def test_the_turn_that_poses_lack_is_told() -> None:
-    """No turn at all; none but the wrist's; none but tilts one way; else each pose in its place."""
+    """The missing kind of turn is named: all, tilts, or tilts in one direction."""
     assert "all" == posed([(0, 0, 0)] * 4).missing
     wrist = posed([(0, 0, k * 15) for k in range(4)])
     assert ("tilt", "turns_missing") == (wrist.missing, told(wrist)[0])
@@ -102,7 +103,7 @@ def test_the_turn_that_poses_lack_is_told() -> None:
 
 @pytest.mark.slow
 def test_poses_that_no_equation_takes_are_told(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The linear algebra's own error has the code that the page has a sentence for."""
+    """An error of the linear algebra has the code "calibration"."""
 
     def fail(*_: object) -> None:
         raise np.linalg.LinAlgError("SVD did not converge")
@@ -115,7 +116,7 @@ def test_poses_that_no_equation_takes_are_told(monkeypatch: pytest.MonkeyPatch) 
 
 @pytest.mark.slow
 def test_poses_of_nobody_are_ranked_and_of_a_stranger_told() -> None:
-    """Without a brand the way that fits stands first; the numbers of a KUKA are not read as a FANUC's."""
+    """Without a brand the best reading comes first, and KUKA numbers are not read as FANUC's."""
     turns = [(0, 0, 0), (20, 5, 0), (0, 20, 10), (-10, 0, 30), (5, -15, -20)]
     nobody = posed(turns, None)
     assert "no_brand" == told(nobody)[0]

@@ -1,4 +1,4 @@
-"""A registration pose by pose: whatever a robot says has a verdict, and none is good that is not true."""
+"""A registration pose by pose: any robot data get a verdict, and only true ones are good."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ NOTHING = (Obstacle.TOO_FEW, Obstacle.TURN_MORE, Obstacle.NOT_GOOD, Obstacle.OTH
 
 
 def sampling(method: Method = Method.HAND_EYE) -> RegistrationSampling:
-    """Cameras that stand still."""
+    """Sampling for fixed cameras."""
     return RegistrationSampling(make_rig(), method, "eye-to-hand", BOARD, 0.1)
 
 
 def boards(number: int, seed: int = 1) -> list[FloatArray]:
-    """rig_from_board, turned every way."""
+    """rig_from_board, turned in every direction."""
     random = np.random.default_rng(seed)
     return [
         transform(
@@ -48,13 +48,13 @@ WORD = st.one_of(
 @given(st.lists(st.tuples(*[WORD] * 6), min_size=6, max_size=9), st.sampled_from(Convention))
 @settings(max_examples=20, derandomize=True)
 def test_whatever_the_flange_says_has_a_verdict(words: list[tuple[int, ...]], convention: Convention) -> None:
-    """Any words of FLANGE, beside a board that was seen well: nothing raises, and nothing is registered."""
+    """Any FLANGE words with a well-seen board give an obstacle, no exception and no registration."""
     one = sampling()
     for numbers, view in zip(words, boards(len(words)), strict=True):
         x, y, z, *angles = (number / 1000 for number in numbers)
         one.poses.append(transform(rotation_of(convention, *angles), np.array([x, y, z])))
         one.views.append(view)
-        one.shown.append(())  # without them no other reading is tried, which takes its time
+        one.shown.append(())  # without them no other reading is tried, which would be slow
     step = one.solve()
     assert step.obstacle in NOTHING
     assert step.registered is None
@@ -63,7 +63,7 @@ def test_whatever_the_flange_says_has_a_verdict(words: list[tuple[int, ...]], co
 @given(st.lists(st.tuples(*[WORD] * 3), min_size=4, max_size=9))
 @settings(max_examples=60, derandomize=True)
 def test_whatever_was_touched_has_a_verdict(words: list[tuple[int, ...]]) -> None:
-    """The same of touched points, which are not where the parts were."""
+    """Any FLANGE words for touched points give an obstacle, and no registration."""
     one, random = sampling(Method.TOUCH), np.random.default_rng(2)
     for numbers in words:
         one.poses.append(transform(np.eye(3), np.array(numbers) / 1000))
@@ -76,7 +76,7 @@ def test_whatever_was_touched_has_a_verdict(words: list[tuple[int, ...]]) -> Non
 
 @pytest.mark.parametrize("noise_mm", [0.0, 0.02])
 def test_true_poses_are_good_and_their_sigma_is_that_of_the_board(noise_mm: float) -> None:
-    """The error at the boards' middle is what sigma says: without noise both are nothing."""
+    """True poses are good, and the error at the boards' middle is consistent with the stated sigma."""
     one, random = sampling(), np.random.default_rng(3)
     for view in boards(10):
         pose = ROBOT_FROM_RIG @ view @ invert(FLANGE_FROM_BOARD)
@@ -91,11 +91,11 @@ def test_true_poses_are_good_and_their_sigma_is_that_of_the_board(noise_mm: floa
     middle = np.mean([view[:3, 3] for view in one.views], axis=0)
     error_mm = np.abs(apply(found, middle) - apply(ROBOT_FROM_RIG, middle))
     assert (error_mm <= 4 * np.array(step.registration.sigma[:3]) + 1e-6).all()
-    assert max(step.registration.sigma[:3]) <= 2.5 * noise_mm + 1e-6  # of ten poses, by Student's t
+    assert max(step.registration.sigma[:3]) <= 2.5 * noise_mm + 1e-6  # for ten poses, by Student's t
 
 
 def test_it_must_be_clear_which_part_was_touched() -> None:
-    """None, a bad one, or two: nothing is added."""
+    """Without a part, with a bad one, or with two, no sample is added."""
     one, tip = sampling(Method.TOUCH), np.eye(4)
     bad, good = make_target(reject=Reject.TOLERANCE), make_target()
     for targets in ((), (bad,), (good, good)):

@@ -1,4 +1,4 @@
-"""Registrations to a robot, over HTTP of a stage whose virtual robot says exactly where it is."""
+"""Registration over HTTP, on a stage whose virtual robot states its exact pose."""
 
 from __future__ import annotations
 
@@ -27,12 +27,12 @@ VOLUME_MM = np.array([[x, y, z] for x in (-16, 32) for y in (-16, 16) for z in (
 
 
 def worst_um(found: FloatArray, true: FloatArray) -> float:
-    """How far places of the working volume are off in the robot's frame."""
+    """Largest error in the robot's frame within the working volume, in µm."""
     return 1000 * float(np.linalg.norm(apply(found, VOLUME_MM) - apply(true, VOLUME_MM), axis=1).max())
 
 
 class Registrar:
-    """A person at the robot, who does what a page asks for."""
+    """A person at the robot who follows the page."""
 
     def __init__(
         self, newcomer: Newcomer, about: dict[str, Any], pendant: str = "kuka", noise_um: float = 10
@@ -41,19 +41,19 @@ class Registrar:
         self.place, self.document = "", {}
 
     async def begin(self) -> None:
-        """As stated."""
+        """Begin the registration."""
         self.document = await self.newcomer.ask("POST", "registrations", self.about, 201)
         self.place = f"registrations/{self.document['id']}"
 
     async def do(
         self, method: str, path: str, body: dict[str, Any] | None = None, expected: int = 200
     ) -> Any:
-        """Anything to the draft; its answer."""
+        """Make a change to the draft; returns its answer."""
         self.document = await self.newcomer.ask(method, f"{self.place}{path}", body or {}, expected)
         return self.document
 
     async def judged(self) -> dict[str, Any]:
-        """The draft, when all that it says is of the samples it has."""
+        """The draft, once it is judged with all its samples."""
         self.document = await self.newcomer.until(self.place, lambda draft: not draft["judging"])
         return self.document
 
@@ -64,18 +64,18 @@ class Registrar:
         return dict(await self.newcomer.ask("GET", f"stage/robot?{words}"))
 
     async def look(self, job: str | None = None) -> None:
-        """Take a picture of what is there to touch."""
+        """Take a picture of the places to touch."""
         await self.do("POST", "/looks", {**self.newcomer.token, "job": job}, 201)
 
     async def touch(self, change: Callable[[list[float]], list[float]] = list) -> dict[str, Any]:
-        """The place that is wanted most. change : how what the robot shows is typed."""
+        """Touch the most wanted place. change : applied to the typed values."""
         place = next(one for one in self.document["places"] if one["wanted"])
         x, y = place["left"]
         numbers = change((await self.shown(x=x, y=y))["numbers"])
         return dict(await self.do("POST", "/samples", {"place": place["key"], "numbers": numbers}, 201))
 
     async def pose(self, carries: str = "board") -> dict[str, Any]:
-        """The robot goes to its next pose, a picture is taken, and what it shows is pasted."""
+        """Move the robot to its next pose, take a picture, and paste the shown pose."""
         await self.newcomer.ask("POST", "stage/robot/walk", {})
         text = (await self.shown(carries=carries))["text"]
         return dict(await self.do("POST", "/samples", {**self.newcomer.token, "text": text}, 201))
@@ -94,7 +94,7 @@ async def on_stage(folder: Path) -> AsyncIterator[Newcomer]:
 
 
 async def test_a_persons_draft_gets_its_samples_from_the_page_alone(tmp_path: Path) -> None:
-    """What a PLC or a robot's program asks for while a person has the cell is refused, with a pose, too."""
+    """Commands of a PLC or a robot's program are refused while a person has the cell."""
     async with on_stage(tmp_path) as newcomer:
         person = Registrar(newcomer, {"mount": "fixed", "kind": "poses", "brand": "kuka", "board": BOARD})
         await person.begin()
@@ -107,9 +107,8 @@ async def test_a_persons_draft_gets_its_samples_from_the_page_alone(tmp_path: Pa
 
 
 async def test_six_touches_give_the_robots_frame_and_the_place_to_go_to(tmp_path: Path) -> None:
-    """Six touches with 10 µm of noise: within 25 µm of the truth all over the volume; one that was mistyped
-    is named, and no longer once it is put right; the same digits as the command line. A board of another
-    length than its mm say is not touched at all."""
+    """Six touches with 10 µm of noise are right within 25 µm in the volume; a mistyped one is named until
+    it is corrected; the result equals the command's. A board of wrong length cannot be touched."""
     async with on_stage(tmp_path) as newcomer:
         about = {"mount": "fixed", "kind": "touch", "brand": "kuka"}
         longer = Registrar(newcomer, {**about, "board": "chessboard:11x8:4.1"})
@@ -146,7 +145,7 @@ async def test_six_touches_give_the_robots_frame_and_the_place_to_go_to(tmp_path
         document = await person.do("POST", "/solve")
         assert document["solved"] and not document["active"]
 
-        # where the robot is to go, in its own words, is where the mark truly is
+        # the target in the robot's numbers is where the mark truly is
         place = document["places"][4]
         x, y = place["left"]
         true = (await person.shown(x=x, y=y, noise_um=0))["numbers"]
@@ -165,7 +164,8 @@ async def test_six_touches_give_the_robots_frame_and_the_place_to_go_to(tmp_path
 
 
 async def test_a_discarded_draft_is_gone_and_another_is_begun(tmp_path: Path) -> None:
-    """While it is being judged; by whoever saw it last; what is begun next has nothing of it."""
+    """A draft can be discarded while it is judged, with its latest revision, and the next one is
+    independent."""
     async with on_stage(tmp_path) as newcomer:
         about = {"mount": "fixed", "kind": "touch", "brand": "kuka", "board": BOARD}
         person = Registrar(newcomer, about)
@@ -187,7 +187,7 @@ async def test_a_discarded_draft_is_gone_and_another_is_begun(tmp_path: Path) ->
 
 
 def check_same_digits(folder: Path, rig: bytes, document: dict[str, Any], found: FloatArray) -> None:
-    """`edged register touch` of the same points."""
+    """Compare with `edged register touch` for the same points."""
     from rich.console import Console
 
     from edged.commands.register import touch
@@ -202,8 +202,8 @@ def check_same_digits(folder: Path, rig: bytes, document: dict[str, Any], found:
 
 
 async def test_poses_tell_whose_they_are_which_one_is_wrong_and_which_turn_they_lack(tmp_path: Path) -> None:
-    """Poses of a Universal Robots arm that are said to be KUKA's are told from those, unasked; read rightly,
-    a mistyped one is named and does not count, and the rig is where it is; a carried rig likewise."""
+    """Poses entered for the wrong brand are recognised; read rightly, a mistyped one is named and ignored,
+    and the rig is right, also if the robot carries it."""
     async with on_stage(tmp_path) as newcomer:
         person = Registrar(newcomer, {"mount": "fixed", "kind": "poses", "brand": "kuka"}, "ur")
         await person.begin()

@@ -1,4 +1,4 @@
-"""The jobs of a running cell over HTTP: changed as releases, used as a PLC would use them."""
+"""Jobs of a running cell over HTTP: changed as releases, and activated as by a PLC."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ from edged.vision.teaching.pair import teach
 
 @functools.cache
 def taught() -> Job:
-    """The flange."""
+    """The flange's job."""
     part = flange()
     return teach(part.left, part.right, make_rectification(part.rig), part.region, "flange")
 
 
 def cell_with_jobs(folder: Path) -> PartCell:
-    """Two jobs, of which one keeps its pair."""
+    """A cell with two jobs, one of which keeps its pair."""
     cell = PartCell(folder)
     save_job(folder / "jobs" / "flange", taught())
     save_job(folder / "jobs" / "lid", replace(taught(), name="lid", number=4))
@@ -45,7 +45,7 @@ def cell_with_jobs(folder: Path) -> PartCell:
 
 @asynccontextmanager
 async def ready(cell: PartCell) -> AsyncIterator[None]:
-    """The cell runs, and is ready."""
+    """The running cell, once it is ready."""
     async with cell.running():
         await cell.until("/cell", lambda now: now["state"] == "READY")
         yield
@@ -53,7 +53,7 @@ async def ready(cell: PartCell) -> AsyncIterator[None]:
 
 @pytest.mark.slow
 async def test_jobs_are_renamed_numbered_retired_and_brought_back(tmp_path: Path) -> None:
-    """Each a release, with all that people have written; what cannot be is refused, and nothing changes."""
+    """Each change is a release that keeps all edits, and impossible ones are refused without effect."""
     cell = cell_with_jobs(tmp_path)
 
     async def told() -> list[tuple[str, int, bool, bool]]:
@@ -112,7 +112,8 @@ async def test_jobs_are_renamed_numbered_retired_and_brought_back(tmp_path: Path
 async def test_a_job_is_used_as_a_plc_would_change_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """From the next cycle on; how often it was of use is told; not while a PLC has the right to write."""
+    """The job is used from the next cycle on, its share of good cycles is listed, and a writing PLC
+    prevents it."""
     cell = cell_with_jobs(tmp_path)
 
     async def active() -> list[tuple[str, bool, int]]:
@@ -142,7 +143,7 @@ async def test_a_job_is_used_as_a_plc_would_change_it(
 async def test_where_the_part_of_a_job_lies_is_kept_as_the_golden_one(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The answer says whether it was; not in SETUP, under AUTO_LOCK or while a PLC has the right to write."""
+    """The golden part is kept, but not in SETUP, with AUTO_LOCK or while a PLC has the right to write."""
     cell = cell_with_jobs(tmp_path)
     place = golden_file(cell.config.with_name("rig.json"), 1)
 

@@ -1,4 +1,4 @@
-"""What is other in one release than in another is told, and nothing else; no secret is."""
+"""Differences between releases are listed completely, without secrets."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from edged.vision.part.job import CircleFeature, Job, MeasurementSpec
 
 
 def told(template: Path, tmp_path: Path, change: Callable[[Path], None]) -> ReleaseDifference:
-    """Of a cell before and after something was changed in its folder."""
+    """Differences of a cell before and after a change in its folder."""
     folder = tmp_path / "cell"
     shutil.copytree(template, folder)
     before = read_any_cell(folder / "cell.toml")
@@ -29,7 +29,7 @@ def told(template: Path, tmp_path: Path, change: Callable[[Path], None]) -> Rele
 
 
 def with_job(change: Callable[[Job], Job]) -> Callable[[Path], None]:
-    """The job as a page would write it."""
+    """Change the job as a page would write it."""
 
     def changed(folder: Path) -> None:
         job = folder / "jobs" / "flange"
@@ -40,7 +40,7 @@ def with_job(change: Callable[[Job], Job]) -> Callable[[Path], None]:
 
 
 def test_the_same_is_not_told(template: Path) -> None:
-    """Two archives of one cell, whenever they were made."""
+    """Two archives of one cell differ in nothing."""
     one, other = (make(template / "cell.toml").backup for _ in range(2))
     same = difference(one, other)
     assert (None, [], []) == (same.rig, same.cameras, same.settings)
@@ -48,7 +48,7 @@ def test_the_same_is_not_told(template: Path) -> None:
 
 
 def test_a_job_is_told_by_what_changed_in_it(template: Path, tmp_path: Path) -> None:
-    """A limit, a feature more, one that moved, and a size: each by its code and name, with both values."""
+    """A limit, a new feature, a moved one and a size are listed with code, name and both values."""
 
     def change(job: Job) -> Job:
         (circle,) = job.circles
@@ -84,7 +84,7 @@ def test_a_job_is_told_by_what_changed_in_it(template: Path, tmp_path: Path) -> 
 
 
 def test_jobs_come_and_go_by_their_names(template: Path, tmp_path: Path) -> None:
-    """One that has another name is one less and one more."""
+    """A renamed job is one removed and one added."""
 
     def change(folder: Path) -> None:
         text = (folder / "jobs" / "flange" / "job.toml").read_text()
@@ -97,7 +97,7 @@ def test_jobs_come_and_go_by_their_names(template: Path, tmp_path: Path) -> None
 
 
 def test_a_rig_is_told_by_how_much_it_moves_places(template: Path, tmp_path: Path) -> None:
-    """A baseline one in a thousand longer: everything lies so much farther, a fifth of a millimetre here."""
+    """A longer baseline is listed with the resulting displacement of points."""
 
     def change(folder: Path) -> None:
         rig = load_rig(folder / "rig.json")
@@ -119,7 +119,7 @@ def test_a_rig_is_told_by_how_much_it_moves_places(template: Path, tmp_path: Pat
 
 
 def test_settings_are_told_by_their_names_and_secrets_are_not(template: Path, tmp_path: Path) -> None:
-    """Exposure apart from the rest; another password is told to nobody."""
+    """Camera settings are listed apart from others, and a changed password not at all."""
     secret = "$argon2id$v=19$m=8,t=1,p=1$c2FsdHNhbHQ$aGFzaGhhc2hoYXNoaGFzaA"
 
     def change(folder: Path) -> None:

@@ -1,4 +1,4 @@
-"""Releases in a folder: proven archives, what was ever active stays, and damaged ones are none."""
+"""Releases in a folder: verified archives, those ever active are kept, damaged ones are left out."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ NOW = datetime(2026, 3, 4, 5, 6, 7, tzinfo=UTC)
 
 @pytest.fixture(scope="module")
 def config(template: Path) -> Path:
-    """A complete cell."""
+    """Configuration of a complete cell."""
     return template / "cell.toml"
 
 
@@ -32,7 +32,7 @@ def made(config: Path) -> Made:
 
 
 def other_rig(config: Path, identity: str = "cal-other") -> bytes:
-    """The cell's rig, with a baseline that is a little longer."""
+    """The cell's rig, with a slightly longer baseline."""
     rig = load_rig(config.parent / "rig.json")
     wider = rig.right_from_left.copy()
     wider[:3, 3] *= 1.001
@@ -40,17 +40,17 @@ def other_rig(config: Path, identity: str = "cal-other") -> bytes:
 
 
 def with_rig(config: Path, rig: bytes) -> Made:
-    """The cell with another rig."""
+    """Archive of the cell with another rig."""
     return make(config, replace(parts_at(config.with_name("rig.json"), config.with_name("jobs")), rig=rig))
 
 
 def add(releases: ReleaseFolder, made: Made, note: str = "why") -> Release:
-    """A release of Anna's."""
+    """A release by Anna."""
     return releases.add(made, rig="cal-1", author="Anna", note=note, parent=None, now=NOW)
 
 
 def test_a_release_is_read_as_it_was_kept(config: Path, made: Made, tmp_path: Path) -> None:
-    """Number, words, jobs, and the cell itself; its archive is its owner's alone."""
+    """Number, note, jobs and cell are read back, and the archive has mode 600."""
     releases = ReleaseFolder(tmp_path / "releases")
     first, second = add(releases, made), add(releases, made, "again")
 
@@ -65,7 +65,7 @@ def test_a_release_is_read_as_it_was_kept(config: Path, made: Made, tmp_path: Pa
 
 
 def test_a_cell_with_another_rig_is_proven_before_it_is_one(config: Path, tmp_path: Path) -> None:
-    """Its fingerprint is what the cell's would be; a rig that is none is refused by name."""
+    """Its fingerprint is that of the resulting cell, and an invalid rig is refused by name."""
     rig = other_rig(config)
     before = read_cell(config).fingerprint
 
@@ -78,7 +78,7 @@ def test_a_cell_with_another_rig_is_proven_before_it_is_one(config: Path, tmp_pa
 
 
 def test_a_cell_without_rig_and_jobs_can_have_its_first_rig(config: Path, tmp_path: Path) -> None:
-    """The release is the cell that it becomes: one that lacks jobs alone, and is restored as such."""
+    """The release is a cell that lacks only jobs, and can be restored."""
     bare = tmp_path / "cell.toml"
     bare.write_bytes(config.read_bytes())
     with pytest.raises(ConfigError):
@@ -93,7 +93,7 @@ def test_a_cell_without_rig_and_jobs_can_have_its_first_rig(config: Path, tmp_pa
 
 
 def test_what_was_ever_active_stays(made: Made, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of the others the last ones; numbers are not given twice."""
+    """Of releases never active only the newest are kept, and numbers are not reused."""
     monkeypatch.setattr(releasefolder, "KEPT", 2)
     releases = ReleaseFolder(tmp_path)
     for _ in range(5):
@@ -108,7 +108,7 @@ def test_what_was_ever_active_stays(made: Made, tmp_path: Path, monkeypatch: pyt
 
 
 def test_a_damaged_release_is_none(made: Made, tmp_path: Path) -> None:
-    """Said by place when it is asked for; left out of the list, and its number stays taken."""
+    """A damaged release is an error on access, left out of the list, and its number is not reused."""
     releases = ReleaseFolder(tmp_path)
     for _ in range(4):
         add(releases, made)

@@ -1,4 +1,4 @@
-"""Another rig or other jobs are a release; whatever goes wrong leaves what was before, byte for byte."""
+"""Another rig or other jobs become a release; any failure leaves everything as before, byte for byte."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def files_in(folder: Path) -> dict[str, bytes]:
 
 
 class RunningCell:
-    """A cell in a folder; what it runs by follows its files when it reloads."""
+    """A cell in a folder that runs from its files after each reload."""
 
     def __init__(self, folder: Path) -> None:
         self.config, self.rig, self.jobs = folder / "cell.toml", folder / "rig.json", folder / "jobs"
@@ -52,7 +52,7 @@ class RunningCell:
         self.activation = Activation(self.releases, self.now)
 
     def files(self) -> dict[str, bytes]:
-        """All of it, apart from releases and what the cell keeps of the last."""
+        """All files, except releases and the cell's state."""
         found = files_in(self.config.parent).items()
         return {name: data for name, data in found if not name.startswith(("state/", ".cell.state/"))}
 
@@ -66,12 +66,12 @@ class RunningCell:
 
 @pytest.fixture
 def cell(own_cell: Path) -> RunningCell:
-    """Of one's own."""
+    """A copy for one test."""
     return RunningCell(own_cell)
 
 
 def activate(cell: RunningCell, rig: bytes) -> Release:
-    """As Anna."""
+    """Activate a rig as Anna."""
 
     async def asked() -> Release:
         return await cell.activation.activate(rig, Mandate("Anna", "new board"))
@@ -80,7 +80,7 @@ def activate(cell: RunningCell, rig: bytes) -> Release:
 
 
 def activate_again(cell: RunningCell, number: int) -> Release:
-    """As Ben."""
+    """Activate an earlier release as Ben."""
 
     async def asked() -> Release:
         return await cell.activation.activate_again(number, Mandate("Ben", "that was better"))
@@ -90,7 +90,7 @@ def activate_again(cell: RunningCell, number: int) -> Release:
 
 @pytest.mark.slow
 def test_a_rig_becomes_active_as_a_release_and_the_one_before_is_kept(cell: RunningCell) -> None:
-    """The cell as it was found is a release, too: there is a way back from the first one."""
+    """The previous state becomes a release, too, so that the first change can be undone."""
     before, rig = cell.now.files.fingerprint, cell.wider(1.001)
 
     release = activate(cell, rig)
@@ -107,7 +107,7 @@ def test_a_rig_becomes_active_as_a_release_and_the_one_before_is_kept(cell: Runn
 
 @pytest.mark.slow
 def test_the_way_back_restores_the_fingerprint(cell: RunningCell) -> None:
-    """It is the older release again, not a new one; and forth again, too."""
+    """Going back and forth activates existing releases with their fingerprints."""
     before, old = cell.now.files.fingerprint, cell.rig.read_bytes()
     activate(cell, cell.wider(1.001))
 
@@ -122,7 +122,7 @@ def test_the_way_back_restores_the_fingerprint(cell: RunningCell) -> None:
 
 
 def test_an_older_release_under_a_newer_file_is_one_of_its_own(cell: RunningCell) -> None:
-    """The administrator's file stays as it is: the cell that comes of it never was there before."""
+    """If the configuration file has changed since, an older release becomes a new one with that file."""
     activate(cell, cell.wider(1.001))
     cell.config.write_text(cell.config.read_text().replace("timeout_s = 10.0", "timeout_s = 3.0"))
     cell.running.files = read_cell(cell.config)
@@ -136,13 +136,13 @@ def test_an_older_release_under_a_newer_file_is_one_of_its_own(cell: RunningCell
 
 
 def choose(cell: RunningCell, chosen: ChosenConnections) -> None:
-    """As Anna."""
+    """Choose settings as Anna."""
     asyncio.run(cell.activation.activate_connections(chosen.content(), Mandate("Anna", "settings")))
 
 
 @pytest.mark.slow
 def test_settings_are_a_release_and_come_back_with_it(cell: RunningCell) -> None:
-    """Chosen, chosen again, taken back; each release has the ones that it became active with."""
+    """Each release restores the settings that it became active with."""
     before, files = cell.now.files.fingerprint, cell.files()
     choose(cell, ChosenConnections(settings={"cameras.timeout_s": 3.0}))
     assert (3.0, 2) == (cell.now.files.config.cameras.timeout_s, cell.activation.active)
@@ -169,7 +169,7 @@ def test_settings_are_a_release_and_come_back_with_it(cell: RunningCell) -> None
 
 @pytest.mark.slow
 def test_a_password_that_was_replaced_does_not_come_back(cell: RunningCell) -> None:
-    """No release is made for another one, and none brings an older one."""
+    """A changed password makes no release, and no release restores an old one."""
 
     files = {"certificate": "c.pem", "key": "k.pem", "trusted": "clients"}
     (cell.config.parent / "clients").mkdir()
@@ -191,7 +191,7 @@ def test_a_password_that_was_replaced_does_not_come_back(cell: RunningCell) -> N
 
 
 def test_settings_before_the_first_calibration_are_kept_without_a_release(cell: RunningCell) -> None:
-    """There is nothing yet that one could go back to; with the first rig they are in its release."""
+    """Without a calibration settings are kept without a release, and are part of the first one."""
     rig = cell.wider(1.001)
     cell.rig.unlink()
     cell.running.files = read_any_cell(cell.config)
@@ -203,7 +203,7 @@ def test_settings_before_the_first_calibration_are_kept_without_a_release(cell: 
 
 @pytest.mark.slow
 def test_cameras_that_are_kept_are_a_release(cell: RunningCell) -> None:
-    """Exposure and gain go back, too."""
+    """Kept exposure and gain are a release and can be undone."""
     cell.running.session.camera_changes = {"left": ChosenCamera(exposure_us=1234.0)}
     asyncio.run(cell.activation.keep_cameras(Mandate("Anna", "cameras")))
     assert (2, 1234.0) == (cell.activation.active, cell.now.files.config.cameras.left.exposure_us)
@@ -213,13 +213,13 @@ def test_cameras_that_are_kept_are_a_release(cell: RunningCell) -> None:
 
 
 def job_files(cell: RunningCell, name: str, number: int) -> dict[str, bytes]:
-    """A job as the flange, with a pair that it keeps."""
+    """Files of a job like the flange, with a kept pair."""
     there = of_job(jobs_in(cell.jobs), "flange")
     return {**renamed(there, name=name, number=number), "taught/left.png": b"pixels"}
 
 
 def activate_job(cell: RunningCell, name: str, number: int, replaced: str | None = None) -> Release:
-    """As Anna."""
+    """Activate a job as Anna."""
     files = job_files(cell, name, number)
 
     async def asked() -> Release:
@@ -234,7 +234,7 @@ def activate_job(cell: RunningCell, name: str, number: int, replaced: str | None
 def test_a_job_becomes_active_as_a_release_and_the_way_back_restores_the_fingerprint(
     cell: RunningCell,
 ) -> None:
-    """With the pair that it keeps, beside the others; back and forth all bytes are the same."""
+    """The job and its pair are added, and going back and forth gives identical bytes."""
     before, files = cell.now.files.fingerprint, cell.files()
 
     release = activate_job(cell, "ring", 2)
@@ -259,7 +259,7 @@ def test_a_job_becomes_active_as_a_release_and_the_way_back_restores_the_fingerp
 
 @pytest.mark.slow
 def test_jobs_that_do_not_go_together_change_nothing(cell: RunningCell) -> None:
-    """Two of one number, one that cannot be read, and not the one that the configuration begins with."""
+    """Jobs with the same number, an unreadable one, and a missing initial one are refused."""
     files = cell.files()
     with pytest.raises(UserError, match="both have the number 1"):
         activate_job(cell, "ring", 1)
@@ -275,7 +275,7 @@ def test_jobs_that_do_not_go_together_change_nothing(cell: RunningCell) -> None:
 def test_a_jobs_folder_that_cannot_be_written_is_named_with_its_remedy(
     cell: RunningCell, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """As under systemd; nothing has changed."""
+    """The error of a read-only folder names the remedy, and nothing has changed."""
     files = cell.files()
 
     def read_only(*_: object, **__: object) -> None:
@@ -289,7 +289,8 @@ def test_a_jobs_folder_that_cannot_be_written_is_named_with_its_remedy(
 
 @pytest.mark.slow
 def test_the_gate_is_told_what_the_cell_would_measure_by(cell: RunningCell) -> None:
-    """Before anything is written; what it says is kept; of the way back the reason is the signature."""
+    """The gate gets the new contents before anything is written, and its answer is kept; going back is
+    signed."""
     asked: list[tuple[Mapping[str, bytes], str | None]] = []
 
     async def gate(contents: Mapping[str, bytes], signed: str | None) -> releasefolder.Tested:
@@ -315,7 +316,7 @@ def test_the_gate_is_told_what_the_cell_would_measure_by(cell: RunningCell) -> N
 
 @pytest.mark.slow
 def test_what_is_tried_on_recorded_cycles_is_what_becomes_active(cell: RunningCell) -> None:
-    """Also of a draft that renames and renumbers the job that it replaces: else its test would not count."""
+    """The tried files are exactly those activated, also for a draft that renames and renumbers its job."""
     cell.config.write_text(cell.config.read_text().replace('job = "flange"', ""))
     candidate = Candidate("cover", "flange", job_files(cell, "cover", 9))
     told: list[Mapping[str, bytes]] = []
@@ -339,7 +340,7 @@ def test_what_is_tried_on_recorded_cycles_is_what_becomes_active(cell: RunningCe
 
 @pytest.mark.slow
 def test_a_reload_that_is_refused_leaves_all_as_it_was(cell: RunningCell) -> None:
-    """Files byte for byte, no release that never was, and the reason is said."""
+    """Files are as before, there is no new release, and the reason is given."""
     files = cell.files()
     cell.running.refuses = "modbus.port: in use"
 
@@ -359,7 +360,7 @@ def test_a_reload_that_is_refused_leaves_all_as_it_was(cell: RunningCell) -> Non
 
 
 def test_a_first_rig_that_is_refused_is_gone_again(cell: RunningCell) -> None:
-    """There was none before it, and there is none after it."""
+    """If the first rig is refused, there is no rig and no release."""
     rig = cell.wider(1.001)
     cell.rig.unlink()
     cell.running.files, cell.running.refuses = read_any_cell(cell.config), "no"
@@ -375,7 +376,7 @@ def test_a_first_rig_that_is_refused_is_gone_again(cell: RunningCell) -> None:
 def test_a_place_that_cannot_be_written_is_named_with_its_remedy(
     cell: RunningCell, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """As under systemd, where /etc is read-only for the daemon; nothing has changed."""
+    """The error of a read-only place names the remedy, and nothing has changed."""
     files = cell.files()
 
     def read_only(path: Path, data: bytes, mode: int = 0o644) -> None:
@@ -392,7 +393,7 @@ def test_a_place_that_cannot_be_written_is_named_with_its_remedy(
 
 
 def test_a_rig_that_is_none_changes_nothing(cell: RunningCell) -> None:
-    """It is read before anything is written."""
+    """An invalid rig is refused before anything is written."""
     files = cell.files()
     with pytest.raises(FileFormatError, match="the new rig: not a rig file"):
         activate(cell, b"{}")
@@ -401,7 +402,7 @@ def test_a_rig_that_is_none_changes_nothing(cell: RunningCell) -> None:
 
 
 def test_the_plant_forbids_it(cell: RunningCell) -> None:
-    """AUTO_LOCK, before anybody asks and while somebody has; so does whoever has the cell."""
+    """AUTO_LOCK and another holder forbid it, both before and during the activation."""
     asyncio.run(cell.activation.check(None))
     cell.running.session.holder = "Ben"
     with pytest.raises(SetupRefused, match="Ben has the cell"):
@@ -420,7 +421,7 @@ def test_the_plant_forbids_it(cell: RunningCell) -> None:
 
 @pytest.mark.slow
 def test_cameras_that_were_tried_become_active_with_the_rig(cell: RunningCell) -> None:
-    """And go with it again: they are of one release."""
+    """Tried camera settings are activated and undone with the rig as one release."""
     cell.running.session.camera_changes = {"left": ChosenCamera(exposure_us=1234.0)}
 
     activate(cell, cell.wider(1.001))
@@ -447,7 +448,8 @@ def test_cameras_that_were_tried_become_active_with_the_rig(cell: RunningCell) -
 def test_power_cuts_leave_the_rig_before_or_the_new_one_as_a_release(
     template: Path, tmp_path: Path, cameras: dict
 ) -> None:
-    """At any call: the cell loads; by the new one there are releases of both. Rig and cameras are of one."""
+    """After a cut at any call the cell loads with rig and cameras of one release; the new one has both
+    releases."""
     root = tmp_path / "real"
     root.mkdir()
     record = Record(root)
@@ -478,7 +480,7 @@ def test_power_cuts_leave_the_rig_before_or_the_new_one_as_a_release(
 def test_power_cuts_leave_the_jobs_before_or_the_new_ones_as_a_release(
     template: Path, tmp_path: Path
 ) -> None:
-    """With another rig: at any call the cell loads, and after the next start it is one of both."""
+    """After a cut at any call the cell loads, and after the next start it is one of both."""
     root = tmp_path / "real"
     root.mkdir()
     record = Record(root)
@@ -510,7 +512,8 @@ def test_power_cuts_leave_the_jobs_before_or_the_new_ones_as_a_release(
 
 @pytest.mark.slow
 def test_a_pair_is_kept_once_for_all_releases(cell: RunningCell) -> None:
-    """Beside their archives; it comes back with its job, and goes with the last release that had it."""
+    """Pairs are stored once beside the archives, restored with their job, and deleted with the last
+    release."""
     activate_job(cell, "ring", 2)
     activate(cell, cell.wider(1.001))
     pictures = cell.config.parent / "state" / "releases" / "pictures"

@@ -1,4 +1,4 @@
-"""What a pair teaches, against truth: every feature is measured, and what people change holds."""
+"""What a pair teaches, compared with the truth: every feature is measured, and edits are kept."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def rig() -> bytes:
 
 
 def drafted(folder: Path, part: Part) -> TeachingDraft:
-    """A draft of a part whose region was proposed."""
+    """A draft of a part with its proposed region."""
     pair = KeptPair(*pictures(small_rig(), scene((part, WHERE))))
     draft = TeachingDrafts(folder).create("Anna", Content(name="part", number=1), pair, NOW)
     corners = propose_region(draft.folder / "pictures")
@@ -44,24 +44,24 @@ def drafted(folder: Path, part: Part) -> TeachingDraft:
 
 
 def seen(draft: TeachingDraft) -> JobSeen:
-    """What it teaches."""
+    """What the draft teaches."""
     return see(LearningOrder(draft.pictures, draft.state.content, RigInUse("cal", rig(), Path("rig.json"))))
 
 
 def kept(one: JobSeen, name: str) -> Any:
-    """A feature's place, as the page's backend keeps it."""
+    """A feature's place, as the page's backend stores it."""
     return one.marks[name].model_dump(mode="json")
 
 
 def left_px(x: float, y: float) -> np.ndarray:
-    """Where a point of the part's face truly is in the left picture."""
+    """True place of a point of the part's face in the left picture."""
     place = WHERE[:3, :3] @ (x, y, 0.0) + WHERE[:3, 3]
     return small_rig().left.project(place[None])[0]
 
 
 @pytest.mark.slow
 def test_every_feature_is_measured_also_where_circles_say_everything(tmp_path: Path) -> None:
-    """Slots beside circles have sizes and sigmas of this pair, and they fit the truth."""
+    """Slots beside circles have sizes and sigmas that agree with the truth."""
     draft = drafted(tmp_path, DISC)
     first = seen(draft)
     found = {one.key: one for one in first.features}
@@ -92,7 +92,8 @@ def test_every_feature_is_measured_also_where_circles_say_everything(tmp_path: P
 
 @pytest.mark.slow
 def test_a_part_of_edges_alone_has_corners_for_a_reference(tmp_path: Path) -> None:
-    """Without an edge its corners are gone, too; what is left says more vaguely where the part is."""
+    """Corners can be the reference, and disappear with their edge, which makes the part's place less
+    certain."""
     draft = drafted(tmp_path, PLATE)
     first = seen(draft)
     kinds = [one.kind for one in first.features]
@@ -110,7 +111,7 @@ def test_a_part_of_edges_alone_has_corners_for_a_reference(tmp_path: Path) -> No
 
 
 def test_what_one_pair_leaves_open_of_a_part_of_several_heights_is_said() -> None:
-    """By the angle between both cameras, which may see other ends of a rounding; of a flat part nothing."""
+    """For a part of several heights the ambiguity from the cameras' angle is reported, for a flat one not."""
     images = make_rectification(small_rig())
     seen = [block(pose()), scene((DISC, WHERE))]
     said = [

@@ -30,23 +30,23 @@ from edged.setup.teaching.sources import recorded_pair
 from edged.vision.teaching.region import PolygonRegion
 
 RADII_MM = {14.0: 1, 4.0: 1, 1.6: 4, 0.9: 1}
-"""Of the flange: how many circles of each."""
+"""Circles of the flange by radius."""
 
 
 async def refused(cell: PartCell, method: str, path: str, document: Any) -> tuple[int, str]:
-    """Status and code."""
+    """Status and error code."""
     status, problem = await cell.ask(method, path, document)
     return status, problem["code"]
 
 
 def left_of(draft: dict[str, Any], key: str) -> np.ndarray[Any, Any]:
-    """The outline of a feature in the left picture."""
+    """Outline of a feature in the left picture."""
     return np.array(next(one for one in draft["features"] if one["key"] == key)["outline"]["left"])
 
 
 @pytest.mark.slow
 async def test_the_part_is_proposed_without_a_tap(tmp_path: Path) -> None:
-    """Around the flange and nothing else, with true sizes, and a sigma that fits their errors."""
+    """The proposed region is the flange alone, with true sizes and a sigma that fits their errors."""
     async with PartCell(tmp_path).running() as cell:
         token = await cell.take()
         draft = await cell.begun(**token)
@@ -76,7 +76,7 @@ async def test_the_part_is_proposed_without_a_tap(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 async def test_what_people_say_is_what_is_learnt(tmp_path: Path) -> None:
-    """A region, features left out, another reference, a grip, sizes: undone and done again."""
+    """Region, left-out features, reference, grip and sizes of a draft can be set, undone and done again."""
     async with PartCell(tmp_path).running() as cell:
         token = await cell.take()
         first = await cell.begun(**token, name="flange")
@@ -128,7 +128,8 @@ async def test_what_people_say_is_what_is_learnt(tmp_path: Path) -> None:
 async def test_a_further_pair_says_what_the_breaks_are_and_one_without_the_part_is_named(
     tmp_path: Path,
 ) -> None:
-    """The flange is sharp; what shows nothing is told by its number, removed, and taken back by undo."""
+    """A second pair gives the break of the flange's edges; a pair without the part is named by its number
+    and can be removed, which undo takes back."""
     async with PartCell(tmp_path).running() as cell:
         token = await cell.take()
         first = await cell.begun(**token)
@@ -156,8 +157,8 @@ async def test_a_further_pair_says_what_the_breaks_are_and_one_without_the_part_
 
 @pytest.mark.slow
 async def test_two_people_and_a_kill(tmp_path: Path) -> None:
-    """Who comes late is told what is new; a tap finds the part, nothing is found on the table; after a kill
-    of the worker and a restart of the daemon the draft is as it was."""
+    """A late user is shown the newest draft, a tap finds the part and nothing on the table, and the draft
+    survives a kill of the worker and a restart of the daemon."""
     kept: list[dict[str, Any]] = []
     async with PartCell(tmp_path).running() as cell:
         token = await cell.take()
@@ -214,8 +215,8 @@ async def test_two_people_and_a_kill(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 async def test_a_draft_becomes_the_cells_job_and_the_way_back_is_open(tmp_path: Path) -> None:
-    """The first makes the cell complete, byte for byte what the command teaches; edited from the pair that it
-    keeps it is the next release; going back restores the fingerprint."""
+    """The first job completes the cell and equals the command's byte by byte; edited from its kept pair it
+    becomes the next release, and going back restores the fingerprint."""
     kept: dict[str, Any] = {}
     async with PartCell(tmp_path).running() as cell:
         token = await cell.take()
@@ -265,7 +266,7 @@ async def test_a_draft_becomes_the_cells_job_and_the_way_back_is_open(tmp_path: 
 
 
 def test_a_job_can_be_taught_from_a_recorded_cycle(tmp_path: Path) -> None:
-    """Of the rig in use alone, and only where there are pictures: their grey values are the recorded ones."""
+    """A recorded cycle gives its own grey values, only if it is of the rig in use and has pictures."""
     file = tmp_path / "cycle.zip"
     snapshot = Snapshot(
         cycle=1,

@@ -1,4 +1,4 @@
-"""Drafts of jobs: a kill loses nothing, nothing hostile is read, what is said of a feature stays with it."""
+"""Drafts of jobs: they survive a kill, refuse damaged files, and keep what was set for a feature."""
 
 from __future__ import annotations
 
@@ -29,17 +29,17 @@ C3 = Mark(kind="circle", x=40.0, y=30.0, size=9.0)
 
 
 def begin(folder: Path) -> TeachingDraft:
-    """A new draft."""
+    """Create a draft."""
     return TeachingDrafts(folder).create("Anna", START, KeptPair(*PAIR), NOW)
 
 
 def pair_of(draft: TeachingDraft) -> list[np.ndarray]:
-    """As it is on disc."""
+    """The two pictures of a draft as they are on disc."""
     return [load_image(draft.picture(side)) for side in ("left", "right")]
 
 
 def steps(draft: TeachingDraft) -> None:
-    """Some of everything."""
+    """Change the draft in several ways."""
     draft.propose([BOX])
     draft.operate("features", {"left_out": [C3.model_dump(mode="json")]})
     draft.operate("about", {"name": "ring", "tilt_deg": 12.0})
@@ -48,7 +48,7 @@ def steps(draft: TeachingDraft) -> None:
 
 
 def test_a_draft_is_on_disc_after_each_step(tmp_path: Path) -> None:
-    """Another process finds the same state and the same grey values."""
+    """After each step another process reads the same state and the same grey values from disc."""
     draft = begin(tmp_path)
     steps(draft)
     again = TeachingDrafts(tmp_path).load(draft.state.id)
@@ -64,7 +64,7 @@ def test_a_draft_is_on_disc_after_each_step(tmp_path: Path) -> None:
 
 
 def test_what_the_cell_proposes_is_nobody_elses_change(tmp_path: Path) -> None:
-    """Who taps meanwhile, on a slow machine, is not told that somebody was quicker."""
+    """A proposal does not raise the revision, so a user's simultaneous change is not refused."""
     draft = begin(tmp_path)
     draft.propose([BOX])
     assert (0, (Rectangle(**BOX),)) == (draft.state.revision, draft.state.content.shapes)
@@ -72,7 +72,8 @@ def test_what_the_cell_proposes_is_nobody_elses_change(tmp_path: Path) -> None:
 
 
 def test_power_cuts_leave_a_whole_draft(tmp_path: Path) -> None:
-    """At any call it is one of the states that it had, with both pictures; or there is none yet."""
+    """After a power cut at any call the draft has one of its states and both pictures, or does not exist
+    yet."""
     root = tmp_path / "real"
     root.mkdir()
     record, seen = Record(root), []
@@ -97,7 +98,7 @@ def test_power_cuts_leave_a_whole_draft(tmp_path: Path) -> None:
 
 
 def test_what_was_cut_off_while_it_began_goes(tmp_path: Path) -> None:
-    """When it is old enough to be nobody's any more; whatever else is there stays."""
+    """An old draft that was cut off while it was created is removed; fresh ones and other folders stay."""
     cut_off, fresh, other = (
         tmp_path / name for name in ("20260101-000000-abcd", "20260102-000000-abcd", "x")
     )
@@ -110,7 +111,7 @@ def test_what_was_cut_off_while_it_began_goes(tmp_path: Path) -> None:
 
 
 def test_a_disc_that_is_full_leaves_nothing_behind(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """No draft, and no picture of one that takes room; a step that is refused has not been taken."""
+    """On a full disc no draft and no picture is left behind, and a refused step does not change the draft."""
     draft = begin(tmp_path / "there")
 
     def full(path: Path, data: bytes, **_: Any) -> None:
@@ -142,7 +143,7 @@ HOSTILE: dict[str, dict[str, Any]] = {
 
 @pytest.mark.parametrize("sets", HOSTILE.values(), ids=HOSTILE)
 def test_what_cannot_be_is_refused(tmp_path: Path, sets: dict[str, Any]) -> None:
-    """As a step, and in a file that somebody else has written."""
+    """An impossible value is refused as a step, and in a state file that somebody else wrote."""
     draft = begin(tmp_path)
     with pytest.raises(TeachError):
         draft.operate("about", sets)
@@ -155,7 +156,7 @@ def test_what_cannot_be_is_refused(tmp_path: Path, sets: dict[str, Any]) -> None
 
 
 def test_a_picture_that_is_gone_or_elsewhere_is_missed(tmp_path: Path) -> None:
-    """A link is none: it may lead to anything."""
+    """A missing picture is named; a link instead of a picture counts as missing."""
     draft = begin(tmp_path)
     draft.picture("left").rename(tmp_path / "left.png")
     draft.picture("left").symlink_to(tmp_path / "left.png")
@@ -166,7 +167,7 @@ def test_a_picture_that_is_gone_or_elsewhere_is_missed(tmp_path: Path) -> None:
 
 
 def test_the_pair_stays_with_the_job(tmp_path: Path) -> None:
-    """Years later it is edited from the same grey values, of further ones, too; a job without is told."""
+    """The job keeps its pairs, and is edited from the same grey values; a job without a pair is refused."""
     draft = begin(tmp_path / "drafts")
     steps(draft)
     other = draft.put_further(KeptPair(PAIR[1], PAIR[0]))
@@ -192,7 +193,8 @@ def test_the_pair_stays_with_the_job(tmp_path: Path) -> None:
 
 
 def test_a_feature_is_known_by_its_place() -> None:
-    """Whatever it is called now; another one beside it, or of another size, is another."""
+    """A feature is recognised by its place, not its name; one elsewhere or of another size is another
+    feature."""
     marks = {
         "c0": C3.model_copy(update={"size": 30.0}),
         "c1": C3,
@@ -204,7 +206,8 @@ def test_a_feature_is_known_by_its_place() -> None:
 
 
 def test_shapes_lie_over_each_other() -> None:
-    """What was erased may be added again; one shape with what is erased of it is as `edged teach` has it."""
+    """An erased area may be added again; one shape with erased areas becomes region and exclude as in
+    `edged teach`."""
     box, hole = Rectangle(**BOX), Rectangle(**{**BOX, "add": False, "x": 20.0, "width": 20.0})
     region, exclude = region_of([box, hole], 80, 60)
     assert (Region(10.0, 12.0, 40.0, 30.0), 1) == (region, len(exclude))

@@ -1,4 +1,4 @@
-"""Teaching without a console: the same job as the command's, written only when somebody commits it."""
+"""Teaching without a console: the same job as the command's, written only when it is committed."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def flat() -> cells.Flange:
 
 @pytest.fixture(scope="module")
 def folder(flat: cells.Flange, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Its rig and its pictures, and the job that the command taught of them."""
+    """A folder with rig, pictures and the job that the command taught from them."""
     folder = tmp_path_factory.mktemp("cell")
     save_rig(folder / "rig.json", flat.rig)
     for side, image in (("left", flat.left), ("right", flat.right)):
@@ -46,7 +46,7 @@ def folder(flat: cells.Flange, tmp_path_factory: pytest.TempPathFactory) -> Path
 
 
 def proposal(flat: cells.Flange, wanted: WantedJob) -> Proposal:
-    """The same of the pictures in memory."""
+    """The proposal from the same pictures in memory."""
     area: Region = flat.region
     rectification = prepare(flat.rig).rectification
     return propose_from_pair(flat.left, flat.right, rectification, wanted, region=area)
@@ -61,7 +61,7 @@ def contents(folder: Path) -> dict[str, bytes]:
 def test_the_same_pair_gives_the_same_job_to_the_last_byte(
     flat: cells.Flange, folder: Path, tmp_path: Path
 ) -> None:
-    """From files by the command, from memory here; a proposal alone writes nothing."""
+    """A job from memory equals the command's byte by byte; a proposal alone writes nothing."""
     proposed = proposal(flat, WantedJob("flange", 1))
     assert [] == list(tmp_path.iterdir())
     commit(tmp_path / "flange", proposed)
@@ -73,7 +73,7 @@ def test_the_same_pair_gives_the_same_job_to_the_last_byte(
 def test_what_people_changed_in_the_former_job_is_proposed_again(
     flat: cells.Flange, folder: Path, tmp_path: Path
 ) -> None:
-    """As the command carries it over, and said line by line."""
+    """A limit that was changed in the former job is carried over as by the command, and listed."""
     job = tmp_path / "flange"
     shutil.copytree(folder / "jobs" / "flange", job)
     text = (job / "job.toml").read_text()
@@ -90,7 +90,8 @@ def test_what_people_changed_in_the_former_job_is_proposed_again(
 
 @pytest.mark.slow
 def test_an_exposure_is_measured_by_any_rig_and_job(flat: cells.Flange, folder: Path) -> None:
-    """By those it was recorded with every digit comes again; with a tighter limit the part is refused."""
+    """A recorded exposure gives the same digits with its own rig and job; with a tighter limit it is
+    refused."""
     rig, job = prepare(flat.rig), load_job(folder / "jobs" / "flange")
     pair = cells.frame_pair(flat.left, flat.right)
     outcome = locate(pair, job, rig)

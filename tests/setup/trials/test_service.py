@@ -1,4 +1,4 @@
-"""A job is tried on live pairs over HTTP: every tab sees what comes of each."""
+"""Trials of a job on live pairs over HTTP: every tab gets the results."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from edged.vision.teaching.pair import teach
 
 
 class TaughtCell(PartCell):
-    """It has a job of the flange."""
+    """A cell with a job of the flange."""
 
     def __init__(self, folder: Path) -> None:
         super().__init__(folder)
@@ -38,9 +38,9 @@ Trials = asyncio.Queue[dict[str, Any]]
 
 @asynccontextmanager
 async def live(cell: PartCell, token: dict[str, str]) -> AsyncIterator[Trials]:
-    """A tab of who has the cell, and the trials that it is told.
+    """A tab of the user who has the cell, and the trials that it receives.
 
-    It looks at the live pictures whatever else is asked meanwhile: who does not is taken off.
+    It watches the live pictures all the time: a tab that does not is disconnected.
     """
     trials = Trials()
 
@@ -69,7 +69,7 @@ async def told(trials: Trials, condition: Callable[[dict[str, Any]], object]) ->
 
 
 def cropping(run: Callable[..., Awaitable[Any]]) -> Callable[..., Awaitable[Any]]:
-    """A worker's `run` that is given the pictures of smaller cameras to try."""
+    """A worker's `run` that tries pictures of smaller cameras."""
 
     async def cropped(worker: Worker, name: str, *arguments: Any) -> Any:
         if name == "try_pair":
@@ -82,8 +82,8 @@ def cropping(run: Callable[..., Awaitable[Any]]) -> Callable[..., Awaitable[Any]
 
 @pytest.mark.slow
 async def test_a_job_is_tried_on_live_pairs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Where the part lies, in the robot's frame; when it is laid elsewhere, that is seen, and the trail is
-    longer; a draft is tried as a job is. What cannot be tried is said."""
+    """A trial gives the part's place in the robot's frame, follows a moved part with a longer trail, and
+    also tries a draft; what cannot be tried is refused with a code."""
     cell = TaughtCell(tmp_path)
     async with cell.running():
         token = await cell.take()
@@ -150,7 +150,7 @@ async def test_a_job_is_tried_on_live_pairs(tmp_path: Path, monkeypatch: pytest.
 
 @pytest.mark.slow
 async def test_the_still_test_is_a_task_with_a_verdict(tmp_path: Path) -> None:
-    """The same picture each time scatters by nothing; a part that is moved or taken away is no verdict."""
+    """Identical pictures do not scatter; a part that is moved or taken away gives no verdict."""
     cell = TaughtCell(tmp_path)
 
     async def still(token: dict[str, str], pictures: int) -> str:
@@ -184,7 +184,7 @@ async def test_the_still_test_is_a_task_with_a_verdict(tmp_path: Path) -> None:
 
 
 async def coded(cell: PartCell, method: str, body: Any) -> tuple[int, str]:
-    """Status and code of the problem: of turning a trial, of a still test, of the map."""
+    """Status and problem code of a trial, a still test or the map."""
     path = {"PUT": "/trials", "POST": "/trials/still", "GET": "/trials/map"}[method]
     status, problem = await cell.ask(method, path, body)
     return status, problem["code"]

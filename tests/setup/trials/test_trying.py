@@ -1,4 +1,4 @@
-"""What a job makes of one pair, whether its sigma is honest, and what it will be in the whole volume."""
+"""The result of a job for one pair, the honesty of its sigma, and its map over the whole volume."""
 
 from __future__ import annotations
 
@@ -23,30 +23,31 @@ SIGMA_MM = np.array([0.004, 0.003, 0.009])
 
 @functools.cache
 def taught() -> tuple[PreparedRig, Job]:
-    """The flange."""
+    """The rig, and a job of the flange."""
     flat = cells.flange()
     rig = prepare(flat.rig)
     return rig, teach(flat.left, flat.right, rig.rectification, flat.region, "flange")
 
 
 def tried(left: Image, right: Image, bounds: Bounds | None = None) -> TriedPair:
-    """A pair of it."""
+    """The result for a pair of the flange."""
     rig, job = taught()
     return try_pair(rig, job, cells.frame_pair(left, right), bounds or Bounds(), Convention.FIXED_XYZ)
 
 
 def stands(places: FloatArray, stated_mm: FloatArray = SIGMA_MM) -> list[Stand | None]:
-    """Of a part whose edges are said to be so good."""
+    """Stands of a part with the given sigma of its edges."""
     return [Stand(one, np.diag(stated_mm**2)) for one in places]
 
 
 def drawn(seed: int, count: int = 30) -> FloatArray:
-    """Places of a part that lies still."""
+    """Positions of a still part."""
     return np.array([8.0, 0.0, 205.0]) + SIGMA_MM * np.random.default_rng(seed).normal(size=(count, 3))
 
 
 def test_an_honest_sigma_is_called_so() -> None:
-    """By nineteen of twenty draws, as the interval says; its chi² is 1 in the mean, of few pictures, too."""
+    """About 95 % of draws with a true sigma are called honest, and chi² has the mean 1, also with few
+    pictures."""
     found = [judged(stands(drawn(seed))) for seed in range(200)]
     assert 180 <= sum(one.verdict == "honest" for one in found) <= 198
     assert np.mean([one.chi2 for one in found if one.chi2 is not None]) == pytest.approx(1.0, abs=0.03)
@@ -58,7 +59,7 @@ def test_an_honest_sigma_is_called_so() -> None:
 
 @pytest.mark.parametrize(("factor", "verdict"), [(0.5, "larger"), (2.0, "smaller")])
 def test_a_sigma_that_is_wrong_by_a_factor_of_two_is_not(factor: float, verdict: str) -> None:
-    """Half of what it is: the scatter is larger; twice: smaller."""
+    """A stated sigma of half the scatter is called too small ("larger" scatter), one of twice "smaller"."""
     found = judged(stands(drawn(3), factor * SIGMA_MM))
     assert (verdict, verdict == "smaller") == (found.verdict, found.covers)
     assert found.scatter_mm is not None
@@ -66,7 +67,7 @@ def test_a_sigma_that_is_wrong_by_a_factor_of_two_is_not(factor: float, verdict:
 
 
 def test_a_part_that_moves_or_goes_is_no_verdict() -> None:
-    """Pushed by ten sigmas, sinking slowly, elsewhere in one picture, or gone in one."""
+    """A part that is pushed, sinks, is elsewhere or gone in one picture gives no verdict."""
     pushed = drawn(4)
     pushed[13:] += 10 * SIGMA_MM
     sinking = drawn(5) + np.linspace(0, 1, 30)[:, None] * 12 * SIGMA_MM
@@ -79,7 +80,7 @@ def test_a_part_that_moves_or_goes_is_no_verdict() -> None:
 
 
 def of_pictures(poses: list[FloatArray], each: int) -> StillResult:
-    """The verdict over pictures of the flange, so many at each pose, each with its own noise."""
+    """The verdict over several pictures of the flange at each pose, each with its own noise."""
     rig, job = taught()
     rng, seen = np.random.default_rng(2), []
     for where in poses:
@@ -93,7 +94,8 @@ def of_pictures(poses: list[FloatArray], each: int) -> StillResult:
 
 @pytest.mark.slow
 def test_the_noise_of_its_edges_is_the_scatter_of_a_part() -> None:
-    """In each axis within a third; the sigma of the edges, in which texture and light are, is larger."""
+    """The stated noise agrees with the scatter within a third in each axis; the sigma of the edges is
+    larger."""
     found = of_pictures([cells.pose((3.0, -4.0, 207.0), 70.0, 6.0)], 24)
     assert "honest" == found.verdict
     assert found.scatter_mm is not None
@@ -105,7 +107,7 @@ def test_the_noise_of_its_edges_is_the_scatter_of_a_part() -> None:
 
 @pytest.mark.slow
 def test_a_part_that_shakes_scatters_more_than_its_edges() -> None:
-    """By a micrometre in every direction, which its sigma covers: no edge by itself is so unsteady."""
+    """A part that shakes by a micrometre scatters more than its edges, within its sigma."""
     rng, poses = np.random.default_rng(4), []
     for shake in 1e-3 * rng.normal(size=(10, 3)):
         poses.append(cells.pose((3.0, -4.0, 207.0), 70.0, 6.0))
@@ -119,7 +121,7 @@ def test_a_part_that_shakes_scatters_more_than_its_edges() -> None:
 
 @pytest.mark.slow
 def test_a_good_pair_is_shown_as_it_was_measured() -> None:
-    """Pose and sigma, every feature's outline where it is in both pictures, and edges beside it."""
+    """A good pair gives pose, sigma, every feature's outline in both pictures, and the edges beside it."""
     flat = cells.flange()
     found = tried(flat.left, flat.right)
     (part,) = found.parts
@@ -144,7 +146,8 @@ def test_a_good_pair_is_shown_as_it_was_measured() -> None:
 
 
 def test_what_was_not_found_or_not_allowed_has_its_reason() -> None:
-    """An empty table; a part outside of the bounds; a hole that is covered is shown where it should be."""
+    """An empty table and a part out of bounds have their reasons; a covered hole is shown where it should
+    be."""
     flat = cells.flange()
     empty = np.full_like(flat.left, 40)
     assert ("NO_TARGET", ("NOT_FOUND",), ()) == (
@@ -174,7 +177,8 @@ def test_what_was_not_found_or_not_allowed_has_its_reason() -> None:
 
 @pytest.mark.slow
 def test_the_map_is_what_a_part_there_then_says() -> None:
-    """At every place the order of the points, and the sigma of a measurement at the one nearest to it."""
+    """The map's cells are in order of the points, and a pose in a cell has about the sigma of the map
+    there."""
     rig, job = taught()
     flat = cells.flange()
     found = tried(flat.left, flat.right)

@@ -1,4 +1,4 @@
-"""A board's own shape: found where it is bent, nothing invented where it is flat, size left as stated."""
+"""A board's own shape: found if it is bent, not invented if it is flat, with the stated size."""
 
 from __future__ import annotations
 
@@ -44,7 +44,8 @@ def normalised_error(calibration: Calibration) -> FloatArray:
 
 @pytest.mark.slow
 def test_a_bent_board_is_found_bent() -> None:
-    """Taken as flat it spoils the rig beyond its sigma; with its shape free rig and shape are right."""
+    """Taken as flat, a bent board spoils the rig beyond its sigma; with a free shape rig and shape are
+    right."""
     true = bent(BOARD)
     flat = calibrate_stereo(views_of(true), SIZE, SIZE, "division")
     free = calibrate_stereo(views_of(true), SIZE, SIZE, "division", plate_shape=True)
@@ -62,7 +63,7 @@ def test_a_bent_board_is_found_bent() -> None:
 
 @pytest.mark.slow
 def test_the_sigma_of_the_rig_knows_of_the_shape() -> None:
-    """Over 8 draws of noise the normalised squared error per parameter is 1."""
+    """Over 8 draws of noise the normalised squared error per parameter of the rig is 1."""
     true = bent(BOARD)
     squares = []
     for seed in range(8):
@@ -73,7 +74,7 @@ def test_the_sigma_of_the_rig_knows_of_the_shape() -> None:
 
 @pytest.mark.slow
 def test_a_flat_board_stays_flat() -> None:
-    """Nothing is invented: the shape of a true board is noise, and the rig does not suffer."""
+    """The measured shape of a flat board is only noise, and the rig is no worse."""
     views = synthetic_views(RIG, BOARD, board_poses(RIG, BOARD, 10, 1), 0.02, 0)
     free = calibrate_stereo(views, SIZE, SIZE, "division", plate_shape=True)
     found = free.views[0].view.board
@@ -102,7 +103,7 @@ def test_two_boards_have_two_shapes() -> None:
 
 @pytest.mark.parametrize("board", [BOARD, OTHER, CircleGrid(4, 11, 4.0, 2.0), Chessboard(3, 3, 10.0)])
 def test_a_shape_is_no_movement_and_no_size(board: Board) -> None:
-    """Every way of deviating keeps middle, direction and size of the board, and has an rms of 1 mm."""
+    """Every shape parameter keeps middle, direction and size of the board, and has an rms of 1 mm."""
     basis = plate_basis(board)
     points = board.points_mm
     ways = basis.at(points)

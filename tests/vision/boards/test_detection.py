@@ -1,4 +1,4 @@
-"""Boards: specifications, and marks found where they are, in an order both cameras agree on."""
+"""Boards: specifications, and marks at their true places, numbered alike by both cameras."""
 
 from __future__ import annotations
 
@@ -141,7 +141,8 @@ def test_both_cameras_number_the_corners_alike() -> None:
 
 
 def test_a_bent_edge_is_no_bias_once_the_lens_is_known() -> None:
-    """A strong lens bends edges in the window; measured again with the lens, the radial bias is gone."""
+    """A strong lens bends edges in the window; a second measurement with the known lens has no radial
+    bias."""
     rig = make_rig(focal_px=800.0, size=(640, 480), vergence_deg=10)
     board = Chessboard(8, 6, 8.0)
     pose = board_poses(rig, board, 1, seed=11, tilt_deg=5)[0]
@@ -164,14 +165,14 @@ def test_a_bent_edge_is_no_bias_once_the_lens_is_known() -> None:
     ],
 )
 def test_a_picture_without_the_board_is_a_miss_with_a_reason(image: np.ndarray, reason: str) -> None:
-    """No board is no exception, but says why."""
+    """A picture without the board gives NotDetected with a reason, no exception."""
     found = detect_chessboard(image, Chessboard(8, 5, 3.0))
     assert isinstance(found, NotDetected)
     assert reason in found.reason
 
 
 def test_a_picture_with_hardly_any_contrast_is_a_miss() -> None:
-    """Five grey values between black and white are no measurement."""
+    """A picture with five grey values between black and white gives NotDetected."""
     board = Chessboard(8, 5, 3.0)
     image = draw_board(board, SMALL.left, board_poses(SMALL, board, 1, seed=7)[0])
     flat = np.rint(100 + image * (5 / 255)).astype(np.uint8)
@@ -180,7 +181,7 @@ def test_a_picture_with_hardly_any_contrast_is_a_miss() -> None:
 
 @pytest.mark.slow
 def test_a_covered_corner_is_left_out() -> None:
-    """A corner under a thumb is not in the detection; the others are where they are."""
+    """A covered corner is not in the detection; the others are at their true places."""
     board = Chessboard(8, 5, 6.0)
     pose = board_poses(SMALL, board, 1, seed=7)[0]
     image = draw_board(board, SMALL.left, pose)
@@ -241,7 +242,7 @@ def dots_in(image: np.ndarray, board: DotBoard) -> Detection:
 @pytest.mark.parametrize("board", [PLATE, DotBoard(9, 6, 6.0, 2.5)])
 @pytest.mark.parametrize("inverted", [False, True])
 def test_dots_are_found_to_two_hundredths_of_a_pixel(board: DotBoard, inverted: bool) -> None:
-    """The centres of the dots themselves, not of their ellipses, dark on light and light on dark."""
+    """The centres of the dots, not of their ellipses, are found, dark on light and light on dark."""
     for seed, pose in enumerate(board_poses(SMALL, board, 3, seed=2, tilt_deg=35)):
         image = draw_board(board, SMALL.left, pose, noise=1.5, seed=seed)
         found = dots_in(255 - image if inverted else image, board)
@@ -256,7 +257,8 @@ def test_dots_are_found_to_two_hundredths_of_a_pixel(board: DotBoard, inverted: 
 
 
 def test_the_middle_of_an_ellipse_is_not_the_middle_of_the_circle() -> None:
-    """Large dots seen aslant and near: without the correction the marks are off by 0.06 px."""
+    """For large dots seen aslant and near, the ellipses' centres are off by 0.06 px; the corrected marks
+    are not."""
     board = DotBoard(5, 5, 12.0, 9.0)
     rig = make_rig(focal_px=900.0, size=(640, 480))
     pose = board_poses(rig, board, 1, seed=1, tilt_deg=40)[0]
@@ -309,7 +311,7 @@ def test_dots_of_another_count_or_without_orientation_are_a_miss() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("stated_mm", [6.0, 9.0, 11.0])
 def test_the_dots_own_size_is_measured(stated_mm: float) -> None:
-    """A wrong or guessed diameter does no harm: the correction for perspective uses what is seen."""
+    """A wrong or unknown diameter does no harm: the perspective correction uses the measured one."""
     board = DotBoard(5, 5, 12.0, 9.0)
     rig = make_rig(focal_px=900.0, size=(640, 480))
     pose = board_poses(rig, board, 1, seed=1, tilt_deg=40)[0]
@@ -327,7 +329,7 @@ def test_the_dots_own_size_is_measured(stated_mm: float) -> None:
     "board", [DotBoard(3, 3, 12.0, 6.0), DotBoard(15, 11, 3.0, 1.5), DotBoard(5, 9, 5.0, 2.0)]
 )
 def test_plates_of_any_size_are_found(board: DotBoard) -> None:
-    """Few large dots, many small ones, more rows than columns."""
+    """Plates with few large dots, many small ones, or more rows than columns are found."""
     pose = board_poses(SMALL, board, 1, seed=8)[0]
     found = dots_in(draw_board(board, SMALL.left, pose, noise=1.5), board)
     true = SMALL.left.project(apply(pose, board.points_mm))
@@ -341,7 +343,7 @@ def test_plates_of_any_size_are_found(board: DotBoard) -> None:
 )
 @pytest.mark.parametrize("turn_rad", [0.0, 1.3, 2.9, 4.6])
 def test_an_asymmetric_grid_tells_its_turn(board: CircleGrid, turn_rad: float) -> None:
-    """Turned by any angle and tilted by 40°, each mark is itself, to a fiftieth of a pixel."""
+    """Turned by any angle and tilted by 40°, each mark has its own number, to a fiftieth of a pixel."""
     pose, middle, turn = board_poses(SMALL, board, 1, seed=3, tilt_deg=40)[0], np.eye(4), np.eye(4)
     middle[:3, 3] = board.points_mm.mean(axis=0)
     turn[:3, :3] = rotation_matrix(np.array([0, 0, turn_rad]))
@@ -354,7 +356,7 @@ def test_an_asymmetric_grid_tells_its_turn(board: CircleGrid, turn_rad: float) -
 
 
 def test_asymmetric_marks_stand_where_opencv_says() -> None:
-    """cv2.findCirclesGrid counts the marks of an ASYMMETRIC_GRID in the same order."""
+    """The marks are those of cv2.findCirclesGrid with ASYMMETRIC_GRID, in the same order."""
     board = CircleGrid(4, 11, 4.0, 2.0)
     image = draw_board(board, SMALL.left, board_poses(SMALL, board, 1, seed=3)[0])
     ok, theirs = cv2.findCirclesGrid(image, (4, 11), flags=cv2.CALIB_CB_ASYMMETRIC_GRID)
@@ -367,7 +369,7 @@ def test_asymmetric_marks_stand_where_opencv_says() -> None:
 
 @pytest.mark.parametrize(("rows", "symmetric"), [(6, True), (7, False)])
 def test_an_even_asymmetric_grid_is_symmetric(rows: int, symmetric: bool) -> None:
-    """With an even number of rows, and only then, the grid is its own half turn, and says so."""
+    """Only with an even number of rows the grid equals its own half turn, and is_symmetric says so."""
     board = CircleGrid(4, rows, 5.0, 2.5)
     places = {tuple(place) for place in board.points_mm.tolist()}
     turned = {tuple(place) for place in (board.points_mm.max(axis=0) - board.points_mm).tolist()}
@@ -376,7 +378,7 @@ def test_an_even_asymmetric_grid_is_symmetric(rows: int, symmetric: bool) -> Non
 
 
 def test_circles_in_another_arrangement_are_a_miss() -> None:
-    """As many marks in another arrangement are not taken for the board."""
+    """The same number of marks in another arrangement is not taken for the board."""
     board = CircleGrid(4, 6, 5.0, 2.5)
     image = draw_board(board, SMALL.left, board_poses(SMALL, board, 1, seed=3)[0])
     found = detect_dots(image, CircleGrid(6, 4, 5.0, 2.5))
@@ -406,7 +408,7 @@ CHARUCO = Charuco(8, 6, 10.0, 7.0, "5X5_250")
 
 
 def charuco_picture(legacy: bool = False) -> tuple[np.ndarray, np.ndarray]:
-    """A printed board seen aslant (smoothed), and where its inner corners are."""
+    """A printed, smoothed board seen aslant, and the places of its inner corners."""
     dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_5X5_250)
     pattern = cv2.aruco.CharucoBoard((8, 6), 10.0, 7.0, dictionary)
     pattern.setLegacyPattern(legacy)

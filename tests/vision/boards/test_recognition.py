@@ -1,4 +1,4 @@
-"""Boards of which nothing is known: the pictures tell kind and size, and show none where none is."""
+"""Unknown boards: kind and size are recognised from the pictures, and no board where there is none."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ UPPER = ((80, 60), (580, 90), (540, 660), (60, 640))
 
 
 def agreed(images: list[Image]) -> NominalBoard | None:
-    """What several images show."""
+    """The board that several images agree on."""
     return agreed_board([seen for image in images if (seen := recognise_board(image))])
 
 
@@ -54,7 +54,7 @@ def charuco_picture(board: Charuco, view: object, legacy: bool = False) -> Image
     ],
 )
 def test_kind_and_size_are_seen(spec: str, expected: str) -> None:
-    """With the pitch they are a specification that finds the board in every picture."""
+    """The recognised board with its pitch is a specification that finds the board in every picture."""
     board = parse_board(spec)
     images = [
         draw_board(board, SMALL.left, pose, noise=2.0, seed=seed)
@@ -82,7 +82,7 @@ def test_kind_and_size_are_seen(spec: str, expected: str) -> None:
     ids=str,
 )
 def test_markers_tell_the_board(board: Charuco, legacy: bool) -> None:
-    """Columns, rows, dictionary and the markers' share of a square, also where the left side is cut off."""
+    """Columns, rows, dictionary and marker size are recognised, also if the left side is cut off."""
     images = [charuco_picture(board, view, legacy) for view in (WHOLE, CUT)]
     seen = agreed(images)
     assert isinstance(seen, Charuco)
@@ -94,7 +94,7 @@ def test_markers_tell_the_board(board: Charuco, legacy: bool) -> None:
 
 @pytest.mark.slow
 def test_the_lowest_rows_come_from_the_picture_that_shows_them() -> None:
-    """A picture without the last rows makes the board no smaller."""
+    """A picture without the last rows does not make the board smaller."""
     board = Charuco(8, 6, 10.0, 7.0, "5X5_250")
     cut, whole = charuco_picture(board, UPPER), charuco_picture(board, WHOLE)
     alone = recognise_board(cut)
@@ -108,7 +108,7 @@ def test_the_lowest_rows_come_from_the_picture_that_shows_them() -> None:
 
 @pytest.mark.slow
 def test_a_real_board_is_recognised_by_most_pictures() -> None:
-    """Held in a hand, in front of a room: where one picture sees a row too much or too few, most see 9x6."""
+    """Most pictures of a hand-held board in a room give 9x6, and so does their majority."""
     pictures = sorted(REAL.glob("*.jpg"))
     images = [np.asarray(cv2.imread(str(path), cv2.IMREAD_GRAYSCALE), np.uint8) for path in pictures]
     seen = [recognise_board(image) for image in images]
@@ -120,7 +120,7 @@ def test_a_real_board_is_recognised_by_most_pictures() -> None:
 
 @pytest.mark.slow
 def test_nothing_is_seen_where_no_board_is() -> None:
-    """Neither on a plain picture, nor in noise, nor in three dots."""
+    """A plain picture, noise and three dots give no board."""
     noise = np.random.default_rng(0).integers(0, 255, (480, 640), dtype=np.uint8)
     dots = np.full((480, 640), 200, np.uint8)
     for x in (200, 300, 400):
@@ -131,7 +131,7 @@ def test_nothing_is_seen_where_no_board_is() -> None:
 
 
 def test_no_majority_is_no_answer() -> None:
-    """One picture of each of two boards leaves it open."""
+    """One picture of each of two boards, or none, gives no board."""
     boards = [parse_board(spec) for spec in ("chessboard:8x6:3", "chessboard:7x5:3")]
     images = [draw_board(one, SMALL.left, board_poses(SMALL, one, 1, seed=4)[0]) for one in boards]
     assert agreed(images) is None

@@ -1,4 +1,4 @@
-"""Calibration: the truth comes back, the stated sigma is the error, and bad input is named."""
+"""Calibration: the true rig is found, the stated sigma is the error, and bad input is named."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def views_of(
 @pytest.mark.parametrize("model", ["brown", "division"])
 @pytest.mark.parametrize("vergence_deg", [0.0, 24.0])
 def test_exact_marks_give_the_exact_rig(model: str, vergence_deg: float) -> None:
-    """Without noise every parameter of the rig comes back, verged or parallel."""
+    """Without noise every parameter of the rig is found, with verged and parallel cameras."""
     rig = make_rig(model, vergence_deg)
     found = calibrate(views_of(rig, sigma_px=0.0), rig)
     error = parameter_error(found.rig, rig)
@@ -79,7 +79,7 @@ def test_the_stated_covariance_is_the_error(model: str) -> None:
 
 @pytest.mark.slow
 def test_precise_marks_count_more_than_rough_ones() -> None:
-    """Ten times rougher marks that say so hardly spoil the result."""
+    """Marks that are ten times rougher and have the sigma to match hardly spoil the result."""
     rig = make_rig()
     poses = board_poses(rig, BOARD, 10, 5)
     fine = synthetic_views(rig, BOARD, poses, 0.01, 1)
@@ -111,7 +111,7 @@ def test_precise_marks_count_more_than_rough_ones() -> None:
 
 
 def test_a_view_as_good_as_its_marks_state_is_kept() -> None:
-    """Where all other views are far better than stated, one that is as stated is no stranger."""
+    """A view as good as its stated sigma is kept even if all others are far better."""
     rig = make_rig()
     poses = board_poses(rig, BOARD, 6, 5)
     fine = synthetic_views(rig, BOARD, poses, 0.001, 1, stated_sigma_px=0.01)
@@ -159,7 +159,7 @@ def test_missed_boards_are_named_with_their_reason() -> None:
 
 @pytest.mark.slow
 def test_marks_seen_by_one_camera_only_still_count() -> None:
-    """Partial views (as ChArUco gives) calibrate as well: each camera has its own subset of marks."""
+    """Partial views, as of ChArUco, calibrate as well: each camera may see other marks."""
     rig = make_rig()
     rng = np.random.default_rng(2)
 
@@ -178,7 +178,7 @@ def test_marks_seen_by_one_camera_only_still_count() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("upside_down", [False, True])
 def test_a_symmetric_board_numbered_from_either_end(upside_down: bool) -> None:
-    """Which end of a symmetric board is the first is settled by the other views, for any roll."""
+    """The first end of a symmetric board is decided by the other views, for any roll."""
     board = Chessboard(9, 7, 4.0)
     rig = make_rig()
     rng = np.random.default_rng(0)
@@ -209,7 +209,7 @@ def test_two_boards_in_one_calibration() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("aspect", [1.0, 1.002])
 def test_fx_leaves_fy_only_where_the_data_demand_it(aspect: float) -> None:
-    """Square pixels stay exactly square; pixels that are oblong by 0.2 % are measured as such."""
+    """Square pixels stay exactly square; pixels that are oblong by 0.2 % are measured as oblong."""
     rig = make_rig()
     oblong = replace(
         rig,
@@ -239,7 +239,7 @@ def test_k3_is_released_only_where_the_data_demand_it(k3: float) -> None:
 
 @pytest.mark.slow
 def test_the_same_input_gives_the_same_name() -> None:
-    """The calibration id follows from the values, nothing else."""
+    """The same views give the same calibration id, other values another."""
     rig = make_rig()
     first, again = calibrate(views_of(rig), rig), calibrate(views_of(rig), rig)
     assert first.rig.calibration_id == again.rig.calibration_id
@@ -273,7 +273,7 @@ def test_too_few_views_are_refused_with_all_reasons() -> None:
 
 
 def test_parallel_boards_are_refused() -> None:
-    """Boards that are all parallel leave focal length and distance open: refused with the reason."""
+    """Boards that are all parallel are refused as parallel."""
     rig = make_rig()
     poses = board_poses(rig, BOARD, 8, 0, tilt_deg=0.5)
     with pytest.raises(CalibrationError, match="parallel"):
@@ -281,7 +281,7 @@ def test_parallel_boards_are_refused() -> None:
 
 
 def test_swapped_images_are_refused() -> None:
-    """Left and right exchanged is told as such."""
+    """Exchanged left and right images are refused as swapped."""
     rig = make_rig()
     views = [replace(v, left=v.right, right=v.left) for v in views_of(rig)]
     with pytest.raises(CalibrationError, match="swapped"):
@@ -295,9 +295,10 @@ def test_swapped_images_are_refused() -> None:
 def test_a_camera_bumped_between_views_costs_the_smaller_part(
     angle_deg: float, first: int, kept: range
 ) -> None:
-    """A camera turned by a fiftieth of a degree is noticed; the longer run of views is used, the place named.
+    """A camera turned by a fiftieth of a degree is noticed, the longer run of views is used, and the place
+    is named.
 
-    Of as many on both sides the later ones count: the cameras stand as these show them.
+    With equal runs the later one is used, because the cameras still stand so.
     """
     rig = make_rig()
     bump = transform(rotation_matrix(np.array([0.0, np.radians(angle_deg), 0.0])), np.zeros(3))
@@ -325,7 +326,7 @@ def test_a_camera_bumped_between_views_costs_the_smaller_part(
 
 @pytest.mark.slow
 def test_a_camera_that_never_stands_still_is_refused() -> None:
-    """Where no run of views is long enough to calibrate from, the error names the movement."""
+    """If no run of views is long enough to calibrate from, the error names the movement."""
     rig = make_rig()
 
     def loose(number: int, real: StereoRig) -> StereoRig:
@@ -396,7 +397,7 @@ def test_the_bundle_converges_from_a_rough_start_to_one_optimum(model: str) -> N
 
 
 def test_the_covariance_is_the_inverse_of_the_full_normal_matrix() -> None:
-    """Elimination of the poses changes nothing: rig and pose covariances equal the dense inverse's blocks."""
+    """Rig and pose covariances with eliminated poses equal the blocks of the dense inverse."""
     rig = make_rig()
     poses = board_poses(rig, BOARD, 4, 1)
     views = synthetic_views(rig, BOARD, poses, 0.05, 3)

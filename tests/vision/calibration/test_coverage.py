@@ -1,4 +1,4 @@
-"""Which parts of the images the marks reached: as seen, field by field, and only of what both cameras see."""
+"""Which parts of the images have marks, field by field, in the view that both cameras share."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def calibration() -> Calibration:
 
 
 def with_marks(calibration: Calibration, left_px: np.ndarray) -> Calibration:
-    """The same, but for the marks that the first view, now the only one, has in its left image."""
+    """The same calibration with only the first view, which has these marks in its left image."""
     count = len(left_px)
     found = Detection(np.arange(count), left_px, np.full(count, 0.02), 0.6, 150.0)
     first = calibration.views[0]
@@ -36,7 +36,7 @@ def with_marks(calibration: Calibration, left_px: np.ndarray) -> Calibration:
 
 @pytest.mark.slow
 def test_a_field_is_reached_by_a_mark_in_it(calibration: Calibration) -> None:
-    """Middles of fields reach these and no others; a mark on the image's very edge counts, too."""
+    """Marks in the middle of a field count for that field alone; a mark on the image's edge counts, too."""
     field = np.array(SIZE) / (COLUMNS, ROWS)
     seen = with_marks(calibration, np.array([[2.5, 1.5] * field, [7.5, 5.5] * field, np.array(SIZE) - 0.6]))
     reached = np.argwhere(coverage_of(seen, "left").reached)
@@ -44,7 +44,7 @@ def test_a_field_is_reached_by_a_mark_in_it(calibration: Calibration) -> None:
 
 
 def test_every_part_without_marks_is_named(calibration: Calibration) -> None:
-    """Marks in the middle of the image only: all eight parts around it are missed, those in common view."""
+    """With marks in the middle only, the parts around it that both cameras see are named as missed."""
     x, y = np.meshgrid(np.linspace(0.26, 0.74, 9) * SIZE[0], np.linspace(0.34, 0.66, 9) * SIZE[1])
     coverage = coverage_of(with_marks(calibration, np.column_stack([x.ravel(), y.ravel()])), "left")
     parts = {
@@ -57,7 +57,7 @@ def test_every_part_without_marks_is_named(calibration: Calibration) -> None:
 
 
 def test_what_one_camera_sees_alone_is_not_missed(calibration: Calibration) -> None:
-    """Cameras side by side: the outer side of each image is seen by that camera only, and asked of nobody."""
+    """What only one camera sees does not count as missed."""
     left, right = coverage_of(calibration, "left"), coverage_of(calibration, "right")
     apart = replace(calibration, rig=make_rig("division", vergence_deg=0.0), views=calibration.views)
     alone = coverage_of(apart, "left")
@@ -67,7 +67,7 @@ def test_what_one_camera_sees_alone_is_not_missed(calibration: Calibration) -> N
 
 
 def test_the_words_name_both_images(calibration: Calibration) -> None:
-    """Full coverage has no "hardly"; what is missed is said of its own image."""
+    """The sentence names both images; parts are only named if they are missed, each with its image."""
     whole = coverage_of(calibration, "left")
     full = replace(whole, reached=np.ones_like(whole.reached))
     empty = replace(full, side="right", reached=np.zeros_like(full.reached))

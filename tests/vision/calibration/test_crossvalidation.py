@@ -26,7 +26,7 @@ VIEWS = synthetic_views(RIG, BOARD, board_poses(RIG, BOARD, 8, 1), 0.02, 1)
 
 @pytest.mark.slow
 def test_held_out_figures_are_the_noise_that_was_put_in() -> None:
-    """With marks of 0.02 px noise the held-out residuals are just above it, the size is true."""
+    """With marks of 0.02 px noise the held-out residuals are about as large, and the scale is true."""
     held = hold_out(calibrate_stereo(VIEWS, SIZE, SIZE, "division"))
     assert [view.name for view in held] == [view.name for view in VIEWS]
     reprojection = np.sqrt(np.mean([view.reprojection_rms_px**2 for view in held]))
@@ -53,7 +53,7 @@ def test_a_view_of_a_wrongly_printed_board_shows_in_its_length() -> None:
 
 
 def test_three_views_leave_nothing_to_hold_out() -> None:
-    """The minimum calibrates, but holds nothing out."""
+    """Three views calibrate, but none is held out."""
     assert hold_out(calibrate_stereo(VIEWS[:3], SIZE, SIZE, "division")) == ()
 
 
@@ -71,7 +71,7 @@ def test_known_lengths_are_single_distances_of_the_board() -> None:
 
 @pytest.mark.slow
 def test_a_measured_shape_is_compared_with_opencv_as_stated() -> None:
-    """OpenCV needs a flat board: it gets the stated one, and the report shows both."""
+    """Plain OpenCV gets the stated flat board, and the report shows it beside the measured shape."""
     calibration = calibrate_stereo(VIEWS, SIZE, SIZE, "division", plate_shape=True)
     plain = plain_opencv([fit.view for fit in calibration.views], SIZE, SIZE)
     assert plain is not None
@@ -82,7 +82,7 @@ def test_a_measured_shape_is_compared_with_opencv_as_stated() -> None:
 
 
 def test_three_views_still_make_a_report() -> None:
-    """Nothing can be held out of the minimum, and the page says so."""
+    """With three views the page says that there are too few to hold any out."""
     calibration = calibrate_stereo(VIEWS[:3], SIZE, SIZE, "division")
     page = calibration_report(calibration, (), VIEWS[:3], quality_figures(calibration, (), [BOARD]))
     assert "Too few views to hold any out" in page
@@ -91,7 +91,8 @@ def test_three_views_still_make_a_report() -> None:
 
 @pytest.mark.slow
 def test_the_report_is_one_well_formed_page_that_says_it_all() -> None:
-    """Well formed, without references to the outside, user text escaped, every view and figure in it."""
+    """The page is well formed, has no outside references, escapes user text, and contains every view and
+    figure."""
     spoiled = replace(VIEWS[3], name="<b>3", left=NotDetected("too dark & blurred"))
     views = [*VIEWS[:3], spoiled, *VIEWS[4:]]
     calibration = calibrate_stereo(views, SIZE, SIZE, "division")
@@ -121,7 +122,7 @@ def test_the_report_is_one_well_formed_page_that_says_it_all() -> None:
 
 @pytest.mark.slow
 def test_the_report_shows_what_was_found_in_each_picture() -> None:
-    """Small pictures of both sides of each view, also the skipped; coverage in the verdict's words."""
+    """The page has small pictures of both sides of each view, also of skipped ones, and the coverage."""
     views = [*VIEWS[:4], replace(VIEWS[4], right=NotDetected("covered"))]
     calibration = calibrate_stereo(views, SIZE, SIZE, "division")
     small = np.full((180, 240), 90, np.uint8)

@@ -1,4 +1,4 @@
-"""What the boards' edges say of the cameras: response, blur, its asymmetry and light."""
+"""The cameras' properties from the boards' edges: response, blur, its asymmetry, and light."""
 
 from __future__ import annotations
 
@@ -32,12 +32,12 @@ FINER = 4
 
 
 def with_gamma(image: Image, gamma: float) -> Image:
-    """As a camera with this response delivers it."""
+    """The image of a camera with this response."""
     return np.rint(255.0 * (image / 255.0) ** gamma).astype(np.uint8)
 
 
 def edges(change: object = None, camera: CameraModel = CAMERA, blur_mm: float = 0.06) -> list[BoardEdges]:
-    """Three views of the board, each changed."""
+    """Edges of three views of the board, each picture changed."""
     found = []
     for number, pose in enumerate(POSES):
         image = draw_board(BOARD, camera, pose, noise=1.0, seed=number, blur_mm=blur_mm)
@@ -47,7 +47,7 @@ def edges(change: object = None, camera: CameraModel = CAMERA, blur_mm: float = 
 
 
 def the_edges(image: Image, number: int) -> BoardEdges:
-    """One picture; its corners are known exactly."""
+    """Edges in one picture, whose corners are known exactly."""
     points = BOARD.points_mm @ POSES[number][:3, :3].T + POSES[number][:3, 3]
     ids = np.arange(len(points))
     seen = edges_of(
@@ -75,7 +75,7 @@ def printed_with_spread_ink(number: int) -> Image:
 
 @pytest.mark.parametrize("gamma", [0.45, 0.7, 1.0])
 def test_the_response_comes_back(gamma: float) -> None:
-    """The exponent of the camera to 0.02, and exactly 1 for a linear one."""
+    """The camera's exponent is found to 0.02, and is exactly 1 for a linear camera."""
     found = imaging_of(edges(lambda image: with_gamma(image, gamma)), SIZE)
     assert pytest.approx(gamma, abs=0.0 if gamma == 1.0 else 0.02) == found.gamma
     assert (abs(found.shift_px) < 0.01) == (gamma == 1.0)
@@ -83,7 +83,7 @@ def test_the_response_comes_back(gamma: float) -> None:
 
 @pytest.mark.slow
 def test_ink_that_has_spread_is_no_response() -> None:
-    """Its edges are displaced, but their profiles are the same from both ends: it is said, not corrected."""
+    """Spread ink displaces the edges without a gamma; it is reported, not corrected."""
     found = imaging_of([the_edges(printed_with_spread_ink(number), number) for number in range(3)], SIZE)
     assert 1.0 == found.gamma
     assert pytest.approx(-0.27, abs=0.06) == found.shift_px
@@ -92,7 +92,7 @@ def test_ink_that_has_spread_is_no_response() -> None:
 
 @pytest.mark.slow
 def test_blur_is_its_sigma() -> None:
-    """A Gaussian of 0.8 px on top of the picture's own widens the edges by its square."""
+    """An additional Gaussian of 0.8 px adds its square to the blur."""
     sharp, soft = (
         imaging_of(edges(lambda image, s=sigma: cv2.GaussianBlur(image, (0, 0), s) if s else image), SIZE)
         for sigma in (0.0, 0.8)
@@ -106,7 +106,7 @@ def test_blur_is_its_sigma() -> None:
 
 @pytest.mark.slow
 def test_a_comet_tail_is_asymmetric() -> None:
-    """A blur with a tail to the right has an odd part; one without has none."""
+    """A blur with a tail to one side is asymmetric, one without is not."""
     kernel = np.zeros((1, 9), np.float32)
     kernel[0, 4:] = np.exp(-np.arange(5))
     kernel /= kernel.sum()
@@ -118,7 +118,7 @@ def test_a_comet_tail_is_asymmetric() -> None:
 
 
 def test_saturation_is_its_share() -> None:
-    """Pictures that are burnt out say so, and nothing about what they do not show."""
+    """Saturated pictures say so, and give neither gamma nor blur."""
     found = imaging_of(edges(lambda image: cv2.convertScaleAbs(image, alpha=1.5)), SIZE)
     assert 1.0 == found.saturated
     assert 1.0 == found.gamma
@@ -127,14 +127,14 @@ def test_saturation_is_its_share() -> None:
 
 
 def test_light_that_falls_off_is_seen() -> None:
-    """Half of the light missing on one side of the picture."""
+    """A loss of half of the light on one side raises the falloff."""
     shade = np.linspace(1.0, 0.5, CAMERA.width)
     found = imaging_of(edges(lambda image: (image * shade).astype(np.uint8)), SIZE)
     assert found.falloff > imaging_of(edges(), SIZE).falloff + 0.1
 
 
 def test_dots_and_small_squares_do_not_tell() -> None:
-    """Boards without straight edges, and squares smaller than a profile, give no edges: all is unknown."""
+    """Dots, and squares smaller than a profile, give no edges, and everything stays unknown."""
     image = np.full((CAMERA.height, CAMERA.width), 128, np.uint8)
     dots = DotBoard(7, 7, 5.0, 2.5)
     marks = np.stack(np.meshgrid(np.arange(7) * 40.0 + 100, np.arange(7) * 40.0 + 100), axis=-1).reshape(
@@ -149,7 +149,7 @@ def test_dots_and_small_squares_do_not_tell() -> None:
 
 
 def test_images_become_linear_before_they_are_measured() -> None:
-    """With the response in the rig, both cameras' images are what a linear camera would have delivered."""
+    """With the response in the rig, the images become those of a linear camera."""
     found = replace(UNKNOWN, gamma=0.5)
     rig = with_response(RIG, (found, replace(UNKNOWN, gamma=1.0)))
     assert rig.calibration_id != RIG.calibration_id
@@ -163,7 +163,7 @@ def test_images_become_linear_before_they_are_measured() -> None:
 
 @pytest.mark.parametrize(("amount", "least", "most"), [(0.0, 0.0, 0.01), (0.5, 0.03, 0.2)])
 def test_halos_are_seen(amount: float, least: float, most: float) -> None:
-    """What a camera's sharpening leaves beside edges is measured, and what to do said; a lens makes none."""
+    """Halos of a camera's sharpening are measured, with a remedy; a lens makes none."""
 
     def sharpened(image: Image) -> Image:
         soft = cv2.GaussianBlur(image, (0, 0), 1.0).astype(np.float64)

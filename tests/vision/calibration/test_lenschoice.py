@@ -1,4 +1,4 @@
-"""The lens model that the views speak for, and a sigma that knows of the others."""
+"""The choice of the lens model from the views, and a sigma that includes the other models."""
 
 from __future__ import annotations
 
@@ -37,12 +37,12 @@ def views_of(rig: StereoRig, count: int = 7, seed: int = 1, sigma_px: float = 0.
 
 
 def points_of(calibration: Calibration) -> FloatArray:
-    """Some of the marks' places (N, 3)."""
+    """A part of the marks' places (N, 3)."""
     return np.concatenate([apply(fit.left_from_board, BOARD.points_mm[::15]) for fit in calibration.views])
 
 
 def sigma_mm(calibration: Calibration) -> float:
-    """Rms error of points where the marks were."""
+    """The rms sigma of points at the marks' places."""
     covariance = calibration_covariance(calibration.rig, points_of(calibration))
     return float(np.sqrt(np.mean(np.einsum("nii->n", covariance))))
 
@@ -58,7 +58,7 @@ def sigma_mm(calibration: Calibration) -> float:
     ids=["division", "radial", "tangential"],
 )
 def test_the_true_lens_is_chosen(rig: StereoRig, name: str, model: str) -> None:
-    """Division, Brown-Conrady without and with the tangential part are told apart by ten views."""
+    """Ten views tell division, Brown-Conrady without and Brown-Conrady with the tangential part apart."""
     found = calibrate_stereo(views_of(rig, 10, sigma_px=0.01), SIZE, SIZE, "auto")
     assert name == found.lenses[0].name
     assert model == found.rig.left.model == found.rig.right.model
@@ -70,7 +70,8 @@ def test_the_true_lens_is_chosen(rig: StereoRig, name: str, model: str) -> None:
 
 @pytest.mark.slow
 def test_a_simple_lens_is_known_better() -> None:
-    """The sigma of division lenses is below Brown-Conrady's, and above that of who knew the model."""
+    """The sigma with a chosen division model is below Brown-Conrady's and above that of a given division
+    model."""
     views = views_of(DIVISION)
     chosen, brown, division = (calibrate_stereo(views, SIZE, SIZE, m) for m in ("auto", "brown", "division"))
     assert "division" == chosen.lenses[0].name
@@ -79,7 +80,7 @@ def test_a_simple_lens_is_known_better() -> None:
 
 @pytest.mark.slow
 def test_sigma_knows_that_another_model_may_be_true() -> None:
-    """Where the views hardly tell a tangential part, the error of the choice is the sigma it states."""
+    """If the views hardly show a tangential part, the stated sigma still equals the error."""
     rig, squares, simpler = brown_rig(1e-4), [], 0
     for seed in range(8):
         found = calibrate_stereo(views_of(rig, 5, seed), SIZE, SIZE, "auto")
@@ -95,7 +96,7 @@ def test_sigma_knows_that_another_model_may_be_true() -> None:
 
 
 def test_views_that_determine_no_brown_lens_still_choose() -> None:
-    """Three views that leave Brown-Conrady's undetermined are calibrated with what they tell."""
+    """Three views that leave Brown-Conrady undetermined still give a rig with a valid covariance."""
     views = views_of(DIVISION, 3, sigma_px=0.3)
     found = calibrate_stereo(views, SIZE, SIZE, "auto")
     assert found.rig.covariance is not None
@@ -104,13 +105,13 @@ def test_views_that_determine_no_brown_lens_still_choose() -> None:
 
 @pytest.mark.slow
 def test_a_stated_model_is_not_questioned() -> None:
-    """No other models are tried, and none are told."""
+    """With a stated model no other models are tried or reported."""
     assert () == calibrate_stereo(views_of(DIVISION), SIZE, SIZE, "brown").lenses
 
 
 @pytest.mark.slow
 def test_a_lens_that_folds_the_picture_is_not_chosen() -> None:
-    """A polynomial that fits the marks in the middle best, and turns back further out, is no lens."""
+    """A polynomial that fits the middle best but folds back further out is not chosen."""
     rig = make_rig("brown", focal_px=425.0, size=SIZE)
     folding = -0.45, 0.0, 8e-4, -8e-4, 0.0  # no point of space is seen beyond 243 px from the middle
     left, right = (replace(camera, distortion=folding) for camera in (rig.left, rig.right))

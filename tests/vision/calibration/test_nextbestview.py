@@ -1,4 +1,5 @@
-"""What a calibration's uncertainty does to points, the view that would lower it, and OpenCV as a witness."""
+"""The effect of a calibration's uncertainty on points, the view that would lower it, and OpenCV in
+comparison."""
 
 from __future__ import annotations
 
@@ -43,7 +44,7 @@ def changed(rig: StereoRig, step: np.ndarray) -> StereoRig:
 
 @pytest.mark.parametrize("model", ["brown", "division"])
 def test_points_follow_the_parameters(model: LensModel) -> None:
-    """The derivative is what triangulation of the same pixels does with a slightly different rig."""
+    """The analytic derivative equals that of triangulation with slightly changed parameters."""
     rig = make_rig(model, focal_px=1590.0, size=SIZE)
     points = random_points(rig, 10, seed=1)
     pixels = rig.left.project(points), rig.right.project(apply(rig.right_from_left, points))
@@ -72,7 +73,7 @@ def test_the_covariance_of_points_is_their_scatter_over_calibrations() -> None:
 
 
 def test_a_rig_of_unknown_covariance_adds_nothing() -> None:
-    """Without a covariance the calibration's part is zero, not a guess."""
+    """Without a covariance of the rig its part is zero, and there is no best next view."""
     assert not calibration_covariance(RIG, random_points(RIG, 3, seed=1)).any()
     known = calibration_of(RIG, 5)
     assert best_next_view(replace(known, rig=replace(known.rig, covariance=None))) is None
@@ -80,7 +81,7 @@ def test_a_rig_of_unknown_covariance_adds_nothing() -> None:
 
 @pytest.mark.slow
 def test_the_suggested_view_does_what_it_promises() -> None:
-    """Taken and calibrated with, the view lowers the points' sigma by the share that was predicted."""
+    """After the suggested view the points' sigma falls by the predicted share."""
     before = calibration_of(RIG, 6, tilt_deg=12.0)
     advice = best_next_view(before)
     assert advice is not None
@@ -97,7 +98,8 @@ def test_the_suggested_view_does_what_it_promises() -> None:
 
 @pytest.mark.slow
 def test_a_plan_counts_the_views_to_a_goal() -> None:
-    """None for what is reached, one for what the best view reaches; no number for what is out of reach."""
+    """The plan gives the number of views to a goal: none if it is reached, and no number if it is out of
+    reach."""
     calibration = calibration_of(RIG, 5)
     plan = plan_views(calibration, 3)
     assert plan is not None
@@ -123,7 +125,7 @@ def test_a_plan_counts_the_views_to_a_goal() -> None:
 
 
 def test_no_suggestion_where_nothing_fits() -> None:
-    """A board too large for any candidate is no crash."""
+    """If the board is too large for any candidate, there is no suggestion and no error."""
     calibration = calibration_of(RIG, 5)
     giant = replace(BOARD, pitch_mm=60.0)
     views = tuple(replace(fit, view=replace(fit.view, board=giant)) for fit in calibration.views)
@@ -141,7 +143,7 @@ def test_opencv_agrees_on_exact_marks() -> None:
 
 
 def test_ticks_are_round_and_inside() -> None:
-    """1, 2 or 5 times a power of ten apart, in either direction, none for an empty range."""
+    """Ticks are 1, 2 or 5 times a power of ten apart, in either direction, and none for an empty range."""
     assert ticks(0, 1280) == [0, 500, 1000]
     assert ticks(960, 0) == [0, 200, 400, 600, 800]
     assert ticks(-0.004, 0.004) == pytest.approx([-0.004, -0.002, 0, 0.002, 0.004])

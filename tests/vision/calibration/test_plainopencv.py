@@ -1,4 +1,4 @@
-"""The baseline of tools/table3.py is a fair one: plain OpenCV measures clean pictures to micrometres."""
+"""Plain OpenCV as the baseline of tools/table3.py measures clean pictures to micrometres."""
 
 from __future__ import annotations
 
@@ -33,9 +33,10 @@ def plain(rig: StereoRig) -> PlainRig:
 
 @pytest.mark.slow
 def test_a_clean_disc_is_measured_to_micrometres() -> None:
-    """Tilted, on pictures of 640x480 with the true cameras: 8 µm in depth, 3 µm in the radius, 0.1°.
+    """A tilted disc in 640x480 pictures with true cameras is right to 8 µm in depth, 3 µm in the radius
+    and 0.1°.
 
-    An ellipse's centre taken for the circle's would be off by a tenth of a millimetre here.
+    With the ellipse's centre instead of the circle's, the error would be a tenth of a millimetre.
     """
     rig, where = small_rig(), pose(turn_deg=10, tilt_deg=8)
     images = pictures(rig, scene((Part("disc", Disc(0, 0, RADIUS_MM), Surface(albedo=0.62)), where)))
@@ -51,7 +52,7 @@ def test_a_clean_disc_is_measured_to_micrometres() -> None:
 
 
 def test_a_blank_picture_shows_no_circle() -> None:
-    """No outline is invented where there is none."""
+    """In blank pictures no circle is measured."""
     rig = small_rig()
     blank = np.full((480, 640), 90, np.uint8)
     outline = np.column_stack([320 + 100 * np.cos(ROUND), 240 + 90 * np.sin(ROUND)])
@@ -60,7 +61,7 @@ def test_a_blank_picture_shows_no_circle() -> None:
 
 @pytest.mark.slow
 def test_it_calibrates_from_pairs(tmp_path: Path) -> None:
-    """Ten drawn pairs: the baseline to 0.05 mm. Two are refused: fewer than three are no calibration."""
+    """Ten drawn pairs give the baseline to 0.05 mm; two pairs are refused."""
     rig, board = small_rig(), Chessboard(9, 6, 3.5)
     for number, left_from_board in enumerate(board_poses(rig, board, 10, seed=3)):
         views = (rig.left, left_from_board), (rig.right, right_pose(rig, left_from_board))

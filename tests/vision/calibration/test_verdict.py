@@ -1,4 +1,4 @@
-"""One word about a calibration: good, usable or repeat, why, and what to add."""
+"""The verdict about a calibration: good, usable or repeat, with reasons and a view to add."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ SIZE = (RIG.left.width, RIG.left.height)
     ],
 )
 def test_few_views_are_usable_and_noise_is_not(views: int, sigma_px: float, grade: str, why: str) -> None:
-    """The worst finding decides and is said; what is not good has a view to add."""
+    """The worst finding decides the grade and is named; a grade below good suggests a view."""
     poses = board_poses(RIG, BOARD, views, 0)
     calibration = calibrate_stereo(synthetic_views(RIG, BOARD, poses, sigma_px, 0), SIZE, SIZE, "division")
     verdict = judge_calibration(calibration, hold_out(calibration))
@@ -43,7 +43,7 @@ def test_few_views_are_usable_and_noise_is_not(views: int, sigma_px: float, grad
 
 @pytest.mark.slow
 def test_pictures_that_a_camera_has_changed_are_usable_at_best() -> None:
-    """Twenty views of a camera that sharpens, or clips its whites, are no good calibration; both are said."""
+    """Twenty views of a camera that sharpens or clips are usable at best, with both reasons."""
     poses = board_poses(RIG, BOARD, 20, 0)
     calibration = calibrate_stereo(synthetic_views(RIG, BOARD, poses, 0.02, 0), SIZE, SIZE, "division")
     sharpening, clipping = replace(UNKNOWN, halo=0.08), replace(UNKNOWN, saturated=0.9)
@@ -60,7 +60,7 @@ def test_pictures_that_a_camera_has_changed_are_usable_at_best() -> None:
 
 @pytest.mark.slow
 def test_boards_in_one_half_of_the_image_are_no_good_calibration() -> None:
-    """Twenty views, all in the right half: the other half is named, and the grade is not good."""
+    """With twenty views all in the right half the grade is usable, and the other half is named."""
     poses = [pose for pose in board_poses(RIG, SMALL, 120, 0) if pose[0, 3] > 0][:20]
     calibration = calibrate_stereo(synthetic_views(RIG, SMALL, poses, 0.02, 0), SIZE, SIZE, "division")
     verdict = judge_calibration(calibration, hold_out(calibration))
@@ -72,7 +72,7 @@ def test_boards_in_one_half_of_the_image_are_no_good_calibration() -> None:
 
 @pytest.mark.slow
 def test_what_was_not_held_out_is_not_praised() -> None:
-    """Without held-out views nothing but the fit speaks for a calibration."""
+    """Without held-out views the grade is "repeat"."""
     poses = board_poses(RIG, BOARD, 8, 0)
     calibration = calibrate_stereo(synthetic_views(RIG, BOARD, poses, 0.02, 0), SIZE, SIZE, "division")
     assert "repeat" == judge_calibration(calibration, ()).grade

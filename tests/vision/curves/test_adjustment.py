@@ -1,4 +1,4 @@
-"""The joint solver: equal to its plain twin, wrong samples are forgotten, covariances are honest."""
+"""The joint solver: equal to its twin, ignores wrong samples, states true covariances."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from edged.vision.curves.adjustment import propagate
 @pytest.mark.parametrize("bias", [0.0, 0.05])
 @pytest.mark.parametrize("seed", range(4))
 def test_the_solver_equals_its_twin(bias: float, seed: int) -> None:
-    """Eliminated curve by curve or written out as unknowns, the systematic shifts leave the same answer."""
+    """Eliminated curve by curve or solved as unknowns, the systematic shifts give the same answer."""
     samples, _ = problem(seed, bias, wrong=0.1)
     unknowns, priors = (10, 5) if bias else (5, 0)
     if not bias:
@@ -33,7 +33,7 @@ def test_the_solver_equals_its_twin(bias: float, seed: int) -> None:
 
 
 def test_what_is_wrong_in_one_part_of_a_pair_is_wrong_in_the_other() -> None:
-    """An edge that both cameras see far apart is no witness of their mean, either."""
+    """Samples with a wrong difference between the cameras get no weight in the mean, either."""
     samples, _ = problem(5)
     values = samples.values.copy()
     values[130:140] += 2.0  # the second part of the first curve
@@ -45,13 +45,13 @@ def test_what_is_wrong_in_one_part_of_a_pair_is_wrong_in_the_other() -> None:
 
 
 def test_what_nothing_determines_is_none() -> None:
-    """An unknown without a sample: no solution, no exception."""
+    """An unknown without a sample gives no solution and no exception."""
     samples, _ = problem(0)
     assert solve(samples._replace(base=np.zeros_like(samples.base)), 10, 5) is None
 
 
 def test_wrong_samples_are_forgotten() -> None:
-    """With 20 % of the samples 30 sigma off, the answer is that of the others."""
+    """With 20 % of the samples off by 30 sigma, the answer is that of the others."""
     samples, truth = problem(1, wrong=0.2)
     solution = solve(samples, 10, 5)
     assert solution is not None
@@ -59,7 +59,7 @@ def test_wrong_samples_are_forgotten() -> None:
 
 
 def test_the_covariance_counts_displacements() -> None:
-    """Over draws of noise and of systematic shifts, the squared error in its own units is 1."""
+    """Over draws of noise and of systematic shifts, the squared error in units of its covariance is 1."""
     chi2 = []
     for seed in range(120):
         samples, truth = problem(seed, bias=0.05)
@@ -71,7 +71,7 @@ def test_the_covariance_counts_displacements() -> None:
 
 
 def test_propagation_is_the_derivative() -> None:
-    """What shifts the samples as an unknown would shifts that unknown by as much, and no other."""
+    """A change of the samples as by one unknown changes this unknown by as much, and no other."""
     samples, _ = problem(2, bias=0.05)
     solution = solve(samples, 10, 5)
     assert solution is not None

@@ -1,4 +1,4 @@
-"""Circles in space from the edges of both cameras: accuracy against truth, honesty of the sigma, refusals."""
+"""Circles in space from the edges of both cameras: accuracy, true sigmas, refusals."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ def test_a_circle_is_recovered_from_a_poor_start(disc: tuple[Image, Image], pola
 
 @pytest.mark.slow
 def test_measured_points_lie_on_the_circle(disc: tuple[Image, Image]) -> None:
-    """The points given for pictures are on the projected true circle, to the precision of an edge."""
+    """The points given for pictures lie on the projected true circle, to the precision of an edge."""
     fit = measured(RIG, disc, ALMOST)
     assert fit is not None
     phase = np.linspace(0, 2 * np.pi, 4000)
@@ -98,7 +98,7 @@ def test_measured_points_lie_on_the_circle(disc: tuple[Image, Image]) -> None:
 
 @pytest.mark.slow
 def test_half_a_circle_is_measured_with_a_larger_sigma(disc: tuple[Image, Image]) -> None:
-    """With half of it covered, the error stays below 4 of its own sigmas, which are larger than before."""
+    """Half a circle has a larger sigma, and an error below 4 of its sigmas."""
     whole = measured(RIG, disc, ALMOST)
     cover = Part("cover", RoundedBox(14.0, 0.0, 27.0, 40.0), Surface(albedo=0.3, contrast=0.1, seed=3))
     nearer = TILTED.copy()
@@ -163,7 +163,7 @@ def test_the_scatter_is_near_the_bound(plain_disc: tuple[FloatArray, FloatArray]
 
 
 def test_where_there_is_no_circle_there_is_none(plain_disc: tuple[FloatArray, FloatArray]) -> None:
-    """A blank image on either side or both, and noise alone, give None."""
+    """A blank image on either side or both, and noise alone, give no circle."""
     rng = np.random.default_rng(0)
     left, right = (noisy(grey, 1.0, rng) for grey in plain_disc)
     blank = np.full_like(left, 60)
@@ -175,7 +175,7 @@ def test_where_there_is_no_circle_there_is_none(plain_disc: tuple[FloatArray, Fl
 
 
 def test_texture_is_no_circle() -> None:
-    """On a table of strong texture nothing passes for a circle: None, or edges that do not agree."""
+    """Strong texture gives no circle, or edges that do not agree."""
     left, right = pictures(SMALL, scene(table=Surface(albedo=0.4, contrast=0.4, feature_mm=1.0, seed=4)))
     for x in (-6.0, 4.0, 14.0):
         start = np.array([x, 2.0, PLACE_MM[2] + 6.0]) + START_OFF
@@ -184,7 +184,7 @@ def test_texture_is_no_circle() -> None:
 
 
 def test_the_wrong_sign_finds_nothing_there(plain_disc: tuple[FloatArray, FloatArray]) -> None:
-    """A bright disc is no dark one."""
+    """A bright disc is not found with the sign of a dark one."""
     rng = np.random.default_rng(1)
     left, right = (noisy(grey, 1.0, rng) for grey in plain_disc)
     assert measured(SMALL, (left, right), UP, polarity=1) is None
@@ -205,14 +205,14 @@ def test_the_wrong_sign_finds_nothing_there(plain_disc: tuple[FloatArray, FloatA
 def test_an_impossible_start_is_none(
     plain_disc: tuple[FloatArray, FloatArray], centre_mm: tuple[float, ...], radius_mm: float
 ) -> None:
-    """Behind the camera, far outside, too small, too large, no number: None, not an error."""
+    """A start behind the camera, far outside, too small, too large or NaN gives None, no error."""
     rng = np.random.default_rng(2)
     left, right = (noisy(grey, 1.0, rng) for grey in plain_disc)
     assert fit_circle(SMALL, (left, right), CircleGuess(np.array(centre_mm), UP, radius_mm)) is None
 
 
 def test_circles_of_one_face_share_their_normal() -> None:
-    """Measured together, disc and hole have one normal, sharper than the hole alone gives; all true."""
+    """Disc and hole of one face share a normal, which has a smaller sigma than the hole's alone."""
     hole = Hole("hole", Disc(5.0, 3.0, 2.0))
     part = replace(DISC, holes=(hole,))
     left, right = pictures(SMALL, scene((part, TILTED)))
@@ -239,7 +239,7 @@ def test_circles_of_one_face_share_their_normal() -> None:
 
 
 def test_a_fixed_normal_stays(plain_disc: tuple[FloatArray, FloatArray]) -> None:
-    """Asked to keep the normal, the fit keeps it bit by bit and states no tilt variance."""
+    """A fixed normal is kept exactly and has no tilt variance."""
     rng = np.random.default_rng(3)
     left, right = (noisy(grey, 1.0, rng) for grey in plain_disc)
     fit = measured(SMALL, (left, right), -TILTED[:3, 2], fixed=True)
@@ -250,7 +250,7 @@ def test_a_fixed_normal_stays(plain_disc: tuple[FloatArray, FloatArray]) -> None
 
 
 def test_the_same_images_give_the_same_bits(plain_disc: tuple[FloatArray, FloatArray]) -> None:
-    """Replaying is exact."""
+    """The same images give exactly the same circle."""
     rng = np.random.default_rng(4)
     left, right = (noisy(grey, 4.0, rng) for grey in plain_disc)
     one, two = (measured(SMALL, (left, right), ALMOST) for _ in range(2))
@@ -263,7 +263,7 @@ def test_the_same_images_give_the_same_bits(plain_disc: tuple[FloatArray, FloatA
 def test_a_shift_across_the_rows_is_measured_and_tilts_nothing(
     plain_disc: tuple[FloatArray, FloatArray],
 ) -> None:
-    """The right image 0.3 px lower: as much is stated, and neither normal nor radius follow it."""
+    """A right image that is 0.3 px lower gives that row shift, and changes neither normal nor radius."""
     rng = np.random.default_rng(5)
     left, right = (noisy(grey, 2.0, rng) for grey in plain_disc)
     down = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.3]])

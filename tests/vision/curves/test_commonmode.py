@@ -1,4 +1,4 @@
-"""Pairs of edges: what both cameras say in common and against each other, and nothing is lost by it."""
+"""Pairs of edges: mean and difference of both cameras, from which each can be recovered."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ STARTS = np.array([0, 400, 640])
 
 
 def edges(seed: int, of_left: float, of_right: float, common: float) -> tuple[FloatArray, FloatArray]:
-    """Offsets (2, 640) of two curves, in mm and in px: scatter of each camera, and one in space."""
+    """Offsets (2, 640) of two curves, in px, and their gain: scatter of each camera, and one in space."""
     rng = np.random.default_rng(seed)
     gain = np.stack([12.0 + np.sin(np.arange(640) / 40), 9.0 + np.cos(np.arange(640) / 50)])
     space = rng.normal(0, common, 640)
@@ -21,13 +21,13 @@ def edges(seed: int, of_left: float, of_right: float, common: float) -> tuple[Fl
 
 
 def paired(seed: int = 0, of_left: float = 0.01, of_right: float = 0.01, common: float = 0.01) -> Pairs:
-    """Two curves of which all edges are seen."""
+    """Two curves with all edges seen by both cameras."""
     gain, offset = edges(seed, of_left, of_right, common)
     return pair(offset, np.ones((2, 640)), gain, STARTS, True)
 
 
 def test_there_and_back() -> None:
-    """From rows, what each camera saw comes back, pairs and lonely edges alike."""
+    """The offsets of each camera are recovered from the rows, for pairs and single edges."""
     gain, offset = edges(1, 0.01, 0.02, 0.01)
     base = np.ones((2, 640))
     base[0, 50:100] = base[1, 200:260] = 0.0
@@ -43,7 +43,7 @@ def test_there_and_back() -> None:
 
 @pytest.mark.parametrize(("of_left", "of_right"), [(0.01, 0.01), (0.01, 0.02), (0.02, 0.01)])
 def test_mean_and_difference_are_independent(of_left: float, of_right: float) -> None:
-    """Whatever each camera scatters by itself and both in common: the correlation is chance."""
+    """For any scatter of the cameras and in common, mean and difference are uncorrelated."""
     together = []
     for seed in range(40):
         gain, offset = edges(seed, of_left, of_right, 0.015)
@@ -56,7 +56,7 @@ def test_mean_and_difference_are_independent(of_left: float, of_right: float) ->
 
 
 def test_what_moves_in_space_is_no_difference() -> None:
-    """A displacement of the curve itself moves the mean by as much and leaves the difference alone."""
+    """A displacement of the curve moves the mean as much, and the difference not at all."""
     pairs = paired()
     rows = pairs.rows_of(*pairs.gain)
     scale = pairs.gain.mean(axis=0)
@@ -65,7 +65,7 @@ def test_what_moves_in_space_is_no_difference() -> None:
 
 
 def test_a_spoilt_edge_is_not_paired() -> None:
-    """One that is saturated in one image must not spoil the other camera's; too few edges are no part."""
+    """An edge that is bad in one image is not paired; too few edges make no part."""
     gain, offset = edges(2, 0.01, 0.01, 0.01)
     base = np.ones((2, 640))
     base[1, :400] = 0.02
@@ -78,7 +78,7 @@ def test_a_spoilt_edge_is_not_paired() -> None:
 
 
 def test_what_is_not_in_place_is_not_paired() -> None:
-    """Curves that still move keep the edges of each camera; where nothing is seen, there is no row."""
+    """Curves that still move keep the edges of each camera; if nothing is seen, there is no row."""
     gain, offset = edges(3, 0.01, 0.01, 0.01)
     apart = pair(offset, np.ones((2, 640)), gain, STARTS, False)
     np.testing.assert_array_equal(

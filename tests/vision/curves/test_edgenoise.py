@@ -1,4 +1,4 @@
-"""Noise of edges from picture to picture: its variance by px of arc, whatever else displaces them."""
+"""Noise of edges from picture to picture: its variance per px of arc, apart from constant shifts."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ COUNT, PICTURES, SIGMA_PX = 300, 40, 0.06
 
 
 def sighting(noise_px: FloatArray, spacing_px: float) -> Sighting:
-    """A circle whose edges lie a little off it, always alike, and by noise (2, N); one is not seen at all."""
+    """A circle whose edges have a constant shift and noise (2, N); one edge is not seen."""
     phase = 2 * np.pi * np.arange(COUNT) / COUNT
     out = np.column_stack([np.cos(phase), np.sin(phase)])
     radius = COUNT * spacing_px / (2 * np.pi) + 0.2 * np.sin(5 * phase)
@@ -24,7 +24,7 @@ def sighting(noise_px: FloatArray, spacing_px: float) -> Sighting:
 @pytest.mark.parametrize("together", [1, 3])
 @pytest.mark.parametrize("spacing_px", [1.0, 2.0])
 def test_it_is_the_variance_of_a_pixel_of_arc(spacing_px: float, together: int) -> None:
-    """True of independent samples, and of means of neighbours, which tell as much as fewer ones."""
+    """The variance is right for independent samples and for means of neighbours."""
     rng = np.random.default_rng(3)
     kernel = np.ones(together) / together
     seen = []
@@ -39,7 +39,7 @@ def test_it_is_the_variance_of_a_pixel_of_arc(spacing_px: float, together: int) 
 
 
 def test_too_little_tells_nothing() -> None:
-    """Two pictures, curves sampled otherwise in each, of edges that hardly count."""
+    """Two pictures, differently sampled curves, or edges of little weight give no noise."""
     still = np.zeros((2, COUNT))
     one = sighting(still, 1.0)
     assert edge_noise([one] * 2) is None

@@ -1,4 +1,4 @@
-"""A step of the joint fit: laid, seen and solved by kernels as by the plain arithmetic."""
+"""A step of the joint fit: kernels and plain arithmetic lay, see and solve alike."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def picture(seed: int) -> Image:
 
 @pytest.mark.parametrize("model", ["division", "brown"])
 def test_curves_are_laid_as_each_by_itself(model: LensModel) -> None:
-    """Points, normals and speeds are those of `Curve.outline`, as far apart in the left image as asked."""
+    """Points, normals and speeds are those of `Curve.outline`, with the given spacing in the left image."""
     rig = make_rig(model)
     laid = lay(placed(rig), 2.0)
     for k, curve in enumerate(CURVES):
@@ -87,14 +87,14 @@ def test_curves_are_laid_as_each_by_itself(model: LensModel) -> None:
     ids=lambda curve: curve.name,
 )
 def test_what_no_image_can_show_is_not_laid(wrong: Curve) -> None:
-    """One curve behind the cameras, of no size or too large: no samples at all, no exception."""
+    """One curve behind the cameras, of no size or too large leaves no samples at all, and no exception."""
     laid = lay(placed(make_rig(), FREE, (*CURVES, wrong)), 2.0)
     assert (0,) * 6 == tuple(laid.starts)
     assert len(laid.outline.points) == 0
 
 
 def test_a_step_moves_as_curve_and_face_do() -> None:
-    """Of free curves each moves with the plane; one that runs away stays; of a rigid part the face moves."""
+    """Free curves move with the plane, one that moves too far stays, and for a rigid part the face moves."""
     rig, rng = make_rig(), np.random.default_rng(1)
     free = [curve.free for curve in CURVES]
     delta = 0.01 * rng.normal(size=3 + sum(free))
@@ -121,7 +121,7 @@ def test_a_step_moves_as_curve_and_face_do() -> None:
 @pytest.mark.parametrize("place", [0, 1, 4])
 @pytest.mark.parametrize("value", [math.nan, math.inf, 1e9])
 def test_a_step_that_has_run_away_is_none(place: int, value: float) -> None:
-    """A number that is none, a plane turned on its side, the only circle far away: False, whatever it is."""
+    """NaN, a plane turned on its side, or the only circle far away: `move` returns False."""
     delta = np.zeros(6)
     delta[place] = value
     face, parameters = np.empty((4, 3)), np.empty((1, 5))
@@ -131,7 +131,7 @@ def test_a_step_that_has_run_away_is_none(place: int, value: float) -> None:
 @pytest.mark.parametrize("final", [False, True])
 @pytest.mark.parametrize("side", [0, 1])
 def test_a_camera_sees_what_its_parts_see(side: int, final: bool) -> None:
-    """Projection, edges at the operator's widths, the choice of one and the bend, one after the other."""
+    """A camera's edges equal projection, edges at the widths, choice and bend one after the other."""
     rig, image = make_rig(), picture(side)
     at = placed(rig)
     laid = lay(at, 2.0)
@@ -162,7 +162,7 @@ def test_a_camera_sees_what_its_parts_see(side: int, final: bool) -> None:
 
 
 def test_contrasts_of_both_images_add_up() -> None:
-    """The strong slopes along each curve, whatever their sign, those of the left and of the right image."""
+    """The contrast is the sum of the strong slopes along each curve in both images, whatever their sign."""
     rig, images = make_rig(), (picture(3), picture(4))
     at, total = placed(rig), np.zeros(len(CURVES))
     laid = lay(at, 3.0)
@@ -178,7 +178,8 @@ def test_contrasts_of_both_images_add_up() -> None:
 
 
 def sights(at: CurvesAt, laid: LaidCurves, seed: int) -> tuple[CameraEdges, CameraEdges]:
-    """Edges that both cameras see scattered about the curves, some alone, some wrong, the slot not at all."""
+    """Edges of both cameras scattered about the curves: some in one camera only, some wrong, none of the
+    slot."""
     rng, count = np.random.default_rng(seed), int(laid.starts[-1])
     found = []
     for camera in (at.left, at.right):
@@ -196,7 +197,7 @@ def sights(at: CurvesAt, laid: LaidCurves, seed: int) -> tuple[CameraEdges, Came
 def solved(
     freedom: Freedom, final: bool
 ) -> tuple[StereoRig, LaidCurves, tuple[CameraEdges, CameraEdges], Solved]:
-    """A step of such edges."""
+    """A step with such edges."""
     rig = make_rig()
     at = placed(rig, freedom)
     laid = lay(at, 4.0)
@@ -207,7 +208,7 @@ def solved(
 @pytest.mark.parametrize("final", [False, True])
 @pytest.mark.parametrize("name", FREEDOMS)
 def test_the_problem_is_that_of_the_plain_arithmetic(name: str, final: bool) -> None:
-    """Rows of both cameras, designs, shapes of shifts, unknowns and priors, one by one."""
+    """The rows, designs, shifts, unknowns and priors are those of the plain arithmetic."""
     rig, laid, seen, step = solved(FREEDOMS[name], final)
     samples = step.formed.samples
     offset, base = (np.stack([getattr(one, field) for one in seen]) for field in ("offset", "base"))
@@ -249,7 +250,8 @@ def test_the_problem_is_that_of_the_plain_arithmetic(name: str, final: bool) -> 
 @pytest.mark.parametrize("final", [False, True])
 @pytest.mark.parametrize("name", FREEDOMS)
 def test_the_step_is_that_of_the_plain_solver(name: str, final: bool) -> None:
-    """What every curve moves by, 0 for what is held or not seen; and what is left at each sample."""
+    """The movement of every curve (0 if it is held or not seen) and the residuals are those of the plain
+    solver."""
     _, laid, seen, step = solved(FREEDOMS[name], final)
     formed, free = step.formed, [curve.free for curve in CURVES]
     shared = 7 if name == "rigid" else 3
@@ -287,7 +289,7 @@ def test_the_step_is_that_of_the_plain_solver(name: str, final: bool) -> None:
 
 
 def test_nothing_seen_moves_nothing() -> None:
-    """Without an edge no unknown but the rows' shift is left, no curve is supported, and nothing raises."""
+    """Without edges only the rows' shift is unknown, no curve is supported, and nothing raises."""
     at = placed(make_rig())
     laid = lay(at, 4.0)
     left, right = sights(at, laid, 1)
@@ -299,7 +301,7 @@ def test_nothing_seen_moves_nothing() -> None:
 
 
 def test_curves_of_one_polarity_are_one_kind() -> None:
-    """All bright outside or all dark: one displacement in common, numbered from 0."""
+    """Curves of one polarity share one displacement; kinds are numbered from 0."""
     rig = make_rig()
     for sign, kinds in ((1, 1), (-1, 1), (0, 2)):
         curves = tuple(
@@ -314,7 +316,7 @@ def test_curves_of_one_polarity_are_one_kind() -> None:
 
 
 def test_sums_leave_out_what_is_not_seen() -> None:
-    """Support, rms, mean and information of two curves by hand."""
+    """Support, rms, mean and information of two curves equal values computed by hand."""
     weights = np.array([[1.0, 0.5, 0.0, 1.0], [1.0, 1.0, 1.0, 1.0]])
     residuals = np.array([[0.1, 0.6, 0.0, 0.2], [0.0, 0.0, 0.0, 0.0]])
     offset = np.array([[1.0, 2.0, np.nan, 3.0], [0.0, 0.0, 1.0, 1.0]])
@@ -338,7 +340,7 @@ def test_sums_leave_out_what_is_not_seen() -> None:
 
 
 def discs(rig: StereoRig, curves: tuple[Curve, ...]) -> tuple[Image, Image]:
-    """Both pictures of dark discs in a bright face, blurred a little."""
+    """Both pictures of dark discs in a bright face, slightly blurred."""
     pictures = []
     for side, camera in zip(SIDES, (rig.left, rig.right), strict=True):
         image = np.full((camera.height, camera.width), 190, np.uint8)
@@ -357,7 +359,7 @@ def in_turn(
     fine: int,
     support: float,
 ) -> tuple[int, int, CurvesAt, CurvesAt, Solved]:
-    """Step after step by the single kernels: how many, where the last one began and led, and what it saw."""
+    """Steps by the single kernels: their number, start and end of the last one, and its edges."""
     made, refined, final = 0, 0, not coarse
     while True:
         reach, laid = reaches[-1 if final else made], lay(at, 1.5 if final else 3.0)
@@ -403,7 +405,7 @@ FAR = (6.0, 4.0, 2.5, 2.0)
 def test_steps_in_one_kernel_are_those_of_one_after_the_other(
     reaches: tuple[float, ...], coarse: int, fine: int, support: float
 ) -> None:
-    """In every bit: laid, seen, solved and moved by the single kernels, with the sign of most contrast.
+    """The steps in one kernel equal, bit by bit, those of the single kernels one after the other.
 
     In fine steps a curve that is not there is left out.
     """
@@ -429,7 +431,7 @@ def test_steps_in_one_kernel_are_those_of_one_after_the_other(
 
 
 def test_curves_that_are_left_keep_their_stretches() -> None:
-    """Signs of a stretch stay with its curve."""
+    """The signs of a stretch stay with its curve when others are left out."""
     curves = (CURVES[0], CURVES[2], CURVES[3], replace(CURVES[2], signs=-STRETCHES[:, :2]))
     for numbers in ([0, 1, 3], [1], [2], [3]):
         found = some_of(flattened(curves), np.array(numbers))
@@ -438,14 +440,14 @@ def test_curves_that_are_left_keep_their_stretches() -> None:
 
 
 def lost(at: CurvesAt, images: tuple[Image, Image], coarse: int, fine: int) -> bool:
-    """Whether steps lose the curves."""
+    """Whether the curves are lost during the steps."""
     reaches = np.array([6.0, 4.0])
     found = take_steps(at, *images, reaches, coarse, fine, np.array([3.0, 1.5]), 1.5, 0.4)
     return found.coarse == found.fine == 0
 
 
 def test_a_circle_that_runs_away_is_lost() -> None:
-    """The edge lies outside by more than half of its radius: no step is made."""
+    """A circle is lost if its edge is outside by more than half of its radius."""
     rig, start = make_rig(), replace(CURVES[3], parameters=np.array([-5.0, 4.0, 0.5]), polarity=1)
     wide = replace(start, parameters=np.array([-5.0, 4.0, 0.82]))
     images = discs(rig, (wide,))
@@ -455,7 +457,7 @@ def test_a_circle_that_runs_away_is_lost() -> None:
 
 @pytest.mark.parametrize(("coarse", "fine"), [(2, 0), (1, 2), (0, 2)])
 def test_what_cannot_be_laid_or_seen_is_lost(coarse: int, fine: int) -> None:
-    """Behind the cameras, too large for any picture, or, in fine steps, nowhere in it."""
+    """Curves behind the cameras, too large, or, in fine steps, outside of the picture are lost."""
     rig, images = make_rig(), discs(make_rig(), CURVES[:1])
     behind = replace(CURVES[0], height_mm=-300.0)
     large, aside = (

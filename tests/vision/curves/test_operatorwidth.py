@@ -1,4 +1,4 @@
-"""The width that measures a curve is the one that suits the image, and its shifts are known."""
+"""The operator width that suits the image is chosen for a curve, and its shifts are known."""
 
 from __future__ import annotations
 
@@ -40,14 +40,14 @@ def disc_image(*steps: tuple[float, float], noise: float = 0.0, seed: int = 0) -
 
 
 def chosen(image: Image, min_slope: float = 1.5) -> tuple[ChosenEdges, EdgeSamples]:
-    """What is chosen for the circle."""
+    """The chosen edges of the circle."""
     points, normals, waves = circle()
     seen = edges_at_widths(image, points, normals, 3.0, -1)
     return choose_widths(seen, np.array([0, len(points)]), waves, min_slope), seen
 
 
 def picked(edges: ChosenEdges, seen: EdgeSamples) -> int:
-    """Index of the width whose offsets were taken."""
+    """Index of the chosen width."""
     known = edges.base > 0
     return int(np.argmin([np.abs(offset[known] - edges.offset_px[known]).max() for offset in seen.offset_px]))
 
@@ -104,7 +104,7 @@ def test_kernels_equal_their_twins(seed: int) -> None:
 
 
 def test_one_width_is_taken_as_it_is() -> None:
-    """Without a choice there is no bias and no blur."""
+    """With a single width there is no bias and no blur."""
     points, normals, waves = circle()
     seen = edges_at_widths(disc_image((RADIUS, -100.0)), points, normals, 3.0, -1, [1.2])
     edges = choose_widths(seen, np.array([0, len(points)]), waves, 1.5)
@@ -114,7 +114,7 @@ def test_one_width_is_taken_as_it_is() -> None:
 
 
 def test_noise_asks_for_a_wide_operator() -> None:
-    """In white noise the two widths near sqrt(5) x blur are chosen, and no bias is invented."""
+    """In white noise one of the two widths near sqrt(5) x blur is chosen, with hardly any bias."""
     for seed in range(5):
         edges, seen = chosen(disc_image((RADIUS, -100.0), noise=6.0, seed=seed))
         assert picked(edges, seen) in (2, 3)
@@ -137,7 +137,7 @@ def test_the_blur_is_that_of_the_image() -> None:
 
 
 def test_weak_edges_weigh_less() -> None:
-    """A stretch of a fifth of the contrast weighs 1/25."""
+    """A stretch with a fifth of the contrast has the weight 1/25."""
     points, normals, waves = circle()
     seen = edges_at_widths(disc_image((RADIUS, -100.0)), points, normals, 3.0, -1)
     seen.slope[:, 100:150] *= 0.2

@@ -1,4 +1,4 @@
-"""Outlines through lens and pose: the kernel against its plain twin."""
+"""Outlines through lens and pose: the kernel equals its plain twin."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def test_the_kernel_equals_its_plain_twin(model: LensModel, side: str, curve: Cu
 @pytest.mark.parametrize("side", ["left", "right"])
 @pytest.mark.parametrize("curve", CURVES, ids=lambda curve: curve.kind)
 def test_the_design_is_the_derivative(model: LensModel, side: str, curve: Curve) -> None:
-    """Each column is how far the projected curve moves along its normal, by differences of moved faces."""
+    """Each column of the design is the movement along the normal, by differences of moved faces."""
     rig, share, step = make_rig(model), np.linspace(0.02, 0.97, 13), 1e-5
     seen = project_outline(rig, side, FACE, curve.outline(share))
 
@@ -63,7 +63,8 @@ def test_the_design_is_the_derivative(model: LensModel, side: str, curve: Curve)
 
 
 def test_curvatures_equal_their_twin() -> None:
-    """The curvature of two circles seen at a slant; one seen straight on bends by 1 / radius everywhere."""
+    """The curvature of two slanted circles equals the twin's; one seen straight on has 1 / radius
+    everywhere."""
     rig = make_rig("division")
     phases = [np.arange(count) * (2 * np.pi / count) for count in (60, 48)]
     centres, radii = ((20.0, 3.0, 230.0), (-5.0, 8.0, 250.0)), (9.0, 2.0)
@@ -80,7 +81,7 @@ def test_curvatures_equal_their_twin() -> None:
 
 
 def test_a_point_that_the_lens_cannot_show_is_nan() -> None:
-    """A pincushion lens reaches no farther than its model: beyond is no pixel, and no error."""
+    """A point that a pincushion lens cannot show gives NaN, no error."""
     rig = make_rig("division")
     rig = replace(rig, left=replace(rig.left, distortion=(0.5,)))
     up, far = np.array([0.0, 0.0, -1.0]), np.array([1e5, 0.0, 1.0])

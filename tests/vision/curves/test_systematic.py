@@ -1,4 +1,4 @@
-"""Systematic edge shifts: their shapes follow the view, and their size is learned from the samples."""
+"""Systematic edge shifts: their shapes follow the view, and their size is estimated from the samples."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ def ring(count: int) -> FloatArray:
 
 
 def shift_basis(normals: FloatArray, gain: FloatArray, slant: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """The shapes in the left and in the right image."""
+    """The shapes of the shifts in the left and in the right image."""
     shifts = np.empty((2, len(normals), len(FAMILIES)))
     fill_shifts(normals, gain, slant, shifts)
     return shifts[0], shifts[1]
 
 
 def slants(points: FloatArray, outwards: FloatArray, pose: FloatArray) -> FloatArray:
-    """Of points (N, 3) and directions in a plane that is looked at from above, rig axes."""
+    """Slants of points (N, 3) and directions in a plane seen from above, rig axes."""
     found = np.empty(len(points))
     face = np.concatenate([np.eye(3) * [1.0, 1.0, -1.0], np.zeros((1, 3))])
     plain = np.ascontiguousarray(points * [1.0, 1.0, -1.0])
@@ -33,7 +33,7 @@ def slants(points: FloatArray, outwards: FloatArray, pose: FloatArray) -> FloatA
 
 
 def test_a_wall_is_seen_where_the_ray_runs_outwards() -> None:
-    """From above a ring every ray runs outwards, by radius over height; from the side half of them."""
+    """From above a ring every slant is radius over height; from the side the two ends differ in sign."""
     radial = ring(60)
     above = slants(np.array([0.0, 0.0, 200.0]) + 10.0 * radial, radial, np.eye(4))
     np.testing.assert_allclose(above, 0.05)
@@ -45,7 +45,8 @@ def test_a_wall_is_seen_where_the_ray_runs_outwards() -> None:
 
 
 def test_walls_displace_one_side_only() -> None:
-    """Where the ray runs outwards the first of the two walls displaces, else the second; at a glance most."""
+    """The first wall displaces edges where the ray runs outwards, the second elsewhere, most at a small
+    slant."""
     slant = np.array([-0.4, -0.05, -0.01, 0.0, 0.01, 0.05, 0.4])
     left, right = shift_basis(np.tile([1.0, 0.0], (7, 1)), np.ones((2, 7)), np.stack([slant, slant[::-1]]))
     shapes = left[:, 10:]
@@ -58,7 +59,7 @@ def test_walls_displace_one_side_only() -> None:
 
 @pytest.mark.parametrize(("true_px", "expected_px"), [(0.05, 0.002), (0.05, 0.2), (0.0, 0.05)])
 def test_the_size_is_learned(true_px: float, expected_px: float) -> None:
-    """Whatever is expected, the sigma of the shifts comes out near the one they were drawn with."""
+    """Whatever sigma of the shifts is expected, the estimate is near the one they were drawn with."""
     learned = []
     for seed in range(20):
         samples, _ = problem(seed, bias=true_px, noise=0.02)
@@ -73,7 +74,7 @@ def test_the_size_is_learned(true_px: float, expected_px: float) -> None:
 
 
 def test_the_covariance_follows_what_was_learned() -> None:
-    """Told to expect a tenth of the shifts that there are, chi² is near 1 all the same."""
+    """With an expected sigma of a tenth of the true one, chi² is still near 1."""
     chi2 = []
     for seed in range(60):
         samples, truth = problem(seed, bias=0.05, noise=0.03)
@@ -85,7 +86,8 @@ def test_the_covariance_follows_what_was_learned() -> None:
 
 
 def test_cameras_see_the_same_or_the_opposite() -> None:
-    """The first waves displace both images by a motion in space, the others against each other."""
+    """The first waves displace both images as a motion in space does, the next ones in opposite
+    directions."""
     angle = np.arange(40) * (2 * np.pi / 40)
     normals, gain = (
         np.column_stack([np.cos(angle), np.sin(angle)]),

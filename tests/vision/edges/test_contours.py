@@ -41,7 +41,8 @@ def contours_of(picture: Image) -> list[Contour]:
 
 
 def test_each_outline_is_one_closed_contour(picture: Image) -> None:
-    """Plate, slot and hole, longest first; points in order, normals from dark to bright."""
+    """The plate, the slot and the hole are one closed contour each, longest first, points in order,
+    normals from dark to bright."""
     contours = contours_of(picture)
     assert len(contours) == 3
     assert all(contour.closed for contour in contours)

@@ -1,4 +1,4 @@
-"""Ellipses among edges: found where they were drawn, with their sign, and only where there are some."""
+"""Ellipses among edges: found where they are drawn, with their sign, and none where there is none."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def test_a_disc_and_its_bore_are_found(ratio: float, angle: float) -> None:
 
 
 def test_a_bore_with_a_keyway_is_still_a_circle() -> None:
-    """A quarter of the circumference may be missing."""
+    """A bore that lacks a part of its circumference is still found as a circle."""
     disc = ImageEllipse(130.0, 110.0, 90.0, 90.0, 0.0, -1)
     bore = ImageEllipse(130.0, 110.0, 30.0, 30.0, 0.0, 1)
     slot = ImageEllipse(163.0, 110.0, 16.0, 13.0, 0.0, 1)
@@ -76,7 +76,7 @@ def test_only_what_the_mask_holds() -> None:
 
 
 def test_what_is_no_circle_is_not_taken_for_one() -> None:
-    """A square, a triangle, noise, one grey, half a disc: nothing."""
+    """A square, a triangle, noise, one grey or half a disc gives no ellipse."""
     square = drawn()
     square[60:160, 80:180] = 170
     triangle = drawn()
@@ -90,7 +90,7 @@ def test_what_is_no_circle_is_not_taken_for_one() -> None:
 
 
 def test_the_same_image_gives_the_same_ellipses() -> None:
-    """The random trials are always the same ones."""
+    """The same image gives the same ellipses, because the random trials are always the same."""
     image = drawn((ImageEllipse(130.0, 110.0, 60.0, 50.0, 0.3, -1), 170.0))
     assert find_ellipses(image, everywhere()) == find_ellipses(image, everywhere())
 

@@ -1,4 +1,4 @@
-"""Lines and circles: exact on exact points, robust on bad ones."""
+"""Lines and circles: exact from exact points, robust against wrong ones."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def circle_points(x: float, y: float, radius: float, count: int = 80, arc: float
 )
 @settings(max_examples=60)
 def test_points_on_a_circle_give_that_circle(x: float, y: float, radius: float, arc: float) -> None:
-    """From an arc of 35° on."""
+    """Exact points on an arc of 35° or more give their circle."""
     fit = fit_circle(circle_points(x, y, radius, arc=arc))
     assert fit is not None
     np.testing.assert_allclose([*fit.centre, fit.radius], [x, y, radius], atol=1e-5 * radius)
@@ -33,7 +33,7 @@ def test_points_on_a_circle_give_that_circle(x: float, y: float, radius: float, 
 @given(angle=st.floats(-3, 3), offset=st.floats(-300, 300))
 @settings(max_examples=40)
 def test_points_on_a_line_give_that_line(angle: float, offset: float) -> None:
-    """In every direction, vertical ones included."""
+    """Exact points give their line in every direction, also vertical."""
     normal = np.array([math.cos(angle), math.sin(angle)])
     points = offset * normal + np.linspace(-50, 80, 30)[:, None] * (-normal[1], normal[0])
     fit = fit_line(points)
@@ -43,7 +43,7 @@ def test_points_on_a_line_give_that_line(angle: float, offset: float) -> None:
 
 
 def test_a_fifth_of_wrong_points_is_forgotten() -> None:
-    """With a fifth of the edge 5 px off, the circle is found to 0.02 px, and the line."""
+    """With a fifth of the points 5 px off, circle and line are found to 0.02 px."""
     rng = np.random.default_rng(0)
     points = circle_points(100.0, 80.0, 60.0, count=200)
     points[:40] += (points[:40] - (100.0, 80.0)) * (5.0 / 60.0)
@@ -75,6 +75,6 @@ def test_a_fifth_of_wrong_points_is_forgotten() -> None:
     ids=["none", "one", "same", "nan", "straight"],
 )
 def test_points_that_determine_nothing_give_none(points: FloatArray) -> None:
-    """No circle, never an exception."""
+    """Points that determine no circle or line give None, no exception."""
     assert fit_circle(points) is None
     assert (fit_line(points) is None) == (len(np.unique(points[np.isfinite(points).all(axis=1)], axis=0)) < 2)

@@ -1,4 +1,4 @@
-"""How sharp a picture is: against pictures whose blur is known."""
+"""The sharpness of pictures with a known blur."""
 
 from __future__ import annotations
 
@@ -41,7 +41,8 @@ PART = Scene(TABLE, (PlacedPart(demo_part(), at(8, 0, 205)),))
 )
 @pytest.mark.parametrize("scene", [BOARD, PART], ids=["board", "part"])
 def test_the_spread_is_that_of_lens_and_pixel(psf_px: float, off: float, scene: Scene) -> None:
-    """A board and a textured part, bright or dark or noisy: to 4 %, to 5 % far beyond focus."""
+    """For a board and a textured part, bright, dark or noisy, the spread is right to 4 %, to 5 % far out
+    of focus."""
     view = RenderedView(demo_rig().left, np.eye(4), Sensor(psf_sigma_px=psf_px))
     expected = math.hypot(psf_px, PIXEL_PX)
     for exposure_us, gain_db, noise_grey in ((2000.0, 0.0, 0.9), (700.0, 0.0, 0.6), (700.0, 10.0, 1.8)):
@@ -53,7 +54,8 @@ def test_the_spread_is_that_of_lens_and_pixel(psf_px: float, off: float, scene: 
 
 @pytest.mark.slow
 def test_each_field_has_its_own_spread() -> None:
-    """A lens that is sharp on the left and soft on the right; where nothing is, nothing is said."""
+    """A lens that is sharp on the left and soft on the right gives two spreads; fields without edges have
+    none."""
     views = [RenderedView(demo_rig().left, np.eye(4), Sensor(psf_sigma_px=psf)) for psf in (0.6, 1.4)]
     sharp, soft = (view.render(BOARD, np.random.default_rng(1)) for view in views)
     image = np.concatenate([sharp[:, :640], soft[:, 640:]], axis=1)
@@ -66,7 +68,7 @@ def test_each_field_has_its_own_spread() -> None:
 
 @pytest.mark.parametrize("image", [np.zeros((60, 80), np.uint8), np.full((60, 80), 255, np.uint8)])
 def test_a_picture_without_edges_has_no_spread(image: Image) -> None:
-    """Dark, or clipped all over."""
+    """A dark or fully clipped picture has no edges and no spread."""
     seen = sharpness(image, 0.3)
     assert math.isnan(seen.spread_px)
     assert 0 == seen.edges
@@ -74,7 +76,8 @@ def test_a_picture_without_edges_has_no_spread(image: Image) -> None:
 
 @pytest.mark.parametrize("psf_px", [0.9, 1.5])
 def test_what_blur_costs_is_what_edges_scatter(psf_px: float) -> None:
-    """The scatter of measured edges, at the best width of each, against that in a sharp picture: to 10 %."""
+    """The cost of blur equals the scatter of edges, at their best width, relative to a sharp picture, to
+    10 %."""
 
     def scatter_px(spread_px: float) -> float:
         rng = np.random.default_rng(0)

@@ -1,4 +1,4 @@
-"""Edges across given points: where they are, which of them is taken, and what is said where there is none."""
+"""Edges across given points: their places, the choice among several, and NaN where there is none."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def test_a_blurred_step_is_found_where_it_is(distance_px: float, angle_rad: floa
 
 @pytest.mark.parametrize(("width", "limit_px"), [(0, 0.05), (1, 0.03), (2, 0.02), (3, 0.015)])
 def test_every_width_finds_the_same_place(width: int, limit_px: float) -> None:
-    """An edge alone in the image is in one place for all operators; narrow ones feel the interpolation."""
+    """A single edge is at the same place for all operators; narrow ones have an interpolation error."""
     points, normals = across(0.4)
     for distance in (-1.7, -0.25, 0.0, 0.5, 1.33):
         image = exposed(step_image(distance, 0.4))
@@ -94,7 +94,8 @@ def test_the_precision_is_near_the_bound() -> None:
 
 
 def test_the_sign_is_obeyed() -> None:
-    """A step is seen with its own sign or with 0, not with the other; a reversed normal reverses both."""
+    """A step is found with its own sign or with 0, not with the other sign; a reversed normal reverses
+    both."""
     points, normals = across(0.0)
     rising = exposed(step_image(0.6))
     right, slope = edges_along_normals(rising, points, normals, 4.0, 1)
@@ -112,7 +113,7 @@ def test_the_sign_is_obeyed() -> None:
 
 
 def test_of_two_equal_edges_the_nearer_is_taken() -> None:
-    """Two lines of one contrast, 7 px apart: whichever is nearer to the point."""
+    """Of two equal edges 7 px apart the one nearer to the point is found."""
     points, normals = across(0.0)
     nearer = points + np.array([3.5, 0.0])
     twice = exposed(0.5 * (step_image(-2.0) + step_image(5.0)))
@@ -139,7 +140,7 @@ def test_no_edge_is_nan() -> None:
 
 
 def test_views_and_read_only_images_are_taken() -> None:
-    """A crop, a transposed and a read-only image are images too."""
+    """A crop, a transposed and a read-only image give the same edges."""
     points, normals = across(0.0)
     wide = exposed(np.hstack([step_image(0.4), step_image(0.4)]))
     expected, _ = edges_along_normals(wide[:, : SIZE[1]].copy(), points, normals, 3.0, 1)
@@ -152,7 +153,7 @@ def test_views_and_read_only_images_are_taken() -> None:
 
 
 def test_a_saturated_plateau_is_noted() -> None:
-    """Where the sensor clips beside the edge, the sample says so; on a normal edge it does not."""
+    """The sample is marked as clipped if the sensor saturates on either side of the edge, otherwise not."""
     points, normals = across(0.0)
     assert edges_at_widths(exposed(step_image(0.0, high=300.0)), points, normals, 3.0, 1).clipped.all()
     assert edges_at_widths(exposed(step_image(0.0, low=-40.0)), points, normals, 3.0, 1).clipped.all()
@@ -160,7 +161,7 @@ def test_a_saturated_plateau_is_noted() -> None:
 
 
 def test_profiles_are_what_lies_across() -> None:
-    """A profile of a ramp is the ramp; one that leaves the image is NaN."""
+    """The profile of a ramp equals the ramp; one that leaves the image is NaN."""
     ramp = np.tile(np.arange(SIZE[1], dtype=np.uint8) * 2, (SIZE[0], 1))
     values, places = edge_profiles(ramp, MIDDLE[None], np.array([[1.0, 0.0]]), 4.0)
     np.testing.assert_allclose(values[0], 2 * (MIDDLE[0] + places), atol=1e-4)
@@ -187,7 +188,7 @@ def test_the_kernel_equals_its_twin(polarity: int, width_px: float, step_px: flo
 
 
 def test_points_do_not_know_of_each_other() -> None:
-    """However many points are asked for at once, and whichever have no profile, each gets its own edge."""
+    """A point's edge does not depend on the other points of the call."""
     rng = np.random.default_rng(11)
     image = np.clip(rng.normal(128, 60, (90, 90)), 0, 255).astype(np.uint8)
     points, angles = rng.uniform(0, 89, (300, 2)), rng.uniform(-np.pi, np.pi, 300)

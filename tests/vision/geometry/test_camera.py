@@ -19,13 +19,13 @@ pixels = st.tuples(st.floats(-50, 1330), st.floats(-50, 1010)).map(np.array)
 @pytest.mark.parametrize("camera", [BROWN, DIVISION], ids=lambda camera: camera.model)
 @given(pixel=pixels)
 def test_normalise_and_pixels_are_inverse(camera: CameraModel, pixel: np.ndarray) -> None:
-    """A pixel comes back to 1e-9 px, also outside the image."""
+    """A pixel comes back to 1e-9 px."""
     assert camera.pixels(camera.normalise(pixel)) == pytest.approx(pixel, abs=1e-9)
 
 
 @given(pixel=pixels)
 def test_no_distortion_is_a_pinhole_in_both_models(pixel: np.ndarray) -> None:
-    """kappa = 0 and k = 0 agree with K."""
+    """With kappa = 0 and k = 0 both models equal the pinhole K."""
     expected = (pixel - (640, 480)) / 3000
     for model, zero in (("brown", (0.0,) * 5), ("division", (0.0,))):
         camera = CameraModel(model, 1280, 960, 3000, 3000, 640, 480, zero)
@@ -33,7 +33,7 @@ def test_no_distortion_is_a_pinhole_in_both_models(pixel: np.ndarray) -> None:
 
 
 def test_brown_agrees_with_opencv() -> None:
-    """The outside witness of the forward model."""
+    """The Brown model projects as OpenCV does."""
     points = np.random.default_rng(1).uniform((-40, -30, 180), (40, 30, 230), (50, 3))
 
     expected, _ = cv2.projectPoints(
@@ -51,13 +51,13 @@ def test_negative_kappa_is_barrel() -> None:
 
 
 def test_a_wrong_number_of_coefficients_is_refused() -> None:
-    """A brown camera has five."""
+    """A brown camera with another number than five coefficients is refused."""
     with pytest.raises(ValueError, match="brown takes 5"):
         CameraModel("brown", 10, 10, 1, 1, 1, 1, (0.1,))
 
 
 def test_parameter_names_match_the_order_that_is_documented() -> None:
-    """Cameras, then rotation, then translation."""
+    """The names are in the order cameras, rotation, translation."""
     rig = StereoRig(BROWN, DIVISION, np.eye(4), "id")
 
     assert len(rig.parameter_names) == 9 + 5 + 6

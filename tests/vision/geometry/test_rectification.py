@@ -22,7 +22,8 @@ few = settings(max_examples=12)  # each example builds four maps
 @few
 @given(rigs, st.integers(0, 1000))
 def test_corresponding_points_lie_on_one_row_inside_both_images(rig: StereoRig, seed: int) -> None:
-    """Rectified rows of one point agree to 1e-7 px, and whatever both cameras see is kept."""
+    """Rectified rows of one point agree to 1e-7 px, and every point that both cameras see lies in both
+    images."""
     rectification = make_rectification(rig)
     try:
         points = random_points(rig, 50, seed)
@@ -52,7 +53,7 @@ def test_points_go_to_the_rectified_image_and_back(rig: StereoRig, seed: int) ->
 @pytest.mark.slow
 @pytest.mark.parametrize("model", ["brown", "division"])
 def test_images_and_points_are_rectified_alike(model: str) -> None:
-    """A blob drawn in the raw image turns up in the rectified image where rectify_points says."""
+    """A blob drawn in the raw image is in the rectified image where rectify_points says."""
     rectification = make_rectification(make_rig(model))
     y, x = np.mgrid[0:960, 0:1280]
     for side, warp in (("left", rectification.left_image), ("right", rectification.right_image)):
@@ -85,7 +86,7 @@ def test_maps_and_masks_agree_with_exact_points(model: str) -> None:
 
 
 def test_maps_cannot_be_written() -> None:
-    """Threads share them: the cycle rectifies by them, and the status page shows by them."""
+    """The maps, which threads share, are read-only."""
     rectification = make_rectification(make_rig())
 
     for plane in (*rectification.maps_left, *rectification.maps_right):
@@ -136,14 +137,14 @@ def test_disparity_of_a_depth() -> None:
     ],
 )
 def test_an_image_that_does_not_fit_the_rig_is_refused(image: np.ndarray, reason: str) -> None:
-    """Wrong size and colour are an ImageError that names both sizes; another depth one that names both."""
+    """A wrong size, colour or depth of an image is refused with both values."""
     rectification = make_rectification(make_rig())
     with pytest.raises(ImageError, match=f"right image: {reason}"):
         rectification.right_image(image)
 
 
 def test_rigs_that_cannot_be_rectified_are_refused() -> None:
-    """One camera behind the other, or cameras that look apart, are errors and not absurd maps."""
+    """A camera behind the other and cameras that look apart are refused."""
     camera = make_camera("division")
     behind = StereoRig(camera, camera, transform(np.eye(3), np.array([0.0, 0, 50])), "x")
     with pytest.raises(CalibrationError, match="along the baseline"):
@@ -157,7 +158,7 @@ def test_rigs_that_cannot_be_rectified_are_refused() -> None:
 
 
 def test_a_lens_that_folds_back_leaves_no_ghost() -> None:
-    """Where Brown's polynomial turns round, the rectified image is empty instead of repeating the scene."""
+    """The rectified image is empty, not a repeated scene, where Brown's polynomial turns back."""
     rig = make_rig("brown", vergence_deg=10)
     # The radius turns round at sqrt(1 / (3 * 0.3)) = 1.05 of the focal length, outside the image's corner
     folding = dataclasses.replace(rig.left, fx=1300.0, fy=1300.0, distortion=(-0.3, 0.0, 0.0, 0.0, 0.0))
@@ -183,7 +184,7 @@ def test_right_frame_is_the_left_frame_turned() -> None:
 
 
 def test_plain_opencv_finds_the_same_rows() -> None:
-    """cv2.undistortPoints with our rotation gives our rectified points: an outside witness."""
+    """cv2.undistortPoints with our rotation gives our rectified points."""
     rig = make_rig("brown")
     rectification = make_rectification(rig)
     raw = np.random.default_rng(2).uniform((0, 0), (1279, 959), (40, 2))
@@ -225,7 +226,8 @@ LENSES = {
 @pytest.mark.parametrize("vergence_deg", [0.0, 12.0, 24.0, 35.0])
 @pytest.mark.parametrize("factor", [1, 2])
 def test_rows_agree_for_any_vergence_lens_and_size(lens: str, vergence_deg: float, factor: int) -> None:
-    """85° wide lenses, thumbnails, a right camera of twice the resolution: every point keeps its row.
+    """With 85° wide lenses, small images and a right camera of twice the resolution every point keeps its
+    row.
 
     And every point that both cameras see lies inside both rectified images, where the masks say so.
     """

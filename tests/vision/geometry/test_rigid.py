@@ -42,7 +42,7 @@ transforms = st.builds(transform, rotations, points)
 
 @given(points, points)
 def test_products_of_two_vectors_are_numpys(a: FloatArray, b: FloatArray) -> None:
-    """The cross product of any two vectors, and the direction of one that has any."""
+    """The cross product and the unit vector equal numpy's."""
     np.testing.assert_array_equal(cross(a, b), np.cross(a, b))
     if a @ a > 1e-12:
         np.testing.assert_allclose(unit(a), a / np.linalg.norm(a), rtol=1e-14)
@@ -52,7 +52,7 @@ def test_products_of_two_vectors_are_numpys(a: FloatArray, b: FloatArray) -> Non
 def test_the_turn_between_two_poses_is_that_of_one_to_the_other(
     pose: FloatArray, axis: FloatArray, angle: float
 ) -> None:
-    """About any axis, wherever they are, in either order."""
+    """The angle of the turn is found about any axis, wherever the poses are, in either order."""
     turned = pose @ transform(rotation_matrix(axis * angle), np.ones(3))
     assert turn_between(pose, turned) == pytest.approx(angle, abs=1e-6)
     assert turn_between(turned, pose) == pytest.approx(angle, abs=1e-6)
@@ -74,7 +74,8 @@ def test_rotation_vector_and_matrix_are_inverse(axis: FloatArray, angle: float) 
 
 @given(unit_vectors, angles)
 def test_a_quaternion_holds_half_the_angle(axis: FloatArray, angle: float) -> None:
-    """(cos a/2, axis sin a/2), scalar first and not negative, near no turn and near half a turn too."""
+    """The quaternion is (cos a/2, axis sin a/2), scalar first and not negative, also near 0 and near half
+    a turn."""
     found = quaternion(rotation_matrix(axis * angle))
     assert found[0] >= 0
     expected = np.append(np.cos(angle / 2), axis * np.sin(angle / 2))
@@ -84,7 +85,8 @@ def test_a_quaternion_holds_half_the_angle(axis: FloatArray, angle: float) -> No
 
 @given(st.floats(-100, 100), st.sampled_from([np.pi, 2 * np.pi, 360.0]))
 def test_a_wrapped_angle_is_the_same_one_and_short(angle: float, period: float) -> None:
-    """Whole periods away, in half a period to either side; an array as each of its angles."""
+    """A wrapped angle differs by whole periods and lies within half a period; arrays are wrapped by
+    element."""
     short = wrapped(angle, period)
     assert -period / 2 <= short <= period / 2
     turns = (angle - short) / period
@@ -93,7 +95,7 @@ def test_a_wrapped_angle_is_the_same_one_and_short(angle: float, period: float) 
 
 
 def test_directions_differ_by_half_a_turn_at_most() -> None:
-    """The shorter way round, in either order; whole turns do not count."""
+    """The difference is the shorter way round, in either order, without whole turns."""
     assert angle_between(0.1, -0.2) == pytest.approx(0.3)
     assert angle_between(3.0, -3.0) == pytest.approx(2 * np.pi - 6) == angle_between(-3.0, 3.0)
     assert angle_between(1.0 + 6 * np.pi, 1.0) == pytest.approx(0.0, abs=1e-12)
@@ -102,7 +104,7 @@ def test_directions_differ_by_half_a_turn_at_most() -> None:
 
 @given(st.floats(-10, 10))
 def test_a_rotation_of_the_plane_is_one_about_z(angle: float) -> None:
-    """The upper left of the rotation by (0, 0, angle)."""
+    """The 2D rotation is the upper left of the 3D rotation about z."""
     assert np.allclose(rotation_2d(angle), rotation_matrix(np.array([0, 0, angle]))[:2, :2], atol=1e-14)
 
 
@@ -147,7 +149,7 @@ def test_nearest_rotation_removes_a_small_error(rotation: FloatArray) -> None:
 @pytest.mark.slow
 @given(transforms, st.integers(3, 12), st.integers(0, 2**32 - 1), st.floats(0.2, 5))
 def test_fit_rigid_finds_the_transform(pose: FloatArray, n: int, seed: int, scale: float) -> None:
-    """From exact points the transform is found exactly, with the scale too where it is asked for."""
+    """From exact points the transform is found exactly, with the scale if it is asked for."""
     source = np.random.default_rng(seed).uniform(-50, 50, (n, 3))
     rigid = fit_rigid(source, apply(pose, source))
     assert np.allclose(rigid.to_from_source, pose, atol=1e-8)
@@ -157,7 +159,7 @@ def test_fit_rigid_finds_the_transform(pose: FloatArray, n: int, seed: int, scal
 
 
 def test_fit_rigid_of_planar_points_is_a_rotation_not_a_mirror() -> None:
-    """Points in one plane leave the mirror image as good: the fit must choose the rotation."""
+    """For points in one plane the fit gives the rotation, not the mirror image."""
     source = np.array([[0, 0, 0], [10, 0, 0], [0, 7, 0], [4, 4, 0.0]])
     pose = transform(rotation_matrix(np.array([2.0, -1.0, 0.5])), np.array([5, 6, 7.0]))
     assert np.allclose(fit_rigid(source, apply(pose, source)).to_from_source, pose, atol=1e-12)
@@ -188,6 +190,6 @@ def test_fit_rigid_covariance_matches_the_scatter() -> None:
     ],
 )
 def test_fit_rigid_refuses_what_has_no_answer(source: FloatArray, target: FloatArray, expected: str) -> None:
-    """Too few points, points on one line and missing values are errors that say so."""
+    """Too few points, points on one line and missing values are refused with the reason."""
     with pytest.raises(CalibrationError, match=expected):
         fit_rigid(source, target)

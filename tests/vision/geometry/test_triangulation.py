@@ -38,7 +38,7 @@ def test_projected_points_come_back(rig: StereoRig, seed: int) -> None:
 
 
 def test_rays_that_do_not_meet_in_front_are_nan() -> None:
-    """No parallax, or a negative one, has no point: NaN, never a point behind the cameras."""
+    """Rays without parallax or with a negative one give NaN, never a point behind the cameras."""
     rig = make_rig(vergence_deg=0)
     rectification = make_rectification(rig)
     left = np.array([[700.0, 400.0], [700.0, 400.0], [700.0, 400.0]])
@@ -82,7 +82,7 @@ def _normalised(error: np.ndarray, covariance: np.ndarray) -> float:
 
 
 def test_the_optimal_point_beats_any_neighbour() -> None:
-    """No point near the one found has a smaller reprojection error in both images."""
+    """No point near the found one has a smaller reprojection error in both images."""
     rig = make_rig("brown")
     points = random_points(rig, 10, 8)
     rng = np.random.default_rng(1)

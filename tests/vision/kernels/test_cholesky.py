@@ -10,7 +10,7 @@ from edged.vision.kernels.cholesky import factorise, invert, substitute
 
 @pytest.mark.parametrize("size", [1, 3, 5, 8, 40])
 def test_the_upper_left_of_a_matrix_is_factorised_and_solved(size: int) -> None:
-    """The lower triangle becomes numpy's factor, and the solution is numpy's; what is outside is not read."""
+    """The lower triangle becomes numpy's factor, the solution is numpy's, and values outside are not read."""
     rng = np.random.default_rng(size)
     root = rng.normal(size=(size, size))
     square, right = root @ root.T + np.eye(size), rng.normal(size=size + 2)
@@ -25,7 +25,7 @@ def test_the_upper_left_of_a_matrix_is_factorised_and_solved(size: int) -> None:
 
 
 def test_the_smallest_pivot_does_not_depend_on_units() -> None:
-    """1 - 0.8² of the variance is left of two unknowns correlated by 0.8, whatever their units."""
+    """For two unknowns correlated by 0.8 the smallest pivot is 1 - 0.8², whatever their units."""
     matrix = np.array([[1.0, 0.8], [0.8, 1.0]])
     for units in ([1.0, 1.0], [1e-6, 1e3], [1e8, 1.0]):
         assert factorise(matrix * np.outer(units, units), 2) == pytest.approx(0.36)
@@ -33,7 +33,7 @@ def test_the_smallest_pivot_does_not_depend_on_units() -> None:
 
 @pytest.mark.parametrize("size", [2, 7, 30])
 def test_the_inverse_is_numpys(size: int) -> None:
-    """True of a full matrix, whatever the units of its unknowns."""
+    """The inverse of a full matrix is numpy's, whatever the units of its unknowns."""
     rng = np.random.default_rng(size)
     root, units = rng.normal(size=(size, size)), 10.0 ** rng.uniform(-6, 6, size)
     square = root @ root.T + 0.1 * np.eye(size)
@@ -55,6 +55,7 @@ def test_the_inverse_is_numpys(size: int) -> None:
     ],
 )
 def test_what_is_not_positive_is_refused(rows: list[list[float]]) -> None:
-    """Neither a rank too low nor a negative or missing element is factorised or inverted."""
+    """A matrix of too low a rank, with a negative or a missing element, is neither factorised nor
+    inverted."""
     assert factorise(np.array(rows), 2) == 0.0
     assert not invert(np.array(rows), np.empty((2, 2)))

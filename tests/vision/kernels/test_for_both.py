@@ -1,4 +1,4 @@
-"""Work for both cameras side by side."""
+"""Work for both cameras in parallel."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from edged.vision.kernels.jit import for_both
 
 
 def test_both_are_done_at_the_same_time() -> None:
-    """Each waits for the other, so one after the other they would never end; results keep their order."""
+    """Both calls run at the same time, and the results keep their order."""
     meeting = threading.Barrier(2, timeout=10.0)
 
     def work(side: int) -> str:
@@ -22,7 +22,7 @@ def test_both_are_done_at_the_same_time() -> None:
 
 @pytest.mark.parametrize("bad", [0, 1])
 def test_an_error_is_raised_after_both_ended(bad: int) -> None:
-    """Whichever fails, the other one is not left running; and the next call works."""
+    """Whichever call fails, the other one ends first, and the next use works."""
     ended = []
 
     def work(side: int) -> int:

@@ -1,4 +1,4 @@
-"""Kernels from the disk cache: the same machine code, loaded without what only a compilation needs."""
+"""Kernels from the disk cache: the same machine code, loaded without the work of a compilation."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ print(json.dumps(found))
 
 @pytest.fixture(scope="module")
 def runs(tmp_path_factory: pytest.TempPathFactory) -> list[dict[str, Any]]:
-    """What two processes found that run a kernel and then compile another that calls it."""
+    """The findings of two processes that run a kernel and then compile another one that calls it."""
     folder = tmp_path_factory.mktemp("kernels")
     (folder / "stored.py").write_text(STORED)
     (folder / "run.py").write_text(RUN)
@@ -80,7 +80,8 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> list[dict[str, Any]]:
 
 @pytest.mark.slow
 def test_whoever_waits_for_the_compiler_is_told_so_once(runs: list[dict[str, Any]]) -> None:
-    """In any program, on standard error, before it begins; a kernel that is stored says nothing."""
+    """The process that compiles says so once on standard error; one that loads from the cache says
+    nothing."""
     said = [found["told"] for found in runs]
     assert ["compiling numerical kernels (once, up to three minutes)\n", ""] == said
 
@@ -89,7 +90,7 @@ def test_whoever_waits_for_the_compiler_is_told_so_once(runs: list[dict[str, Any
 def test_without_a_place_to_store_kernels_it_is_said_too(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """There each start compiles."""
+    """Without a usable cache each start compiles, and says so."""
     monkeypatch.setattr(jit, "_cache_is_usable", lambda: False)
     monkeypatch.setattr(jitcache, "_said", itertools.count())
 
@@ -110,13 +111,14 @@ def test_a_stored_kernel_is_what_was_compiled(runs: list[dict[str, Any]]) -> Non
 
 @pytest.mark.slow
 def test_bitcode_waits_until_another_kernel_needs_it(runs: list[dict[str, Any]]) -> None:
-    """A stored kernel runs unparsed; one compiled later is linked with it, once, and gives its sum."""
+    """A stored kernel runs without parsing its bitcode; a later compiled kernel that calls it parses it
+    once."""
     assert (0, 1) == (runs[1]["parsed"], runs[1]["parsed for another"])
     assert [15.0, 15.0] == [found["total"] for found in runs]
 
 
 def test_a_kernel_takes_only_what_it_was_declared_for() -> None:
-    """Another type is an error and not a second kernel, which would be compiled in the middle of a cycle."""
+    """Another type is an error, not a second compilation in the middle of a cycle."""
 
     @kernel("f8(f8[::1])")
     def first(values: Any) -> Any:
@@ -127,7 +129,7 @@ def test_a_kernel_takes_only_what_it_was_declared_for() -> None:
 
 
 def test_a_kernel_is_loaded_with_its_first_call() -> None:
-    """Or before, when a module's kernels are asked for; one that nobody calls is never loaded."""
+    """A kernel without a call is not loaded; its first call loads it."""
 
     @kernel("f8(f8)")
     def doubled(value: Any) -> Any:
@@ -139,7 +141,7 @@ def test_a_kernel_is_loaded_with_its_first_call() -> None:
 
 
 def test_a_kernel_that_another_calls_keeps_its_declared_types() -> None:
-    """It is compiled as declared, and not once more for what the caller happens to hand over."""
+    """A kernel that another one calls is compiled as declared, and not again for the caller's types."""
 
     @kernel("f8(f8[:])")
     def first(values: Any) -> Any:
@@ -167,7 +169,7 @@ def _and_one(value: float) -> float:
 
 
 def test_a_stored_kernel_is_known_by_the_numbers_frozen_into_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Also by those of kernels that it calls: one changed in another file compiles it anew."""
+    """A changed constant, also in a called kernel, changes the stored kernel's key."""
     before = frozen_into(cast(Any, _and_one).py_func)
     monkeypatch.setitem(globals(), "FACTOR", 3.0)
 
@@ -176,7 +178,7 @@ def test_a_stored_kernel_is_known_by_the_numbers_frozen_into_it(monkeypatch: pyt
 
 
 def test_a_stored_kernel_is_known_by_the_code_of_those_it_calls(tmp_path: Path) -> None:
-    """An update that changes a file in place compiles what calls its kernels from others anew, too."""
+    """A changed file with a called kernel compiles the callers in other files anew."""
     kernel_of = (
         "from edged.vision.kernels.jit import kernel\n{}\n@kernel('f8(f8)')\ndef {}(x):\n    return {}\n"
     )
@@ -194,7 +196,7 @@ def test_a_stored_kernel_is_known_by_the_code_of_those_it_calls(tmp_path: Path) 
 
 
 def test_what_was_stored_for_a_renamed_class_is_compiled_anew(tmp_path: Path) -> None:
-    """An update may rename a class that a stored kernel takes: its index counts as empty."""
+    """A stored index with a class that no longer exists counts as empty."""
     renamed = b"cedged.vision.kernels.jit\nNameBefore\n."
     (tmp_path / "kernel.nbi").write_bytes(pickle.dumps(numba.__version__) + renamed)
 
@@ -202,7 +204,7 @@ def test_what_was_stored_for_a_renamed_class_is_compiled_anew(tmp_path: Path) ->
 
 
 def test_threads_may_call_a_kernel_first() -> None:
-    """Whoever is second waits for the code that the first one loads; nobody is turned away."""
+    """Threads that call a kernel at the same time all get the result, and it is loaded once."""
 
     @kernel("f8(f8[::1])")
     def total(values: Any) -> Any:
@@ -223,7 +225,7 @@ def test_threads_may_call_a_kernel_first() -> None:
 
 
 def test_only_what_python_calls_is_loaded_ahead() -> None:
-    """Kernels that only kernels call are compiled into those, and stay where they are."""
+    """Only kernels that Python calls are loaded ahead; those that only kernels call are not."""
     module = ModuleType("rooms.one")
     program = """
 from functools import cache
@@ -269,7 +271,7 @@ def twice(x):
 
 
 def test_kernels_of_sources_in_another_folder_are_taken_over_and_found_by_a_link(tmp_path: Path) -> None:
-    """Nothing is compiled that is compiled already: an update lies beside what runs, and a link means it."""
+    """Kernels of the same sources in another folder are taken over, and a link to the folder finds them."""
     before, after, current, kernels = (tmp_path / name for name in ("before", "after", "current", "kernels"))
     for place in (before, after):
         (place / "edged").mkdir(parents=True)

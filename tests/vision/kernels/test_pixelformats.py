@@ -1,4 +1,4 @@
-"""Pixels as cameras send them: every format gives the grey values that were there."""
+"""Pixels as cameras send them: every format gives the original grey values."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def random_values(pixels: PixelFormat, height: int, width: int) -> np.ndarray:
 
 
 def sent(values: np.ndarray, pixels: PixelFormat) -> Image:
-    """What arrives as an image when these values were sent."""
+    """The image that results when these values are sent."""
     data = np.frombuffer(pack_pixels(values.ravel().tolist(), pixels.bits, pixels.layout), np.uint8)
     return grey8(data, pixels, values.shape[1], values.shape[0])
 
@@ -30,7 +30,7 @@ def sent(values: np.ndarray, pixels: PixelFormat) -> Image:
 @EVERY
 @pytest.mark.parametrize("shape", [(6, 8), (5, 7)], ids=["even", "odd"])
 def test_values_are_those_that_were_sent(pixels: PixelFormat, shape: tuple[int, int]) -> None:
-    """Packed bit by bit, unpacked by the kernels; mosaics by the plain mean of their neighbourhood."""
+    """Packed values come back as they were sent; mosaics give the mean of their neighbourhood."""
     values = random_values(pixels, *shape)
     grey = np.array([[nearest_of_256(int(value), pixels.bits) for value in row] for row in values])
     expected = grey_of_mosaic(grey) if pixels.bayer else grey
@@ -44,7 +44,7 @@ def test_values_are_those_that_were_sent(pixels: PixelFormat, shape: tuple[int, 
 
 
 def test_known_bytes_of_the_packed_formats() -> None:
-    """Pixels 0x123 and 0xABC, and 0x2A7 and 0x155, as GigE Vision 1.2 and PFNC draw them."""
+    """Pixels 0x123 and 0xABC, and 0x2A7 and 0x155, are packed as GigE Vision 1.2 and PFNC draw them."""
     assert bytes.fromhex("12c3ab") == pack_pixels([0x123, 0xABC], 12, "pairs")
     assert bytes.fromhex("23c1ab") == pack_pixels([0x123, 0xABC], 12, "bits")
     assert bytes.fromhex("a91355") == pack_pixels([0x2A7, 0x155], 10, "pairs")
@@ -52,7 +52,7 @@ def test_known_bytes_of_the_packed_formats() -> None:
 
 
 def test_codes_are_those_of_the_convention() -> None:
-    """No code twice; each carries the size of a pixel in its third byte, as PFNC 2.4 chapter 5 says."""
+    """No code is used twice, and its third byte is the size of a pixel, as in PFNC 2.4 chapter 5."""
     assert len(FORMATS) == len(BY_CODE)
     for pixels in FORMATS.values():
         assert pixels.size(8) == (pixels.code >> 16 & 0xFF)
@@ -60,7 +60,8 @@ def test_codes_are_those_of_the_convention() -> None:
 
 @pytest.mark.parametrize("colours", ["GR", "RG", "GB", "BG"])
 def test_a_patch_of_one_colour_becomes_one_grey(colours: str) -> None:
-    """Whatever the colour: R/4 + G/2 + B/4 in every pixel, the border too, in any order of the mosaic."""
+    """A patch of any colour gives R/4 + G/2 + B/4 in every pixel, also at the border, for each mosaic
+    order."""
     order = {"RG": "RG GB", "GR": "GR BG", "GB": "GB RG", "BG": "BG GR"}[colours].split()
     red, green, blue = 200, 80, 16
     mosaic = np.empty((8, 10), np.uint8)
@@ -75,7 +76,7 @@ def test_a_patch_of_one_colour_becomes_one_grey(colours: str) -> None:
 
 @pytest.mark.parametrize("name", ["BayerRG8", "BayerGB12p"])
 def test_a_mosaic_does_not_move_an_edge(name: str) -> None:
-    """The blurred edge of a grey part lies where it lay, to 0.01 px, and not half a pixel beside it."""
+    """The blurred edge of a grey part stays in place to 0.01 px."""
     random = np.random.default_rng(5)
     one = 1 << (FORMATS[name].bits - 8)  # a step of 8-bit grey
     y, x = np.mgrid[:32, :32]
@@ -93,7 +94,7 @@ def test_a_mosaic_does_not_move_an_edge(name: str) -> None:
 
 @EVERY
 def test_a_wrong_number_of_bytes_is_refused(pixels: PixelFormat) -> None:
-    """One byte less or more is no image."""
+    """One byte less or more, or none, is refused."""
     whole = pixels.size(8 * 6)
     for count in (whole - 1, whole + 1, 0):
         with pytest.raises(ValueError, match=f"{pixels.name} 8x6 takes {whole} bytes, not {count}"):

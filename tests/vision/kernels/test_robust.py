@@ -16,7 +16,7 @@ from edged.vision.kernels.median import median
 
 @pytest.mark.parametrize("seed", range(5))
 def test_small_kernels_equal_their_twins(seed: int) -> None:
-    """Scale, weight and correlation, on smooth and on rough samples with gaps."""
+    """Scale, weight and correlation equal the twins', on smooth and rough samples with gaps."""
     rng = np.random.default_rng(seed)
     count = int(rng.integers(30, 200))
     rough = rng.normal(0, 0.1, count)
@@ -36,7 +36,7 @@ def test_small_kernels_equal_their_twins(seed: int) -> None:
 
 
 def test_weights_of_an_array_are_those_of_its_residuals() -> None:
-    """Tukey's biweight, 1 at 0, half at 0.541 of the threshold, 0 from there on; the sign does not matter."""
+    """Tukey's biweight is 1 at 0, half at 0.541 of the threshold and 0 from there on, for either sign."""
     residuals = 0.3 * np.array([-9.0, -4.685, -2.0, -0.1, 0.0, 0.1, 2.5, 4.684, 5.0])
     weights = robust.tukey_weights(residuals, 0.3)
     np.testing.assert_allclose(weights, [robust.tukey_weight(one / 0.3) for one in residuals], atol=1e-12)
@@ -47,7 +47,7 @@ def test_weights_of_an_array_are_those_of_its_residuals() -> None:
 
 @pytest.mark.parametrize("count", [1, 2, 16, 17, 40, 333, 2000])
 def test_the_median_is_numpys(count: int) -> None:
-    """With few and many samples, outliers, equal samples and two heaps; what is no number ends, too."""
+    """With few or many samples, outliers and equal samples the median is numpy's; of NaN it is NaN."""
     rng = np.random.default_rng(count)
     rough = rng.normal(0, 0.1, count)
     for values in (rough, np.abs(rough) + 1e6 * (rng.random(count) < 0.2), np.full(count, 2.5)):

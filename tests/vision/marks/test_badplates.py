@@ -1,4 +1,4 @@
-"""Plates that are not the taught one, in drawn pictures, through the whole filter: no wrong result."""
+"""Wrong plates in drawn pictures, through the whole filter: no wrong result."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ S = 10**9
 
 
 def steps(*pairs: tuple[Image, Image], settings: MarksSettings | None = None) -> list[MarksReport]:
-    """What exposures a second apart say, after a first one of the taught plate."""
+    """Reports of exposures one second apart, after a first one of the taught plate."""
     tracker = MarksFilter(taught(), settings)
     track, report = tracker.step(tracker.begin(), *pair(AT, 20), S)
     assert report.state is MarksState.CORRECTED
@@ -38,7 +38,7 @@ def beside(shift: tuple[float, float, float]) -> FloatArray:
 
 @pytest.mark.slow
 def test_the_plate_of_another_cell_is_named() -> None:
-    """Its codes are none of ours: no result, as long as it lies there; then ours again."""
+    """The codes of another plate are named and give no result until the taught plate is back."""
     other = pair(AT, 21, first=100)
     first, second, again = steps(other, other, pair(AT, 22))
     assert (first.state, first.valid) == (MarksState.CONTRADICTED, False)
@@ -49,7 +49,7 @@ def test_the_plate_of_another_cell_is_named() -> None:
 
 @pytest.mark.slow
 def test_a_mirrored_plate_has_no_marks() -> None:
-    """Nothing of it is read: the cell coasts, as if all were covered, and names no mark as seen."""
+    """No mark of a mirrored plate is seen, as if all were covered."""
     mirrored = tuple(np.ascontiguousarray(image[:, ::-1]) for image in pair(AT, 23))
     (report,) = steps((mirrored[0], mirrored[1]))
     assert report.seen == 0
@@ -58,7 +58,7 @@ def test_a_mirrored_plate_has_no_marks() -> None:
 
 @pytest.mark.slow
 def test_a_second_plate_of_the_same_codes_does_not_move_the_cell() -> None:
-    """Ours are where they are expected: the other one, in both pictures, is nothing but clutter."""
+    """A second plate with the same codes, elsewhere in the pictures, does not change the result."""
     copy = PlacedPart(marks_plate(parse_frame("60x52:8:2:40")), beside((9.0, 4.0, -0.2)))
     both = pair(AT, 24, copy)
     (report,) = steps(both)
@@ -71,7 +71,7 @@ def test_a_second_plate_of_the_same_codes_does_not_move_the_cell() -> None:
 
 @pytest.mark.slow
 def test_a_copy_alone_elsewhere_is_no_weather() -> None:
-    """Ours was taken away and its twin lies 5 mm beside it: a knock of the whole, and no result."""
+    """If the taught plate is gone and its copy lies 5 mm beside it, there is no result."""
     elsewhere = pair(beside((4.0, 3.0, 0.0)), 25)
     first, *_ = steps(elsewhere, settings=MarksSettings(heals=False))
     assert not first.valid
@@ -80,7 +80,8 @@ def test_a_copy_alone_elsewhere_is_no_weather() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("size", [0.98, 1.02, 1.1])
 def test_a_plate_of_another_size_is_no_result(size: float) -> None:
-    """The taught codes on a plate that is larger or smaller by 2 % or more, three exposures on."""
+    """A plate with the taught codes that is 2 % or more larger or smaller gives no result in three
+    exposures."""
     tracker = MarksFilter(taught())
     track, _ = tracker.step(tracker.begin(), *pair(AT, 20), S)
     plate = marks_plate(parse_frame("60x52:8:2:40"), size)
@@ -91,14 +92,14 @@ def test_a_plate_of_another_size_is_no_result(size: float) -> None:
 
 
 def only(placed: PlacedPart, noise: int) -> tuple[Image, Image]:
-    """Both pictures of one plate, without ours."""
+    """Both pictures of one plate, without the taught one."""
     left, right = pair(AT, noise, instead=placed)
     return left, right
 
 
 @pytest.mark.slow
 def test_marks_outside_of_where_they_are_looked_for_are_searched() -> None:
-    """A rig that was moved by 4 mm has its dots 60 px from where they were: found, and a knock, not lost."""
+    """A rig moved by 4 mm, whose dots are 60 px off, is found as knocked, with its marks."""
     elsewhere = [pair(beside((4.0, 0.0, 0.0)), noise) for noise in range(30, 35)]
     reports = steps(*elsewhere)
     assert reports[0].state is MarksState.KNOCKED
@@ -110,7 +111,8 @@ def test_marks_outside_of_where_they_are_looked_for_are_searched() -> None:
 
 
 def test_marks_that_are_covered_for_ever_end_in_a_sigma_that_says_so() -> None:
-    """A year, an exposure each ten minutes: valid by the marks, and sigma beyond any that was asked for."""
+    """With an exposure each ten minutes for a year and no marks, sigma grows beyond the largest that is
+    allowed."""
     day = new_day(1)
     for at_s in range(3):
         day.expose(float(at_s))
@@ -135,7 +137,7 @@ def test_marks_that_are_covered_for_ever_end_in_a_sigma_that_says_so() -> None:
 
 
 def under_oil(images: tuple[Image, Image], marks: list[int]) -> tuple[Image, Image]:
-    """Drops of oil over some dots, with an edge of their own."""
+    """Pictures with drops of oil on some dots."""
     places = taught().pixels[:, marks] + (6.0, -4.0)
     left, right = (oiled(image, at, 45.0) for image, at in zip(images, places, strict=True))
     return left, right
@@ -144,7 +146,7 @@ def under_oil(images: tuple[Image, Image], marks: list[int]) -> tuple[Image, Ima
 @pytest.mark.slow
 @pytest.mark.parametrize("marks", [[2], [0, 3, 5]])
 def test_oil_on_marks_is_no_knock(marks: list[int]) -> None:
-    """Dots under oil count as they are or are left out; the cell is not told that a camera moved."""
+    """Dots under oil are used or excluded, and the report does not say that a camera moved."""
     for report in steps(*(under_oil(pair(AT, noise), marks) for noise in (40, 41, 42))):
         assert report.valid, report
         assert report.state in (MarksState.CORRECTED, MarksState.CONTRADICTED)

@@ -1,4 +1,4 @@
-"""The frame of reference marks: its grammar, its layout, and that what is drawn is what is found."""
+"""The frame of reference marks: its specification, its layout, and that the drawn marks are found."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ PX_PER_MM = 20
 
 
 def drawn(text: str) -> np.ndarray:
-    """The ink of a frame, 20 px for each mm, around its middle."""
+    """The picture of a frame, 20 px for each mm, around its middle."""
     frame = parse_frame(text)
     ink = frame_artwork(frame)
     size = np.ceil(np.array(ink.high) - ink.low + 4 * frame.diameter_mm) * PX_PER_MM
@@ -34,7 +34,7 @@ def drawn(text: str) -> np.ndarray:
 
 @pytest.mark.parametrize("text", ["60x52:8:2:40", "50x80:12:3", "100x30:6:4:990"])
 def test_each_code_says_where_its_dot_is(text: str) -> None:
-    """All codes are found, once, and where the way from the code leads there is the dot of that number."""
+    """Each code is found once, and its direction and distance lead to the dot of its number."""
     frame, page = parse_frame(text), drawn(text)
     found = search_marks(page)
     assert tuple(frame.codes) == found.codes
@@ -46,12 +46,12 @@ def test_each_code_says_where_its_dot_is(text: str) -> None:
 
 
 def test_a_mirrored_page_has_none_of_its_codes() -> None:
-    """Two codes never are each other's mirror image."""
+    """A mirrored page has no valid code."""
     assert () == search_marks(np.ascontiguousarray(drawn("60x52:8:2:40")[:, ::-1])).codes
 
 
 def test_a_code_that_is_there_twice_is_said_and_left_out() -> None:
-    """Nobody could tell which one was taught."""
+    """A code that occurs twice is reported and left out."""
     page = drawn("60x52:8:2:40")
     found = search_marks(np.concatenate([page, drawn("60x52:6:2:44")], axis=1))
     assert (44, 45, 46, 47) == found.twice
@@ -59,7 +59,7 @@ def test_a_code_that_is_there_twice_is_said_and_left_out() -> None:
 
 
 def test_places_run_around_the_corners() -> None:
-    """From the upper left one clockwise, the longer sides with more."""
+    """The places run clockwise from the upper left corner, with more on the longer sides."""
     places = parse_frame("120x60:10:3").places[:, :2]
     assert [-60, -30] == places[0].tolist()
     corners = {(-60, -30), (60, -30), (60, 30), (-60, 30)}
@@ -90,7 +90,7 @@ def test_places_run_around_the_corners() -> None:
     ],
 )
 def test_a_wrong_frame_is_named(text: str, said: str) -> None:
-    """With what was expected."""
+    """A wrong frame is refused with the expected form."""
     with pytest.raises(CalibrationError, match=said) as caught:
         parse_frame(text)
     assert "WIDTHxHEIGHT" in str(caught.value)

@@ -1,4 +1,4 @@
-"""The filter of the reference marks: weather, knocks, hidden and hostile marks; dots are computed."""
+"""The filter of the reference marks: weather, knocks, hidden and wrong marks; dots are computed."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ HOUR_S = 3600.0
 def settled(
     seed: int = 0, *knocks: Knock, exposures: int = 20, swing_k: float = 10.0, **more: bool
 ) -> MarkedDay:
-    """A day after some exposures, one each second."""
+    """A day after some exposures, one per second."""
     day = new_day(seed, *knocks, swing_k=swing_k, **more)
     for at_s in range(exposures):
         assert day.expose(float(at_s))[1].valid
@@ -42,7 +42,7 @@ def settled(
 
 
 def test_slopes_of_a_displacement_are_its_differences() -> None:
-    """Of pixels, for every element; and of a triangulated point."""
+    """The slopes of pixels and of a triangulated point equal differences, for every element."""
     rig, rng = demo_rig(), np.random.default_rng(1)
     points = np.array([[7.0, 3.0, 205.0], [-20.0, -15.0, 190.0]])
     at = rng.normal(0, 1, 14) * np.tile([1e-3] * 3 + [0.2] * 3 + [1e-4], 2)
@@ -68,7 +68,7 @@ def test_slopes_of_a_displacement_are_its_differences() -> None:
 
 
 def test_no_displacement_is_the_calibrated_rig_to_the_last_bit() -> None:
-    """But for a chain of matrices that are one."""
+    """Without a displacement the corrected rig equals the calibrated one exactly."""
     rig = demo_rig()
     none = RigCorrection(np.zeros(14), np.zeros((14, 14)))
     assert (rig.left, rig.right) == (none.applied(rig).left, none.applied(rig).right)
@@ -80,7 +80,8 @@ def test_no_displacement_is_the_calibrated_rig_to_the_last_bit() -> None:
 
 
 def test_weather_is_followed_and_sigma_is_honest() -> None:
-    """Six hours of warming by 10 K: ten times better than without, squared error over variance near one."""
+    """In six hours of warming by 10 K the error is below 0.15 of that without marks, and as large as its
+    sigma."""
     with_marks, without, squares = [], [], []
     for seed in range(3):
         day = new_day(seed)
@@ -98,7 +99,7 @@ def test_weather_is_followed_and_sigma_is_honest() -> None:
 
 
 def test_at_a_constant_temperature_nothing_is_corrected_but_noise() -> None:
-    """Half a micrometre, and sigma says so."""
+    """At a constant temperature the correction's error stays below 2 µm, as its sigma says."""
     day = new_day(3, swing_k=0.0)
     for at_s in range(200):
         cameras, report = day.expose(float(at_s))
@@ -110,7 +111,8 @@ def test_at_a_constant_temperature_nothing_is_corrected_but_noise() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("period_s", [1, 3600])
 def test_the_covariance_stays_one_for_years(period_s: int) -> None:
-    """4,000 updates, each second or hour: symmetric, positive, at most twice what weather can do."""
+    """After 4,000 updates, each second or hour, the covariance is symmetric, positive, and at most twice
+    the weather's."""
     day = settled()
     dots = DotsInPair(day.taught.pixels, np.full((2, 8), 0.02))
     track = day.track
@@ -123,7 +125,7 @@ def test_the_covariance_stays_one_for_years(period_s: int) -> None:
 
 
 def test_time_that_goes_back_or_jumps_does_no_harm() -> None:
-    """Back: nothing is added. A year on: a day's worth."""
+    """A time in the past adds nothing to the covariance; a year adds as much as a day."""
     day = settled()
     back = day.filter.predicted(day.track, day.track.exposed_ns - 10**15)
     assert np.array_equal(back.covariance, day.track.covariance)
@@ -134,7 +136,7 @@ def test_time_that_goes_back_or_jumps_does_no_harm() -> None:
 
 
 def test_the_same_dots_give_the_same_bits() -> None:
-    """In a filter of its own."""
+    """A second filter with the same dots has exactly the same state."""
     first, again = settled(4), settled(4)
     for name in ("displacement", "covariance", "cross"):
         assert np.array_equal(getattr(first.track, name), getattr(again.track, name))
@@ -144,7 +146,7 @@ def test_the_same_dots_give_the_same_bits() -> None:
 
 
 def test_while_all_marks_are_hidden_sigma_grows() -> None:
-    """Results stay valid, and the state says that they coast."""
+    """While all marks are hidden results stay valid, the state is COASTING, and sigma grows."""
     day = settled()
     sigmas = []
     for minute in range(0, 61, 20):
@@ -156,7 +158,8 @@ def test_while_all_marks_are_hidden_sigma_grows() -> None:
 
 
 def test_marks_never_seen_leave_what_weather_may_have_done() -> None:
-    """From the first exposure on: tens of micrometres, not none."""
+    """With no marks from the first exposure on, sigma is that of the possible weather, tens of
+    micrometres."""
     day = new_day(1)
     cameras, report = day.expose(0.0, hidden=range(8))
     assert (MarksState.COASTING, True) == (report.state, report.valid)
@@ -169,7 +172,7 @@ def test_marks_never_seen_leave_what_weather_may_have_done() -> None:
 @pytest.mark.parametrize("hit", ["left", "right", "rig"])
 @pytest.mark.parametrize(("shift", "turn"), [((0.1, -0.1, 0.14), (0, 0, 0)), ((0, 0, 0), (8e-4, 0, 6e-4))])
 def test_a_knock_heals_after_three_exposures_that_agree(hit: str, shift: tuple, turn: tuple) -> None:
-    """No result before that; then each within 4 sigma."""
+    """After a knock three exposures give no result; then each is within 4 sigma."""
     day = settled(2, Knock(20.0, hit, shift, turn))
     states = []
     for at_s in range(20, 26):
@@ -184,7 +187,8 @@ def test_a_knock_heals_after_three_exposures_that_agree(hit: str, shift: tuple, 
 
 
 def test_what_was_moved_is_said() -> None:
-    """One camera, also along the baseline, where it looks like a plate that grew and moved; or all of it."""
+    """The report names the moved camera, also along the baseline, or says that the whole rig or the plate
+    moved."""
     for hit, said in (
         ("left", "the left camera was moved"),
         ("right", "the right camera was moved"),
@@ -195,7 +199,7 @@ def test_what_was_moved_is_said() -> None:
 
 
 def test_without_healing_a_knock_stays_one() -> None:
-    """Also for a daemon that starts again: it is beyond all weather since the teaching."""
+    """With healing off a knock stays a knock, also after a restart."""
     day = settled(2, Knock(20.0, "right", (1.0, 0, 0)), heals=False)
     for at_s in range(20, 40):
         report = day.expose(float(at_s))[1]
@@ -208,7 +212,7 @@ def test_without_healing_a_knock_stays_one() -> None:
 
 
 def test_a_knock_while_most_marks_are_hidden_is_no_result() -> None:
-    """Two marks cannot tell where the cameras are; six can."""
+    """With two visible marks a knock gives no result; with six it heals."""
     day = settled(2, Knock(20.0, "left", (0.2, 0, 0)))
     for at_s in range(20, 30):
         report = day.expose(float(at_s), hidden=range(6))[1]
@@ -218,7 +222,7 @@ def test_a_knock_while_most_marks_are_hidden_is_no_result() -> None:
 
 
 def test_a_second_knock_while_healing_begins_anew() -> None:
-    """Three exposures after the last one."""
+    """After a second knock it again takes three exposures."""
     day = settled(2, Knock(20.0, "left", (0.2, 0, 0)), Knock(22.0, "right", (0, 0.2, 0)))
     valid = [day.expose(float(at_s))[1].valid for at_s in range(20, 27)]
     assert [False] * 5 + [True] * 2 == valid
@@ -228,7 +232,7 @@ def test_a_second_knock_while_healing_begins_anew() -> None:
 
 
 def shifted(marks: list[int], mm: tuple[float, float, float]) -> np.ndarray:
-    """Places of some marks off by this much."""
+    """Displacements of the places, with these marks off by some mm."""
     moved = np.zeros((8, 3))
     moved[marks] = mm
     return moved
@@ -236,7 +240,7 @@ def shifted(marks: list[int], mm: tuple[float, float, float]) -> np.ndarray:
 
 @pytest.mark.parametrize("marks", [[2], [2, 5]])
 def test_marks_that_were_moved_are_named_and_left_out(marks: list[int]) -> None:
-    """The others correct as before."""
+    """Moved marks are named and left out, and the others correct as before."""
     day = settled()
     for at_s in range(20, 30):
         cameras, report = day.expose(float(at_s), moved=shifted(marks, (0.1, 0.0, 0.0)))
@@ -250,7 +254,7 @@ def test_marks_that_were_moved_are_named_and_left_out(marks: list[int]) -> None:
 
 
 def test_a_plate_that_is_not_the_taught_one_is_no_result() -> None:
-    """Bent, larger, smaller, mirrored, or any other points."""
+    """A bent, larger, smaller, mirrored or random plate gives no result."""
     places = np.column_stack([parse_frame(FRAME).places[:, :2], np.zeros(8)])
     rng = np.random.default_rng(6)
     hostile = {
@@ -271,14 +275,14 @@ def test_a_plate_that_is_not_the_taught_one_is_no_result() -> None:
 
 
 def test_a_plate_that_was_turned_is_taken_for_a_rig_that_was() -> None:
-    """Nothing in the pictures tells them apart; what is said names both."""
+    """A turned plate looks like a moved rig, and the report names both."""
     places = np.column_stack([parse_frame(FRAME).places[:, :2], np.zeros(8)])
     turned = places @ rotation_matrix(np.array([0, 0, 0.01])).T - places
     assert "or the plate" in settled().expose(20.0, moved=turned)[1].why
 
 
 def test_without_a_plate_of_ours_other_codes_are_named() -> None:
-    """They are no weather."""
+    """If only other codes are seen, there is no result, and they are named."""
     day = settled()
     nothing = DotsInPair(np.full((2, 8, 2), np.nan), np.full((2, 8), np.nan), strange=(100, 101))
     _, report = day.filter.updated(day.track, nothing)
@@ -287,7 +291,7 @@ def test_without_a_plate_of_ours_other_codes_are_named() -> None:
 
 
 def test_after_a_contradiction_the_track_is_as_it_was() -> None:
-    """Nothing that is not believed moves it."""
+    """After a contradiction the track is as before, and the next exposure is corrected."""
     day = settled()
     before = day.track
     day.expose(20.0, moved=np.random.default_rng(1).normal(0, 5, (8, 3)))
@@ -296,7 +300,7 @@ def test_after_a_contradiction_the_track_is_as_it_was() -> None:
 
 
 def test_a_rough_exposure_counts_less() -> None:
-    """Ten times the sigma of the dots: a hundredth of the weight."""
+    """An exposure with ten times the sigma of the dots moves the track much less."""
     day = settled(exposures=2)
     pixels = day.taught.pixels + 0.05
     ahead = day.filter.predicted(day.track, day.track.exposed_ns + 10**9)
@@ -308,7 +312,7 @@ def test_a_rough_exposure_counts_less() -> None:
 
 
 def test_the_settings_say_what_is_believed_of_the_plate() -> None:
-    """Aluminium grows twice as much as steel: sigma at the rim is larger."""
+    """With aluminium, which grows twice as much as steel, sigma at the rim is larger."""
     steel, aluminium = (new_day(5, material=name) for name in ("steel", "aluminium"))
     sigmas = []
     for day in (steel, aluminium):

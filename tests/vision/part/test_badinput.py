@@ -1,4 +1,5 @@
-"""Pictures not to be trusted: a stated reason, or the truth with a larger sigma; never a confident error."""
+"""Bad pictures: a stated reason, or the truth with a larger sigma; never a wrong result with a small
+sigma."""
 
 from __future__ import annotations
 
@@ -23,12 +24,12 @@ LAMP = Surface(albedo=3.0)
 
 
 def seen(job: Job, left: Image, right: Image) -> Outcome:
-    """What the pipeline says of the pair, looked at by the disc's rig."""
+    """The outcome for the pair, with the disc's rig."""
     return locate(frame_pair(left, right), job, cell("disc").rig)
 
 
 def patient(job: Job, min_support: float = 0.2) -> Job:
-    """The job for parts of which half may be hidden."""
+    """The job with limits for parts of which half may be hidden."""
     return replace(
         job,
         search=replace(job.search, min_score=0.4),
@@ -37,7 +38,7 @@ def patient(job: Job, min_support: float = 0.2) -> Job:
 
 
 def whole() -> Target:
-    """The part as it should be seen."""
+    """The target of the part in full view."""
     here = cell("disc")
     return only(seen(here.job, *here.see(pose())))
 
@@ -45,8 +46,8 @@ def whole() -> Target:
 @pytest.mark.slow
 @pytest.mark.parametrize(("shift_mm", "vaguer"), [(25.0, 0.8), (30.0, 1.3)])
 def test_a_circle_cut_by_the_border(shift_mm: float, vaguer: float) -> None:
-    """What the picture still holds gives the truth, with a larger sigma when it is little; asked for more, it
-    is refused. A sigma is itself an estimate, good to about a fifth."""
+    """A circle partly outside of the picture gives the truth with a larger sigma if little is left of it,
+    or is refused for too few edges. The sigma is an estimate, good to about a fifth."""
     here = cell("disc")
     where = pose((PLACE_MM[0], PLACE_MM[1] + shift_mm, PLACE_MM[2]))
     images = here.see(where)
@@ -60,7 +61,7 @@ def test_a_circle_cut_by_the_border(shift_mm: float, vaguer: float) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("hidden", ["left", "right"])
 def test_half_hidden_in_one_camera(hidden: str) -> None:
-    """The other camera's whole circle does not make up for it: larger sigma, or too few edges."""
+    """A part half hidden from one camera has a larger sigma, or is refused for too few edges."""
     here = cell("disc")
     cover = Part("cover", RoundedBox(10.0, 0.0, 20.0, 40.0), COVER)
     nearer = pose((PLACE_MM[0], PLACE_MM[1], PLACE_MM[2] - 2.0))
@@ -78,11 +79,12 @@ def test_half_hidden_in_one_camera(hidden: str) -> None:
 @pytest.mark.parametrize("chamfer_mm", [0.2, 0.3, 0.4, 0.7])
 @pytest.mark.parametrize("albedo", [0.45, 0.55])
 def test_the_double_edge_of_a_chamfer(chamfer_mm: float, albedo: float) -> None:
-    """Rim and foot, 1.5 to 5 px apart, of a part taught without: the face's place, or a refusal.
+    """With rim and foot 1.5 to 5 px apart, on a part taught without a chamfer, the result is the face's
+    place or a refusal.
 
-    The foot has the radius that was taught, but lies lower: the holes of the face then stand off its plane.
-    Where blur makes one edge of both, a circle between them fits both pictures; its sigma is larger, and what
-    then holds the normal may be too little.
+    The foot has the taught radius but lies lower, so the face's holes do not lie in its plane. If blur
+    merges both edges, a circle between them fits both pictures, with a larger sigma, and the normal may be
+    held by too little.
     """
     here = cell("disc")
     foot = pose()
@@ -103,7 +105,8 @@ def test_the_double_edge_of_a_chamfer(chamfer_mm: float, albedo: float) -> None:
 
 @pytest.mark.slow
 def test_a_second_edge_beside_a_lone_circle() -> None:
-    """A bevel of 0.5 mm in similar contrast, nothing else on the part: refused, unless it was taught so."""
+    """A bevel of 0.5 mm in similar contrast, with nothing else on the part, is refused unless it was
+    taught."""
     here = cell("round")
     foot = pose()
     foot[:3, 3] += 0.5 * foot[:3, 2]
@@ -121,7 +124,7 @@ def test_a_second_edge_beside_a_lone_circle() -> None:
 
 @pytest.mark.slow
 def test_a_saturated_highlight_along_the_edge() -> None:
-    """A burnt-out spot over a sixth of the rim: the truth, with a larger sigma."""
+    """A saturated spot over a sixth of the rim leaves the truth, with a larger sigma."""
     here = cell("disc")
     lamp = Part("lamp", Disc(11.0, 3.0, 7.0), LAMP)
     images = pictures(here.rig.rig, scene((here.part, pose()), (lamp, pose())), 7)
@@ -134,7 +137,7 @@ def test_a_saturated_highlight_along_the_edge() -> None:
 
 @pytest.mark.slow
 def test_too_much_light_moves_every_edge_alike() -> None:
-    """A part so bright that the sensor is saturated looks larger: its radius says so in its sigma."""
+    """A saturated part looks larger, and the sigma of its radius covers the error."""
     here = cell("disc")
     left, right = here.see(pose())
     brighter = 1.3 * 255.0 / np.percentile(left, 99)
@@ -147,7 +150,7 @@ def test_too_much_light_moves_every_edge_alike() -> None:
 
 @pytest.mark.parametrize("soft", [(True, True), (False, True)])
 def test_blur_is_in_the_sigma_of_the_depth(soft: tuple[bool, bool]) -> None:
-    """Out of focus, in one camera or in both, an edge is one with what lies beside it; none knows how far."""
+    """If one or both cameras are out of focus, the depth's sigma is larger and covers the error."""
     here = cell("disc")
     left, right = (
         np.asarray(cv2.GaussianBlur(image, (0, 0), 1.8), np.uint8) if blurred else image
@@ -159,7 +162,7 @@ def test_blur_is_in_the_sigma_of_the_depth(soft: tuple[bool, bool]) -> None:
 
 
 def test_noise_is_no_mismatch_of_rows() -> None:
-    """Three times the usual noise scatters single edge points; stretches of them still share their rows."""
+    """With three times the usual noise the rows of both images still agree."""
     here = cell("disc")
     rng = np.random.default_rng(3)
     left, right = (
@@ -180,7 +183,8 @@ def test_a_disparity_outside_of_the_range(nearest_mm: float, farthest_mm: float)
 
 @pytest.mark.slow
 def test_a_depth_that_the_size_contradicts() -> None:
-    """A camera that was knocked shifts every disparity: by the tolerance of its size the part is refused."""
+    """With a displaced camera, which shifts every disparity, the part is refused for its size or a
+    mismatch."""
     here = cell("disc")
     left, right = here.see(pose())
     assert seen(here.job, left, right).status is Status.OK
@@ -193,7 +197,8 @@ def test_a_depth_that_the_size_contradicts() -> None:
 
 @pytest.mark.parametrize("case", ["left twice", "right upside down"])
 def test_a_right_image_that_is_none(case: str) -> None:
-    """What the left camera finds the right one does not show: no target, for a left-right mismatch."""
+    """If the right image does not show what the left one shows, there is no target, for a left-right
+    mismatch."""
     here = cell("disc")
     left, right = here.see(pose())
     outcome = seen(here.job, left, left if case == "left twice" else right[::-1].copy())
@@ -203,7 +208,8 @@ def test_a_right_image_that_is_none(case: str) -> None:
 
 @pytest.mark.slow
 def test_swapped_images() -> None:
-    """Nothing is found; and what a lenient search finds is dismissed for a left-right mismatch."""
+    """With swapped images there is no target, and a candidate of a lenient search is dismissed for a
+    mismatch."""
     here = cell("disc")
     left, right = here.see(pose())
     assert seen(here.job, right, left).status is Status.NO_TARGET
@@ -213,7 +219,7 @@ def test_swapped_images() -> None:
 
 
 def test_images_of_another_size() -> None:
-    """They are not those of the calibrated cameras: an error that says both sizes."""
+    """Images of another size than the calibrated cameras' are refused with both sizes."""
     here = cell("disc")
     left, right = here.see(pose())
     with pytest.raises(ImageError, match="right image: 600x480, the rig was calibrated for 640x480"):

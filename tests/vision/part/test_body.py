@@ -1,4 +1,4 @@
-"""What a part hides of itself, and which edges of it are seen as one, from its CAD model."""
+"""Hidden edges and merged edges of a part, from its CAD model."""
 
 from __future__ import annotations
 
@@ -29,14 +29,14 @@ CAD = Path(__file__).parent.parent.parent / "data" / "cad"
 
 @functools.cache
 def body(part: str) -> PartBody:
-    """In the frame of its file, which is that of the part here."""
+    """The body of a part, in the frame of its file."""
     found = body_of(read_step(CAD / f"{part}.step"), np.eye(4))
     assert found is not None
     return found
 
 
 def cast(body: PartBody, points_mm: FloatArray, eye_mm: FloatArray, behind_mm: float) -> FloatArray:
-    """(N,) whether a ray from each point to the eye meets a triangle more than so far away.
+    """(N,) whether a ray from each point to the eye meets a triangle that is at least so far away.
 
     T. Moeller, B. Trumbore, "Fast, Minimum Storage Ray-Triangle Intersection", 1997.
     """
@@ -60,7 +60,8 @@ def cast(body: PartBody, points_mm: FloatArray, eye_mm: FloatArray, behind_mm: f
 @settings(max_examples=6)
 @given(lean=st.floats(0.3, 1.0), side=st.floats(0, 6.3), part=st.sampled_from(["D2", "D4"]))
 def test_what_is_hidden_is_what_rays_meet(lean: float, side: float, part: str) -> None:
-    """All of a part's edges, from any side to 57°; besides, what is a pixel of the buffer beside a border."""
+    """From any side up to 57° the hidden edges are those whose rays meet the part, up to a pixel of the
+    buffer."""
     one = body(part)
     eye = 200.0 * np.array(
         [math.sin(lean) * math.cos(side), math.sin(lean) * math.sin(side), -math.cos(lean)]
@@ -74,7 +75,7 @@ def test_what_is_hidden_is_what_rays_meet(lean: float, side: float, part: str) -
 
 @pytest.mark.slow
 def test_a_hub_covers_the_holes_behind_it() -> None:
-    """At 45°, seen along a line through two holes: one is wholly seen; of the other, half is not."""
+    """At 45°, along a line through two holes, one is fully visible and half of the other is hidden."""
     holes = [c for c in curves_towards(read_step(CAD / "D4.step"), -np.eye(3)[2]).circles
              if c.hole and abs(c.radius_mm - 1.5) < 0.01]  # fmt: skip
     shares = []
@@ -92,7 +93,7 @@ def test_a_hub_covers_the_holes_behind_it() -> None:
 
 
 def test_nothing_is_hidden_from_a_camera_amid_the_part() -> None:
-    """A pose that is none: no division by nothing, and every edge is looked for."""
+    """From an eye amid the part nothing is hidden, and nothing fails."""
     one = body("D4")
     for eye in (np.zeros(3), one.points_mm[0], np.full(3, 1.0)):
         assert not hidden_points(one.points_mm, one.triangles, one.points_mm, eye).any()
@@ -109,7 +110,8 @@ def rim(radius_mm: float, height_mm: float) -> tuple[Curve, CurveOutline]:
 def test_the_lower_edge_of_a_chamfer_is_seen_with_the_upper_one(
     break_mm: float, low: float, high: float
 ) -> None:
-    """Square to the cameras: 1.4 px off, all around; a sharp edge is alone, and a wide chamfer two edges."""
+    """Seen from above, the lower edge of a chamfer merges with the upper one; a sharp edge and a wide
+    chamfer do not merge."""
     corners = ring(90, 10.0 + 2 * break_mm, 4.0, 5.0)
     top = np.abs(corners[..., 2]) < 1e-9
     outer = np.linalg.norm(corners[..., :2], axis=2) > 9.0
@@ -133,7 +135,7 @@ def test_the_lower_edge_of_a_chamfer_is_seen_with_the_upper_one(
 
 
 def test_both_cameras_are_asked() -> None:
-    """What the hub hides from one camera the other one sees, at 45° to the side."""
+    """At 45° to the side, what the hub hides from one camera differs from what it hides from the other."""
     pose = lying(small_rig(), 45.0, 0.0, 0.0)
     one = body("D4")
     points = one.points_mm[one.lines[:, 0]]
@@ -143,7 +145,7 @@ def test_both_cameras_are_asked() -> None:
 
 
 def test_a_body_is_the_same_again_from_its_arrays() -> None:
-    """To a nanometre, and the triangles to the last one."""
+    """A body read from its arrays is the same to a nanometre, with equal triangles."""
     again = PartBody.from_arrays(body("D1").to_arrays())
     assert np.abs(again.points_mm - body("D1").points_mm).max() < 2e-6
     assert np.array_equal(again.triangles, body("D1").triangles)
@@ -166,7 +168,7 @@ def test_a_body_is_the_same_again_from_its_arrays() -> None:
     ],
 )
 def test_a_hostile_body_is_refused(name: str, value: FloatArray | None, said: str) -> None:
-    """By the name of what is wrong, before any kernel sees it."""
+    """A wrong array is refused with its name and what is wrong."""
     arrays = body("D3").to_arrays()
     if value is None:
         del arrays[name]
@@ -178,13 +180,13 @@ def test_a_hostile_body_is_refused(name: str, value: FloatArray | None, said: st
 
 @pytest.mark.slow
 def test_a_part_of_too_many_triangles_has_no_body() -> None:
-    """Rather than a job that takes seconds a picture."""
+    """A part with too many triangles has no body."""
     points, triangles = welded(ring(2000, 30.0, 20.0, 5.0, rows=20))
     assert body_of(CadModel(points, triangles, np.arange(len(triangles)), ()), np.eye(4)) is None
 
 
 def test_edge_breaks_are_kept_and_checked() -> None:
-    """What a pair has shown of the breaks is in the file; widths that are none are refused."""
+    """The breaks that a pair has shown are kept in the arrays."""
     plain = body("D3")
     widths = np.linspace(0.0, 0.5, len(plain.lines))
     broken = replace(plain, breaks_mm=widths, sigma_break_mm=0.01, merged_mm=0.3)

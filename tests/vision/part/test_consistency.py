@@ -1,4 +1,4 @@
-"""What contradicts the rig, a knocked camera or a late image: refused, or in the sigma of the distance."""
+"""Contradictions to the rig, from a displaced camera or a late image: refused, or in the distance's sigma."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ PLACE = pose((7.5, 1.0, 204.0), turn_deg=12.0, tilt_deg=3.0)
 
 
 def shifted(image: Image, x_px: float, y_px: float) -> Image:
-    """As a camera sees that was knocked."""
+    """The image of a displaced camera."""
     height, width = image.shape
     move = np.array([[1.0, 0.0, x_px], [0.0, 1.0, y_px]])
     return np.asarray(
@@ -32,31 +32,31 @@ def shifted(image: Image, x_px: float, y_px: float) -> Image:
 
 
 def located(name: str, left: Image, right: Image) -> Outcome:
-    """What the pipeline says of the pair by the job as it was taught."""
+    """The outcome for the pair with the taught job."""
     return locate(frame_pair(left, right), cell(name).job, cell(name).rig)
 
 
 @functools.cache
 def seen(name: str) -> tuple[Image, Image]:
-    """The part there."""
+    """Both pictures of the part there."""
     return cell(name).see(PLACE)
 
 
 @functools.cache
 def good(name: str) -> Target:
-    """As it is measured without a knock."""
+    """The target measured with cameras in place."""
     return only(located(name, *seen(name)))
 
 
 def error(name: str, target: Target) -> FloatArray:
-    """Of the position, by the frame of the teaching."""
+    """The error of the position, in the frame of the teaching."""
     return target.position_mm - cell(name).true_pose(PLACE)[:3, 3]
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["disc", "plate", "round"])
 def test_a_good_picture_leaves_no_doubt(name: str) -> None:
-    """Rows meet and sizes are those taught: nothing is added to any sigma."""
+    """With matching rows and sizes as taught, no doubt is added to any sigma, and nothing is refused."""
     assert good(name).doubt_mm == 0.0
     assert good(name).reject is Reject.NONE
 
@@ -66,7 +66,8 @@ def test_a_good_picture_leaves_no_doubt(name: str) -> None:
     ("name", "across_px"), [("disc", 0.3), ("disc", -0.45), ("disc", 0.55), ("plate", 0.3), ("round", 0.4)]
 )
 def test_a_camera_knocked_askew(name: str, across_px: float) -> None:
-    """What rows show of a knock, the distance may have as well: an error of 0.1 mm is within three sigmas."""
+    """With a camera displaced across the rows, an error of 0.1 mm lies within the sigma, to which a doubt
+    is added."""
     left, right = seen(name)
     target = only(located(name, left, shifted(right, across_px, across_px)))
     assert np.linalg.norm(error(name, target)) > 0.05
@@ -76,7 +77,8 @@ def test_a_camera_knocked_askew(name: str, across_px: float) -> None:
 
 @pytest.mark.parametrize("along_px", [0.5, -0.5, 2.0, -2.0])
 def test_a_camera_knocked_along_the_rows(along_px: float) -> None:
-    """No row tells; radii and places wrong by one factor do: a larger sigma, or out of tolerance."""
+    """A camera displaced along the rows changes all sizes by one factor: larger sigma, or out of
+    tolerance."""
     left, right = seen("disc")
     target = only(located("disc", left, shifted(right, along_px, 0.0)))
     assert abs(error("disc", target)[2]) > 0.1
@@ -88,7 +90,7 @@ def test_a_camera_knocked_along_the_rows(along_px: float) -> None:
 @pytest.mark.parametrize(("name", "moved_mm"), [("disc", 0.3), ("disc", 1.0), ("plate", 0.3), ("round", 1.0)])
 @pytest.mark.parametrize("sign", [-1, 1])
 def test_a_right_image_too_late_along_the_baseline(name: str, moved_mm: float, sign: int) -> None:
-    """A part that moved between both exposures looks whole, at a wrong distance: refused for its sizes."""
+    """A part that moved along the baseline between both exposures is refused for its sizes."""
     here = cell(name)
     later = PLACE.copy()
     later[:3, 3] += sign * moved_mm * here.rig.rectification.rectified_from_left[0]
@@ -100,7 +102,7 @@ def test_a_right_image_too_late_along_the_baseline(name: str, moved_mm: float, s
 @pytest.mark.slow
 @pytest.mark.parametrize("moved_mm", [-0.1, 0.1, 0.4])
 def test_a_right_image_too_late_across_the_baseline(moved_mm: float) -> None:
-    """One that moved across the rows is refused for them."""
+    """A part that moved across the rows between both exposures is refused for a left-right mismatch."""
     here = cell("disc")
     later = PLACE.copy()
     later[:3, 3] += moved_mm * here.rig.rectification.rectified_from_left[1]
@@ -111,7 +113,8 @@ def test_a_right_image_too_late_across_the_baseline(moved_mm: float) -> None:
 
 
 def test_growth_is_what_all_sizes_have_in_common() -> None:
-    """All circles 0.1 % larger and farther apart: that; one drilled elsewhere: still; one alone: none."""
+    """If all circles are 0.1 % larger and farther apart, the growth is 0.1 %, also with one hole
+    elsewhere; one circle alone gives none."""
     job, target = cell("disc").job, good("disc")
     origin = target.rig_from_part[:3, 3]
     place = {one.name: one for one in job.circles}
@@ -133,7 +136,7 @@ def test_growth_is_what_all_sizes_have_in_common() -> None:
 
 @pytest.mark.parametrize("name", ["disc", "plate"])
 def test_a_doubt_is_in_every_length_and_can_be_taken_out_again(name: str) -> None:
-    """A share of 0.1 % of the distance: as much of every radius; without it, all is as before."""
+    """A doubt of 0.1 % of the distance adds as much to every radius, and can be removed again."""
     target = good(name)
     vague = doubted(target, 0.001, 60.0)
     distance = float(np.linalg.norm(target.position_mm))
@@ -160,14 +163,15 @@ def test_a_doubt_is_in_every_length_and_can_be_taken_out_again(name: str) -> Non
     ("size_mm", "expected_mm"), [(5.0, 0.025), (26.0, 0.05), (100.0, 0.075), (300.0, 0.1), (5000.0, 0.25)]
 )
 def test_the_usual_tolerance(size_mm: float, expected_mm: float) -> None:
-    """Half of ISO 2768-1 fine; but half a pixel where pixels are coarse, and three sigmas of the teaching."""
+    """The usual tolerance is half of ISO 2768-1 fine, at least half a pixel, plus three sigmas of the
+    teaching."""
     assert usual_tolerance_mm(size_mm, 0.02) == expected_mm
     assert usual_tolerance_mm(size_mm, 1.2) == 0.6
     assert usual_tolerance_mm(size_mm, 0.02, 0.01) == pytest.approx(expected_mm + 0.03)
 
 
 def test_a_taught_job_has_a_tolerance() -> None:
-    """A round part of its radius, that of 26 mm or half a pixel; a part of edges of their places."""
+    """A round part gets a tolerance of its radius, the other one of its edges' places."""
     pixel_mm = 205.0 / cell("disc").rig.rectification.focal_px
     limits = cell("disc").job.limits
     assert limits.radius_tolerance_mm == pytest.approx(max(0.05, 0.5 * pixel_mm), abs=0.01)

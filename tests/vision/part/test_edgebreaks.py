@@ -1,4 +1,4 @@
-"""Broken rims: light decides which end of a break each camera sees, and the sigma says so."""
+"""Broken rims: the light decides which end of a break each camera sees, and the sigma covers it."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ BREAK_MM = 0.22
 
 @functools.cache
 def rig() -> PreparedRig:
-    """The small rig, for all tests of a process."""
+    """The small rig, the same for all tests of a process."""
     return prepare(small_rig())
 
 
@@ -42,7 +42,7 @@ def broken() -> Job:
 
 
 def worst_sigmas(job: Job, target: Target, where: FloatArray) -> float:
-    """The largest error of a coordinate, or of the normal, in its own direction, in stated sigmas."""
+    """The largest error of a coordinate, or of the normal in its own direction, in stated sigmas."""
     true = where @ invert(pose()) @ job.rig_from_part
     error = target.position_mm - true[:3, 3]
     tilt = np.cross(where[:3, 2], target.rig_from_part[:3, 2])
@@ -62,8 +62,8 @@ def worst_sigmas(job: Job, target: Target, where: FloatArray) -> float:
     ],
 )
 def test_each_camera_sees_its_own_ends(lights: list[list[float]], side_rad: float) -> None:
-    """No result of breaks that are bright on one side, and not alike for both cameras, is beyond four of the
-    sigmas that it states, and what is good says that it is vague."""
+    """With breaks that are bright on one side, and differently in both cameras, a result is within four of
+    its sigmas, and its sigma is large."""
     images = pair_of(rig().rig, WHERE, BREAK_MM, np.array(lights), side_rad)
     target = only(locate(frame_pair(*images), broken(), rig()))
     assert target.reject is Reject.NONE
@@ -72,7 +72,7 @@ def test_each_camera_sees_its_own_ends(lights: list[list[float]], side_rad: floa
 
 
 def test_a_sharp_edge_is_not_taken_for_a_broken_one() -> None:
-    """No curve of a textured part with sharp rims is said to have a break, where it lies square or tilted."""
+    """For a textured part with sharp rims, level or tilted, no curve gets a break."""
     here = cell("disc")
     for where in (pose(), WHERE):
         (measured,) = inspect(frame_pair(*here.see(where)), here.job, here.rig).measured
@@ -81,7 +81,7 @@ def test_a_sharp_edge_is_not_taken_for_a_broken_one() -> None:
 
 @pytest.mark.slow
 def test_a_highlight_beside_the_rims_is_a_break() -> None:
-    """Rims that glint all around, brighter than the face: their width is the highlight's, to a third."""
+    """For rims with a highlight all around the width of the break is that of the highlight, to a third."""
     glinting = np.full((2, 2), 2.0 * FACE)
     images = pair_of(rig().rig, pose(), 0.4, glinting)
     region = region_around(rig().rig, pose()[:3, 3], 15.0)
@@ -94,8 +94,8 @@ def test_a_highlight_beside_the_rims_is_a_break() -> None:
 
 @pytest.mark.slow
 def test_a_radius_at_the_other_end_is_a_break() -> None:
-    """Taught at the upper ends of a small break and seen at the lower ones, within the tolerance: the sigma
-    holds the way between both ends, which lie apart in depth, too."""
+    """If small breaks are taught at the upper ends and seen at the lower ones, within the tolerance, the
+    sigma covers the distance between both ends."""
     narrow_mm = 0.07
     dark, bright = (pair_of(rig().rig, pose(), narrow_mm, np.full((2, 2), one)) for one in (DARK, FACE))
     region = region_around(rig().rig, pose()[:3, 3], 15.0)
@@ -107,7 +107,7 @@ def test_a_radius_at_the_other_end_is_a_break() -> None:
 
 @pytest.mark.slow
 def test_holes_whose_breaks_each_camera_sees_otherwise_are_taught_in_one_face() -> None:
-    """Measured by itself such a hole stands off the face, and taught there it would tilt all later poses."""
+    """Holes whose breaks the cameras see differently are taught in the plane of the face."""
     lights = np.array([[0.35, DARK], [DARK, 0.35]])
     images = pair_of(rig().rig, pose(), 0.15, lights)
     region = region_around(rig().rig, pose()[:3, 3], 15.0)
@@ -117,8 +117,8 @@ def test_holes_whose_breaks_each_camera_sees_otherwise_are_taught_in_one_face() 
 
 
 def test_a_normal_that_is_not_held_is_refused() -> None:
-    """A tilt of half a degree, one sigma, moves the far end of a part of 26 mm by 0.11 mm: more than the
-    limit of 0.1 mm, though the reference point is known far better."""
+    """A tilt sigma of half a degree moves the far end of a part of 26 mm by 0.11 mm, and is refused for
+    that."""
     here = cell("disc")
     (measured,) = inspect(frame_pair(*here.see(pose())), here.job, here.rig).measured
     job = replace(here.job, limits=replace(here.job.limits, max_sigma_mm=0.1))

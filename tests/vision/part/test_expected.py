@@ -1,4 +1,4 @@
-"""What a measurement would be worth is what it then says it is worth, and by what it then errs."""
+"""The expected sigma of a measurement equals the later stated one and the later error."""
 
 from __future__ import annotations
 
@@ -24,7 +24,8 @@ from edged.vision.shape.search import find_shapes
 
 @functools.cache
 def known_rig() -> StereoRig:
-    """The small rig as a calibration knows it: its focal lengths and principal points to some 0.1 px."""
+    """The small rig with the covariance of a calibration: focal lengths and principal points to about 0.1
+    px."""
     rig = cells.small_rig()
     sigma = {"fx": 0.2, "fy": 0.2, "cx": 0.1, "cy": 0.1}
     variances = [sigma.get(name.split(".")[1], 0.0) ** 2 for name in rig.parameter_names]
@@ -32,7 +33,7 @@ def known_rig() -> StereoRig:
 
 
 def measured(job: Job, pair: tuple[Image, Image], rig: StereoRig | None = None) -> MeasuredPart:
-    """The part in a pair of the small rig."""
+    """The measured part in a pair of the small rig."""
     rectification = make_rectification(rig or known_rig())
     images = StereoImages.of(rectification, *pair)
     match = find_shapes(images.rectified_left, job.shape, job.search, rectification.valid_left)[0]
@@ -42,12 +43,12 @@ def measured(job: Job, pair: tuple[Image, Image], rig: StereoRig | None = None) 
 
 
 def expected(job: Job, pose: FloatArray, scatters: Scatters, rig: StereoRig | None = None) -> Target | None:
-    """What is expected there."""
+    """The expected target at a pose."""
     return expected_target(make_rectification(rig or known_rig()), job, pose, scatters)
 
 
 def sigmas(covariance: FloatArray) -> FloatArray:
-    """(6,)"""
+    """The six standard deviations (6,)."""
     return np.sqrt(np.diag(covariance))
 
 
@@ -57,7 +58,7 @@ def sigmas(covariance: FloatArray) -> FloatArray:
     [("plate", 20.0, 0.0), ("plate", 160.0, 8.0), ("disc", 160.0, 8.0), ("round", 20.0, 0.0)],
 )
 def test_where_a_part_was_measured_its_sigma_is_expected(name: str, turn_deg: float, tilt_deg: float) -> None:
-    """With the edges as clear as they were there: all six sigmas and both terms, within 7 %."""
+    """With equally clear edges all six expected sigmas and both terms equal the measured ones within 7 %."""
     flat = cell(name)
     job = flat.job
     found = measured(job, flat.see(cells.pose(turn_deg=turn_deg, tilt_deg=tilt_deg), seed=3))
@@ -76,9 +77,9 @@ def test_where_a_part_was_measured_its_sigma_is_expected(name: str, turn_deg: fl
 
 @pytest.mark.slow
 def test_elsewhere_errors_are_as_large_as_was_expected() -> None:
-    """Taught flat, then turned, tilted and moved: squared errors over the edges' variances, 1 in the mean.
+    """For a turned, tilted and moved part the squared errors over the expected variances have a mean near 1.
 
-    12 places, three axes each: chance leaves it open to a quarter, the textures of a real part to some more.
+    12 places with three axes each leave a quarter to chance, and a real part's texture some more.
     """
     flat, rng = cell("disc"), np.random.default_rng(5)
     exact = cells.small_rig()
@@ -96,7 +97,7 @@ def test_elsewhere_errors_are_as_large_as_was_expected() -> None:
 
 
 def test_farther_away_the_depth_is_worse() -> None:
-    """Edges that show equally well are as vague as the square of the distance, but for the shorter arcs."""
+    """With equally clear edges the depth's sigma grows as the distance to the power of 2.5."""
     flat = cell("disc")
     scatters = scatters_of(measured(flat.job, flat.see(cells.pose())).fits)
     near, far = (
@@ -109,7 +110,7 @@ def test_farther_away_the_depth_is_worse() -> None:
 
 
 def test_nothing_is_expected_of_what_the_pictures_do_not_hold() -> None:
-    """Far aside there is no result; and where the sigma is beyond the job's limit, that is said."""
+    """Far aside or behind the cameras nothing is expected, and a sigma beyond the job's limit is refused."""
     flat = cell("disc")
     assert expected(flat.job, flat.true_pose(cells.pose((80.0, 0.0, 205.0))), {}) is None
     assert expected(flat.job, flat.true_pose(cells.pose((8.0, 0.0, -205.0))), {}) is None

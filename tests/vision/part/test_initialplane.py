@@ -30,7 +30,7 @@ def rectification() -> Rectification:
 
 
 def seen(rectification: Rectification, where: FloatArray, seed: int = 0) -> StereoImages:
-    """The disc at a pose."""
+    """Both images of the disc at a pose."""
     return StereoImages.of(rectification, *pictures(RIG, scene((DISC, where)), seed))
 
 
@@ -72,7 +72,7 @@ def test_the_plane_is_found(rectification: Rectification, turn_deg: float, tilt_
 
 
 def test_a_blank_image_has_no_plane(rectification: Rectification) -> None:
-    """Nothing on the right, or nothing on the left: None."""
+    """With a blank left or right image there is no plane."""
     where = pose(tilt_deg=3.0)
     images = seen(rectification, where)
     blank = np.full_like(images.right, 70)
@@ -81,7 +81,7 @@ def test_a_blank_image_has_no_plane(rectification: Rectification) -> None:
 
 
 def test_a_part_out_of_range_has_no_plane(rectification: Rectification) -> None:
-    """Disparities are searched within the depth limits only: a disc 40 mm away from them is not found."""
+    """A disc 40 mm outside of the depth limits is not found."""
     where = pose()
     images = seen(rectification, where)
     points, normals = outline(rectification, where)
@@ -91,7 +91,7 @@ def test_a_part_out_of_range_has_no_plane(rectification: Rectification) -> None:
 
 
 def test_points_that_are_no_numbers_are_left_out(rectification: Rectification) -> None:
-    """NaN among the points changes little; only NaN, or no points, is None."""
+    """NaN among the points changes little; only NaN, or no points, gives no plane."""
     where = pose(tilt_deg=2.0)
     images = seen(rectification, where)
     points, normals = outline(rectification, where)
@@ -108,7 +108,7 @@ def test_points_that_are_no_numbers_are_left_out(rectification: Rectification) -
 
 
 def test_the_same_images_give_the_same_bits(rectification: Rectification) -> None:
-    """The random trials are always the same ones."""
+    """The same images give the same plane, because the random trials are always the same."""
     where = pose(tilt_deg=4.0)
     images = seen(rectification, where)
     one, two = find(images, where), find(images, where)
@@ -119,7 +119,7 @@ def test_the_same_images_give_the_same_bits(rectification: Rectification) -> Non
 
 
 def test_a_ray_meets_a_plane_where_both_are() -> None:
-    """The point lies on the ray and satisfies normal . X = offset."""
+    """The point lies on the ray and on the plane."""
     normal = pose(tilt_deg=20.0)[:3, 2]
     plane = Plane.through(PLACE_MM, -normal)
     rays = np.array([[0.0, 0.0, 1.0], [0.1, -0.2, 1.0], [0.3, 0.1, 2.0]])
@@ -161,7 +161,7 @@ def test_edges_of_a_row_equal_their_twin(
     wrong=st.floats(0.0, 0.5),
 )
 def test_the_plane_most_points_agree_with(seed: int, slopes: tuple[float, float], wrong: float) -> None:
-    """The vote counts what its twin counts, and with up to half of the points wrong the true plane wins."""
+    """The vote counts as its twin does, and with up to half of the points wrong the true plane wins."""
     rng = np.random.default_rng(seed)
     points = rng.uniform(-100, 100, (60, 2))
     truth = points @ slopes + 3.0 + rng.normal(0, 0.2, 60)
@@ -175,7 +175,7 @@ def test_the_plane_most_points_agree_with(seed: int, slopes: tuple[float, float]
 
 
 def test_without_rivals_there_is_no_vote() -> None:
-    """No rivals at all, or all points in one place: nobody agrees."""
+    """With no rivals, or all points in one place, no point agrees."""
     points = np.random.default_rng(0).uniform(-10, 10, (8, 2))
     assert startplane.ransac(points, np.full((8, 2), np.nan), 100, 0.25, 1.0, 1.0)[3] == 0
     assert startplane.ransac(np.zeros((8, 2)), np.zeros((8, 2)), 100, 0.25, 1.0, 0.0)[3] == 0

@@ -37,12 +37,12 @@ ELSEWHERE = pose((6.0, 1.0, 203.0), turn_deg=37.0, tilt_deg=5.0)
 
 
 def with_sizes(job: Job, *specs: MeasurementSpec) -> Job:
-    """The job with these measurements, and no witness."""
+    """The job with these measurements, and without a witness."""
     return replace(job, measurements=specs, witness=None)
 
 
 def found(here: Cell, job: Job, where: FloatArray) -> Outcome:
-    """What the pipeline says of the part there."""
+    """The outcome for the part there."""
     return locate(frame_pair(*here.see(where)), job, here.rig)
 
 
@@ -56,7 +56,7 @@ def turned_deg(one: FloatArray, two: FloatArray) -> float:
 
 
 def test_curves_of_a_plane_are_recovered_from_a_poor_start() -> None:
-    """Circle, slot and an edge, 0.1 mm off: to 8 µm, and within four of their sigmas."""
+    """Circle, slot and edge are found from 0.1 mm off, to 8 µm and within four sigmas."""
     rig = small_rig()
     part = Part(
         "p",
@@ -90,7 +90,7 @@ def test_curves_of_a_plane_are_recovered_from_a_poor_start() -> None:
 
 
 def test_curves_that_are_not_there_are_left_out() -> None:
-    """Beside a real circle, one where nothing is: no fit of it, the other's unharmed; alone: None."""
+    """A circle that is not there is left out and does not harm the real one; alone it gives None."""
     rig, part, where = small_rig(), Part("d", Disc(0, 0, 12), METAL), pose()
     images = pictures(rig, scene((part, where)))
     face = Face(where[:3, 3], where[:3, :3].T)
@@ -108,7 +108,8 @@ def test_curves_that_are_not_there_are_left_out() -> None:
 
 
 def test_a_part_without_circles_is_located() -> None:
-    """A plate of straight edges, turned, tilted and shifted: position, rotation and size from its edges."""
+    """A plate of straight edges, turned, tilted and shifted, gets position, rotation and size from its
+    edges."""
     here = cell("plate")
     assert not here.job.circles
     sizes = [
@@ -133,7 +134,7 @@ def test_a_part_without_circles_is_located() -> None:
 
 @pytest.mark.slow
 def test_sizes_are_those_of_the_drawing() -> None:
-    """Radius, distances, width and length, each within 10 µm and four sigmas."""
+    """Radius, distances, width and length are those of the drawing, within 10 µm and four sigmas."""
     here = cell("disc")
     job = with_sizes(
         here.job,
@@ -155,7 +156,7 @@ def test_sizes_are_those_of_the_drawing() -> None:
 
 
 def test_angles_are_those_of_the_drawing() -> None:
-    """Between the edges of every corner: within 0.1° and four sigmas."""
+    """The angles between the edges of every corner are those of the drawing, within 0.1° and four sigmas."""
     here = cell("plate")
     corners = [MeasurementSpec(corner.name, "angle", corner.edges) for corner in here.job.corners]
     measured = sorted(
@@ -172,7 +173,7 @@ def test_angles_are_those_of_the_drawing() -> None:
 
 @pytest.mark.parametrize("name", ["s0", "c1"])
 def test_any_feature_may_be_the_reference(name: str) -> None:
-    """With the slot or a bore as reference, its place is the position."""
+    """With the slot or a bore as reference the position is its place."""
     here = cell("disc")
     target = only(found(here, replace(here.job, reference=name), ELSEWHERE))
     truth = apply(here.true_pose(ELSEWHERE), here.job.place_of(name))
@@ -181,7 +182,7 @@ def test_any_feature_may_be_the_reference(name: str) -> None:
 
 @pytest.mark.slow
 def test_a_round_part_states_its_free_axis() -> None:
-    """A plain disc: its axis is given, and its rotation about it has the sigma of an unknown angle."""
+    """A plain disc has a free axis, and its rotation about it has the sigma of an unknown angle."""
     here = cell("round")
     target = only(found(here, here.job, ELSEWHERE))
     assert target.free_axis is not None
@@ -200,7 +201,7 @@ def limited(**changes: object) -> Callable[[Job], Job]:
 
 
 def too_narrow(job: Job) -> Job:
-    """A tolerance that the part does not keep."""
+    """The job with a tolerance that the part does not keep."""
     return with_sizes(job, MeasurementSpec("wrong", "width", ("s0",), 4.2, 0.05))
 
 
@@ -216,7 +217,7 @@ def too_narrow(job: Job) -> Job:
     ],
 )
 def test_each_limit_has_its_reason(change: Callable[[Job], Job], expected: Reject) -> None:
-    """A limit that the result fails: LOW_QUALITY, that very bit, and no other."""
+    """A result that fails a limit is LOW_QUALITY with that reason and no other."""
     here = cell("disc")
     outcome = found(here, change(here.job), pose(turn_deg=10.0))
     assert outcome.status is Status.LOW_QUALITY
@@ -233,7 +234,7 @@ def test_each_limit_has_its_reason(change: Callable[[Job], Job], expected: Rejec
     ],
 )
 def test_each_limit_has_its_reason_without_circles(limits: dict[str, object], expected: Reject) -> None:
-    """A part of straight edges has its reasons, too."""
+    """A part of straight edges that fails a limit is LOW_QUALITY with that reason."""
     here = cell("plate")
     outcome = found(here, limited(**limits)(here.job), pose(turn_deg=2.0))
     assert outcome.status is Status.LOW_QUALITY
@@ -241,7 +242,7 @@ def test_each_limit_has_its_reason_without_circles(limits: dict[str, object], ex
 
 
 def test_what_only_one_camera_shows_is_dismissed_with_its_place() -> None:
-    """The right image blank: no target, and where the left one saw something; the picture shows it."""
+    """With a blank right image there is no target; the dismissed place is given and drawn in the picture."""
     for name in ("disc", "plate"):
         here = cell(name)
         left, right = here.see(pose())
@@ -259,7 +260,7 @@ def test_what_only_one_camera_shows_is_dismissed_with_its_place() -> None:
 
 
 def test_a_narrow_miss_says_where_and_by_how_much() -> None:
-    """Half hidden, below the least score: the best place is told; an empty table has none."""
+    """For a half hidden part below the least score the best place is given; an empty table has none."""
     here = cell("disc")
     left, right = here.see(pose())
     empty = np.full_like(left, 40)
@@ -283,7 +284,7 @@ def test_a_narrow_miss_says_where_and_by_how_much() -> None:
 
 
 def test_a_miss_costs_one_search_until_somebody_asks(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The result of a miss waits for no second look; who asks for it causes one, however often."""
+    """A missed part costs one search; asking for the nearest place costs one more, however often."""
     here, searches = cell("disc"), list[float]()
 
     def counted(image: Image, shape: ShapeModel, params: SearchParams, *others: Any) -> list[ShapeMatch]:
@@ -304,7 +305,7 @@ def test_a_miss_costs_one_search_until_somebody_asks(monkeypatch: pytest.MonkeyP
 
 
 def test_an_ambiguous_rotation_is_refused() -> None:
-    """What the search could not decide, straight edges do not decide either: refused with that reason."""
+    """A rotation that neither search nor straight edges decide is refused as ambiguous."""
     here = cell("plate")
     left, right = here.see(pose())
     rectification = here.rig.rectification
@@ -317,7 +318,7 @@ def test_an_ambiguous_rotation_is_refused() -> None:
 
 
 def test_circles_do_not_decide_what_the_search_could_not() -> None:
-    """All holes in their places, one of them odd: on a face full of edges that may be chance; refused."""
+    """If circles alone decide a rotation that the search left open, the part is refused."""
     holes = tuple(
         Hole(
             f"h{k}",
@@ -341,8 +342,7 @@ def test_circles_do_not_decide_what_the_search_could_not() -> None:
 @pytest.mark.parametrize("turn_deg", [12.0, 40.0])
 @pytest.mark.parametrize("across_mm", [0.2, 0.5])
 def test_edges_of_two_different_moments_are_refused(turn_deg: float, across_mm: float) -> None:
-    """A plate that moved across the rows by pixels before the right exposure: the edges that would tell are
-    not found in one place, and what the others say by themselves, 0.1 to 1 mm off, is no result."""
+    """A plate that moved across the rows before the right exposure is refused or not found."""
     here = cell("plate")
     where = pose((7.5, 1.0, 204.0), turn_deg, 3.0)
     later = where.copy()
@@ -356,9 +356,10 @@ def test_edges_of_two_different_moments_are_refused(turn_deg: float, across_mm: 
 
 @pytest.mark.slow
 def test_a_hidden_part_shows_too_few_edges() -> None:
-    """A third of the outline covered, where the job wants nine tenths: that reason, and a larger sigma.
+    """With a third of the outline covered and nine tenths required, the part is refused for too few edges,
+    with a larger sigma.
 
-    The plate's straight edges tell less about how far they are displaced: its sigma is no smaller.
+    The plate's straight edges show less of their displacement: its sigma is only not much smaller.
     """
     for name in ("disc", "plate"):
         here = cell(name)
@@ -378,7 +379,7 @@ def test_a_hidden_part_shows_too_few_edges() -> None:
 
 
 def test_points_lie_on_the_part() -> None:
-    """Contour points within 50 µm of the face, face points within their sigmas; both in the PLY."""
+    """Contour points are within 50 µm of the face and face points within their sigmas; the PLY has both."""
     here = cell("disc")
     pair = frame_pair(*here.see(ELSEWHERE))
     points = cloud(pair, here.job, here.rig, inspect(pair, here.job, here.rig))
@@ -398,7 +399,8 @@ def test_points_lie_on_the_part() -> None:
 
 
 def test_flatness_is_the_bend_of_a_face() -> None:
-    """A face bent by 50 µm under noise of 20 µm and some outliers: 50 µm; a flat one: less than its doubt."""
+    """A face bent by 50 µm, with noise of 20 µm and outliers, has that flatness; a flat one less than its
+    doubt."""
     rng = np.random.default_rng(3)
     xy = rng.uniform(-10, 10, (400, 2))
     noise = rng.normal(0, 0.02, 400)

@@ -1,4 +1,4 @@
-"""Thick parts and parts of several heights: taught from one pair, measured as one rigid whole."""
+"""Thick parts and parts with several heights: taught from one pair, measured as one rigid body."""
 
 from __future__ import annotations
 
@@ -51,13 +51,13 @@ SEEN = scatter_in(ExpectedLight(100.0, 2.0, 0.8), 0.03)
 
 
 def error_mm(target: Target, where: FloatArray) -> FloatArray:
-    """Measured minus true place of the reference, the hole "a"."""
+    """The error of the reference's place, the hole "a"."""
     return target.position_mm - apply(where, np.array([*REFERENCE_MM, 0.0]))
 
 
 @pytest.mark.slow
 def test_teaching_finds_both_faces() -> None:
-    """Each circle is taught at its own height; the face with most edges is the one that z = 0 lies in."""
+    """Each circle is taught at its own height, and z = 0 is the face with most edges."""
     here = taught()
     found = {
         (round(float(circle.radius_mm), 1), round(float(apply(here.part_from_job, circle.centre_mm)[2]), 1))
@@ -74,7 +74,8 @@ def test_teaching_finds_both_faces() -> None:
     (0.0, 0.0, 120.0), (20.0, 80.0, 250.0), (35.0, 170.0, 40.0), (45.0, 260.0, 160.0), (45.0, 20.0, 300.0),
 ])  # fmt: skip
 def test_a_block_is_measured_to_every_side(tilt_deg: float, side_deg: float, turn_deg: float) -> None:
-    """Within 20 µm and four sigmas on pixels of twice the size, normal within 0.1°, and not turned."""
+    """To every side, with pixels of twice the size, the block is right to 20 µm and four sigmas, its
+    normal to 0.1°."""
     here = taught()
     where = lying(here.rig.rig, tilt_deg, side_deg, turn_deg)
     target = only(here.see(block(where)))
@@ -89,7 +90,7 @@ def test_a_block_is_measured_to_every_side(tilt_deg: float, side_deg: float, tur
 
 @functools.cache
 def hub() -> TaughtBlock:
-    """A round plate whose only tell of its turn is where three holes and a boss beside its middle are."""
+    """A round plate whose rotation only three holes and an eccentric boss show."""
     rig = prepare(small_rig())
     where = lying(rig.rig, 0.0, 0.0, 0.0)
     job = teach(*pair_of_block(rig, hub_at(where)), rig.rectification, None, "hub")
@@ -97,7 +98,7 @@ def hub() -> TaughtBlock:
 
 
 def hub_at(where: FloatArray, break_mm: float = 0.0) -> Scene:
-    """The hub where it lies; break_mm : by which rims are wider, and holes smaller."""
+    """The hub there; break_mm : how much wider the rims and smaller the holes are."""
     holes = (
         Hole("a", Disc(8, 2, 1.5 - break_mm)),
         Hole("b", Disc(-6, 6, 1.2 - break_mm)),
@@ -112,7 +113,7 @@ def hub_at(where: FloatArray, break_mm: float = 0.0) -> Scene:
 @pytest.mark.slow
 @pytest.mark.parametrize("turn_deg", [30.0, 95.0, 160.0, 225.0, 290.0, 355.0])
 def test_a_round_part_is_not_turned(turn_deg: float) -> None:
-    """The outline of a tilted round part tells no turn; the holes do: a good result is right by 1°."""
+    """The holes of a tilted round part decide its rotation: a good result is right to 1°."""
     here = hub()
     where = lying(here.rig.rig, 40.0, 2.0 * turn_deg, turn_deg)
     target = only(here.see(hub_at(where)))
@@ -122,7 +123,7 @@ def test_a_round_part_is_not_turned(turn_deg: float) -> None:
 
 
 def test_a_turn_that_search_and_curves_see_differently_is_refused() -> None:
-    """One of four holes is odd: turned by 90°, most curves agree as well, and by chance all of them may."""
+    """If search and curves give different rotations, one of four holes being odd, the part is refused."""
     holes = tuple(
         Hole(
             f"h{k}",
@@ -149,7 +150,8 @@ def test_a_turn_that_search_and_curves_see_differently_is_refused() -> None:
 
 @pytest.mark.slow
 def test_half_of_the_edges_displaced_do_not_draw_the_pose_between_both() -> None:
-    """Half of one picture shows each edge as a break displaces it: most edges agree with the pose taken."""
+    """If half of the edges are displaced as by a break in one picture, most edges agree with the found
+    pose."""
     here = hub()
     where = lying(here.rig.rig, 15.0, 115.0, 75.0)
     left, right = pictures(here.rig.rig, hub_at(where), 7)
@@ -167,7 +169,8 @@ def test_half_of_the_edges_displaced_do_not_draw_the_pose_between_both() -> None
 @pytest.mark.slow
 @pytest.mark.parametrize(("albedo", "found"), [(0.05, 1), (0.3, 1), (0.45, 1), (0.62, 0), (0.8, 1)])
 def test_walls_of_any_brightness_shift_nothing(albedo: float, found: int) -> None:
-    """Darker than the face or brighter: as right as ever. Just as bright: no result is good."""
+    """With darker or brighter walls the result is as right as ever; with walls as bright as the face there
+    is none."""
     here = taught()
     where = lying(here.rig.rig, 30.0, 100.0, 70.0)
     wall = Surface(albedo=albedo, contrast=0.1, feature_mm=0.5, seed=3)
@@ -179,7 +182,7 @@ def test_walls_of_any_brightness_shift_nothing(albedo: float, found: int) -> Non
 
 @pytest.mark.slow
 def test_sizes_are_measured_not_taken_from_teaching() -> None:
-    """A bore that is 0.12 mm larger than taught is reported as large as it is."""
+    """A bore 0.12 mm larger than taught is measured with its true size."""
     here = taught()
     where = lying(here.rig.rig, 15.0, 40.0, 30.0)
     larger = replace(BOSS, holes=(Hole("bore", Disc(-6, -3, 2.12)),))
@@ -191,7 +194,7 @@ def test_sizes_are_measured_not_taken_from_teaching() -> None:
 
 @pytest.mark.slow
 def test_a_flat_job_is_not_solid() -> None:
-    """A plate without a boss is measured as it always was."""
+    """A plate without a boss gives a job that is not solid."""
     rig = prepare(small_rig())
     where = lying(rig.rig, 0.0, 0.0, 0.0)
     layers = stacked(PLATE, where, 6.0, DARK)
@@ -201,7 +204,7 @@ def test_a_flat_job_is_not_solid() -> None:
 
 @pytest.mark.slow
 def test_another_part_is_not_taken_for_the_block() -> None:
-    """Of a plate without its boss no good result is given: half of what is asked for is not there."""
+    """A plate without the block's boss gives no good result."""
     here = taught()
     where = lying(here.rig.rig, 10.0, 40.0, 30.0)
     turned = replace(PLATE, holes=(Hole("a", Disc(10, -6, 1.2)), Hole("d", Disc(-9, -4, 2.5))))
@@ -212,7 +215,7 @@ def test_another_part_is_not_taken_for_the_block() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("taller_mm", [0.0, 0.08])
 def test_a_height_is_measured_not_taken_from_teaching(taller_mm: float) -> None:
-    """A boss that is taller than the taught one is reported as high as it is, within four of its sigmas."""
+    """A boss that is taller than taught is measured with its true height, within four sigmas."""
     here = taught()
     floor = next(circle.name for circle in here.job.circles if circle.radius_mm < 1.7)
     bore = min(here.job.circles, key=lambda circle: abs(circle.radius_mm - 2.0))
@@ -232,7 +235,7 @@ def test_a_height_is_measured_not_taken_from_teaching(taller_mm: float) -> None:
 
 @pytest.mark.slow
 def test_its_sigma_is_what_was_expected_of_it() -> None:
-    """Of the part as a whole, with the edges as clear as they were: all six sigmas, within 7 %."""
+    """All six expected sigmas of the part are the stated ones, within 7 %, with equally clear edges."""
     here = taught()
     where = lying(here.rig.rig, 20.0, 80.0, 250.0)
     job = replace(here.job, tilt_rad=math.radians(45.0))
@@ -260,7 +263,7 @@ def test_the_report_states_heights() -> None:
 
 @pytest.mark.slow
 def test_a_corner_of_a_raised_face_is_reported_at_its_height() -> None:
-    """A corner is where its two edges meet in space, not below it in the face that the search looks for."""
+    """A corner of a raised face is reported at the intersection of its edges in space."""
     here = taught()
     where = lying(here.rig.rig, 20.0, 40.0, 30.0)
     edges = (
@@ -277,7 +280,7 @@ def test_a_corner_of_a_raised_face_is_reported_at_its_height() -> None:
 
 @pytest.mark.slow
 def test_where_rows_of_single_curves_do_not_meet_the_whole_is_asked(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Walls and what lies over a part displace single curves in one camera: as one whole it is still good."""
+    """If the rows of single curves do not agree, the part as a whole is still good."""
     rig = prepare(small_rig())
     where = lying(rig.rig, 0.0, 0.0, 0.0)
     pair = pair_of_block(rig, Scene(table(), tuple(stacked(PLATE, where, 6.0, DARK))))

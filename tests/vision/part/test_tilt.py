@@ -1,4 +1,4 @@
-"""Parts as they lie: tilted to any side, found in both cameras and measured as well as flat ones."""
+"""Parts tilted to any side are found by both cameras and measured as well as flat ones."""
 
 from __future__ import annotations
 
@@ -30,12 +30,12 @@ SIDES_AND_TURNS = ((20.0, 250.0), (110.0, 12.0), (200.0, 130.0), (290.0, 300.0))
 
 
 def tilted(job: Job, tilt_deg: float) -> Job:
-    """The job, looked for up to this tilt."""
+    """The job, searched up to this tilt."""
     return replace(job, tilt_rad=math.radians(tilt_deg))
 
 
 def seen(here: Cell, job: Job, world: Scene, seed: int) -> Target:
-    """The one part of a scene."""
+    """The single part of a scene."""
     left, right = pictures(here.rig.rig, world, seed)
     return only(locate(frame_pair(left, right), job, here.rig))
 
@@ -75,7 +75,8 @@ def coarse() -> Cell:
 def test_a_tilted_flange_is_as_right_as_a_flat_one(
     asked_deg: float, tilt_deg: float, side_deg: float, turn_deg: float
 ) -> None:
-    """Position within 3 µm and four sigmas, normal within 0.02°, rotation within 0.05°, to any side."""
+    """To any side the position is right to 3 µm and four sigmas, the normal to 0.02° and the rotation to
+    0.05°."""
     here = fine()
     where = lying(here.rig.rig, tilt_deg, side_deg, turn_deg)
     target = seen(here, tilted(here.job, asked_deg), thin(here.part, where), 3)
@@ -91,9 +92,9 @@ def test_a_tilted_flange_is_as_right_as_a_flat_one(
 @pytest.mark.parametrize("name", ["plate", "disc"])
 @pytest.mark.parametrize(("asked_deg", "tilt_deg"), [(30.0, 12.0), (30.0, 30.0), (45.0, 38.0), (45.0, 45.0)])
 def test_tilted_parts_are_found_to_every_side(name: str, asked_deg: float, tilt_deg: float) -> None:
-    """With circles and without: one target, not refused, within four sigmas, not turned.
+    """With and without circles a tilted part gives one good target within four sigmas, in the right rotation.
 
-    Of straight edges alone at 45° within five.
+    With straight edges alone at 45°, within five.
     """
     here = cell(name)
     job = tilted(here.job, asked_deg)
@@ -111,7 +112,7 @@ def test_tilted_parts_are_found_to_every_side(name: str, asked_deg: float, tilt_
 @pytest.mark.slow
 @pytest.mark.parametrize("tilt_deg", [15.0, 30.0, 45.0])
 def test_a_thick_part_with_dark_walls_is_measured_by_its_face(tilt_deg: float) -> None:
-    """A flange of 5 mm, whose walls show on one side of every edge: within 10 µm, normal within 0.05°."""
+    """A flange of 5 mm with visible dark walls is right to 10 µm and its normal to 0.05°."""
     here = coarse()
     job = tilted(here.job, max(tilt_deg, 30.0))
     wall = Surface(albedo=0.05)
@@ -127,7 +128,7 @@ def test_a_thick_part_with_dark_walls_is_measured_by_its_face(tilt_deg: float) -
 @pytest.mark.slow
 @pytest.mark.parametrize(("side_deg", "turn_deg"), [(229.0, 97.0), (293.0, 0.0), (358.0, 353.0)])
 def test_a_steep_face_of_edges_starts_from_its_picture(side_deg: float, turn_deg: float) -> None:
-    """Where rows tell nothing of the plane, a plate of straight edges is measured from its match alone."""
+    """A plate of straight edges, whose rows do not show its plane, is measured from its match alone."""
     here = cell("plate")
     where = lying(here.rig.rig, 30.0, side_deg, turn_deg)
     target = seen(here, tilted(here.job, 30.0), thin(here.part, where), 0)
@@ -140,7 +141,7 @@ def test_a_steep_face_of_edges_starts_from_its_picture(side_deg: float, turn_deg
 
 @pytest.mark.slow
 def test_a_flat_job_has_no_views() -> None:
-    """Without a tilt the search knows the taught look alone; with one, that is the first of a few."""
+    """A job without tilt has no views; with a tilt the first view is the taught one."""
     here = coarse()
     rectification = here.rig.rectification
     assert views_of(here.job, rectification) is None
@@ -163,7 +164,7 @@ def test_a_flat_job_has_no_views() -> None:
     turn_deg=st.floats(0.0, 360.0),
 )
 def test_every_face_within_the_tilt_is_like_a_view(tilt_deg: float, side_deg: float, turn_deg: float) -> None:
-    """Some view that may be met in this turn is within an eighth of the part's size like the face."""
+    """Every face within the tilt has a view within an eighth of the part's size."""
     here = coarse()
     views = views_of(tilted(here.job, 45.0), here.rig.rectification)
     assert views is not None
@@ -191,7 +192,7 @@ def test_every_face_within_the_tilt_is_like_a_view(tilt_deg: float, side_deg: fl
 
 @pytest.mark.parametrize("spoilt", ["edge-on", "turned away", "out of view"])
 def test_a_job_of_another_rig_is_looked_for_as_taught(spoilt: str) -> None:
-    """A face that this rig does not see from above has no views, and the search goes on without."""
+    """A face that this rig does not see from above has no views, and the search goes on without them."""
     here = coarse()
     job, turn = tilted(here.job, 45.0), np.eye(4)
     if spoilt == "out of view":
@@ -207,7 +208,7 @@ def test_a_job_of_another_rig_is_looked_for_as_taught(spoilt: str) -> None:
 
 
 def test_what_a_tilted_part_takes_up() -> None:
-    """A disc of radius 13 mm spans 18.4 mm of depth at 45°; at the border of the view it leaves it."""
+    """A disc of radius 13 mm spans 18.4 mm of depth at 45°; near the border it leaves the image."""
     here = cell("disc")
     rectification = here.rig.rectification
     amid = reach_of(here.job, rectification, math.radians(45.0))
@@ -221,7 +222,7 @@ def test_what_a_tilted_part_takes_up() -> None:
 
 
 def test_nothing_is_invented_where_no_part_lies() -> None:
-    """An empty table, and another part: no good target, also among all views."""
+    """An empty table and another part give no good target, with all views, too."""
     here = cell("disc")
     job = tilted(here.job, 45.0)
     empty = Scene(thin(here.part, pose()).table)
@@ -233,7 +234,7 @@ def test_nothing_is_invented_where_no_part_lies() -> None:
 
 
 def test_what_came_nearest_is_looked_for_in_all_views() -> None:
-    """A face at 40° that scores too little is told as such; seen as taught it would be like nothing."""
+    """The nearest place of a face at 40° with too low a score is found among all views."""
     here = coarse()
     job = tilted(here.job, 45.0)
     # of one circle: with more curves it would be found by these

@@ -1,4 +1,4 @@
-"""Parts measured by corrected cameras: the pose is the true one, sigma has what the correction adds."""
+"""Parts measured by corrected cameras: the pose is true, and sigma includes the correction's."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ PART = transform(rotation_matrix(np.array([0.02, -0.03, 0.4])), np.array([10.0, 
 
 @cache
 def cell() -> tuple[VirtualCell, Job, PreparedRig]:
-    """The demo's, with its part taught."""
+    """The demo's cell with its part taught."""
     virtual = VirtualCell(demo_rig(), demo_part(), seed=1)
     left, right, truth = virtual.teach_pair()
     prepared = prepare(virtual.rig)
@@ -38,7 +38,7 @@ def cell() -> tuple[VirtualCell, Job, PreparedRig]:
 
 @cache
 def seen(drifted: bool) -> FramePair:
-    """The part, by cameras as calibrated or as they drifted."""
+    """A pair of the part, by cameras as calibrated or as drifted."""
     virtual, rig = cell()[0], demo_rig()
     correction = RigCorrection(DRIFT if drifted else np.zeros(14), np.zeros((14, 14)))
     images = [
@@ -52,7 +52,7 @@ def seen(drifted: bool) -> FramePair:
 
 @pytest.mark.slow
 def test_a_part_is_found_where_it_is_though_the_cameras_are_not() -> None:
-    """To micrometres, where without the correction it is off by tens or refused."""
+    """With the correction the part is right to 4 µm; without it, it is off by tens of µm or refused."""
     _, job, prepared = cell()
     known = RigCorrection(DRIFT, 1e-16 * np.eye(14))
     outcome = locate(seen(True), job, corrected(prepared, known))
@@ -69,7 +69,7 @@ def test_a_part_is_found_where_it_is_though_the_cameras_are_not() -> None:
 
 @pytest.mark.slow
 def test_no_displacement_changes_no_digit_but_sigma() -> None:
-    """And with no covariance, not even sigma beyond rounding."""
+    """A correction of zero with a covariance of zero changes neither the pose nor, beyond rounding, sigma."""
     _, job, prepared = cell()
     nothing = corrected(prepared, RigCorrection(np.zeros(14), np.zeros((14, 14))))
     plain, same = locate(seen(False), job, prepared), locate(seen(False), job, nothing)
@@ -84,7 +84,7 @@ def test_no_displacement_changes_no_digit_but_sigma() -> None:
 
 @pytest.mark.slow
 def test_what_the_correction_does_not_know_is_in_every_sigma() -> None:
-    """Against draws of displacements: the pose, circles and sizes scatter as their covariances say."""
+    """Over draws of displacements pose, circles and sizes scatter as their covariances state."""
     _, job, prepared = cell()
     sigmas = np.tile([2e-5, 2e-5, 1e-5, 4e-3, 4e-3, 6e-3, 2e-5], 2)
     known = RigCorrection(DRIFT, np.diag(sigmas**2))
@@ -114,7 +114,7 @@ def test_what_the_correction_does_not_know_is_in_every_sigma() -> None:
 
 @pytest.mark.slow
 def test_a_correction_that_knows_too_little_is_no_result() -> None:
-    """Beyond `max_sigma_mm`: marks were hidden too long."""
+    """A correction with too large a covariance gives LOW_QUALITY for the sigma limit."""
     _, job, prepared = cell()
     vague = RigCorrection(DRIFT, np.diag(np.tile([1e-3] * 3 + [0.5] * 3 + [1e-4], 2) ** 2))
     outcome = locate(seen(True), job, corrected(prepared, vague))
@@ -124,7 +124,7 @@ def test_a_correction_that_knows_too_little_is_no_result() -> None:
 
 @pytest.mark.slow
 def test_a_moved_target_is_the_same_part() -> None:
-    """There and back, in all that it has."""
+    """A target that is moved there and back is the same."""
     _, job, prepared = cell()
     target = judge(inspect(seen(False), job, prepared)).targets[0]
     target = replace(target, measurements=(Measurement("d", "diameter", "mm", 28.0, 1e-3),))

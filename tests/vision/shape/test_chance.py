@@ -1,4 +1,4 @@
-"""What a face shows by chance: measured elsewhere on it, and how far that may be trusted."""
+"""Chance agreements on a face: measured elsewhere on it, with limits of trust."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def model() -> ShapeModel:
 
 
 def scratched(seed: int, contrast: float, lay: str) -> Image:
-    """The flange, ground in some direction or faced in rings, at POSE; contrast : sigma over brightness."""
+    """The flange at POSE, ground in some direction or faced in rings; contrast : sigma over brightness."""
     rng = np.random.default_rng(seed)
     image = draw(flange(odd=True), (*MIDDLE, 0.4, 1, 1))
     rows, columns = np.mgrid[: image.shape[0], : image.shape[1]].astype(np.float32)
@@ -47,7 +47,7 @@ def scratched(seed: int, contrast: float, lay: str) -> Image:
 
 
 def odds(image: Image, pose: FloatArray = POSE) -> rivals.Odds:
-    """What the face shows at the pose."""
+    """The odds on the face at the pose."""
     slopes = rivals.look(image, model(), pose, 0).slope
     return rivals.odds_on_face(image, model(), pose, 0, 2.0, slopes)
 
@@ -68,7 +68,7 @@ def test_elsewhere_is_on_the_face_and_off_its_edges() -> None:
 
 
 def test_evidence_of_independent_points() -> None:
-    """Where chance shows one point of ten: ten of ten are 10 log 10 nats, and one of ten is none."""
+    """If chance shows one point of ten, ten of ten are 10 log 10 nats, and one of ten is none."""
     slope = np.where(np.random.default_rng(1).permutation(PLACES * 100) % 10 == 0, 5.0, 0.0)
     chance = Chance.of(np.arange(100), slope.reshape(PLACES, 100), np.array([4.0]), (1.0, 1.0))
     sets = np.ones((2, 10), np.bool_)
@@ -81,7 +81,7 @@ def test_evidence_of_independent_points() -> None:
 
 
 def test_points_that_go_together_count_once() -> None:
-    """A curve that is met as a whole or not at all is one witness, however many points it has."""
+    """A curve that is met as a whole or not at all counts once, however many points it has."""
     slope = np.zeros((PLACES, 50))
     slope[::5] = 9.0
     sets = np.ones((1, 50), np.bool_)
@@ -92,7 +92,7 @@ def test_points_that_go_together_count_once() -> None:
 
 
 def test_no_face_is_no_evidence_for_a_few_points() -> None:
-    """Where nothing of the face is seen bare, a third of all points may be chance: eight do not suffice."""
+    """Without bare face a third of all points may be chance, so eight points do not suffice."""
     chance = Chance.of(np.zeros(0, np.int64), np.zeros((PLACES, 0)), np.array([4.0]), (1.0, 1.0))
     sets = np.ones((1, 8), np.bool_)
     nats = chance.evidence(sets, np.full(8, 9.0), 1.0, chance.shares(sets))
@@ -103,7 +103,7 @@ def test_no_face_is_no_evidence_for_a_few_points() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("lay", ["streaks", "rings"])
 def test_a_bare_face_is_no_evidence(lay: str) -> None:
-    """Holes looked for where the textured face has none: seldom 4 nats, and never what decides."""
+    """Holes looked for on a bare textured face seldom give 4 nats, and never decide."""
     hole = 44 * np.array([math.cos(math.pi / 3), math.sin(math.pi / 3)])
     sets = (np.abs(np.linalg.norm(model().levels[0].points - hole, axis=1) - 9) < 1.5)[None]
     strongest = []
@@ -122,7 +122,7 @@ def test_a_bare_face_is_no_evidence(lay: str) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("lay", ["streaks", "rings"])
 def test_the_parts_own_holes_are_evidence_on_a_textured_face(lay: str) -> None:
-    """At the right rotation every other one is ruled out; at a wrong one others are left to be tried."""
+    """On a textured face the right rotation rules out all others, and a wrong one leaves others open."""
     turns = rivals.turns(model())
     for seed in range(4):
         image = scratched(seed, 0.15, lay)

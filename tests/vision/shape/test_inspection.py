@@ -1,4 +1,4 @@
-"""What a taught shape promises is what it keeps."""
+"""The inspection of a taught shape predicts what the search does."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def learnt(outlines: tuple[tuple[np.ndarray, float], ...]) -> tuple[ShapeModel, 
 
 
 def test_symmetries_are_said_in_words() -> None:
-    """Round, symmetric, nearly symmetric, distinct: four different sentences."""
+    """A round, a symmetric and a nearly symmetric part have their own warnings."""
     ring = ((drawings.disc(0, 0, 62), 200.0), (drawings.disc(0, 0, 22), 60.0))
     _, round_one = learnt(ring)
     _, six = learnt(drawings.flange(False))
@@ -48,7 +48,7 @@ def test_symmetries_are_said_in_words() -> None:
 
 @pytest.mark.slow
 def test_the_expected_precision_is_reached() -> None:
-    """Scatter of the search at the stated noise, against the stated bound: near it, and never far below."""
+    """The scatter of the search at the stated noise is near the stated bound."""
     model, inspection = learnt(drawings.BRACKET)
     errors = []
     for seed in range(40):
@@ -73,7 +73,7 @@ def test_the_expected_precision_is_reached() -> None:
 
 
 def test_weak_contrast_is_said() -> None:
-    """How far it may still fall."""
+    """A part with weak contrast has a small reserve and a warning that asks for more light."""
     faint = tuple((points, 70 + 0.1 * (grey - 70)) for points, grey in drawings.BRACKET)
     _, inspection = learnt(faint)
     assert inspection.reserve < 3
@@ -82,7 +82,7 @@ def test_weak_contrast_is_said() -> None:
 
 @pytest.mark.slow
 def test_teach_writes_the_page_and_the_facts(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """One self-contained page, and the same as JSON."""
+    """Teaching writes one self-contained page, and the same facts as JSON."""
     flat = cells.flange()
     save_rig(tmp_path / "rig.json", flat.rig)
     for side, image in (("left", flat.left), ("right", flat.right)):

@@ -1,4 +1,4 @@
-"""Making a shape model: what belongs to the part gets in, whatever the contrast, the size and the table."""
+"""Making a shape model: the part's edges get in, whatever the contrast, the size and the table."""
 
 from __future__ import annotations
 
@@ -61,8 +61,8 @@ def found_at(model: ShapeModel, image: Image, truth: tuple[float, float, float])
 @pytest.mark.slow
 @pytest.mark.parametrize("strength", [3.0, 10.0, 18.0])
 def test_a_textured_table_stays_out_of_the_model(strength: float) -> None:
-    """A region nine times as large as the part: the model's points lie on its outline, on every level, and
-    the part is found on another table."""
+    """In a region nine times as large as the part the model's points lie on its outline, on every level,
+    and the part is found on another table."""
     size = (420, 420)
     image = draw(BRACKET, (210, 210, 0, 1, 1), size, 2.0, table(strength, size, 1))
     model = create_model(image, everything(image), np.array([210.0, 210.0]))
@@ -79,8 +79,8 @@ def test_a_textured_table_stays_out_of_the_model(strength: float) -> None:
 @pytest.mark.parametrize(("step", "noise"), [(8, 1.0), (14, 4.0), (40, 15.0), (130, 1.0), (130, 15.0)])
 @pytest.mark.parametrize("size", [0.45, 1.0, 3.0])
 def test_thresholds_follow_the_picture(step: float, noise: float, size: float) -> None:
-    """Faint, noisy, small and large, with one set of parameters: nine of ten points lie on the outline, in
-    all directions from the centre."""
+    """With faint, noisy, small and large pictures nine of ten points lie on the outline, in all directions
+    from the centre."""
     outlines = tuple((polygon * size, 70 + step * (1 if grey > 70 else -0.3)) for polygon, grey in BRACKET)
     middle = round(100 * size)
     image = draw(outlines, (middle, middle, 0, 1, 1), (2 * middle + 1, 2 * middle + 1), noise)
@@ -93,8 +93,8 @@ def test_thresholds_follow_the_picture(step: float, noise: float, size: float) -
 
 @pytest.mark.slow
 def test_a_template_cut_tightly_is_taught() -> None:
-    """A gap between two rollers, 33 by 17 px, its edges on the border of the picture: learnt, and found at
-    each of the places of the bearing, and nowhere else."""
+    """A gap between two rollers, 33 by 17 px with edges on the picture's border, is taught, and found at
+    each place of the bearing and nowhere else."""
     turns = np.arange(12) * (2 * math.pi / 12)
     ring = [(disc(0, 0, 78), 150.0), (disc(0, 0, 50), 25.0)]
     ring += [(disc(64 * math.cos(t), 64 * math.sin(t), 15.6), 25.0) for t in turns]
@@ -116,8 +116,8 @@ def test_a_template_cut_tightly_is_taught() -> None:
 
 
 def test_parameters_say_what_gets_in() -> None:
-    """A weak and a strong hole, and a speck: a low contrast takes all, a high one the strong hole, a minimum
-    length leaves the speck out; levels are cut at the number that is asked for."""
+    """A low contrast takes weak and strong holes and a speck, a high one the strong hole, a minimum length
+    leaves out the speck; levels are cut at the given number."""
     outlines = ((disc(-40, 0, 25), 200.0), (disc(40, 0, 25), 100.0), (disc(0, 45, 4), 200.0))
     image = draw(outlines, (100, 100, 0, 1, 1), (200, 200), 0.5)
 
@@ -136,7 +136,7 @@ def test_parameters_say_what_gets_in() -> None:
 
 
 def test_points_that_share_pixels_are_counted_once() -> None:
-    """The kernel is its plain sum; far apart each point counts for itself, n in one place n times."""
+    """The kernel equals its plain sum: 1 for points far apart, n for n points in one place."""
     points = np.random.default_rng(0).uniform(0, 12, (80, 2))
     assert repetition(points) == pytest.approx(naive.repetition(points), abs=1e-6)
     assert repetition(points * 100) == pytest.approx(1.0, abs=1e-6)
@@ -147,7 +147,7 @@ def test_points_that_share_pixels_are_counted_once() -> None:
 @settings(max_examples=60)
 @given(data=st.data())
 def test_any_picture_is_a_model_or_an_error(data: st.DataObject) -> None:
-    """Any size, content and region gives a model whose points are finite, or a TeachError; nothing else."""
+    """Any size, content and region gives a model with finite points, or a TeachError, nothing else."""
     height, width = data.draw(st.integers(1, 90)), data.draw(st.integers(1, 90))
     rng = np.random.default_rng(data.draw(st.integers(0, 10**6)))
     kind = data.draw(st.sampled_from(["black", "white", "noise", "clipped", "checks", "step", "disc"]))
@@ -176,7 +176,7 @@ def test_any_picture_is_a_model_or_an_error(data: st.DataObject) -> None:
 
 @pytest.mark.slow
 def test_a_picture_of_50_megapixels_is_taught() -> None:
-    """Only the region costs time: a part in the corner of 8200 by 6100 px."""
+    """A part in the corner of a picture of 8200 by 6100 px gives the same model as in a small one."""
     image = np.full((6100, 8200), 70, np.uint8)
     image[40:360, 60:460] = draw(BRACKET, (200, 160, 0, 1, 1), (400, 320))
     mask = np.zeros_like(image)
@@ -188,7 +188,7 @@ def test_a_picture_of_50_megapixels_is_taught() -> None:
 
 @pytest.mark.parametrize("origin", [(math.nan, 0.0), (math.inf, 0.0), (1e9, 0.0)])
 def test_an_impossible_origin_is_refused(origin: tuple[float, float]) -> None:
-    """No number, or far beyond the picture: the message says so."""
+    """An origin that is NaN or far beyond the picture is refused."""
     image = draw(BRACKET, (100, 100, 0, 1, 1), (200, 200))
     with pytest.raises(TeachError, match="origin"):
         create_model(image, everything(image), np.array(origin))

@@ -87,7 +87,7 @@ def test_match_maps_the_model_to_the_image(bracket: ShapeModel) -> None:
 
 
 def test_inverted_contrast(bracket: ShapeModel) -> None:
-    """With "global" an inverted part is found and said to be inverted; with "same" it is not there."""
+    """With "global" an inverted part is found and marked as inverted; with "same" it is not found."""
     image = 255 - draw(BRACKET, (190.0, 150.0, 1.0, 1, 1))
     match = _one(find_shapes(image, bracket, RIGID))
     assert match.inverted
@@ -97,7 +97,8 @@ def test_inverted_contrast(bracket: ShapeModel) -> None:
 
 @pytest.mark.parametrize("angle", [-3.0, -1.5, 0.0, 1.5])
 def test_the_shadow_is_not_taken_for_the_part(bracket: ShapeModel, angle: float) -> None:
-    """A dark part a little above a bright, textured table is found beside its shadow, not between the two."""
+    """A dark part above a bright, textured table is found at its place, not at its shadow's or between
+    both."""
     size, outline = (320, 400), BRACKET[0][0]
     table = cv2.GaussianBlur(np.random.default_rng(3).normal(0, 90, size), (0, 0), 1.5) + 130
     shadow = draw(((outline, 255.0),), (198.0, 157.0, angle, 1, 1), background=np.zeros(size, np.uint8))
@@ -112,7 +113,7 @@ def test_the_shadow_is_not_taken_for_the_part(bracket: ShapeModel, angle: float)
 
 @pytest.mark.slow
 def test_an_edge_belongs_to_one_part() -> None:
-    """No second angle iron is made of one arm of the first and clutter; two that touch are both found."""
+    """No second angle iron is found from one arm of the first and clutter; two that touch are both found."""
     outline = np.array([(-60, -45), (-35, -45), (-35, 25), (55, 25), (55, 50), (-60, 50)], float)
     iron = ((outline, 200.0),)
     model = _teach(iron)
@@ -125,7 +126,7 @@ def test_an_edge_belongs_to_one_part() -> None:
 
 
 def test_local_inversion(bracket: ShapeModel) -> None:
-    """On a background half darker, half brighter than the part only "local" sees all of it."""
+    """On a half darker, half brighter background only "local" finds all of the part."""
     background = np.full((320, 400), 20, np.uint8)
     background[:, 195:] = 250
     outlines = tuple((points, 130.0 if index == 0 else grey) for index, (points, grey) in enumerate(BRACKET))
@@ -139,7 +140,7 @@ def test_local_inversion(bracket: ShapeModel) -> None:
 
 @pytest.mark.parametrize("side", range(4))
 def test_occlusion_lowers_the_score_only(bracket: ShapeModel, side: int) -> None:
-    """A third hidden: the score says so, the position does not move."""
+    """With a third hidden the score is lower and the position the same."""
     image = draw(BRACKET, (190.0, 150.0, 0.5, 1, 1))
     if side < 2:
         image[:, slice(0, 165) if side else slice(215, 400)] = 128
@@ -152,7 +153,7 @@ def test_occlusion_lowers_the_score_only(bracket: ShapeModel, side: int) -> None
 
 
 def test_part_half_outside(bracket: ShapeModel) -> None:
-    """A part that leaves the image is found by what is visible, unless that is not wanted."""
+    """A part that leaves the image is found by its visible rest, unless allow_partial is off."""
     image = draw(BRACKET, (30.0, 150.0, 0.2, 1, 1))
     params = replace(RIGID, min_score=0.45)
     match = _one(find_shapes(image, bracket, params))
@@ -161,7 +162,7 @@ def test_part_half_outside(bracket: ShapeModel) -> None:
 
 
 def test_several_parts_best_first(bracket: ShapeModel) -> None:
-    """All parts are found once each, ordered by score; max_matches cuts."""
+    """Each part is found once, ordered by score, up to max_matches."""
     image = draw(BRACKET, (90.0, 90.0, 0.2, 1, 1))
     image = draw(BRACKET, (290.0, 200.0, -2.2, 1, 1), background=image)
     image[150:, 330:] = 90
@@ -173,7 +174,7 @@ def test_several_parts_best_first(bracket: ShapeModel) -> None:
 
 @pytest.mark.slow
 def test_odd_hole_decides_the_rotation() -> None:
-    """A flange with one hole missing is never turned by a hole, and the choice is not called ambiguous."""
+    """A flange with one hole missing is found in its true rotation, not marked as ambiguous."""
     model = _teach(flange(odd=True))
     assert len(model.symmetries) >= 5
     for angle in np.linspace(-3, 3, 7):
@@ -183,7 +184,7 @@ def test_odd_hole_decides_the_rotation() -> None:
 
 
 def test_hidden_odd_hole_is_ambiguous() -> None:
-    """When the place of the missing hole cannot be seen, the match says that its rotation is a guess."""
+    """If the place of the missing hole is hidden, the match is marked as ambiguous."""
     model = _teach(flange(odd=True))
     image = draw(flange(odd=True), (200, 160, 0, 1, 1))
     image[:, 205:] = 128
@@ -194,8 +195,8 @@ def test_hidden_odd_hole_is_ambiguous() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize(("grey", "doubt"), [(115, False), (170, False), (200, True)])
 def test_bare_surface_decides_between_rotations(grey: float, doubt: bool) -> None:
-    """One hole hidden, the place of the missing one seen: as many edges speak for a turn by 120°, but a
-    hole is denied there. A cover as bright as the part could itself be that surface: in doubt."""
+    """With one hole hidden and the place of the missing one visible, the bare surface decides; a cover as
+    bright as the part leaves it ambiguous."""
     image = draw(flange(odd=True), (200, 160, 0.4, 1, 1)).astype(np.float64)
     hidden = 0.4 + 2 * math.pi / 3
     cv2.circle(image, (round(200 + 44 * math.cos(hidden)), round(160 + 44 * math.sin(hidden))), 14, grey, -1)
@@ -206,7 +207,7 @@ def test_bare_surface_decides_between_rotations(grey: float, doubt: bool) -> Non
 
 @pytest.mark.slow
 def test_symmetric_part_has_one_canonical_angle() -> None:
-    """Six equal holes: any of the six rotations is right; the reported one is within 30° of the taught."""
+    """With six equal holes the reported rotation is within 30° of the taught one, marked as symmetric."""
     model = _teach(flange(odd=False))
     for angle in (-2.9, -1.0, 0.1, 1.7, 3.0):
         match = _one(find_shapes(draw(flange(odd=False), (200, 160, angle, 1, 1)), model, RIGID))
@@ -217,7 +218,7 @@ def test_symmetric_part_has_one_canonical_angle() -> None:
 
 
 def test_round_part_has_no_rotation() -> None:
-    """A disc is found; its angle is zero and said to mean nothing."""
+    """A disc is found with angle zero, marked as symmetric."""
     model = _teach(((disc(0, 0, 50), 200.0), (disc(0, 0, 20), 60.0)))
     assert model.round
     match = _one(
@@ -231,7 +232,7 @@ def test_round_part_has_no_rotation() -> None:
 
 
 def test_best_of_several_models_wins(bracket: ShapeModel) -> None:
-    """Two models in one call: each part is reported once, by the model that fits it."""
+    """With two models in one call each part is found once, by the model that fits it."""
     other = _teach(flange(odd=True))
     image = draw(BRACKET, (100.0, 150.0, 0.2, 1, 1))
     image = draw(flange(odd=True), (300.0, 150.0, 0.5, 1, 1), background=image)
@@ -240,14 +241,14 @@ def test_best_of_several_models_wins(bracket: ShapeModel) -> None:
 
 
 def test_nothing_in_noise_or_another_part(bracket: ShapeModel) -> None:
-    """Noise, a flat image and another part hold no bracket."""
+    """In noise, a flat image and another part no bracket is found."""
     noise = np.random.default_rng(0).integers(0, 256, (320, 400)).astype(np.uint8)
     for image in (noise, np.full((320, 400), 255, np.uint8), draw(flange(odd=False), (200, 160, 0, 1, 1))):
         assert find_shapes(image, bracket, SearchParams()) == []
 
 
 def test_border_of_the_valid_area_is_no_edge(bracket: ShapeModel) -> None:
-    """Where nothing is valid nothing is found, whatever the image shows there."""
+    """Outside of the valid area nothing is found."""
     image = draw(BRACKET, (190.0, 150.0, 0.2, 1, 1))
     valid = np.full(image.shape, 255, np.uint8)
     assert len(find_shapes(image, bracket, RIGID, valid)) == 1
@@ -306,7 +307,7 @@ def test_covariance_is_the_scatter(bracket: ShapeModel, mode: str, freedom: int)
 def test_images_without_the_part_have_no_match(
     height: int, width: int, grey: int | None, polarity: str, limit: int
 ) -> None:
-    """Black, saturated or pure noise of any size: no match, no error, whatever the polarity."""
+    """Black, saturated or pure noise of any size has no match and no error, whatever the polarity."""
     noise = np.random.default_rng(height * 1000 + width).integers(0, 256, (height, width), dtype=np.uint8)
     image = noise if grey is None else np.full((height, width), grey, np.uint8)
     assert find_shapes(image, _FUZZ, SearchParams(polarity=polarity, max_matches=limit)) == []
@@ -329,7 +330,7 @@ def test_images_without_the_part_have_no_match(
     ],
 )
 def test_wrong_parameters_are_named(wrong: dict) -> None:
-    """Each impossible value is refused, and the message names it."""
+    """Each impossible value is refused with its name."""
     with pytest.raises(UserError, match=f"search.*{next(iter(wrong))[:7]}"):
         SearchParams(**wrong)
 
@@ -344,7 +345,7 @@ def test_any_size_of_image(bracket: ShapeModel, shape: tuple[int, int]) -> None:
     "image", [np.zeros((50, 50), np.uint16), np.zeros((50, 50, 3), np.uint8), np.zeros((50, 50))]
 )
 def test_other_arrays_are_refused(bracket: ShapeModel, image: Image) -> None:
-    """16-bit, colour and float images are errors that say what was expected."""
+    """16-bit, colour and float images are refused with what was expected."""
     with pytest.raises(ImageError, match="8-bit grey"):
         find_shapes(image, bracket)
     with pytest.raises(TeachError, match="8-bit grey"):
@@ -353,13 +354,13 @@ def test_other_arrays_are_refused(bracket: ShapeModel, image: Image) -> None:
 
 @pytest.mark.parametrize("grey", [0, 128, 255])
 def test_flat_region_cannot_be_taught(grey: int) -> None:
-    """Black, grey or saturated: no edges, and the message says so."""
+    """A black, grey or saturated region is refused for too few edges."""
     with pytest.raises(TeachError, match="too few edges"):
         create_model(np.full((100, 100), grey, np.uint8), np.full((100, 100), 255, np.uint8))
 
 
 def test_model_survives_its_file_form(bracket: ShapeModel) -> None:
-    """from_arrays inverts to_arrays: the same matches, bit by bit."""
+    """A model from its arrays gives exactly the same matches."""
     again = ShapeModel.from_arrays(bracket.to_arrays())
     image = draw(BRACKET, (190.3, 150.1, 0.2, 1, 1))
     one, other = find_shapes(image, bracket, RIGID), find_shapes(image, again, RIGID)
@@ -369,7 +370,7 @@ def test_model_survives_its_file_form(bracket: ShapeModel) -> None:
 @settings(max_examples=150)
 @given(data=st.data())
 def test_foreign_arrays_are_refused_or_harmless(data: st.DataObject) -> None:
-    """Any damage to any array gives a ValueError, or a model that can be searched for."""
+    """Any damage to any array gives a ValueError, or a model that can be used."""
     arrays = dict(_FUZZ.to_arrays())
     name = data.draw(st.sampled_from(sorted(arrays)))
     kind = data.draw(st.sampled_from(["drop", "nan", "huge", "shape", "type", "value"]))
@@ -400,7 +401,7 @@ _FUZZ = _teach(flange(odd=True))
 
 @pytest.mark.slow
 def test_thin_lines_keep_to_fine_levels() -> None:
-    """A drawing of thin lines is found at any angle: coarse levels, where lines vanish, are not searched."""
+    """A drawing of thin lines has fewer levels, and is found at any angle."""
     ring = ((disc(0, 0, 70), 20.0), (disc(0, 0, 68.4), 70.0))
     bars = tuple(
         (np.array([(-1, -a), (1, -a), (1, -a + 25), (-1, -a + 25)], float) @ rotation_2d(-turn), 20.0)
@@ -415,7 +416,7 @@ def test_thin_lines_keep_to_fine_levels() -> None:
 
 
 def test_range_of_scales_is_fitted_in_rigid_mode(bracket: ShapeModel) -> None:
-    """A size between the steps of the grid is fitted whatever sub_pixel says, the position stays exact."""
+    """A size between the steps of the grid is fitted whatever sub_pixel is."""
     image = draw(BRACKET, (190.37, 150.81, 1.0, 0.985, 0.985))
     match = _one(find_shapes(image, bracket, replace(RIGID, scale_min=0.97, scale_max=1.03)))
     assert match.scale_x == pytest.approx(0.985, rel=1e-3)
@@ -423,7 +424,7 @@ def test_range_of_scales_is_fitted_in_rigid_mode(bracket: ShapeModel) -> None:
 
 
 def test_ignored_polarity_takes_what_local_polarity_refuses(bracket: ShapeModel) -> None:
-    """Edges that change their sign every 12 px count for "ignore", and not for "local"."""
+    """Edges that change their sign every 12 px count with "ignore", not with "local"."""
     stripes = np.where((np.arange(400) // 12) % 2, 20, 250).astype(np.uint8)
     background = np.broadcast_to(stripes, (320, 400)).copy()
     outlines = ((BRACKET[0][0], 135.0),)
@@ -438,7 +439,7 @@ def test_ignored_polarity_takes_what_local_polarity_refuses(bracket: ShapeModel)
 
 @pytest.mark.slow
 def test_many_parts_in_one_image() -> None:
-    """As many parts as are asked for are found: the number of candidates grows with it."""
+    """As many parts as are asked for are found."""
     small = tuple((points * 0.32, grey) for points, grey in BRACKET[:1])
     image = np.full((700, 700), 70, np.uint8)
     places = [(35 + 48 * (i % 13), 35 + 48 * (i // 13)) for i in range(13 * 13)]
@@ -451,7 +452,7 @@ def test_many_parts_in_one_image() -> None:
 
 
 def test_threads_share_a_pool_of_workspaces(bracket: ShapeModel) -> None:
-    """Two threads at once get the results of one, bit by bit, and the pool keeps what it lent."""
+    """Two threads get exactly the results of one, and the pool keeps its workspaces."""
     images = [draw(BRACKET, (190.3 + k, 150.1, 0.2 * k, 1, 1), noise=10) for k in range(6)]
     alone = [_one(find_shapes(image, bracket, RIGID)).linear for image in images]
     pool = WorkspacePool()
@@ -470,7 +471,7 @@ def test_threads_share_a_pool_of_workspaces(bracket: ShapeModel) -> None:
 
 
 def test_interlocked_parts_are_two_parts() -> None:
-    """Two open rings in one another: the second is reported or dropped as max_overlap says, never a doubt."""
+    """Of two interlocked open rings the second one is reported or dropped by max_overlap, never ambiguous."""
     t = np.linspace(0.6, 2 * math.pi - 0.6, 150)
     arc = np.column_stack([np.cos(t), np.sin(t)])
     ring = ((np.concatenate([60 * arc, 38 * arc[::-1]]), 20.0),)
@@ -488,7 +489,7 @@ def test_interlocked_parts_are_two_parts() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [*range(12), 284])
 def test_a_hidden_difference_is_never_decided_by_chance(seed: int) -> None:
-    """One hole missing, a bar across the flange: the right rotation or "ambiguous", never 60° off."""
+    """With one hole missing and a bar across the flange the rotation is right or ambiguous, never 60° off."""
     rng = np.random.default_rng(seed)
     angle, side = rng.uniform(-np.pi, np.pi), rng.uniform(0, np.pi)
     image = draw(flange(True), (200.0, 160.0, angle, 1.0, 1.0), noise=2.0)
@@ -505,7 +506,7 @@ def test_a_hidden_difference_is_never_decided_by_chance(seed: int) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [*range(12), 284])
 def test_a_rotation_that_teaching_did_not_list_is_a_rival(seed: int) -> None:
-    """What a search would accept is compared, whatever teaching found similar: right, or "ambiguous"."""
+    """Rotations beyond those that teaching listed are compared, too: the match is right or ambiguous."""
     rng = np.random.default_rng(seed)
     angle = rng.uniform(-np.pi, np.pi)
     image = draw(flange(True), (200.0, 160.0, angle, 1.0, 1.0), noise=2.0)
@@ -520,7 +521,7 @@ def test_a_rotation_that_teaching_did_not_list_is_a_rival(seed: int) -> None:
 
 @pytest.mark.slow
 def test_only_what_two_rotations_do_not_share_can_decide() -> None:
-    """A flange without one of six holes: each turn by 60° has one hole of its own, and lacks one."""
+    """For a flange without one of six holes each turn by 60° has points of its own at one hole."""
     model = _teach(flange(odd=True))
     found = turns(model)
     for number in (1, 2, 3, -1, -2):
@@ -538,7 +539,7 @@ def test_only_what_two_rotations_do_not_share_can_decide() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("side", np.linspace(0, 2 * math.pi, 6, endpoint=False))
 def test_a_saturated_half_does_not_move_a_part(bracket: ShapeModel, side: float) -> None:
-    """Where the sensor is saturated beside an edge, that edge tells no place: no 0.7 px without a word."""
+    """Edges at a saturated half do not move the found part by more than 0.15 px and 5 sigmas."""
     image = draw(BRACKET, (190.0, 150.0, 0.5, 1, 1), noise=2.0).astype(np.float64)
     rows, columns = np.mgrid[: image.shape[0], : image.shape[1]]
     away = (columns - 190) * np.cos(side) + (rows - 150) * np.sin(side)
@@ -552,7 +553,8 @@ def test_a_saturated_half_does_not_move_a_part(bracket: ShapeModel, side: float)
 
 @pytest.mark.parametrize("grey", [170, 200, 230])
 def test_a_cover_nearly_as_bright_as_the_part_is_not_its_surface(grey: float) -> None:
-    """One hole hidden in the dark, the place of the missing one under a bright cover: nothing decides."""
+    """With one hole in the dark and the place of the missing one under a bright cover, the match is
+    ambiguous."""
     angle, hidden = 0.4, 0.4 + 2 * math.pi / 3
     image = draw(flange(odd=True), (200, 160, angle, 1, 1)).astype(np.float64)
     for turn, cover in ((hidden, 30.0), (angle, grey)):

@@ -1,4 +1,4 @@
-"""Where on an arc an edge is shown: what a pair tells of it, and what it costs the pose."""
+"""Where on a rounded edge its contour lies: what a pair shows of it, and its part in the pose's sigma."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ WHERE = lying(small_rig(), 25.0, 20.0, 40.0)
 
 
 def shown() -> Profiles:
-    """Profiles of a pair whose edges lie where the model has them."""
+    """Profiles of a pair whose edges are at the model's places."""
     samples, both = sampled(BROKEN, 0.5), [seen(BROKEN, WHERE, camera) for camera in (0, 1)]
     camera: I64 = np.repeat([0, 1], [len(each.row) for each in both])
     across, rounded = (
@@ -36,7 +36,7 @@ def shown() -> Profiles:
 
 
 def moved_px(motion_mm: FloatArray) -> FloatArray:
-    """(M,) px along the normals, as the left camera sees samples that move (M, 3)."""
+    """(M,) px along the normals in the left camera, of samples that move (M, 3)."""
     visible = seen(BROKEN, WHERE, 0)
     points = sampled(BROKEN, 0.5).points[visible.row]
     moved = small_rig().left.project(apply(WHERE, points + motion_mm))
@@ -44,7 +44,8 @@ def moved_px(motion_mm: FloatArray) -> FloatArray:
 
 
 def test_what_is_open_of_a_break_moves_its_edges_alone() -> None:
-    """Across it by its chord, inwards by both faces, and deeper by the width that shows no form."""
+    """The free parameters of breaks move broken edges alone: across by the chord, inwards by both faces,
+    deeper by an unknown width."""
     samples, visible = sampled(BROKEN, 0.5), seen(BROKEN, WHERE, 0)
     first, second = samples.normals[visible.row, :3], samples.normals[visible.row, 3:]
     broken = ~are_unbroken(visible.curve)
@@ -65,7 +66,7 @@ def test_what_is_open_of_a_break_moves_its_edges_alone() -> None:
 
 @pytest.mark.parametrize("spread", [0.0, 0.25])
 def test_a_pair_tells_how_far_its_edges_wander_on_their_arcs(spread: float) -> None:
-    """Nowhere, as those of chamfers, or each group elsewhere: the pose stays, which it did not before."""
+    """The spread of the edges on their arcs is found, and the pose stays, which it does not with chamfers."""
     profiles = shown()
     arcs = arc_shifts(profiles.seen, profiles.camera, profiles.across_px)
     rng = np.random.default_rng(3)
@@ -89,7 +90,7 @@ def test_a_pair_tells_how_far_its_edges_wander_on_their_arcs(spread: float) -> N
 
 
 def test_roundings_are_told_from_chamfers_by_where_their_middle_lies() -> None:
-    """All edges farther inside by half a sigma: the part is not taken to lie deeper for that."""
+    """All edges half a sigma farther inside do not make the part lie deeper."""
     profiles = shown()
     inside = replace(profiles, shift_px=0.5 * profiles.rounded_px)
     fit = adjusted_to(BROKEN, WHERE, inside, 1.0, None, alike=False)
@@ -102,7 +103,7 @@ def test_roundings_are_told_from_chamfers_by_where_their_middle_lies() -> None:
 
 
 def test_nothing_is_left_of_what_the_unknowns_explain() -> None:
-    """Freed values are blind to any shift along the arcs, as far as these are not held by what is known."""
+    """Freed values do not change with any shift along the arcs."""
     profiles = shown()
     arcs = replace(arc_shifts(profiles.seen, profiles.camera, profiles.across_px), sigma=1e3)
     weights = np.linspace(1.0, 2.0, len(profiles.camera))
@@ -113,7 +114,8 @@ def test_nothing_is_left_of_what_the_unknowns_explain() -> None:
 
 
 def test_heights_that_a_pair_had_wrong_cost_the_pose_no_more_than_its_sigma_says() -> None:
-    """Each curve deeper or higher than the model has it, by 0.2 mm (rms), as a pair has taught it."""
+    """If each curve is 0.2 mm (rms) higher or deeper than in the model, the pose's error fits a sigma with
+    that."""
     profiles, rng = shown(), np.random.default_rng(5)
     curve = chains_of(profiles.seen.curve)
     chi2: dict[float, list[float]] = {0.0: [], 0.2: []}

@@ -1,4 +1,4 @@
-"""A body laid on the pair that its part was taught from, and the edge breaks that its file does not have."""
+"""A body laid on the teaching pair of its part, and edge breaks that its file does not have."""
 
 from __future__ import annotations
 
@@ -29,14 +29,14 @@ from edged.vision.teaching.cadrevision import Displaced, explains_more
 
 @functools.cache
 def images_of(design: int, seed: int) -> StereoImages:
-    """A pair of a drawn part as it is taught."""
+    """A teaching pair of a drawn part."""
     rng = np.random.default_rng((seed, design, 0))
     left, right = drawn(random_design(design), place(0.0), rng, teaching=True)[0]
     return StereoImages.of(rig().rectification, left, right)
 
 
 def drawing_of(folder: Path, design: int) -> EdgeModel:
-    """The edges of its file, which knows no breaks."""
+    """The edges of its file, without breaks."""
     write_drawing(folder, random_design(design))
     body = body_of(read_step(folder / f"P{design}.step"), np.eye(4))
     assert body is not None
@@ -44,7 +44,7 @@ def drawing_of(folder: Path, design: int) -> EdgeModel:
 
 
 def laid_from(folder: Path, design: int, seed: int, deeper_mm: float) -> tuple[LaidBody, FloatArray]:
-    """Laid from so much below its place, and the error of its pose."""
+    """The body laid from this far below its place, and the error of its pose."""
     start = place(0.0) @ transform(np.eye(3), np.array([0.0, 0.0, deeper_mm]))
     laid = lay_with_breaks(images_of(design, seed), drawing_of(folder, design), start)
     assert laid is not None
@@ -52,7 +52,7 @@ def laid_from(folder: Path, design: int, seed: int, deeper_mm: float) -> tuple[L
 
 
 def width_mm(laid: LaidBody) -> float:
-    """Of the breaks of most of its edges."""
+    """The median width of the breaks."""
     return float(np.median(laid.model.breaks_mm[laid.model.breaks_mm > 0]))
 
 
@@ -61,9 +61,10 @@ def width_mm(laid: LaidBody) -> float:
 def test_a_part_taught_by_the_lower_edges_of_its_breaks_is_laid_where_it_is(
     tmp_path: Path, design: int, seed: int, break_mm: float
 ) -> None:
-    """Those have the radii of the file, a break below its face: laid there, the model is right but for z.
+    """A part taught by the lower edges of its breaks, with the file's radii one break below the face, is
+    laid at its place.
 
-    The second was taken for one with breaks of half that width, 0.17 mm too deep: that shifts few profiles.
+    A width half as large, 0.17 mm too deep, would shift few profiles.
     """
     laid, error = laid_from(tmp_path, design, seed, break_mm)
     assert error[2, 3] == pytest.approx(0.0, abs=0.05)
@@ -72,7 +73,7 @@ def test_a_part_taught_by_the_lower_edges_of_its_breaks_is_laid_where_it_is(
 
 @pytest.mark.slow
 def test_a_part_without_breaks_has_none(tmp_path: Path) -> None:
-    """Textured all over: two steps take a fifth more of any profile, 0.39 mm off."""
+    """A textured part without breaks is laid without breaks."""
     laid, error = laid_from(tmp_path, 214, 5, 0.0)
     assert not laid.model.breaks_mm.any()
     assert error[2, 3] == pytest.approx(0.0, abs=0.02)
@@ -80,7 +81,7 @@ def test_a_part_without_breaks_has_none(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_a_part_whose_file_has_all_breaks_is_laid_without(tmp_path: Path) -> None:
-    """No edge of it may have one, so no profile is asked."""
+    """If the file already has all breaks, the part is laid without further ones."""
     drawn_model = drawing_of(tmp_path, 214)
     model = replace(drawn_model, breakable=np.zeros_like(drawn_model.breakable))
     laid = lay_with_breaks(images_of(214, 5), model, place(0.0))
@@ -92,7 +93,7 @@ def test_a_part_whose_file_has_all_breaks_is_laid_without(tmp_path: Path) -> Non
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, 3])
 def test_breaks_that_show_contradict_a_sharp_edge(tmp_path: Path, seed: int) -> None:
-    """Where light hid them at teaching, and now shows either end: the pose is off by tenths, and says so."""
+    """Breaks that were invisible at teaching and now show contradict a model with sharp edges."""
     sharp, at = drawing_of(tmp_path, 202), place(10.0)
     left, right = drawn(random_design(202), at, np.random.default_rng((seed, 202, 0)), teaching=False)[0]
     images = StereoImages.of(rig().rectification, left, right)
@@ -107,7 +108,8 @@ def test_breaks_that_show_contradict_a_sharp_edge(tmp_path: Path, seed: int) -> 
 
 @pytest.mark.slow
 def test_both_edges_of_breaks_leave_half_of_what_one_leaves(tmp_path: Path) -> None:
-    """A width too narrow leaves more, and so does a place aside."""
+    """With both edges of the breaks the profiles leave least; a width too narrow leaves more, and so does
+    a place aside."""
     model, images = drawing_of(tmp_path, 4), images_of(4, 5)
     view = LaidPair(images, Pyramids(images.rig, images.raw, 1), place(0.0))
     leaves = Leavings.of(with_breaks(model, 0.0), [view])
@@ -120,7 +122,7 @@ def test_both_edges_of_breaks_leave_half_of_what_one_leaves(tmp_path: Path) -> N
 
 @pytest.mark.slow
 def test_a_hole_is_moved_only_where_that_leaves_less_of_the_pair(tmp_path: Path) -> None:
-    """The hole of a part is where its file has it; in a file with the hole 0.3 mm aside it is not."""
+    """A hole that is 0.3 mm aside in the file is moved back, one at its place is not moved."""
     drawn_model, images = drawing_of(tmp_path, 4), images_of(4, 5)
     model = with_breaks(drawn_model, 0.394)
     view = LaidPair(images, Pyramids(images.rig, images.raw, 1), place(0.0))

@@ -1,4 +1,4 @@
-"""Parts that were taught from a pair alone, as the edges of their taught curves."""
+"""Parts that were taught from a pair alone, as edges of their taught curves."""
 
 from __future__ import annotations
 
@@ -34,7 +34,8 @@ def edges_beside(break_mm: float) -> EdgePoints:
 
 
 def test_the_second_edge_of_a_break_lies_in_the_wall() -> None:
-    """Of a hole within it, of the outline beyond it, and as much below the face as the break is wide."""
+    """The second edge lies inside a hole, outside of the outline, and as far below the face as the break
+    is wide."""
     job = taught().job
     beside = edges_beside(0.3)
     for circle in job.circles:
@@ -51,7 +52,7 @@ def test_the_second_edge_of_a_break_lies_in_the_wall() -> None:
 
 
 def test_a_lower_edge_that_was_taught_besides_is_no_second_curve() -> None:
-    """The rim of a hole 0.4 mm within another one and below it is the other end of its break."""
+    """A rim that was taught 0.4 mm within a hole and below it counts as the other end of its break."""
     job = taught().job
     hole = job.circles[0]
     below = replace(
@@ -67,7 +68,7 @@ def test_a_lower_edge_that_was_taught_besides_is_no_second_curve() -> None:
 
 @pytest.mark.parametrize("distortion", [(0.0,), (-0.8,), (0.6,), (-0.3, 0.1, 1e-3, -5e-4, 0.0)])
 def test_a_picture_without_distortion_holds_all_of_the_one_with_it(distortion: tuple[float, ...]) -> None:
-    """Each of its pixels shows what the lens puts there, and no pixel of the lens' picture is lost."""
+    """The undistorted picture shows every pixel of the distorted one, at its place."""
     model = "division" if len(distortion) == 1 else "brown"
     camera = CameraModel(model, 320, 240, 400.0, 405.0, 150.0, 130.0, distortion)
     plain, source, inside = straight(camera)
@@ -83,7 +84,7 @@ def test_a_picture_without_distortion_holds_all_of_the_one_with_it(distortion: t
 
 @pytest.mark.parametrize("seed", range(3))
 def test_a_pose_climbs_to_where_both_cameras_respond(seed: int) -> None:
-    """From some degrees and millimetres off, on the responses that the edges themselves would give."""
+    """From some degrees and millimetres off the pose reaches a higher response and a smaller error."""
     rig, model = small_rig(), curve_model(taught().job)
     where = lying(rig, 20.0, 30.0, 40.0)
     cameras = Cameras.of(rig, 2)
@@ -128,7 +129,7 @@ def test_a_pose_climbs_to_where_both_cameras_respond(seed: int) -> None:
 
 
 def test_a_part_that_its_shape_does_not_find_is_found_by_its_edges() -> None:
-    """The block tilted by 30 degrees, by a search that asks for all of its outline: to a tenth of a mm."""
+    """The block tilted by 30 degrees, not found by its outline, is found by its edges to a tenth of a mm."""
     here = taught()
     job = replace(here.job, search=replace(here.job.search, min_score=0.999))
     where = lying(here.rig.rig, 30.0, 100.0, 200.0)
@@ -140,7 +141,7 @@ def test_a_part_that_its_shape_does_not_find_is_found_by_its_edges() -> None:
 
 
 def test_a_job_of_a_few_small_circles_is_looked_for_all_the_same() -> None:
-    """Of three pins far apart too little is seen where the whole is small: nothing is found, and no error."""
+    """For three small pins far apart there is no good target and no error."""
     here = taught()
     pin = replace(here.job.circles[0], radius_mm=0.4)
     places = ((0.0, 0.0, 0.0), (60.0, 0.0, 0.0), (0.0, 60.0, -2.0))
@@ -152,7 +153,7 @@ def test_a_job_of_a_few_small_circles_is_looked_for_all_the_same() -> None:
 
 
 def test_stages_are_those_of_any_measurement() -> None:
-    """Also where a part is looked for twice: the pictures are rectified once, and no stage is lost."""
+    """Also with a second search the pictures are rectified once, and the stages are the usual ones."""
     here = taught()
     job = replace(here.job, search=replace(here.job.search, min_score=0.999))
     pair = frame_pair(*pair_of_block(here.rig, block(lying(here.rig.rig, 30.0, 100.0, 200.0))))

@@ -1,4 +1,4 @@
-"""The edge model of a solid, what a camera sees of it, and what its profiles measure."""
+"""The edge model of a solid, its visible edges, and the measurement of its profiles."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from edged.vision.teaching.cadbody import body_of
 
 
 def test_samples_move_in_the_picture_as_the_design_says() -> None:
-    """By each of the six small motions of the part, and by wider breaks, to a hundredth of the motion."""
+    """The samples move as the design states for each of the part's six motions, and for wider breaks."""
     where = lying(small_rig(), 30.0, 20.0, 40.0)
     for camera in (0, 1):
         view = Cameras.of(small_rig(), 0)
@@ -45,7 +45,8 @@ def test_samples_move_in_the_picture_as_the_design_says() -> None:
 
 @pytest.mark.slow
 def test_both_edges_of_a_break_lie_apart_by_its_width() -> None:
-    """0.3 mm in either face, and only at outer edges that are no break themselves."""
+    """Both edges of a break are its width apart in either face, and only outer edges without a drawn break
+    have one."""
     narrow, broken = sampled(model("D3", 0.1), 0.5), sampled(model("D3", 0.4), 0.5)
     assert narrow.sharp.sum() > 1.6 * sampled(model(), 0.5).sharp.sum()
     moves = np.linalg.norm(broken.by_break, axis=1)
@@ -57,7 +58,7 @@ def test_both_edges_of_a_break_lie_apart_by_its_width() -> None:
 
 @pytest.mark.parametrize("name", ["D1", "D2", "D3", "D4"])
 def test_a_body_keeps_the_breaks_that_a_pair_has_shown(name: str) -> None:
-    """The width of each edge goes to the body's line between the same vertices, and comes back from there."""
+    """The width of each edge is kept in the body's line between the same vertices, and read back from it."""
     body = body_of(read_step(CAD / f"{name}.step"), np.eye(4))
     assert body is not None
     plain = model_of(body)
@@ -70,7 +71,7 @@ def test_a_body_keeps_the_breaks_that_a_pair_has_shown(name: str) -> None:
 
 
 def test_neighbours_are_the_edges_that_a_sample_would_meet() -> None:
-    """Two parallel edges, 3 px apart: each has the other one as its neighbour, on the right side."""
+    """Two parallel edges 3 px apart are each other's neighbours, with the right sign."""
     x = np.arange(20.0, 80.0, 0.7)
     pixels = np.concatenate([np.column_stack([x, np.full_like(x, y)]) for y in (40.0, 43.0)])
     normals = np.tile([0.0, 1.0], (len(pixels), 1))
@@ -85,7 +86,7 @@ def test_neighbours_are_the_edges_that_a_sample_would_meet() -> None:
 
 @pytest.mark.parametrize("gap_px", [1.0, 2.0, 4.0])
 def test_two_merged_edges_are_measured_as_one_pair(gap_px: float) -> None:
-    """A bright break between a dark wall and a grey face, blurred by 0.6 px: within 0.02 px of its shift."""
+    """A bright break between a dark wall and a grey face, blurred by 0.6 px, is measured to 0.02 px."""
     places = np.arange(-10, 11) * 0.5
     shift, blur = 0.37, 0.6
 
@@ -103,9 +104,10 @@ def test_two_merged_edges_are_measured_as_one_pair(gap_px: float) -> None:
 
 
 def test_light_that_shows_the_upper_ends_of_unseen_breaks_moves_no_part() -> None:
-    """All edges at the upper ends of breaks of 0.07 mm: holes grow, outlines shrink, and the pose stays.
+    """If light shows the upper ends of unseen breaks of 0.07 mm, holes grow, outlines shrink, and the pose
+    stays.
 
-    An edge that can lie nowhere else turns the part instead: path-traced ones by up to 0.6 degrees.
+    With path-traced pictures an edge with no other place would turn the part by up to 0.6 degrees.
     """
     where = lying(small_rig(), 20.0, 20.0, 40.0)
     both = [seen(model(), where, camera) for camera in (0, 1)]
@@ -134,7 +136,8 @@ def test_light_that_shows_the_upper_ends_of_unseen_breaks_moves_no_part() -> Non
 
 
 def test_each_curve_says_by_its_own_scatter_what_it_is_worth() -> None:
-    """A rim that errs as a whole stands alone with it; one of four samples is taken to be like the others."""
+    """A curve that is displaced as a whole has a large sigma of its own; one with few samples gets that of
+    the others."""
     rng = np.random.default_rng(0)
     counts, offsets = (200, 60, 200, 4), (0.0, 0.8, 0.0, 0.0)
     left = np.concatenate([rng.normal(at, 0.06, many) for many, at in zip(counts, offsets, strict=True)])
@@ -145,7 +148,7 @@ def test_each_curve_says_by_its_own_scatter_what_it_is_worth() -> None:
 
 
 def test_curves_that_the_cameras_see_elsewhere_say_how_far_light_draws() -> None:
-    """Half of the curves 0.6 px to the right in the left camera, the others to the left: 0.4 px of either."""
+    """The disagreement of curves that are 0.6 px to the right or left in one camera is 0.4 px."""
     where = lying(small_rig(), 20.0, 20.0, 40.0)
     both = [seen(model(), where, camera) for camera in (0, 1)]
     camera = np.repeat([0, 1], [len(each.row) for each in both])
@@ -160,7 +163,7 @@ def test_curves_that_the_cameras_see_elsewhere_say_how_far_light_draws() -> None
 
 @pytest.mark.slow
 def test_turns_that_leave_a_part_like_itself_are_its_rivals() -> None:
-    """A flange with four holes, one of them odd: by quarter turns; an L-shaped plate by none."""
+    """A flange with four holes has the quarter turns as rivals, an L-shaped plate none."""
     flange = model("D1")
     turns = {
         round(math.degrees(math.atan2(one[1, 0], one[0, 0]))) % 360 for one in like_turns(flange, (0.0, 0.0))
@@ -171,7 +174,7 @@ def test_turns_that_leave_a_part_like_itself_are_its_rivals() -> None:
 
 
 def test_a_part_hides_its_own_far_side() -> None:
-    """Seen from above, no sample of the bottom outline is left but what stands out beside the top."""
+    """From above few samples of the bottom outline are visible."""
     bottom = float(model().vertices[:, 2].max())
     points = sampled(model(), 0.5).points[seen(model(), lying(small_rig(), 0.0, 0.0, 0.0), 0).row]
     low = points[np.abs(points[:, 2] - bottom) < 1e-6]

@@ -1,4 +1,4 @@
-"""What steps leave of profiles is what least squares leave."""
+"""The remainder of a profile after fitting steps equals that of least squares."""
 
 from __future__ import annotations
 
@@ -12,7 +12,8 @@ from edged.vision.solid.params import PROFILE
 
 
 def test_what_steps_leave_is_that_of_least_squares() -> None:
-    """With slopes beyond the edges, and without; one edge, two, and one that lies outside."""
+    """With and without slopes, for one or two edges, the remainder is that of least squares, and NaN for
+    an edge outside."""
     rng = np.random.default_rng(4)
     size, blur, reach = 33, 0.8, 7.0
     places = PROFILE.step_px * (np.arange(size) - size // 2)

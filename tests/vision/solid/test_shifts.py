@@ -1,4 +1,4 @@
-"""How far the steps of a profile lie from where they were predicted."""
+"""The distance of a profile's steps from their predicted places."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from edged.vision.solid.shifts import DAMPING, NEAR, STEP_PX, misfit_at
 
 @given(st.integers(0, 2**32 - 1), st.integers(1, NEAR + 1), st.floats(-2.5, 2.5), st.floats(0.45, 1.5))
 def test_a_misfit_is_what_fitted_steps_leave(seed: int, many: int, shift: float, blur: float) -> None:
-    """Of any profile and any steps, as the equations solved in plain numpy have it."""
+    """For any profile and steps, heights and remainder equal those of the equations solved in numpy."""
     rng = np.random.default_rng(seed)
     grey, edges = rng.uniform(0, 255, 21), rng.uniform(-7, 7, NEAR + 1)
     places = STEP_PX * np.arange(-10, 11)

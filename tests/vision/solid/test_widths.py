@@ -1,4 +1,4 @@
-"""Which widths of edge breaks a part is looked for by where no pair has settled them."""
+"""The widths of edge breaks that a part is searched with while no pair has settled them."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from edged.vision.solid.params import BREAKS
 from edged.vision.teaching.pair import teach
 
 DESIGN = 4
-"""One with breaks of 0.39 mm, which its teaching pair does not settle."""
+"""A design with breaks of 0.39 mm, which its teaching pair does not settle."""
 
 
 @pytest.mark.slow
 def test_where_narrow_breaks_lead_nowhere_a_part_is_looked_for_by_wide_ones(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """A picture that shows it by narrow ones is searched once."""
+    """A part is searched once with narrow breaks, and again with wide ones if those find nothing."""
     looked: list[float] = []
 
     def found(wanted: SearchedPart, pyramids: Pyramids) -> list[PartPlace]:

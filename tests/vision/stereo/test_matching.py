@@ -1,4 +1,4 @@
-"""Matching along rows: the kernels against their twins, precision against its bound, and refusals."""
+"""Matching along rows: kernels equal their twins, precision is near its bound, wrong points are refused."""
 
 from __future__ import annotations
 
@@ -122,7 +122,7 @@ def test_sigma_follows_noise_and_window(noise: float, half: int) -> None:
 
 
 def test_sigma_is_honest_where_gradients_are_half_noise() -> None:
-    """Grain that runs along the rows: noise in the gradients is no information, and sigma knows it."""
+    """With noise in the gradients of grain along the rows the stated sigma is still the scatter."""
     rng = np.random.default_rng(14)
     grain = random_texture(0, grey=14.0)
     plane = np.array([7.3, -0.06, 0.0])
@@ -144,7 +144,7 @@ def test_sigma_is_honest_where_gradients_are_half_noise() -> None:
 
 @pytest.mark.slow
 def test_all_fractions_of_a_pixel_are_alike() -> None:
-    """No pull towards whole or half pixels: without noise the error is below 0.005 px at every fraction."""
+    """There is no pull towards whole or half pixels: without noise the mean error is below 0.005 px."""
     texture = random_texture(2)
     for fraction in np.arange(0, 1, 0.125):
         left, right = slanted_pair(texture, np.array([6.0 + fraction, 0.0, 0.0]))
@@ -159,7 +159,7 @@ def test_all_fractions_of_a_pixel_are_alike() -> None:
 
 
 def test_gain_and_offset_do_not_matter() -> None:
-    """The right camera may see it brighter or with less contrast."""
+    """A brighter right image, or one of less contrast, gives the same disparities."""
     left, right = slanted_pair(random_texture(0), np.array([7.3, 0.1, 0.0]))
     truth = 7.3 + (POINTS - MIDDLE) @ (0.1, 0.0)
     rng = np.random.default_rng(6)
@@ -205,7 +205,7 @@ def test_points_of_a_part_are_where_they_are() -> None:
 
 @pytest.mark.slow
 def test_grain_along_the_rows_widens_sigma() -> None:
-    """On metal brushed along the rows a row that is off by little moves the match: sigma knows it."""
+    """On metal brushed along the rows sigma is large and equals the scatter."""
     chi2 = []
     for seed in range(3, 7):
         matches, error_px, _ = matches_on_a_flange(Surface(0.62, 0.1, 0.35, 6.0, 1), seed)
@@ -219,7 +219,7 @@ def test_grain_along_the_rows_widens_sigma() -> None:
 
 
 def only(matches: NccMatches) -> PairingReason:
-    """The one reason all points share; a refused point has no number."""
+    """The only reason of all points; refused points have no number."""
     (reason,) = set(matches.reason.tolist())
     for values in (matches.disparity_px, matches.sigma_px, matches.slope):
         assert np.isnan(values).all() == (reason != PairingReason.ACCEPTED)
@@ -232,19 +232,19 @@ def noisy(view: FloatArray) -> tuple[Image, Image]:
 
 
 def test_nothing_to_see_is_refused() -> None:
-    """Noise on an even face is no texture."""
+    """Noise on an even face is refused as textureless."""
     assert only(match_ncc(*noisy(np.full(SHAPE, 120.0)), POINTS, (-20, 20))) is PairingReason.TEXTURELESS
 
 
 def test_stripes_along_the_row_are_refused() -> None:
-    """Edges parallel to the row have no disparity of their own."""
+    """Edges parallel to the row are refused."""
     stripes = 120 + 40 * np.sin(0.6 * np.mgrid[: SHAPE[0], : SHAPE[1]][0])
     assert only(match_ncc(*noisy(stripes), POINTS, (-20, 20))) is PairingReason.EDGE_PARALLEL
 
 
 @pytest.mark.slow
 def test_unrelated_images_do_not_match() -> None:
-    """Another scene in the right image gives no disparity at all."""
+    """Another scene in the right image is refused for a low score."""
     left, _ = slanted_pair(random_texture(0), np.zeros(3))
     other, _ = slanted_pair(random_texture(9), np.zeros(3))
     matches = match_ncc(
@@ -255,7 +255,7 @@ def test_unrelated_images_do_not_match() -> None:
 
 
 def test_a_repeated_pattern_is_ambiguous() -> None:
-    """Two equally good places are none."""
+    """A repeated pattern is ambiguous, unless the range is less than a period."""
     y, x = np.mgrid[: SHAPE[0], : SHAPE[1]].astype(float)
     pattern = 120 + 20 * np.sin(2 * np.pi * x / 12) + 20 * np.sin(2 * np.pi * y / 15)
     matches = match_ncc(*noisy(pattern), POINTS, (-20, 20))
@@ -267,7 +267,7 @@ def test_a_repeated_pattern_is_ambiguous() -> None:
 
 @pytest.mark.slow
 def test_the_way_back_must_agree() -> None:
-    """A point whose match belongs to a better partner in the left image is refused."""
+    """A point whose match has a better partner in the left image is refused."""
     rng = np.random.default_rng(3)
     patch = slanted_pair(random_texture(0), np.zeros(3))[0][40:81, 40:81]
     background = [slanted_pair(random_texture(seed), np.zeros(3))[0] for seed in (5, 6)]
@@ -298,7 +298,7 @@ def test_the_way_back_must_agree() -> None:
 def test_what_leaves_image_or_range_is_refused(
     point: tuple[float, float], search: tuple[float, float]
 ) -> None:
-    """A window or a peak that is not wholly inside has no disparity."""
+    """A point whose window or peak leaves the image or the range is refused."""
     left, right = slanted_pair(random_texture(0), np.array([7.3, 0.0, 0.0]))
     rng = np.random.default_rng(8)
     assert (
@@ -308,7 +308,7 @@ def test_what_leaves_image_or_range_is_refused(
 
 
 def test_swapped_images_are_refused() -> None:
-    """With left and right exchanged the disparity has the wrong sign and lies outside of the range."""
+    """With swapped images, all points are refused, because their disparity is outside of the range."""
     left, right = slanted_pair(random_texture(0), np.array([17.3, 0.05, 0.0]))
     rng = np.random.default_rng(9)
     pair = exposed(left, rng), exposed(right, rng)
@@ -317,7 +317,7 @@ def test_swapped_images_are_refused() -> None:
 
 
 def test_identical_images_have_no_disparity() -> None:
-    """An image against itself: exactly zero, where the range allows it."""
+    """An image against itself has the disparity zero, or none if the range excludes it."""
     view = exposed(slanted_pair(random_texture(0), np.zeros(3))[0], np.random.default_rng(1))
     matches = match_ncc(view, view, POINTS, (-20, 20))
     np.testing.assert_allclose(matches.disparity_px, 0.0, atol=1e-6)
@@ -325,7 +325,7 @@ def test_identical_images_have_no_disparity() -> None:
 
 
 def test_every_point_has_its_own_range() -> None:
-    """Ranges (N, 2) hold for each point alone."""
+    """Ranges (N, 2) apply to their own point."""
     left, right = slanted_pair(random_texture(0), np.array([7.3, 0.0, 0.0]))
     rng = np.random.default_rng(10)
     ranges = np.array([(0.0, 20.0) if k % 2 else (20.0, 40.0) for k in range(len(POINTS))])
@@ -336,7 +336,7 @@ def test_every_point_has_its_own_range() -> None:
 @given(st.integers(0, 2**32 - 1), st.integers(3, 20))
 @settings(max_examples=30)
 def test_any_input_has_an_answer(seed: int, half: int) -> None:
-    """Whatever the pixels, points and ranges: a number with a positive sigma, or a reason and NaN."""
+    """Any pixels, points and ranges give a number with a positive sigma, or NaN with a reason."""
     rng = np.random.default_rng(seed)
     shape = tuple(rng.integers(1, 90, 2))
     images = [rng.integers(0, rng.integers(1, 257), shape).astype(np.uint8) for _ in range(2)]
@@ -352,7 +352,7 @@ def test_any_input_has_an_answer(seed: int, half: int) -> None:
 
 
 def test_wrong_arguments_are_named() -> None:
-    """Images that differ, points and ranges of the wrong shape: a clear error."""
+    """Images of different size or type and points of the wrong shape are refused."""
     grey = np.zeros((50, 60), np.uint8)
     with pytest.raises(ImageError, match="differ in size"):
         match_ncc(grey, grey[:, 1:], POINTS, (0, 1))
@@ -372,13 +372,13 @@ def test_wrong_arguments_are_named() -> None:
 
 @pytest.fixture
 def picture() -> Image:
-    """A little of everything."""
+    """A random picture."""
     return np.random.default_rng(11).integers(0, 256, (40, 60)).astype(np.uint8)
 
 
 @pytest.mark.parametrize(("stretch", "shear"), [(1.0, 0.0), (0.8, 0.2), (1.25, -0.3), (2.5, 0.9)])
 def test_sheared_window_is_linear_interpolation(picture: Image, stretch: float, shear: float) -> None:
-    """The window has the grey values between the pixels, clamped at the border."""
+    """The window has the interpolated grey values, clamped at the border."""
     window = np.empty((15, 15), np.int32)
     ncc.sheared_window(picture, 28, 19, stretch, shear, 7, window)
     expected = naive.sheared_window(picture, 28, 19, stretch, shear, 7)
@@ -389,7 +389,7 @@ def test_sheared_window_is_linear_interpolation(picture: Image, stretch: float, 
 
 @pytest.mark.parametrize("half", [3, 10])
 def test_ncc_is_pearsons_correlation(picture: Image, half: int) -> None:
-    """Every score is the correlation of two windows; a flat window correlates with nothing."""
+    """Every score is the correlation of two windows, 0 for a flat one."""
     picture[:, 30:55] = 77
     size = 2 * half + 1
     window = np.empty((size, size), np.int32)
@@ -419,7 +419,7 @@ def test_largest_window_does_not_overflow() -> None:
 @given(st.lists(st.floats(-1, 1), min_size=3, max_size=30))
 @settings(max_examples=200)
 def test_find_peak_as_its_twin(scores: list[float]) -> None:
-    """The peak, and the ratio of the highest other hill to it."""
+    """The peak, and the ratio of the highest other peak to it, are the twin's."""
     found = np.full(4, np.nan)
     index = ncc.find_peak(np.array(scores), len(scores), found)
     expected = naive.find_peak(scores) if max(scores) > 0 else None
@@ -446,7 +446,7 @@ def test_smoothing_is_its_matrix() -> None:
 
 
 def test_splines_pass_through_their_samples() -> None:
-    """Resampled at whole pixels the spline is the image, in between it is the sum of its bells."""
+    """At whole pixels the spline equals the image, in between the sum of its bells."""
     _, samples, _ = patches()
     wide = np.pad(samples, ((0, 0), (12, 12)), mode="edge")
     spline = wide.copy()
@@ -528,7 +528,7 @@ def test_slope_of_smoothed_noise() -> None:
 
 
 def test_a_fit_without_a_solution_says_so() -> None:
-    """Unrelated patches, and a match far off: diverged, never a number."""
+    """Unrelated patches and a far match diverge, and never give a number."""
     p = leastsquares.make_patches(6)
     outcomes = set()
     for seed in range(20):

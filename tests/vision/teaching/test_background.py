@@ -1,4 +1,4 @@
-"""A table as textured as it may be: what is learnt is the part."""
+"""A strongly textured table is not taught, only the part."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from edged.vision.teaching.features import TeachingView, plane_of, strong_contou
 from edged.vision.teaching.pair import teach
 
 TABLE = Surface(albedo=0.3, contrast=0.9, feature_mm=0.8, seed=2)
-"""Blotches as bright and as dark as the part, 12 px wide."""
+"""Blotches as bright and dark as the part, 12 px wide."""
 
 
 @pytest.fixture(scope="module")
@@ -30,12 +30,12 @@ def flat() -> Flange:
 
 @pytest.fixture(scope="module")
 def rectification(flat: Flange) -> Rectification:
-    """Its rig, prepared."""
+    """The rectification of its rig."""
     return make_rectification(flat.rig)
 
 
 def outline_px(flat: Flange, rectification: Rectification, where: FloatArray) -> FloatArray:
-    """(N, 2) of the rectified left image: points on all circles of the flange at a pose."""
+    """(N, 2) points on all circles of the flange at a pose, in the rectified left image."""
     turns = np.linspace(0, 2 * math.pi, 720, endpoint=False)
     rings = [
         np.column_stack(
@@ -49,8 +49,8 @@ def outline_px(flat: Flange, rectification: Rectification, where: FloatArray) ->
 
 @pytest.mark.slow
 def test_a_strong_texture_is_not_learnt(flat: Flange, rectification: Rectification) -> None:
-    """In regions with much of the table nine of ten model points lie on the part, and it is found on another
-    such table, turned and nearer, to 0.5 px."""
+    """In regions with much of the table nine of ten model points lie on the part, and it is found on
+    another such table, turned and nearer, to 0.5 px."""
     region = region_around(flat.rig, pose()[:3, 3], 16.0)
     outline, shares = outline_px(flat, rectification, pose()), []
     for seed in range(9, 15):
@@ -71,8 +71,8 @@ def test_a_strong_texture_is_not_learnt(flat: Flange, rectification: Rectificati
 
 
 def test_on_a_quiet_table_the_region_stays_as_it_is(flat: Flange, rectification: Rectification) -> None:
-    """Nothing is cut where most edges are the part's; at a wrong depth no edge agrees, and nothing is cut
-    either: then the region speaks for itself."""
+    """If most edges are the part's, nothing is cut from the region; also not at a wrong depth, where no
+    edge agrees."""
     mask = np.zeros_like(rectification.left_image(flat.left))
     x, y = outline_px(flat, rectification, pose())[:720].mean(axis=0).round().astype(int)
     mask[y - 130 : y + 130, x - 130 : x + 130] = 255
@@ -83,7 +83,7 @@ def test_on_a_quiet_table_the_region_stays_as_it_is(flat: Flange, rectification:
 
 
 def test_contours_tell_the_face_from_one_that_leans(flat: Flange, rectification: Rectification) -> None:
-    """By a degree and a half about its middle: a hole of 4 mm leans so if its edges are 0.1 mm apart."""
+    """Contours tell the face from a plane that leans by 1.5°."""
     mask = np.full_like(rectification.left_image(flat.left), 255)
     view = TeachingView(StereoImages.of(rectification, flat.left, flat.right), mask)
     contours, middle = strong_contours(view), pose()[:3, 3]

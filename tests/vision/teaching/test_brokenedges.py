@@ -1,4 +1,4 @@
-"""Both edges of broken rims, found in the pair that a part is taught from: drawn, with known truth."""
+"""Both edges of broken rims, found in the teaching pair: drawn, with known truth."""
 
 from __future__ import annotations
 
@@ -25,24 +25,24 @@ from edged.vision.teaching.pair import teach
 from edged.vision.teaching.reteaching import carry_over
 
 BROKEN = {4: 0.394, 207: 0.191, 216: 0.493}
-"""Designs with breaks of one width: chamfers, each camera shows them in a light of its own."""
+"""Designs whose breaks all have one width: chamfers that each camera sees in another light."""
 SHARP = (1, 5, 6, 10)
 
 
 @functools.cache
 def taught(design: int) -> Job:
-    """A part from one pair, by single edges."""
+    """A part taught from one pair, by single edges."""
     return teach(*pair(design), rig().rectification, None, "part")
 
 
 @functools.cache
 def settled(design: int) -> tuple[Job, tuple[str, ...]]:
-    """The same by both edges of its breaks, where the pair shows them."""
+    """The same part by both edges of its breaks, if the pair shows them."""
     return with_breaks_shown(taught(design), pair(design), (), rig().rectification)
 
 
 def upper_circles(design: int) -> list[tuple[FloatArray, float]]:
-    """Centres (3,) in the rig's frame, and radii, of all edges in faces, as they truly are."""
+    """The true centres (3,) in the rig's frame, and radii, of all edges in faces."""
     truth = part_json(random_design(design), place(0.0), 0.0, rig().rig)
     circles = [circle for circle in truth["circles"] if circle.get("role") == "break_face"]
     return [(np.array(circle["centre_left_mm"]), circle["radius_mm"]) for circle in circles]
@@ -51,7 +51,7 @@ def upper_circles(design: int) -> list[tuple[FloatArray, float]]:
 @pytest.mark.slow
 @pytest.mark.parametrize("design", BROKEN)
 def test_both_edges_of_each_break_are_found(design: int) -> None:
-    """Its width to 0.03 mm, and most circles where the upper edges are, to 0.03 mm."""
+    """The break width is found to 0.03 mm, and most circles at the upper edges, to 0.03 mm."""
     job, said = settled(design)
     assert job.break_end == "face"
     assert job.break_mm == pytest.approx(BROKEN[design], abs=0.03)
@@ -69,7 +69,7 @@ def test_both_edges_of_each_break_are_found(design: int) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("design", SHARP)
 def test_walls_beside_sharp_edges_are_no_breaks(design: int) -> None:
-    """Slopes of grey values beyond an edge gain as a second edge would: the job stays as it was."""
+    """For a part with sharp edges the job stays as it was."""
     job, said = settled(design)
     assert job is taught(design)
     assert said == ()
@@ -77,7 +77,7 @@ def test_walls_beside_sharp_edges_are_no_breaks(design: int) -> None:
 
 @pytest.mark.slow
 def test_a_part_whose_breaks_were_shown_is_measured_by_both_edges(tmp_path: Path) -> None:
-    """Tilted by 25 degrees, by the job as its file keeps it, at the true pose to 0.05 mm."""
+    """At 25 degrees the part is measured by its saved job to 0.05 mm."""
     design = 216
     proposal = propose_from_pair(*pair(design), rig().rectification, WantedJob("part", 1, tilt_deg=45.0))
     save_job(tmp_path / "part", proposal.job)
@@ -92,7 +92,7 @@ def test_a_part_whose_breaks_were_shown_is_measured_by_both_edges(tmp_path: Path
 
 @pytest.mark.slow
 def test_such_a_part_is_measured_by_both_edges_whatever_tilt_it_may_have() -> None:
-    """Its features are the edges in the faces; by single ones it lay 0.39 mm off, the width of its breaks."""
+    """Without a tilt in the job the part is measured by both edges, too: right to 0.02 mm."""
     job = replace(settled(4)[0], tilt_rad=None)
     assert not job.solid
     target = locate(frame_pair(*pair(4)), job, rig()).targets[0]
@@ -103,7 +103,7 @@ def test_such_a_part_is_measured_by_both_edges_whatever_tilt_it_may_have() -> No
 
 @pytest.mark.slow
 def test_taught_again_nothing_counts_as_edited() -> None:
-    """Light decides which edge of a broken rim is measured, so none of its sizes is known."""
+    """No size counts as known or edited, because the light decides which edge of a break is measured."""
     job, _ = settled(216)
     assert job.witness is None
     again, said = carry_over(job, job)

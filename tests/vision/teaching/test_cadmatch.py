@@ -1,4 +1,4 @@
-"""A taught part laid onto its CAD model: found from any place, and what differs is named."""
+"""A taught part matched to its CAD model: found from any place, and differences are named."""
 
 from __future__ import annotations
 
@@ -27,12 +27,12 @@ Features = tuple[tuple[CircleFeature, ...], tuple[EdgeFeature, ...]]
 
 @functools.cache
 def model_of(part: str) -> ModelCurves:
-    """What the cameras see of a part."""
+    """The model's curves that the cameras can see."""
     return curves_towards(read_step(DATA / f"{part}.step"), np.array([0.0, 0.0, -1.0]))
 
 
 def taught(model: ModelCurves, part_from_model: FloatArray, seed: int = 0, sigma_mm: float = 0.0) -> Features:
-    """The model's curves as a pair would show them; of an edge break either edge."""
+    """The model's curves as a pair shows them, of an edge break either edge."""
     rng = np.random.default_rng(seed)
     circles, edges = [], []
     for k, one in enumerate(model.circles):
@@ -48,7 +48,7 @@ def taught(model: ModelCurves, part_from_model: FloatArray, seed: int = 0, sigma
 
 
 def placed(turn: float, x: float, y: float, z: float) -> FloatArray:
-    """part_from_model."""
+    """part_from_model of a turn and a place."""
     return transform(about_z(turn), np.array([x, y, z]))
 
 
@@ -65,7 +65,8 @@ motions = st.builds(
 @settings(max_examples=12)
 @given(part=st.sampled_from(["D1", "D2", "D3", "D4"]), motion=motions, seed=st.integers(0, 1000))
 def test_a_part_is_found_wherever_its_frame_is(part: str, motion: FloatArray, seed: int) -> None:
-    """From curves that are off by 5 µm, the frame within 10 µm at the part's rim, and every curve known."""
+    """From curves with errors of 5 µm the frame is right to 10 µm at the part's rim, and no curve is
+    missing."""
     model = model_of(part)
     found = register(*taught(model, motion, seed, 0.005), model, part)
     corners = np.array([[15.0, 0.0, 0.0], [-15.0, 0.0, 0.0], [0.0, 15.0, 0.0]])
@@ -77,7 +78,7 @@ def test_a_part_is_found_wherever_its_frame_is(part: str, motion: FloatArray, se
 @settings(max_examples=12)
 @given(motion=motions, keep=st.sets(st.integers(0, 7), min_size=4))
 def test_the_pair_need_not_show_every_curve(motion: FloatArray, keep: set[int]) -> None:
-    """Any four holes of the block say where it is."""
+    """Four holes of the block determine its frame."""
     model = model_of("D2")
     circles, _ = taught(model, motion)
     found = register(tuple(circles[k] for k in sorted(keep)), (), model, "D2")
@@ -85,7 +86,7 @@ def test_the_pair_need_not_show_every_curve(motion: FloatArray, keep: set[int]) 
 
 
 def test_straight_edges_alone_are_enough() -> None:
-    """An L says by its outline where it is."""
+    """The outline of an L determines its frame."""
     model, motion = model_of("D3"), placed(2.0, 5.0, -3.0, 1.0)
     found = register((), taught(model, motion)[1], model, "D3")
     assert motion == pytest.approx(found.part_from_model, abs=1e-6)
@@ -116,7 +117,7 @@ def test_any_axis_of_the_file_may_point_up() -> None:
 
 @pytest.mark.parametrize("part", ["D2", "D3", "D4"])
 def test_a_mirror_image_is_refused_by_name(part: str) -> None:
-    """The counterpart of a part has the same sizes, and is another part."""
+    """The mirror image of a part, which has the same sizes, is refused as such."""
     model = model_of(part)
     flip = np.diag([-1.0, 1.0, 1.0, 1.0])
     with pytest.raises(TeachError, match=rf"{part}: fits the part only as seen in a mirror"):
@@ -124,13 +125,13 @@ def test_a_mirror_image_is_refused_by_name(part: str) -> None:
 
 
 def test_another_part_is_refused() -> None:
-    """It says how many curves fit, of how many."""
+    """Another part is refused with the number of curves that fit."""
     with pytest.raises(TeachError, match=re.escape("D1: fits 0 of the 19 curves")):
         register(*taught(model_of("D2"), placed(0.1, 0.0, 0.0, 0.0)), model_of("D1"), "D1")
 
 
 def test_a_moved_hole_is_known_for_itself() -> None:
-    """It is off by what it was moved by, and nothing else is."""
+    """A moved hole is off by its displacement, and nothing else is."""
     model, motion = model_of("D2"), placed(1.0, 2.0, 3.0, 0.0)
     circles, edges = taught(model, motion)
     moved = replace(circles[3], centre_mm=circles[3].centre_mm + np.array([0.3, 0.0, 0.0]))
@@ -141,7 +142,7 @@ def test_a_moved_hole_is_known_for_itself() -> None:
 
 
 def test_what_the_pair_must_show_and_does_not_is_said() -> None:
-    """Four bolt holes alone fit in four ways, and the model is not the same in all of them."""
+    """Four bolt holes that fit in four ways are refused, because the model is not symmetric."""
     model = model_of("D1")
     circles, _ = taught(model, placed(0.2, 0.0, 0.0, 0.0))
     bolts = tuple(one for one in circles if one.radius_mm == pytest.approx(1.8))
@@ -150,7 +151,7 @@ def test_what_the_pair_must_show_and_does_not_is_said() -> None:
 
 
 def test_a_side_without_features_is_named() -> None:
-    """Nothing looks up: another axis is asked for."""
+    """A side without features is refused with a hint at the up axis."""
     empty = replace(model_of("D3"), circles=(), edges=())
     with pytest.raises(TeachError, match="expected another up axis"):
         register(*taught(model_of("D3"), np.eye(4)), empty, "D3")

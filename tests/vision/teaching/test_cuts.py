@@ -20,12 +20,12 @@ def flat() -> cells.Flange:
 
 @pytest.fixture(scope="module")
 def rectification(flat: cells.Flange) -> Rectification:
-    """Of its rig."""
+    """The rectification of its rig."""
     return make_rectification(flat.rig)
 
 
 def cuts_of(flat: cells.Flange, rectification: Rectification, region: Region | None) -> tuple[Cut, ...]:
-    """What a region cuts of the job that it teaches."""
+    """The cuts of the job that a region teaches."""
     job = teach(flat.left, flat.right, rectification, region, "x")
     mask = taught_mask(region, (), rectification)
     return cut_edges(job, rectification.left_image(flat.left), mask, rectification)
@@ -44,7 +44,7 @@ def test_the_whole_picture_teaches_as_well(flat: cells.Flange, rectification: Re
 
 @pytest.mark.slow
 def test_a_region_around_the_part_cuts_nothing(flat: cells.Flange, rectification: Rectification) -> None:
-    """Tight or with a lot of textured table in it."""
+    """A region around the part cuts nothing, tight or with much textured table."""
     r = flat.region
     for wider in (-10.0, 0.0, 60.0):
         around = Region(r.x - wider, r.y - wider, r.width + 2 * wider, r.height + 2 * wider)
@@ -52,7 +52,7 @@ def test_a_region_around_the_part_cuts_nothing(flat: cells.Flange, rectification
 
 
 def test_a_circle_that_is_cut_is_named(flat: cells.Flange, rectification: Rectification) -> None:
-    """The reference by its name, and where the region's border meets it."""
+    """The cut reference is named, with the place where the region's border meets it."""
     r = flat.region
     texts = [cut.text for cut in cuts_of(flat, rectification, Region(r.x, r.y, 0.8 * r.width, r.height))]
 
@@ -61,7 +61,7 @@ def test_a_circle_that_is_cut_is_named(flat: cells.Flange, rectification: Rectif
 
 
 def test_a_part_that_is_cut_all_around_is_noticed(flat: cells.Flange, rectification: Rectification) -> None:
-    """A region inside the outline teaches the bore as reference: that the outline goes on is said."""
+    """A region inside the outline is reported as a cut."""
     r = flat.region
     inner = Region(r.x + 0.1 * r.width, r.y + 0.1 * r.height, 0.8 * r.width, 0.8 * r.height)
     cuts = cuts_of(flat, rectification, inner)
@@ -71,7 +71,7 @@ def test_a_part_that_is_cut_all_around_is_noticed(flat: cells.Flange, rectificat
 
 
 def test_a_part_that_leaves_the_picture_is_noticed(flat: cells.Flange, rectification: Rectification) -> None:
-    """The picture is a region, too: a disc that is half outside is not taught as if it were whole."""
+    """A disc that is half outside of the picture is reported as cut by the picture."""
     where = cells.pose((8.0, 22.0, 205.0))
     left, right = cells.pictures(flat.rig, cells.scene((flat.part, where)))
     job = teach(left, right, rectification, None, "x")

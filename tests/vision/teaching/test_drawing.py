@@ -37,7 +37,7 @@ def square(size_mm: float) -> FloatArray:
 @settings(max_examples=8)
 @given(st.integers(0, 10_000))
 def test_coverage_is_the_area_in_each_pixel(seed: int) -> None:
-    """A convex polygon anywhere, also beyond the picture, against counting sub-pixels."""
+    """The coverage of a convex polygon, also beyond the picture, equals the count of sub-pixels."""
     rng = np.random.default_rng(seed)
     angles = np.sort(rng.uniform(0, 2 * np.pi, 6))
     points = rng.uniform(0, 12, 2) + rng.uniform(1, 7) * np.column_stack([np.cos(angles), np.sin(angles)])
@@ -48,7 +48,8 @@ def test_coverage_is_the_area_in_each_pixel(seed: int) -> None:
 
 @pytest.mark.slow
 def test_a_drawn_part_is_located_like_a_taught_one(tmp_path: Path) -> None:
-    """The drawing's own sizes, position to microns, the true rotation, through a saved and loaded job."""
+    """A saved and loaded job from a drawing has the drawing's sizes and finds the part's place and
+    rotation."""
     rig = cells.small_rig()
     outlines = read_dxf(flange_drawing(tmp_path))
     job, _ = teach_drawing(outlines, make_rectification(rig), DEPTH_MM, "flange")
@@ -69,7 +70,7 @@ def test_a_drawn_part_is_located_like_a_taught_one(tmp_path: Path) -> None:
 
 
 def test_a_part_of_edges_is_referred_to_a_corner() -> None:
-    """Without a circle the origin is a corner, and every long side is an edge with its bright side named."""
+    """Without a circle the origin is a corner, and every long side is an edge with its polarity."""
     rectification = make_rectification(cells.small_rig())
     outline = np.array([[0.0, 0.0], [30.0, 0.0], [30.0, 12.0], [18.0, 20.0], [0.0, 20.0]])
 
@@ -99,13 +100,13 @@ def test_a_part_of_edges_is_referred_to_a_corner() -> None:
 def test_a_drawing_that_cannot_be_a_job_is_refused(
     outlines: list[FloatArray], depth_mm: float, expected: str
 ) -> None:
-    """With the reason; unit and distance are what is usually wrong."""
+    """A drawing that cannot be a job is refused with the reason."""
     with pytest.raises(TeachError, match=expected):
         teach_drawing(outlines, make_rectification(cells.small_rig()), depth_mm, "x")
 
 
 def test_the_source_is_a_pair_or_a_drawing() -> None:
-    """Nothing, both, or half of one: what is missing is said."""
+    """No source, both sources or an incomplete one are refused with what is missing."""
     pair, drawing = (
         PairSource(Path("l"), Path("r"), "0,0,9,9"),
         DrawingSource(Path("d"), None, 200.0, [], None),

@@ -1,4 +1,4 @@
-"""Where in a picture a part is: found for light, dark and two-coloured parts on a table with a texture."""
+"""The place of a part in a picture: for light, dark and two-coloured parts on a textured table."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ WIDTH, HEIGHT = 640, 480
 
 
 def table(grey: float, contrast: float, seed: int = 0, slope: float = 0.0) -> np.ndarray:
-    """A texture with features of some px, and a light that falls off to one side."""
+    """A texture with features of some px, and light that falls off to one side."""
     rng = np.random.default_rng(seed)
     texture = cv2.GaussianBlur(rng.normal(0, 1, (HEIGHT, WIDTH)), (0, 0), 4.0)
     fall = 1 + slope * (np.arange(WIDTH) / WIDTH - 0.5)
@@ -45,7 +45,7 @@ def picture(ground: np.ndarray, mask: Image, *greys: float) -> Image:
 
 
 def check_around(corners: np.ndarray, mask: Image) -> None:
-    """All of the part is inside, and little else."""
+    """Check that all of the part is inside, and little else."""
     inside = PolygonRegion(corners).painted(WIDTH, HEIGHT)
     assert not np.any((mask > 0) & (inside == 0)), "a piece of the part is outside"
     wide = cv2.dilate(mask, np.ones((41, 41), np.uint8))
@@ -66,7 +66,7 @@ def check_around(corners: np.ndarray, mask: Image) -> None:
 def test_a_part_is_found_with_and_without_a_tap(
     shape: str, grey: float, contrast: float, slope: float, greys: tuple[float, ...]
 ) -> None:
-    """Its outline is inside of the region with a margin, whatever is brighter."""
+    """The part's outline is within the region with a margin, whether part or table is brighter."""
     mask = part(shape)
     image = picture(table(grey, contrast, slope=slope), mask, *greys)
 
@@ -79,7 +79,7 @@ def test_a_part_is_found_with_and_without_a_tap(
 
 
 def test_tapped_in_its_hole_a_part_comes_before_the_hole() -> None:
-    """Of what lies around a point the largest is first; the hole is the next."""
+    """For a tap in its hole the ring comes first and the hole next."""
     image = picture(table(40.0, 0.25), part("ring"), 150.0)
     ring, hole = parts_at(image, 330.0, 240.0)
     check_around(ring, part("ring"))
@@ -88,7 +88,7 @@ def test_tapped_in_its_hole_a_part_comes_before_the_hole() -> None:
 
 
 def test_nothing_is_found_where_nothing_is() -> None:
-    """A table's texture is no part, tapped or not; nor is a part that the picture cuts."""
+    """A table's texture is no part, with or without a tap; a part that the picture cuts is none either."""
     bare = np.clip(table(90.0, 0.2), 0, 255).astype(np.uint8)
     assert None is likely_part(bare)
     with pytest.raises(TeachError, match="nothing with a clear outline was tapped at 300, 200 px"):

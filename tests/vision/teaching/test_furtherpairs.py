@@ -1,4 +1,4 @@
-"""What further pairs of a part settle: how wide its breaks are, and which edge of each was taught."""
+"""Further pairs of a part settle the width of its breaks and which edge of each was taught."""
 
 from __future__ import annotations
 
@@ -23,23 +23,23 @@ from edged.vision.teaching.furtherpairs import with_breaks_shown
 from edged.vision.teaching.pair import teach
 
 DESIGN, BREAK_MM = 4, 0.394
-"""One whose teaching pair shows the lower edges of its breaks."""
+"""A design whose teaching pair shows the lower edges of its breaks."""
 
 
 @functools.cache
 def taught() -> Job:
-    """The part of broken edges, from one pair."""
+    """The part with broken edges, taught from one pair."""
     return teach(*pair(DESIGN, 0.0), rig().rectification, None, "part")
 
 
 def view(images: StereoImages, pose: FloatArray) -> LaidPair:
-    """A pair that shows the part there."""
+    """A pair that shows the part at a pose."""
     return LaidPair(images, Pyramids(images.rig, images.raw, 1), pose)
 
 
 @pytest.mark.slow
 def test_a_tilted_pair_tells_the_form_of_the_breaks() -> None:
-    """Their width to 0.03 mm, and that the edges in the wall were taught: any other form is worse by far."""
+    """A tilted pair gives the breaks' width to 0.03 mm and shows that the lower edges were taught."""
     job = taught()
     pose = place(25.0) @ np.linalg.inv(place(0.0)) @ job.rig_from_part
     images = StereoImages.of(rig().rectification, *pair(DESIGN, 25.0))
@@ -55,7 +55,7 @@ def test_a_tilted_pair_tells_the_form_of_the_breaks() -> None:
 
 @pytest.mark.slow
 def test_a_further_pair_settles_the_job_and_the_job_keeps_it(tmp_path: Path) -> None:
-    """Both edges of each break are found; its file says so, and a line what the pair brought."""
+    """With a further pair both edges of each break are found, the job's file keeps it, and a line says so."""
     assert taught().break_mm is None
     job, said = with_breaks_shown(taught(), pair(DESIGN, 0.0), [pair(DESIGN, 25.0)], rig().rectification)
     assert (job.break_mm, job.break_end) == (pytest.approx(BREAK_MM, abs=0.03), "face")
@@ -70,7 +70,7 @@ def test_a_further_pair_settles_the_job_and_the_job_keeps_it(tmp_path: Path) -> 
 
 @pytest.mark.slow
 def test_a_pair_of_another_part_is_refused_by_its_number() -> None:
-    """And one job says so that has nothing to learn from pairs."""
+    """A pair of another part is refused with its number, and a job with too few curves is refused, too."""
     with pytest.raises(TeachError, match=r"^pair 2: .*expected one part"):
         with_breaks_shown(taught(), pair(DESIGN, 0.0), [pair(0, 25.0)], rig().rectification)
     few = replace(taught(), edges=taught().edges[:2], slots=(), traced=())
@@ -80,7 +80,7 @@ def test_a_pair_of_another_part_is_refused_by_its_number() -> None:
 
 @pytest.mark.slow
 def test_chance_leaves_two_thirds_of_a_square_pixel() -> None:
-    """Of profiles in a picture that shows nothing: twice of what a part may leave."""
+    """In a picture of noise the profiles leave twice as much as a part may leave."""
     job = taught()
     rng = np.random.default_rng(3)
     shape, left = pair(DESIGN, 0.0)[0].shape, []

@@ -1,4 +1,4 @@
-"""Which way a part of several heights looks, by its circles."""
+"""The normal of a part with several heights, from its circles."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ UP = np.array([0.0, 0.0, -1.0])
 
 
 def circle(x: float, y: float, z: float, radius_mm: float) -> FoundCircle:
-    """One that was measured there; its own fit is not asked."""
+    """A measured circle at this place, with a fit that is not used."""
     centre = np.array([x, y, 200.0 + z])
     return FoundCircle(
         Circle3D("circle", centre, UP, radius_mm, np.eye(4) * 1e-4), np.eye(6), cast("CurveFit", None)
@@ -26,7 +26,7 @@ def circle(x: float, y: float, z: float, radius_mm: float) -> FoundCircle:
 
 
 def test_circles_that_are_seen_by_other_ends_of_their_breaks_do_not_tilt_the_face() -> None:
-    """A disc with a chamfer of 0.12 mm and a small hole without: the rim of 27 mm knows better."""
+    """A large rim decides the normal; a small hole seen at another end of its break does not tilt it."""
     found = [circle(0, 0, 0.131, 13.58), circle(7, -1.7, 0.004, 1.98), circle(2.7, -8.3, 0.137, 1.02),
              circle(-5.3, 4.2, -4.99, 2.83), circle(-4.9, -5.5, -3.42, 2.67)]  # fmt: skip
     normal, heights = turned_alike(found, UP)
@@ -38,7 +38,7 @@ def test_circles_that_are_seen_by_other_ends_of_their_breaks_do_not_tilt_the_fac
 
 
 def test_circles_of_one_face_tilt_it_where_the_largest_one_does_not_contradict() -> None:
-    """Four holes of 4 mm in a face that leans by 0.5 degrees, of which the first was taken for level."""
+    """Circles of one face decide the normal if the largest one does not contradict."""
     lean = math.tan(math.radians(0.5))
     found = [circle(x, y, lean * x, 2.0) for x, y in ((-10, -8), (10, -8), (-10, 8), (10, 8))]
     found.append(circle(0, 0, -3.0, 1.5))
@@ -49,7 +49,7 @@ def test_circles_of_one_face_tilt_it_where_the_largest_one_does_not_contradict()
 
 
 def test_what_contours_lie_in_is_a_face_where_no_circle_is_nearer() -> None:
-    """A bore at the bottom of a counterbore 1.7 mm deep: its face has outlines only. A table is no face."""
+    """The plane of contours counts as a face only if it is in front of the circles."""
     found = [circle(0, 0, 0.0, 1.15), circle(9, 4, 0.0, 1.0)]
     assert in_front(Plane(UP, -198.3), found, UP) == pytest.approx((-198.3,))
     assert in_front(Plane(UP, -205.0), found, UP) == ()

@@ -1,4 +1,4 @@
-"""Teaching: what is learned is the part that was there, and a region that shows none is refused."""
+"""Teaching learns the part that was there, and refuses a region without one."""
 
 from __future__ import annotations
 
@@ -28,19 +28,20 @@ def flat() -> Flange:
 
 @pytest.fixture(scope="module")
 def rectification(flat: Flange) -> Rectification:
-    """Its rig, prepared."""
+    """The rectification of its rig."""
     return make_rectification(flat.rig)
 
 
 @pytest.fixture(scope="module")
 def job(flat: Flange, rectification: Rectification) -> Job:
-    """What is taught from it."""
+    """The job that is taught from it."""
     return teach(flat.left, flat.right, rectification, flat.region, "flange", 7)
 
 
 @pytest.mark.slow
 def test_circles_are_named_by_falling_radius(job: Job) -> None:
-    """c0 is the outline and the reference; c1 the bore; equal ones in reading order; nothing is invented."""
+    """c0 is the outline and the reference, c1 the bore, equal ones are in reading order, and there are no
+    others."""
     assert [circle.name for circle in job.circles] == [f"c{k}" for k in range(len(job.circles))]
     radii = [circle.radius_mm for circle in job.circles]
     np.testing.assert_allclose(radii, [14.0, 4.0, 1.6, 1.6, 1.6, 1.6, 0.9], atol=0.01)
@@ -53,7 +54,7 @@ def test_circles_are_named_by_falling_radius(job: Job) -> None:
 
 @pytest.mark.slow
 def test_places_are_those_of_the_drawing(job: Job, flat: Flange) -> None:
-    """Every circle lies where the part has one, to 10 µm in the face; the pose is the true one."""
+    """Every circle is at its place on the part, to 10 µm, and the pose is the true one."""
     places = np.array([(disc.x_mm, disc.y_mm, disc.radius_mm) for _, disc in flat.part.circles])
     for circle in job.circles:
         in_rig = apply(job.rig_from_part, circle.centre_mm)
@@ -71,7 +72,7 @@ def test_places_are_those_of_the_drawing(job: Job, flat: Flange) -> None:
 
 
 def test_limits_follow_from_the_depth(job: Job) -> None:
-    """The part is inside its own depth limits, and the search may scale as much as these allow."""
+    """The part is inside its own depth limits, and the scale limits follow from these."""
     nearest, farthest = job.limits.depth_mm
     depth = job.rig_from_part[2, 3]
     assert nearest < depth < farthest
@@ -81,7 +82,7 @@ def test_limits_follow_from_the_depth(job: Job) -> None:
 
 @pytest.mark.slow
 def test_teaching_twice_is_the_same(job: Job, flat: Flange, rectification: Rectification) -> None:
-    """Bit for bit: a job can be taught again from recorded images."""
+    """Teaching again from the same images gives exactly the same job."""
     again = teach(flat.left, flat.right, rectification, flat.region, "flange", 7)
     assert np.array_equal(again.rig_from_part, job.rig_from_part)
     for key, array in job.shape.to_arrays().items():
@@ -89,7 +90,7 @@ def test_teaching_twice_is_the_same(job: Job, flat: Flange, rectification: Recti
 
 
 def test_a_tilted_part_is_taught_in_its_own_frame() -> None:
-    """Tilted by 8°: z of the part frame is its normal away from the cameras, x as the rig's, projected."""
+    """For a part tilted by 8° z is the face's normal away from the cameras, and x the rig's, projected."""
     flat = flange()
     where = pose(turn_deg=40.0, tilt_deg=8.0)
     left, right = pictures(flat.rig, scene((flat.part, where)))
@@ -106,7 +107,7 @@ def test_a_tilted_part_is_taught_in_its_own_frame() -> None:
 
 @pytest.mark.slow
 def test_a_face_leans_by_what_its_long_edges_say_too() -> None:
-    """A plate of 28 by 20 mm: two small holes near each other, one dark half way around, lean it by 0.3°."""
+    """Four long edges hold the face of a plate whose two small holes would lean it by 0.3°."""
     flat = flange()
     half = PaintedMark(half_disc(-1.0, 1.0, 1.9, 0.4), 0.12)
     holes = (Hole("a", Disc(-1.0, 1.0, 1.5), 0.1), Hole("b", Disc(3.0, -1.0, 1.4), 0.1))
@@ -135,14 +136,14 @@ def test_a_face_leans_by_what_its_long_edges_say_too() -> None:
 def test_a_region_without_a_part_is_refused(
     flat: Flange, rectification: Rectification, region: Region, expected: str
 ) -> None:
-    """Outside, tiny, inside out, no number, empty table: the message says what was expected."""
+    """A region outside, tiny, inside out, NaN or with an empty table is refused with what was expected."""
     with pytest.raises(TeachError, match=expected):
         teach(flat.left, flat.right, rectification, region, "x")
 
 
 @pytest.mark.slow
 def test_images_of_which_one_shows_nothing_are_refused(flat: Flange, rectification: Rectification) -> None:
-    """Blank, the same image twice, left and right swapped: no job, and the message asks why."""
+    """Blank, identical and swapped images are refused."""
     blank = np.full_like(flat.left, 60)
     with pytest.raises(TeachError, match="no circle"):
         teach(blank, flat.right, rectification, flat.region, "x")
@@ -155,8 +156,8 @@ def test_images_of_which_one_shows_nothing_are_refused(flat: Flange, rectificati
 
 @pytest.mark.slow
 def test_a_part_without_circles_is_taught_by_its_edges(rectification: Rectification, flat: Flange) -> None:
-    """A plate with a window: eight edges and eight corners where the drawing has them, to 15 µm; one is the
-    reference and the origin."""
+    """A plate with a window has eight edges and eight corners as drawn, to 15 µm; one is the reference and
+    the origin."""
     plate = Part("plate", RoundedBox(0, 0, 22, 16), Surface(0.6), (Hole("window", RoundedBox(2, 1, 9, 7)),))
     left, right = pictures(flat.rig, scene((plate, pose())))
     job = teach(left, right, rectification, flat.region, "plate")
@@ -183,7 +184,7 @@ def test_a_part_without_circles_is_taught_by_its_edges(rectification: Rectificat
 def test_slots_notches_and_corners_are_learnt_beside_the_circles(
     rectification: Rectification, flat: Flange
 ) -> None:
-    """A disc with a slot, a square window and a hole: each is what the drawing says, named and signed."""
+    """A slot, a square window and a hole of a disc are taught as drawn, with names and polarities."""
     holes = (
         Hole("slot", Slot(4.0, -5.0, 8.0, 3.0, 0.4)),
         Hole("window", RoundedBox(-5.0, 4.0, 6.0, 5.0, 0.0, 0.2)),
@@ -210,7 +211,7 @@ def test_slots_notches_and_corners_are_learnt_beside_the_circles(
 
 @pytest.mark.slow
 def test_one_circle_is_enough(rectification: Rectification, flat: Flange) -> None:
-    """A plate with one bore: the bore is the reference, the plate's outline the shape."""
+    """For a plate with one bore the bore is the reference and the plate's outline the shape."""
     plate = Part("plate", RoundedBox(0, 0, 24, 18), Surface(0.6, 0.05), (Hole("bore", Disc(3.0, -2.0, 5.0)),))
     left, right = pictures(flat.rig, scene((plate, pose())))
     job = teach(left, right, rectification, flat.region, "plate")
@@ -220,7 +221,7 @@ def test_one_circle_is_enough(rectification: Rectification, flat: Flange) -> Non
 
 
 def test_images_that_do_not_fit_the_rig_are_refused(flat: Flange, rectification: Rectification) -> None:
-    """Another size is an error that names the side and both sizes."""
+    """An image of another size is refused with its side and both sizes."""
     with pytest.raises(ImageError, match=r"left image: 320x480.*640x480"):
         teach(flat.left[:, :320], flat.right, rectification, flat.region, "x")
     with pytest.raises(ImageError, match="right image"):
@@ -228,7 +229,7 @@ def test_images_that_do_not_fit_the_rig_are_refused(flat: Flange, rectification:
 
 
 def test_holes_of_a_perforated_table_are_none_of_the_part() -> None:
-    """Neither where a region around the part shows some of them, nor in the whole picture."""
+    """Holes of a perforated table are not taught, neither with a region nor with the whole picture."""
     rig = prepare(small_rig())
     where = lying(rig.rig, 0.0, 0.0, 0.0)
     lower, upper = where.copy(), where.copy()

@@ -1,4 +1,4 @@
-"""Regions: what is painted is what was meant, and what cannot be meant is refused in words."""
+"""Regions: the mask is the stated area, and an impossible region is refused with a reason."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def test_what_is_painted_is_the_area(area: Area, expected: float) -> None:
 
 
 def test_any_bright_value_of_a_mask_counts() -> None:
-    """A mask of 0 and 1 says the same as one of 0 and 255, or as its JPEG."""
+    """A mask of 0 and 1 equals one of 0 and 255, and nearly its JPEG."""
     drawn = painted_region(CircleRegion(90, 55, 30), (), *SIZE)
     jpeg = cv2.imdecode(cv2.imencode(".jpg", drawn)[1], cv2.IMREAD_GRAYSCALE)
     for mask in (drawn, drawn // 255):
@@ -64,7 +64,7 @@ def test_any_bright_value_of_a_mask_counts() -> None:
 
 
 def test_what_is_excluded_is_out() -> None:
-    """A disc minus a rectangle: no pixel of the rectangle, every other pixel of the disc."""
+    """A disc minus a rectangle has no pixel of the rectangle and every other pixel of the disc."""
     disc, box = CircleRegion(100, 60, 50), Region(80, 40, 30, 30)
     left = painted_region(disc, [box], *SIZE) > 0
     inside, out = (painted_region(area, (), *SIZE) > 0 for area in (disc, box))
@@ -75,7 +75,8 @@ def test_what_is_excluded_is_out() -> None:
 @given(seed=st.integers(0, 10**6), count=st.integers(4, 40), clockwise=st.booleans())
 @example(seed=2937, count=31, clockwise=False)  # goes around a little more than once
 def test_only_crossing_polygons_are_refused(seed: int, count: int, clockwise: bool) -> None:
-    """Corners in order, either way round, are a polygon; with two neighbours exchanged it crosses itself."""
+    """Corners in order, either way round, are accepted; with two neighbours exchanged the polygon is
+    refused."""
     corners = star(seed, count)
     turns = np.diff(np.unwrap(np.arctan2(*(corners - (100, 60)).T[::-1])))
     closing = 2 * math.pi - turns.sum()  # from the last corner to the first one
@@ -109,13 +110,13 @@ def test_only_crossing_polygons_are_refused(seed: int, count: int, clockwise: bo
     ],
 )
 def test_impossible_regions_are_refused(area: Area, expected: str) -> None:
-    """Outside, tiny, no numbers, crossing itself, of another size, empty: said in these words."""
+    """A region outside, tiny, NaN, crossing itself, of another size or empty is refused in these words."""
     with pytest.raises(TeachError, match=expected):
         painted_region(area, (), *SIZE)
 
 
 def test_a_region_of_which_nothing_is_left_is_refused() -> None:
-    """The excluded area covers all of it."""
+    """A region that is excluded entirely is refused."""
     with pytest.raises(TeachError, match="all of it is excluded"):
         painted_region(CircleRegion(100, 60, 20), [Region(50, 20, 100, 90)], *SIZE)
 
@@ -128,7 +129,7 @@ def test_a_region_of_which_nothing_is_left_is_refused() -> None:
     ],
 )
 def test_other_texts_are_refused(text: str) -> None:
-    """The message names the option, repeats what was given, and lists the forms."""
+    """The message names the option and lists the forms."""
     with pytest.raises(TeachError, match=r"--exclude .*circle:X,Y,R, polygon"):
         parse_region(text, "--exclude")
 
@@ -137,7 +138,7 @@ def test_other_texts_are_refused(text: str) -> None:
 @settings(max_examples=200)
 @given(text=st.text(max_size=30) | st.from_regex(r"(circle|polygon|rect):[0-9,;.e-]*", fullmatch=True))
 def test_any_text_is_a_region_or_an_error(text: str) -> None:
-    """No text crashes the command."""
+    """Any text gives a region or an error that names the region."""
     try:
         area = parse_region(text.replace("mask", "mesk"))
         painted_region(area, (), *SIZE)
@@ -146,7 +147,7 @@ def test_any_text_is_a_region_or_an_error(text: str) -> None:
 
 
 def test_texts_of_regions_and_contrasts(tmp_path: Path) -> None:
-    """Each form is read as it is written; a mask comes from its file, which must be a picture."""
+    """Each form is read as written; a mask comes from its file, which must be a picture."""
     assert parse_region("1,2,30,40") == parse_region("rect:1,2,30,40") == Region(1, 2, 30, 40)
     assert parse_region("circle:1.5,2,30") == CircleRegion(1.5, 2, 30)
     polygon = parse_region("polygon:1,2;30,4;5,60")
@@ -176,7 +177,7 @@ def test_texts_of_regions_and_contrasts(tmp_path: Path) -> None:
     ],
 )
 def test_wrong_edge_thresholds_are_named(wrong: dict[str, float], expected: str) -> None:
-    """Each impossible value is refused, and the message names it."""
+    """Each impossible value is refused with its name."""
     with pytest.raises(TeachError, match=expected):
         EdgeThresholds(**wrong)
 
@@ -190,7 +191,7 @@ def test_a_wrong_number_of_levels_is_named(levels: int) -> None:
 
 @pytest.mark.slow
 def test_a_hole_that_is_excluded_is_not_learnt() -> None:
-    """A disc as region, one bolt hole left out: every other circle is learnt, and no model point is there."""
+    """With one bolt hole excluded every other circle is taught, and no model point is near that hole."""
     flat = flange()
     rectification = make_rectification(flat.rig)
     x, y = flat.rig.left.project(flat.rig_from_part[None, :3, 3])[0]

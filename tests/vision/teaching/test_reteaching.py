@@ -1,4 +1,4 @@
-"""Teaching again keeps what people edited, and says what it cannot keep."""
+"""Teaching again keeps what people edited, and names what it cannot keep."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from edged.vision.teaching.reteaching import carry_over
 
 
 def taught(seed: int) -> Job:
-    """The flange, taught from one of several noisy pairs a little nearer or farther."""
+    """The flange, taught from one of several noisy pairs at slightly different distances."""
     part = cells.flange()
     where = cells.pose((8.0, 0.0, 205.0 + 0.5 * seed))
     left, right = cells.pictures(part.rig, cells.scene((part.part, where)), seed)
@@ -23,19 +23,19 @@ def taught(seed: int) -> Job:
 
 @pytest.fixture(scope="module")
 def before() -> Job:
-    """As first taught."""
+    """The first job."""
     return taught(1)
 
 
 @pytest.fixture(scope="module")
 def after() -> Job:
-    """Taught again."""
+    """The job taught again."""
     return taught(2)
 
 
 @pytest.mark.slow
 def test_an_unedited_job_is_replaced_without_a_word(before: Job, after: Job) -> None:
-    """Noise and another distance are no edits."""
+    """Without edits the new job replaces the old one, and no line is said."""
     job, said = carry_over(before, after)
     assert () == said
     assert (after.limits, after.search, after.measurements) == (job.limits, job.search, job.measurements)
@@ -43,7 +43,7 @@ def test_an_unedited_job_is_replaced_without_a_word(before: Job, after: Job) -> 
 
 @pytest.mark.slow
 def test_edits_stay(before: Job, after: Job) -> None:
-    """Limits, search parameters, a stated size with its tolerance; each is said."""
+    """Limits, search parameters and a stated size with its tolerance stay, and each is listed."""
     bolts = MeasurementSpec("bolts", "distance", ("c2", "c4"), 19.4, 0.05)
     radius = replace(before.measurements[0], nominal=14.0, tolerance=0.02)
     edited = replace(
@@ -69,7 +69,7 @@ def test_edits_stay(before: Job, after: Job) -> None:
 
 @pytest.mark.slow
 def test_what_cannot_stay_is_said(before: Job, after: Job) -> None:
-    """A measurement of a feature that has gone, and a name that somebody gave."""
+    """A measurement of a missing feature and a feature's own name are lost, and listed."""
     lost = MeasurementSpec("slot", "distance", ("bore", "c0"), 1.0, 0.1)
     renamed = tuple(replace(c, name="bore") if c.name == "c1" else c for c in before.circles)
     _, said = carry_over(replace(before, circles=renamed, measurements=(lost,), witness=None), after)

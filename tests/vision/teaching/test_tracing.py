@@ -1,4 +1,4 @@
-"""Outlines that are no features: traced where they are, no table's, and what a part is found by with them."""
+"""Outlines that are no features: traced on the part, not on the table, and used to find it."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ DISC = Design(
 
 
 def look(table: float, grain: float) -> Look:
-    """A matt part with dark walls over a table of this brightness and grain."""
+    """A matt part with dark walls on a table of this brightness and grain."""
     plain = BreakLook(0.3, 0.0, 0.0, 1.0, 0.5)
     return Look(
         albedo=0.6, contrast=0.02, feature_mm=0.5, wall=0.2, wall_swing=0.0, wall_azimuth_rad=0.0, bore=0.5,
@@ -61,14 +61,14 @@ def rig() -> PreparedRig:
 
 @cache
 def taught(design: Design, table: float = 0.03, grain: float = 0.05) -> Job:
-    """A part as one pair shows it, square to the cameras."""
+    """The job of a part from one pair, square to the cameras."""
     world = World(design, lying(rig().rig, 0.0, 0.0, 10.0), look(table, grain), 3)
     return teach(*pictures(world, rig().rig), rig().rectification, None, design.name)
 
 
 @pytest.mark.slow
 def test_an_outline_with_round_corners_is_traced_at_the_height_of_its_face() -> None:
-    """The one circle is the boss's; all else lies 3.6 mm below it, to a few hundredths."""
+    """The outline with round corners is traced at its height, 3.6 mm below the boss, to some hundredths."""
     job = taught(PLATE)
     assert [round(one.radius_mm, 1) for one in job.circles] == [3.7]
     heights = np.array([curve.points_mm[0, 2] for curve in job.traced])
@@ -80,7 +80,8 @@ def test_an_outline_with_round_corners_is_traced_at_the_height_of_its_face() -> 
 
 @pytest.mark.slow
 def test_a_tables_grain_is_not_traced() -> None:
-    """Over one as bright as the part, with marks as strong as its outline: nothing beyond it."""
+    """On a table as bright as the part, with marks as strong as its outline, nothing beyond the part is
+    traced."""
     job = taught(PLATE, 0.5, 0.5)
     centre = job.circles[0].centre_mm
     for curve in job.traced:
@@ -96,7 +97,7 @@ def ring(radius_mm: float, height_mm: float, low_deg: float, high_deg: float) ->
 
 
 def test_a_few_marks_far_below_a_part_are_the_tables_and_a_flange_is_not() -> None:
-    """Three scratches, which lie on their own hull as an outline does, do not run around it."""
+    """Three scratches far below the part are the table's, a flange all around is not."""
     hole = ring(2.0, 0.0, 0.0, 360.0).points_mm
     marks = [ring(30.0, 23.0, start, start + 4.0) for start in (20.0, 130.0, 250.0)]
     flange = [ring(14.0, 6.0, start, start + 50.0) for start in range(0, 360, 60)]
@@ -106,7 +107,7 @@ def test_a_few_marks_far_below_a_part_are_the_tables_and_a_flange_is_not() -> No
 @pytest.mark.slow
 @pytest.mark.parametrize(("tilt", "side", "turn"), [(10.0, 40.0, 200.0), (25.0, 250.0, 75.0)])
 def test_a_part_of_one_hole_is_turned_as_its_outline_says(tilt: float, side: float, turn: float) -> None:
-    """A disc with a flat: its one hole says nothing of its turn, which was published 6 to 12 degrees off."""
+    """A disc with a flat and one hole is found in the rotation of its outline, to 0.5°."""
     job = replace(taught(DISC), tilt_rad=math.radians(45.0))
     assert has_enough_curves(job)
     where = lying(rig().rig, tilt, side, turn)
@@ -119,7 +120,8 @@ def test_a_part_of_one_hole_is_turned_as_its_outline_says(tilt: float, side: flo
 
 
 def test_a_stadium_around_a_hole_is_no_slot() -> None:
-    """The second edges of a part's broken outline lie beyond it, those of a slot within it."""
+    """The second edges of a stadium lie beyond it if the hole is in it, and within it if the hole is
+    elsewhere."""
     job = taught(DISC)
     stadium = SlotFeature("s0", np.zeros(3), 0.3, 24.0, 14.0, -1)
     for x, grows in ((0.0, True), (40.0, False)):
@@ -134,7 +136,7 @@ def test_a_stadium_around_a_hole_is_no_slot() -> None:
 
 @pytest.mark.slow
 def test_outlines_are_traced_also_where_one_camera_sees_the_part_much_darker() -> None:
-    """As a face of metal beside a lamp: by 3.6 times, and every outline is taught as in pictures alike."""
+    """If one picture is 3.6 times darker, as many outlines are traced."""
     left, right = drawnparts.pair(4)
     dark = np.rint(0.28 * right).astype(np.uint8)
     alike, other = (teach(left, each, drawnparts.rig().rectification, None, "part") for each in (right, dark))
@@ -144,7 +146,7 @@ def test_outlines_are_traced_also_where_one_camera_sees_the_part_much_darker() -
 @pytest.mark.slow
 @pytest.mark.parametrize("ratio", [1e-3, 1e3])
 def test_a_picture_that_is_black_or_white_beside_the_other_one_shows_no_outlines(ratio: float) -> None:
-    """Its contours' thresholds stay what they may be."""
+    """If one picture is black or white, no outline is traced."""
     left, right = drawnparts.pair(4)
     rectification = drawnparts.rig().rectification
     job = teach(left, right, rectification, None, "part")
