@@ -79,7 +79,7 @@ def find_levels(
     if not found:
         return None
     normal, heights = _turned(view, found, face)
-    if float(np.ptp([*heights, *in_front(beside, found, normal)])) < TEACHING.apart_mm:
+    if float(np.ptp([*heights, *in_front(beside, found, normal)])) < TEACHING.face_tolerance_mm:
         return None
     again = [measured_anew(images, measured, normal) for measured in found]
     kept = [measured for measured in again if measured is not None]
@@ -177,7 +177,9 @@ def turned_alike(found: Sequence[FoundCircle], normal: FloatArray) -> tuple[Floa
     first, apart_mm = normal, TEACHING.apart_mm
     for _ in range(TEACHING.rounds):
         normal = _tilted(centres, sizes, _grouped(centres @ normal, apart_mm), normal)
-    if math.acos(min(float(normal @ first), 1.0)) * float(sizes.max()) > TEACHING.face_tolerance_mm:
+    tilted_mm = math.acos(min(float(normal @ first), 1.0)) * float(sizes.max())
+    off_mm = float(np.abs(centres @ normal - _levelled(found, normal, apart_mm)).max())
+    if max(tilted_mm, off_mm) > TEACHING.face_tolerance_mm:
         normal, apart_mm = first, TEACHING.level_mm
     return normal, _levelled(found, normal, apart_mm)
 
