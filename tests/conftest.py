@@ -1,4 +1,5 @@
-"""What every test runs under: one BLAS thread, no deadlines, which tests never run at once or may be skipped.
+"""Conditions of all tests: one BLAS thread, no deadlines, and tests that never run together or may be
+skipped.
 
 pytest makes `helpers` and `naive` importable from every test.
 """
@@ -30,12 +31,12 @@ ONE_WIRE = (
     "tests/system/",
     "tests/tools/test_rerun.py",
 )
-"""Cameras at fixed addresses (GVCP knows one port), broadcasts that all of them hear, throwaway machines."""
+"""Cameras at fixed addresses (GVCP has one port), broadcasts that all of them get, throwaway machines."""
 NICE = 10
 
 
 class ByFile(LoadScopeScheduling):
-    """Each file of tests is for one process; all that share the cameras' wire are for the same one."""
+    """Each file of tests is for one process; all that share the cameras' network are for the same one."""
 
     def _split_scope(self, nodeid: str) -> str:
         return "cameras" if nodeid.startswith(ONE_WIRE) else nodeid.partition("::")[0]
@@ -43,7 +44,7 @@ class ByFile(LoadScopeScheduling):
 
 @pytest.fixture(scope="session")
 def template(tmp_path_factory):
-    """Files of a complete cell, which nobody changes."""
+    """The files of a complete cell, which no test changes."""
     from helpers.smallcell import SmallCell
 
     return SmallCell(tmp_path_factory.mktemp("template"), source="virtual-inprocess").config.parent
@@ -51,7 +52,7 @@ def template(tmp_path_factory):
 
 @pytest.fixture(scope="session", autouse=True)
 def taught_once():
-    """Cells of the demo with the same pictures have the same job: to learn it takes up to three seconds."""
+    """Teach the job of the demo's cells once for the same pictures, which takes up to three seconds."""
     demo = sys.modules.get("edged.commands.demo")  # to import it here takes two seconds
     if demo is None:
         yield
@@ -71,7 +72,7 @@ def taught_once():
 
 @pytest.fixture(scope="session", autouse=True)
 def boards_seen_once():
-    """A board in a picture is sought once: many tests begin with the same pictures, 0.2 s for each."""
+    """Detect a board in a picture once: many tests begin with the same pictures, 0.2 s for each."""
     detection = sys.modules.get("edged.vision.boards.detection")
     if detection is None:
         yield
@@ -84,7 +85,7 @@ def boards_seen_once():
 
 
 def _once(find):
-    """What is found in a picture is kept, and everybody gets a copy."""
+    """The function with a cache that returns copies."""
     found = {}
 
     def once(image, *board):
@@ -98,38 +99,39 @@ def _once(find):
 
 @pytest.fixture
 def own_cell(template, tmp_path):
-    """Files of a complete cell for one test."""
+    """The files of a complete cell for one test."""
     return shutil.copytree(template, tmp_path / "cell")
 
 
 def pytest_collection_finish():
-    """What was imported and collected is no garbage: looking through it was a quarter of servers' tests."""
+    """Do not collect what was imported as garbage, which took a quarter of the servers' tests."""
     gc.freeze()
     gc.set_threshold(20_000, 20, 20)
 
 
 def pytest_collection_modifyitems(items):
-    """Files with most long tests first: at the end no process waits for a long file of another one."""
+    """Sort files with most long tests first, so that no process waits for another one's long file at the
+    end."""
     long = Counter(item.path for item in items if item.get_closest_marker("slow"))
     items.sort(key=lambda item: (not item.nodeid.startswith(ONE_WIRE), -long[item.path]))
 
 
 def pytest_runtest_setup(item):
-    """Where tests run beside each other, those without cameras let those with them go first."""
+    """Let tests with cameras go first if tests run in parallel."""
     waits = "PYTEST_XDIST_WORKER" in os.environ and not item.nodeid.startswith(ONE_WIRE)
     if waits and os.getpriority(os.PRIO_PROCESS, 0) < NICE:
         os.nice(NICE)
 
 
 def pytest_xdist_make_scheduler(config, log):
-    """How `-n` shares out the tests: in the order in which they are, not those files first that have most."""
+    """Share out the tests of `-n` in their order, not by the number of tests per file."""
     config.option.loadscopereorder = False
     return ByFile(config, log)
 
 
 @pytest.hookimpl(wrapper=True)
 def pytest_report_to_serializable():
-    """Processes speak UTF-8 to each other; what was logged of a damaged file may be none."""
+    """Make messages between processes valid UTF-8, which the log of a damaged file may not be."""
     return _as_utf8((yield))
 
 

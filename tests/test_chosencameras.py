@@ -1,4 +1,5 @@
-"""Cameras that were chosen on the page: before the configuration's, with the rig, and in its backups."""
+"""Cameras that were chosen on the page: they override the configuration, belong to the rig, and go into
+backups."""
 
 from __future__ import annotations
 
@@ -35,7 +36,7 @@ def config(taught: Path, tmp_path: Path) -> Path:
 
 
 def choose(config: Path, **left: object) -> bytes:
-    """Write what was chosen of the left camera."""
+    """Write a choice for the left camera."""
     file = chosen_file(load(config).cell.rig)
     content = with_changes(read_chosen(load(config).cell.rig), file, {"left": left})
     file.write_bytes(content)
@@ -44,7 +45,7 @@ def choose(config: Path, **left: object) -> bytes:
 
 @pytest.mark.slow
 def test_what_was_chosen_counts_before_what_is_configured(config: Path) -> None:
-    """And what was not stays; a result tells that it stands on other cameras."""
+    """A chosen setting overrides the configured one, others stay, and the fingerprint changes."""
     config.write_text(config.read_text() + "\n[cameras.left]\nexposure_us = 1500.0\ngain_db = 2.0\n")
     before = read_cell(config)
     content = choose(config, exposure_us=700.0, device="127.0.0.2", serial="B")
@@ -62,14 +63,14 @@ def test_what_was_chosen_counts_before_what_is_configured(config: Path) -> None:
     "content", [b"", b"[]", b"{", b'{"left": {"exposure_us": -1}}', b'{"up": {}}', b"\xff", b"[" * 9000]
 )
 def test_a_damaged_choice_is_named_with_its_remedy(config: Path, content: bytes) -> None:
-    """It starts no cell with other cameras than those that were chosen."""
+    """A damaged choice is refused with a remedy."""
     chosen_file(load(config).cell.rig).write_bytes(content)
     with pytest.raises(ConfigError, match=r"rig\.cameras\.json: no chosen cameras: .*; remove it"):
         read_any_cell(config)
 
 
 def test_a_choice_that_contradicts_the_configuration_names_both(config: Path) -> None:
-    """One camera for both sides."""
+    """A choice that contradicts the configuration is refused with both files."""
     source = 'source = "virtual-inprocess"'
     text = config.read_text().replace(source, 'source = "aravis"\nright.device = "A"\nleft.device = "B"')
     config.write_text(text)
@@ -79,7 +80,7 @@ def test_a_choice_that_contradicts_the_configuration_names_both(config: Path) ->
 
 
 def test_it_goes_with_the_rig_into_a_backup_and_back(config: Path, tmp_path: Path) -> None:
-    """Restored it is the same cell; a backup without one leaves none of another rig's."""
+    """The choice goes with the rig into a backup and back; a backup without one removes it."""
     plain = releases.read(_saved(tmp_path / "plain", config))
     choose(config, exposure_us=700.0)
     chosen = releases.read(_saved(tmp_path / "chosen", config))
@@ -92,7 +93,8 @@ def test_it_goes_with_the_rig_into_a_backup_and_back(config: Path, tmp_path: Pat
 
 
 def test_connections_go_into_a_backup_and_back(config: Path, tmp_path: Path) -> None:
-    """As private as the configuration; a backup without them leaves none of another cell's."""
+    """Connections go into a backup and back, readable for the owner alone; a backup without them removes
+    them."""
     file = connections_file(load(config).cell.rig)
     plain = releases.read(_saved(tmp_path / "plain", config))
     file.write_text(json.dumps({"modbus": {"port": 1702}}))

@@ -1,4 +1,4 @@
-"""Settings chosen on the page: what the configuration can say has its place, and nothing else comes in."""
+"""Settings chosen on the page: every setting has its place, and others are refused."""
 
 from __future__ import annotations
 
@@ -40,11 +40,11 @@ ON_A_PAGE: Mapping[str, str] = {
     },
     "cell.job": "jobs",
 }
-"""What a page of its own has, by its name or that of its section, and which."""
+"""Settings with a page of their own, by name or section, and that page."""
 
 
 def names(model: type[Section], above: str = "") -> Iterator[str]:
-    """Dotted names of all that a section and those in it can say."""
+    """The dotted names of all settings of a section and its sub-sections."""
     for key, field in model.model_fields.items():
         kinds = [field.annotation]
         if get_origin(field.annotation) in (Union, UnionType):
@@ -69,7 +69,8 @@ def places(name: str) -> list[str]:
 
 
 def test_everything_that_the_configuration_can_say_is_on_a_page_or_says_why_not() -> None:
-    """Each key in one place; no place names a key that there is not; each reason has its sentence."""
+    """Each key has exactly one place or reason, no place names an unknown key, and each reason has a
+    sentence."""
     every = set(names(Config))
     assert len(every) > 120
     assert {} == {name: found for name in sorted(every) if len(found := places(name)) != 1}
@@ -80,7 +81,7 @@ def test_everything_that_the_configuration_can_say_is_on_a_page_or_says_why_not(
 
 
 def test_what_is_said_to_be_on_the_plcs_page_is_there() -> None:
-    """Its two models have these keys, and no others."""
+    """The models of the PLC's page have these keys and no others."""
     modbus = {name for name, page in ON_A_PAGE.items() if page == "plc" and name.startswith("modbus.")}
     assert {f"modbus.{key}" for key in ModbusChoice.model_fields} == modbus
     opcua = {name for name, page in ON_A_PAGE.items() if page == "plc" and name.startswith("opcua.")}
@@ -90,7 +91,7 @@ def test_what_is_said_to_be_on_the_plcs_page_is_there() -> None:
 
 
 def chosen(folder: Path, settings: dict[str, Any], more: str = "") -> Config:
-    """A cell with what was chosen."""
+    """A cell with these chosen settings."""
     config = folder / "cell.toml"
     config.write_text(CELL + more)
     connections_file(folder / "rig.json").write_text(json.dumps({"settings": settings}))
@@ -98,7 +99,7 @@ def chosen(folder: Path, settings: dict[str, Any], more: str = "") -> Config:
 
 
 def test_a_chosen_setting_counts_before_the_file(tmp_path: Path) -> None:
-    """Value by value; null leaves one out; the rest of the file stays; no missing section is made."""
+    """A chosen value overrides the file's, null removes one, the rest stays, and no section is added."""
     more = "exposure_ratio = 4\nleft.exposure_us = 100\nright.exposure_us = 100\n[cycle]\nperiod_s = 2\n"
     settings = {"cycle.mode": "free", "cameras.exposure_ratio": None, "recorder.keep_good": 5}
     config = chosen(tmp_path, settings | {"cameras.left.packet_size": 1500}, more)
@@ -112,7 +113,7 @@ def test_a_chosen_setting_counts_before_the_file(tmp_path: Path) -> None:
 
 
 def test_with_another_trigger_the_files_keys_of_the_former_one_go(tmp_path: Path) -> None:
-    """They would be a mistake beside it."""
+    """With another trigger mode the file's keys of the former mode are dropped."""
     more = '[cameras.trigger]\nmode = "free-run"\nrate_hz = 5\n'
     trigger = chosen(tmp_path, {"cameras.trigger.mode": "line", "cameras.trigger.line": "Line3"}, more)
     assert ("line", "Line3", None) == (
@@ -126,13 +127,13 @@ def test_with_another_trigger_the_files_keys_of_the_former_one_go(tmp_path: Path
     "name", ["web.host", "zenoh.commands", "recorder.folder", "cell.rig", "", "cycle", "modbus.tls"]
 )
 def test_nothing_else_can_be_chosen(tmp_path: Path, name: str) -> None:
-    """Not by a file that a page handed over, either: what opens ports or names files stays."""
+    """Other settings, which open ports or name files, cannot be chosen by the file, either."""
     with pytest.raises(ConfigError, match=r"rig\.connections\.json"):
         chosen(tmp_path, {name: "x"})
 
 
 def test_a_value_that_does_not_fit_is_named(tmp_path: Path) -> None:
-    """By its place in the configuration."""
+    """A wrong value is named with its place in the configuration."""
     with pytest.raises(ConfigError, match=r"drift: warn_rows_px 3 is beyond"):
         chosen(tmp_path, {"drift.warn_rows_px": 3.0})
     with pytest.raises(ConfigError, match=r"cycle\.period_s"):
@@ -140,7 +141,7 @@ def test_a_value_that_does_not_fit_is_named(tmp_path: Path) -> None:
 
 
 def test_a_choice_of_nothing_has_no_file() -> None:
-    """And connections are told from other settings."""
+    """An empty choice has no file, and connections are told from other settings."""
     assert ChosenConnections().content() is None
     both = ChosenConnections(settings={"cycle.period_s": 1.0})
     assert (False, {"settings": {"cycle.period_s": 1.0}}) == (

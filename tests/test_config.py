@@ -1,4 +1,4 @@
-"""The configuration file: every mistake named at once, with its place."""
+"""The configuration file: every mistake is named at once, with its place."""
 
 from __future__ import annotations
 
@@ -26,14 +26,14 @@ right.device = "192.0.2.2"
 
 
 def write(tmp_path: Path, text: str) -> Path:
-    """Make a configuration file."""
+    """Write a configuration file."""
     path = tmp_path / "cell.toml"
     path.write_text(text)
     return path
 
 
 def problems(tmp_path: Path, text: str) -> list[str]:
-    """Load a text that must be refused; return its problems."""
+    """The problems of a text that must be refused."""
     with pytest.raises(ConfigError) as caught:
         load(write(tmp_path, text))
     assert str(tmp_path / "cell.toml") in str(caught.value)
@@ -49,7 +49,7 @@ def test_a_minimal_file_gets_defaults_and_paths_beside_it(tmp_path: Path) -> Non
 
 
 def test_all_mistakes_are_named_at_once_with_their_dotted_path(tmp_path: Path) -> None:
-    """Unknown keys, wrong types, limits, missing fields: one line each."""
+    """Unknown keys, wrong types, limits and missing fields are all named together, with their dotted path."""
     text = (
         GOOD.replace('jobs = "jobs"', "") + '[cycle]\nperiod_s = -1\nmod = "free"\n[modbus]\nport = 70000\n'
     )
@@ -102,7 +102,8 @@ def test_all_mistakes_are_named_at_once_with_their_dotted_path(tmp_path: Path) -
     ],
 )
 def test_each_single_mistake_is_named(tmp_path: Path, change: tuple[str, str], place: str) -> None:
-    """Same device twice, names that break keys, NaN, a value of another type, limits the wrong way round."""
+    """Each mistake, as a repeated device, a name that breaks keys, NaN or a wrong type, is named at its
+    place."""
     (problem,) = problems(tmp_path, GOOD.replace(*change))
 
     assert problem.startswith(f"{place}: ")
@@ -130,7 +131,8 @@ def test_each_single_mistake_is_named(tmp_path: Path, change: tuple[str, str], p
 def test_who_reaches_an_endpoint_could_command_the_cell(
     tmp_path: Path, side: str, endpoint: str, local: bool
 ) -> None:
-    """Beyond this machine it is refused with every remedy, unless commands are, or the key permits anyone."""
+    """An endpoint that other machines reach is refused with every remedy, unless commands are refused, for
+    anyone, or Zenoh is off."""
     text = f'{GOOD}[zenoh]\n{side} = ["{endpoint}"]\n'
     for permitted in ('commands = "refused"\n', 'commands = "anyone"\n', "enabled = false\n"):
         load(write(tmp_path, text + permitted))
@@ -145,7 +147,7 @@ def test_who_reaches_an_endpoint_could_command_the_cell(
 
 
 def test_a_port_in_an_address_is_told_where_it_belongs(tmp_path: Path) -> None:
-    """What to write instead; an IPv6 address has colons of its own."""
+    """A port in an address is refused with the right keys; an IPv6 address is accepted."""
     text = GOOD.replace("[cameras]", '[modbus]\nhost = "HOST"\n[cameras]')
     (problem,) = problems(tmp_path, text.replace("HOST", "localhost:502"))
 
@@ -164,7 +166,7 @@ def test_a_port_in_an_address_is_told_where_it_belongs(tmp_path: Path) -> None:
     ],
 )
 def test_files_that_are_no_configuration_are_refused(tmp_path: Path, content: bytes, message: str) -> None:
-    """Broken TOML says where, binary and huge files are not read further."""
+    """Broken TOML, binary and huge files are refused with the reason."""
     path = tmp_path / "cell.toml"
     path.write_bytes(content)
 
@@ -173,13 +175,13 @@ def test_files_that_are_no_configuration_are_refused(tmp_path: Path, content: by
 
 
 def test_a_missing_file_is_named(tmp_path: Path) -> None:
-    """No stack trace for a typo."""
+    """A missing file is named."""
     with pytest.raises(ConfigError, match=r"nowhere\.toml"):
         load(tmp_path / "nowhere.toml")
 
 
 def test_the_fingerprint_changes_with_every_input(tmp_path: Path) -> None:
-    """Config, rig and job content each change it; the order of files does not."""
+    """Config, rig and job contents each change the fingerprint; the order of files does not."""
     config = load(write(tmp_path, GOOD))
     other = load(write(tmp_path, GOOD + "[cycle]\nperiod_s = 0.1\n"))
     files = {"rig": b"1", "job": b"2"}
@@ -191,7 +193,7 @@ def test_the_fingerprint_changes_with_every_input(tmp_path: Path) -> None:
 
 
 def test_modbus_times_and_reserved_connections_are_checked(tmp_path: Path) -> None:
-    """Seconds must be positive, reserved keys are addresses, and not more is kept than there is."""
+    """Times must be positive, reserved keys addresses, and not more connections reserved than there are."""
     modbus = '[modbus]\nmax_clients = 4\nreserved = { "192.168.10.2" = 3, "192.168.10.3" = 2 }\n'
     assert problems(tmp_path, GOOD + modbus) == [
         "modbus: reserved: 5 connections are kept, but max_clients is 4"
@@ -205,7 +207,7 @@ def test_modbus_times_and_reserved_connections_are_checked(tmp_path: Path) -> No
 
 
 def test_lines_for_robots_need_a_port_of_their_own_a_brand_and_no_tls(tmp_path: Path) -> None:
-    """Two servers on one port, a maker that is none, and a way past the certificates are mistakes."""
+    """A port used twice, an unknown brand, and TLS beside the robots' socket are refused."""
     assert ["modbus: port and socket.port are both 1503"] == problems(
         tmp_path, GOOD + '[modbus]\nport = 1503\n[modbus.socket]\nbrand = "ur"\n'
     )
@@ -219,7 +221,7 @@ def test_lines_for_robots_need_a_port_of_their_own_a_brand_and_no_tls(tmp_path: 
 
 
 def test_the_fingerprint_does_not_depend_on_the_place(tmp_path: Path) -> None:
-    """These files in another folder are the same cell; another name of the rig is another setting."""
+    """The same files in another folder have the same fingerprint; another name of the rig changes it."""
     (tmp_path / "moved").mkdir()
     here, there = load(write(tmp_path, GOOD)), load(write(tmp_path / "moved", GOOD))
     assert here.cell.rig != there.cell.rig
@@ -240,7 +242,7 @@ def test_the_fingerprint_does_not_depend_on_the_place(tmp_path: Path) -> None:
     ],
 )
 def test_a_trigger_setting_that_would_be_ignored_is_a_mistake(tmp_path: Path, section: str, key: str) -> None:
-    """Each mode has its own keys."""
+    """A key of another trigger mode is refused."""
     (problem,) = problems(tmp_path, GOOD + f"[cameras.trigger]\n{section}\n")
 
     assert problem.startswith(f"cameras.trigger: {key}: does not belong to mode")
@@ -258,7 +260,7 @@ def test_a_trigger_setting_that_would_be_ignored_is_a_mistake(tmp_path: Path, se
     ],
 )
 def test_listening_needs_cameras_that_others_trigger(tmp_path: Path, section: str, fits: bool) -> None:
-    """With the software trigger nothing would ever come."""
+    """The mode "external" needs cameras with an external trigger."""
     text = GOOD + f'[cameras.trigger]\n{section}\n[cycle]\nmode = "external"\n'
     if fits:
         assert "external" == load(write(tmp_path, text)).cycle.mode
@@ -268,7 +270,7 @@ def test_listening_needs_cameras_that_others_trigger(tmp_path: Path, section: st
 
 
 def test_an_action_command_needs_somewhere_to_go(tmp_path: Path) -> None:
-    """A serial number is no address; a broadcast address helps."""
+    """An action command needs an address, the camera's or a broadcast address."""
     text = GOOD.replace("192.0.2.2", "12345") + '[cameras.trigger]\nmode = "action"\n'
     (problem,) = problems(tmp_path, text)
     assert "trigger.broadcast: missing" in problem
@@ -279,7 +281,7 @@ def test_an_action_command_needs_somewhere_to_go(tmp_path: Path) -> None:
 
 
 def test_features_are_one_table_or_several(tmp_path: Path) -> None:
-    """Two lines are set by two tables, in their order."""
+    """Features can be one table or several, which keep their order."""
     one = load(write(tmp_path, GOOD + "[cameras.left.features]\nBlackLevel = 4\n"))
     two = load(
         write(
@@ -295,7 +297,7 @@ def test_features_are_one_table_or_several(tmp_path: Path) -> None:
 
 
 def test_the_same_serial_number_twice_is_a_mistake(tmp_path: Path) -> None:
-    """Two addresses cannot be one camera."""
+    """The same serial number for both cameras is refused."""
     text = GOOD + 'left.serial = "7"\nright.serial = "7"\n'
     (problem,) = problems(tmp_path, text)
     assert "left and right expect the same serial number '7'" in problem
@@ -320,7 +322,8 @@ def test_the_same_serial_number_twice_is_a_mistake(tmp_path: Path) -> None:
 def test_opcua_wants_encryption_for_commands_and_says_who_may_connect(
     tmp_path: Path, section: str, expected: str
 ) -> None:
-    """What would leave a password in the open, or nobody in, is a mistake; the password is not repeated."""
+    """OPC UA settings that expose a password, or let nobody in, are refused without repeating the
+    password."""
     (found,) = problems(tmp_path, GOOD + "[opcua]\n" + section)
 
     assert expected == found
@@ -358,14 +361,14 @@ PLC = '[plc]\nhost = "10.0.0.1"\n'
     ],
 )
 def test_a_plc_has_one_family_and_every_key_its_range(tmp_path: Path, section: str, expected: str) -> None:
-    """What cannot be in that controller is a mistake."""
+    """A setting that the PLC's family cannot have is refused."""
     found = problems(tmp_path, GOOD + section)
 
     assert any(problem.startswith(expected) for problem in found), found
 
 
 def test_opcua_shows_the_registers_of_modbus_and_needs_it(tmp_path: Path) -> None:
-    """There is one handshake."""
+    """OPC UA without Modbus is refused."""
     text = GOOD + "[modbus]\nenabled = false\n[opcua]\nanonymous = true\n"
 
     (found,) = problems(tmp_path, text)
@@ -388,7 +391,7 @@ def test_opcua_shows_the_registers_of_modbus_and_needs_it(tmp_path: Path) -> Non
     ],
 )
 def test_nobody_sets_the_cell_up_in_the_clear(tmp_path: Path, section: str, problem: str) -> None:
-    """From other machines only over TLS; on this one the page may be open, and users have their passwords."""
+    """Commissioning from other machines is allowed over TLS only; on this machine also without."""
     text = GOOD + "[web]\ncommissioning = true\n" + section
     if problem:
         (said,) = problems(tmp_path, text)
@@ -400,7 +403,7 @@ def test_nobody_sets_the_cell_up_in_the_clear(tmp_path: Path, section: str, prob
 
 
 def test_files_and_folders_of_opcua_that_are_not_there_are_named(tmp_path: Path) -> None:
-    """Before the server would say that nobody is trusted."""
+    """Missing files and folders of OPC UA are named by their keys."""
     section = "[opcua]\nanonymous = true\ncertificate = 'c.pem'\nkey = 'k.pem'\ntrusted = 'clients'\n"
     config = load(write(tmp_path, GOOD + section))
 

@@ -1,4 +1,4 @@
-"""A listening port: who connects counts at once, and nobody keeps others, or the log, from anything."""
+"""A listening port: clients count at once, and none can block others or fill the log."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ asyncio.run(main())
 
 
 def run(test) -> None:
-    """A test's coroutine, bounded."""
+    """Run a test's coroutine with a time limit."""
 
     async def bounded() -> None:
         async with asyncio.timeout(LIMIT_S):
@@ -53,7 +53,8 @@ async def connect(listener: TcpListener) -> tuple[asyncio.StreamReader, asyncio.
 
 @pytest.mark.slow
 def test_without_descriptors_the_log_stays_short_and_who_waits_gets_in_later() -> None:
-    """A hundred connections, descriptors for thirty: one line; when they have gone the next one is served."""
+    """With a hundred connections and thirty file descriptors there is one line of log, and later
+    connections are served."""
     command = [sys.executable, "-W", "error", "-c", FEW_DESCRIPTORS]
     process = subprocess.Popen(
         command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
@@ -81,7 +82,8 @@ def test_without_descriptors_the_log_stays_short_and_who_waits_gets_in_later() -
 
 
 async def test_a_client_counts_until_it_is_aborted_and_is_forgotten_once() -> None:
-    """Whoever is refused never counts; an end by either side is told once."""
+    """A client counts until it is aborted or ends, and its end is reported once; a refused one never
+    counts."""
     left: list[TcpClient] = []
     listener = TcpListener(
         "test",
@@ -107,7 +109,7 @@ async def test_a_client_counts_until_it_is_aborted_and_is_forgotten_once() -> No
 
 
 async def test_a_client_that_is_busy_is_not_idle() -> None:
-    """Something is being done for it, however long that takes; the other one ends."""
+    """A busy client is not ended as idle; an idle one is."""
     listener = TcpListener("test", lambda _: asyncio.Protocol(), lambda _: True, idle_s=0.2)
     await listener.open("127.0.0.1", 0)
     (busy_reader, busy), (idle_reader, idle) = await connect(listener), await connect(listener)
@@ -123,7 +125,7 @@ async def test_a_client_that_is_busy_is_not_idle() -> None:
 
 
 def test_a_rate_is_so_many_a_second() -> None:
-    """As many at once, none after that, and one more in its share of a second."""
+    """The rate allows this many calls at once, and further ones in their share of a second."""
     now_s = 0.0
     rate = Rate(4, lambda: now_s)
     assert [True] * 4 + [False] * 2 == [rate.take() for _ in range(6)]
@@ -134,7 +136,8 @@ def test_a_rate_is_so_many_a_second() -> None:
 
 
 async def test_a_client_that_sends_more_than_it_may_is_ended() -> None:
-    """And only it; who has no limit may send what they like, and all of it arrives."""
+    """A client that sends more than allowed is ended; one without a limit is not, and all of its data
+    arrive."""
     heard: dict[str, int] = {"limited": 0, "free": 0}
 
     class Ear(asyncio.Protocol):
@@ -168,7 +171,7 @@ async def test_a_client_that_sends_more_than_it_may_is_ended() -> None:
 
 
 def test_a_rate_is_of_each_and_can_be_forfeited() -> None:
-    """One that took all takes nothing from another; what is forfeited comes back with time, and no sooner."""
+    """Each rate is separate, and a forfeited one recovers with time."""
     now_s = [0.0]
     rate = Rate(10.0, lambda: now_s[0], burst=20.0)
     assert rate.take(20)

@@ -1,4 +1,4 @@
-"""The library's face: what a program gets from `from edged import ...`."""
+"""The library's interface: the names of `from edged import ...`."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ from edged.vision.teaching.region import CircleRegion
 
 @pytest.fixture(scope="module")
 def job() -> Job:
-    """The demo's flange."""
+    """A job of the demo's flange."""
     part = flange()
     return edged.teach(part.left, part.right, part.rig, part.region, name="flange")
 
 
 def test_importing_edged_loads_nothing() -> None:
-    """Neither numpy nor a module of its own: the daemon and `edged --help` pay nothing for the library."""
+    """`import edged` loads no other module."""
     code = "import sys; old = set(sys.modules); import edged; print(*sorted(set(sys.modules) - old))"
     ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
 
@@ -33,7 +33,7 @@ def test_importing_edged_loads_nothing() -> None:
 
 
 def test_the_command_line_does_not_load_the_library() -> None:
-    """Its help is shown without numba."""
+    """The command line loads neither the library nor numba."""
     code = "import sys, edged.cli.main; print(*({'edged.library', 'numba'} & set(sys.modules)))"
     ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
 
@@ -41,7 +41,7 @@ def test_the_command_line_does_not_load_the_library() -> None:
 
 
 def test_the_names_are_those_of_the_library() -> None:
-    """Each of `__all__`, and no other."""
+    """The names of `__all__`, and no others, exist."""
     assert {getattr(library, name) for name in edged.__all__} == {
         getattr(edged, name) for name in edged.__all__
     }
@@ -51,7 +51,7 @@ def test_the_names_are_those_of_the_library() -> None:
 
 @pytest.mark.slow
 def test_locate_gives_the_digits_of_the_pipeline(job: Job) -> None:
-    """Pose and covariance are the same, bit by bit, also when a rig is used a second time."""
+    """Pose and covariance equal the pipeline's exactly, also with a rig that is used a second time."""
     part = flange()
     (expected,) = locate(frame_pair(part.left, part.right), job, prepare(part.rig)).targets
     for _ in range(2):
@@ -62,7 +62,7 @@ def test_locate_gives_the_digits_of_the_pipeline(job: Job) -> None:
 
 @pytest.mark.slow
 def test_what_is_saved_is_what_is_loaded(job: Job, tmp_path: Path) -> None:
-    """A job and a rig come back from disc and locate the same."""
+    """A saved job and rig locate the same after loading."""
     part = flange()
     edged.save_rig(tmp_path / "rig.json", part.rig)
     edged.save_job(tmp_path / "flange", job)
@@ -74,7 +74,7 @@ def test_what_is_saved_is_what_is_loaded(job: Job, tmp_path: Path) -> None:
 
 
 def test_what_weakens_a_job_is_a_warning() -> None:
-    """A region that cuts the part says which edge it cuts."""
+    """A region that cuts the part gives a warning."""
     part = flange()
     region = part.region
     middle = region.x + region.width / 2, region.y + region.height / 2
@@ -83,7 +83,8 @@ def test_what_weakens_a_job_is_a_warning() -> None:
 
 
 def test_mistakes_are_refused_in_a_sentence() -> None:
-    """Images of another size or kind, a name or tilt that no job can have, pictures without a board."""
+    """Images of another size or kind, an impossible name or tilt, and pictures without a board are
+    refused."""
     part, image = flange(), np.zeros((48, 64), np.uint8)
     with pytest.raises(errors.ImageError, match="left image: 64x48, the rig was calibrated for 640x480"):
         edged.teach(image, image, part.rig)

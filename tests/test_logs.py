@@ -1,4 +1,4 @@
-"""What the log says: structured entries on a real journal socket, and each fault once."""
+"""The log: structured entries on a real journal socket, and each fault once."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class Journald:
         self.socket.setblocking(False)
 
     def entries(self) -> list[dict[str, str]]:
-        """What has come, read as the protocol's document says."""
+        """The entries so far, decoded as the protocol's document says."""
         found = []
         while True:
             try:
@@ -65,7 +65,7 @@ def decoded(data: bytes) -> dict[str, str]:
 
 @pytest.fixture
 def journald(tmp_path: Path) -> Iterator[Journald]:
-    """A journal that listens."""
+    """A journal socket."""
     end = Journald(tmp_path / "journal")
     yield end
     end.socket.close()
@@ -83,7 +83,7 @@ def log(journald: Journald) -> Iterator[logging.Logger]:
 
 @pytest.fixture
 def own_root() -> Iterator[None]:
-    """Whatever is set up, the root logger is as before afterwards."""
+    """Restore the root logger afterwards."""
     handlers, level = logging.root.handlers[:], logging.root.level
     logging.root.handlers[:] = []
     yield
@@ -93,7 +93,7 @@ def own_root() -> Iterator[None]:
 
 
 def test_an_entry_has_fields_to_search_for(journald: Journald, log: logging.Logger) -> None:
-    """Text, priority, place in the code, cell, the cycle it belongs to, and the call's own fields."""
+    """An entry has text, priority, place in the code, cell, cycle and the call's own fields."""
     token = cycle_number.set(4711)
     log.error("camera %s: unplugged", "left", extra=fields(fault=101))
     cycle_number.reset(token)
@@ -105,7 +105,7 @@ def test_an_entry_has_fields_to_search_for(journald: Journald, log: logging.Logg
 
 
 def test_no_text_can_forge_a_field(journald: Journald, log: logging.Logger) -> None:
-    """A newline in what a client or camera sent stays in the message, as does a trace of several lines."""
+    """A newline in a text stays in the message and makes no field, as in a trace of several lines."""
     log.warning("from the network: %s", "x\nPRIORITY=0\n\ud800")
     try:
         raise ValueError("bug")
@@ -119,12 +119,12 @@ def test_no_text_can_forge_a_field(journald: Journald, log: logging.Logger) -> N
 
 @pytest.mark.parametrize("text", ["", "plain", "a=b", "two\nlines", "\n", "µ"])
 def test_a_value_arrives_as_it_was(text: str) -> None:
-    """Coding and decoding by the document of the protocol."""
+    """Any value comes back equal after coding and decoding by the protocol's document."""
     assert decoded(encode({"A": text, "B": "end"})) == {"A": text, "B": "end"}
 
 
 def test_a_text_of_any_length_fits_a_datagram(journald: Journald, log: logging.Logger) -> None:
-    """A megabyte is cut and says so."""
+    """A text of a megabyte is cut and says so."""
     log.info("x" * 1_000_000)
     (entry,) = journald.entries()
     assert entry["MESSAGE"].endswith("(cut)")
@@ -133,7 +133,7 @@ def test_a_text_of_any_length_fits_a_datagram(journald: Journald, log: logging.L
 def test_a_journal_that_is_stuck_stops_nobody_and_the_loss_is_said(
     journald: Journald, log: logging.Logger
 ) -> None:
-    """With its queue full every call returns at once; the first entry after says how many are missing."""
+    """With a full socket every call returns at once, and the next entry has the number of lost ones."""
     for number in range(3000):
         log.info("%d", number)
     taken = len(journald.entries())
@@ -146,7 +146,8 @@ def test_a_journal_that_is_stuck_stops_nobody_and_the_loss_is_said(
 def test_stderr_that_leads_to_the_journal_is_replaced_by_its_socket(
     journald: Journald, own_root: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """JOURNAL_STREAM names the very file that stderr is: entries are structured, stderr stays empty."""
+    """If stderr is the journal, entries go to its socket; without the socket to stderr with their
+    priority."""
     with (tmp_path / "stream").open("w+") as stream:
         monkeypatch.setattr(sys, "stderr", stream)
         status = os.fstat(stream.fileno())
@@ -165,7 +166,7 @@ def test_stderr_that_leads_to_the_journal_is_replaced_by_its_socket(
 def test_a_redirected_stderr_is_a_file_like_any_other(
     journald: Journald, own_root: None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """`edged run cell.toml 2>file` in a service: JOURNAL_STREAM is inherited, lines go to the file."""
+    """If stderr is redirected to a file, lines go to the file although JOURNAL_STREAM is set."""
     stream = io.StringIO()
     monkeypatch.setattr(sys, "stderr", stream)
     set_up_logging(environment={"JOURNAL_STREAM": "8:1234"}, journal=journald.path)
@@ -177,7 +178,7 @@ def test_a_redirected_stderr_is_a_file_like_any_other(
 
 
 def test_a_line_goes_where_stderr_leads_now(own_root: None, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The demo's table redirects it while it is drawn; a line past it would leave half a table behind."""
+    """A line goes to the current stderr, so that it does not break the demo's table."""
     first, table = io.StringIO(), io.StringIO()
     monkeypatch.setattr(sys, "stderr", first)
     set_up_logging(environment={})
@@ -189,7 +190,7 @@ def test_a_line_goes_where_stderr_leads_now(own_root: None, monkeypatch: pytest.
 
 
 class Faults:
-    """A fault log with a clock that only moves when told, and what it wrote."""
+    """A fault log with a clock that the test moves, and its lines."""
 
     def __init__(self) -> None:
         self.now_s = 0.0
@@ -201,14 +202,14 @@ class Faults:
         self.log = FaultLog(log, lambda: self.now_s)
 
     def play(self, *codes: int, step_s: float = 1.0) -> None:
-        """Cycles, a second apart: 0 for a good one, else the code of its fault."""
+        """Cycles a second apart: 0 for a good one, otherwise the code of its fault."""
         for code in codes:
             self.now_s += step_s
             self.log.failed(f"fault {code} at {self.now_s}", code) if code else self.log.well()
 
 
 def test_a_fault_is_said_once_with_a_count_when_it_ends() -> None:
-    """A thousand failed cycles are two lines; the changing figures in their texts do not matter."""
+    """A thousand failed cycles with changing texts give one line for the fault and one with their number."""
     faults = Faults()
     faults.play(0, 0, *[104] * 1000, 0, 0)
     assert [
@@ -218,7 +219,7 @@ def test_a_fault_is_said_once_with_a_count_when_it_ends() -> None:
 
 
 def test_an_outage_with_several_faults_ends_once() -> None:
-    """A camera that is gone is late, then unreachable: each is said once, their end together."""
+    """In an outage each fault is logged once, and their end together."""
     faults = Faults()
     faults.play(104, 101, 104, 101, 0)
     expected = "INFO recovered after 4.0 s: 2 x fault 104 at 1.0; 2 x fault 101 at 2.0"
@@ -226,7 +227,8 @@ def test_an_outage_with_several_faults_ends_once() -> None:
 
 
 def test_a_loose_plug_does_not_fill_the_log() -> None:
-    """Every other cycle fails for a day: three lines, the last when there was no relapse for a while."""
+    """If every other cycle fails for a day, there are three lines, the last one after a while without a
+    relapse."""
     faults = Faults()
     faults.play(*[105, 0] * 43_200)
     assert 2 == len(faults.lines)
@@ -239,7 +241,7 @@ def test_a_loose_plug_does_not_fill_the_log() -> None:
 
 @pytest.mark.slow
 def test_the_loop_logs_a_fault_with_its_cycle_and_once(caplog: pytest.LogCaptureFixture) -> None:
-    """The real loop: many failed cycles are one error, and one recovery with their number."""
+    """In the real loop many failed cycles give one error and one recovery with their number."""
     with LiveCell(period_s=0.0) as cell, caplog.at_level(logging.INFO, "edged.cell.cycle"):
         plc = Plc(cell.port)
 
@@ -260,7 +262,7 @@ def test_the_loop_logs_a_fault_with_its_cycle_and_once(caplog: pytest.LogCapture
 
 
 class Repeating:
-    """A logger behind a `RepeatLimit` whose clock stands until it is moved."""
+    """A logger behind a `RepeatLimit` with a clock that the test moves."""
 
     def __init__(self) -> None:
         self.now_s = 0.0
@@ -278,7 +280,7 @@ class Repeating:
 
 
 def test_what_repeats_itself_is_held_back_and_counted() -> None:
-    """A million lines of a library become ten and one that says how many; other lines are not touched."""
+    """Repeated lines are held back and counted in one line; other lines are not."""
     repeating = Repeating()
     for number in range(1000):
         repeating.log.error("no descriptor for %d\nsocket: %d", number, number)
@@ -293,7 +295,7 @@ def test_what_repeats_itself_is_held_back_and_counted() -> None:
 
 
 def test_the_count_is_said_at_the_end_when_nothing_else_is_logged() -> None:
-    """A process that ends in a flood still says how many lines there were, once."""
+    """At the end of the process the number of held back lines is logged once."""
     repeating = Repeating()
     for number in range(REPEATS + 2):
         repeating.log.error("%s", f"door {number // 20} is stuck")
@@ -305,7 +307,7 @@ def test_the_count_is_said_at_the_end_when_nothing_else_is_logged() -> None:
 
 
 def test_messages_that_are_all_different_fill_no_memory() -> None:
-    """Whoever makes each line another one is not held back, but only so many are remembered."""
+    """Lines that are all different are logged, and only a limited number is remembered."""
     repeating = Repeating()
     for number in range(3 * MAX_REPEATED):
         repeating.log.error("%s", f"line {number}")
@@ -316,7 +318,7 @@ def test_messages_that_are_all_different_fill_no_memory() -> None:
 
 @pytest.mark.usefixtures("own_root")
 def test_the_log_of_the_daemon_holds_back_what_repeats_itself(capfd: pytest.CaptureFixture[str]) -> None:
-    """Lines of libraries too; one more line says how many."""
+    """The daemon's log holds back repeated lines, of libraries, too, and logs their number."""
     set_up_logging(environment={})
     for _ in range(3 * REPEATS):
         logging.getLogger("asyncio").error("socket.accept() out of system resource")

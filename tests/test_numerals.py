@@ -1,4 +1,4 @@
-"""Numbers in strangers' texts: only what is written as one is one, wherever it comes in."""
+"""Numbers in foreign texts: only usual notations are accepted, in every reader."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ from edged.setup.calibration.boards import stated_boards
 from edged.sim.console import number
 
 TEXTS = ["1_0", "\u0661\u0662", "\uff11", "nan", "inf", "-infinity", "1e400", "1__"]
-"""Python's `int` or `float` reads most of them."""
+"""Texts that Python's `int` or `float` mostly reads."""
 
 
 def _stl(text: str, folder: Path) -> object:
-    """A tetrahedron with a corner at it."""
+    """A tetrahedron with a corner at this number."""
     corners = [f"{text} 0 0", "0 10 0", "0 0 10", "0 0 0"]
     facets = [
         "facet normal 0 0 1\nouter loop\n"
@@ -45,7 +45,7 @@ def _stl(text: str, folder: Path) -> object:
 
 
 def _drawing(text: str, folder: Path) -> list[FloatArray]:
-    """A square with a corner at it."""
+    """A square with a corner at this number."""
     document = ezdxf.new(units=4)
     document.modelspace().add_lwpolyline([(7.25, 0), (20, 0), (20, 20), (0, 20)], close=True)
     out = io.StringIO()
@@ -56,7 +56,7 @@ def _drawing(text: str, folder: Path) -> list[FloatArray]:
 
 
 def _head(text: str, _folder: Path) -> object:
-    """The head of an audit, with a text for a number."""
+    """The head of an audit with a text as number."""
     found = head_in(json.dumps({"number": text, "hash": "0" * 64}).encode())
     if found is None:
         raise UserError("no head")
@@ -85,14 +85,14 @@ DOORS: dict[str, Callable[[str, Path], object]] = {
 @pytest.mark.parametrize("text", TEXTS)
 @pytest.mark.parametrize("door", DOORS)
 def test_what_only_python_reads_is_no_number(door: str, text: str, tmp_path: Path) -> None:
-    """Neither underscores nor digits of other alphabets, nor what is not finite: refused, not guessed at."""
+    """Underscores, digits of other alphabets and values that are not finite are refused."""
     with pytest.raises(UserError):
         DOORS[door](text, tmp_path)
 
 
 @pytest.mark.parametrize("text", ["1", "12.5", "-3", "1e1", ".5"])
 def test_what_is_one_is_read(text: str, tmp_path: Path) -> None:
-    """Signs, points and exponents as everywhere."""
+    """Numbers with signs, points and exponents are read."""
     expected = float(text)
     assert (expected, 2.0, 3.0) == numbers_in(f"X {text}, Y 2, Z 3", (3,))
     assert 1 == len(_drawing(text, tmp_path))
@@ -102,27 +102,27 @@ def test_what_is_one_is_read(text: str, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("text", ["NaN", "[Infinity]", '{"a": -Infinity}', "1e400", "[1.0e999]"])
 def test_json_has_finite_numbers_alone(text: str) -> None:
-    """RFC 8259, 6: what Python's reader adds is none."""
+    """NaN and infinities in JSON are refused (RFC 8259, 6)."""
     with pytest.raises(ValueError, match="number"):
         json_of(text)
     assert {"a": [1, 2.5, None]} == json_of('{"a": [1, 2.5, null]}')
 
 
 def test_a_head_beyond_all_numbers_is_no_head() -> None:
-    """A float is none either, nor is true."""
+    """A head with a number that is too large, a float, true or negative is refused."""
     for value in ("1e400", "1.5", "true", "-1"):
         assert None is head_in(f'{{"number": {value}, "hash": "x"}}'.encode())
 
 
 def test_digits_are_those_of_ascii() -> None:
-    r"""`\d`, isdigit and isdecimal take digits of every alphabet, and `int` then reads them."""
+    r"""No source uses `\d`, isdigit, isdecimal or isnumeric, which accept digits of every alphabet."""
     any_digit = re.compile(r"\\d\b|\\d[+*{?)\]]|\.is(?:digit|decimal|numeric)\(")
     sources = (Path(__file__).parents[1] / "edged").rglob("*.py")
     assert [] == [(source, found) for source in sources if (found := any_digit.findall(source.read_text()))]
 
 
 def test_a_picture_numbered_in_another_alphabet_counts_for_nothing(tmp_path: Path) -> None:
-    """Nor does one with an underscore."""
+    """A picture with digits of another alphabet, or an underscore, in its number is not counted."""
     for name in ("view_07_left.png", "view_\u0669\u0669_left.png", "view_1_0_left.png"):
         (tmp_path / name).touch()
     assert 8 == next_number(tmp_path, "view")

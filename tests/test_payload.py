@@ -38,7 +38,7 @@ SCHEMA = load_schema()
 
 
 def publish(body: dict[str, object], kind: str) -> dict[str, object]:
-    """What a subscriber would read."""
+    """The document that a subscriber reads."""
     document: dict[str, object] = json.loads(encode(message(kind, "cell1", 1, body, 7)))
     return document
 
@@ -46,7 +46,7 @@ def publish(body: dict[str, object], kind: str) -> dict[str, object]:
 @pytest.mark.parametrize("status", Status)
 @pytest.mark.parametrize("robot_from_rig", [None, ROBOT_FROM_RIG])
 def test_every_snapshot_fits_the_published_schema(status, robot_from_rig):
-    """Whatever a cycle ends with, its message holds what the schema says and nothing else."""
+    """The message of every status fits the schema, and publishing does not ask for the nearest place."""
     command = Command(CommandKind.LOCATE, "zenoh", 3)
     targets = (make_target(), make_target(Reject.RESIDUAL))
     snapshot = make_snapshot(status=status, targets=targets, command=command, robot_from_rig=robot_from_rig)
@@ -61,7 +61,7 @@ def test_every_snapshot_fits_the_published_schema(status, robot_from_rig):
 
 
 def test_the_frame_of_a_model_is_published_where_there_is_one():
-    """As the schema says it; a target of a job without a model has no such field."""
+    """The model's frame is published as in the schema, and only for a target that has one."""
     frame = make_transform((0.3, 0.2, 0.1), (1.0, 2.0, 3.0))
     snapshot = make_snapshot(targets=(replace(make_target(), rig_from_model=frame), make_target()))
     document = publish(snapshot_to_json(snapshot), "target")
@@ -72,7 +72,7 @@ def test_the_frame_of_a_model_is_published_where_there_is_one():
 
 @pytest.mark.parametrize("robot_from_rig", [None, ROBOT_FROM_RIG])
 def test_a_grasp_fits_the_published_schema(robot_from_rig):
-    """Tool and approach in the rig's frame, and in the robot's where there is one."""
+    """A grasp is published in the rig's frame, and in the robot's if there is one, as in the schema."""
     target, pose = make_target(), make_transform((0.3, 0.2, 0.1), (1.0, 2.0, 3.0))
     grasp = GraspPose("rim", 2, 0.5, pose, target.covariance, 50.0, 80.0)
     others = (replace(grasp, turn_rad=1.5), replace(grasp, number=3))
@@ -96,7 +96,7 @@ def test_a_grasp_fits_the_published_schema(robot_from_rig):
 
 
 def test_state_fits_the_published_schema():
-    """The daemon's state is documented too."""
+    """The published state fits the schema."""
     state = CellState(CellPhase.FAULT, False, False, "flange", 1, 4, "camera left: unplugged", 101)
     document = publish({"published_ns": 1, **state_to_json(state)}, "state")
     assert [] == violations(document, SCHEMA, SCHEMA)
@@ -104,7 +104,7 @@ def test_state_fits_the_published_schema():
 
 
 def test_locate_fits_the_published_schema():
-    """`edged locate --json` prints what the schema calls `locate`, rejected targets included."""
+    """The output of `edged locate --json` fits the schema, with rejected targets."""
     match = Match(1.0, 2.0, 0.1, 1.0, 1.0, 0.7)
     outcome = Outcome(
         Status.LOW_QUALITY,
@@ -117,7 +117,7 @@ def test_locate_fits_the_published_schema():
 
 
 def test_the_schema_refuses_what_is_undocumented_or_missing():
-    """The check above can fail: another field, a missing one, a wrong type are all seen."""
+    """A message with another, a missing or a wrong field does not fit the schema."""
     good = publish(snapshot_to_json(make_snapshot()), "target")
     missing = {name: value for name, value in good.items() if name != "exposed_ns"}
     for bad in ({**good, "x": 1}, missing, {**good, "cycle": "1"}, {**good, "schema": "edged/state/1"}):
@@ -126,14 +126,14 @@ def test_the_schema_refuses_what_is_undocumented_or_missing():
 
 @pytest.mark.parametrize("status", [s for s in Status if s is not Status.OK])
 def test_only_a_good_result_has_usable_targets(status):
-    """A target of a cycle that is not OK never stands where a robot's program looks."""
+    """A target of a cycle that is not OK is among the rejected ones only."""
     document = snapshot_to_json(make_snapshot(status=status, targets=(make_target(),)))
     assert [] == document["targets"]
     assert 1 == len(document["rejected"])
 
 
 def test_a_rejected_target_is_not_among_the_usable_ones():
-    """Only the target without a reject reason may be used; order is kept."""
+    """A target with a reject reason is not among the usable ones, and the order is kept."""
     targets = (make_target(Reject.TOLERANCE, 1.0), make_target(x_mm=2.0), make_target(x_mm=3.0))
     document = snapshot_to_json(make_snapshot(targets=targets))
     assert [2.0, 3.0] == [target["position_mm"][0] for target in document["targets"]]
@@ -141,7 +141,7 @@ def test_a_rejected_target_is_not_among_the_usable_ones():
 
 
 def test_numbers_are_the_measured_ones():
-    """Pose, match and circle carry the target's numbers under their documented names and units."""
+    """Pose, match and circle have the target's numbers under their documented names and units."""
     target = make_target()
     document = target_to_json(target, None)
     assert target.rig_from_part[:3, 3].tolist() == document["position_mm"]
@@ -165,7 +165,8 @@ def test_pose_in_the_robots_frame_is_the_chain_of_transforms():
 
 
 def test_covariance_in_the_robots_frame_is_that_of_the_moved_poses():
-    """To first order: poses moved a little along each axis of the rig frame, seen in the robot's."""
+    """To first order the covariance is that of poses moved along each axis of the rig, seen in the robot's
+    frame."""
     target = make_target()
     mean = ROBOT_FROM_RIG @ target.rig_from_part
 
@@ -186,7 +187,7 @@ def test_covariance_in_the_robots_frame_is_that_of_the_moved_poses():
 @settings(max_examples=50)
 @given(st.lists(st.floats(), min_size=36, max_size=36), st.floats(), st.floats())
 def test_json_never_holds_what_json_cannot_say(values, score, radius):
-    """NaN and infinities anywhere in a result become null; every other number survives exactly."""
+    """NaN and infinities in a result become null, and other numbers are exact."""
     target = make_target()
     target = dataclasses.replace(
         target,
@@ -203,13 +204,13 @@ def test_json_never_holds_what_json_cannot_say(values, score, radius):
 
 
 def test_encode_refuses_nan():
-    """Should a NaN get past the shaping, it is an error here and not invalid JSON at the reader's."""
+    """A NaN that reaches the encoder is an error."""
     with pytest.raises(ValueError, match="JSON"):
         encode({"x": float("nan")})
 
 
 def test_an_exposure_that_never_was_is_null():
-    """A capture fault has no exposure time: 0 would be a date in 1970."""
+    """A capture fault has null as exposure time."""
     document = snapshot_to_json(make_snapshot(status=Status.CAPTURE_FAULT))
     assert document["exposed_ns"] is None
     assert ("camera left: unplugged", 104) == (document["error"], document["error_code"])
@@ -217,7 +218,7 @@ def test_an_exposure_that_never_was_is_null():
 
 @given(st.sets(st.sampled_from([bit for bit in Reject if bit])))
 def test_reject_reasons_are_named_one_by_one(bits):
-    """Any combination of bits is the list of their names."""
+    """Any combination of reject bits becomes the list of their names."""
     combined = Reject.NONE
     for bit in bits:
         combined |= bit
@@ -225,7 +226,7 @@ def test_reject_reasons_are_named_one_by_one(bits):
 
 
 def test_an_encoders_count_is_published_where_a_camera_counted() -> None:
-    """As the schema says, also 0; without one no key is there."""
+    """A camera's count is published, also 0; without one there is no key."""
     plain = publish(snapshot_to_json(make_snapshot()), "target")
     for count in (0, 2**32):
         document = publish(snapshot_to_json(replace(make_snapshot(), exposed_count=count)), "target")
@@ -237,7 +238,8 @@ def test_an_encoders_count_is_published_where_a_camera_counted() -> None:
 def test_an_offset_is_published_beside_the_pose_and_without_golden_nothing_changes(
     state: GoldenState,
 ) -> None:
-    """As the schema says; a golden part that no longer holds is named; without one no key is there."""
+    """An offset is published as in the schema, an invalid golden part with its state; without one there is
+    no key."""
     offset = Offset(
         ROBOT_FROM_RIG, np.eye(6), make_transform((0.1, 0.0, 0.0), (1.0, 2.0, 3.0)), 4 * np.eye(6)
     )
@@ -264,7 +266,8 @@ def test_an_offset_is_published_beside_the_pose_and_without_golden_nothing_chang
 
 @pytest.mark.parametrize("robot_from_rig", [None, ROBOT_FROM_RIG])
 def test_a_belt_is_published_with_the_count_and_without_one_nothing_changes(robot_from_rig) -> None:
-    """The parts' numbers and poses in its frame; what is not known of it is in the robot's pose alone."""
+    """Count, part numbers and poses in the belt's frame are published as in the schema; without a belt
+    there is no key."""
     snapshot = make_snapshot(robot_from_rig=robot_from_rig)
     plain = publish(snapshot_to_json(snapshot), "target")
     belt = Belt((0.0, 0.05, 0.0), (0.0, 0.0, 0.0), 2**16, "command", 200.0, 0.001, 1e-4, 3000.0, 10.0)

@@ -1,4 +1,4 @@
-"""The power fails while jobs, rigs, backups, recordings are written: the old state is left or the new."""
+"""Power cuts while jobs, rigs, backups and recordings are written leave the old state or the new."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from edged.files import atomic
 
 @pytest.mark.slow
 def test_300_power_cuts_leave_the_old_state_or_the_new(template: Path, tmp_path: Path) -> None:
-    """At any call of any writer: the cell is read, nothing is mixed, and what was finished has remained."""
+    """After a power cut at any call the cell is readable, unmixed, and has everything that was completed."""
     assert [] == statewriters.survive(template / "cell.toml", tmp_path, 300, seed=1)
 
 
@@ -25,7 +25,7 @@ def test_300_power_cuts_leave_the_old_state_or_the_new(template: Path, tmp_path:
 def test_writers_that_bring_nothing_to_the_disk_are_caught(
     template: Path, tmp_path: Path, of_files: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The cuts are not blind: without the fsync of files, or without that of folders, they find mixtures."""
+    """Without the fsync of files, or of folders, the cuts find mixed states."""
 
     def careless(calls: Sequence[Call], dice: random.Random) -> Disk:
         files = {call.thing for call in calls if isinstance(call, Changed) and call.content is not None}
@@ -42,7 +42,7 @@ Tree = tuple[tuple[str, bytes | None], ...]
 
 
 def left_by(root: Path, write: Callable[[], None], cuts: int = 200) -> set[Tree]:
-    """What cuts leave of one writer, by path; temporary files left out."""
+    """What cuts leave of one writer, by path, without temporary files."""
     root.mkdir()
     record = Record(root)
     with record.watching():
@@ -56,7 +56,7 @@ def left_by(root: Path, write: Callable[[], None], cuts: int = 200) -> set[Tree]
 
 
 def test_a_disk_may_keep_a_name_without_its_content(tmp_path: Path) -> None:
-    """A file that was written in place: not there, empty, a part of it, or whole."""
+    """A file that was written in place may be missing, empty, cut or whole."""
     file = tmp_path / "disk" / "a"
 
     def carelessly() -> None:
@@ -69,13 +69,13 @@ def test_a_disk_may_keep_a_name_without_its_content(tmp_path: Path) -> None:
 
 
 def test_an_atomic_file_is_there_or_not(tmp_path: Path) -> None:
-    """Never a part of it."""
+    """A file that was written atomically is whole or missing."""
     file = tmp_path / "disk" / "a"
     assert {(), (("a", b"12"),)} == left_by(tmp_path / "disk", lambda: atomic.write_atomically(file, b"12"))
 
 
 def test_two_names_are_kept_in_any_order(tmp_path: Path) -> None:
-    """Without an fsync between them the second may be there and the first not."""
+    """Without an fsync between them either of two names may be there alone."""
 
     def both() -> None:
         for name in "ab":

@@ -1,4 +1,4 @@
-"""The map between a camera's clock and the host's: always within its bound, and narrow when it can be."""
+"""The map between a camera's clock and the host's: always within its bound, and as narrow as possible."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ READINGS = st.lists(
 def test_the_true_time_is_always_within_the_stated_bound(
     offset_ns: int, drift: float, step_ns: int, asked: list[tuple[int, int, float]], exposed_ns: int
 ) -> None:
-    """Whatever offset, drift, ticks and network delays: the error of the mapped time is bounded as stated."""
+    """Whatever offset, drift, ticks and network delays, the error of the mapped time is within its bound."""
     crystal, clocks = Crystal(offset_ns, drift, step_ns), ClockMap()
     for sent_ns, round_trip_ns, share in sorted(asked):
         clocks.add(crystal.read(sent_ns, round_trip_ns, share))
@@ -81,7 +81,7 @@ def test_the_true_time_is_always_within_the_stated_bound(
 def test_a_rate_that_wanders_stays_within_the_bound(
     seed: int, period_s: float, phase: float, shares: list[float]
 ) -> None:
-    """A crystal that warms up and cools down, as far as `RATE_WANDER` allows, is still bounded."""
+    """A crystal whose rate wanders as far as `RATE_WANDER` allows stays within the bound."""
     random = np.random.default_rng(seed)
     amplitude = RATE_WANDER / 2 * period_s / math.tau * 1e9  # of the phase, ns: the rate swings by half of it
 
@@ -110,7 +110,7 @@ def test_a_rate_that_wanders_stays_within_the_bound(
 def test_the_open_span_is_that_of_all_lines_through_all_gates(
     asked: list[tuple[int, int, float]], device_ns: int
 ) -> None:
-    """The extremes equal those of a plain search over slopes."""
+    """The bounds equal those of a plain search over slopes."""
     clocks = ClockMap()
     readings = [Crystal(drift=20e-6).read(*one) for one in sorted(asked)[:8]]
     for reading in readings:
@@ -130,13 +130,13 @@ def test_the_open_span_is_that_of_all_lines_through_all_gates(
 
 
 def test_without_a_reading_there_is_no_map() -> None:
-    """A camera without a latch gets no invented time."""
+    """Without a reading there is no mapped time."""
     assert ClockMap().at(5) is None
     assert ClockMap().utc(5) is None
 
 
 def test_a_busy_moment_does_no_harm() -> None:
-    """A reading with a round trip of 10 ms does not spoil those of 0.1 ms around it."""
+    """A reading with a round trip of 10 ms does not widen the bound between readings of 0.1 ms."""
     crystal, quiet, disturbed = Crystal(offset_ns=77), ClockMap(), ClockMap()
     for second in range(10):
         reading = crystal.read(second * 3 * SECOND_NS, 100_000)
@@ -150,7 +150,8 @@ def test_a_busy_moment_does_no_harm() -> None:
 
 
 def test_the_drift_is_learnt() -> None:
-    """Crystals 100 ppm apart: 5 s after the last reading they cost no longer 500 µs."""
+    """The drift of crystals 100 ppm apart is estimated: 5 s after the last reading the bound is below 200
+    µs."""
     crystal, clocks = Crystal(drift=100e-6), ClockMap()
     for second in range(0, 40, 2):
         clocks.add(crystal.read(second * SECOND_NS, 100_000, share=0.2 + 0.015 * second))
@@ -163,7 +164,8 @@ def test_the_drift_is_learnt() -> None:
 
 
 def test_a_clock_that_is_set_or_wraps_is_mapped_anew() -> None:
-    """Forward, back to zero, and over the end of 32 bits of ns: one jump is counted each time."""
+    """A clock that is set forward, back, or wraps at 32 bits of ns is mapped anew, with one jump counted
+    each time."""
     steps_ns = [0, 5_000_000_000, -6_000_000_000, -(2**32)]
     clocks, offset_ns = ClockMap(), 0
     for number, step_ns in enumerate(steps_ns):
@@ -179,7 +181,7 @@ def test_a_clock_that_is_set_or_wraps_is_mapped_anew() -> None:
 
 
 def test_old_readings_are_forgotten() -> None:
-    """A day of readings keeps as many as the window holds, and they are the last ones."""
+    """Only the readings of the last window are kept."""
     crystal, clocks = Crystal(drift=10e-6), ClockMap()
     for second in range(2000):
         clocks.add(crystal.read(second * SECOND_NS, 100_000))
@@ -189,7 +191,7 @@ def test_old_readings_are_forgotten() -> None:
 
 
 def test_utc_is_the_hosts_as_it_stands_now() -> None:
-    """A moment 20 ms ago is 20 ms ago in UTC too; the bound grows by the two clocks' own reading."""
+    """A moment 20 ms ago is 20 ms ago in UTC, and the bound grows by the reading of both clocks."""
     raws = iter([1_000_000_000, 1_000_002_000])
     mapped = to_utc(Mapped(980_001_000, 50_000), raw=lambda: next(raws), utc=lambda: 10**18)
 
@@ -198,7 +200,7 @@ def test_utc_is_the_hosts_as_it_stands_now() -> None:
 
 
 def test_utc_of_now_is_now() -> None:
-    """The host's own two clocks agree within the bound."""
+    """The host's two clocks agree within the bound."""
     before_ns = time.time_ns()
     mapped = to_utc(Mapped(host_ns(), 0))
     after_ns = time.time_ns()

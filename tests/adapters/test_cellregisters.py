@@ -1,4 +1,4 @@
-"""The registers of a cell between two of their lives: what one was asked, the next does not answer."""
+"""The registers of a cell over a reload: what one asked for, the next does not answer."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from edged.plc.answers import NackReason
 
 
 class Queue:
-    """A commander that takes everything."""
+    """A commander that accepts everything."""
 
     def __init__(self) -> None:
         self.commands: list[Command] = []
@@ -46,25 +46,25 @@ class Queue:
 
 
 def registers(queue: Queue) -> CellRegisters:
-    """As a start or a reload makes them, and a PLC that has begun to write."""
+    """The registers of a start or a reload, with a PLC that has begun to write."""
     cell = CellRegisters(ModbusSettings(), queue, lambda: 1000.0)
     cell.write(1, reg.ADDRESS["CMD_SEQ"], [0])
     return cell
 
 
 def status(cell: CellRegisters) -> dict[str, reg.Number]:
-    """The block by name."""
+    """The status block by name."""
     return reg.decode(reg.STATUS, cell.read(reg.STATUS.address, reg.STATUS.words))
 
 
 def shown(cell: CellRegisters) -> tuple[reg.Number, reg.Number]:
-    """SEQ_HEAD and X."""
+    """SEQ_HEAD and X of the result."""
     result = reg.decode(reg.RESULT, cell.read(reg.RESULT.address, reg.RESULT.words))
     return result["SEQ_HEAD"], result["X"]
 
 
 def test_what_is_in_flight_over_a_reload_does_not_answer_the_next_command_of_that_number() -> None:
-    """LOCATE 1 is measured while [modbus] changes, and is written again: its own exposure counts."""
+    """LOCATE 1 from before a reload does not answer LOCATE 1 after it; only the new exposure counts."""
     queue = Queue()
     registers(queue).write(1, reg.ADDRESS["COMMAND"], [CommandKind.LOCATE, 0, 1])
     cell = registers(queue)
@@ -88,7 +88,7 @@ def test_what_is_in_flight_over_a_reload_does_not_answer_the_next_command_of_tha
 
 
 def test_blocks_read_in_a_row_come_from_one_image_until_something_happens_or_expires() -> None:
-    """HEARTBEAT goes on after half a millisecond, or with the next write; a pose falls at its instant."""
+    """Blocks stay the same within half a millisecond, until a write, or until a result expires."""
     now_s = [1000.0998]
     cell = CellRegisters(ModbusSettings(), Queue(), lambda: now_s[0])
     cell.write(1, reg.ADDRESS["CMD_SEQ"], [0])
@@ -106,7 +106,7 @@ def test_blocks_read_in_a_row_come_from_one_image_until_something_happens_or_exp
 
 
 def test_a_box_is_said_with_each_command_and_stays() -> None:
-    """Written once, of every command until it is written again."""
+    """A written box applies to every command until it is written again."""
     queue = Queue()
     cell = registers(queue)
     cell.write(1, reg.ADDRESS["COMMAND"], [CommandKind.LOCATE, 0, 1])
@@ -118,7 +118,7 @@ def test_a_box_is_said_with_each_command_and_stays() -> None:
 
 
 def test_what_others_ask_is_not_shown_to_the_plc() -> None:
-    """A part that was located over Zenoh is no cycle of a free-running cell; one that nobody asked for is."""
+    """A part located over Zenoh is not shown to the PLC; a free-running cycle is."""
     cell = registers(Queue())
     cell.take(make_snapshot(1, command=Command(CommandKind.LOCATE, "zenoh", 1)))
     assert (0, reg.INT32_MIN) == shown(cell)
@@ -127,7 +127,7 @@ def test_what_others_ask_is_not_shown_to_the_plc() -> None:
 
 
 def test_what_comes_after_the_time_out_is_not_shown_as_a_free_running_cycle_either() -> None:
-    """The command has ended, CMD_SEQ is 0 again: its late result belongs to nobody."""
+    """After the time-out of a command its late result is not shown."""
     queue, now_s = Queue(), 1000.0
     cell = CellRegisters(ModbusSettings(), queue, lambda: now_s)
     cell.write(1, reg.ADDRESS["CMD_SEQ"], [0])
@@ -140,7 +140,7 @@ def test_what_comes_after_the_time_out_is_not_shown_as_a_free_running_cycle_eith
 
 
 def test_auto_lock_is_told_when_it_changes_and_falls_with_its_connection() -> None:
-    """A PLC that writes its whole block for ever says it once; another client's end is nothing to it."""
+    """AUTO_LOCK is reported when it changes, and is off when its own connection ends."""
     queue = Queue()
     cell = registers(queue)
     for _ in range(3):
@@ -157,7 +157,7 @@ def test_auto_lock_is_told_when_it_changes_and_falls_with_its_connection() -> No
 
 
 def test_a_command_that_the_cell_refuses_for_setup_says_so() -> None:
-    """Also before the state has been told: between a start, or a reload, and its first event."""
+    """A command that the cell refuses for SETUP is NACK with that reason, also before the first event."""
 
     class Busy(Queue):
         def submit(self, command: Command) -> None:
@@ -169,7 +169,7 @@ def test_a_command_that_the_cell_refuses_for_setup_says_so() -> None:
 
 
 def test_a_stop_in_setup_makes_nothing_ready() -> None:
-    """STOPPING, and a command that comes now, is as in SETUP."""
+    """A stop in SETUP gives STOPPING, and a command is still refused for SETUP."""
     queue = Queue()
     cell = registers(queue)
     setup = CellState(CellPhase.SETUP, False, True, "flange", 1, 0, setup=SetupSource.PERSON)
@@ -190,7 +190,7 @@ RESULTS = {
     "grasp": (reg.GRASP, "G_"),
     "targets": (reg.TABLE_END, "TABLE_"),
 }
-"""Blocks that carry a result, or its rows, and how the names of their registers begin."""
+"""Blocks with a result, or its rows, and the prefix of their registers' names."""
 
 
 def block(cell: CellRegisters, of: reg.Block) -> dict[str, reg.Number]:
@@ -199,21 +199,22 @@ def block(cell: CellRegisters, of: reg.Block) -> dict[str, reg.Number]:
 
 
 def located(cell: CellRegisters, queue: Queue, sequence: int, cycle: int = 1) -> None:
-    """A command, and its good part with a grasp."""
+    """Send a command that gets a good part with a grasp."""
     cell.write(1, reg.ADDRESS["COMMAND"], [CommandKind.LOCATE, 0, sequence])
     cell.take(ExposureDone(cycle, queue.commands[-1]))
     cell.take(replace(make_snapshot(cycle, command=queue.commands[-1]), targets=(with_grasp(),)))
 
 
 def with_grasp() -> Target:
-    """A part that a robot may take."""
+    """A part with a grasp."""
     place = make_target().rig_from_part
     return replace(make_target(), grasp=GraspPose("face", 1, 0.0, place, np.eye(6), 50.0, 50.0))
 
 
 @pytest.mark.parametrize("change", ["reload", "job"])
 def test_a_valid_result_falls_at_once_when_what_it_stands_on_is_exchanged(change: str) -> None:
-    """RESULT is RELOADED, in every block no coordinates, tails 0; ACK stays, EXPOSURE_DONE does not."""
+    """A reload makes a valid result RELOADED, with no coordinates and tails of 0 in every block; ACK
+    stays, EXPOSURE_DONE does not."""
     queue = Queue()
     cell = registers(queue)
     located(cell, queue, 7)
@@ -237,7 +238,8 @@ def test_a_valid_result_falls_at_once_when_what_it_stands_on_is_exchanged(change
 
 
 def test_start_epoch_config_crc_and_calibration_change_with_what_results_stand_on() -> None:
-    """At once, not with the next cycle, in every block; and not when nothing was exchanged."""
+    """START_EPOCH, CONFIG_CRC and calibration change at once in every block if something was exchanged,
+    and else not."""
     queue = Queue()
     cell = registers(queue)
     cell.take(Basis(0, "cal1", "0000f00d"))
@@ -255,7 +257,8 @@ def test_start_epoch_config_crc_and_calibration_change_with_what_results_stand_o
 
 
 def test_a_command_in_flight_over_a_reload_ends_in_a_reason_of_its_own() -> None:
-    """NACK, RELOADED; what is measured for it all the same is not shown, its failure is no second answer."""
+    """A command during a reload ends in NACK, RELOADED; its later result is not shown, and its failure is
+    no second answer."""
     queue = Queue()
     cell = registers(queue)
     cell.write(1, reg.ADDRESS["COMMAND"], [CommandKind.LOCATE, 0, 7])
@@ -270,7 +273,7 @@ def test_a_command_in_flight_over_a_reload_ends_in_a_reason_of_its_own() -> None
 
 
 def test_the_robot_that_registers_the_rig_keeps_its_epoch() -> None:
-    """Its REGISTER_SOLVE is what exchanges the registration: ACK under the epoch that it began with."""
+    """REGISTER_SOLVE, which exchanges the registration, is acknowledged in the epoch in which it began."""
     queue = Queue()
     cell = registers(queue)
     cell.take(CellState(CellPhase.SETUP, False, True, "flange", 1, 0, setup=SetupSource.ROBOT))
@@ -283,7 +286,7 @@ def test_the_robot_that_registers_the_rig_keeps_its_epoch() -> None:
 
 
 def words_of_result(cell: CellRegisters, of: reg.Block) -> tuple[int, ...]:
-    """As they travel; of the table with all its rows."""
+    """The words of a block, for the table with all its rows."""
     start = reg.TABLE[0].address if of is reg.TABLE_END else of.address
     return tuple(
         word
@@ -299,9 +302,9 @@ def words_of_result(cell: CellRegisters, of: reg.Block) -> tuple[int, ...]:
 def test_a_block_that_changes_between_two_requests_is_told_by_its_crc_and_mostly_by_its_tail(
     name: str, change: str
 ) -> None:
-    """Wherever the cut is: what is half of before and half of after has another CRC, and another tail.
+    """A mixture of an old and a new block has a wrong CRC, and another tail.
 
-    Only where the number comes again the tail cannot tell: that takes the CRC.
+    If the sequence number is the same in both, only the CRC shows it.
     """
     of, prefix = RESULTS[name]
     now_s = 1000.0
@@ -339,5 +342,5 @@ def test_a_block_that_changes_between_two_requests_is_told_by_its_crc_and_mostly
 
 
 def bytes_of(words: tuple[int, ...]) -> bytes:
-    """Each high byte first."""
+    """The bytes of words, high byte first."""
     return struct.pack(f">{len(words)}H", *words)

@@ -21,7 +21,7 @@ from edged.files.history.rows import FULL, spool_folder
 
 
 def run_cycles(folder: Path, cycles: range, packer: Sequence[str] = ("true",), **limits: int) -> CycleHistory:
-    """Let a history live through cycles."""
+    """Run a history over cycles."""
     section = HistorySection(folder=folder, **{"min_free_mib": 0, **limits})
 
     async def live() -> CycleHistory:
@@ -36,7 +36,8 @@ def run_cycles(folder: Path, cycles: range, packer: Sequence[str] = ("true",), *
 
 
 def test_what_waits_is_written_at_the_end(tmp_path: Path) -> None:
-    """And it is packed by whoever comes next; the numbers of another start are other cycles."""
+    """Waiting rows are written at the end and packed by the next one; another start's numbers are other
+    cycles."""
     for _ in range(2):
         assert 20 == run_cycles(tmp_path, range(20)).figures.written
     assert 40 == pack(tmp_path, "north", "left", 400, 2000)
@@ -45,7 +46,7 @@ def test_what_waits_is_written_at_the_end(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 async def test_another_process_packs_while_the_cell_runs(tmp_path: Path) -> None:
-    """Each time an hour has gone, half a second here; what comes meanwhile is packed the next time."""
+    """A process packs at each interval while the cell runs, and all rows are there once."""
     section = HistorySection(folder=tmp_path, min_free_mib=0)
     program = (sys.executable, "-m", "edged.files.history.packing", str(tmp_path), "north", "left", "9", "9")
     history = CycleHistory(section, "left", (program, dict(os.environ)), pack_s=0.5)
@@ -60,7 +61,7 @@ async def test_another_process_packs_while_the_cell_runs(tmp_path: Path) -> None
 
 
 def test_without_room_the_cell_goes_on(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """A disc that is too full, or a folder that cannot be made: said once, and rows are counted."""
+    """A too full disc, or a folder that cannot be made, is reported, and rows are counted as left out."""
     history = run_cycles(tmp_path, range(5), min_free_mib=100_000_000)
     assert (0, 5) == (history.figures.written, history.figures.left_out)
     assert "MiB are free" in history.figures.problem
@@ -70,7 +71,7 @@ def test_without_room_the_cell_goes_on(tmp_path: Path, caplog: pytest.LogCapture
 
 
 def test_a_spool_that_nobody_packs_is_bounded(tmp_path: Path) -> None:
-    """The oldest rows go; what is written now stays."""
+    """The oldest rows of a spool without a packer are removed."""
     spool = spool_folder(tmp_path, "left")
     spool.mkdir(parents=True)
     for number in range(3):
@@ -82,7 +83,7 @@ def test_a_spool_that_nobody_packs_is_bounded(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_a_daemon_that_is_killed_loses_a_second_at_most(tmp_path: Path) -> None:
-    """A real one is killed with -9; the next one has what it left packed, and each row is there once."""
+    """After kill -9 of a daemon the next one packs what it left, and each row is there once."""
     cell = Cell(tmp_path, 'source = "virtual-inprocess"')
     more = '\n[history]\nfolder = "history"\nplant = "north"\nmin_free_mib = 0\n'
     cell.config.write_text(cell.config.read_text() + more)

@@ -1,4 +1,4 @@
-"""What PLC and cell said to each other, as people read it afterwards."""
+"""The exchanges between PLC and cell, kept for people to read."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from edged.plc.ladder import KEPT, MOST_RUNGS, Exchange
 
 
 class Queue:
-    """A commander that takes everything."""
+    """A commander that accepts everything."""
 
     def __init__(self) -> None:
         self.commands: list[Command] = []
@@ -29,7 +29,7 @@ class Queue:
 
 
 class Talk:
-    """A PLC of one address that talks to a cell; every word takes 10 ms."""
+    """A PLC with one address; every word takes 10 ms."""
 
     def __init__(self) -> None:
         self.now_s, self.queue = 1000.0, Queue()
@@ -41,23 +41,24 @@ class Talk:
         return self.now_s
 
     def command(self, sequence: int, kind: int = CommandKind.LOCATE, client: int = 1) -> None:
-        """Write the first three words."""
+        """Write the first three words of the command block."""
         self.now_s += 0.01
         self.cell.write(client, reg.ADDRESS["COMMAND"], [kind, 0, sequence])
 
     @property
     def last(self) -> Exchange:
-        """The youngest."""
+        """The newest exchange."""
         return self.cell.ladder.exchanges[0]
 
 
 def said(exchange: Exchange) -> list[tuple[str, str]]:
-    """What, and its detail."""
+    """Each step with its detail."""
     return [(rung.what, rung.detail) for rung in exchange.rungs]
 
 
 def test_a_good_exchange_is_one_ladder_from_the_command_to_its_acknowledgement() -> None:
-    """In the order in which it was said, with the time since the command; looking at it changes nothing."""
+    """A good exchange is listed from the command to its acknowledgement, with times; listing it changes
+    nothing."""
     talk = Talk()
     talk.command(7)
     (command,) = talk.queue.commands
@@ -85,7 +86,7 @@ def test_a_good_exchange_is_one_ladder_from_the_command_to_its_acknowledgement()
 
 
 def test_a_reload_shows_where_it_took_a_result_and_a_command() -> None:
-    """The result of the one falls, the other ends in a reason of its own; a second reload adds nothing."""
+    """A reload is listed with the result or command that it ended; a second reload adds nothing."""
     talk = Talk()
     talk.command(7)
     talk.cell.take(make_snapshot(1, command=talk.queue.commands[0]))
@@ -98,7 +99,7 @@ def test_a_reload_shows_where_it_took_a_result_and_a_command() -> None:
 
 
 def test_what_is_refused_says_why_and_a_stranger_is_told_apart() -> None:
-    """The first of a connection; a number that is none; a failure; another client while one has the turn."""
+    """A refused command has its reason: a failure, an unknown number, or another client's turn."""
     talk = Talk()
     talk.command(1)
     talk.cell.take(CommandFailed(talk.queue.commands[0], "no"))
@@ -119,7 +120,7 @@ def test_what_is_refused_says_why_and_a_stranger_is_told_apart() -> None:
 
 
 def test_words_and_bytes_that_a_client_has_exchanged_are_seen_in_what_it_writes() -> None:
-    """LOCATE as 256; a flange a kilometre away that is half a metre away the other way round."""
+    """Exchanged bytes of a command and exchanged words of a flange pose give a hint."""
     talk = Talk()
     talk.command(1, CommandKind.LOCATE << 8)
     assert "bytes" == talk.last.hint
@@ -135,7 +136,7 @@ def _words(mm: float) -> tuple[int, ...]:
 
 
 def test_only_the_last_are_kept_and_none_grows_without_end() -> None:
-    """Fifty commands, and of each a few rungs, however often somebody writes."""
+    """Only the last commands are kept, each with a limited number of steps."""
     talk = Talk()
     for sequence in range(1, KEPT + 20):
         talk.command(sequence)

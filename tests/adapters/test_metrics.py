@@ -1,4 +1,4 @@
-"""What Prometheus reads: parsed with its own parser."""
+"""The metrics for Prometheus, read with its own parser."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from edged.domain.measurement import Reject, Status
 
 
 def samples(metrics: MetricsPublisher) -> dict[tuple[str, tuple[str, ...]], float]:
-    """(name, values of the labels in the order of their names) to value."""
+    """The value for each (name, values of the labels in the order of their names)."""
     return {
         (sample.name, tuple(value for _, value in sorted(sample.labels.items()))): sample.value
         for family in text_string_to_metric_families(metrics.render().decode())
@@ -24,7 +24,7 @@ def samples(metrics: MetricsPublisher) -> dict[tuple[str, tuple[str, ...]], floa
 
 
 def test_cycles_are_counted_by_their_end() -> None:
-    """One counter for each status, there from the start, so that an alert can say "none since"."""
+    """There is a counter for each status from the start, which counts its cycles."""
     metrics = MetricsPublisher("cell1")
     assert samples(metrics)["edged_cycles_total", ("NO_TARGET",)] == 0
 
@@ -39,7 +39,7 @@ def test_cycles_are_counted_by_their_end() -> None:
 
 
 def test_units_are_of_the_base() -> None:
-    """Metres and seconds, as Prometheus asks for, whatever the cell uses inside."""
+    """Values are in metres and seconds."""
     metrics = MetricsPublisher("cell1")
     target = make_target()
     snapshot = make_snapshot(1, Status.OK, (target,), exposed_ns=1_700_000_000_500_000_000)
@@ -54,7 +54,7 @@ def test_units_are_of_the_base() -> None:
 
 
 def test_a_bad_result_does_not_refresh_the_good_ones_age() -> None:
-    """The age of the newest good result is what an alert looks at."""
+    """A bad result does not change the time of the newest good one."""
     metrics = MetricsPublisher("cell1")
     metrics.announce(make_snapshot(1, Status.OK, exposed_ns=10**18))
     bad = make_snapshot(2, Status.LOW_QUALITY, (make_target(Reject.SIGMA_LIMIT),), exposed_ns=2 * 10**18)
@@ -66,7 +66,8 @@ def test_a_bad_result_does_not_refresh_the_good_ones_age() -> None:
 
 
 def test_state_and_failures_are_shown() -> None:
-    """Ready, cameras, missed triggers, failed commands, and figures of other parts as they are now."""
+    """Ready, cameras, missed triggers, failed commands, and figures of other parts have their current
+    values."""
     number = [3.0]
     metrics = MetricsPublisher("cell1", lambda: {"recordings": ("recordings on disk", number[0])})
     metrics.announce(CellState(CellPhase.FAULT, False, False, "flange", 1, 7, "cable", 104))
@@ -81,7 +82,7 @@ def test_state_and_failures_are_shown() -> None:
 
 
 def test_setup_is_told_apart_from_a_fault() -> None:
-    """Alarms of a cell that somebody has on purpose would teach people to ignore them."""
+    """SETUP has a metric of its own, so that alarms can tell it from a fault."""
     metrics = MetricsPublisher("cell1")
     setup = CellState(CellPhase.SETUP, False, False, "flange", 1, 0, setup=SetupSource.PERSON)
     for state, expected in ((setup, 1), (replace(setup, state=CellPhase.READY), 0)):
@@ -90,7 +91,7 @@ def test_setup_is_told_apart_from_a_fault() -> None:
 
 
 def test_every_figure_has_a_help_text() -> None:
-    """Who builds a dashboard reads nothing else."""
+    """Every metric has a help text."""
     metrics = MetricsPublisher("cell1")
     metrics.announce(make_snapshot())
     families = list(text_string_to_metric_families(metrics.render().decode()))

@@ -1,4 +1,4 @@
-"""A plant's Prometheus and Alertmanager, the real ones, beside a real daemon: what they see and say."""
+"""A plant's real Prometheus and Alertmanager beside a real daemon."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ from helpers.waiting import LIMIT_S, wait_until
 
 TOKEN = "a token of the plant"
 AT_REST = {"Faults of the cameras", "Why targets were refused"}
-"""Panels that show nothing while nothing is wrong."""
+"""Panels that are empty while nothing is wrong."""
 TEMPLATE = Path("/usr/share/prometheus/alertmanager/default.tmpl")
-"""Without it Debian's Alertmanager does not start."""
+"""Debian's Alertmanager does not start without it."""
 ARE_HERE = program("prometheus") and program("prometheus-alertmanager") and TEMPLATE.exists()
 pytestmark = [pytest.mark.slow, pytest.mark.skipif(not ARE_HERE, reason="no prometheus")]
 
 
 @dataclass
 class Plant:
-    """A daemon, and what looks at it. central : takes what the plant's Prometheus writes to it."""
+    """A daemon and its monitoring. central : receives what the plant's Prometheus writes."""
 
     cell: SmallCell
     daemon: subprocess.Popen[bytes]
@@ -39,7 +39,7 @@ class Plant:
 
 @pytest.fixture(scope="module")
 def plant(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Plant]:
-    """All of them, started; the cell has a password, and Prometheus the token of /metrics."""
+    """The started plant; the cell has a password, and Prometheus the token of /metrics."""
     folder = tmp_path_factory.mktemp("plant")
     cell = SmallCell(folder / "cell", period_s=0.2, recordings=folder / "recordings")
     hashed = PasswordHasher(time_cost=1, memory_cost=512, parallelism=1).hash(TOKEN)
@@ -83,7 +83,7 @@ def plant(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Plant]:
     ("name", "which"), [("grafana-dashboard.json", "own"), ("grafana-fleet.json", "central")]
 )
 def test_every_panel_has_figures_of_a_cell_that_measures(plant: Plant, name: str, which: str) -> None:
-    """The fleet's from a Prometheus that gets them by remote write, with the label of the plant."""
+    """Every panel gets figures, the fleet's by remote write with the label of the plant."""
     engine: Engine = getattr(plant, which)
     for panel in json.loads((CONFIG / name).read_text())["panels"]:
         for target in panel["targets"]:
@@ -95,13 +95,14 @@ def test_every_panel_has_figures_of_a_cell_that_measures(plant: Plant, name: str
 
 
 def _numbers(engine: Engine, question: str) -> bool:
-    """Whether there is an answer, all of numbers."""
+    """Whether the answer has values, all of them numbers."""
     values = [float(row["value"][1]) for row in engine.query(question)]
     return bool(values) and not any(map(math.isnan, values))
 
 
 def test_a_cell_that_dies_is_told_to_the_alertmanager_and_nothing_else_is(plant: Plant) -> None:
-    """`EdgedGone`, with the cell and its plant; the rule's 2 minutes are 2 seconds here."""
+    """A killed cell raises `EdgedGone`, with cell and plant, and no other alarm; the rule's 2 minutes are
+    2 seconds here."""
 
     def alerts() -> set[str]:
         return {alert["labels"]["alertname"] for alert in plant.alertmanager.asked("/api/v2/alerts")}

@@ -1,4 +1,4 @@
-"""What a page says of an error: the file's name, and not where it lies on this machine."""
+"""Error messages on a page have the file's name, not its folder on this machine."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ SAYINGS = ["{}: not JSON", "cannot read {}", "[{}] ({}, '{}'); {}", "{}:3: expec
 
 @given(PATHS, st.sampled_from(SAYINGS))
 def test_no_error_of_a_page_says_where_a_file_lies(path: PurePosixPath, saying: str) -> None:
-    """As the answer to a request, as the end of long work, and in a draft: its name alone."""
+    """The answer to a request, the end of long work and a draft have the file's name without its folder."""
     error = FileFormatError(saying.replace("{}", str(path)))
     answer = Problem(422, "file", str(error)).response().body
     assert isinstance(answer, bytes)
@@ -55,12 +55,12 @@ def test_no_error_of_a_page_says_where_a_file_lies(path: PurePosixPath, saying: 
     ],
 )
 def test_what_is_no_path_of_the_machine_stays(text: str) -> None:
-    """Addresses, shares and what is relative."""
+    """Addresses, shares and relative paths are unchanged."""
     assert text == without_folders(text)
 
 
 def test_a_touched_point_that_is_wrong_is_said_by_file_and_line(tmp_path: Path) -> None:
-    """As the acceptance page says it."""
+    """A wrong touched point is reported on the acceptance page with file and line, without the folder."""
     table = tmp_path / "touched.csv"
     table.write_text("1,2,3\n")
     with pytest.raises((UserError, FileFormatError)) as error:

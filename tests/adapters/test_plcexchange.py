@@ -1,4 +1,4 @@
-"""The thread that talks to a PLC: what a program writes while it is read, and more than can be written."""
+"""The thread that exchanges data with a PLC: writes during a read, and more images than can be written."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ FLANGE_X, CONTROL = 12, 42
 class Memory:
     """A PLC whose program goes on between two words of one answer.
 
-    meanwhile : what it does there; the words before `torn_at` are of before, the others of after.
+    meanwhile : what the program does there; the words before `torn_at` are old, the others new.
     """
 
     is_little = False
@@ -56,7 +56,7 @@ class Memory:
 
 
 class Taker:
-    """A cell that notes what it gets."""
+    """A cell that keeps what it gets."""
 
     def __init__(self, memory: Memory) -> None:
         self.images: list[bytes] = []
@@ -72,7 +72,7 @@ class Taker:
 
 
 def test_a_command_comes_with_all_that_was_written_before_it() -> None:
-    """START was seen in an answer whose FLANGE is older: the flange is read again."""
+    """If START comes with an older FLANGE, the flange is read again, so the command has the new one."""
     memory = Memory()
 
     def command() -> None:
@@ -88,7 +88,8 @@ def test_a_command_comes_with_all_that_was_written_before_it() -> None:
 
 
 def test_an_image_is_handed_on_once_and_the_newest_is_written() -> None:
-    """What waits while the PLC is slow is dropped; the last one says that there is no cell."""
+    """Each image is taken once, only the newest one is written, and the last one says that there is no
+    cell."""
     memory = Memory()
     with Taker(memory) as taker:
         wait_until(lambda: memory.written and taker.images)
@@ -106,7 +107,7 @@ def test_an_image_is_handed_on_once_and_the_newest_is_written() -> None:
 def test_whatever_a_library_raises_is_said_and_tried_again(
     error: Exception, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Later and later, and as soon as it is well all goes on."""
+    """Any exception of a library is reported and the exchange is tried again until it works."""
     for name in ("FIRST_RETRY_S", "LAST_RETRY_S"):
         monkeypatch.setattr(f"edged.adapters.plcmemory.exchange.{name}", 0.01)
     memory = Memory()

@@ -1,4 +1,4 @@
-"""What is shipped for Prometheus and Grafana, judged by Prometheus' own promtool."""
+"""The files for Prometheus and Grafana, checked by Prometheus' own promtool."""
 
 from __future__ import annotations
 
@@ -27,14 +27,14 @@ pytestmark = pytest.mark.skipif(not PROMTOOL, reason="no promtool")
 
 
 def judged(*arguments: object) -> str:
-    """What promtool says; fails unless all is well."""
+    """The output of promtool; fails unless everything is well."""
     ended = subprocess.run([PROMTOOL, *map(str, arguments)], capture_output=True, text=True, check=False)
     assert 0 == ended.returncode, ended.stdout + ended.stderr
     return ended.stdout
 
 
 def unit_tests(folder: Path, rules: str) -> Path:
-    """A file of promtool: at each time every alarm is asked for, and only those named may be there."""
+    """A test file for promtool that asks for every alarm at each time and expects only the named ones."""
     (folder / "rules.yml").write_text(rules)
     tests: list[dict[str, Any]] = []
     for unit in UNITS["tests"]:
@@ -52,7 +52,7 @@ def unit_tests(folder: Path, rules: str) -> Path:
 
 
 def test_each_alarm_comes_when_it_should_and_no_other(tmp_path: Path) -> None:
-    """`promtool test rules`: of every alarm there is a case in which it fires; beside it no other does."""
+    """There is a case for every alarm in which it fires, and no other."""
     assert "SUCCESS" in judged("test", "rules", unit_tests(tmp_path, RULES.read_text()))
     times = [at for unit in UNITS["tests"] for at in unit["alert_rule_test"]]
     fired = {name for at in times for name in at.get("alerts", [])}
@@ -70,7 +70,7 @@ def test_each_alarm_comes_when_it_should_and_no_other(tmp_path: Path) -> None:
     ],
 )
 def test_another_rule_would_be_noticed(rule: str, other: str, tmp_path: Path) -> None:
-    """The cases above judge."""
+    """A changed rule fails these cases."""
     text = RULES.read_text()
     assert rule in text
     with pytest.raises(AssertionError, match="FAILED"):
@@ -78,7 +78,7 @@ def test_another_rule_would_be_noticed(rule: str, other: str, tmp_path: Path) ->
 
 
 def test_the_example_of_a_plant_is_a_configuration(tmp_path: Path) -> None:
-    """`promtool check config`, with the rules that it names."""
+    """The example configuration passes `promtool check config`, with its rules."""
     for name in ("prometheus-plant.yml", "prometheus-alerts.yml"):
         shutil.copy(CONFIG / name, tmp_path)
     told = judged("check", "config", tmp_path / "prometheus-plant.yml")
@@ -88,7 +88,7 @@ def test_the_example_of_a_plant_is_a_configuration(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("name", ["grafana-dashboard.json", "grafana-fleet.json"])
 def test_every_panel_asks_what_prometheus_understands(name: str, tmp_path: Path) -> None:
-    """Each question as a rule, with Grafana's variables filled in."""
+    """Each query of a panel is valid, with Grafana's variables filled in."""
     panels = json.loads((CONFIG / name).read_text())["panels"]
     questions = [target["expr"] for panel in panels for target in panel["targets"]]
     rules = [
@@ -101,7 +101,8 @@ def test_every_panel_asks_what_prometheus_understands(name: str, tmp_path: Path)
 
 
 def test_the_fleet_names_the_plant_whose_cells_are_gone_and_the_cell_that_differs(tmp_path: Path) -> None:
-    """Questions of the fleet's dashboard over figures of two plants, answered by promtool."""
+    """The fleet's queries name the plant with missing cells and the cell that differs, for figures of two
+    plants."""
     fleet = json.loads((CONFIG / "grafana-fleet.json").read_text())
     panels = {panel["title"]: panel for panel in fleet["panels"]}
     series, values = [], {"a": 1.0, "b": 1.1, "c": 4.0}

@@ -1,4 +1,4 @@
-"""Recordings: what is kept, what is given up, and that the same exposure gives the same bits again."""
+"""Recordings: what is kept and what is left out, and replay with identical results."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ DAY_NS = 86_400 * 10**9
 
 
 def make_pair(seed: int = 0, size: tuple[int, int] = (48, 64)) -> FramePair:
-    """Two small pictures of noise."""
+    """A pair of two small noise pictures."""
     rng = np.random.default_rng(seed)
     return FramePair(
         *(Frame(side, 7, rng.integers(0, 256, size, np.uint8), 5, START_NS) for side in ("left", "right"))
@@ -54,7 +54,7 @@ def make_pair(seed: int = 0, size: tuple[int, int] = (48, 64)) -> FramePair:
 
 
 def run_events(recorder: Recorder, events: Iterable[Event], *, pace: bool = True) -> None:
-    """Let a recorder live through events; pace : it gets time to write each."""
+    """Run a recorder over events; pace : it gets time to write each."""
 
     async def live() -> None:
         await recorder.start()
@@ -89,7 +89,7 @@ def recorder(folder: Path, clock: list[int] | None = None, **limits: float) -> R
 
 
 def test_a_recording_is_lossless(tmp_path: Path) -> None:
-    """Images, times and the published result come back as they were."""
+    """Images, times and the published result read back equal."""
     pair, snapshot = make_pair(), replace(make_snapshot(3), exposed_count=42)
     pair = replace(pair, right=replace(pair.right, count=42))
     entry = recording.save(tmp_path, 12, datetime(2026, 1, 31, 23, 59, 59, 123456, UTC), snapshot, pair)
@@ -110,7 +110,7 @@ def test_a_recording_is_lossless(tmp_path: Path) -> None:
 @settings(max_examples=60)
 @given(st.data())
 def test_a_damaged_recording_is_named(data: st.DataObject) -> None:
-    """Cut, changed or foreign bytes: a readable recording or one kind of error, never another."""
+    """Cut, changed or foreign bytes give a readable recording or a FileFormatError."""
     whole = recording.encode(make_snapshot(), make_pair())
     cut = data.draw(st.integers(0, len(whole)))
     damaged = bytearray(whole[:cut])
@@ -132,7 +132,7 @@ def test_a_damaged_recording_is_named(data: st.DataObject) -> None:
     ],
 )
 def test_a_wrong_member_is_named(member: str, content: bytes, expected: str) -> None:
-    """Which member, and what was expected."""
+    """A wrong member is refused with its name and what was expected."""
     whole = zipfile.ZipFile(io.BytesIO(recording.encode(make_snapshot(), make_pair())))
     buffer = io.BytesIO()
     with zipfile.ZipFile(buffer, "w") as archive:
@@ -145,7 +145,7 @@ def test_a_wrong_member_is_named(member: str, content: bytes, expected: str) -> 
 
 @pytest.mark.slow
 def test_the_rings_keep_bad_cycles_longer(tmp_path: Path) -> None:
-    """Many good cycles do not push out the bad one somebody will ask for."""
+    """Many good cycles do not remove an older bad one."""
     statuses = [Status.LOW_QUALITY] + [Status.OK] * 7
     run_events(recorder(tmp_path, keep_good=3, keep_bad=5), cycles(*statuses))
 
@@ -158,7 +158,7 @@ def test_the_rings_keep_bad_cycles_longer(tmp_path: Path) -> None:
 
 
 def test_numbers_go_on_after_a_restart_with_an_earlier_clock(tmp_path: Path) -> None:
-    """The order is the order of writing, whatever the clock did; the limits hold over both runs."""
+    """After a restart with an earlier clock numbers go on, and the limits hold over both runs."""
     run_events(recorder(tmp_path, [START_NS], keep_good=3), cycles(Status.OK, Status.OK))
     run_events(recorder(tmp_path, [START_NS - DAY_NS], keep_good=3), cycles(Status.OK, Status.OK))
 
@@ -166,7 +166,7 @@ def test_numbers_go_on_after_a_restart_with_an_earlier_clock(tmp_path: Path) -> 
 
 
 def test_what_is_too_old_goes(tmp_path: Path) -> None:
-    """After as many days as the limit says; also the setup that nothing stands on any more."""
+    """Recordings older than the limit are removed, also the setups that no recording uses any more."""
     run_events(recorder(tmp_path, max_age_days=2), cycles(Status.OK))
     clock = [START_NS]
     other = Recorder(
@@ -194,7 +194,8 @@ def test_what_is_too_old_goes(tmp_path: Path) -> None:
 @pytest.mark.parametrize("restarted", [False, True])
 @pytest.mark.parametrize("days", [31, 3650, -3650])
 def test_a_clock_that_is_set_deletes_nothing(tmp_path: Path, days: int, restarted: bool) -> None:
-    """A month ahead, ten years, or back, and right again; also when the daemon starts with it."""
+    """A clock that is set a month or ten years ahead, or back, and right again, deletes nothing, also at a
+    start."""
     clock = [START_NS]
 
     def events() -> Iterator[Event]:
@@ -216,7 +217,7 @@ def test_a_clock_that_is_set_deletes_nothing(tmp_path: Path, days: int, restarte
 
 @pytest.mark.parametrize("year", [1970, 1979, 2120])
 def test_any_clock_can_record(tmp_path: Path, year: int) -> None:
-    """A PC without battery begins in 1970; ZIP begins in 1980 and ends in 2107."""
+    """Recordings work with any year of the clock, though ZIP has only 1980 to 2107."""
     now = [int(datetime(year, 1, 1, tzinfo=UTC).timestamp()) * 10**9]
     writer = recorder(tmp_path, now)
     with pytest.MonkeyPatch.context() as patch:
@@ -231,7 +232,7 @@ def test_any_clock_can_record(tmp_path: Path, year: int) -> None:
 
 
 def test_a_file_with_a_date_that_does_not_exist_is_no_recording(tmp_path: Path) -> None:
-    """Somebody else put it there; the recorder starts all the same, and leaves it alone."""
+    """A file with an impossible date is ignored and kept."""
     (tmp_path / "cycles").mkdir()
     foreign = tmp_path / "cycles" / "000000007_20261345T000000.000000Z_OK_0badcafe.zip"
     foreign.write_bytes(b"")
@@ -242,9 +243,9 @@ def test_a_file_with_a_date_that_does_not_exist_is_no_recording(tmp_path: Path) 
 
 
 def test_a_fault_that_lasts_or_flutters_is_recorded_once(tmp_path: Path) -> None:
-    """A loose plug for a night must not push out the fault before it; figures in its text do not matter.
+    """A lasting or fluttering fault is recorded once, whatever figures are in its text.
 
-    Another camera is another fault, and so is the same one after it has stayed away for a minute.
+    Another camera is another fault, and so is the same one after a minute's absence.
     """
     now_s = [1000.0]
     writer = Recorder(
@@ -282,7 +283,7 @@ def _faults(*errors: str) -> list[Snapshot]:
 
 
 def test_a_full_disk_is_said_once_and_stops_nothing(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """Nothing is written below the limit of free space, and one line says so."""
+    """Below the limit of free space nothing is written, and one line says so."""
     full = recorder(tmp_path, min_free_mib=100_000_000)
     run_events(full, cycles(*[Status.OK] * 4))
 
@@ -293,7 +294,7 @@ def test_a_full_disk_is_said_once_and_stops_nothing(tmp_path: Path, caplog: pyte
 
 
 def test_a_folder_that_cannot_be_used_stops_nothing(tmp_path: Path) -> None:
-    """A file where the folder should be: the cell starts and says why there are no recordings."""
+    """If the recordings' folder is a file, the cell starts and reports why there are no recordings."""
     (tmp_path / "taken").write_text("")
     blocked = recorder(tmp_path / "taken")
     run_events(blocked, cycles(Status.OK))
@@ -302,7 +303,7 @@ def test_a_folder_that_cannot_be_used_stops_nothing(tmp_path: Path) -> None:
 
 
 def test_a_disk_that_comes_late_is_counted_then(tmp_path: Path) -> None:
-    """What an earlier run left on it counts: numbers go on behind it, and it is no more than the limit."""
+    """If a disk comes late, its earlier recordings count, and numbers continue after them."""
     disk = tmp_path / "disk"
     run_events(recorder(disk, keep_good=3), cycles(*[Status.OK] * 3))
     disk.rename(tmp_path / "away")
@@ -323,7 +324,7 @@ def test_a_disk_that_comes_late_is_counted_then(tmp_path: Path) -> None:
 
 
 def test_setups_that_nothing_stands_on_go_at_the_start(tmp_path: Path) -> None:
-    """Somebody deleted recordings by hand: their setups do not stay for ever."""
+    """Setups without recordings are removed at the start."""
     run_events(recorder(tmp_path), cycles(Status.OK))
     recording.save_setup(tmp_path, "11111111", {"rig.json": b""})
 
@@ -333,7 +334,7 @@ def test_setups_that_nothing_stands_on_go_at_the_start(tmp_path: Path) -> None:
 
 
 def test_a_torn_write_is_swept_away(tmp_path: Path) -> None:
-    """What a power cut left unfinished is removed at the next start; what is whole stays."""
+    """Unfinished files of a power cut are removed at the start, complete ones stay."""
     run_events(recorder(tmp_path), cycles(Status.OK))
     (tmp_path / "cycles" / ".000000001_x.zip.abc").write_bytes(b"half")
     (tmp_path / "setups" / ".draft").mkdir()
@@ -347,7 +348,7 @@ def test_a_torn_write_is_swept_away(tmp_path: Path) -> None:
 
 
 def test_a_recorded_miss_says_what_came_nearest(tmp_path: Path) -> None:
-    """The recorder asks, in its own thread."""
+    """The recorder asks for the nearest place of a miss, in its own thread."""
     near, looks = NearMiss(Match(1.0, 2.0, 0.1, 1.0, 1.0, 0.5), 0.6), list[str]()
 
     def look() -> NearMiss:
@@ -364,7 +365,7 @@ def test_a_recorded_miss_says_what_came_nearest(tmp_path: Path) -> None:
 
 
 def test_good_cycles_are_left_out_first(tmp_path: Path) -> None:
-    """A disk that is slower than the cell costs good cycles, not the bad one after them."""
+    """If the disk is too slow, good cycles are left out first."""
     slow = recorder(tmp_path)
     run_events(slow, cycles(*[Status.OK] * 5, Status.LOW_QUALITY), pace=False)
 
@@ -373,7 +374,7 @@ def test_good_cycles_are_left_out_first(tmp_path: Path) -> None:
 
 
 class _StopAfter:
-    """An observer that ends the daemon."""
+    """An observer that stops the daemon."""
 
     def __init__(self, number: int) -> None:
         self.daemon: Daemon | None = None
@@ -392,9 +393,9 @@ class _StopAfter:
 
 
 def recordings_of(folder: Path, cameras: str = "") -> Path:
-    """What a daemon with a recorder left of three cycles of a virtual cell where nothing moves.
+    """The recordings of a daemon over three cycles of a virtual cell where nothing moves.
 
-    cameras : further settings of them, as TOML behind their table.
+    cameras : further settings of them, as TOML below their table.
     """
     cell = VirtualCell(small_rig(), demo_part())
     path = prepare_cell(folder, cell, DemoOptions(period_s=0.3), gige=False)
@@ -416,21 +417,21 @@ def recordings_of(folder: Path, cameras: str = "") -> Path:
 
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Of a cell that exposes once in a cycle."""
+    """Recordings of a cell that exposes once in a cycle."""
     return recordings_of(tmp_path_factory.mktemp("cell"))
 
 
 def run_replay(
     path: Path, capsys: pytest.CaptureFixture[str], export: Path | None = None
 ) -> tuple[int, dict]:
-    """Exit code and report."""
+    """The exit code and the report of a replay."""
     code = replay(path, True, Console(), export)
     return code, json.loads(capsys.readouterr().out)
 
 
 @pytest.mark.slow
 def test_a_replay_is_bit_identical(recorded: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """The pipeline is pure: the recorded exposure gives every digit again."""
+    """The replay of a recorded exposure gives every digit again."""
     code, report = run_replay(recorded, capsys)
 
     assert (code, report["different"], report["skipped"]) == (0, [], [])
@@ -441,7 +442,7 @@ def test_a_replay_is_bit_identical(recorded: Path, capsys: pytest.CaptureFixture
 def test_a_replay_of_two_exposures_in_a_cycle_is_bit_identical(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """The merged pair is recorded, as it was measured; neither exposure is needed, nor merged again.
+    """With two exposures in a cycle the merged pair is recorded and replays identically.
 
     The long exposure alone would be white where the merged picture is not.
     """
@@ -463,7 +464,7 @@ def test_a_replay_of_two_exposures_in_a_cycle_is_bit_identical(
 def test_a_replay_draws_what_it_measured(
     recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """A picture for each recording, to the last bit what `edged locate --overlay` draws of the pair."""
+    """A replay draws a picture for each recording, equal to that of `edged locate --overlay`."""
     entry = recording.entries(recorded)[0].path
     overlays = tmp_path / "drawn" / "here"
     assert 0 == replay(entry, True, Console(), overlays=overlays)
@@ -491,7 +492,7 @@ def test_a_replay_draws_what_it_measured(
 def test_an_export_replays_elsewhere(
     recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Rig and jobs travel with the recordings."""
+    """An export has rig and jobs with the recordings, and replays elsewhere."""
     one = recording.entries(recorded)[0].path
     run_replay(one, capsys, export=tmp_path / "report")
 
@@ -503,7 +504,7 @@ def test_an_export_replays_elsewhere(
 
 @pytest.mark.slow
 def test_a_difference_is_named(recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """A limit that was edited since makes another result; the path of the value is said."""
+    """A result that differs after an edited limit is reported with the path of the value."""
     run_replay(recorded, capsys, export=tmp_path)
     setup = next((tmp_path / "setups").iterdir())
     job = setup / "jobs" / "flange" / "job.toml"
@@ -519,7 +520,7 @@ def test_a_difference_is_named(recorded: Path, tmp_path: Path, capsys: pytest.Ca
 def test_the_limits_of_the_cell_are_those_of_the_recording(
     recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """They stand in the configuration beside rig and jobs; one that is no configuration any more is named."""
+    """The recorded configuration's limits apply at replay; one that is not valid any more is named."""
     run_replay(recorded, capsys, export=tmp_path)
     text = next((tmp_path / "setups").iterdir()) / "cell.toml"
     box = '\n[[limits.box]]\nname = "far"\nmin_mm = [900, 900, 900]\nmax_mm = [901, 901, 901]\n'
@@ -539,7 +540,7 @@ def test_the_limits_of_the_cell_are_those_of_the_recording(
 def test_without_its_setup_a_recording_is_skipped_with_the_reason(
     recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """A lone file cannot be replayed, and the message says what to bring."""
+    """A recording without its setup is skipped with the reason."""
     source = recording.entries(recorded)[0].path
     (tmp_path / "cycles").mkdir()
     alone = tmp_path / "cycles" / source.name
@@ -552,13 +553,14 @@ def test_without_its_setup_a_recording_is_skipped_with_the_reason(
 
 
 def test_a_folder_without_recordings_is_an_error(tmp_path: Path) -> None:
-    """Not silently "0 different"."""
+    """A folder without recordings is an error."""
     with pytest.raises(FileFormatError, match="no recordings"):
         replay(tmp_path, True, Console())
 
 
 def test_compare_names_the_path_and_the_step() -> None:
-    """Nested lists and objects, numbers with their difference, missing keys as null."""
+    """Differences are listed by path in nested lists and objects, numbers with their difference, missing
+    keys as null."""
     old = {"a": [1.0, {"b": 2.0}], "gone": 1}
     new = {"a": [1.0, {"b": 2.5}], "new": [1]}
 

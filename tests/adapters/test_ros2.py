@@ -1,4 +1,4 @@
-"""What ROS 2 nodes receive, byte by byte; never tried with a real node in these tests."""
+"""The messages for ROS 2 nodes, byte by byte; without a real node."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def describe(name: str) -> dict[str, object]:
 
 
 def referenced(name: str) -> set[str]:
-    """Every type that a type is made of."""
+    """All types that a type contains."""
     inner = {kind for _, kind in MESSAGES[name] if kind in MESSAGES}
     return inner | {deeper for kind in inner for deeper in referenced(kind)}
 
@@ -90,7 +90,7 @@ def example(frame: str) -> ros2.RosPose:
 
 @pytest.mark.parametrize("frame", GOLDEN)
 def test_messages_equal_those_of_an_independent_encoder(frame):
-    """Byte for byte, for frame names that need every kind of padding."""
+    """Messages equal the independent encoder's byte for byte, for frame names with every kind of padding."""
     pose, digest = GOLDEN[frame]
     assert pose == ros2.encode_pose(example(frame)).hex()
     assert digest == hashlib.sha256(ros2.encode_pose_with_covariance(example(frame))).hexdigest()
@@ -98,7 +98,7 @@ def test_messages_equal_those_of_an_independent_encoder(frame):
 
 @pytest.mark.parametrize("kind", [ros2.POSE, ros2.POSE_WITH_COVARIANCE])
 def test_type_hashes_follow_from_the_message_definitions(kind):
-    """The hash in the key is the SHA-256 of the type's description, as REP-2011 defines it."""
+    """The type hash is the SHA-256 of the type's description, as REP-2011 defines it."""
     name = kind.name.replace("::dds_::", "/").replace("::", "/").rstrip("_")
     document = {
         "type_description": describe(name),
@@ -108,7 +108,8 @@ def test_type_hashes_follow_from_the_message_definitions(kind):
 
 
 def test_attachment_is_what_zenohs_serializer_writes():
-    """int64, int64, 16 bytes with their length: 33 bytes, equal to Zenoh's own serializer."""
+    """The attachment is int64, int64 and 16 bytes with their length, 33 bytes, equal to Zenoh's own
+    serializer."""
     gid = bytes(range(16))
     fields = (zenoh.ext.Int64(7), zenoh.ext.Int64(1_700_000_000_000_000_000), gid)
     expected = bytes(zenoh.ext.z_serialize(fields))
@@ -117,7 +118,7 @@ def test_attachment_is_what_zenohs_serializer_writes():
 
 
 def test_keys_and_tokens_are_those_of_rmw_zenoh():
-    """Domain, topic, type and hash in the key; slashes of the topic are percent signs in the token."""
+    """The key has domain, topic, type and hash; in the token the topic's slashes are percent signs."""
     key = ros2.topic_key(3, "edged/cell1/pose", ros2.POSE)
     assert f"3/edged/cell1/pose/{ros2.POSE.name}/{ros2.POSE.type_hash}" == key
     token = ros2.publisher_token(3, "a1b2", 1, "edged_cell1", "edged/cell1/pose", ros2.POSE)
@@ -127,7 +128,7 @@ def test_keys_and_tokens_are_those_of_rmw_zenoh():
 
 
 def test_gid_is_the_hash_of_the_token_low_half_first(monkeypatch):
-    """XXH3-128("abc") is 06b05ab6733a6185 78af5f94892f3950 (high, low): both halves little endian."""
+    """The gid is the XXH3-128 of the token, both halves little endian."""
     digest = bytes.fromhex("06b05ab6733a618578af5f94892f3950")
     fake = types.SimpleNamespace(xxh3_128_digest=lambda data: {b"abc": digest}[data])
     monkeypatch.setitem(sys.modules, "xxhash", fake)
@@ -135,7 +136,7 @@ def test_gid_is_the_hash_of_the_token_low_half_first(monkeypatch):
 
 
 def test_without_xxhash_the_configuration_is_refused(monkeypatch):
-    """Asked for ROS 2 without its package, edged says what to install and does not half work."""
+    """ROS 2 without xxhash is refused with what to install."""
     monkeypatch.setitem(sys.modules, "xxhash", None)
     with pytest.raises(ConfigError, match="pip install"):
         ros2.gid_of("abc")
@@ -145,12 +146,12 @@ def test_without_xxhash_the_configuration_is_refused(monkeypatch):
     ("cell", "name"), [("cell1", "cell1"), ("my-cell.2", "my_cell_2"), ("2nd", "cell_2nd")]
 )
 def test_names_are_valid_in_ros(cell, name):
-    """ROS names know letters, digits and underscores, and do not begin with a digit."""
+    """ROS names have only letters, digits and underscores, and do not begin with a digit."""
     assert name == ros2.ros_name(cell)
 
 
 def test_pose_is_in_metres_and_in_the_robots_frame_when_it_is_known():
-    """Position, rotation and covariance in ROS units; the frame says which axes they are in."""
+    """Position, rotation and covariance are in ROS units, and frame_id names rig or robot."""
     robot_from_rig = make_transform((0.4, 1.1, -0.7), (500.0, -200.0, 300.0))
     target = make_target()
     rig = ros2.pose_of(make_snapshot(), "cell1")
@@ -180,7 +181,7 @@ def test_quaternion_turns_vectors_as_the_matrix_does(turn):
 
 
 def test_only_usable_results_are_poses():
-    """No pose for a miss, a fault, a rejected target, or one with a number that is not known."""
+    """There is no pose for a miss, a fault, a rejected target, or one with an unknown number."""
     blind = dataclasses.replace(make_target(), covariance=np.full((6, 6), np.nan))
     for snapshot in (
         *(

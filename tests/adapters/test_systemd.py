@@ -39,7 +39,7 @@ class Manager:
         self.socket.setblocking(False)
 
     def messages(self) -> list[list[str]]:
-        """What has come so far, one list of assignments a datagram."""
+        """The messages so far, one list of assignments per datagram."""
         found = []
         while True:
             try:
@@ -48,12 +48,12 @@ class Manager:
                 return found
 
     def told(self) -> list[str]:
-        """All assignments, flat."""
+        """All assignments in one list."""
         return [line for message in self.messages() for line in message]
 
 
 class Bench:
-    """A notifier with a clock that only moves when told."""
+    """A notifier with a clock that the test moves."""
 
     def __init__(self, address: str, watchdog_us: str = "") -> None:
         self.now_s = 100.0
@@ -72,7 +72,7 @@ class Bench:
 
 @pytest.fixture(params=["path", "abstract"])
 def manager(request, tmp_path):
-    """A manager that listens on a path or in the abstract name space."""
+    """A manager with a socket path or an abstract name."""
     address = f"@edged-test-{os.getpid()}" if request.param == "abstract" else str(tmp_path / "notify")
     end = Manager(address)
     end.address = address
@@ -81,7 +81,7 @@ def manager(request, tmp_path):
 
 
 def test_ready_comes_with_the_cameras_and_only_once(manager):
-    """READY=1 is told when the first state is ready, not while the cameras are missing, and once."""
+    """READY=1 is sent once, when the first state is ready, and not while cameras are missing."""
     bench = Bench(manager.address)
     bench.announce(FAULT, Idle(), FAULT)
     before = manager.told()
@@ -93,7 +93,7 @@ def test_ready_comes_with_the_cameras_and_only_once(manager):
 
 
 def test_a_cell_in_setup_has_started(manager):
-    """A start that waited until somebody has calibrated would run into its time-out; the reason is shown."""
+    """A cell in SETUP sends READY=1 with the reason as status."""
     setup = CellState(CellPhase.SETUP, False, False, "", 0, 0, setup=SetupSource.NO_CALIBRATION)
     bench = Bench(manager.address)
     bench.announce(setup, Idle())
@@ -105,7 +105,7 @@ def test_a_cell_in_setup_has_started(manager):
 
 
 def test_only_events_of_the_loop_feed_the_watchdog(manager):
-    """Cycles and idle turns feed; when they cease nothing does, however long it lasts."""
+    """Cycles and idle turns feed the watchdog; without them nothing does."""
     bench = Bench(manager.address, watchdog_us="3000000")
     bench.announce(READY)
     manager.messages()
@@ -119,7 +119,7 @@ def test_only_events_of_the_loop_feed_the_watchdog(manager):
 
 @pytest.mark.slow
 def test_a_fast_cell_does_not_flood_the_manager(manager):
-    """1000 cycles in a second are a handful of datagrams, and more than two a watchdog period."""
+    """1000 cycles in a second send few watchdog messages, but more than two per period."""
     bench = Bench(manager.address, watchdog_us="1000000")
     bench.announce(READY)
     manager.messages()
@@ -129,7 +129,7 @@ def test_a_fast_cell_does_not_flood_the_manager(manager):
 
 
 def test_status_is_one_line(manager):
-    """The fault is shown in `systemctl status`; its newline cannot begin another assignment."""
+    """The status is the fault on one line, also if its text has a newline."""
     bench = Bench(manager.address)
     bench.announce(READY, FAULT)
     last = manager.messages()[-1]
@@ -139,7 +139,7 @@ def test_status_is_one_line(manager):
 
 
 def test_a_reload_during_the_start_is_not_the_end_of_the_start(manager):
-    """READY=1 comes with the cameras, whatever is read again before; the refusal is the status."""
+    """A reload during the start does not send READY=1, only its refusal as status."""
     bench = Bench(manager.address)
     bench.announce(FAULT)
     manager.messages()
@@ -152,7 +152,7 @@ def test_a_reload_during_the_start_is_not_the_end_of_the_start(manager):
 
 
 def test_reload_begins_with_a_time_stamp_and_ends_with_ready(manager):
-    """RELOADING=1 carries MONOTONIC_USEC; READY=1 ends it, and a refusal is told as the status."""
+    """A reload sends RELOADING=1 with MONOTONIC_USEC, then READY=1 with a refusal as status."""
     bench = Bench(manager.address)
     bench.announce(READY)
     manager.messages()
@@ -166,7 +166,7 @@ def test_reload_begins_with_a_time_stamp_and_ends_with_ready(manager):
 
 
 def test_stopping_is_told_once(manager):
-    """The state STOPPING and the closing of the publisher are one message together."""
+    """STOPPING=1 is sent once."""
     bench = Bench(manager.address)
     bench.announce(READY, STOPPING, make_snapshot())
     bench.close()
@@ -174,7 +174,7 @@ def test_stopping_is_told_once(manager):
 
 
 def test_a_datagram_that_was_lost_is_sent_with_the_next_event(manager):
-    """READY is not lost for ever when the manager's queue was full."""
+    """A READY=1 that the full socket refused is sent with the next event."""
     bench = Bench(manager.address)
     filler = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
     filler.setblocking(False)
@@ -191,7 +191,7 @@ def test_a_datagram_that_was_lost_is_sent_with_the_next_event(manager):
 
 @pytest.mark.parametrize("address", ["", "vsock:2:1234", "relative", "/nowhere/notify"])
 def test_without_a_manager_nothing_happens(address, caplog):
-    """Outside of systemd, or with one that is gone, events pass without an exception."""
+    """Without a manager, or with one that is gone, events raise nothing and log at most one line."""
     bench = Bench(address)
     bench.announce(READY, make_snapshot(), STOPPING)
     bench.close()
@@ -218,18 +218,18 @@ PAGES = ["edged-page.service", "edged-page@.service"]
 
 @pytest.fixture(params=CELLS)
 def unit_file(request):
-    """Each of the cell's units: the one of a single cell, and the template for several."""
+    """Each of the cell's units: that of a single cell, and the template for several."""
     return UNIT.with_name(request.param)
 
 
 @pytest.fixture(params=[*CELLS, *PAGES])
 def any_unit(request):
-    """Likewise, and those of the pages."""
+    """Each of the cell's and the page's units."""
     return UNIT.with_name(request.param)
 
 
 def analyze(unit_file: Path, tmp_path: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
-    """Run systemd-analyze on a unit, with a program in its place that exists."""
+    """Run systemd-analyze on a unit whose program is replaced by one that exists."""
     # all of them are there, as each names another
     units = [
         place.joinpath(name.replace("@", at))
@@ -247,7 +247,7 @@ def analyze(unit_file: Path, tmp_path: Path, *arguments: str) -> subprocess.Comp
 
 @needs_analyze
 def test_the_unit_is_understood_completely(any_unit, tmp_path):
-    """`systemd-analyze verify` says nothing: it returns 0 for unknown keys too."""
+    """`systemd-analyze verify` has no output (it returns 0 for unknown keys, too)."""
     result = analyze(any_unit, tmp_path, "verify", "--man=no")
     assert (0, "", "") == (result.returncode, result.stdout, result.stderr)
 
@@ -264,7 +264,7 @@ def test_the_unit_is_hardened(unit_file, tmp_path):
 
 @pytest.mark.parametrize("names", [CELLS, PAGES], ids=["cell", "page"])
 def test_the_template_is_the_unit_with_names(names: list[str]) -> None:
-    """What one of them may do or says, the other does: they differ in the cell's name only."""
+    """The single unit and the template differ in the cell's name only."""
     single, template = (UNIT.with_name(name).read_text() for name in names)
     for named, plain in (
         ("edged_page-%i", "edged_page"),
@@ -280,7 +280,7 @@ def test_the_template_is_the_unit_with_names(names: list[str]) -> None:
 
 
 def test_the_page_gives_way_and_has_no_rights() -> None:
-    """No capability, a user and a folder of its own, less memory and weight than its cell."""
+    """The page's unit has no capability, a user of its own, and less memory and weight than its cell."""
     cell, page = (
         dict(line.split("=", 1) for line in UNIT.with_name(name).read_text().splitlines() if "=" in line)
         for name in ("edged.service", "edged-page.service")
@@ -299,7 +299,8 @@ def test_the_page_gives_way_and_has_no_rights() -> None:
 
 
 def test_strangers_cannot_take_every_descriptor(unit_file):
-    """The unit grants what the daemon asks for; all servers, full, leave 400 of a shell's 1024."""
+    """The unit grants the daemon's file descriptors; all servers at their limits leave 400 of a shell's
+    1024."""
     assert f"LimitNOFILE={DESCRIPTORS}" in unit_file.read_text().splitlines()
     modbus = next(
         limit.le for limit in ModbusSection.model_fields["max_clients"].metadata if isinstance(limit, Le)
@@ -309,7 +310,7 @@ def test_strangers_cannot_take_every_descriptor(unit_file):
 
 
 def test_the_unit_asks_for_what_the_notifier_tells(unit_file):
-    """Type=notify, a watchdog, a reload by SIGHUP: the words that this protocol stands on."""
+    """The unit has Type=notify, a watchdog, and a reload by SIGHUP."""
     lines = unit_file.read_text().splitlines()
     assert {
         "Type=notify",

@@ -1,4 +1,4 @@
-"""The demo's view: its figures are those of a plain calculation, and it shows them."""
+"""The demo's view: its figures equal a plain calculation, and it shows them."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ TRUTH = make_target().rig_from_part
 
 
 def off_by(shift_mm: FloatArray, turn_rad: float, cycle: int) -> Snapshot:
-    """A snapshot whose pose is off the truth by a shift and by a turn about x."""
+    """A snapshot whose pose differs from the truth by a shift and by a turn about x."""
     pose = make_transform((turn_rad, 0.0, 0.0), (0.0, 0.0, 0.0)) @ TRUTH
     pose[:3, 3] = TRUTH[:3, 3] + shift_mm
     covariance = np.diag([0.01, 0.02, 0.03, 1e-3, 1e-3, 1e-3]) ** 2
@@ -31,7 +31,7 @@ def off_by(shift_mm: FloatArray, turn_rad: float, cycle: int) -> Snapshot:
 
 
 def show(snapshots: list[Snapshot], console: Console, *, cycles: int = 0, truth=lambda _snapshot: TRUTH):
-    """Run a view over snapshots that come a tenth of a second apart."""
+    """Run a view over snapshots a tenth of a second apart."""
     finished: list[int] = []
     clock = iter(np.arange(1000) * 0.1)
     view = DemoView(
@@ -56,7 +56,7 @@ def show(snapshots: list[Snapshot], console: Console, *, cycles: int = 0, truth=
 
 
 def test_summary_is_the_plain_calculation():
-    """rms, max, angle, rate and mean times agree with numpy over all located cycles; faults do not count."""
+    """rms, max, angle, rate and mean times of all located cycles equal numpy's; faults do not count."""
     rng = np.random.default_rng(3)
     shifts, turns = rng.normal(0, [0.01, 0.02, 0.03], (50, 3)), rng.normal(0, 1e-6, 50)
     snapshots = [off_by(shift, turn, n) for n, (shift, turn) in enumerate(zip(shifts, turns, strict=True))]
@@ -75,19 +75,19 @@ def test_summary_is_the_plain_calculation():
 
 
 def test_nothing_measured_is_none_not_zero():
-    """Without a located cycle there is no error: None, never a perfect 0."""
+    """Without a located cycle the errors are None, not 0."""
     summary = show([make_snapshot(1, Status.NO_TARGET)], Console(file=io.StringIO()))[0].summary()
     assert (0, None, None, None) == (summary.located, summary.rms_mm, summary.max_mm, summary.chi2_per_dof)
 
 
 def test_a_cycle_without_truth_is_shown_and_not_scored():
-    """Where the virtual cell knows no truth the cycle counts, the error does not."""
+    """A cycle without a known truth counts as a cycle, not for the error."""
     view, _ = show([make_snapshot(1)], Console(file=io.StringIO()), truth=lambda _snapshot: None)
     assert (1, 0) == (view.summary().cycles, view.summary().located)
 
 
 def test_off_a_terminal_each_cycle_is_a_line():
-    """A log holds the hints, one line per cycle with the error in µm, and the summary."""
+    """Off a terminal there are hints, one line per cycle with the error in µm, and the summary."""
     file = io.StringIO()
     snapshots = [off_by(np.array([0.001, 0.0, -0.002]), 0.0, 1), make_snapshot(2, Status.CAPTURE_FAULT)]
     show(snapshots, Console(file=file, width=80))
@@ -101,7 +101,7 @@ def test_off_a_terminal_each_cycle_is_a_line():
 
 
 def test_on_a_terminal_measured_stands_next_to_true():
-    """The table shows both positions, the error and the times of the last cycle."""
+    """On a terminal the table shows both positions, the error and the times of the last cycle."""
     file = io.StringIO()
     show([off_by(np.array([0.001, 0.0, 0.0]), 0.0, 1)], Console(file=file, force_terminal=True, width=100))
     text = file.getvalue()
@@ -110,14 +110,14 @@ def test_on_a_terminal_measured_stands_next_to_true():
 
 
 def test_finished_is_called_once_after_the_cycles_asked_for():
-    """Later cycles, which may still come while the daemon stops, do not count."""
+    """`finished` is called once; later cycles do not count."""
     snapshots = [off_by(np.zeros(3), 0.0, cycle) for cycle in range(5)]
     view, finished = show(snapshots, Console(file=io.StringIO()), cycles=3)
     assert ([3], 3) == (finished, view.summary().cycles)
 
 
 def test_a_closed_pipe_stops_the_lines_and_not_the_cell():
-    """`edged demo | head -1`: no exception reaches the loop."""
+    """A closed pipe raises nothing."""
 
     class Closed(io.StringIO):
         def write(self, text: str) -> int:

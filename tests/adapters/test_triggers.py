@@ -1,4 +1,4 @@
-"""Triggers over Zenoh and what answers them."""
+"""Triggers over Zenoh and their answers."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from edged.errors import CommandRefused, ConfigError
 
 
 def test_each_trigger_is_answered_once_by_its_own_command() -> None:
-    """A second answer finds nobody, nor does the command of somebody else."""
+    """Each trigger is answered once, by its own command."""
     triggers: PendingTriggers[str] = PendingTriggers()
     first = triggers.add("first", CommandKind.LOCATE, 0, None)
     second = triggers.add("second", CommandKind.LOCATE, 0, None)
@@ -23,7 +23,7 @@ def test_each_trigger_is_answered_once_by_its_own_command() -> None:
 
 
 def test_a_command_of_the_publisher_before_a_reload_answers_nobody() -> None:
-    """Both count from 1: an exposure from before the reload is not the answer of the trigger after it."""
+    """A command from before a reload does not answer an equal one after it."""
     before: PendingTriggers[str] = PendingTriggers()
     old = before.add("old", CommandKind.LOCATE, 0, None)
     after: PendingTriggers[str] = PendingTriggers()
@@ -34,7 +34,8 @@ def test_a_command_of_the_publisher_before_a_reload_answers_nobody() -> None:
 
 
 def test_the_longest_wait_that_may_be_configured_is_accepted(tmp_path: Path) -> None:
-    """What `edged check` lets pass is not refused with each trigger; more is a mistake in the file."""
+    """The longest configurable time-out is accepted by a trigger; a longer one is refused in the
+    configuration."""
     text = (
         '[cell]\nname = "c"\nrig = "r"\njobs = "j"\njob = "f"\n'
         '[cameras]\nsource = "virtual"\n[zenoh]\ntrigger_timeout_s = '
@@ -49,7 +50,7 @@ def test_the_longest_wait_that_may_be_configured_is_accepted(tmp_path: Path) -> 
 
 
 def test_a_trigger_may_ask_for_all_jobs_and_never_for_the_next_part() -> None:
-    """All is no number; one answer holds every part already."""
+    """A trigger may ask for all jobs, but not for the next part."""
     asked = parse_trigger(zenoh.Parameters("job=all"), 5.0)
     assert (0, True) == (asked.job, asked.tries_all)
     assert not parse_trigger(zenoh.Parameters("job=7"), 5.0).tries_all

@@ -1,4 +1,4 @@
-"""States of OPC 40100-1 as the registers show them."""
+"""States of OPC 40100-1 from the cell's state."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from edged.plc.statuswords import STATES
 
 @pytest.mark.parametrize("free_running", [False, True])
 def test_every_state_of_the_cell_has_one_of_the_machine(free_running: bool) -> None:
-    """A cell in SETUP is Preoperational, as one that starts: people have to do something first."""
+    """Every state of the cell has one of the machine; SETUP is Preoperational, as at the start."""
     expected = {
         CellPhase.STARTING: Top.PREOPERATIONAL,
         CellPhase.SETUP: Top.PREOPERATIONAL,

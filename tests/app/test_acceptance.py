@@ -28,13 +28,13 @@ from edged.sim.cell import VirtualCell, demo_part
 
 @pytest.fixture(scope="module")
 def config(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A cell's configuration."""
+    """The configuration of a cell."""
     folder = tmp_path_factory.mktemp("cell")
     return prepare_cell(folder, VirtualCell(small_rig(), demo_part(), seed=11), DemoOptions(), gige=False)
 
 
 def accepted(config: Path, days: int, *, passed: bool = True, calibration: str = "") -> LoadedCell:
-    """The cell, tested so that it is due in so many days."""
+    """The cell, tested so that the next test is due in this many days."""
     rig, now_ns = load_rig(config.parent / "rig.json"), time.time_ns()
     found = Acceptance(passed, now_ns - 400 * NS_PER_DAY, now_ns + days * NS_PER_DAY + 10**9)
     document = document_of(found, calibration or rig.calibration_id, registration_digest(rig), {})
@@ -43,13 +43,13 @@ def accepted(config: Path, days: int, *, passed: bool = True, calibration: str =
 
 
 def said(loaded: LoadedCell) -> list[str]:
-    """What a person is to look at."""
+    """The warnings about the acceptance."""
     assert isinstance(loaded.cell, CellFiles)
     return [line for line in doubts(loaded.cell) if "acceptance" in line]
 
 
 def test_each_state_of_an_acceptance_is_said(config: Path) -> None:
-    """Passed says nothing, everything else names what to do; a damaged file keeps no cell from measuring."""
+    """A passed test gives no warning, every other state one with a remedy; a damaged file stops no cell."""
     acceptance_file(config.parent / "rig.json").unlink(missing_ok=True)
     assert load_cell(config).setup.acceptance == Acceptance()
     assert said(load_cell(config)) == []
@@ -65,7 +65,7 @@ def test_each_state_of_an_acceptance_is_said(config: Path) -> None:
 
 
 def test_an_acceptance_changes_no_fingerprint(config: Path) -> None:
-    """It says something of the cell; nothing is measured by it."""
+    """An acceptance does not change the fingerprint."""
     acceptance_file(config.parent / "rig.json").unlink(missing_ok=True)
     before = load_cell(config).setup.fingerprint
     assert "acceptance" not in make(config).backup.left_out
@@ -74,7 +74,7 @@ def test_an_acceptance_changes_no_fingerprint(config: Path) -> None:
 
 
 def test_a_rig_that_is_registered_anew_was_not_tested(config: Path) -> None:
-    """From the registration on, without a reload of anything else."""
+    """A registered rig counts as not tested, without a further reload."""
     loaded, path = accepted(config, 30), config.parent / "rig.json"
     rig = load_rig(path)
     save_rig(path, replace(rig, robot_from_rig=make_transform((0.0, 0.0, 1.0), (1.0, 2.0, 3.0))))
@@ -85,7 +85,8 @@ def test_a_rig_that_is_registered_anew_was_not_tested(config: Path) -> None:
 
 
 def test_registers_and_messages_say_until_when_it_counts(config: Path) -> None:
-    """State, days and date; without a test 0, none and 0; overdue by the clock alone."""
+    """Registers and messages have state, days and date; without a test 0, none and 0; overdue by the clock
+    alone."""
     modbus = CellRegisters(ModbusSettings(), None, time.monotonic)
 
     def words() -> dict[str, float]:

@@ -1,4 +1,4 @@
-"""The configuration's trigger modes, as each camera is told."""
+"""The configuration's trigger modes in the settings of each camera."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ DEVICES = ("192.0.2.1", "192.0.2.2")
 
 
 def of(*, external: bool = False, **section: object) -> Triggering:
-    """How both cameras are triggered."""
+    """The triggering of both cameras."""
     return triggering_of(TriggerSection.model_validate(section), DEVICES, external=external)
 
 
 def test_software_is_the_default() -> None:
-    """Each camera gets its own command, in no order."""
+    """By default each camera gets its own software command."""
     assert Triggering((Software(), Software())) == of()
 
 
 def test_both_cameras_wait_for_the_same_line() -> None:
-    """Line, edge, delay and debounce reach both."""
+    """Line, edge, delay and debounce apply to both cameras."""
     line = LineTrigger("Line3", "falling", 120.0, 20.0)
 
     assert Triggering((line, line)) == of(
@@ -33,7 +33,7 @@ def test_both_cameras_wait_for_the_same_line() -> None:
 
 
 def test_free_running_cameras_get_the_same_rate() -> None:
-    """Nobody is triggered."""
+    """In free run both cameras get the same rate."""
     assert Triggering((FreeRun(12.5), FreeRun(12.5))) == of(mode="free-run", rate_hz=12.5)
 
 
@@ -42,7 +42,7 @@ def test_free_running_cameras_get_the_same_rate() -> None:
 def test_in_a_chain_the_second_follows_the_firsts_exposure(
     first: str, follower: str, first_line: str
 ) -> None:
-    """The first shows its exposure on an output and is triggered last; the second waits for its input."""
+    """In a chain the first camera shows its exposure on an output, and the second one waits for its input."""
     chain = of(mode="chain", first=first, first_line=first_line, output="Line4", line="Line1")
     place = ("left", "right").index(first)
 
@@ -54,7 +54,8 @@ def test_in_a_chain_the_second_follows_the_firsts_exposure(
 
 
 def test_one_action_command_is_sent_for_both() -> None:
-    """To each address, or once to the broadcast address; the second camera only waits, armed before."""
+    """One action command goes to each address, or once to the broadcast address, and the second camera
+    waits for it."""
     keys = {"device_key": 5, "group_key": 6, "group_mask": 7}
     waiting = Action(5, 6, 7)
 
@@ -69,12 +70,12 @@ def test_one_action_command_is_sent_for_both() -> None:
 
 
 def test_somebody_elses_action_command_is_only_waited_for() -> None:
-    """With an external trigger nothing is sent."""
+    """With an external trigger no action command is sent."""
     assert Triggering((Action(), Action())) == of(mode="action", external=True)
 
 
 def test_a_camera_that_is_lost_stays_in_the_list() -> None:
-    """The page says that it is not connected, instead of saying nothing."""
+    """A lost camera is still listed, as not connected."""
     left, right = (
         AravisCamera(side, AravisSettings(device)) for side, device in zip(SIDES, DEVICES, strict=True)
     )

@@ -1,4 +1,4 @@
-"""The golden part of a cell on disc: kept, found again, and refused when what it belongs to has changed."""
+"""The golden part of a cell on disc: kept, read again, and refused once its basis has changed."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ ROBOT_FROM_RIG = make_transform((2.8, 0.3, -0.4), (400.0, -700.0, 900.0))
 
 @pytest.fixture(scope="module")
 def original(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A cell on disc that is registered to a robot."""
+    """A cell on disc with a registration to a robot."""
     path = prepare_cell(
         tmp_path_factory.mktemp("cell"), VirtualCell(small_rig(), TOKEN), DemoOptions(), gige=False
     )
@@ -67,13 +67,14 @@ def seen(loaded: LoadedCell, *, parts: int = 1) -> Snapshot:
 
 
 def state_of(loaded: LoadedCell) -> GoldenState:
-    """What results of the cell's job would say."""
+    """The golden state of the cell's job."""
     golden = loaded.setup.jobs[1].golden
     return GoldenState.NONE if golden is None else golden.state
 
 
 def test_a_kept_part_is_in_use_at_once_and_after_a_restart(cell: Path) -> None:
-    """The same offset to the last bit; fingerprint, backup and checks of the cell stay as they were."""
+    """A kept part is used at once and after a restart, with the same offset; fingerprint and backup do not
+    change."""
     loaded = load_cell(cell)
     assert GoldenState.NONE is state_of(loaded)
     kept = with_golden(loaded, seen(loaded))
@@ -142,7 +143,8 @@ CHANGES: dict[str, tuple[Callable[[Path], None], GoldenState, str]] = {
 
 @pytest.mark.parametrize("what", CHANGES)
 def test_a_golden_part_holds_as_long_as_what_it_was_kept_with(cell: Path, what: str) -> None:
-    """Otherwise `edged check`, `edged doctor` and the log name it; the cell measures all the same."""
+    """A golden part whose basis has changed is named by `edged check`, `edged doctor` and the log; the
+    cell measures on."""
     change, state, why = CHANGES[what]
     loaded = load_cell(cell)
     with_golden(loaded, seen(loaded))
@@ -155,7 +157,7 @@ def test_a_golden_part_holds_as_long_as_what_it_was_kept_with(cell: Path, what: 
 
 
 def test_a_registration_by_the_robots_own_program_ends_a_golden_part(cell: Path) -> None:
-    """Without a reload: jobs stay in memory, and are judged anew."""
+    """A registration by the robot's program ends a golden part without a reload."""
     loaded = load_cell(cell)
     kept = with_golden(loaded, seen(loaded))
     _registered(cell, make_transform((0.0, 0.0, 0.1), (1.0, 2.0, 3.0)))
@@ -163,7 +165,7 @@ def test_a_registration_by_the_robots_own_program_ends_a_golden_part(cell: Path)
 
 
 def test_what_cannot_be_kept_changes_nothing(cell: Path) -> None:
-    """Several parts, none, other files than those it was measured by, a disc that refuses."""
+    """Several parts, none, other files than those in use, or a full disc are refused and change nothing."""
     loaded = load_cell(cell)
     with_golden(loaded, seen(loaded))
     place = golden_file(cell, 1)
@@ -185,7 +187,8 @@ def test_what_cannot_be_kept_changes_nothing(cell: Path) -> None:
 
 
 def test_a_map_of_the_robots_error_is_in_force_with_its_registration(cell: Path) -> None:
-    """In the frame of each cycle, in the fingerprint, and for what GOLDEN kept before it came: no offset."""
+    """A map of the robot's error is in each cycle's frame and the fingerprint; an older golden part gives
+    no offset."""
     before = with_golden(load_cell(cell), seen(load_cell(cell)))
     assert before.setup.frame(None)[0].error_map is None
     places = np.random.default_rng(1).uniform(50, 150, (16, 3))

@@ -1,4 +1,4 @@
-"""A release that the page hands over: read by another process, written whole, undone byte for byte."""
+"""A release from the page: read by another process, written as a whole, undone byte for byte."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from edged.setup.releases.installing import BEFORE, INSTALLING, finish_installat
 
 @dataclass
 class Place:
-    """A cell's folder, and releases for it. refuses : what a reload says."""
+    """A cell's folder, and releases for it. refuses : the answer of a reload."""
 
     folder: Path
     refuses: str = ""
@@ -44,13 +44,13 @@ class Place:
         return state_folder(self.config)
 
     def files(self) -> dict[str, bytes]:
-        """All that the cell runs by."""
+        """All files that the cell runs with."""
         found = (file for file in self.folder.rglob("*") if file.is_file())
         names = {file.relative_to(self.folder).as_posix(): file.read_bytes() for file in found}
         return {name: data for name, data in names.items() if not name.startswith(".cell.state/")}
 
     def wider(self) -> Backup:
-        """With another baseline."""
+        """A release with another baseline."""
         rig = load_rig(self.folder / "rig.json")
         moved = rig.right_from_left.copy()
         moved[:3, 3] *= 1.001
@@ -59,7 +59,7 @@ class Place:
         return with_parts(self.config, replace(there, rig=text))
 
     def install(self, archive: bytes | Callable[[], int]) -> None:
-        """By a process of its own. Raises as `Installer.install`."""
+        """Install by a process of its own. Raises as `Installer.install`."""
 
         async def reload() -> str:
             self.reloads.append(read_cell(self.config).fingerprint)
@@ -78,12 +78,12 @@ class Place:
 
 @pytest.fixture
 def place(own_cell: Path) -> Place:
-    """Of one's own."""
+    """A place of the test's own."""
     return Place(own_cell)
 
 
 def test_a_release_is_in_use_and_the_one_before_is_kept(place: Place) -> None:
-    """Its files are there when the cell reads them; what they replaced is an archive that can be restored."""
+    """A release is in use, and the replaced files are an archive that can be restored."""
     before, wanted = place.files(), place.wider()
     place.install(pack(wanted))
     assert [wanted.fingerprint] == place.reloads == [read_cell(place.config).fingerprint]
@@ -94,7 +94,7 @@ def test_a_release_is_in_use_and_the_one_before_is_kept(place: Place) -> None:
 
 
 def test_what_the_cell_cannot_run_by_leaves_no_trace(place: Place) -> None:
-    """A reload that is refused: every file is as it was."""
+    """If the reload is refused, every file is as before."""
     before, place.refuses = place.files(), "modbus.port: in use"
     with pytest.raises(UserError, match=r"goes on as before: modbus\.port"):
         place.install(pack(place.wider()))
@@ -103,18 +103,18 @@ def test_what_the_cell_cannot_run_by_leaves_no_trace(place: Place) -> None:
 
 
 def unsealed() -> int:
-    """Memory that who passed it can change while it is read."""
+    """Memory that its sender can change while it is read."""
     return os.memfd_create("open", os.MFD_CLOEXEC | os.MFD_ALLOW_SEALING)
 
 
 def other_file() -> int:
-    """Something that would never end."""
+    """A device that never ends."""
     return os.open("/dev/zero", os.O_RDONLY)
 
 
 @pytest.mark.parametrize("opened", [unsealed, other_file])
 def test_only_memory_that_nobody_changes_is_read(place: Place, opened: Callable[[], int]) -> None:
-    """Whatever else a page passes is refused by its kind, before a byte of it is read."""
+    """Anything other than sealed memory is refused before it is read."""
     before = place.files()
     with pytest.raises(EdgedError, match="expected sealed memory"):
         place.install(opened)
@@ -122,7 +122,7 @@ def test_only_memory_that_nobody_changes_is_read(place: Place, opened: Callable[
 
 
 def hostile(good: Backup) -> dict[str, bytes]:
-    """Archives that are none, by what is wrong with them."""
+    """Invalid archives, by what is wrong with them."""
     whole = pack(good)
     damaged = bytearray(gzip.decompress(whole))
     damaged[damaged.index(b"calibration_id")] ^= 1
@@ -137,7 +137,7 @@ def hostile(good: Backup) -> dict[str, bytes]:
 
 
 def test_archives_that_are_none_change_nothing(place: Place) -> None:
-    """Each is refused in words, and the cell is not even asked to read its files again."""
+    """Each invalid archive is refused with a reason, without a reload or a change."""
     before = place.files()
     for what, archive in hostile(place.wider()).items():
         with pytest.raises(EdgedError) as refused:
@@ -150,7 +150,7 @@ def test_archives_that_are_none_change_nothing(place: Place) -> None:
 def test_a_process_that_is_killed_leaves_one_of_both(
     place: Place, monkeypatch: pytest.MonkeyPatch, moment: str
 ) -> None:
-    """kill -9: the cell loads, and after the next start it runs by the release if that was begun."""
+    """After kill -9 the cell loads, and the next start completes the release if it was begun."""
     before, wanted = read_cell(place.config).fingerprint, place.wider()
     real = subprocess.Popen
 
@@ -177,7 +177,7 @@ def test_a_process_that_is_killed_leaves_one_of_both(
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="to be tricked takes root")
 def test_root_installs_through_no_link_of_another_user(place: Place) -> None:
-    """Whose state folder it is may put links in it: what root has stays, and is not read for them."""
+    """Links in the state folder are not followed: root's file is neither read nor changed."""
     secret, before = place.folder.parent / "secret", place.files()
     secret.write_bytes(pack(place.wider()))
     secret.chmod(0o600)
@@ -196,7 +196,7 @@ def test_root_installs_through_no_link_of_another_user(place: Place) -> None:
 
 
 def test_one_at_a_time(place: Place) -> None:
-    """A page that hands over many has one installed; the others are refused at once."""
+    """While one release is installed another one is refused."""
 
     async def reload() -> str:
         await asyncio.sleep(0.1)
@@ -218,7 +218,7 @@ def test_one_at_a_time(place: Place) -> None:
 
 
 def test_sealed_memory_is_what_it_was() -> None:
-    """Read from its begin wherever the descriptor stands; more than allowed is not read."""
+    """Sealed memory reads from its start, up to the limit, and cannot be written."""
     memory = sealed(b"0123456789")
     try:
         os.lseek(memory, 5, os.SEEK_SET)

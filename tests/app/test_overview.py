@@ -1,4 +1,4 @@
-"""What who sets the cell up is told of a cell that measures."""
+"""The overview of a measuring cell for people who set it up."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ from edged.vision.geometry.triangulation import triangulate_raw
 
 
 async def never() -> str:
-    """No reload."""
+    """A reload that must not happen."""
     raise NotImplementedError
 
 
 def told(config: Path) -> tuple[float, float, float] | None:
-    """Sigma of X, Y, Z."""
+    """The sigma of X, Y, Z."""
     loaded = load_cell(config)
     head = Head()
     rig = Running(config, loaded, Cycle(head, loaded.setup), head, never).overview().rig
@@ -36,7 +36,7 @@ def told(config: Path) -> tuple[float, float, float] | None:
 
 @pytest.mark.slow
 def test_the_sigma_of_the_rig_is_what_its_covariance_does_where_parts_were_taught(tmp_path: Path) -> None:
-    """A baseline that is uncertain alone moves the same pixels' point by as much; without one: not known."""
+    """The rig's sigma is its covariance at the taught place; without a covariance it is unknown."""
     cell = SmallCell(tmp_path, source="virtual-inprocess")
     path = tmp_path / "rig.json"
     true, sigma_mm = load_rig(path), 0.01

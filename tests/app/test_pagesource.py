@@ -1,4 +1,4 @@
-"""The socket to which a page comes: one place, for one user, whatever lies there already."""
+"""The socket for a page's process: one place, for one user, whatever is there already."""
 
 from __future__ import annotations
 
@@ -15,14 +15,15 @@ from edged.app.pagesource import AwaitedPage, peer_of
 
 
 def come(place: Path) -> socket.socket:
-    """As a page."""
+    """Connect as a page."""
     ours = socket.socket(socket.AF_UNIX)
     ours.connect(str(place))
     return ours
 
 
 async def test_its_user_is_let_in_and_known_by_the_kernel(tmp_path: Path) -> None:
-    """One after the other; the place is gone with the cell, and others than its group cannot come at all."""
+    """The page's user is accepted, one process after the other; the socket is for its group, and is gone
+    with the cell."""
     page = AwaitedPage(pwd.getpwuid(os.geteuid()).pw_name, tmp_path / "page")
     page.open()
     assert 0o660 == (tmp_path / "page").stat().st_mode & 0o777
@@ -39,7 +40,7 @@ async def test_its_user_is_let_in_and_known_by_the_kernel(tmp_path: Path) -> Non
 async def test_another_user_is_refused_and_the_next_may_come(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """Also where nobody knows the name: no user is never any user."""
+    """Another user, also an unknown name, is refused and logged, and the next one may connect."""
     monkeypatch.setattr(pagesource, "REFUSED_S", 0.01)
     numbers = iter([None, 12345, os.geteuid()])
     monkeypatch.setattr(pagesource, "_number_of", lambda _name: next(numbers))
@@ -59,7 +60,7 @@ async def test_another_user_is_refused_and_the_next_may_come(
 
 
 def test_only_a_socket_makes_room(tmp_path: Path) -> None:
-    """One of a cell that was killed; anything else that has the name stays, and is said."""
+    """A stale socket is replaced; any other file of that name stays and is reported."""
     place = tmp_path / "page"
     with socket.socket(socket.AF_UNIX) as old:
         old.bind(str(place))

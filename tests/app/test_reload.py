@@ -1,4 +1,4 @@
-"""A reload that cannot be carried out: refused, whatever went wrong, and systemd hears that it is over."""
+"""A reload that fails is refused, whatever the reason, and systemd gets its end."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from edged.sim.world import VirtualWorld
 
 @pytest.fixture(scope="module")
 def cell(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, LoadedCell]:
-    """A cell's configuration and what it becomes."""
+    """The configuration of a cell, and the loaded cell."""
     path = prepare_cell(
         tmp_path_factory.mktemp("cell"), VirtualCell(small_rig(), demo_part()), DemoOptions(), gige=False
     )
@@ -40,7 +40,7 @@ def cell(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, LoadedCell]:
 
 
 class Notes:
-    """What systemd is told."""
+    """The messages to systemd."""
 
     def __init__(self) -> None:
         self.told: list[str] = []
@@ -53,7 +53,7 @@ class Notes:
 
 
 def reloaded(cell: tuple[Path, LoadedCell], error: Exception, monkeypatch: pytest.MonkeyPatch) -> list[str]:
-    """What systemd hears of a reload during which this error comes."""
+    """The messages to systemd of a reload during which this error occurs."""
 
     def fail(path: Path) -> LoadedCell:
         raise error
@@ -86,7 +86,7 @@ def reloaded(cell: tuple[Path, LoadedCell], error: Exception, monkeypatch: pytes
 def test_whatever_cannot_be_read_is_a_refused_reload(
     cell: tuple[Path, LoadedCell], error: Exception, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """RELOADING is followed by READY, with the reason; the daemon goes on."""
+    """An unreadable file ends the reload with READY and the reason."""
     begun, ended = reloaded(cell, error, monkeypatch)
     assert "RELOADING" == begun
     assert str(error) in ended
@@ -96,7 +96,7 @@ def test_whatever_cannot_be_read_is_a_refused_reload(
 def test_a_bug_in_a_reload_shows_and_systemd_hears_that_it_is_over(
     cell: tuple[Path, LoadedCell], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """It is raised for the log, and the unit does not stay "reloading" until it is killed."""
+    """A bug in a reload is raised, and systemd gets the end of the reload."""
     told: list[str] = []
     monkeypatch.setattr(Notes, "reloaded", lambda _, refused="": told.append(refused))
     with pytest.raises(ZeroDivisionError):
@@ -108,7 +108,7 @@ def test_a_bug_in_a_reload_shows_and_systemd_hears_that_it_is_over(
 def test_an_error_without_words_is_named(
     cell: tuple[Path, LoadedCell], monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """A bare TimeoutError of a library: systemd and the log hear that it is one."""
+    """An error without text is named by its class to systemd and in the log."""
     _, ended = reloaded(cell, TimeoutError(), monkeypatch)
     assert "READY TimeoutError" == ended
     assert "the running configuration stays: TimeoutError" in caplog.text
@@ -125,7 +125,7 @@ def test_an_error_without_words_is_named(
 def test_a_file_that_breaks_its_reader_is_a_mistake_in_it(
     tmp_path: Path, file: str, content: str, problem: str
 ) -> None:
-    """A home directory that nobody has, a file of nothing but brackets: named like any other mistake."""
+    """An unknown home directory and a file of nothing but brackets are named as mistakes in that file."""
     path = prepare_cell(tmp_path, VirtualCell(small_rig(), demo_part()), DemoOptions(), gige=False)
     (tmp_path / file).write_text(content)
     with pytest.raises(ConfigError, match=problem):
@@ -133,7 +133,7 @@ def test_a_file_that_breaks_its_reader_is_a_mistake_in_it(
 
 
 def _register(folder: Path) -> None:
-    """The robot stands elsewhere."""
+    """Register the rig to another place of the robot."""
     path = folder / "rig.json"
     moved = make_transform((0.0, 0.0, 0.0), (100.0, 0.0, 0.0))
     save_rig(path, replace(load_rig(path), robot_from_rig=moved))
@@ -166,7 +166,7 @@ EXCHANGES: dict[str, Callable[[Path], None]] = {
 async def test_a_valid_result_does_not_outlive_a_reload_that_exchanges_what_it_stands_on(
     what: str, cell: tuple[Path, LoadedCell], tmp_path: Path
 ) -> None:
-    """A PLC holds a good result while files change: with the reload it falls; without a change it stays."""
+    """A valid result ends with a reload that exchanges its basis, and stays without a change."""
     shutil.copytree(cell[0].parent, tmp_path, dirs_exist_ok=True)
     path = tmp_path / "cell.toml"
     text = path.read_text().replace('mode = "free"\nperiod_s = 0.25', 'mode = "command"')
@@ -207,7 +207,7 @@ async def test_a_valid_result_does_not_outlive_a_reload_that_exchanges_what_it_s
 
 
 class Seen:
-    """Notes the cycles."""
+    """Keeps the cycles."""
 
     def __init__(self) -> None:
         self.cycles = 0
@@ -237,7 +237,8 @@ def hanging_opcua(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> SmallCell:
 async def test_a_cell_measures_whose_opcua_server_does_not_start(
     hanging_opcua: SmallCell, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Page and metrics say that it does not run, where and why; a reload has a reason."""
+    """The cell measures though its OPC UA server does not start; page and metrics say so, and a reload
+    works."""
     monkeypatch.setattr("edged.app.servers.START_S", 0.5)
     path, seen = hanging_opcua.config, Seen()
     with SmallWorld(pictures(hanging_opcua.virtual, 1)) as world:
@@ -254,7 +255,7 @@ async def test_a_cell_measures_whose_opcua_server_does_not_start(
 
 @pytest.mark.slow
 def test_a_stop_does_not_wait_for_a_server_that_hangs(hanging_opcua: SmallCell) -> None:
-    """It ends within the time that systemd gives it."""
+    """A stop does not wait for a server that hangs."""
     path = hanging_opcua.config
 
     async def main() -> float:
@@ -272,7 +273,8 @@ def test_a_stop_does_not_wait_for_a_server_that_hangs(hanging_opcua: SmallCell) 
 
 @pytest.mark.slow
 async def test_a_cell_measures_whose_plc_is_off_and_serves_it_when_it_comes(tmp_path: Path) -> None:
-    """Page and metrics say that it is not reached; a reload that exchanges the place writes there instead."""
+    """The cell measures while its PLC is off, says so, and writes to it, or after a reload to another one,
+    once it is on."""
     small, seen, ports = SmallCell(tmp_path, source="virtual-inprocess"), Seen(), [free_port(), free_port()]
     path, text = small.config, small.config.read_text()
 

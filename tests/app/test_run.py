@@ -1,4 +1,4 @@
-"""How the daemon's process is run: what it imports, and what it does with the collector of garbage."""
+"""The daemon's process: its imports, and its garbage collector."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from edged.sim.cell import VirtualCell, demo_part, demo_rig
 
 
 class _Daemon:
-    """Notes how it finds the collector."""
+    """Notes the state of the collector."""
 
     def __init__(self) -> None:
         self.frozen = self.frozen_when_up = 0
@@ -42,7 +42,7 @@ class _Daemon:
 
 @pytest.mark.slow
 def test_what_is_loaded_is_not_searched_for_garbage_while_cycles_run() -> None:
-    """A full collection of all modules would hold up the loop; garbage of cycles is still collected."""
+    """What is loaded is frozen for the collector, which stays enabled for cycles."""
     daemon = _Daemon()
     gc.disable()  # as `edged run` does while it loads
     try:
@@ -57,7 +57,7 @@ def test_what_is_loaded_is_not_searched_for_garbage_while_cycles_run() -> None:
 
 
 def _modules_after(program: str) -> list[str]:
-    """What a fresh process has loaded after it."""
+    """The modules that a fresh process has loaded after this import."""
     program = f"import sys, {program}; print(*sys.modules)"
     return subprocess.run(
         [sys.executable, "-c", program], capture_output=True, text=True, check=True
@@ -66,7 +66,7 @@ def _modules_after(program: str) -> list[str]:
 
 @pytest.mark.slow
 def test_a_cell_with_real_cameras_starts_without_the_simulation() -> None:
-    """Nor without the tools of calibration and the plotting of reports: they are not needed to be ready."""
+    """The daemon imports neither the simulation nor calibration tools nor plotting."""
     loaded = _modules_after("edged.commands.run")
 
     assert "edged.app.daemon" in loaded
@@ -82,7 +82,7 @@ def test_a_cell_with_real_cameras_starts_without_the_simulation() -> None:
 
 @pytest.mark.slow
 def test_a_cell_loads_no_server_that_it_does_not_run() -> None:
-    """Page, Zenoh and the reading of client certificates are imported where a configuration asks for them."""
+    """Page, Zenoh and client certificates are imported only if the configuration has them."""
     loaded = _modules_after("edged.commands.run")
 
     assert "edged.adapters.modbus.tcp" in loaded
@@ -92,7 +92,7 @@ def test_a_cell_loads_no_server_that_it_does_not_run() -> None:
 
 @pytest.mark.slow
 def test_a_check_and_a_status_need_no_compiler() -> None:
-    """Nor the networks of the daemon: who edits a configuration has the answer at once."""
+    """`check` and `status` import neither the compiler nor the daemon's networks."""
     loaded = _modules_after("edged.cli.main, edged.commands.check, edged.commands.status")
 
     assert "edged.setup.cellfiles" in loaded
@@ -110,7 +110,7 @@ runpy.run_module("edged.app.page", run_name="__main__")
 
 @pytest.mark.slow
 def test_a_page_loads_without_looking_for_garbage() -> None:
-    """A tenth of its start, for nothing: what it imports stays."""
+    """A page starts without garbage collection."""
     program = [sys.executable, "-c", PAGE_WITHOUT_A_CELL]
     said = subprocess.run(program, capture_output=True, text=True, check=True).stdout
 
@@ -150,7 +150,8 @@ print(before, len(set(all_kernels)))
 
 @pytest.mark.slow
 def test_the_first_cycle_that_finds_a_part_compiles_nothing(tmp_path: Path) -> None:
-    """READY means that every kernel is there, also what an empty picture does not need, and few others."""
+    """At READY every kernel that a part needs is compiled, and the first found part compiles and loads
+    none."""
     cell = VirtualCell(demo_rig(), demo_part())
     prepare_cell(tmp_path, cell, DemoOptions(), gige=False)
     left, right, _ = cell.teach_pair()
@@ -170,7 +171,7 @@ def test_the_first_cycle_that_finds_a_part_compiles_nothing(tmp_path: Path) -> N
 
 @pytest.fixture(scope="module")
 def small(tmp_path_factory: pytest.TempPathFactory) -> SmallCell:
-    """A cell that costs little."""
+    """A small cell."""
     return SmallCell(tmp_path_factory.mktemp("small"))
 
 
@@ -184,7 +185,7 @@ def holds(process: int, number: signal.Signals) -> bool:
 
 
 def wait_held(daemon: DaemonProcess, *numbers: signal.Signals) -> None:
-    """Wait until the process does with them what it does; numpy is not loaded by then."""
+    """Wait until the process handles these signals; numpy is not loaded by then."""
     deadline_s = time.monotonic() + LIMIT_S
     while not all(holds(daemon.process.pid, number) for number in numbers):
         assert time.monotonic() < deadline_s
@@ -193,7 +194,7 @@ def wait_held(daemon: DaemonProcess, *numbers: signal.Signals) -> None:
 
 @pytest.mark.slow
 def test_a_hang_up_before_the_daemon_stands_is_a_reload_after_its_start(small: SmallCell) -> None:
-    """As soon as the interpreter runs, and again and again: it becomes READY, and has reloaded."""
+    """SIGHUP before the daemon is up, even repeated, becomes a reload after its start."""
     daemon = DaemonProcess(small.config)
     try:
         wait_held(daemon, signal.SIGHUP)
@@ -210,7 +211,7 @@ def test_a_hang_up_before_the_daemon_stands_is_a_reload_after_its_start(small: S
 @pytest.mark.slow
 @pytest.mark.parametrize("after_s", [0.0, 0.5])
 def test_a_stop_before_the_daemon_stands_is_an_end_in_order(small: SmallCell, after_s: float) -> None:
-    """Exit code 0, at once: whoever asks for a stop while it starts gets one."""
+    """SIGTERM during the start ends the daemon with exit code 0 within 2 s."""
     daemon = DaemonProcess(small.config)
     wait_held(daemon, signal.SIGTERM)
     time.sleep(after_s)

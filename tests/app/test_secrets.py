@@ -1,4 +1,4 @@
-"""What a cell keeps for itself: the hash of its password, and who else may read its files."""
+"""The secrets of a cell: the hash of its password, and who may read its files."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ from edged.sim.cell import VirtualCell, demo_part
 from edged.sim.world import VirtualWorld
 
 OTHER = HASH[:-4] + "AAAA"
-"""Another password's."""
+"""The hash of another password."""
 
 
 @pytest.fixture(scope="module")
@@ -48,7 +48,7 @@ def taught(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def config(taught: Path, tmp_path: Path) -> Path:
-    """A copy of its configuration with a page that others see, and a former password in a comment."""
+    """A copy of its configuration with a page for others, and a former password in a comment."""
     path = Path(shutil.copytree(taught, tmp_path / "cell")) / "cell.toml"
     web = f'\n[web]\nhost = "0.0.0.0"\npassword_hash = "{HASH}"   # was {OTHER}\n'
     path.write_text(path.read_text() + web)
@@ -58,7 +58,7 @@ def config(taught: Path, tmp_path: Path) -> Path:
 
 @pytest.mark.slow
 def test_no_hash_is_published(config: Path) -> None:
-    """What `edged/<cell>/config` answers, and whatever else shows a configuration, has asterisks instead."""
+    """A published or shown configuration has no hash."""
     loaded = load_cell(config)
     parts: tuple[Any, ...] = (None, None, None)
     published = encode(Running(config, loaded, *parts).config_summary()).decode()
@@ -69,7 +69,7 @@ def test_no_hash_is_published(config: Path) -> None:
 
 @pytest.mark.slow
 def test_another_password_is_the_same_cell(config: Path) -> None:
-    """No result stands on it, and a fingerprint, which is published, tells nothing of it."""
+    """Another password does not change the fingerprint."""
     before = read_cell(config).fingerprint
     config.write_text(config.read_text().replace(HASH, OTHER))
 
@@ -78,7 +78,7 @@ def test_another_password_is_the_same_cell(config: Path) -> None:
 
 @pytest.mark.slow
 def test_a_recording_holds_the_configuration_without_its_hash(config: Path) -> None:
-    """Neither the password's hash nor the former one; it loads all the same, and no password fits."""
+    """A recorded configuration has no hash, neither today's nor the former, loads, and fits no password."""
     text = read_cell(config).contents["cell.toml"]
     config.write_bytes(text)
 
@@ -92,13 +92,13 @@ def test_a_recording_holds_the_configuration_without_its_hash(config: Path) -> N
     ['[web]\npassword_hash = "\\u0024argon2id$v=19$x"\n', "[web]\npassword_hash = '$argon2'\n", "no toml"],
 )
 def test_a_text_that_still_tells_is_left_out_as_a_whole(text: str) -> None:
-    """A hash in escapes, one of another form, and what cannot be read at all."""
+    """A text that still contains a hash, or cannot be read, is left out as a whole."""
     assert b"" == without_secrets(text.encode())
 
 
 @pytest.mark.slow
 def test_an_export_of_earlier_recordings_has_no_hash(config: Path, tmp_path: Path) -> None:
-    """Versions before this one recorded it."""
+    """An export of older recordings, which contain a hash, has none."""
     name = "000000001_20260131T235959.123456Z_OK_1a2b3c4d.zip"
     setup = recording.setup_folder(tmp_path / "old", "1a2b3c4d")
     setup.mkdir(parents=True)
@@ -115,7 +115,7 @@ def test_an_export_of_earlier_recordings_has_no_hash(config: Path, tmp_path: Pat
 
 @pytest.mark.slow
 def test_a_wrong_hash_is_not_repeated_in_the_message(config: Path) -> None:
-    """It may be the password itself, and messages go to the log."""
+    """A wrong password_hash is refused without repeating its value, which may be the password."""
     config.write_text(config.read_text().replace(f'"{HASH}"', "4711"))
     with pytest.raises(ConfigError) as number:
         load(config)
@@ -130,7 +130,7 @@ def test_a_wrong_hash_is_not_repeated_in_the_message(config: Path) -> None:
 
 @pytest.mark.slow
 def test_a_private_key_in_an_endpoint_is_refused_and_not_repeated(config: Path) -> None:
-    """Endpoints are published; the message names the place for keys."""
+    """A private key in an endpoint is refused, without repeating it, with the place for keys."""
     text = config.read_text().replace(
         "[zenoh]", '[zenoh]\nconnect = ["tls/x:1#connect_private_key_base64=c2VjcmV0"]'
     )
@@ -147,7 +147,7 @@ def test_a_private_key_in_an_endpoint_is_refused_and_not_repeated(config: Path) 
 
 @pytest.mark.slow
 def test_a_secret_that_every_user_may_read_is_named(config: Path) -> None:
-    """The configuration with its hash, and each private key; certificates are no secrets."""
+    """The configuration with its hash and each private key are named if every user may read them."""
     text = config.read_text() + 'certificate = "tls.pem"\nkey = "tls.key"\n'
     config.write_text(text + '[modbus.tls]\ncertificate = "c.pem"\nkey = "m.key"\nauthority = "a.pem"\n')
     for name in ("tls.pem", "tls.key", "c.pem", "m.key", "a.pem"):
@@ -167,7 +167,7 @@ def test_a_secret_that_every_user_may_read_is_named(config: Path) -> None:
 
 @pytest.mark.slow
 def test_keys_and_passwords_of_zenohs_own_file_are_secrets_too(config: Path) -> None:
-    """The private keys that it names, and itself where it holds a password; one with a mistake names none."""
+    """The private keys of Zenoh's own file, and the file itself if it has a password, count as secrets."""
     own, key = config.parent / "zenoh.json5", config.parent / "own.key"
     config.write_text(config.read_text().replace("[zenoh]", '[zenoh]\nconfig_file = "zenoh.json5"'))
     found = []
@@ -187,7 +187,7 @@ def test_keys_and_passwords_of_zenohs_own_file_are_secrets_too(config: Path) -> 
 
 @pytest.mark.slow
 def test_a_shared_key_that_everybody_may_read_is_named(config: Path) -> None:
-    """As a private key is; and the cell is refused with it."""
+    """A shared key that every user may read is named, and the cell is refused."""
     key = config.parent / "zenoh.key"
     key.write_bytes(b"0" * 64)
     config.write_text(config.read_text().replace("[zenoh]", '[zenoh]\nshared_key = "zenoh.key"'))
@@ -203,7 +203,7 @@ def test_a_shared_key_that_everybody_may_read_is_named(config: Path) -> None:
 
 @pytest.mark.slow
 def test_without_a_hash_everybody_may_read_the_configuration(taught: Path) -> None:
-    """There is nothing to hide."""
+    """A configuration without a hash may be readable."""
     (taught / "cell.toml").chmod(0o644)
 
     assert [] == exposed_secrets(taught / "cell.toml", load(taught / "cell.toml"))
@@ -213,7 +213,7 @@ def test_without_a_hash_everybody_may_read_the_configuration(taught: Path) -> No
 def test_check_doctor_and_daemon_say_it(
     config: Path, capsys: pytest.CaptureFixture[str], caplog: pytest.LogCaptureFixture
 ) -> None:
-    """With the remedy; the cell is fit to run all the same."""
+    """Check, doctor and daemon name a readable secret with the remedy, and the cell runs."""
     text = config.read_text().replace('host = "0.0.0.0"', f"port = {free_port()}")
     text = text.replace("port = 1502", "enabled = false").replace("[zenoh]", "[zenoh]\nenabled = false")
     config.write_text(text)
@@ -272,7 +272,7 @@ def test_a_private_file_is_its_owners_or_also_the_daemons(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """Others cannot read what is written, and the daemon that could read its configuration still can."""
+    """A private file is readable for its owner, and for the daemon if that could read the former one."""
     like = tmp_path / "former"
     if former is not None:
         like.write_bytes(b"")

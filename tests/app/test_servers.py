@@ -1,4 +1,4 @@
-"""What a reload does to the servers: those that changed are exchanged, or all stay."""
+"""A reload of the servers: those that changed are exchanged, or all stay."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ class _Commander:
 
 
 class PagePort(PageServer):
-    """A page whose port is opened, and whose process is not started."""
+    """A page whose port is opened, but whose process is not started."""
 
     def __init__(self, _cell: str, section: WebSection) -> None:
         super().__init__(section.host, section.port, cast(Any, None), StartedPage())
@@ -79,7 +79,7 @@ def running_cell(commander: object = None) -> Running:
 
 
 def is_taken(port: int) -> bool:
-    """Whether somebody listens there; a connection to find out would outlive the server's end."""
+    """Whether a server listens there; a connection as test would outlive the server's end."""
     try:
         socket.create_server(("127.0.0.1", port)).close()
     except OSError:
@@ -88,7 +88,8 @@ def is_taken(port: int) -> bool:
 
 
 def exchanged(before: Config, after: Config, look: list[int]) -> tuple[list[bool], list[str], int]:
-    """Which of the ports are taken after the exchange, what runs, and how often that was told."""
+    """Which of the ports are taken after the exchange, which servers run, and how often that was
+    announced."""
     told: list[None] = []
 
     async def main() -> tuple[list[bool], list[str]]:
@@ -109,7 +110,7 @@ def exchanged(before: Config, after: Config, look: list[int]) -> tuple[list[bool
 
 
 def test_a_port_that_cannot_be_opened_leaves_all_servers_as_they_were(tmp_path: Path) -> None:
-    """Also those that had been exchanged already: the PLC finds its port again."""
+    """If a port cannot be opened, all servers stay as before, also those that were exchanged already."""
     first, second = free_port(), free_port()
     with socket.create_server(("127.0.0.1", 0)) as other:
         web = f"[web]\nport = {other.getsockname()[1]}\n"
@@ -122,7 +123,7 @@ def test_a_port_that_cannot_be_opened_leaves_all_servers_as_they_were(tmp_path: 
 
 
 def test_only_what_changed_is_exchanged(tmp_path: Path) -> None:
-    """A page more, and the connections of the PLC live on; who publishes is told once."""
+    """A new page leaves the PLC's server as it is, and the publishers are told once."""
     modbus, web = free_port(), free_port()
     before = config(tmp_path, f"[zenoh]\nenabled = false\n[modbus]\nport = {modbus}\n")
     after = config(tmp_path, f"[zenoh]\nenabled = false\n[modbus]\nport = {modbus}\n[web]\nport = {web}\n")
@@ -131,7 +132,7 @@ def test_only_what_changed_is_exchanged(tmp_path: Path) -> None:
 
 
 def test_the_socket_of_robots_is_exchanged_with_the_registers_that_it_shows(tmp_path: Path) -> None:
-    """A reload for another brand, on the same port, and with Modbus on another: both listen again."""
+    """A reload to another brand and another Modbus port exchanges both servers."""
     first, second, lines = free_port(), free_port(), free_port()
     socket_ = f"[modbus.socket]\nport = {lines}\nbrand = "
     before = config(tmp_path, f'[zenoh]\nenabled = false\n[modbus]\nport = {first}\n{socket_}"kuka"\n')
@@ -141,7 +142,7 @@ def test_the_socket_of_robots_is_exchanged_with_the_registers_that_it_shows(tmp_
 
 
 def test_a_port_of_robots_that_cannot_be_opened_leaves_the_registers_as_they_were(tmp_path: Path) -> None:
-    """The Modbus server listens again where it did."""
+    """If the robots' port cannot be opened, the Modbus server listens at its former port."""
     modbus = free_port()
     before = config(tmp_path, f"[zenoh]\nenabled = false\n[modbus]\nport = {modbus}\n")
     with socket.create_server(("127.0.0.1", 0)) as other:
@@ -154,7 +155,7 @@ def test_a_port_of_robots_that_cannot_be_opened_leaves_the_registers_as_they_wer
 
 
 def test_a_server_that_is_switched_off_is_closed(tmp_path: Path) -> None:
-    """Its port is free."""
+    """A server that is switched off frees its port."""
     modbus, web = free_port(), free_port()
     off = "[zenoh]\nenabled = false\n[modbus]\nenabled = false\n"
     before = config(tmp_path, f"[zenoh]\nenabled = false\n[modbus]\nport = {modbus}\n[web]\nport = {web}\n")
@@ -172,7 +173,7 @@ def test_a_server_that_is_switched_off_is_closed(tmp_path: Path) -> None:
     ],
 )
 def test_what_a_server_depends_on(change: str, name: str, expected: set[str], tmp_path: Path) -> None:
-    """Its own section, and the name of the cell where it says it: in Zenoh's keys and on the page."""
+    """A server is exchanged for its own section, and for the cell's name if it shows that."""
     sections = "[web]\nport = 8080\n"
     before = wanted_servers(config(tmp_path, sections))
     after = wanted_servers(config(tmp_path, sections + change, name))
@@ -181,7 +182,7 @@ def test_what_a_server_depends_on(change: str, name: str, expected: set[str], tm
 
 
 def test_zenoh_depends_on_the_shared_key(tmp_path: Path) -> None:
-    """Another one in its file, and a reload signs with it."""
+    """Another shared key in its file changes Zenoh's server."""
     key = tmp_path / "zenoh.key"
     key.write_bytes(b"a" * 32)
     cell = config(tmp_path, "[zenoh]\nshared_key = 'zenoh.key'\n")
@@ -193,7 +194,7 @@ def test_zenoh_depends_on_the_shared_key(tmp_path: Path) -> None:
 
 
 def test_opcua_depends_on_its_files_the_cells_name_and_who_triggers(tmp_path: Path) -> None:
-    """A client's certificate more, and a reload lets it in."""
+    """Another trusted client certificate, or another name of the cell, changes the OPC UA server."""
     make_certificates(tmp_path)
     trusted = tmp_path / "trusted"
     trusted.mkdir()
@@ -216,7 +217,7 @@ def test_opcua_depends_on_its_files_the_cells_name_and_who_triggers(tmp_path: Pa
 async def test_opcua_without_its_package_is_a_mistake_that_names_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Said before any server is touched."""
+    """OPC UA without its package is refused with the package's name, before any server is changed."""
     monkeypatch.setitem(sys.modules, "edged.adapters.opcua", None)
     wanted = config(
         tmp_path, "[opcua]\nanonymous = true\n[zenoh]\nenabled = false\n[modbus]\nenabled = true\n"
@@ -231,7 +232,7 @@ async def test_opcua_without_its_package_is_a_mistake_that_names_it(
 async def test_a_plc_without_its_package_is_a_mistake_that_names_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, family: str, keys: str
 ) -> None:
-    """Each family has its own."""
+    """A PLC family without its package is refused with the package's name."""
     monkeypatch.setitem(sys.modules, f"edged.adapters.plcmemory.{family}", None)
     wanted = config(
         tmp_path, f"[plc]\nhost = '127.0.0.1'\n[plc.{family}]\n{keys}\n[zenoh]\nenabled = false\n"
@@ -243,7 +244,8 @@ async def test_a_plc_without_its_package_is_a_mistake_that_names_it(
 
 
 async def test_an_ethernetip_adapter_starts_beside_modbus_and_says_who_has_its_port(tmp_path: Path) -> None:
-    """Served on its own address; a second cell of the machine that wants the same is told, and has none."""
+    """The EtherNet/IP adapter starts beside Modbus; a second one at the same address is refused with the
+    reason."""
     host = own_address()
     sections = f"[zenoh]\nenabled = false\n[modbus]\nport = {free_port()}\n[ethernetip]\nhost = '{host}'\n"
     wanted = config(tmp_path, sections)
@@ -265,7 +267,7 @@ async def test_an_ethernetip_adapter_starts_beside_modbus_and_says_who_has_its_p
 
 
 def exchange_after(folder: Path, sections: str, change: Callable[[], None], port: int) -> tuple[bool, bool]:
-    """Whether the server was made anew by an exchange for the same configuration, and whether it listens."""
+    """Whether an exchange for the same configuration made the server anew, and whether it listens."""
     wanted = config(folder, sections)
 
     async def main() -> tuple[bool, bool]:
@@ -299,7 +301,7 @@ def tls_sections(folder: Path, port: int) -> str:
 def test_renewed_certificates_are_taken_by_a_reload_and_untouched_ones_leave_the_plc_alone(
     tmp_path: Path,
 ) -> None:
-    """The names in the configuration are the same: what the files hold decides."""
+    """Renewed certificates in the same files exchange the server; unchanged ones leave it."""
     port = free_port()
     sections = tls_sections(tmp_path, port)
 
@@ -308,7 +310,7 @@ def test_renewed_certificates_are_taken_by_a_reload_and_untouched_ones_leave_the
 
 
 def test_a_damaged_certificate_is_refused_before_the_server_is_touched(tmp_path: Path) -> None:
-    """Half written by who renews it: the PLC's connections live on."""
+    """A damaged certificate is refused, and the running server is left."""
     port = free_port()
     sections = tls_sections(tmp_path, port)
 
@@ -319,7 +321,7 @@ def test_a_damaged_certificate_is_refused_before_the_server_is_touched(tmp_path:
 
 
 def test_a_port_that_is_taken_leaves_the_running_server_alone(tmp_path: Path) -> None:
-    """The new one is tried beside the old one, which is never closed."""
+    """If the new port is taken, the running server is never closed."""
     first = free_port()
     off = "[zenoh]\nenabled = false\n"
     with socket.create_server(("127.0.0.1", 0)) as taken:
@@ -341,7 +343,8 @@ def test_a_port_that_is_taken_leaves_the_running_server_alone(tmp_path: Path) ->
 
 
 def test_a_changed_access_control_of_zenoh_is_taken_by_a_reload(tmp_path: Path) -> None:
-    """It stands in Zenoh's own file, whose name stays the same; so do the certificates which that names."""
+    """Changed access control in Zenoh's own file takes effect by a reload; invalid content leaves the
+    running server."""
     port = free_port()
     own = tmp_path / "zenoh.json5"
     own.write_text("{}")
@@ -362,7 +365,7 @@ def test_a_changed_access_control_of_zenoh_is_taken_by_a_reload(tmp_path: Path) 
 async def test_a_cell_that_refuses_commands_over_zenoh_is_read_only_there(
     commands: str, expected: int, tmp_path: Path
 ) -> None:
-    """A trigger is answered with that reason, and nothing is measured."""
+    """A trigger at a cell that refuses commands over Zenoh gets that reason, and nothing is measured."""
     port, taken = free_port(), list[Command]()
 
     class Taking:
@@ -383,7 +386,7 @@ async def test_a_cell_that_refuses_commands_over_zenoh_is_read_only_there(
 
 
 def writes(file: Path, content: str) -> Callable[[], None]:
-    """What somebody does to a file."""
+    """A function that writes this content to a file."""
 
     def write() -> None:
         file.write_text(content)
@@ -395,7 +398,7 @@ def writes(file: Path, content: str) -> Callable[[], None]:
 
 
 class Hanging:
-    """A start that waits until `may_go`, in a task or in a thread; it is one for every kind of server."""
+    """A start that waits until `may_go`, in a task or in a thread, for every kind of server."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch, *, start_s: float = 0.4) -> None:
         self.may_go = threading.Event()
@@ -404,7 +407,7 @@ class Hanging:
             monkeypatch.setattr(f"edged.app.servers.{name}", value, raising=False)
 
     def hold_task(self, place: str) -> None:
-        """What an async function does comes later."""
+        """Delay an async function."""
         real = cast(Callable[..., Awaitable[object]], derive(place))
 
         async def late(*args: object) -> object:
@@ -414,7 +417,7 @@ class Hanging:
         self._patch.setattr(place, late)
 
     def hold_thread(self, place: str) -> None:
-        """What a function does comes later, and its thread waits."""
+        """Delay a function, whose thread waits."""
         real = cast(Callable[..., object], derive(place))
 
         def late(*args: object, **options: object) -> object:
@@ -425,7 +428,7 @@ class Hanging:
 
 
 def derive(place: str) -> object:
-    """What a dotted name means, of a class's method or of a module."""
+    """The object of a dotted name, of a class's method or of a module."""
     parts = place.split(".")
     for end in range(len(parts) - 1, 0, -1):
         try:
@@ -468,7 +471,7 @@ class Slow:
 
 
 def slow_cell(kind: str, folder: Path, line: str) -> Slow:
-    """One of a kind, and the page or Modbus beside it."""
+    """A configuration with a hanging server of this kind, and the page or Modbus beside it."""
     port, well, robots = free_port(), free_port(), free_port()
     off, page = "[zenoh]\nenabled = false\n", f"[web]\nport = {well}\n"
     no_plc, plc = "[modbus]\nenabled = false\n", f"[modbus]\nport = {well}\n"
@@ -496,7 +499,7 @@ def slow_cell(kind: str, folder: Path, line: str) -> Slow:
 
 @pytest.fixture
 def line() -> Iterator[str]:
-    """A serial line: the name of its device."""
+    """The device name of a serial line."""
     ours, theirs = pty.openpty()
     yield os.ttyname(theirs)
     os.close(ours)
@@ -518,7 +521,7 @@ def held(kind: str, monkeypatch: pytest.MonkeyPatch) -> Hanging:
 async def test_a_server_that_starts_slowly_is_named_and_started_later(
     kind: str, tmp_path: Path, line: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The others run meanwhile; what hangs is told with section, address and reason, until it has started."""
+    """A slow server is named with section, address and reason until it has started, while the others run."""
     slow = slow_cell(kind, tmp_path, line)
     hanging = held(kind, monkeypatch)
     told: list[None] = []
@@ -545,7 +548,8 @@ async def test_a_server_that_starts_slowly_is_named_and_started_later(
 async def test_a_reload_for_a_server_that_starts_slowly_is_refused_by_name(
     kind: str, tmp_path: Path, line: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Within its time, with address and reason; what ran runs on."""
+    """A reload with a slow server is refused in time with address and reason, and the running servers go
+    on."""
     slow = slow_cell(kind, tmp_path, line)
     hanging = held(kind, monkeypatch)
     servers = Servers(running_cell(), lambda: None, PagePort)
@@ -568,7 +572,8 @@ async def test_a_reload_for_a_server_that_starts_slowly_is_refused_by_name(
 async def test_a_reload_does_not_wait_for_what_could_not_start_before(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Another page port is taken while OPC UA still hangs; without OPC UA in it, nobody tries it any more."""
+    """A reload does not wait for a server that hung before; without it in the configuration it is not
+    tried again."""
     slow, port = slow_cell("opcua", tmp_path, ""), free_port()
     hanging = held("opcua", monkeypatch)
     servers = Servers(running_cell(), lambda: None, PagePort)
@@ -587,7 +592,7 @@ async def test_a_reload_does_not_wait_for_what_could_not_start_before(
 async def test_a_server_that_does_not_close_is_left_behind(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """Within its time, and that is said; the others close."""
+    """A server that does not close in time is left and logged, and the others close."""
     port, page = free_port(), free_port()
     hanging = Hanging(monkeypatch)
     real = derive("edged.app.pageserver.PageServer.close")

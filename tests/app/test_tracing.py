@@ -1,4 +1,4 @@
-"""A trace of the daemon: what each thread does in each cycle, as spans that viewers of traces read."""
+"""A trace of the daemon: the functions of each thread in each cycle, as spans for trace viewers."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ Span = dict[str, Any]
 
 
 def place_of(name: str) -> Callable[..., Any]:
-    """A function that is traced."""
+    """The traced function of this name."""
     module, _, inside = name.partition(":")
     found: Any = importlib.import_module(module)
     for part in inside.split("."):
@@ -36,12 +36,12 @@ def place_of(name: str) -> Callable[..., Any]:
 
 @pytest.mark.parametrize("name", TRACED)
 def test_what_is_traced_is_there(name: str) -> None:
-    """A function that is renamed would silently be missing from every trace."""
+    """Every traced function exists."""
     assert place_of(name).__module__.startswith("edged.")
 
 
 def test_who_is_not_traced_runs_the_functions_themselves(tmp_path: Path) -> None:
-    """Before and after a trace, and without one, no function is wrapped."""
+    """Without a trace, and before and after one, no function is wrapped."""
     before = {name: place_of(name) for name in TRACED if name.partition(":")[0] in sys.modules}
     with traced(None):
         assert before == {name: place_of(name) for name in before}
@@ -51,7 +51,8 @@ def test_who_is_not_traced_runs_the_functions_themselves(tmp_path: Path) -> None
 
 
 def test_a_span_has_its_thread_its_cycle_and_what_ran_inside(tmp_path: Path) -> None:
-    """Also where the function raises; of awaited functions the track is their own."""
+    """A span has thread, cycle and inner spans, also if the function raises; awaited functions have tracks
+    of their own."""
     trace, number = Trace(), cycle_number.set(7)
 
     def failing() -> None:
@@ -86,13 +87,14 @@ def test_a_span_has_its_thread_its_cycle_and_what_ran_inside(tmp_path: Path) -> 
 
 
 def within(inner: Span, outer: Span) -> bool:
-    """Whether a span lies in another one's time."""
+    """Whether a span lies within the time of another one."""
     return bool(outer["ts"] <= inner["ts"] and inner["ts"] + inner["dur"] <= outer["ts"] + outer["dur"])
 
 
 @pytest.mark.slow
 def test_a_cycle_is_seen_from_trigger_to_the_wire(tmp_path: Path) -> None:
-    """Frames, rectification, find, measure and the fits in it, the answer, and the read that gets it."""
+    """The trace of a cycle has frames, rectification, find, measure with its fits, the answer, and the
+    read of it."""
     small, path = SmallCell(tmp_path), tmp_path / "trace.json"
     daemon = DaemonProcess(small.config, options=["--trace", str(path)])
     daemon.wait_ready()

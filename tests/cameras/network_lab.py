@@ -38,7 +38,7 @@ def sh(*commands: str, inside: int | None = None) -> None:
 
 
 class Wired:
-    """A process in a network namespace of its own that waits for a line, and then becomes a program."""
+    """A process in a network namespace of its own that waits for a line before it starts its program."""
 
     def __init__(self, *program: str) -> None:
         command = ["unshare", "--net", "sh", "-c", 'echo up; read go; exec "$@"', "sh", *program]
@@ -52,19 +52,19 @@ class Wired:
         assert self.process.stdout.readline() == f"{line}\n"
 
     def go(self) -> None:
-        """The network is there: start the program."""
+        """Let the program start, now that the network exists."""
         assert self.process.stdin is not None
         self.process.stdin.write("go\n")
         self.process.stdin.flush()
 
     def end(self) -> None:
-        """Kill it; its namespace goes with it."""
+        """Kill it, and with it its namespace."""
         self.process.kill()
         self.process.communicate()
 
 
 class Lab:
-    """This host's port, the cameras, and the cell that wants them."""
+    """The host's port, the cameras, and their cell."""
 
     def __init__(self, folder: Path) -> None:
         self.folder, self.config = folder, folder / "cell.toml"
@@ -87,7 +87,7 @@ class Lab:
 
     @contextlib.contextmanager
     def configured(self, old: str, new: str) -> Iterator[None]:
-        """The configuration with something else in it."""
+        """The configuration with a text replaced."""
         text = self.config.read_text()
         assert old in text
         self.config.write_text(text.replace(old, new))
@@ -100,12 +100,12 @@ class Lab:
 
     @contextlib.contextmanager
     def healthy(self) -> Iterator[None]:
-        """As it should be."""
+        """A network without faults."""
         yield
 
     @contextlib.contextmanager
     def large_packets(self) -> Iterator[None]:
-        """Jumbo packets are configured, the port does not take them."""
+        """Jumbo packets are configured, but the port does not take them."""
         with self.configured('left.device = "LAB-L"', 'left.device = "LAB-L"\nleft.packet_size = 8000'):
             sh("ip link set cam0 mtu 1500")
             yield
@@ -113,7 +113,7 @@ class Lab:
 
     @contextlib.contextmanager
     def duplicate_address(self) -> Iterator[None]:
-        """Another device on the wire has the left camera's address."""
+        """Another device in the network has the left camera's address."""
         intruder = Wired("true")
         sh(f"ip link add spy link eth0 netns {intruder.id} type macvlan mode bridge", inside=self.cameras.id)
         sh(f"ip addr add {LEFT}/24 dev spy", "ip link set spy up", inside=intruder.id)
@@ -123,7 +123,7 @@ class Lab:
 
     @contextlib.contextmanager
     def firewall(self) -> Iterator[None]:
-        """Nothing comes in but answers."""
+        """A packet filter lets in answers only."""
         sh(
             "nft add table inet filter",
             "nft add chain inet filter input { type filter hook input priority 0 ; policy drop ; }",
@@ -136,7 +136,7 @@ class Lab:
 
     @contextlib.contextmanager
     def other_network(self) -> Iterator[None]:
-        """The cameras have addresses from elsewhere: found by broadcast, and out of reach."""
+        """The cameras have addresses of another network: found by broadcast, but not reachable."""
         sh(f"ip addr del {HOST}/24 dev cam0", "ip addr add 10.9.9.1/24 dev cam0")
         yield
         sh("ip addr del 10.9.9.1/24 dev cam0", f"ip addr add {HOST}/24 dev cam0")
@@ -157,7 +157,7 @@ class Lab:
 
     @contextlib.contextmanager
     def unplugged(self) -> Iterator[None]:
-        """No link."""
+        """The cameras have no link."""
         sh("ip link set eth0 down", inside=self.cameras.id)
         yield
         sh("ip link set eth0 up", "ip route add default dev eth0", inside=self.cameras.id)
@@ -177,13 +177,13 @@ class Lab:
 
     @contextlib.contextmanager
     def three_at_once(self) -> Iterator[None]:
-        """Troubles that have nothing to do with each other."""
+        """Three independent faults."""
         with self.large_packets(), self.taken(), self.full_disk():
             yield
 
     @contextlib.contextmanager
     def full_disk(self) -> Iterator[None]:
-        """The recordings' disk has no room."""
+        """The recordings' disk is full."""
         folder = self.folder / "recordings"
         folder.mkdir(exist_ok=True)
         sh(f"mount -t tmpfs -o size=8m none {folder}")
@@ -203,7 +203,7 @@ def serve_cameras() -> None:
 
 
 def main(folder: Path, as_text: bool) -> None:
-    """Examine the cell in each network."""
+    """Run the doctor in each network."""
     lab, report = Lab(folder), dict[str, list[dict[str, str]]]()
     sicknesses: list[Callable[[], contextlib.AbstractContextManager[None]]] = [
         lab.healthy,

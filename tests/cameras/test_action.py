@@ -1,4 +1,4 @@
-"""The action command as a datagram, against a peer that answers what the test says."""
+"""The action command as a datagram, with a peer whose answer the test sets."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ ACTION = Action(0xA1B2C3D4, 0x11, 0x10, (PEER,))
 
 @contextmanager
 def peer(answer: Callable[[bytes], list[bytes]], address: str = PEER) -> Iterator[list[bytes]]:
-    """A device on the port of GigE Vision; what it heard."""
+    """A device on GigE Vision's port, and the commands it received."""
     heard: list[bytes] = []
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as udp:
         udp.bind((address, 3956))
@@ -46,13 +46,14 @@ def peer(answer: Callable[[bytes], list[bytes]], address: str = PEER) -> Iterato
 
 
 def acknowledged(data: bytes, status: int = 0, request: int | None = None) -> list[bytes]:
-    """ACTION_ACK, as the specification draws it."""
+    """An ACTION_ACK as in the specification."""
     number = struct.unpack(">H", data[6:8])[0] if request is None else request
     return [struct.pack(">HHHH", status, ACTION_ACK, 0, number)]
 
 
 def test_the_command_is_the_one_of_the_specification() -> None:
-    """GigE Vision 2.0, 16.7: key 0x42, flags, 0x0100, length, id; device key, group key, group mask."""
+    """The command has the fields of GigE Vision 2.0, 16.7: key 0x42, flags, 0x0100, length, id; device
+    key, group key, group mask."""
     with peer(acknowledged) as heard:
         send_action("left", ACTION, None, 7)
 
@@ -60,7 +61,7 @@ def test_the_command_is_the_one_of_the_specification() -> None:
 
 
 def test_a_scheduled_command_carries_its_time() -> None:
-    """Flag 0x80 and 64 bits of time; 20 bytes of body."""
+    """A scheduled command has flag 0x80 and 64 bits of time in a body of 20 bytes."""
     with peer(acknowledged) as heard:
         send_action("left", ACTION, 0x1122334455667788, 8)
 
@@ -70,7 +71,8 @@ def test_a_scheduled_command_carries_its_time() -> None:
 
 
 def test_both_cameras_must_acknowledge() -> None:
-    """One that stays silent is named; the command is not repeated, it might expose twice."""
+    """A camera that does not acknowledge is named; the command is not repeated, because it might expose
+    twice."""
     both = Action(1, 1, 1, (PEER, OTHER))
     with (
         peer(acknowledged) as heard,
@@ -83,7 +85,7 @@ def test_both_cameras_must_acknowledge() -> None:
 
 
 def test_nobody_there_is_a_fault() -> None:
-    """Neither an ICMP refusal nor silence passes as triggered."""
+    """Without an answer or with an ICMP refusal the command fails."""
     with pytest.raises(FrameTimeout):
         send_action("left", ACTION, None, 10)
 
@@ -93,13 +95,13 @@ def test_nobody_there_is_a_fault() -> None:
     [(0x8016, "too late: its lead is too short"), (0x8013, "no PTP time"), (0x8006, "status 0x8006")],
 )
 def test_a_refusal_is_told_with_its_reason(status: int, reason: str) -> None:
-    """A schedule in the past, a device that is not ours."""
+    """A refusal raises FrameTimeout with the reason of its status."""
     with peer(lambda data: acknowledged(data, status)), pytest.raises(FrameTimeout, match=reason):
         send_action("left", ACTION, 5, 11)
 
 
 def test_answers_to_others_are_passed_over() -> None:
-    """Short datagrams, other kinds and other numbers are no acknowledgement; the right one counts."""
+    """Short datagrams, other kinds and other numbers do not count as acknowledgement; the right one does."""
 
     def answer(data: bytes) -> list[bytes]:
         noise = [b"\x00", struct.pack(">HHHH", 0, 0x83, 0, 12), *acknowledged(data, request=11)]
@@ -110,7 +112,7 @@ def test_answers_to_others_are_passed_over() -> None:
 
 
 def test_a_broadcast_waits_for_no_acknowledgement() -> None:
-    """Its flag is not set, whatever the address looks like; who answers all the same does no harm."""
+    """A broadcast does not ask for an acknowledgement, and an answer does no harm."""
     with peer(acknowledged) as heard:
         send_action("left", Action(1, 1, 1, (PEER,), broadcast=True), None, 13)
 
@@ -119,7 +121,7 @@ def test_a_broadcast_waits_for_no_acknowledgement() -> None:
 
 
 def test_without_a_descriptor_an_action_is_a_fault(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The camera did not deliver; the daemon goes on."""
+    """Without a free file descriptor the command raises FrameTimeout."""
 
     def exhausted(*_: object) -> socket.socket:
         raise OSError(errno.EMFILE, "Too many open files")

@@ -1,4 +1,4 @@
-"""A camera in another network is found, and gets an address here that it keeps; others are left alone."""
+"""A camera in another network is found and gets a permanent address here; others are not changed."""
 
 from __future__ import annotations
 
@@ -38,19 +38,19 @@ needs_chromium = needs("chromium")
 
 @pytest.fixture(autouse=True)
 def only_loopback(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Virtual cameras hear what this machine broadcasts on any port."""
+    """Broadcast on loopback alone, where the virtual cameras listen."""
     host = ipaddress.IPv4Interface("127.0.0.1/8")
     monkeypatch.setattr("edged.adapters.aravis.addresses._ports", lambda: [("lo", host)])
 
 
 def number_of(address: str) -> int:
-    """As registers have it."""
+    """An address as registers have it."""
     return int(ipaddress.IPv4Address(address))
 
 
 @contextmanager
 def lost(**identity: Any) -> Iterator[GigeCamera]:
-    """A camera that says that it is in another network, and so hears broadcasts alone, as far as we know."""
+    """A camera that says that it is in another network, so that it is reached by broadcasts alone."""
     with gige_camera(LEFT, SERIAL, Sensor(1), **identity) as camera:
         camera.registers.put(g.CURRENT_IP, number_of(FOREIGN))
         camera.registers.put(g.SUBNET_MASK, number_of("255.255.255.0"))
@@ -58,12 +58,13 @@ def lost(**identity: Any) -> Iterator[GigeCamera]:
 
 
 def heard(serial: str = SERIAL) -> HeardCamera:
-    """The camera, as it answers a broadcast."""
+    """The camera from its answer to a broadcast."""
     return next(one for one in hear_cameras() if one.serial == serial)
 
 
 def test_a_camera_of_another_network_is_heard_and_told_as_lost() -> None:
-    """With its MAC address, the port that hears it, and how it got its address."""
+    """The lost camera is listed with MAC address, port and origin of its address; one of this network is
+    not lost."""
     with lost():
         camera = heard()
         assert (FOREIGN, "lo", True, "DHCP") == (camera.address, camera.port, camera.is_lost, camera.ways)
@@ -77,7 +78,8 @@ def test_a_camera_of_another_network_is_heard_and_told_as_lost() -> None:
 
 @pytest.mark.slow
 def test_it_gets_an_address_here_and_keeps_it() -> None:
-    """FORCEIP by broadcast, then the persistent registers; nobody controls it afterwards."""
+    """The camera gets the address by broadcast and keeps it in its persistent registers, and nobody
+    controls it afterwards."""
     with lost() as camera:
         assert (NOBODY, True) == give_address(SERIAL, NOBODY)
         found = heard()
@@ -90,7 +92,8 @@ def test_it_gets_an_address_here_and_keeps_it() -> None:
 
 @pytest.mark.slow
 def test_a_free_address_is_one_that_nobody_has() -> None:
-    """The last part of its own where that is free; not this host's, another camera's, or any that answers."""
+    """The proposal keeps the last part of the camera's address, if no device has it; otherwise it is the
+    next free one."""
     with lost():
         camera = heard()
         assert "127.0.0.77" == free_address(camera, set())
@@ -101,7 +104,7 @@ def test_a_free_address_is_one_that_nobody_has() -> None:
 
 @pytest.mark.slow
 def test_a_camera_that_a_program_controls_is_left_alone() -> None:
-    """By its own register where it can be asked, and by its refusal where it cannot."""
+    """A camera that another program controls is refused, by its register or by its own refusal."""
     with gige_camera(RIGHT, "EDGED-TAKEN", Sensor(1)) as camera:
         camera.steal_control()
         with pytest.raises(CameraBusy, match="a program controls it"):
@@ -114,7 +117,7 @@ def test_a_camera_that_a_program_controls_is_left_alone() -> None:
 
 
 def test_addresses_that_do_not_fit_are_refused() -> None:
-    """Of another network, of another camera, of this host, and no address at all."""
+    """An address of another network, of another camera, of this host, and an invalid one are refused."""
     with lost(), gige_camera(RIGHT, "EDGED-OTHER", Sensor(2)):
         for wanted in (FOREIGN, RIGHT, "127.0.0.1", "here", "1.2.3"):
             with pytest.raises(CameraSetupError, match="expected an address of"):
@@ -125,7 +128,7 @@ def test_addresses_that_do_not_fit_are_refused() -> None:
 
 @pytest.mark.slow
 def test_one_that_cannot_keep_an_address_says_so() -> None:
-    """It has it until it is switched off."""
+    """A camera without persistent registers gets the address until it is switched off."""
     with lost() as camera:
         word = camera.registers.word
         keep = camera.registers.hooks[g.PERSISTENT_IP]
@@ -137,7 +140,7 @@ def test_one_that_cannot_keep_an_address_says_so() -> None:
 
 @pytest.mark.parametrize("answer", [b"", b"\0" * 7, b"\0\0\0\3\0\x08\0\x33" + b"\0" * 8, b"\xff" * 300])
 def test_an_answer_that_is_none_is_no_camera(answer: bytes) -> None:
-    """Whatever comes to the socket."""
+    """A broken answer counts as no camera."""
     host = ipaddress.IPv4Interface("127.0.0.1/8")
     assert addresses._heard(answer, "lo", host) is None  # noqa: SLF001  (what reads foreign bytes)
 
@@ -145,7 +148,8 @@ def test_an_answer_that_is_none_is_no_camera(answer: bytes) -> None:
 @needs_camera
 @pytest.mark.slow
 def test_the_list_names_it_and_the_command_that_helps(capsys: pytest.CaptureFixture[str]) -> None:
-    """`edged cameras` and its JSON; then the command itself."""
+    """The list and its JSON show a lost camera, and the command that helps; the command gives it an
+    address."""
     with lost():
         ((info, camera),) = [both for both in with_addresses(list_cameras()) if both[0].serial == SERIAL]
         assert camera is not None
@@ -168,7 +172,7 @@ def test_the_list_names_it_and_the_command_that_helps(capsys: pytest.CaptureFixt
 @needs_camera
 @pytest.mark.slow
 async def test_the_page_shows_it_and_moves_it_by_one_click(tmp_path: Path) -> None:
-    """Named as lost, with how it got its address; and not where somebody else controls it."""
+    """The page shows a lost camera and moves it by one click, except if another program controls it."""
     async with staged(tmp_path) as newcomer:
         with lost() as camera:
             found = {one["serial"]: one for one in (await newcomer.ask("GET", "cameras"))["found"]}
@@ -192,7 +196,7 @@ async def test_the_page_shows_it_and_moves_it_by_one_click(tmp_path: Path) -> No
 
 
 def test_no_socket_is_left() -> None:
-    """Ports that cannot be asked are passed over."""
+    """Ports that cannot be asked are skipped, and no socket stays open."""
     before = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     number = before.fileno()
     before.close()
@@ -208,8 +212,8 @@ def test_no_socket_is_left() -> None:
 @needs_chromium
 @pytest.mark.slow
 async def test_a_person_moves_it_by_the_button_beside_it(tmp_path: Path) -> None:
-    """In a browser: trouble and button stand beside this camera alone, which is offered as left or right
-    only afterwards; then it is said where it is. Where a program controls it, that is said."""
+    """In a browser the lost camera alone has the trouble and the button, and can be used as left or right
+    only afterwards; the new address, or that a program controls it, is shown."""
     tile = f'[...document.querySelectorAll(".tile")].find((tile) => tile.innerText.includes("{SERIAL}"))'
     buttons = '[...document.querySelectorAll("button")].filter((b) => b.innerText.startsWith("Give it an"))'
     async with staged(tmp_path) as newcomer, browser() as page:

@@ -53,7 +53,7 @@ def cell() -> Iterator[Cell]:
 
 
 def test_what_the_system_refuses_is_a_fault_of_the_camera() -> None:
-    """No descriptor for a socket towards it: it is not reached now, and that is no end of the daemon."""
+    """Without a free file descriptor for a socket the camera is unreachable."""
     with (
         pytest.raises(CameraUnreachable, match="setting up: Too many open files"),
         translated("left", "setting up"),
@@ -70,7 +70,7 @@ def count(folder: str) -> int:
 
 
 def test_every_aravis_device_error_is_translated() -> None:
-    """The table names exactly the codes that this Aravis has, and each becomes its exception."""
+    """The table has exactly the codes of this Aravis, and each becomes its exception."""
     aravis, glib = library("left")
     codes = {
         name: int(getattr(aravis.DeviceError, name)) for name in dir(aravis.DeviceError) if name.isupper()
@@ -93,7 +93,7 @@ def test_every_genicam_error_is_a_setting_that_does_not_fit() -> None:
 
 
 def test_errors_of_other_domains_and_unknown_codes_are_faults_too() -> None:
-    """A socket error or a code of a later Aravis is "unreachable", never a stack trace."""
+    """A socket error or an unknown code becomes CameraUnreachable."""
     aravis, glib = library("left")
     for quark, code in ((glib.quark_from_string("g-io-error-quark"), 38), (aravis.device_error_quark(), 999)):
         error = glib.Error.new_literal(quark, "host unreachable", code)
@@ -133,7 +133,7 @@ asyncio.run(main())
 def test_frame_ids_rise_through_the_wrap_of_a_16_bit_counter(
     steps: list[int], start: int, first: int
 ) -> None:
-    """A counter that runs 1 to 65535 and round again is counted on, with the same gaps."""
+    """Ids continue over the wrap of a counter from 1 to 65535, with the same gaps."""
     counter = FrameCounter(first)
     true_count = np.cumsum([start, *steps])
 
@@ -145,13 +145,13 @@ def test_frame_ids_rise_through_the_wrap_of_a_16_bit_counter(
 
 @given(st.integers(1, 2**63), st.integers(1, 1000))
 def test_frame_ids_of_64_bits_do_not_wrap(start: int, step: int) -> None:
-    """GigE Vision 2 and USB count with 64 bits."""
+    """64-bit ids, as of GigE Vision 2 and USB, do not wrap."""
     counter = FrameCounter(0)
     assert step == -counter.count(start) + counter.count(start + step)
 
 
 def test_a_repeated_frame_keeps_its_id_and_a_restart_counts_on() -> None:
-    """A duplicate is seen as one; after a restart ids rise whether or not the camera begins at 1."""
+    """A duplicate keeps its id, and after a restart ids rise wherever the camera begins."""
     counter = FrameCounter(10)
     assert [11, 12, 12, 11] == [counter.count(raw) for raw in (5, 6, 6, 5)]
     counter.restart()
@@ -161,7 +161,8 @@ def test_a_repeated_frame_keeps_its_id_and_a_restart_counts_on() -> None:
 
 
 def test_a_buffer_without_a_packet_of_an_image_is_no_image() -> None:
-    """Aravis hands one out for a stranger's packet: it goes back, and the image after it is the first."""
+    """A buffer without image data, from a stranger's packet, is given back, and the next image is the
+    first."""
     aravis = library("left").aravis
     stop, given_back, delivered = threading.Event(), [], []
     stranger = aravis.Buffer.new_allocate(16)
@@ -184,7 +185,7 @@ def test_a_buffer_without_a_packet_of_an_image_is_no_image() -> None:
 
 @pytest.fixture
 def device() -> Any:
-    """A device of Aravis' own, in memory."""
+    """Aravis' own device in memory."""
     return library("left").aravis.FakeDevice.new("TEST")
 
 
@@ -222,7 +223,7 @@ def test_every_misfit_is_named_before_anything_is_written(device: Any) -> None:
 
 
 def test_what_the_camera_cannot_do_is_named_with_its_limits(device: Any) -> None:
-    """Out of range and read-only settings are refused, each with the reason; the good ones are set."""
+    """Settings that are out of range or read-only are refused with the reason, and the others are set."""
     problems = Features("left", device).apply(
         {"ExposureTimeAbs": 5e9, "GainRaw": 99, "SensorWidth": 3, "DeviceVendorName": "me", "Width": 128}
     )
@@ -238,7 +239,7 @@ def test_what_the_camera_cannot_do_is_named_with_its_limits(device: Any) -> None
 
 
 def test_settings_are_applied_whatever_the_order_they_are_written_in(device: Any) -> None:
-    """A region that only fits once the last one has been moved away: size before offset."""
+    """A region is set in the order that the camera allows, size before offset."""
     features = Features("left", device)
     assert [] == features.apply({"Width": 100, "Height": 50, "OffsetX": 1900, "OffsetY": 1900})
     assert [] == features.apply({"OffsetX": 8, "Width": 2000, "TriggerMode": "On", "ExposureTimeAbs": 1234})
@@ -254,7 +255,7 @@ def test_settings_are_applied_whatever_the_order_they_are_written_in(device: Any
 @pytest.mark.slow
 @pytest.mark.parametrize("user_socket", [False, True], ids=["packet-socket", "user-socket"])
 async def test_images_of_aravis_own_camera_arrive_whole(user_socket: bool) -> None:
-    """An independent device: at 10 ms its picture is x + y + frame, modulo 255, right in every pixel."""
+    """Pictures of Aravis' own camera at 10 ms, x + y + frame modulo 255, are right in every pixel."""
     fake = library("left").aravis.GvFakeCamera.new("127.0.0.1", "EDGED-FAKE")
     if not fake.is_running():
         pytest.skip("port 3956 of 127.0.0.1 is taken")
@@ -285,7 +286,7 @@ async def test_images_of_aravis_own_camera_arrive_whole(user_socket: bool) -> No
 @pytest.mark.parametrize("user_socket", [False, True], ids=["packet-socket", "user-socket"])
 @pytest.mark.parametrize("packet_size", [None, 1500], ids=["negotiated", "1500"])
 async def test_images_arrive_byte_for_byte(cell: Cell, user_socket: bool, packet_size: int | None) -> None:
-    """Twenty exposures are the pictures the sensor saw, in order, new each time, owned and writable."""
+    """Twenty exposures are the sensor's pictures, in order, each with a writable image of its own."""
     async with opened(left_camera(user_socket=user_socket, packet_size=packet_size)) as camera:
         frames = [await shoot(camera) for _ in range(20)]
 
@@ -300,7 +301,7 @@ async def test_images_arrive_byte_for_byte(cell: Cell, user_socket: bool, packet
 
 @pytest.mark.slow
 async def test_a_camera_is_found_by_its_serial_number(cell: Cell) -> None:
-    """Discovery names both cameras, and each is reached by serial number."""
+    """Both cameras are listed, and each is opened by its serial number."""
     listed = {info.serial: info.address for info in list_cameras()}
     async with opened(AravisCamera("right", AravisSettings("EDGED-T2"))) as camera:
         frame = await shoot(camera)
@@ -311,7 +312,7 @@ async def test_a_camera_is_found_by_its_serial_number(cell: Cell) -> None:
 
 @pytest.mark.slow
 async def test_two_cameras_behind_a_stereo_head(cell: Cell) -> None:
-    """Pairs of one instant through capture, adapter, Aravis and UDP."""
+    """The head gives pairs of one instant."""
     head = StereoHead(
         left_camera(),
         AravisCamera("right", AravisSettings(RIGHT)),
@@ -332,7 +333,7 @@ async def test_two_cameras_behind_a_stereo_head(cell: Cell) -> None:
 
 @pytest.mark.slow
 async def test_exposure_and_gain_reach_the_sensor(cell: Cell) -> None:
-    """What the config says is what the sensor is told, automatic off, and free features too."""
+    """The configured exposure, gain and features reach the camera, with automatic modes off."""
     camera = left_camera(exposure_us=1234.0, gain_db=6.0, features=({"Width": 160, "OffsetX": 32},))
     async with closing(camera):
         await camera.open()
@@ -362,7 +363,8 @@ async def test_exposure_and_gain_reach_the_sensor(cell: Cell) -> None:
 async def test_a_setting_that_does_not_fit_is_named_and_leaves_nothing_open(
     cell: Cell, settings: dict[str, Any], reason: str
 ) -> None:
-    """The error tells what and why; while it is still held, another program can take the camera."""
+    """The error names the setting and the reason, and another program can open the camera while the object
+    exists."""
     async with closing(left_camera(**settings)) as wrong, closing(left_camera()) as right:
         with pytest.raises(CameraSetupError) as caught:
             await wrong.open()
@@ -376,7 +378,7 @@ async def test_a_setting_that_does_not_fit_is_named_and_leaves_nothing_open(
 
 @pytest.mark.slow
 async def test_a_camera_that_is_not_there_is_unreachable_in_bounded_time() -> None:
-    """Neither an address nor a serial number without a camera is waited for longer than 8 s."""
+    """An unknown address and an unknown serial number fail within a bounded time."""
     async with (
         closing(left_camera(NOBODY)) as by_address,
         closing(left_camera("NO-SUCH-SERIAL")) as by_serial,
@@ -389,7 +391,7 @@ async def test_a_camera_that_is_not_there_is_unreachable_in_bounded_time() -> No
 
 @pytest.mark.slow
 async def test_a_second_controller_is_refused_and_the_first_goes_on(cell: Cell) -> None:
-    """`CameraBusy` for who comes second; when the first has closed, the second succeeds."""
+    """The second controller gets `CameraBusy`, and succeeds once the first has closed."""
     async with closing(left_camera()) as first, closing(left_camera()) as second:
         await first.open()
         with pytest.raises(CameraBusy, match="controlled by another"):
@@ -403,7 +405,7 @@ async def test_a_second_controller_is_refused_and_the_first_goes_on(cell: Cell) 
 
 @pytest.mark.slow
 async def test_a_camera_that_is_closed_or_not_triggered_says_so(cell: Cell) -> None:
-    """No call hangs for want of an earlier one."""
+    """`trigger` and `frame` without an open camera, and `frame` without a trigger, fail at once."""
     async with closing(left_camera()) as camera:
         for call in (camera.trigger, camera.frame):
             with pytest.raises(CameraUnreachable, match="not open"):
@@ -417,7 +419,7 @@ async def test_a_camera_that_is_closed_or_not_triggered_says_so(cell: Cell) -> N
 
 
 class Process:
-    """A camera in a process of its own, to be killed."""
+    """A camera in a process of its own, which a test can kill."""
 
     def __init__(self, address: str, serial: str) -> None:
         self._command = [sys.executable, "-m", "edged.sim.gige.camera", address, serial]
@@ -444,7 +446,7 @@ def process() -> Iterator[Process]:
 
 @pytest.mark.slow
 async def test_a_killed_camera_is_a_fault_until_it_returns_and_then_heals(process: Process) -> None:
-    """kill -9: only `CaptureError`s while it is gone, good images again after its return."""
+    """After kill -9 there are only `CaptureError`s, and good images again once the camera is back."""
     head = StereoHead(
         left_camera(),
         AravisCamera("right", AravisSettings(RIGHT)),
@@ -471,7 +473,7 @@ async def test_a_killed_camera_is_a_fault_until_it_returns_and_then_heals(proces
 
 @pytest.mark.slow
 async def test_a_camera_that_restarts_between_two_commands_is_noticed_while_idle(process: Process) -> None:
-    """Looking after an idle camera finds the new one that does not know us, and takes it again."""
+    """A check of the idle camera finds that it restarted, and opens it again."""
     with gige_camera(RIGHT, "EDGED-T2", Sensor(2)):
         async with closing(
             StereoHead(
@@ -492,7 +494,7 @@ async def test_a_camera_that_restarts_between_two_commands_is_noticed_while_idle
 
 @pytest.mark.slow
 async def test_connections_leave_nothing_behind(cell: Cell) -> None:
-    """After each of them threads and open files fall back to what they were after the first."""
+    """After each connection threads and open files return to their numbers after the first."""
 
     async def connect(camera: AravisCamera) -> None:
         await camera.open()
@@ -500,7 +502,7 @@ async def test_connections_leave_nothing_behind(cell: Cell) -> None:
         await camera.close()
 
     async def falls_back_to(tasks: int, files: int) -> None:
-        """Threads that were told to end have ended, and their files are closed."""
+        """Wait until ended threads are gone and their files closed."""
         deadline_s = time.monotonic() + LIMIT_S
         while True:
             used = (count("task"), count("fd"))

@@ -1,4 +1,4 @@
-"""Exposure and gain while images are taken, with the real Aravis over real UDP: tried, and put back."""
+"""Exposure and gain while images are taken, with the real Aravis over real UDP: adjusted, and restored."""
 
 from __future__ import annotations
 
@@ -33,14 +33,15 @@ def cell() -> Iterator[Cell]:
 
 
 def held(cell: Cell) -> tuple[float, float]:
-    """What the left camera's registers hold: exposure time in us, gain in dB."""
+    """The left camera's registers: exposure time in us, gain in dB."""
     registers = cell.left.registers
     return registers.number(g.EXPOSURE_TIME), registers.number(g.GAIN)
 
 
 @pytest.mark.slow
 async def test_the_next_picture_is_exposed_as_adjusted(cell: Cell) -> None:
-    """Without a new connection; what is not stated stays; the bounds are the camera's."""
+    """The next picture has the adjusted values without a new connection, others stay, and the limits are
+    the camera's."""
     async with opened(left_camera()) as camera:
         assert CameraLimits((10.0, 1e6), (0.0, 24.0)) == await camera.limits()
         await shoot(camera)
@@ -55,7 +56,7 @@ async def test_the_next_picture_is_exposed_as_adjusted(cell: Cell) -> None:
 
 @pytest.mark.slow
 async def test_what_the_camera_does_not_take_changes_nothing(cell: Cell) -> None:
-    """Named with its bounds, before anything is written; the camera goes on."""
+    """A value out of range is refused with its limits before anything is written, and the camera goes on."""
     async with opened(left_camera()) as camera:
         with pytest.raises(CameraSetupError, match="left: exposure_us: 5 is outside 10 to 1e\\+06"):
             await camera.adjust(CameraValues(exposure_us=5.0, gain_db=2.0))
@@ -66,7 +67,7 @@ async def test_what_the_camera_does_not_take_changes_nothing(cell: Cell) -> None
 @pytest.mark.slow
 @pytest.mark.parametrize("configured", [None, 3000.0])
 async def test_what_was_there_before_is_written_back(cell: Cell, configured: float | None) -> None:
-    """What is configured; or, for a camera that is left as it is, what it was found with."""
+    """`restore` writes the configured value, or the one that the camera had when it was opened."""
     cell.left.registers.put(g.EXPOSURE_TIME, 1234.0)
     async with opened(left_camera(exposure_us=configured)) as camera:
         await camera.adjust(CameraValues(500.0, 6.0))
@@ -79,7 +80,8 @@ async def test_what_was_there_before_is_written_back(cell: Cell, configured: flo
 
 @pytest.mark.slow
 async def test_a_lost_connection_keeps_what_is_tried_and_a_lost_camera_gets_back_what_was(cell: Cell) -> None:
-    """Opened again it has what was adjusted; another host's when all is undone, it gets it later."""
+    """After a lost connection adjusted values are kept; if the camera is lost at `restore`, it is restored
+    later."""
     async with opened(left_camera()) as camera:
         await camera.adjust(CameraValues(exposure_us=500.0))
         await camera.close()
@@ -99,7 +101,8 @@ async def test_a_lost_connection_keeps_what_is_tried_and_a_lost_camera_gets_back
 async def test_firmware_that_locks_its_settings_is_opened_anew(
     clamped: bool, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """And the log says so; back to what was found the same way. What it does not take then, it has not."""
+    """A camera that locks its settings is opened anew with the value, which is logged; a value that it
+    clamps is refused."""
     quirks = (Quirk.LOCKED_EXPOSURE, *([Quirk.CLAMPED_EXPOSURE] if clamped else []))
     caplog.set_level(logging.INFO)
     with running(Cell(quirks=quirks)) as cell:
@@ -121,7 +124,7 @@ async def test_firmware_that_locks_its_settings_is_opened_anew(
 
 @pytest.mark.slow
 async def test_each_picture_may_prove_the_exposure_that_is_tried(cell: Cell) -> None:
-    """With chunk data a picture is compared with what is in force, not with what is configured."""
+    """With chunk data a picture is compared with the adjusted value, not the configured one."""
     async with opened(left_camera(chunks=True, exposure_us=3000.0)) as camera:
         await camera.adjust(CameraValues(exposure_us=500.0))
         await shoot(camera)
@@ -134,7 +137,7 @@ async def test_each_picture_may_prove_the_exposure_that_is_tried(cell: Cell) -> 
 
 @pytest.mark.slow
 async def test_setup_tries_and_ready_has_what_is_configured(cell: Cell) -> None:
-    """In the loop: adjusted through the head, told as a change, and undone before the cell is ready again."""
+    """In SETUP a camera is adjusted through the head, reported as a change, and restored before READY."""
     head = StereoHead(left_camera(exposure_us=3000.0), AravisCamera("right", AravisSettings("127.0.40.2")))
     ear, cycle = Ear(), Cycle(head, make_setup())
     cycle.set_publishers([ear])

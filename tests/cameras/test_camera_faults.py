@@ -1,7 +1,7 @@
-"""What goes wrong with cameras in a factory, each over real UDP with the real Aravis.
+"""Faults of cameras in a factory, each over real UDP with the real Aravis.
 
-Every fault is noticed within the time that docs/how-to/cameras.md states, has its own code, publishes nothing
-that is not a whole, new pair, and is healed without a restart when its cause has gone.
+Every fault is noticed within the time that docs/how-to/cameras.md states, has its own code, publishes only
+whole, new pairs, and is over without a restart once its cause is gone.
 """
 
 from __future__ import annotations
@@ -37,11 +37,11 @@ pytestmark = needs_aravis()
 TIMEOUT_S = 1.0
 ELSEWHERE = "127.0.40.7"
 LOADED_S = 15.0
-"""On top of every stated time: the test machine may be busy with other things."""
+"""Added to every stated time, because the test machine may be busy."""
 
 
 class Line:
-    """A cell with both cameras, and a head that runs without pause; keeps what it saw."""
+    """A cell with both cameras, and a head that runs without pause and keeps its pairs and faults."""
 
     def __init__(self, cell: Cell, **settings: Any) -> None:
         self.cell = cell
@@ -54,7 +54,7 @@ class Line:
         self.faults: list[CaptureError] = []
 
     async def shoot(self) -> CaptureError | None:
-        """One exposure: a fault, or a pair that is whole, new and of one exposure."""
+        """One exposure: a fault, or a complete new pair of one exposure."""
         try:
             pair = await asyncio.wait_for(self.head.capture(), 2 * TIMEOUT_S + LOADED_S)
         except CaptureError as error:
@@ -69,7 +69,7 @@ class Line:
         return None
 
     async def until(self, wanted: type[CaptureError] | None, within_s: float) -> float:
-        """Shoot until this fault, or a good pair; the seconds it took."""
+        """Shoot until this fault, or a good pair; returns the seconds it took."""
         began_s = time.monotonic()
         while True:
             error = await self.shoot()
@@ -79,13 +79,13 @@ class Line:
             assert time.monotonic() < began_s + within_s + LOADED_S, told
 
     async def good(self) -> None:
-        """It works, or works again."""
+        """Check that a good pair comes."""
         await self.until(None, 5)
 
 
 @asynccontextmanager
 async def working(cell: Cell, **settings: Any) -> AsyncIterator[Line]:
-    """A line whose cameras work, before and afterwards."""
+    """A line whose cameras work before and after the test."""
     line = Line(cell, **settings)
     async with closing(line.head):
         await line.good()
@@ -103,7 +103,7 @@ def cell() -> Iterator[Cell]:
 
 
 def switched_on_again(cell: Cell, *, address: str = LEFT, serial: str = "EDGED-T1") -> GigeCamera:
-    """The left camera after its power came back: it knows nobody."""
+    """The left camera after its power came back, with no controller."""
     cell.left_sensor = Sensor(3)
     cell.left = gige_camera(address, serial, cell.left_sensor)
     return cell.left
@@ -111,7 +111,8 @@ def switched_on_again(cell: Cell, *, address: str = LEFT, serial: str = "EDGED-T
 
 @pytest.mark.slow
 async def test_packets_that_are_lost_for_good_are_a_fault_and_never_a_picture(cell: Cell) -> None:
-    """A tenth of the packets gone and none sent again: incomplete (105), with the frame; then good again."""
+    """With a tenth of the packets lost and no resend a frame is incomplete (105), and pictures are good
+    again afterwards."""
     async with working(cell, resend=False, packet_size=1500) as line:
         cell.left.faults.packet_loss = 0.1
         await line.until(FrameIncomplete, TIMEOUT_S)
@@ -125,7 +126,7 @@ async def test_packets_that_are_lost_for_good_are_a_fault_and_never_a_picture(ce
 
 @pytest.mark.slow
 async def test_packets_that_are_lost_and_sent_again_are_no_fault(cell: Cell) -> None:
-    """The same loss, one in a hundred: with resend every picture comes, whole."""
+    """With resend, every picture is complete although packets are lost."""
     async with working(cell, packet_size=1500) as line:
         cell.left.faults.packet_loss = cell.right.faults.packet_loss = 0.005
         for _ in range(8):
@@ -136,7 +137,7 @@ async def test_packets_that_are_lost_and_sent_again_are_no_fault(cell: Cell) -> 
 
 @pytest.mark.slow
 async def test_a_stream_that_stalls_is_told_from_a_dead_camera(cell: Cell) -> None:
-    """Triggers are taken, nothing comes: 104 after the time-out, 112 with the third; opened again."""
+    """If triggers are taken but nothing comes, the fault is 104, then 112 with the third, and heals."""
     async with working(cell) as line:
         cell.left.faults.stalled = True
         await line.until(FrameTimeout, TIMEOUT_S)
@@ -147,7 +148,7 @@ async def test_a_stream_that_stalls_is_told_from_a_dead_camera(cell: Cell) -> No
 
 @pytest.mark.slow
 async def test_a_frozen_image_is_caught_with_the_image(cell: Cell) -> None:
-    """New numbers and the same pixels: 110, as long as it lasts."""
+    """New frame numbers with the same pixels are fault 110 as long as it lasts."""
     async with working(cell) as line:
         cell.right.faults.frozen = True
         for _ in range(2):
@@ -158,7 +159,7 @@ async def test_a_frozen_image_is_caught_with_the_image(cell: Cell) -> None:
 
 @pytest.mark.slow
 async def test_a_pulled_cable_is_noticed_with_the_next_command_and_heals(cell: Cell) -> None:
-    """101 within the 1.2 s of a command that is not answered; good again when the cable is back."""
+    """A pulled cable is fault 101 within the 1.2 s of a command, and heals."""
     async with working(cell) as line:
         cell.left.faults.unplugged = True
         await line.until(CameraUnreachable, 1.2 + TIMEOUT_S)
@@ -168,7 +169,7 @@ async def test_a_pulled_cable_is_noticed_with_the_next_command_and_heals(cell: C
 
 @pytest.mark.slow
 async def test_a_camera_that_was_switched_off_and_on_is_taken_again(cell: Cell) -> None:
-    """It answers, and belongs to nobody: 107, told from one that another host took; opened again."""
+    """A camera that was switched off and on is opened again, and is not reported as busy."""
     async with working(cell) as line:
         cell.left.stop()
         switched_on_again(cell).start()
@@ -178,7 +179,7 @@ async def test_a_camera_that_was_switched_off_and_on_is_taken_again(cell: Cell) 
 
 @pytest.mark.slow
 async def test_a_camera_that_another_host_took_is_busy_until_it_gives_it_back(cell: Cell) -> None:
-    """102 as soon as a command is refused, and while it lasts; good again by itself."""
+    """A camera that another host controls is fault 102 while it lasts, and heals."""
     async with working(cell) as line:
         cell.left.steal_control()
         await line.until(CameraBusy, TIMEOUT_S)
@@ -191,7 +192,7 @@ async def test_a_camera_that_another_host_took_is_busy_until_it_gives_it_back(ce
 
 @pytest.mark.slow
 async def test_a_frame_number_that_stands_still_is_no_new_picture(cell: Cell) -> None:
-    """The picture is new, its number is not: 109 where it is delivered, 104 where the driver drops it.
+    """A new picture with an old number is fault 109 if it is delivered, or 104 if the driver drops it.
 
     Acquisition begins anew then, and the camera counts anew: the next picture has a number of its own.
     """
@@ -206,7 +207,7 @@ async def test_a_frame_number_that_stands_still_is_no_new_picture(cell: Cell) ->
 
 @pytest.mark.slow
 async def test_packets_that_come_twice_or_in_another_order_are_no_fault(cell: Cell) -> None:
-    """What a network with two ways does: every picture comes, whole."""
+    """With reordered and repeated packets every picture is complete."""
     async with working(cell, packet_size=1500) as line:
         cell.left.faults.reordering = cell.right.faults.duplication = 0.1
         for _ in range(6):
@@ -217,7 +218,7 @@ async def test_packets_that_come_twice_or_in_another_order_are_no_fault(cell: Ce
 
 @pytest.mark.slow
 async def test_a_camera_whose_address_changed_is_found_by_its_serial_number(cell: Cell) -> None:
-    """DHCP gave it another one: 101, then good again from there."""
+    """A camera with a new address is fault 101, and is then found there by its serial number."""
     async with working(cell, device="EDGED-T1") as line:
         cell.left.stop()
         switched_on_again(cell, address=ELSEWHERE).start()
@@ -226,7 +227,7 @@ async def test_a_camera_whose_address_changed_is_found_by_its_serial_number(cell
 
 @pytest.mark.slow
 async def test_cameras_that_were_swapped_are_refused_until_they_are_back(cell: Cell) -> None:
-    """Another serial number at the left camera's address: 108, and never a picture of the wrong one."""
+    """Another serial number at the left camera's address is fault 108 until the cameras are back."""
     async with working(cell, serial="EDGED-T1") as line:
         cell.left.stop()
         with switched_on_again(cell, serial="EDGED-T9"):

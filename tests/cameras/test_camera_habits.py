@@ -1,4 +1,4 @@
-"""What real cameras do beside the standard, imitated, with the real Aravis over real UDP."""
+"""Deviations of real cameras from the standard, imitated, with the real Aravis over real UDP."""
 
 from __future__ import annotations
 
@@ -37,14 +37,14 @@ pytestmark = needs_aravis()
 
 @contextmanager
 def habit(*quirks: Quirk) -> Iterator[Cell]:
-    """A running cell whose left camera has these habits."""
+    """A running cell whose left camera has these quirks."""
     with running(Cell(quirks=quirks)) as cell:
         yield cell
 
 
 @pytest.mark.slow
 async def test_a_picture_after_an_adjustment_has_the_new_exposure_and_one_after_restore_the_old() -> None:
-    """Firmware that takes new values one exposure late: that exposure is made and thrown away."""
+    """With firmware that applies values one exposure late, the first exposure after a change is discarded."""
     with habit(Quirk.LATE_EXPOSURE) as cell:
 
         def exposure_of(frame: Frame) -> float:
@@ -62,7 +62,7 @@ async def test_a_picture_after_an_adjustment_has_the_new_exposure_and_one_after_
 @pytest.mark.slow
 @pytest.mark.parametrize("quirk", [Quirk.BUSY_DROPS, Quirk.BUSY_REFUSES])
 async def test_a_trigger_during_an_abandoned_exposure_is_exposed_all_the_same(quirk: Quirk) -> None:
-    """Acquisition begins anew: the camera is no longer busy, and its picture is of the new trigger."""
+    """After an abandoned exposure acquisition begins anew, and the picture is of the new trigger."""
     with habit(quirk) as cell:
         async with opened(left_camera()) as camera:
             await shoot(camera)
@@ -79,7 +79,7 @@ async def test_a_trigger_during_an_abandoned_exposure_is_exposed_all_the_same(qu
 
 @pytest.mark.slow
 async def test_a_refused_trigger_is_a_frame_that_did_not_come_and_no_lost_camera() -> None:
-    """GEV_STATUS_BUSY: said so, and the next trigger is exposed without a new connection."""
+    """A trigger refused as busy is a FrameTimeout, and the next one is exposed without a new connection."""
     with habit(Quirk.BUSY_REFUSES) as cell:
         async with opened(left_camera()) as camera:
             await shoot(camera)
@@ -92,7 +92,7 @@ async def test_a_refused_trigger_is_a_frame_that_did_not_come_and_no_lost_camera
 
 @pytest.mark.slow
 async def test_pictures_are_new_though_the_camera_counts_from_one_again() -> None:
-    """Its counter falls by 200: ids rise on, no picture is taken for one that was there before."""
+    """If the camera's counter falls, ids still rise, and no picture counts as a repeated one."""
     with habit(Quirk.COUNTER_RESTARTS):
         async with opened(left_camera(trigger=FreeRun(100.0))) as camera:
             ids = [(await camera.frame()).frame_id for _ in range(BLOCKS_TO_RESTART + 20)]
@@ -102,8 +102,7 @@ async def test_pictures_are_new_though_the_camera_counts_from_one_again() -> Non
 @pytest.mark.slow
 @pytest.mark.parametrize("quirk", [Quirk.BLOCK_ID_ZERO, Quirk.EXTENDED_IDS])
 async def test_pictures_come_whatever_their_block_ids_are(quirk: Quirk) -> None:
-    """From 0 on, or with 64 bits: each picture is the one that the sensor saw, packets sent again
-    included."""
+    """With block ids from 0 or of 64 bits each picture is the sensor's, with resent packets, too."""
     with habit(quirk) as cell:
         async with opened(left_camera(packet_size=1500)) as camera:
             frames = [await settles(camera, lambda: shoot(camera), LIMIT_S)]
@@ -116,7 +115,7 @@ async def test_pictures_come_whatever_their_block_ids_are(quirk: Quirk) -> None:
 
 @pytest.mark.slow
 async def test_a_payload_that_is_no_image_is_named() -> None:
-    """A camera that was left sending JPEG: the fault says what came."""
+    """A JPEG payload is a fault that names it."""
     with habit(Quirk.JPEG_PAYLOAD):
         async with opened(left_camera()) as camera:
             with pytest.raises(FrameIncomplete, match="it carries jpeg"):
@@ -125,7 +124,7 @@ async def test_a_payload_that_is_no_image_is_named() -> None:
 
 @pytest.mark.slow
 async def test_a_camera_with_a_short_heartbeat_stays_ours_while_idle() -> None:
-    """It would give us up after half a second, and Aravis speaks once a second: it is told three."""
+    """A heartbeat time-out of half a second is set to three, so an idle camera stays controlled."""
     with habit(Quirk.SHORT_HEARTBEAT) as cell:
         async with opened(left_camera()) as camera:
             assert 3000 == cell.left.registers.word(g.HEARTBEAT_MS)
@@ -142,19 +141,19 @@ async def test_a_camera_with_a_short_heartbeat_stays_ours_while_idle() -> None:
 def node(
     name: str, kind: Any, address: int, start: float = 0, high: float = 2**31 - 1, **more: Any
 ) -> GenicamNode:
-    """A feature of a camera that is imitated."""
+    """A feature of an imitated camera."""
     return GenicamNode(name, "Camera", address, kind, start, 0, high, **more)
 
 
 def made(*extra: GenicamNode, without: tuple[str, ...] = ()) -> Make:
-    """A camera with further features, and without some of ours."""
+    """A camera with additional features, and without some of the virtual camera's."""
     own = tuple(feature for feature in g.features(320, 240) if feature.name not in without)
     return Make("Somebody", "Other", (*own, *extra))
 
 
 @pytest.mark.slow
 async def test_what_changes_pictures_is_switched_off_unless_it_is_configured() -> None:
-    """Sharpening, noise reduction, a table, a test pattern: another program may have left them on."""
+    """Sharpening, noise reduction, a look-up table and a test pattern are switched off unless configured."""
     make = made(
         node("SharpeningEnable", "boolean", 0x20000, 1),
         node("NoiseReductionAbs", "float", 0x20100, 0.7, 1.0),
@@ -173,7 +172,7 @@ async def test_what_changes_pictures_is_switched_off_unless_it_is_configured() -
 
 @pytest.mark.slow
 async def test_a_limit_of_the_frame_rate_does_not_hold_triggers_back() -> None:
-    """It goes, unless it is configured."""
+    """A limit of the frame rate is switched off unless it is configured."""
     with running(Cell()) as cell:
         await opens(left_camera())
         assert 0 == cell.left.registers.word(g.FRAME_RATE_ENABLE)
@@ -183,7 +182,7 @@ async def test_a_limit_of_the_frame_rate_does_not_hold_triggers_back() -> None:
 
 @pytest.mark.slow
 async def test_a_gain_in_steps_that_nobody_explains_is_refused_in_the_words_of_the_menu() -> None:
-    """With the way out; and what else such a camera lacks is said, with what its menu offers."""
+    """A gain in unknown steps is refused with the name of the menu; the lacks of the camera are listed."""
     raw = node("GainRaw", "integer", g.GAIN, 100, 1023, menu="Gain (Raw)")
     make = made(raw, without=("Gain", "PtpEnable"))
     with running(Cell(make=make)) as cell:
@@ -204,7 +203,7 @@ async def test_a_gain_in_steps_that_nobody_explains_is_refused_in_the_words_of_t
 async def test_a_gain_in_steps_is_set_in_db_where_the_manual_says_how(
     vendor: str, model: str, raw: int
 ) -> None:
-    """By the least step and their size, or by amplification."""
+    """Raw gain is set from dB by the least step and its size, or by amplification."""
     high = 1023 if vendor == "Basler" else 24
     make = made(node("GainRaw", "integer", g.GAIN, 20 if vendor == "Basler" else 1, high), without=("Gain",))
     with running(Cell(make=Make(vendor, model, make.features))) as cell:
@@ -216,7 +215,7 @@ async def test_a_gain_in_steps_is_set_in_db_where_the_manual_says_how(
 
 @pytest.mark.slow
 async def test_two_cameras_that_pace_themselves_share_the_link(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Allied Vision counts bytes per second and hears of no pause between packets: each gets its half."""
+    """For Allied Vision, whose rate is in bytes per second, each of two cameras gets half of the link."""
     monkeypatch.setattr(link, "cameras_on_link", lambda _device, _neighbour: 2)
     monkeypatch.setattr(link, "host_bps", lambda _device: 1e9)
     make = made(node("StreamBytesPerSecond", "integer", 0x20000, 115_000_000, 124_000_000))
@@ -229,7 +228,7 @@ async def test_two_cameras_that_pace_themselves_share_the_link(monkeypatch: pyte
 
 @pytest.mark.slow
 async def test_lines_that_are_called_otherwise_show_the_exposure() -> None:
-    """SyncOut of Allied Vision: selector, source and polarity have names of their own."""
+    """Allied Vision's SyncOut selector, source and polarity show the exposure."""
     above, sources, polarity = "SyncOutSelector", {"GPO": 0, "Exposing": 5}, {"Normal": 0, "Invert": 1}
     make = made(
         node(above, "enumeration", 0x20000, choices={"SyncOut1": 0, "SyncOut2": 1}),
@@ -244,7 +243,7 @@ async def test_lines_that_are_called_otherwise_show_the_exposure() -> None:
 
 @pytest.mark.slow
 async def test_a_camera_without_a_trigger_runs_freely_and_says_so() -> None:
-    """Thermal cameras, and X-ray: refused by the way out."""
+    """A camera without a trigger is refused with free-run as the way out, and then runs freely."""
     make = made(without=("TriggerMode", "TriggerSelector", "TriggerSource", "TriggerSoftware"))
     with running(Cell(make=make)):
         with pytest.raises(CameraSetupError, match=r'trigger\.mode = "free-run"'):
@@ -255,7 +254,7 @@ async def test_a_camera_without_a_trigger_runs_freely_and_says_so() -> None:
 
 @pytest.mark.slow
 def test_two_cameras_are_reported_on(tmp_path: Path) -> None:
-    """What they are and how they expose together; nothing in the file names a camera."""
+    """The report has both cameras and their exposures together, and no name of a camera."""
     file, told = tmp_path / "report.json", io.StringIO()
     with running(Cell()):
         assert 0 == report(file, [LEFT, RIGHT], 0.05, Console(file=told, width=200))
@@ -271,7 +270,8 @@ def test_two_cameras_are_reported_on(tmp_path: Path) -> None:
 
 
 def test_a_fault_that_lasts_is_one_in_a_report_and_is_waited_for() -> None:
-    """A head whose cameras are gone says so at once, as often as it is asked, until they are opened again."""
+    """A lasting fault counts once in a report, and cameras are opened again rather than asked without
+    pause."""
 
     class Gone(Head):
         tries = 0
@@ -292,14 +292,14 @@ def test_a_fault_that_lasts_is_one_in_a_report_and_is_waited_for() -> None:
 
 
 def test_a_report_needs_two_cameras(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """One that answers is no pair: it says how to name them."""
+    """With fewer than two answering cameras the report is refused with how to name them."""
     monkeypatch.setattr("edged.commands.cameras.list_cameras", list)
     with pytest.raises(UserError, match="--report needs two cameras, and 0 answer"):
         report(tmp_path / "report.json", [], 1.0, Console(file=io.StringIO()))
 
 
 def test_two_descriptions_are_never_read_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Aravis reads them with one state for the process: two cameras that are opened together take turns."""
+    """Two cameras that are opened together read their descriptions one after the other."""
     reading, most = [0], [0]
 
     def new(_device: str) -> str:
@@ -310,7 +310,7 @@ def test_two_descriptions_are_never_read_at_once(monkeypatch: pytest.MonkeyPatch
         return "opened"
 
     class Untranslated(Exception):
-        """No error of GLib."""
+        """An error that GLib does not know."""
 
     fake = SimpleNamespace(
         aravis=SimpleNamespace(Camera=SimpleNamespace(new=new)), glib=SimpleNamespace(Error=Untranslated)

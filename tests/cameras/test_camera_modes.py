@@ -1,4 +1,4 @@
-"""Every way to trigger two cameras, with the real Aravis over real UDP, as a configuration says it."""
+"""Every trigger mode of two cameras, with the real Aravis over real UDP, from a configuration."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ MS = 1_000_000
 
 @pytest.fixture
 def cell() -> Iterator[Cell]:
-    """A running cell whose clocks run differently and from different times on."""
+    """A running cell with different clocks."""
     with running(Cell()) as cell:
         cell.left.clock.drift_ppm, cell.right.clock.drift_ppm = 80.0, -60.0
         cell.left.clock.jump(1000.0)
@@ -56,10 +56,10 @@ def cell() -> Iterator[Cell]:
 
 
 def head_with(trigger: dict[str, Any], *, external: bool = False, **cameras: Any) -> StereoHead:
-    """The head that a configuration makes of this trigger section.
+    """The head of a configuration with this trigger section.
 
-    The limit of the skew is wide: a busy machine takes turns between two simulated cameras. Whether two
-    pictures are of one exposure is seen in them.
+    The limit of the skew is wide, because a busy machine runs two simulated cameras in turns. The test
+    compares the pictures to see whether they are of one exposure.
     """
     section = CamerasSection.model_validate(
         {
@@ -75,12 +75,12 @@ def head_with(trigger: dict[str, Any], *, external: bool = False, **cameras: Any
 
 
 def is_one_exposure(cell: Cell, pair: FramePair) -> bool:
-    """Whether both pictures are those that both sensors saw with the same number."""
+    """Whether both pictures have the same number at both sensors."""
     return cell.left_sensor.saw(pair.left.image) == cell.right_sensor.saw(pair.right.image)
 
 
 async def armed(cell: Cell) -> None:
-    """Both cameras take exposures."""
+    """Wait until both cameras take exposures."""
     deadline_s = time.monotonic() + LIMIT_S
     while not all(camera.controlled and camera.registers.acquiring for camera in (cell.left, cell.right)):
         assert time.monotonic() < deadline_s
@@ -88,7 +88,7 @@ async def armed(cell: Cell) -> None:
 
 
 def pulse(cell: Cell) -> None:
-    """A sensor that is wired to Line1 of both cameras."""
+    """A pulse at Line1 of both cameras."""
     at_ns = time.monotonic_ns()
     for camera in (cell.left, cell.right):
         camera.line("Line1").pulse(at_ns=at_ns)
@@ -97,7 +97,7 @@ def pulse(cell: Cell) -> None:
 async def pairs_of(
     cell: Cell, head: StereoHead, count: int, expose: Callable[[Cell], None] | None = None
 ) -> list[FramePair]:
-    """So many captures; `expose` is what somebody else does shortly after each command."""
+    """The pairs of this many captures; `expose` is called shortly after each command."""
     pairs = []
     async with closing(head):
         await head.open()
@@ -115,7 +115,7 @@ async def pairs_of(
 
 @pytest.mark.slow
 async def test_a_pulse_on_both_lines_is_one_exposure(cell: Cell) -> None:
-    """Exactly one picture a pulse, of the same instant, and timed by the cameras' own clocks."""
+    """Each pulse gives exactly one picture per camera, of the same instant, timed by the cameras' clocks."""
     pairs = await pairs_of(cell, head_with({"mode": "line", "line": "Line1"}), 4, pulse)
 
     assert (4, 4) == (cell.left.exposures, cell.right.exposures)
@@ -127,7 +127,7 @@ async def test_a_pulse_on_both_lines_is_one_exposure(cell: Cell) -> None:
 
 @pytest.mark.slow
 async def test_edge_delay_and_debounce_reach_the_camera(cell: Cell) -> None:
-    """The registers hold what the configuration says, under the line that it names."""
+    """The registers of the configured line have the configured edge, delay and debounce time."""
     trigger = {"mode": "line", "line": "Line3", "edge": "falling", "delay_us": 150, "debounce_us": 40}
     await opens(head_with(trigger))
 
@@ -142,7 +142,7 @@ async def test_edge_delay_and_debounce_reach_the_camera(cell: Cell) -> None:
 
 @pytest.mark.slow
 async def test_a_pulse_before_the_command_is_not_its_exposure(cell: Cell) -> None:
-    """What was exposed before somebody asked shows the part where it was before."""
+    """A picture from before the command is not used."""
     async with opened(head_with({"mode": "line"})) as head:
         await armed(cell)
         pulse(cell)
@@ -157,7 +157,7 @@ async def test_a_pulse_before_the_command_is_not_its_exposure(cell: Cell) -> Non
 
 @pytest.mark.slow
 async def test_no_pulse_is_a_time_out(cell: Cell) -> None:
-    """Both cameras waited in vain."""
+    """Without a pulse, the fault names both cameras."""
     async with closing(head_with({"mode": "line"}, timeout_s=0.3)) as head:
         with pytest.raises(FrameTimeout, match=r"both cameras: no trigger came within 0\.3 s"):
             await head.capture()
@@ -165,7 +165,7 @@ async def test_no_pulse_is_a_time_out(cell: Cell) -> None:
 
 @pytest.mark.slow
 async def test_each_pulse_from_outside_is_heard_in_order(cell: Cell) -> None:
-    """Nobody asks; five pulses 100 ms apart are five pairs."""
+    """With an external trigger five pulses 100 ms apart give five pairs, in order."""
     async with opened(head_with({"mode": "line"}, external=True)) as head:
         await armed(cell)
         loop = asyncio.get_running_loop()
@@ -180,7 +180,7 @@ async def test_each_pulse_from_outside_is_heard_in_order(cell: Cell) -> None:
 
 @pytest.mark.slow
 async def test_a_pulse_that_one_camera_did_not_get_is_a_fault_and_the_next_a_pair(cell: Cell) -> None:
-    """A loose contact: no result for that pulse, and no pair of two different ones afterwards."""
+    """A pulse that one camera misses is a fault, and the next pulse gives a pair of its own."""
     async with opened(head_with({"mode": "line"}, external=True, timeout_s=1.0)) as head:
         await armed(cell)
         cell.left.line("Line1").pulse()
@@ -198,7 +198,7 @@ async def test_a_pulse_that_one_camera_did_not_get_is_a_fault_and_the_next_a_pai
 @pytest.mark.slow
 @pytest.mark.parametrize("first", ["left", "right"])
 async def test_one_camera_triggers_the_other(cell: Cell, first: str) -> None:
-    """The first's exposure-active output feeds the other's input: one instant, one software command."""
+    """The first camera's exposure-active output triggers the other one: one instant, one software command."""
     leader, follower = (cell.left, cell.right) if first == "left" else (cell.right, cell.left)
     leader.line("Line2").feeds(follower.line("Line1"))
 
@@ -215,7 +215,7 @@ async def test_one_camera_triggers_the_other(cell: Cell, first: str) -> None:
 
 @pytest.mark.slow
 async def test_a_broken_wire_of_the_chain_names_the_camera_that_saw_nothing(cell: Cell) -> None:
-    """The first exposed, the other did not."""
+    """If the wire of the chain is broken, the fault names the second camera."""
     async with closing(head_with({"mode": "chain"}, timeout_s=1.0)) as head:
         with pytest.raises(FrameTimeout, match=r"camera right: no image within 1 s"):
             await head.capture()
@@ -230,7 +230,7 @@ KEYS = {"mode": "action", "device_key": 0xCAFE, "group_key": 2, "group_mask": 4}
 @pytest.mark.slow
 @pytest.mark.parametrize("broadcast", ["", "127.255.255.255"], ids=["unicast", "broadcast"])
 async def test_one_action_command_exposes_both(cell: Cell, broadcast: str) -> None:
-    """To each camera with its acknowledgement, or one datagram for all."""
+    """One action command, to each camera or by broadcast, exposes both."""
     trigger = {**KEYS, "broadcast": broadcast} if broadcast else KEYS
     pairs = await pairs_of(cell, head_with(trigger), 4)
 
@@ -241,7 +241,7 @@ async def test_one_action_command_exposes_both(cell: Cell, broadcast: str) -> No
 
 @pytest.mark.slow
 async def test_a_scheduled_action_exposes_both_at_the_same_ptp_time(cell: Cell) -> None:
-    """Some time ahead, which a busy machine needs: both stamps are the same up to the clocks' own error."""
+    """With a scheduled action both time stamps are equal up to the clocks' error."""
     trigger = {**KEYS, "lead_ms": 400}
     head = head_with(trigger, ptp=True, max_skew_ms=0.2)
     pairs = await pairs_of(cell, head, 3)
@@ -255,7 +255,7 @@ async def test_a_scheduled_action_exposes_both_at_the_same_ptp_time(cell: Cell) 
 
 @pytest.mark.slow
 async def test_a_schedule_without_ptp_is_refused_with_the_reason(cell: Cell) -> None:
-    """Clocks that are not locked have no common time."""
+    """A schedule without PTP is refused with the reason."""
     async with closing(head_with({**KEYS, "lead_ms": 50})) as head:
         with pytest.raises(FrameTimeout, match="a scheduled action needs PTP, and its clock is not locked"):
             await head.capture()
@@ -263,7 +263,7 @@ async def test_a_schedule_without_ptp_is_refused_with_the_reason(cell: Cell) -> 
 
 @pytest.mark.slow
 async def test_a_schedule_that_is_too_short_is_told(cell: Cell) -> None:
-    """A tenth of a microsecond ahead has passed before the command arrives."""
+    """A lead of a tenth of a microsecond is refused as too short."""
     async with closing(head_with({**KEYS, "lead_ms": 0.0001}, ptp=True)) as head:
         with pytest.raises(FrameTimeout, match="too late: its lead is too short"):
             await head.capture()
@@ -274,7 +274,7 @@ async def test_a_schedule_that_is_too_short_is_told(cell: Cell) -> None:
 
 @pytest.mark.slow
 async def test_the_strobe_line_shows_the_exposure(cell: Cell) -> None:
-    """High while exposed, and only then."""
+    """The strobe line is high exactly during the exposure."""
     edges: list[tuple[bool, int]] = []
     cell.left.line("Line2").listen(lambda level, at_ns: edges.append((level, at_ns)))
     async with opened(left_camera(exposure_us=3000.0, outputs=(Output("Line2"),))) as camera:
@@ -288,7 +288,7 @@ async def test_the_strobe_line_shows_the_exposure(cell: Cell) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("name", g.PIXEL_FORMATS)
 async def test_every_format_arrives_as_the_sensor_saw_it(cell: Cell, name: str) -> None:
-    """Packed, transferred, unpacked: the same grey values; a mosaic as bright as the picture."""
+    """Every format gives the same grey values; a mosaic has the brightness of the picture."""
     async with opened(left_camera(features=({"PixelFormat": name},))) as camera:
         frame = await shoot(camera)
 
@@ -304,7 +304,7 @@ async def test_every_format_arrives_as_the_sensor_saw_it(cell: Cell, name: str) 
     "quirk", [Quirk.MODE_BEFORE_SOURCE, Quirk.SOURCE_CLEARS_MODE, Quirk.EXPOSURE_TIME_ABS]
 )
 async def test_firmware_with_habits_is_triggered_all_the_same(quirk: Quirk) -> None:
-    """Settings are written in an order that each of them stands."""
+    """Firmware with quirks is set up and triggered."""
     with running(Cell(quirks=(quirk,))) as cell:
         async with opened(left_camera(exposure_us=1500.0)) as camera:
             await shoot(camera)
@@ -313,7 +313,7 @@ async def test_firmware_with_habits_is_triggered_all_the_same(quirk: Quirk) -> N
 
 @pytest.mark.slow
 async def test_a_clamped_exposure_is_named() -> None:
-    """20 ms became 10 ms without a word: both are in the error."""
+    """An exposure that the camera clamps is an error with both values."""
     with running(Cell(quirks=(Quirk.CLAMPED_EXPOSURE,))):
         async with closing(left_camera(exposure_us=20000.0)) as camera:
             with pytest.raises(CameraSetupError, match=r"ExposureTime: the camera made 10000\.0 of 20000\.0"):
@@ -322,7 +322,7 @@ async def test_a_clamped_exposure_is_named() -> None:
 
 @pytest.mark.slow
 async def test_a_camera_with_few_nodes_is_triggered_by_software() -> None:
-    """No lines, no chunks, no PTP, no temperature: nothing of it is missed."""
+    """A camera without lines, chunks, PTP and temperature is triggered by software."""
     with running(Cell(quirks=(Quirk.FEW_NODES,))) as cell:
         async with opened(left_camera(exposure_us=1500.0, gain_db=1.0)) as camera:
             frame = await shoot(camera)
@@ -331,7 +331,7 @@ async def test_a_camera_with_few_nodes_is_triggered_by_software() -> None:
 
 @pytest.mark.slow
 async def test_an_exposure_that_changed_behind_our_back_is_a_fault(cell: Cell) -> None:
-    """With chunk data each image says how long it was exposed: another time is no result."""
+    """With chunk data, another exposure time than the set one is a fault."""
     async with opened(left_camera(exposure_us=2000.0, chunks=True)) as camera:
         await shoot(camera)
         cell.left.registers.put(g.EXPOSURE_TIME, 900.0)
@@ -342,7 +342,8 @@ async def test_an_exposure_that_changed_behind_our_back_is_a_fault(cell: Cell) -
 @pytest.mark.slow
 @pytest.mark.parametrize("chunks", [True, False])
 async def test_an_encoders_count_comes_with_the_image_of_its_exposure(cell: Cell, chunks: bool) -> None:
-    """That of this exposure and no other; beside the exposure time, or alone; and it is the pair's."""
+    """The count is that of its exposure, with or without the chunk of the exposure time, and becomes the
+    pair's."""
     sides = {"left": {"device": LEFT, "count": "EncoderValue"}, "right": {"device": RIGHT}}
     timing = {"timeout_s": 5.0, "max_skew_ms": 1000.0, "chunks": chunks}
     async with closing(
@@ -373,7 +374,7 @@ async def test_an_encoders_count_comes_with_the_image_of_its_exposure(cell: Cell
     ],
 )
 def test_a_count_is_of_one_camera_and_one_exposure(cameras: dict[str, Any], trouble: str) -> None:
-    """A result has one count, and it must be clear of which moment."""
+    """A count of both cameras, or without a defined moment, is refused in the configuration."""
     left = {"device": LEFT, "count": "EncoderValue"}
     with pytest.raises(ValidationError, match=trouble):
         CamerasSection.model_validate({"left": left, "right": {"device": RIGHT}, **cameras})
@@ -381,7 +382,7 @@ def test_a_count_is_of_one_camera_and_one_exposure(cameras: dict[str, Any], trou
 
 @pytest.mark.slow
 async def test_a_count_that_a_camera_cannot_send_is_refused_by_name(cell: Cell) -> None:
-    """No entry of its ChunkSelector; no chunk data at all; chunk data that Aravis does not read."""
+    """A count that the camera's chunk data cannot give is refused with the reason."""
 
     async def refused(trouble: str, count: str) -> None:
         async with closing(left_camera(count=count)) as camera:
@@ -406,7 +407,8 @@ async def test_a_count_that_a_camera_cannot_send_is_refused_by_name(cell: Cell) 
 async def test_an_exposure_of_a_pulse_is_timed_by_the_camera_however_long_it_is(
     cell: Cell, configured: bool
 ) -> None:
-    """The image leaves when the exposure has ended, here 0.4 s after the pulse; also after an adjustment."""
+    """With an exposure of 0.4 s the time stamp of a pulse is right within its bound, also after an
+    adjustment."""
 
     async def shot(camera: AravisCamera) -> Frame:
         await camera.trigger()
@@ -430,7 +432,7 @@ async def test_an_exposure_of_a_pulse_is_timed_by_the_camera_however_long_it_is(
 @pytest.mark.slow
 @pytest.mark.parametrize("tick_hz", [125_000_000, 1_000])
 async def test_coarse_clocks_are_mapped_within_their_bound(tick_hz: int) -> None:
-    """Ticks of 8 ns, and of a millisecond: the bound says so, the truth is within it."""
+    """With clock ticks of 8 ns or a millisecond the truth is within the stated bound."""
     with running(Cell(clock=DeviceClock(offset_s=5000.0, drift_ppm=90.0, tick_hz=tick_hz))) as cell:
         async with opened(left_camera()) as camera:
             frames = [await shoot(camera) for _ in range(6)]
@@ -442,7 +444,7 @@ async def test_coarse_clocks_are_mapped_within_their_bound(tick_hz: int) -> None
 
 @pytest.mark.slow
 async def test_a_clock_that_runs_too_fast_is_one_line_of_the_log(caplog: pytest.LogCaptureFixture) -> None:
-    """Ten times what a crystal may be off: it is mapped anew with each reading, and said once."""
+    """A clock that runs ten times too fast is mapped anew with each reading, and logged once."""
     with running(Cell(clock=DeviceClock(drift_ppm=2e7 * CLOCK_DRIFT, tick_hz=10**9))) as cell:
         frames = []
         async with opened(left_camera()) as camera:
@@ -458,7 +460,7 @@ async def test_a_clock_that_runs_too_fast_is_one_line_of_the_log(caplog: pytest.
 
 @pytest.mark.slow
 async def test_a_clock_that_jumps_is_mapped_anew(cell: Cell) -> None:
-    """Set back by an hour between two images: the next one is timed as well as the one before."""
+    """After the clock was set back by an hour the next image is timed as well as before."""
     async with opened(left_camera()) as camera:
         frames = [await shoot(camera)]
         cell.left.clock.jump(-500.0)

@@ -1,4 +1,4 @@
-"""What a camera is told and what is refused, with the real Aravis over real UDP."""
+"""Settings that a camera gets, and refusals, with the real Aravis over real UDP."""
 
 from __future__ import annotations
 
@@ -47,14 +47,14 @@ def cell() -> Iterator[Cell]:
 
 
 async def refused(kind: type[CameraSetupError] = CameraSetupError, **settings: Any) -> str:
-    """Why the camera cannot be opened with these settings."""
+    """The reason why the camera cannot be opened with these settings."""
     with pytest.raises(kind) as caught:
         await opens(left_camera(**settings))
     return str(caught.value)
 
 
 def test_format_codes_are_those_that_aravis_knows() -> None:
-    """An independent table of PFNC: every format of ours that Aravis names has the same number there."""
+    """Every format that Aravis names has the same PFNC number there."""
     aravis = library("left").aravis
     known = {
         name.removeprefix("PIXEL_FORMAT_").replace("_", ""): int(getattr(aravis, name))
@@ -72,7 +72,7 @@ def test_format_codes_are_those_that_aravis_knows() -> None:
 
 @pytest.mark.slow
 async def test_another_camera_than_the_expected_is_refused(cell: Cell) -> None:
-    """Swapped addresses: the error names both serial numbers, and has a code of its own."""
+    """A camera with another serial number is refused with both numbers."""
     reason = await refused(WrongCamera, serial="EDGED-T2")
 
     assert "camera left: 127.0.40.1 has the serial number 'EDGED-T1', expected 'EDGED-T2'" == reason
@@ -80,7 +80,7 @@ async def test_another_camera_than_the_expected_is_refused(cell: Cell) -> None:
 
 @pytest.mark.slow
 async def test_the_expected_camera_opens(cell: Cell) -> None:
-    """With its serial number given beside the address."""
+    """The camera with the expected serial number is opened."""
     await opens(left_camera(serial="EDGED-T1"))
 
 
@@ -88,7 +88,8 @@ async def test_the_expected_camera_opens(cell: Cell) -> None:
 async def test_a_camera_whose_address_has_changed_is_found_by_its_serial_number(
     cell: Cell, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """Nobody answers where it was; the log says where it is now."""
+    """If nobody answers at the address, the camera is found by its serial number, and the log has both
+    addresses."""
     async with opened(left_camera(NOBODY, serial="EDGED-T1")) as camera:
         frame = await shoot(camera)
 
@@ -101,7 +102,7 @@ async def test_a_camera_whose_address_has_changed_is_found_by_its_serial_number(
 
 @pytest.mark.slow
 async def test_a_region_is_put_back_in_its_place(cell: Cell) -> None:
-    """The calibration is of the whole image: the region lies where the sensor saw it, black around."""
+    """A region is placed in the full image, with black around it."""
     region = {"Width": 160, "Height": 100, "OffsetX": 32, "OffsetY": 20}
     async with opened(left_camera(calibrated=(WIDTH, HEIGHT), features=(region,))) as camera:
         frame = await shoot(camera)
@@ -114,7 +115,7 @@ async def test_a_region_is_put_back_in_its_place(cell: Cell) -> None:
 
 @pytest.mark.slow
 async def test_a_size_that_was_not_calibrated_is_refused(cell: Cell) -> None:
-    """A rig of another sensor: both sizes are named before anything is measured."""
+    """An image size other than the calibrated one is refused with both sizes."""
     reason = await refused(calibrated=(1280, 960))
 
     assert f"its image is {WIDTH}x{HEIGHT} px, the rig was calibrated with 1280x960" in reason
@@ -122,7 +123,7 @@ async def test_a_size_that_was_not_calibrated_is_refused(cell: Cell) -> None:
 
 @pytest.mark.slow
 async def test_a_region_that_another_program_left_behind_is_refused(cell: Cell) -> None:
-    """The picture looks the same and measures wrong: unless the configuration says so, it is an error."""
+    """An offset that another program left is refused unless it is configured."""
     cell.left.registers.put(g.WIDTH, 160)
     cell.left.registers.put(g.OFFSET_X, 32)
 
@@ -134,13 +135,13 @@ async def test_a_region_that_another_program_left_behind_is_refused(cell: Cell) 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["TriggerMode", "TriggerSource", "AcquisitionMode"])
 async def test_the_trigger_is_not_set_behind_its_back(cell: Cell, name: str) -> None:
-    """Features that belong to the trigger mode are refused by name."""
+    """Features of the trigger are refused by name."""
     assert f"{name}: belongs to the trigger" in await refused(features=({name: "Off"},))
 
 
 @pytest.mark.slow
 async def test_groups_of_features_are_written_one_after_another(cell: Cell) -> None:
-    """The later one counts; a mistake in the second keeps the first from being written."""
+    """The later group of features counts, and an error in it prevents writing the first."""
     await opens(left_camera(features=({"Gain": 3.0}, {"Gain": 5.0})))
     assert 5.0 == cell.left.registers.number(g.GAIN)
 
@@ -155,7 +156,7 @@ async def test_groups_of_features_are_written_one_after_another(cell: Cell) -> N
 
 @pytest.mark.slow
 async def test_the_packet_delay_reaches_the_camera(cell: Cell) -> None:
-    """In ticks of its clock; left to itself nothing is delayed on loopback."""
+    """The packet delay is in ticks of the camera's clock, and 0 on loopback by default."""
     await opens(left_camera(neighbour=RIGHT))
     assert 0 == cell.left.registers.word(g.PACKET_DELAY)
 
@@ -165,7 +166,8 @@ async def test_the_packet_delay_reaches_the_camera(cell: Cell) -> None:
 
 @pytest.mark.slow
 async def test_health_tells_temperature_clock_and_counts(cell: Cell) -> None:
-    """After five images: as many complete, none failed, the sensor's 41.5 °C, a clock known to 10 ms."""
+    """After five images health has the sensor's temperature, five complete, none failed, and the clock's
+    bound."""
     async with closing(left_camera()) as camera:
         assert camera.health is None
         await camera.open()
@@ -180,13 +182,13 @@ async def test_health_tells_temperature_clock_and_counts(cell: Cell) -> None:
 
 
 def texts_of(head: StereoHead) -> dict[str, list[str]]:
-    """What is said of each camera, in English."""
+    """The English text for each camera."""
     return {camera: [part["text"] for part in parts] for camera, parts in camera_facts(head).items()}
 
 
 @pytest.mark.slow
 async def test_the_status_page_and_the_metrics_show_how_cameras_are(cell: Cell) -> None:
-    """That they are not connected while they are closed; then temperature, clock, images, packets of both."""
+    """Closed cameras are shown as not connected; open ones with temperature, clock, images and packets."""
     section = CamerasSection.model_validate({"left": {"device": LEFT}, "right": {"device": RIGHT}})
     async with closing(head_of(section)) as head:
         assert {"left": ["not connected"], "right": ["not connected"]} == texts_of(head)
@@ -206,7 +208,7 @@ async def test_the_status_page_and_the_metrics_show_how_cameras_are(cell: Cell) 
 
 @pytest.mark.slow
 async def test_the_time_of_an_exposure_is_within_its_stated_bound(cell: Cell) -> None:
-    """UTC by the camera's stamp: the simulator knows the truth."""
+    """The time from the camera's stamp is within its stated bound of the simulator's truth."""
     async with opened(left_camera()) as camera:
         frames = [await shoot(camera) for _ in range(10)]
 
@@ -222,7 +224,7 @@ async def test_the_time_of_an_exposure_is_within_its_stated_bound(cell: Cell) ->
 
 @pytest.mark.slow
 async def test_free_running_cameras_give_pairs_exposed_after_the_request(cell: Cell) -> None:
-    """Each capture is a new pair of one moment; nothing that was exposed before it was asked for."""
+    """Each capture is a new pair of one moment, exposed after the request."""
     head = StereoHead(
         left_camera(trigger=FreeRun(20.0)),
         AravisCamera("right", AravisSettings(RIGHT, trigger=FreeRun(20.0))),
@@ -245,7 +247,7 @@ async def test_free_running_cameras_give_pairs_exposed_after_the_request(cell: C
 
 @pytest.mark.slow
 async def test_what_a_free_running_camera_exposed_just_before_the_request_is_old(cell: Cell) -> None:
-    """With an exposure every 10 ms, none that began in the last millisecond before the request is taken."""
+    """With an exposure every 10 ms no frame from before the request is used."""
     camera, since_ms = left_camera(trigger=FreeRun(100.0)), []
     await camera.open()
     try:
@@ -264,7 +266,7 @@ async def test_what_a_free_running_camera_exposed_just_before_the_request_is_old
 
 @pytest.mark.slow
 async def test_free_running_cameras_can_only_be_listened_to(cell: Cell) -> None:
-    """Exposure by exposure in order, none twice; the limit allows for any phase of both."""
+    """Listening gives each exposure in order and none twice."""
     head = StereoHead(
         left_camera(trigger=FreeRun(20.0)),
         AravisCamera("right", AravisSettings(RIGHT, trigger=FreeRun(20.0))),

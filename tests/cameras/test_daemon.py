@@ -1,4 +1,4 @@
-"""The whole cell as its users meet it: processes, sockets, signals."""
+"""The whole cell from outside: processes, sockets, signals."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ needs_camera = needs_aravis()
 
 
 class Cell:
-    """A folder with rig, job and configuration, and the daemon on it."""
+    """A folder with rig, job and configuration, and its daemon."""
 
     def __init__(self, folder: Path, source: str, *, mode: str = "free", period_s: float = 1.0) -> None:
         self.folder = folder
@@ -94,7 +94,7 @@ class Cell:
             assert not client.write_registers(address, values).isError()
 
     def stop(self) -> float:
-        """SIGTERM; returns the seconds until the process has ended, cleanly."""
+        """Send SIGTERM; returns the seconds until the process has ended with exit code 0."""
         assert self.process is not None
         start_s = time.monotonic()
         if self.process.poll() is None:
@@ -117,7 +117,7 @@ def in_process_cell(tmp_path: Path) -> Iterator[Cell]:
 
 
 def test_a_terminal_that_closes_ends_the_daemon(tmp_path: Path) -> None:
-    """It says READY and where its page is; a SIGHUP reloads while the terminal is there, and later stops."""
+    """The daemon prints READY and its page; a SIGHUP with a terminal reloads, and without one stops it."""
     cell = Cell(tmp_path / "cell", 'source = "virtual-inprocess"')
     port = free_port()
     cell.config.write_text(f"{cell.config.read_text()}\n[web]\nport = {port}\n")
@@ -140,7 +140,7 @@ def test_a_terminal_that_closes_ends_the_daemon(tmp_path: Path) -> None:
 
 @needs("mbpoll")
 def test_results_reach_plc_mbpoll_and_zenoh_and_agree(in_process_cell: Cell) -> None:
-    """The same cycle reads the same over pymodbus and Zenoh; mbpoll, the outside witness, reads the block."""
+    """pymodbus and Zenoh give the same cycle, and mbpoll reads the block as well."""
     watch = subprocess.run(
         [
             *EDGED,
@@ -181,7 +181,7 @@ def test_results_reach_plc_mbpoll_and_zenoh_and_agree(in_process_cell: Cell) -> 
 
 
 def test_sighup_with_a_bad_configuration_changes_nothing_and_says_why(in_process_cell: Cell) -> None:
-    """The running state stays; the log names the mistake; a good configuration is then taken."""
+    """A bad configuration is logged and changes nothing; a good one is then used."""
     before = in_process_cell.read("constants")
     assert in_process_cell.process is not None
     good = in_process_cell.config.read_text()
@@ -203,7 +203,8 @@ def test_sighup_with_a_bad_configuration_changes_nothing_and_says_why(in_process
 def test_a_second_daemon_on_the_same_port_says_so_and_leaves_the_first_alone(
     in_process_cell: Cell, shared: str
 ) -> None:
-    """Port in use, of one server or the other: exit code 2 that names it, and the first one goes on."""
+    """If a port of Modbus or Zenoh is taken, the second daemon exits with 2 and names it, and the first
+    goes on."""
     ports = {"zenoh": in_process_cell.zenoh_port, "modbus": in_process_cell.modbus_port}
     text = in_process_cell.config.read_text()
     for name, port in ports.items():
@@ -225,7 +226,7 @@ def test_a_second_daemon_on_the_same_port_says_so_and_leaves_the_first_alone(
 
 
 def test_sigterm_stops_cleanly_and_the_port_is_free_again(tmp_path: Path) -> None:
-    """Exit code 0, nothing left behind."""
+    """SIGTERM ends the daemon with exit code 0, and its port is free again."""
     cell = Cell(tmp_path / "cell", 'source = "virtual-inprocess"')
     cell.start()
     cell.stop()
@@ -235,7 +236,7 @@ def test_sigterm_stops_cleanly_and_the_port_is_free_again(tmp_path: Path) -> Non
 
 
 class CameraProcess:
-    """A GigE Vision camera that can be killed."""
+    """A GigE Vision camera in a process that can be killed."""
 
     def __init__(self, side: str) -> None:
         index = ("left", "right").index(side)
@@ -249,7 +250,7 @@ class CameraProcess:
         assert self.process.stdout.readline() == "ready\n"
 
     def kill(self) -> None:
-        """kill -9."""
+        """Kill it with SIGKILL."""
         self.process.kill()
         self.process.wait()
         assert self.process.stdout is not None
@@ -258,7 +259,8 @@ class CameraProcess:
 
 @needs_camera
 def test_a_killed_camera_invalidates_and_its_return_heals(tmp_path: Path) -> None:
-    """kill -9 of a GigE Vision camera: RESULT_VALID 0, INT32_MIN, CAM_FAULT; then good again by itself."""
+    """After kill -9 of a camera there is no valid result but CAM_FAULT; with the camera back results are
+    good again."""
     cameras = {side: CameraProcess(side) for side in ("left", "right")}
     source = (
         'source = "aravis"\n'
@@ -305,7 +307,7 @@ def _valid(cell: Cell) -> dict[str, Any] | None:
 
 @needs_camera
 def test_the_demo_meets_its_accuracy_over_gige_vision() -> None:
-    """Two GigE Vision cameras, the part anywhere at any rotation: below 0.05 mm rms."""
+    """With two GigE Vision cameras and the part in any place and rotation the error is below 0.05 mm rms."""
     ports = ("--modbus-port", str(free_port()), "--zenoh-port", str(free_port()), "--web-port", "0")
     run = subprocess.run(
         [*EDGED, "demo", "--cycles", "6", "--period", "0.2", "--json", *ports],
@@ -321,7 +323,7 @@ def test_the_demo_meets_its_accuracy_over_gige_vision() -> None:
 
 
 def test_the_command_mode_handshake_over_modbus(tmp_path: Path) -> None:
-    """Write COMMAND and CMD_SEQ; ACK and a result with that sequence come back; ACK_SEQ releases it."""
+    """COMMAND and CMD_SEQ give ACK and a result with that sequence; ACK_SEQ releases it."""
     cell = Cell(tmp_path / "cell", 'source = "virtual-inprocess"', mode="command")
     cell.start()
     try:

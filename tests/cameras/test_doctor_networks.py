@@ -1,4 +1,5 @@
-"""The doctor in real networks, well and sick: virtual Ethernet, the kernel's ARP, routes, packet filter."""
+"""The doctor in real networks, healthy and faulty: virtual Ethernet with the kernel's ARP, routes, packet
+filter."""
 
 from __future__ import annotations
 
@@ -22,7 +23,7 @@ CONFIG = 'source = "aravis"\nleft.device = "LAB-L"\nright.device = "LAB-R"'
 
 
 def cannot() -> str:
-    """Why there can be no network of our own on this machine; "" where there can."""
+    """Why there can be no network of the test's own on this machine; "" if there can."""
     missing = [tool for tool in TOOLS if shutil.which(tool) is None]
     if missing:
         return f"missing: {', '.join(missing)}"
@@ -40,7 +41,7 @@ pytestmark = [pytest.mark.slow, pytest.mark.skipif(bool(REASON), reason=REASON)]
 
 @pytest.fixture(scope="module")
 def reports(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Checks]:
-    """What the doctor said in each network, by name of network and check."""
+    """The doctor's checks by name of network and check."""
     folder = tmp_path_factory.mktemp("lab")
     cell = VirtualCell(demo_rig(), demo_part())
     config = prepare_cell(folder, cell, DemoOptions(modbus_port=15020, zenoh_port=15021), gige=False)
@@ -58,12 +59,12 @@ def reports(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Checks]:
 
 
 def bad(checks: Checks) -> set[str]:
-    """Names of the checks that found something wrong."""
+    """Names of the checks with the verdict "bad"."""
     return {name for name, check in checks.items() if check["verdict"] == "bad"}
 
 
 def test_a_healthy_network_has_nothing_bad_and_gives_pictures(reports: dict[str, Checks]) -> None:
-    """Every check of addresses, routes and firewall was made, and was well."""
+    """In a healthy network no check is bad, and the test pictures arrive."""
     checks = reports["healthy"]
     assert set() == bad(checks)
     for name in ("left camera", "right camera", "left camera's route", "left camera's address", "firewall"):
@@ -72,7 +73,7 @@ def test_a_healthy_network_has_nothing_bad_and_gives_pictures(reports: dict[str,
 
 
 def test_whatever_is_wrong_comes_with_what_follows_and_what_helps(reports: dict[str, Checks]) -> None:
-    """In no network is the reader left alone with a finding."""
+    """Every finding that is not ok has a consequence and a remedy."""
     for checks in reports.values():
         for check in checks.values():
             if check["verdict"] in ("bad", "warn"):
@@ -95,7 +96,7 @@ def test_whatever_is_wrong_comes_with_what_follows_and_what_helps(reports: dict[
 def test_what_is_sick_is_named(
     reports: dict[str, Checks], network: str, check: str, finding: str, remedy: str
 ) -> None:
-    """The check that is meant for it is bad, says what it saw, and gives the command."""
+    """The check for the fault is bad, with what was found and the command that helps."""
     found = reports[network][check]
     assert "bad" == found["verdict"]
     assert finding in found["finding"]
@@ -103,12 +104,12 @@ def test_what_is_sick_is_named(
 
 
 def test_only_the_duplicate_is_blamed_for_a_duplicate(reports: dict[str, Checks]) -> None:
-    """The other camera, the routes and the link are well, and are said to be."""
+    """With a duplicate address only that camera's address is bad."""
     assert {"left camera's address"} == bad(reports["duplicate_address"])
 
 
 def test_behind_a_firewall_a_camera_is_reached_by_its_address_only(reports: dict[str, Checks]) -> None:
-    """The left one (by address) works, the right one (by serial number) is not found; the rule is given."""
+    """Behind a firewall the camera with an address works and the one with a serial number is not found."""
     checks = reports["firewall"]
     assert "answers when asked, but not to a broadcast" in checks["left camera"]["finding"]
     assert "bad" == checks["right camera"]["verdict"]
@@ -117,7 +118,7 @@ def test_behind_a_firewall_a_camera_is_reached_by_its_address_only(reports: dict
 
 
 def test_troubles_that_come_together_are_each_named(reports: dict[str, Checks]) -> None:
-    """Packets too large, a full disk, and a viewer that holds a camera (which is no fault of the network)."""
+    """Too large packets, a full disk and a camera controlled by another program are each named."""
     checks = reports["three_at_once"]
     assert {"link cam0", "recordings"} == bad(checks)
     assert "controlled by another program" in checks["right camera"]["finding"]

@@ -1,4 +1,4 @@
-"""What goes wrong with the virtual camera, and the habits of its firmware; by raw datagrams."""
+"""Faults of the virtual camera and quirks of its firmware, by raw datagrams."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ PACKETS = tuple(range(8))  # leader, 6 of 540 bytes for 64 x 48 px, trailer
 
 @pytest.fixture
 def camera() -> Iterator[GigeCamera]:
-    """A small one."""
+    """A small camera."""
     with GigeCamera(ADDRESS, "EDGED-F1", moving_ramp, size=(64, 48)) as camera:
         yield camera
 
@@ -35,7 +35,7 @@ def shot(stream: Stream) -> Image:
 
 
 def test_a_lost_packet_comes_when_it_is_asked_for(camera: GigeCamera) -> None:
-    """Packet 2 is missing, and only that; PACKETRESEND brings it, unless the camera is deaf to it."""
+    """PACKETRESEND sends the lost packets again, except if the camera ignores it."""
     with acquiring(ADDRESS, **BY_SOFTWARE) as stream:
         whole = shot(stream)
         camera.faults.lost_packets = (2, 3)
@@ -51,7 +51,7 @@ def test_a_lost_packet_comes_when_it_is_asked_for(camera: GigeCamera) -> None:
 
 
 def test_reordered_and_repeated_packets_still_make_the_image(camera: GigeCamera) -> None:
-    """Every packet arrives, some later than the next, some twice; the data are whole."""
+    """Reordered and repeated packets all arrive, and the data are complete."""
     with acquiring(ADDRESS, **BY_SOFTWARE) as stream:
         expected = moving_ramp_bytes(1)
         camera.faults.duplication = 1.0
@@ -68,12 +68,13 @@ def test_reordered_and_repeated_packets_still_make_the_image(camera: GigeCamera)
 
 
 def moving_ramp_bytes(frame_id: int) -> bytes:
-    """What a sensor with the moving ramp saw."""
+    """The image data of a sensor with the moving ramp."""
     return bytes((x + y + frame_id) % 256 for y in range(48) for x in range(64))
 
 
 def test_missing_frozen_and_repeated_images(camera: GigeCamera) -> None:
-    """drop_next: the block ids have a gap; frozen: new id, old pixels; repeat_id: new pixels, old id."""
+    """After drop_next block ids have a gap; frozen gives a new id with old pixels; repeat_id new pixels
+    with an old id."""
     with acquiring(ADDRESS, **BY_SOFTWARE) as stream:
         camera.faults.drop_next = 2
         stream.client.set(TRIGGER_SOFTWARE=1)
@@ -89,7 +90,7 @@ def test_missing_frozen_and_repeated_images(camera: GigeCamera) -> None:
 
 
 def test_chunk_data_lie_behind_the_image(camera: GigeCamera) -> None:
-    """Each content, then id and length; PayloadSize covers it; what is not enabled is not sent."""
+    """Each chunk is its content, id and length, is included in PayloadSize, and is sent only if enabled."""
     with acquiring(ADDRESS, **BY_SOFTWARE) as stream:
         client = stream.client
         client.set(ACQUISITION_STOP=1, CHUNK_MODE=1, EXPOSURE_TIME=123.0)
@@ -108,7 +109,8 @@ def test_chunk_data_lie_behind_the_image(camera: GigeCamera) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("by_command", [False, True])
 def test_after_a_reboot_everything_is_as_it_was_made(camera: GigeCamera, by_command: bool) -> None:
-    """Silent, then: no control, registers and clock from the start, and it can be taken again."""
+    """After a reboot there is no control, registers and clock are reset, and the camera can be controlled
+    again."""
     with acquiring(ADDRESS, **BY_SOFTWARE, WIDTH=32) as stream:
         client = stream.client
         time.sleep(0.3)
@@ -130,7 +132,7 @@ def test_after_a_reboot_everything_is_as_it_was_made(camera: GigeCamera, by_comm
 
 
 def test_stolen_control_is_denied_until_it_is_released(camera: GigeCamera) -> None:
-    """The register shows that somebody has control; the first client can read, but not write."""
+    """While control is stolen the register shows it, and the first client can read but not write."""
     with acquiring(ADDRESS, **BY_SOFTWARE) as stream:
         client = stream.client
         camera.steal_control()
@@ -144,7 +146,7 @@ def test_stolen_control_is_denied_until_it_is_released(camera: GigeCamera) -> No
 
 
 def test_a_moved_camera_answers_at_its_new_address_only(camera: GigeCamera) -> None:
-    """The same serial number elsewhere; nobody controls it there; a taken address is an error."""
+    """A moved camera answers at its new address alone, without a controller; a taken address is an error."""
     with Stream(Client(ADDRESS)) as stream:
         camera.move_to(OTHER)
         with pytest.raises((TimeoutError, ConnectionRefusedError)):
@@ -158,7 +160,7 @@ def test_a_moved_camera_answers_at_its_new_address_only(camera: GigeCamera) -> N
 
 
 def test_the_temperature_is_what_it_is_set_to(camera: GigeCamera) -> None:
-    """Also after a reboot: a hot camera does not cool by being switched on again."""
+    """The temperature is the set one, also after a reboot."""
     client = Client(ADDRESS)
     camera.temperature_c = 71.5
     assert client.float(g.TEMPERATURE) == 71.5
@@ -168,7 +170,7 @@ def test_the_temperature_is_what_it_is_set_to(camera: GigeCamera) -> None:
 
 
 def test_a_lost_answer_does_not_mean_that_nothing_was_done(camera: GigeCamera) -> None:
-    """The command is done once; asked again, the camera answers as it did."""
+    """A command with a lost answer is done once, and asked again gets the same answer."""
     with acquiring(ADDRESS, **BY_SOFTWARE) as stream:
         client = stream.client
         camera.faults.answer_loss = 1.0
@@ -192,7 +194,7 @@ def quirky(request: pytest.FixtureRequest) -> Iterator[Client]:
 
 @pytest.mark.parametrize("quirky", [Quirk.MODE_BEFORE_SOURCE], indirect=True)
 def test_a_source_that_is_set_before_the_mode_is_forgotten(quirky: Client) -> None:
-    """Acknowledged, but not kept."""
+    """The source is acknowledged but not kept if it is written before the mode."""
     quirky.set(TRIGGER_SOURCE=g.LINE1)
     assert quirky.read(g.TRIGGER_SOURCE)[1] == g.SOFTWARE
     quirky.set(TRIGGER_MODE=1, TRIGGER_SOURCE=g.LINE1)
@@ -201,14 +203,14 @@ def test_a_source_that_is_set_before_the_mode_is_forgotten(quirky: Client) -> No
 
 @pytest.mark.parametrize("quirky", [Quirk.SOURCE_CLEARS_MODE], indirect=True)
 def test_writing_the_source_switches_the_mode_off(quirky: Client) -> None:
-    """So the mode must be written again."""
+    """Writing the source switches the trigger mode off."""
     quirky.set(TRIGGER_MODE=1, TRIGGER_SOURCE=g.LINE1)
     assert quirky.read(g.TRIGGER_MODE)[1] == 0
 
 
 @pytest.mark.parametrize("quirky", [Quirk.CLAMPED_EXPOSURE], indirect=True)
 def test_long_exposures_are_cut_without_a_word(quirky: Client) -> None:
-    """What is read back is the truth; beyond the stated limits it is still refused."""
+    """A long exposure is cut and read back as cut; beyond the limits it is refused."""
     quirky.set(EXPOSURE_TIME=50_000.0)
     assert quirky.float(g.EXPOSURE_TIME) == CLAMPED_EXPOSURE_US
     too_long = int.from_bytes(struct.pack(">f", 2e6), "big")
@@ -217,7 +219,8 @@ def test_long_exposures_are_cut_without_a_word(quirky: Client) -> None:
 
 @pytest.mark.parametrize("quirky", [Quirk.EXPOSURE_TIME_ABS, Quirk.FEW_NODES], indirect=True)
 def test_the_description_has_the_nodes_of_that_firmware(quirky: Client) -> None:
-    """An old name instead of the standard's; or next to no nodes, and no registers behind them."""
+    """The description has the quirk's nodes: an old name, or few nodes without registers behind the
+    others."""
     text = b""
     _, body = quirky.ask(0x84, struct.pack(">IHH", g.FIRST_URL, 0, 512))
     address, size = (int(part, 16) for part in body[4:].rstrip(b"\0").decode().split(";")[1:])

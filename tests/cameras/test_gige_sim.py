@@ -36,7 +36,7 @@ needs_camera = needs_aravis()
 
 
 class Sensor:
-    """Noise images, remembered by frame id."""
+    """Noise images, kept by frame id."""
 
     def __init__(self) -> None:
         self.seen: list[Image] = []
@@ -63,7 +63,7 @@ def client(camera: GigeCamera) -> Iterator[Client]:
 
 
 def test_discovery_names_the_camera(client: Client) -> None:
-    """The 248 bytes of the discovery answer carry address, maker, model and serial number."""
+    """The discovery answer has 248 bytes with address, maker, model and serial number."""
     status, body = client.ask(0x02, b"")
 
     assert (status, len(body)) == (SUCCESS, 248)
@@ -87,7 +87,7 @@ def test_registers_answer_with_the_status_of_the_standard(client: Client) -> Non
 
 
 def test_the_description_can_be_read_from_the_address_it_names(client: Client) -> None:
-    """The URL register leads to the whole XML."""
+    """The URL register gives the place of the whole XML."""
     _, body = client.ask(0x84, struct.pack(">IHH", g.FIRST_URL, 0, 512))
     name, address, size = body[4:].rstrip(b"\0").decode().removeprefix("Local:").split(";")
     text = b""
@@ -101,7 +101,7 @@ def test_the_description_can_be_read_from_the_address_it_names(client: Client) -
 
 
 def test_a_repeated_request_is_answered_again_but_not_done_again(client: Client) -> None:
-    """A lost answer must not cost a second exposure."""
+    """A repeated request is answered again but exposes only once."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stream:
         stream.bind(("127.0.0.1", 0))
         stream.settimeout(2.0)
@@ -124,7 +124,7 @@ def test_a_repeated_request_is_answered_again_but_not_done_again(client: Client)
 
 
 def test_one_controller_at_a_time_and_a_silent_one_loses_control(client: Client) -> None:
-    """The second client is denied until the heartbeat of the first is missing."""
+    """A second client is denied control until the first one's heartbeat is missing."""
     second = Client(ADDRESS)
     try:
         assert client.write(g.CONTROL_PRIVILEGE, 2) == SUCCESS
@@ -140,7 +140,7 @@ def test_one_controller_at_a_time_and_a_silent_one_loses_control(client: Client)
 
 
 def test_hostile_datagrams_do_not_stop_it(client: Client) -> None:
-    """Random bytes, mutated commands, wrong lengths: the next good request is answered."""
+    """After random bytes, changed commands and wrong lengths the next good request is answered."""
     rng = random.Random(3)
     for _ in range(3000):
         size = rng.randrange(0, 64)
@@ -162,7 +162,7 @@ def test_hostile_datagrams_do_not_stop_it(client: Client) -> None:
 
 
 def test_an_unplugged_camera_says_nothing(camera: GigeCamera, client: Client) -> None:
-    """And answers again when it is plugged in."""
+    """An unplugged camera does not answer, and does again once it is plugged in."""
     camera.faults.unplugged = True
     client.socket.settimeout(0.3)
     client.send(0x80, struct.pack(">I", g.VERSION))
@@ -173,13 +173,13 @@ def test_an_unplugged_camera_says_nothing(camera: GigeCamera, client: Client) ->
 
 
 def test_a_taken_port_is_a_clear_error(camera: GigeCamera) -> None:
-    """Two cameras cannot have one address."""
+    """A taken address is an error that names it."""
     with pytest.raises(ListenError, match=ADDRESS):
         GigeCamera(ADDRESS, "TWIN", moving_ramp).start()
 
 
 def test_stopping_leaves_nothing_behind() -> None:
-    """Start and stop over and over on one address."""
+    """A camera can be started and stopped repeatedly at one address."""
     for _ in range(5):
         with GigeCamera(ADDRESS, "AGAIN", moving_ramp, size=(64, 48)):
             pass
@@ -188,7 +188,7 @@ def test_stopping_leaves_nothing_behind() -> None:
 @pytest.mark.slow
 @needs_camera
 def test_aravis_finds_two_cameras_of_one_process() -> None:
-    """Broadcast discovery is answered by both."""
+    """Both cameras answer a broadcast discovery."""
     with (
         GigeCamera(ADDRESS, "EDGED-D1", moving_ramp, size=(64, 48)),
         GigeCamera(OTHER, "EDGED-D2", moving_ramp, size=(64, 48)),
@@ -202,7 +202,7 @@ def test_aravis_finds_two_cameras_of_one_process() -> None:
 @needs_camera
 @pytest.mark.parametrize("user_socket", [False, True])
 def test_lost_packets_are_sent_again_and_every_image_is_whole(user_socket: bool) -> None:
-    """With 2 % of all packets lost, Aravis asks for them again; what arrives equals what was exposed."""
+    """With 2 % of all packets lost Aravis asks for them again, and images equal what was exposed."""
     sensor = Sensor()
 
     async def shoot(count: int) -> int:

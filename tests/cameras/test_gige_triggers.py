@@ -1,4 +1,4 @@
-"""What makes the virtual camera expose: lines, action commands, a rate; by raw datagrams."""
+"""Triggers of the virtual camera: lines, action commands, a frame rate; by raw datagrams."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def action(
 def test_a_pulse_triggers_at_the_edges_that_count(
     camera: GigeCamera, activation: int, expected: list[int]
 ) -> None:
-    """A pulse of 5 ms: the exposure begins at the edge to the nanosecond, plus TriggerDelay."""
+    """With a pulse of 5 ms the exposure begins at the active edge to the nanosecond, plus TriggerDelay."""
     with acquiring(ADDRESS, **ON_LINE1, TRIGGER_ACTIVATION=activation, TRIGGER_DELAY=250.0) as stream:
         at_ns = time.monotonic_ns()
         camera.line("Line1").pulse(0.005, at_ns)
@@ -70,7 +70,7 @@ def test_a_pulse_triggers_at_the_edges_that_count(
 
 
 def test_a_disturbance_shorter_than_the_debouncer_is_no_trigger(camera: GigeCamera) -> None:
-    """1 ms of debouncer: 0.9 ms is nothing, 1.1 ms is a pulse, seen 1 ms late."""
+    """With 1 ms of debouncing 0.9 ms is no pulse, and 1.1 ms is one, seen 1 ms late."""
     with acquiring(ADDRESS, **ON_LINE1, LINE_DEBOUNCER=1000.0) as stream:
         camera.line("Line1").pulse(0.0009)
         time.sleep(0.01)
@@ -82,7 +82,7 @@ def test_a_disturbance_shorter_than_the_debouncer_is_no_trigger(camera: GigeCame
 
 
 def test_bouncing_contacts_make_one_exposure(camera: GigeCamera) -> None:
-    """Five bounces of 0.1 ms before the level lasts; and none when it ends."""
+    """Five bounces of 0.1 ms make one exposure, and none at their end."""
     with acquiring(ADDRESS, **ON_LINE1, LINE_DEBOUNCER=500.0) as stream:
         start_ns = time.monotonic_ns()
         wire = camera.line("Line1")
@@ -95,7 +95,7 @@ def test_bouncing_contacts_make_one_exposure(camera: GigeCamera) -> None:
 
 
 def test_an_inverted_input_triggers_when_the_wire_falls(camera: GigeCamera) -> None:
-    """LineInverter: the rising edge of what the camera sees is the falling one of the wire."""
+    """With LineInverter the camera triggers on the falling edge of the wire."""
     with acquiring(ADDRESS, **ON_LINE1, LINE_INVERTER=1) as stream:
         at_ns = time.monotonic_ns()
         camera.line("Line1").pulse(0.004, at_ns)
@@ -104,7 +104,7 @@ def test_an_inverted_input_triggers_when_the_wire_falls(camera: GigeCamera) -> N
 
 
 def test_only_the_chosen_source_triggers(camera: GigeCamera) -> None:
-    """Waiting for Line1: neither Line3, nor software, nor an action command exposes."""
+    """With Line1 as source neither Line3, software nor an action command exposes."""
     with acquiring(ADDRESS, **ON_LINE1, **KEYS) as stream:
         camera.line("Line3").pulse()
         stream.client.set(TRIGGER_SOFTWARE=1)
@@ -115,7 +115,8 @@ def test_only_the_chosen_source_triggers(camera: GigeCamera) -> None:
 
 
 def test_the_exposure_of_one_camera_triggers_the_other(camera: GigeCamera) -> None:
-    """Line2, ExposureActive, wired to Line1: same instant; by the falling edge, at the exposure's end."""
+    """With Line2 (ExposureActive) wired to Line1 the other camera exposes at the start or end of the
+    exposure."""
     with small(OTHER) as other:
         camera.line("Line2").feeds(other.line("Line1"))
         with (
@@ -132,7 +133,7 @@ def test_the_exposure_of_one_camera_triggers_the_other(camera: GigeCamera) -> No
 
 
 def test_a_line_is_wired_one_way(camera: GigeCamera) -> None:
-    """Line1 cannot become an output, Line2 no input, Line3 either; LineStatus shows the level."""
+    """Line1 cannot become an output nor Line2 an input, Line3 can be either; LineStatus shows the level."""
     with Stream(Client(ADDRESS)) as stream:
         client = stream.client
         assert client.write(g.LINE_MODE, 1) == INVALID_PARAMETER
@@ -147,7 +148,7 @@ def test_a_line_is_wired_one_way(camera: GigeCamera) -> None:
 
 @pytest.mark.slow
 def test_an_action_needs_both_keys_and_a_common_bit(camera: GigeCamera) -> None:
-    """Others' actions are neither done nor acknowledged (GigE Vision 2.0, 14.3)."""
+    """An action of another device, group or mask is neither done nor acknowledged (GigE Vision 2.0, 14.3)."""
     with acquiring(ADDRESS, **ON_ACTION) as stream:
         assert action(ADDRESS, 0b0110, keys=(8, 3)) is None
         assert action(ADDRESS, 0b0110, keys=(7, 4)) is None
@@ -158,7 +159,7 @@ def test_an_action_needs_both_keys_and_a_common_bit(camera: GigeCamera) -> None:
 
 
 def test_a_broadcast_action_exposes_every_camera_of_the_group() -> None:
-    """One datagram to the network's broadcast address, two images within a fraction of a frame."""
+    """One broadcast datagram exposes both cameras."""
     with (
         small(),
         small(OTHER),
@@ -170,7 +171,7 @@ def test_a_broadcast_action_exposes_every_camera_of_the_group() -> None:
 
 
 def test_a_scheduled_action_waits_for_its_time_on_the_common_clock(camera: GigeCamera) -> None:
-    """Without PTP there is no common time; with it the exposure is on the tick; a late one says so."""
+    """A scheduled action needs PTP, exposes on its tick, and is refused if it is late."""
     with acquiring(ADDRESS, **ON_ACTION) as stream:
         assert action(ADDRESS, 0b0010, time.time_ns() + 10**8) == NO_REFERENCE_TIME
         stream.client.set(PTP_ENABLE=1)
@@ -183,7 +184,7 @@ def test_a_scheduled_action_waits_for_its_time_on_the_common_clock(camera: GigeC
 
 
 def test_free_run_keeps_its_rate(camera: GigeCamera) -> None:
-    """50 Hz: time stamps 20 ms apart, even though sending takes its time; who is held up skips some."""
+    """At 50 Hz time stamps are multiples of 20 ms apart."""
     with acquiring(ADDRESS, TRIGGER_MODE=0, FRAME_RATE=50.0) as stream:
         ticks, steps = stream.image().ticks, list[int]()
         while steps.count(PERIOD_NS) < 4:
@@ -195,7 +196,7 @@ def test_free_run_keeps_its_rate(camera: GigeCamera) -> None:
 
 
 def test_a_drifting_clock_with_an_offset_shows_in_time_stamps() -> None:
-    """1000 s ahead and 500 ppm fast, at 125 MHz: registers and images count the same ticks."""
+    """A clock 1000 s ahead, 500 ppm fast and with 125 MHz shows so in registers and images."""
     clock = DeviceClock(offset_s=1000.0, drift_ppm=500.0, tick_hz=125_000_000)
     with small(clock=clock) as camera, acquiring(ADDRESS, **ON_LINE1) as stream:
         assert stream.client.long(g.TICKS_HIGH) == 125_000_000
@@ -213,7 +214,7 @@ def test_a_drifting_clock_with_an_offset_shows_in_time_stamps() -> None:
 
 
 def test_ptp_makes_the_clock_the_masters_until_it_is_switched_off() -> None:
-    """Uncalibrated, then Slave; what is left of the error is stated; afterwards the clock runs on."""
+    """With PTP the clock is uncalibrated, then Slave with the stated error, and runs on when it is off."""
     clock = DeviceClock(offset_s=5.0, ptp_error_ns=300, ptp_settle_s=0.2)
     with small(clock=clock), Stream(Client(ADDRESS)) as stream:
         client = stream.client
@@ -228,7 +229,7 @@ def test_ptp_makes_the_clock_the_masters_until_it_is_switched_off() -> None:
 
 
 def test_changing_the_drift_makes_no_step() -> None:
-    """The clock turns from where it is."""
+    """A changed drift makes no step in the clock."""
     clock = DeviceClock(drift_ppm=0.0)
     before_ns, monotonic_ns = clock.at(time.monotonic_ns()), time.monotonic_ns()
     clock.drift_ppm = 900.0
@@ -240,7 +241,7 @@ def test_changing_the_drift_makes_no_step() -> None:
 
 @pytest.mark.parametrize("name", g.PIXEL_FORMATS)
 def test_payload_and_leader_follow_the_pixel_format(camera: GigeCamera, name: str) -> None:
-    """PayloadSize is what is sent; the leader carries the PFNC code."""
+    """PayloadSize is the size that is sent, and the leader has the PFNC code."""
     with acquiring(ADDRESS, TRIGGER_MODE=1, PIXEL_FORMAT=FORMATS[name].code) as stream:
         size = stream.client.read(g.PAYLOAD_SIZE)[1]
         stream.client.set(TRIGGER_SOFTWARE=1)

@@ -1,4 +1,4 @@
-"""The example dashboard and alert rules against what a running daemon answers at /metrics."""
+"""The example dashboard and alert rules fit the metrics of a running daemon."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ EXPRESSIONS += [rule["expr"] for rule in RULES]
 
 @pytest.fixture(scope="module")
 def served(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, set[str]]]:
-    """Name of each sample at /metrics, of a cell with every part, to the labels it has."""
+    """The names of all samples at /metrics of a cell with every part, with their labels."""
     folder = tmp_path_factory.mktemp("cell")
     cell = Cell(folder, 'source = "virtual-inprocess"')
     port = free_port()
@@ -55,7 +55,7 @@ def served(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, set[s
 
 
 def used(expression: str) -> dict[str, set[str]]:
-    """Name of each metric in a PromQL expression to the labels it is chosen by."""
+    """The names of the metrics in a PromQL expression, with their labels."""
     found: dict[str, set[str]] = {}
     for name, chosen in re.findall(r"\b((?:edged|process)_\w+)(\{[^}]*\})?", expression):
         found.setdefault(name, set()).update(re.findall(r"(\w+)\s*(?:=~|!~|!=|=)", chosen))
@@ -65,7 +65,7 @@ def used(expression: str) -> dict[str, set[str]]:
 @pytest.mark.slow
 @pytest.mark.parametrize("expression", [*EXPRESSIONS, *OF_FLEET])
 def test_every_figure_that_is_shown_or_watched_exists(expression: str, served: dict[str, set[str]]) -> None:
-    """A metric that was renamed would leave an empty panel, or an alarm that never comes."""
+    """Every metric and label of an expression exists at /metrics."""
     names = used(expression)
     assert names, expression
     assert names.keys() <= served.keys()
@@ -77,7 +77,7 @@ def test_every_figure_that_is_shown_or_watched_exists(expression: str, served: d
 
 @pytest.mark.slow
 def test_the_dashboard_misses_nothing_that_an_operator_needs(served: dict[str, set[str]]) -> None:
-    """Every metric of edged's own has its panel, except counts that stand beside one that is shown."""
+    """Every metric of edged has a panel, except `edged_recordings`."""
     shown = {name for expression in EXPRESSIONS for name in used(expression)}
     shown |= {name.replace("_bucket", part) for name in shown for part in ("_sum", "_count", "_created")}
     shown |= {name.replace("_total", "_created") for name in shown}
@@ -87,7 +87,8 @@ def test_the_dashboard_misses_nothing_that_an_operator_needs(served: dict[str, s
 
 @pytest.mark.parametrize("dashboard", [DASHBOARD, FLEET], ids=["cells", "fleet"])
 def test_the_dashboard_can_be_imported_anywhere(dashboard: dict[str, Any]) -> None:
-    """No data source of somebody's own; panels are numbered, do not overlap, and say what they show."""
+    """The dashboard has no data source of its own, and its panels are numbered, described and do not
+    overlap."""
     panels = dashboard["panels"]
     assert len({panel["id"] for panel in panels}) == len(panels)
     places = [
@@ -105,7 +106,7 @@ def test_the_dashboard_can_be_imported_anywhere(dashboard: dict[str, Any]) -> No
 
 @pytest.mark.parametrize("rule", RULES, ids=lambda rule: rule["alert"])
 def test_every_alarm_says_where_and_what(rule: dict[str, object]) -> None:
-    """A summary that names the instance, and stands in docs/how-to/operate.md with what to do."""
+    """Every alarm has a summary with the instance, and is described in docs/how-to/operate.md."""
     summary = rule["annotations"]["summary"]
     assert summary.startswith("{{ $labels.instance }}: ")
     assert str(rule["alert"]) in (CONFIG.parent / "docs" / "how-to" / "operate.md").read_text()

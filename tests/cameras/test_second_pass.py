@@ -22,10 +22,10 @@ from edged.files.rig import save_rig
 
 pytestmark = [pytest.mark.slow, pytest.mark.takes(3 * WHOLE_S), needs_aravis()]
 GOAL_UM = 40.0
-"""Of pictures of 640x480, soon reached: what is tested are the clicks."""
+"""For pictures of 640x480 this is soon reached: the clicks are tested."""
 PLACES = 1
 ASKED_BACK = re.compile(r"status of (403|409) .*/activate$")
-"""Who releases something says the password once more, and signs where recorded cycles were not tried."""
+"""A release asks for the password again, and for a signature if recorded cycles were not tried."""
 
 
 @pytest.mark.parametrize("backward", [False, True])
@@ -33,7 +33,8 @@ ASKED_BACK = re.compile(r"status of (403|409) .*/activate$")
 async def test_all_is_done_a_second_time_with_a_lost_picture_in_every_action(
     tmp_path: Path, browser: Opener, backward: bool
 ) -> None:
-    """VALID with what was brought, with what was there before, and with what was brought again."""
+    """The cell is VALID with the second set-up, with the first again, and with the second again, though a
+    picture is lost in every action."""
     save_rig(tmp_path / "rig.json", small_rig(), {"board": "chessboard:11x8:4"})
     async with staged(tmp_path, page_is_here=False) as newcomer, browser() as page:
         # what is drawn for the first time takes longer than a camera, or the page, may wait

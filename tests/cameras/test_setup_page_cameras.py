@@ -1,4 +1,4 @@
-"""Cameras, light and focus on the page that sets a cell up: what is seen, heard, typed and dragged."""
+"""Cameras, light and focus on the set-up page."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ UNREAD = """(() => { const whole = (window.whole = fetch);
     window.refused = true;
     return Promise.resolve(new Response('{"code": "capture", "detail": ""}', { status: 503 }));
   }; })()"""
-"""Settings of cameras cannot be read once, as where none is chosen yet."""
+"""Make reading the cameras' settings fail once, as if none is chosen yet."""
 LEFT_EXPOSURE = "document.querySelector('[name=left-exposure_us]').value"
 RIGHT_EXPOSURE = "document.querySelector('[name=right-exposure_us]').value"
 ADVICE = r"/px wide|Exposure is good|Set \d/.test(document.body.innerText)"  # "Set up" is a tab of the page
@@ -37,7 +37,8 @@ SLIDER = """document.querySelector("[aria-label='Settings of the left camera'] [
 
 
 async def test_cameras_are_told_apart_by_a_wave_and_set_with_their_own_limits(tmp_path: Path) -> None:
-    """From two cameras on the wire to light and focus; axe finds nothing, and all fits a phone."""
+    """A user assigns the cameras by a wave, sets exposure within their limits, and sees light and focus;
+    axe finds nothing, and all fits a phone."""
     async with staged(tmp_path) as newcomer, browser() as page:
         await log_in(page, newcomer.origin, USER, PASSWORD, "/setup", (1280, 900))
         await press(page, "Take over")

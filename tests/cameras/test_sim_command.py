@@ -1,4 +1,4 @@
-"""`edged sim` as a process, seen by itself and by Aravis' own command line tools."""
+"""`edged sim` as a process, by its own output and Aravis' command line tools."""
 
 from __future__ import annotations
 
@@ -31,12 +31,12 @@ class Sim:
         self.banner = [self.line() for _ in range(3)]
 
     def line(self) -> str:
-        """The next line it says."""
+        """The next line of its output."""
         assert self.process.stdout is not None
         return self.process.stdout.readline().rstrip("\n")
 
     def tell(self, command: str) -> str:
-        """A command, and the first line of the answer."""
+        """Send a command; returns the first line of the answer."""
         assert self.process.stdin is not None
         self.process.stdin.write(command + "\n")
         self.process.stdin.flush()
@@ -48,7 +48,7 @@ class Sim:
         return self.ended()
 
     def ended(self) -> int:
-        """Its exit code when it ends by itself."""
+        """Its exit code when it has ended by itself."""
         code = self.process.wait(LIMIT_S)
         for pipe in (self.process.stdin, self.process.stdout):
             if pipe is not None:
@@ -65,13 +65,14 @@ def sim() -> Iterator[Sim]:
 
 
 def run(*command: str) -> str:
-    """What a command prints."""
+    """The output of a command."""
     return subprocess.run(command, capture_output=True, text=True, check=True, timeout=WHOLE_S).stdout
 
 
 @pytest.mark.slow
 def test_it_says_what_it_serves_and_takes_commands(sim: Sim) -> None:
-    """Both cameras at the start; one answer for each line; a mistake is named and harmless."""
+    """Both cameras are named at the start, each line has one answer, and a wrong one is named and
+    harmless."""
     assert f"left: GigE Vision camera EDGED-VIRTUAL-L on {LEFT}" == sim.banner[0]
     assert f"right: GigE Vision camera EDGED-VIRTUAL-R on {RIGHT}" == sim.banner[1]
     assert sim.tell("set right frozen on") == "ok"
@@ -84,7 +85,7 @@ def test_it_says_what_it_serves_and_takes_commands(sim: Sim) -> None:
 
 @pytest.mark.slow
 def test_quit_ends_it() -> None:
-    """Exit code 0, also with a sensor that pulses the lines."""
+    """`quit` ends it with exit code 0, also with a sensor that pulses the lines."""
     other = Sim("--pattern", "64x48", "--left", "127.0.55.3", "--right", "127.0.55.4", "--pulse", "50")
     other.process.communicate("pulse both\nquit\n", timeout=WHOLE_S)
     assert other.ended() == 0
@@ -93,7 +94,7 @@ def test_quit_ends_it() -> None:
 @pytest.mark.slow
 @tool("arv-tool-0.8", "aravis-tools-cli")
 def test_aravis_tool_lists_both_cameras(sim: Sim) -> None:
-    """Vendor, model, serial number and address."""
+    """Aravis' tool lists both cameras with vendor, model, serial number and address."""
     listed = run("arv-tool-0.8")
 
     assert f"edged-Virtual-EDGED-VIRTUAL-L ({LEFT})" in listed
@@ -103,7 +104,8 @@ def test_aravis_tool_lists_both_cameras(sim: Sim) -> None:
 @pytest.mark.slow
 @tool("arv-tool-0.8", "aravis-tools-cli")
 def test_aravis_tool_reads_and_writes_features(sim: Sim) -> None:
-    """Numbers, enumerations, booleans, commands, 64 bits, and registers behind a selector."""
+    """Aravis' tool reads and writes numbers, enumerations, booleans, commands, 64 bits, and registers
+    behind a selector."""
     assert sim.tell("temperature left 63.5") == "ok"
     values = run(
         "arv-tool-0.8", "-a", LEFT, "control",
@@ -125,7 +127,7 @@ def test_aravis_tool_reads_and_writes_features(sim: Sim) -> None:
 
 @tool("arv-tool-0.8", "aravis-tools-cli")
 def test_aravis_tool_reads_the_whole_description(sim: Sim) -> None:
-    """Every node can be listed; XML that Aravis does not understand would end it."""
+    """Aravis' tool lists every node of the description."""
     listed = run("arv-tool-0.8", "-a", RIGHT, "features")
 
     for name in ("TriggerActivation", "ActionDeviceKey", "ChunkExposureTime", "PtpOffsetFromMaster"):
@@ -136,7 +138,7 @@ def test_aravis_tool_reads_the_whole_description(sim: Sim) -> None:
 @tool("arv-camera-test-0.8", "aravis-tools")
 @pytest.mark.parametrize("lost", ["", "3,5,20"])
 def test_aravis_camera_test_streams_every_frame(sim: Sim, lost: str) -> None:
-    """Chunk data on, 30 Hz: no frame is lost, and packets that are lost in each are sent again."""
+    """With chunk data at 30 Hz no frame is lost, and lost packets are sent again."""
     assert sim.tell(f"set left lost_packets {lost or ','}") == "ok"
     said = run("arv-camera-test-0.8", "-n", LEFT, "-f", "30", "-u", "FrameID,ExposureTime", "--duration=2")
     assert sim.tell("clear left") == "ok"

@@ -1,4 +1,4 @@
-"""The stage and the cameras' routes: a newcomer's cell, with real GigE Vision cameras over loopback."""
+"""The stage and the cameras' routes: a new user's cell, with real GigE Vision cameras over loopback."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ BOARD = Chessboard(11, 8, 4.0)
 
 
 async def test_the_board_follows_what_is_drawn(tmp_path: Path) -> None:
-    """An empty folder is a cell in SETUP that says it is a stage; its hand brings the board to an outline."""
+    """An empty folder becomes a cell in SETUP with a stage, whose hand moves the board to a drawn outline."""
     async with staged(tmp_path) as newcomer:
         cell = await newcomer.ask("GET", "cell")
         assert (True, "SETUP", ["rig", "jobs"]) == (cell["stage"], cell["state"], cell["missing"])
@@ -59,7 +59,7 @@ async def test_the_board_follows_what_is_drawn(tmp_path: Path) -> None:
 
 
 async def test_a_stranger_neither_sees_nor_moves_anything(tmp_path: Path) -> None:
-    """Each route of the cameras and of the stage, without a log-in."""
+    """Without a log-in every route of the cameras and the stage answers 401."""
     async with staged(tmp_path) as newcomer:
         document = await newcomer.ask("GET", "openapi.json")
         asked = []
@@ -73,7 +73,8 @@ async def test_a_stranger_neither_sees_nor_moves_anything(tmp_path: Path) -> Non
 
 
 async def test_cameras_are_found_adjusted_and_exchanged_until_setup_ends(tmp_path: Path) -> None:
-    """By the packets of two cameras: who is which, what they take, a hand that is waved, and all undone."""
+    """Cameras are assigned by a waved hand, adjusted within their limits and exchanged, and all is undone
+    at the end."""
     async with staged(tmp_path) as newcomer:
         await newcomer.picture()
         now = await newcomer.ask("GET", "cameras")
@@ -108,7 +109,7 @@ async def test_cameras_are_found_adjusted_and_exchanged_until_setup_ends(tmp_pat
 
 
 async def test_what_is_kept_outlives_setup_and_the_daemon(tmp_path: Path) -> None:
-    """Exposure and exchanged cameras of a cell without a rig, written beside where its rig will be."""
+    """Kept exposures and exchanged cameras of a cell without a rig outlive SETUP and the daemon."""
     for is_kept in (False, True):
         async with staged(tmp_path) as newcomer:
             assert is_kept == (tmp_path / "rig.cameras.json").exists()
@@ -127,7 +128,7 @@ async def test_what_is_kept_outlives_setup_and_the_daemon(tmp_path: Path) -> Non
 
 
 async def test_light_and_focus_of_live_pictures_are_told(tmp_path: Path) -> None:
-    """A lens out of focus and too much light, each by its own camera's figures."""
+    """A lens out of focus and too much light are reported with figures of their own camera."""
     async with staged(tmp_path) as newcomer:
         await newcomer.ask("GET", "cameras/quality", expected=404)
         await newcomer.ask("PUT", "stage", {"showing": "board", "still": True, "rings": {"right": 0.4}})
@@ -164,8 +165,8 @@ async def test_light_and_focus_of_live_pictures_are_told(tmp_path: Path) -> None
 def test_the_command_says_where_to_go_and_ends_with_ctrl_c(
     tmp_path: Path, is_calibrated: bool, expected: str
 ) -> None:
-    """Without a display: the page's address, a password that is not that of another run, and what is there
-    of a run before; exit code 0.
+    """The command prints address, new password and the contents of the folder, and exits with 0 after
+    Ctrl+C.
     """
     if is_calibrated:
         (tmp_path / "cell").mkdir()

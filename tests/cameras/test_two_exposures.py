@@ -1,4 +1,4 @@
-"""Two exposures in a cycle with the real Aravis over real UDP, and what a configuration may ask for."""
+"""Two exposures in a cycle with the real Aravis over real UDP, and the allowed configurations."""
 
 from __future__ import annotations
 
@@ -45,7 +45,8 @@ def glint(request: ExposureRequest) -> Image:
 @pytest.mark.slow
 @pytest.mark.parametrize("quirks", [(), (Quirk.LATE_EXPOSURE,)])
 async def test_a_glint_and_a_dark_table_are_seen_in_one_pair(quirks: tuple[Quirk, ...]) -> None:
-    """Also with firmware that takes an exposure one frame late; the page says how it was exposed."""
+    """One pair shows a glint and a dark table, also with firmware that takes an exposure one frame late,
+    and states how it was exposed."""
     cell = Cell(quirks=quirks)
     cell.left.exposure = cell.right.exposure = glint
     with running(cell):
@@ -72,7 +73,7 @@ async def test_a_glint_and_a_dark_table_are_seen_in_one_pair(quirks: tuple[Quirk
     ],
 )
 def test_what_two_exposures_cannot_be_taken_with_is_a_mistake(cameras: dict[str, Any], expected: str) -> None:
-    """Others' triggers; cameras whose exposure nobody stated."""
+    """Two exposures with an external trigger, or without a stated exposure, are refused."""
     with pytest.raises(ValidationError, match=expected):
         section(**cameras)
 
@@ -91,7 +92,7 @@ def test_what_two_exposures_cannot_be_taken_with_is_a_mistake(cameras: dict[str,
 def test_exposures_that_others_make_are_neither_doubled_nor_wasted(
     document: dict[str, Any], expected: str
 ) -> None:
-    """The whole configuration is looked at: who triggers, and when."""
+    """Two exposures are refused in a configuration whose exposures others trigger."""
     cameras = {name: value for name, value in document.items() if name != "cycle"}
     with pytest.raises(ValidationError, match=expected):
         Config.model_validate(

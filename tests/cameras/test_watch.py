@@ -1,4 +1,4 @@
-"""`edged watch` against real cells; hostile neighbours included."""
+"""`edged watch` with real cells, and with hostile publishers."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ from edged.errors import UserError
 
 
 async def watching(cell: Cell, events: Sequence[Event], **options: Any) -> str:
-    """What `watch` prints while a cell announces these events, over and over, until it has enough."""
+    """The output of `watch` while a cell announces these events repeatedly until it has enough."""
     file = io.StringIO()
     console = Console(file=file, width=120, force_terminal=options.pop("terminal", None))
     only = options.pop("only", None)
@@ -67,7 +67,7 @@ def run(events: Sequence[Event], **options: Any) -> str:
 
 
 def test_json_is_the_message_itself_one_a_line(capsys):
-    """Every line is a JSON object as it was published, each result once and in order."""
+    """Every line is one result as it was published, once and in order."""
     run([make_snapshot(7)], as_json=True, count=3)
     documents = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
     first = documents[0]["sequence"]
@@ -77,7 +77,7 @@ def test_json_is_the_message_itself_one_a_line(capsys):
 
 
 async def test_cbor_is_read_as_well(capsys):
-    """A cell that is configured for CBOR prints the same object; its queries answer in CBOR too."""
+    """A cell that publishes CBOR gives the same object, and answers queries in CBOR."""
     async with Cell(encoding="cbor") as cell:
         await watching(cell, [make_snapshot(7)], as_json=True, count=2)
         session = open_session(session_config("peer", [], [f"tcp/127.0.0.1:{cell.port}"]))
@@ -94,7 +94,7 @@ async def test_cbor_is_read_as_well(capsys):
 
 
 def test_lines_show_position_in_the_robots_frame_when_it_is_known():
-    """Off a terminal: one line per result, in the frame that a robot uses; a fault says why."""
+    """Off a terminal there is one line per result, in the robot's frame, and a fault has its reason."""
     robot_from_rig = make_transform((0.0, 0.0, 0.0), (100.0, 0.0, 0.0))
     lines = run(
         [make_snapshot(1, robot_from_rig=robot_from_rig), make_snapshot(2, Status.CAPTURE_FAULT)], count=2
@@ -105,7 +105,7 @@ def test_lines_show_position_in_the_robots_frame_when_it_is_known():
 
 
 def test_the_table_shows_state_and_result_of_each_cell():
-    """On a terminal: a row with state, job, position."""
+    """On a terminal each cell has a row with state, job and position."""
     # the state between two results: asked for, it may come after them on a busy PC
     text = run([READY, make_snapshot()], count=2, terminal=True)
     for word in ("cell1", "READY", "flange", "10.000 20.000 200.000 rig", "sim"):
@@ -114,14 +114,14 @@ def test_the_table_shows_state_and_result_of_each_cell():
 
 @pytest.mark.parametrize("terminal", [False, True])
 def test_a_calibration_that_drifts_is_shown_with_its_figures(terminal):
-    """The verdict, the rows and the known length: what to look at before the cell stops by itself."""
+    """A drifting calibration is shown with rows and known length."""
     drifting = replace(make_snapshot(1), drift=DriftState(CalibrationHealth.DRIFTS, 0.31, -0.24))
     text = run([drifting] * 3, count=2, terminal=terminal)
     assert "calibration drifts: rows 0.31 px, known length -0.24 %" in " ".join(text.split())
 
 
 async def test_only_the_cell_that_was_named():
-    """`--cell` leaves the others out."""
+    """`--cell` shows the named cell alone."""
     async with Cell() as cell, Cell(cell="cell2", connect=(f"tcp/127.0.0.1:{cell.port}",)) as other:
         other.publisher.announce(make_snapshot(66))
         text = await watching(cell, [make_snapshot(1), make_snapshot(2)], count=2, only="cell1")
@@ -161,13 +161,13 @@ async def test_what_strangers_publish_under_our_keys_is_no_reason_to_stop():
 
 @pytest.mark.parametrize("name", ["a/b", "**", "", "x" * 65, "$*"])
 def test_a_cell_name_that_cannot_be_is_refused(name):
-    """A name with key syntax in it would listen to something else."""
+    """A cell name with key syntax is refused."""
     with pytest.raises(UserError, match="--cell"):
         watch(WatchOptions((f"tcp/127.0.0.1:{free_port()}",), name), Console(file=io.StringIO()))
 
 
 async def test_a_part_of_the_names():
-    """`--cell 'cell?'`: several cells, and not the others."""
+    """`--cell 'cell?'` shows the cells that match, and no others."""
     async with Cell() as cell, Cell(cell="other", connect=(f"tcp/127.0.0.1:{cell.port}",)) as other:
         other.publisher.announce(make_snapshot(66))
         text = await watching(cell, [make_snapshot(1), make_snapshot(2)], count=2, only="cell?")
@@ -176,7 +176,7 @@ async def test_a_part_of_the_names():
 
 @pytest.mark.slow
 def test_a_script_waits_no_longer_than_it_says(capsys):
-    """`--count 1 --timeout` where nobody publishes: exit status 1, and a word of why."""
+    """With nobody publishing `--count 1 --timeout` gives exit status 1 and a hint."""
     options = WatchOptions((f"tcp/127.0.0.1:{free_port()}",), count=1, timeout_s=4.5)
 
     assert 1 == watch(options, Console(file=io.StringIO()))
@@ -185,7 +185,7 @@ def test_a_script_waits_no_longer_than_it_says(capsys):
 
 @pytest.mark.slow
 def test_a_router_that_goes_is_said(capsys):
-    """What stands on the screen is old from then on; when it is back, that is said too."""
+    """The loss of the router is printed, and its return, too."""
     port, codes = free_port(), []
     endpoint = f"tcp/127.0.0.1:{port}"
     said, deadline_s = "", time.monotonic() + LIMIT_S
@@ -225,7 +225,7 @@ def test_a_router_that_goes_is_said(capsys):
     ],
 )
 def test_certificates_that_cannot_be_are_refused(tmp_path, monkeypatch, options, message):
-    """Halves of a pair, certificates for a connection without TLS, files that are not there."""
+    """Half of a certificate pair, certificates without TLS and missing files are refused."""
     monkeypatch.chdir(tmp_path)
     connect = options.get("connect", ("tcp/127.0.0.1:7447",))
     tls = ClientTls(**{name: Path(value) for name, value in options.items() if name != "connect"})
@@ -236,7 +236,7 @@ def test_certificates_that_cannot_be_are_refused(tmp_path, monkeypatch, options,
 
 @pytest.mark.slow
 def test_a_router_with_mtls_lets_a_certificate_in(tmp_path):
-    """Certificate, key and authority of the command line; without them nothing is heard."""
+    """With certificate, key and authority `watch` gets results over mTLS, without them none."""
     make_certificates(tmp_path)
     pem = {
         name: tmp_path / name for name in ("ca.pem", "server.pem", "server.key", "viewer.pem", "viewer.key")
@@ -272,7 +272,7 @@ def test_a_router_with_mtls_lets_a_certificate_in(tmp_path):
 
 
 def many_cells(count: int) -> dict[str, CellView]:
-    """A plant: most are well, every 50th is in fault, one is gone and one finds nothing."""
+    """Many cells: every 50th in fault, one gone and one without a target, all others fine."""
     cells = {}
     for number in range(count):
         view = cells[f"press-{number:03}"] = CellView()
@@ -295,7 +295,7 @@ def many_cells(count: int) -> dict[str, CellView]:
 @pytest.mark.parametrize(("height", "width"), [(24, 80), (60, 160)])
 @pytest.mark.parametrize("count", [1, 20, 200])
 def test_a_fleet_is_read_on_one_screen(height, width, count):
-    """Whatever its size nothing scrolls away; where there are many, who needs help is first."""
+    """A fleet fits on one screen of any size, with faulty cells first."""
     file = io.StringIO()
     console = Console(file=file, width=width, height=height)
     size = ConsoleDimensions(width, height)
@@ -315,19 +315,19 @@ def test_a_fleet_is_read_on_one_screen(height, width, count):
 
 
 def test_a_state_that_cannot_be_is_refused():
-    """A mistyped one would show an empty table for ever."""
+    """An unknown state is refused with the known ones."""
     with pytest.raises(UserError, match="--state 'FALT': expected one of FAULT, GONE"):
         watch(WatchOptions(states=("FALT",)), Console(file=io.StringIO()))
 
 
 def test_an_endpoint_that_cannot_be_is_refused():
-    """A mistyped endpoint is told, not waited for."""
+    """A mistyped endpoint is refused at once."""
     with pytest.raises(UserError, match="--connect 'nonsense': expected PROTOCOL/ADDRESS"):
         watch(WatchOptions(("nonsense",)), Console(file=io.StringIO()))
 
 
 def test_lost_results_are_counted_and_a_restart_is_not_a_loss():
-    """A gap in the sequence is that many lost results; another start of the daemon begins anew."""
+    """A gap in the sequence counts as lost results; a restart of the daemon does not."""
     view = CellView()
     for started_ns, sequence in [(1, 1), (1, 2), (1, 5), (2, 1), (2, 2), (2, 4)]:
         document = {"started_ns": started_ns, "sequence": sequence}
@@ -336,7 +336,7 @@ def test_lost_results_are_counted_and_a_restart_is_not_a_loss():
 
 
 def test_misses_that_repeat_are_counted():
-    """The table says how many in a row are alike; a good result and another status begin anew."""
+    """The number of equal misses in a row is shown; a good result and another status begin anew."""
     view, shown = CellView(), []
     for status in ("OK", "NO_TARGET", "NO_TARGET", "NO_TARGET", "CAPTURE_FAULT", "OK", "OK"):
         view.take(News("cell1", "target", {"status": status}), 0.0, 0)
@@ -348,7 +348,7 @@ def test_misses_that_repeat_are_counted():
 
 
 def test_age_of_a_first_result_counts_from_its_exposure():
-    """A result from the cache is as old as it is; later ones age from their arrival."""
+    """A result from the cache is as old as its exposure; later ones age from their arrival."""
     view = CellView()
     view.take(News("cell1", "target", {"exposed_ns": 1_000_000_000}), now_s=5.0, utc_ns=61_000_000_000)
     assert 62.0 == view.age_s(7.0)
@@ -357,7 +357,7 @@ def test_age_of_a_first_result_counts_from_its_exposure():
 
 
 def test_a_cell_that_is_gone_is_shown_as_gone():
-    """When the liveliness token goes the state says so, and a return begins anew."""
+    """A lost liveliness token shows GONE, and a return begins anew."""
     view = CellView()
     view.take(News("cell1", "state", {"state": "READY"}), 0.0, 0)
     view.take(News("cell1", "alive", {"alive": False}), 0.0, 0)

@@ -1,4 +1,4 @@
-"""A folder is replaced as a whole: whenever the process dies, the former one or the new one is there."""
+"""A folder is replaced as a whole: whenever the process dies, the former or the new one is there."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ while code == 9:
 
 
 def _killed_at_every_step(folder: Path, exchange: str) -> list[tuple[str, str]]:
-    """What a folder holds after its replacement died before each of its steps, and after another one."""
+    """The contents of a folder after its replacement died before each of its steps, and after another try."""
     run = subprocess.run(
         [sys.executable, "-c", KILLED, folder, exchange], capture_output=True, text=True, check=True
     )
@@ -74,7 +74,8 @@ def _names(folder: Path) -> set[str]:
 
 @pytest.mark.slow
 def test_a_death_leaves_the_former_folder_or_the_new_one(tmp_path: Path) -> None:
-    """Before whichever step: never none, never a mixture, once new always new, and another try succeeds."""
+    """After a death before any step the former or the new folder is there, unmixed, and another try
+    succeeds."""
     seen = _killed_at_every_step(tmp_path, "granted")
     states = [after for after, _ in seen]
     assert len(states) > 20
@@ -85,7 +86,8 @@ def test_a_death_leaves_the_former_folder_or_the_new_one(tmp_path: Path) -> None
 
 @pytest.mark.slow
 def test_where_names_cannot_be_exchanged_one_death_leaves_none(tmp_path: Path) -> None:
-    """The file systems of some networks refuse it; then the former folder lies beside its name."""
+    """If the file system cannot exchange names, one death leaves no folder, and the former one lies beside
+    it."""
     seen = _killed_at_every_step(tmp_path, "refused")
     states = [after for after, _ in seen]
     assert {"old", "none", "new"} == set(states)
@@ -96,7 +98,8 @@ def test_where_names_cannot_be_exchanged_one_death_leaves_none(tmp_path: Path) -
 
 
 def test_the_former_folder_is_kept_where_it_was_asked_for(tmp_path: Path) -> None:
-    """Each of them; an empty folder is none, and without a place to keep it nothing is left of it."""
+    """The former folder is kept under the given name, then numbered ones; an unchanged one is not
+    replaced."""
     cell, first = tmp_path / "cell", tmp_path / "cell.old"
     cell.mkdir()
     kept = [replace_folder(cell, {"a/b": bytes([n])}, first) for n in range(4)]
@@ -112,7 +115,7 @@ def test_the_former_folder_is_kept_where_it_was_asked_for(tmp_path: Path) -> Non
 
 
 def test_the_next_generation_is_later_than_each_that_is_there(tmp_path: Path) -> None:
-    """Whatever was removed between them; other names, and numbers that no generation has, do not count."""
+    """The next generation follows the highest number, whatever was removed; other names do not count."""
     first = tmp_path / "rig.cal-1.json"
     assert first == next_generation(first)
     for name in ("rig.cal-1.3.json", "rig.cal-2.7.json", "rig.cal-1.x.json", f"rig.cal-1.{'9' * 30}.json"):
@@ -121,7 +124,7 @@ def test_the_next_generation_is_later_than_each_that_is_there(tmp_path: Path) ->
 
 
 def test_a_replacement_that_fails_changes_nothing(tmp_path: Path) -> None:
-    """Where a file cannot be written, or there is no folder for the former one."""
+    """A replacement that fails to write a file, or to keep the former folder, changes nothing."""
     cell, kept = tmp_path / "cell", tmp_path / "none" / "kept"
     replace_folder(cell, {"a": b"1"})
     with pytest.raises(OSError, match="none"):
@@ -136,7 +139,7 @@ def test_a_replacement_that_fails_changes_nothing(tmp_path: Path) -> None:
 def test_a_folder_is_read_as_one_value(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, replacements: int, seen: bytes
 ) -> None:
-    """Replaced between one file and the next: the former, or, when that is removed meanwhile, the latest."""
+    """A folder that is replaced while it is read gives the former files or the new ones, unmixed."""
     folder, kept = tmp_path / "job", tmp_path / "kept"
     replace_folder(folder, {"a": b"0", "b": b"0"})
     numbers = iter(range(1, replacements + 1))
@@ -155,7 +158,7 @@ def test_a_folder_is_read_as_one_value(
 
 
 def test_a_file_that_is_missing_is_named(tmp_path: Path) -> None:
-    """As is a folder; neither is waited for."""
+    """A missing file or folder is named at once."""
     replace_folder(tmp_path / "job", {"a": b"0"})
     with pytest.raises(FileFormatError, match=r"job/b: cannot read a job: No such file"):
         read_folder(tmp_path / "job", ("a", "b"), "a job")

@@ -1,4 +1,4 @@
-"""Small files that claim, or unpack to, more than a PC holds: refused before that, with a sentence."""
+"""Small files that claim, or unpack to, more than a PC holds are refused early, with a sentence."""
 
 from __future__ import annotations
 
@@ -38,11 +38,12 @@ DOCUMENT = {
 
 
 BOMB_BYTES = 320 * MIB
-"""More than who reads it may take (`boundedreading.ROOM_BYTES`)."""
+"""More than the reading process may take (`boundedreading.ROOM_BYTES`)."""
 
 
 def deflated(count: int) -> bytes:
-    """So many zeros, without a head: a thousandth. Of one piece again and again: all of them take seconds."""
+    """This many zeros, deflated without a header, from repeated pieces, because compressing them all takes
+    seconds."""
     packer = zlib.compressobj(9, wbits=-zlib.MAX_WBITS)
     rest = packer.compress(bytes(count % MIB)) + packer.flush(zlib.Z_FULL_FLUSH)
     piece = packer.compress(bytes(MIB)) + packer.flush(zlib.Z_FULL_FLUSH)
@@ -50,7 +51,7 @@ def deflated(count: int) -> bytes:
 
 
 def zeros(count: int) -> bytes:
-    """So many of them, in zlib's format."""
+    """This many zeros, in zlib's format."""
     return b"\x78\xda" + deflated(count) + struct.pack(">I", count % 65521 << 16 | 1)
 
 
@@ -66,14 +67,14 @@ def png(width: int, height: int, pixels: bytes, colours: int = 0, depth: int = 8
 
 
 def tiff(width: int, height: int, tile: int) -> bytes:
-    """The head of one in tiles."""
+    """The header of a tiled TIFF."""
     numbers = ((256, width), (257, height), (258, 8), (259, 8), (262, 1), (277, 1), (322, tile), (323, tile))
     entries = [struct.pack("<HHII", tag, 4, 1, value) for tag, value in (*numbers, (324, 8), (325, 8))]
     return b"II*\0" + struct.pack("<IH", 8, len(entries)) + b"".join(entries) + bytes(4)
 
 
 def jpeg(width: int, height: int) -> bytes:
-    """A small one whose head says more."""
+    """A small JPEG whose header states another size."""
     small = cv2.imencode(".jpg", np.zeros((8, 8), np.uint8))[1].tobytes()
     size = struct.pack(">HH", 8, 8)
     assert 1 == small.count(b"\xff\xc0\x00\x0b\x08" + size)
@@ -81,7 +82,7 @@ def jpeg(width: int, height: int) -> bytes:
 
 
 def zipped(members: dict[str, bytes]) -> bytes:
-    """A ZIP."""
+    """A ZIP of these members."""
     out = io.BytesIO()
     with zipfile.ZipFile(out, "w", zipfile.ZIP_DEFLATED) as archive:
         for name, data in members.items():
@@ -91,12 +92,12 @@ def zipped(members: dict[str, bytes]) -> bytes:
 
 @functools.cache
 def bzip2(count: int) -> bytes:
-    """So many zeros."""
+    """This many zeros, in bzip2's format."""
     return bz2.compress(bytes(count))
 
 
 def lying(name: str, method: int) -> bytes:
-    """A ZIP with a member of zeros that says it has a hundred."""
+    """A ZIP with a large member of zeros that states a size of a hundred."""
     data = bzip2(BOMB_BYTES) if method == zipfile.ZIP_BZIP2 else deflated(BOMB_BYTES)
     head = struct.pack("<5H3I", 20, 0, method, 0, 33, zlib.crc32(bytes(BOMB_BYTES)), len(data), 100)
     local = b"PK\3\4" + head + struct.pack("<2H", len(name), 0) + name.encode() + data
@@ -106,14 +107,14 @@ def lying(name: str, method: int) -> bytes:
 
 
 def recording_of(picture: bytes) -> bytes:
-    """A recording with it on both sides."""
+    """A recording with this picture on both sides."""
     return zipped(
         {"left.png": picture, "right.png": picture, "recording.json": json.dumps(DOCUMENT).encode()}
     )
 
 
 def crowded() -> bytes:
-    """A ZIP's directory of very many members, and none of them."""
+    """The directory of a ZIP with very many members, without their data."""
     rest = (20, 20, 0, 0, 0, 0, 0, 0, 0, 8, 0, 0, 0, 0, 0, 0)
     entry = b"PK\1\2" + struct.pack("<6H3I5H2I", *rest)
     directory = b"".join(entry + b"%08d" % number for number in range(800_000))
@@ -129,7 +130,7 @@ def tarred(size: int) -> bytes:
 
 
 def drawing(kind: str) -> bytes:
-    """A DXF drawing that is small as a file."""
+    """A DXF drawing in a small file."""
     document = ezdxf.new(units=4)
     space = document.modelspace()
     points = [(number % 7, 0.001 * number) for number in range(12_000)]
@@ -152,7 +153,7 @@ def drawing(kind: str) -> bytes:
 
 
 def yaml() -> bytes:
-    """Lists of ten of the list before."""
+    """Nested YAML lists, each with ten aliases of the list before."""
     lists = [f"a{level}: &a{level} [{','.join([f'*a{level - 1}'] * 10)}]" for level in range(1, 9)]
     named = [f"{name}: *a8" for name in ("M1", "M2", "D1", "D2", "R", "T", "image_size")]
     return "\n".join(["a0: &a0 [1,1,1,1,1,1,1,1,1,1]", *lists, *named]).encode()
@@ -205,7 +206,7 @@ BOMBS: list[tuple[str, str, Callable[[], bytes], str]] = [
 
 @pytest.fixture(scope="module")
 def outcomes(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
-    """How reading each of the bombs ends, by its name; the file is called so, too."""
+    """The outcome of reading each bomb, by its name, which is also the file's name."""
     folder = tmp_path_factory.mktemp("bombs")
     words: list[str] = []
     for reader, what, bomb, _ in BOMBS:
@@ -228,7 +229,7 @@ def outcomes(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
 
 
 def name_of(reader: str, what: str) -> str:
-    """A bomb's."""
+    """The name of a bomb."""
     return f"{reader}: {what}"
 
 
@@ -237,7 +238,7 @@ def name_of(reader: str, what: str) -> str:
     ("name", "expected"), [pytest.param(name_of(*one[:2]), one[3], id=name_of(*one[:2])) for one in BOMBS]
 )
 def test_a_bomb_is_refused_before_it_unpacks(name: str, expected: str, outcomes: dict[str, str]) -> None:
-    """In 300 MiB and 20 s: a sentence that names the file, and what was expected."""
+    """Within 300 MiB and 20 s each bomb is refused with the file and what was expected."""
     assert re.search(rf"/{name}\b.*{expected}", outcomes[name], re.DOTALL), outcomes[name]
 
 
@@ -247,7 +248,7 @@ def test_a_bomb_is_refused_before_it_unpacks(name: str, expected: str, outcomes:
 def test_the_size_of_a_picture_is_known_without_it(
     suffix: str, shape: tuple[int, ...], kind: type[np.uint8 | np.uint16]
 ) -> None:
-    """Right for all that OpenCV writes, and never fewer bytes than it then unpacks to."""
+    """The claimed size is right for everything that OpenCV writes, and not less than the unpacked size."""
     if suffix in (".pgm", ".ppm"):  # one is grey, the other has no transparency
         shape = (7, 11) if suffix == ".pgm" else (7, 11, 3)
     written, data = cv2.imencode(suffix, np.ones(shape, kind))
@@ -265,12 +266,13 @@ def test_the_size_of_a_picture_is_known_without_it(
     "data", [b"", b"GIF89a", b"\x89PNG\r\n\x1a\n", b"BM", b"II*\0\xff\xff\xff\xff", b"P5 7"]
 )
 def test_a_damaged_head_says_no_size(data: bytes) -> None:
-    """Nor does that of a format which is not read."""
+    """A damaged header, or one of an unknown format, gives no size."""
     assert claimed_size(data) is None
 
 
 def test_only_keys_are_counted() -> None:
-    """Numbers and rows of dots are none, and a key may have as many parts as none of ours has."""
+    """Only the parts of keys are counted, not dots in numbers and texts, and a key may have the most
+    parts."""
     dots = "." * 100
     key = ".".join(["a"] * MAX_KEY_PARTS)
 

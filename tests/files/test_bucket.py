@@ -1,4 +1,5 @@
-"""History in an S3 bucket (moto's server, over HTTP): nothing is lost or there twice, whoever is killed."""
+"""History in an S3 bucket (moto's server, over HTTP): nothing is lost or doubled, whichever process is
+killed."""
 
 from __future__ import annotations
 
@@ -29,7 +30,7 @@ COUNTS = "SELECT day, count(*), count(DISTINCT cycle) FROM cycles GROUP BY ALL O
 
 @pytest.fixture
 def server(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[S3Server]:
-    """Not started; whoever signs may."""
+    """A server that is not started yet, and credentials for it."""
     monkeypatch.setenv("AWS_ACCESS_KEY_ID", "cell")
     monkeypatch.setenv("AWS_SECRET_ACCESS_KEY", "secret")
     monkeypatch.setattr(bucket, "ATTEMPTS", 1)
@@ -39,7 +40,7 @@ def server(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[S3Server
 
 
 def spooled(folder: Path, day: int, first: int, count: int) -> None:
-    """Rows of a day that wait to be packed."""
+    """Write rows of a day that wait to be packed."""
     spool = Spool(spool_folder(folder, "left"), first)
     at_ns = START_NS + day * DAY_NS
     spool.write(
@@ -55,7 +56,8 @@ def spooled(folder: Path, day: int, first: int, count: int) -> None:
 def test_what_is_packed_comes_into_the_bucket_whoever_is_killed(
     server: S3Server, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """A server that is not there, a packer killed before its note, a server killed: the next run goes on."""
+    """After a missing server, a killed packer and a killed server the next run completes the bucket, each
+    row once."""
     folder = tmp_path / "history"
 
     def packed() -> int:
@@ -98,7 +100,7 @@ def test_what_is_packed_comes_into_the_bucket_whoever_is_killed(
 
 
 def killed(*_: object) -> None:
-    """The packer ends here."""
+    """End the packer here."""
     raise KeyboardInterrupt
 
 
@@ -109,7 +111,7 @@ def killed(*_: object) -> None:
 def test_an_address_holds_a_place_and_nothing_secret(
     address: str, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
-    """Keys come from the environment: an address stands in configurations, and in messages."""
+    """An address with a secret or without a place is refused with the expected form, by the command, too."""
     with pytest.raises(UserError, match="expected s3://BUCKET/PREFIX"):
         bucket.checked(address)
     if address.startswith("s3"):
@@ -123,7 +125,8 @@ def test_an_address_holds_a_place_and_nothing_secret(
 def test_days_that_the_bucket_lacks_stay_while_there_is_room(
     server: S3Server, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Older than wanted, unsent: they wait; without room the oldest goes, and it is said."""
+    """Days that the bucket lacks are kept while there is room; without room the oldest is removed, and
+    logged."""
     for day in range(3):
         spooled(tmp_path, day, 5 * day + 1, 5)
     with pytest.raises(UserError):

@@ -1,4 +1,4 @@
-"""Drawings to closed outlines: every kind of line, every unit, and what is wrong with the others."""
+"""Drawings become closed outlines, with every kind of line and unit; others are refused with the reason."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ MM, INCH = 4, 1
 
 
 def saved(document: Drawing, folder: Path) -> Path:
-    """The drawing as a file."""
+    """Save the drawing as a file."""
     path = folder / "part.dxf"
     document.saveas(path)
     return path
@@ -32,7 +32,7 @@ def saved(document: Drawing, folder: Path) -> Path:
 
 @functools.cache
 def plate_bytes() -> bytes:
-    """The plate's file, once: each has its own time stamp."""
+    """The bytes of the plate's file, made once because each file has its own time stamp."""
     with tempfile.TemporaryDirectory() as folder:
         return saved(plate(), Path(folder)).read_bytes()
 
@@ -53,7 +53,7 @@ def plate(units: int = MM) -> Drawing:
 
 
 def areas(outlines: list[FloatArray]) -> list[float]:
-    """Sizes of all outlines, smallest first."""
+    """The areas of all outlines, smallest first."""
     return sorted(abs(area(outline)) for outline in outlines)
 
 
@@ -66,7 +66,7 @@ def test_loose_lines_arcs_and_bulges_become_closed_outlines(tmp_path: Path) -> N
 
 
 def test_every_point_lies_on_the_drawn_curve(tmp_path: Path) -> None:
-    """A drawing's sizes are exact: circles, arcs, bulges, ellipses and scaled blocks keep their radii."""
+    """Circles, arcs, bulges, ellipses and scaled blocks keep their exact radii."""
     document = ezdxf.new(units=MM)
     space = document.modelspace()
     space.add_circle((10, 10), 14)
@@ -88,7 +88,7 @@ def test_every_point_lies_on_the_drawn_curve(tmp_path: Path) -> None:
 
 
 def test_units_are_converted(tmp_path: Path) -> None:
-    """An inch is 25.4 mm; a drawing that does not say its unit is not guessed."""
+    """An inch is 25.4 mm, a drawing without a unit is refused, and a stated unit is used."""
     in_mm = areas(read_dxf(saved(plate(), tmp_path)))
     assert areas(read_dxf(saved(plate(INCH), tmp_path))) == pytest.approx(
         [25.4**2 * a for a in in_mm], rel=1e-3
@@ -102,7 +102,7 @@ def test_units_are_converted(tmp_path: Path) -> None:
 
 
 def test_blocks_splines_and_ellipses_are_shapes(tmp_path: Path) -> None:
-    """A block is drawn where it is inserted, scaled and turned; text draws nothing."""
+    """A block is drawn at its place, scaled and turned; text draws nothing."""
     document = ezdxf.new(units=MM)
     block = document.blocks.new("bolt")
     block.add_circle((0, 0), 1)
@@ -119,7 +119,7 @@ def test_blocks_splines_and_ellipses_are_shapes(tmp_path: Path) -> None:
 
 
 def test_layers_choose(tmp_path: Path) -> None:
-    """Construction lines stay out; a layer that is not there is named with those that are."""
+    """Only the chosen layers are read; an unknown layer is refused with the existing ones."""
     document = plate()
     document.layers.add("construction")
     document.modelspace().add_line((-50, 0), (50, 0), dxfattribs={"layer": "construction"})
@@ -158,7 +158,7 @@ def saved_lines(lines: list[Line], folder: Path) -> Path:
 
 
 def disordered(lines: list[Line], data: st.DataObject, gap_mm: float) -> list[Line]:
-    """Lines in any order and direction, whose ends miss each other by less than a gap."""
+    """Lines in any order and direction, whose ends miss each other by less than the gap."""
     flips = data.draw(st.lists(st.booleans(), min_size=len(lines), max_size=len(lines)))
     ends = [end for line in lines for end in line]
     offsets = data.draw(st.lists(st.integers(-100, 100), min_size=2 * len(ends), max_size=2 * len(ends)))
@@ -177,7 +177,8 @@ def disordered(lines: list[Line], data: st.DataObject, gap_mm: float) -> list[Li
 def test_lines_in_any_order_and_direction_close(
     tmp_path_factory: pytest.TempPathFactory, data: st.DataObject, corners: list[int], gap_mm: float
 ) -> None:
-    """Each polygon is one outline with its own area, whatever the file; ends may miss by the gap."""
+    """Each polygon becomes one outline with its area, for any order of lines and gaps within the
+    tolerance."""
     lines = [line for k, n in enumerate(corners) for line in polygon(n, 5.0, 25.0 * k)]
     path = saved_lines(disordered(lines, data, gap_mm), tmp_path_factory.mktemp("dxf"))
 
@@ -192,7 +193,7 @@ def test_lines_in_any_order_and_direction_close(
 def test_outlines_that_nearly_touch_stay_two(
     tmp_path_factory: pytest.TempPathFactory, data: st.DataObject, corners: int, distance_mm: float
 ) -> None:
-    """Corners of two parts are nearer than the tolerance: the ends that meet more closely belong together."""
+    """Two outlines whose corners are nearer than the tolerance stay two."""
     lines = polygon(corners, 5.0) + [
         ((10 + distance_mm - ax, ay), (10 + distance_mm - bx, by)) for (ax, ay), (bx, by) in polygon(4, 5.0)
     ]
@@ -209,7 +210,7 @@ def test_outlines_that_nearly_touch_stay_two(
 def test_a_line_drawn_twice_is_named(
     tmp_path_factory: pytest.TempPathFactory, data: st.DataObject, corners: int
 ) -> None:
-    """Wherever it lies in the file, and in whichever direction: no outline is guessed."""
+    """A line that is drawn twice is refused with its place, wherever and in whichever direction it is."""
     lines = polygon(corners, 5.0)
     again = data.draw(st.sampled_from(lines))
     path = saved_lines(disordered([*lines, again], data, 1e-4), tmp_path_factory.mktemp("dxf"))
@@ -221,7 +222,7 @@ def test_a_line_drawn_twice_is_named(
 
 
 def bomb(kind: str) -> Drawing:
-    """A small file that would fill the memory, drawn."""
+    """A small drawing that would fill the memory."""
     document = ezdxf.new(units=MM)
     space = document.modelspace()
     match kind:
@@ -250,7 +251,7 @@ def bomb(kind: str) -> Drawing:
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["circle", "arc", "ellipse", "bulge", "spline", "blocks"])
 def test_a_drawing_that_would_fill_the_memory_is_refused(kind: str, tmp_path: Path) -> None:
-    """Before it is drawn in full, with a sentence, and a code for the page."""
+    """The drawing is refused before it is drawn in full, with the code "large"."""
     with pytest.raises(FileFormatError, match=r"more than \d+ (points|shapes)|8 deep") as caught:
         read_dxf(saved(bomb(kind), tmp_path), most_points=20_000)
     assert "large" == caught.value.code
@@ -258,7 +259,7 @@ def test_a_drawing_that_would_fill_the_memory_is_refused(kind: str, tmp_path: Pa
 
 @pytest.mark.slow
 def test_a_drawing_that_costs_too_much_is_refused(tmp_path: Path) -> None:
-    """Whatever it is in it that costs so much: memory, or time. What is read afterwards is read as before."""
+    """A drawing that takes too much memory or time is refused, and the next one is read as usual."""
     document = ezdxf.new(units=MM)
     for number in range(30_000):
         document.modelspace().add_line((number, 0), (number, 1))
@@ -293,7 +294,7 @@ def test_a_drawing_that_costs_too_much_is_refused(tmp_path: Path) -> None:
 def test_a_line_that_leads_nowhere_is_named_by_its_loose_end(
     tmp_path: Path, flipped: bool, first: bool
 ) -> None:
-    """Not by the corner at which it begins, whichever of both ends the file has first."""
+    """The open end of a line is named, not the corner at its start, whichever end comes first in the file."""
     loose = ((-7.0, -8.0), (5.0, 0.0))
     loose = loose[::-1] if flipped else loose
     square = polygon(4, 5.0)
@@ -304,7 +305,7 @@ def test_a_line_that_leads_nowhere_is_named_by_its_loose_end(
 
 @pytest.mark.slow
 def test_lines_shorter_than_the_tolerance_are_joined(tmp_path: Path) -> None:
-    """A curve that CAD has cut into lines of a few micrometres is one outline, with all of its points."""
+    """A curve of lines of a few micrometres is one outline with all its points."""
     lines = polygon(1000, 0.8)
     shuffled = [lines[k] for k in np.random.default_rng(0).permutation(len(lines))]
 
@@ -315,14 +316,14 @@ def test_lines_shorter_than_the_tolerance_are_joined(tmp_path: Path) -> None:
 
 
 def test_a_thousand_lines_that_meet_at_one_point_are_no_outline(tmp_path: Path) -> None:
-    """Such a drawing is refused where it begins, not followed."""
+    """A thousand lines that meet at one point are refused."""
     rays = [((0.0, 0.0), (np.cos(t), np.sin(t))) for t in np.linspace(0.0, 6.0, 1000)]
     with pytest.raises(FileFormatError, match=r"at \(1.000, 0.000\) mm|at \(0.000, 0.000\) mm"):
         read_dxf(saved_lines(rays, tmp_path))
 
 
 def test_what_is_no_flat_closed_drawing_is_named(tmp_path: Path) -> None:
-    """Empty, in space, a foreign file: the reason, and what was expected."""
+    """An empty drawing, one that is not flat, and another file are refused with the reason."""
     with pytest.raises(FileFormatError, match="no closed outline"):
         read_dxf(saved(ezdxf.new(units=MM), tmp_path))
     spatial = ezdxf.new(units=MM)
@@ -341,7 +342,7 @@ def test_what_is_no_flat_closed_drawing_is_named(tmp_path: Path) -> None:
 def test_a_damaged_drawing_is_an_outline_or_a_clear_error(
     tmp_path_factory: pytest.TempPathFactory, data: st.DataObject
 ) -> None:
-    """Bytes cut out or changed anywhere never give another error."""
+    """Bytes removed or changed anywhere give outlines or a FileFormatError with the file's name."""
     folder = tmp_path_factory.mktemp("dxf")
     whole = plate_bytes()
     start = data.draw(st.integers(0, len(whole) - 1))
@@ -357,7 +358,8 @@ def test_a_damaged_drawing_is_an_outline_or_a_clear_error(
 
 
 def test_a_contour_is_text(tmp_path: Path) -> None:
-    """Points a line, empty lines between outlines, comments; a bad line is named by its number."""
+    """A contour has a point per line, empty lines between outlines, and comments; a bad line is named by
+    number."""
     path = tmp_path / "part.csv"
     path.write_text("# plate\n0,0\n10,0\n10;5\n0,5\n0,0\n\n\n2,2\n4,2\n4,4 # corner\n")
     assert areas(read_contour(path)) == pytest.approx([2, 50])

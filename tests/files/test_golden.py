@@ -1,4 +1,4 @@
-"""Files of golden parts: what was written comes back; every flaw is named."""
+"""Files of golden parts: they read back equal, and every flaw is named."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ GOLDEN = Golden(
 
 
 def test_a_golden_part_comes_back_to_the_last_bit(tmp_path: Path) -> None:
-    """Also after it has replaced another, and without a free axis or points."""
+    """A golden part reads back exactly, also after replacing another, and without a free axis or points."""
     path = golden_file(tmp_path / "rig.json", 3)
     save_golden(path, replace(GOLDEN, number=4))
     for golden in (GOLDEN, replace(GOLDEN, free_axis=None, points_mm=np.zeros((0, 3)))):
@@ -67,7 +67,7 @@ def test_a_golden_part_comes_back_to_the_last_bit(tmp_path: Path) -> None:
 def test_a_damaged_file_is_refused_by_the_name_of_its_field(
     tmp_path: Path, changes: dict[str, Any], why: str
 ) -> None:
-    """Nothing of it is used."""
+    """A damaged file is refused with the field and the reason."""
     path = golden_file(tmp_path / "rig.json", 3)
     save_golden(path, GOLDEN)
     path.write_text(json.dumps(json.loads(path.read_bytes()) | changes))
@@ -80,7 +80,7 @@ def test_a_damaged_file_is_refused_by_the_name_of_its_field(
     "data", [b"", b"{", b"[]", b"\xff\xfe", b'{"format": NaN}', b"[" * 100_000, b" " * 300_000]
 )
 def test_what_is_no_such_file_is_refused(tmp_path: Path, data: bytes) -> None:
-    """Torn, foreign, too large or too deep."""
+    """A truncated, foreign, too large or too deep file is refused."""
     path = tmp_path / "1.json"
     path.write_bytes(data)
     with pytest.raises(FileFormatError, match="1\\.json"):

@@ -1,4 +1,4 @@
-"""History: no promised row is lost and none is there twice, whatever is killed; SQL stays in its table."""
+"""History: no promised row is lost or doubled, whatever is killed; SQL reads its table alone."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ PACK = (sys.executable, "-m", "edged.files.history.packing")
 
 
 def rows(count: int, first: int = 1, at_ns: int = START_NS, **more: Any) -> list[dict[str, Any]]:
-    """As the cell writes them, one a second."""
+    """Rows as the cell writes them, one per second."""
     return [
         {"started_ns": 1, "cycle": cycle, "at_ns": at_ns + cycle * 10**9, "status": "OK", **more}
         for cycle in range(first, first + count)
@@ -50,7 +50,7 @@ def rows(count: int, first: int = 1, at_ns: int = START_NS, **more: Any) -> list
 
 
 def packed(folder: Path, cell: str, *lists: list[dict[str, Any]], plant: str = "north") -> None:
-    """Rows of a cell, written and packed."""
+    """Write and pack rows of a cell."""
     spool = Spool(spool_folder(folder, cell), 1)
     for written in lists:
         spool.write(written)
@@ -59,7 +59,7 @@ def packed(folder: Path, cell: str, *lists: list[dict[str, Any]], plant: str = "
 
 
 def test_a_cycle_is_a_row_of_every_column() -> None:
-    """What is published of it, in the types of the columns."""
+    """A published cycle gives a row with every column, in its type."""
     row = row_of(make_snapshot(), 7)
     assert {*SCHEMA.names} - {"at"} == {*row}
     table = pa.Table.from_pylist([{**row, "at": None}], schema=SCHEMA)
@@ -68,7 +68,7 @@ def test_a_cycle_is_a_row_of_every_column() -> None:
 
 
 def test_rows_lie_by_plant_day_and_cell(tmp_path: Path) -> None:
-    """UTC days; what comes later is added; columns that another version lacks are empty."""
+    """Rows are in files by plant, UTC day and cell; later ones are added, and missing columns are empty."""
     packed(tmp_path, "left", rows(3), rows(2, at_ns=START_NS + DAY_NS, first=4))
     packed(tmp_path, "left", rows(2, first=9))
     assert [5, 2] == [
@@ -83,7 +83,7 @@ def test_rows_lie_by_plant_day_and_cell(tmp_path: Path) -> None:
 
 
 def test_rows_of_another_version_stay(tmp_path: Path) -> None:
-    """A file that lacks columns, or has one more, gets today's when a row is added."""
+    """A file with fewer or more columns gets today's columns when a row is added."""
     path = day_file(tmp_path, "north", "2026-01-31", "left")
     path.parent.mkdir(parents=True)
     parquet.write_table(
@@ -95,7 +95,8 @@ def test_rows_of_another_version_stay(tmp_path: Path) -> None:
 
 
 def test_what_was_packed_before_a_cut_is_not_there_twice(tmp_path: Path) -> None:
-    """The spool is there again, as if its removal had not lasted: nothing is added. A torn line is no row."""
+    """If a spool is still there after it was packed, its rows are not added again, and a torn line is no
+    row."""
     packed(tmp_path, "left", rows(5))
     left = spool_folder(tmp_path, "left") / f"1-000009{FULL}"
     lines = b"".join(json.dumps(row).encode() + b"\n" for row in rows(6))
@@ -106,7 +107,7 @@ def test_what_was_packed_before_a_cut_is_not_there_twice(tmp_path: Path) -> None
 
 @pytest.mark.slow
 def test_kills_lose_no_promised_row_and_double_none(tmp_path: Path) -> None:
-    """Writer and packer are killed with -9 at random moments, again and again."""
+    """With writer and packer killed by -9 at random moments no promised row is lost and none is doubled."""
     chance, promised = random.Random(37), set[tuple[int, int]]()
     spool = spool_folder(tmp_path, "left")
     for round_ in range(1, 7):
@@ -135,7 +136,7 @@ def test_kills_lose_no_promised_row_and_double_none(tmp_path: Path) -> None:
 
 
 def test_the_oldest_days_go(tmp_path: Path) -> None:
-    """Days with rows are counted, of this cell alone; the newest stays, however small the limit."""
+    """Only this cell's oldest days are removed beyond the limit, and the newest stays."""
     for day in range(5):
         packed(tmp_path, "left", rows(50, at_ns=START_NS + day * DAY_NS))
     packed(tmp_path, "right", rows(1))
@@ -180,7 +181,7 @@ def test_the_oldest_days_go(tmp_path: Path) -> None:
     ],
 )
 def test_hostile_sql_reads_and_writes_nothing_else(sql: str, tmp_path: Path) -> None:
-    """One question at a time to one table, whatever it says."""
+    """Hostile SQL is refused, and reads and writes nothing else."""
     secret_of_this_process = pa.table({"a": [1]})  # noqa: F841  (DuckDB looks at callers' variables)
     packed(tmp_path / "in", "left", rows(3))
     (tmp_path / "secret").write_text("a,b\n1,2\n")
@@ -194,7 +195,8 @@ def test_hostile_sql_reads_and_writes_nothing_else(sql: str, tmp_path: Path) -> 
 def test_cells_of_several_folders_are_asked_at_once(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """By the command, too; a folder without any is named."""
+    """Cells of several folders are queried at once, by the command, too; a folder without history is
+    named."""
     sizes = [{"name": "bore", "unit": "mm", "value": 8.0}]
     for plant, cell in (("north", "left"), ("south", "left"), ("south", "right")):
         packed(tmp_path / plant, cell, rows(4, sizes=sizes), plant=plant)

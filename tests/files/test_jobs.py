@@ -1,4 +1,4 @@
-"""Job folders: what is saved comes back, every kind of damage is named, nothing is lost."""
+"""Job folders: a saved job reads back equal, every kind of damage is named, nothing is lost."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def make_job(
     limits: ResultLimits | None = None,
     search: SearchParams | None = None,
 ) -> Job:
-    """A job with awkward numbers, that no image was needed for."""
+    """A job with awkward numbers, made without images."""
     rng = np.random.default_rng(0)
     angles = rng.uniform(-np.pi, np.pi, (2, 60))
     levels = tuple(
@@ -82,7 +82,7 @@ def make_job(
 
 
 def assert_same(one: Job, two: Job) -> None:
-    """Every field of both jobs is equal, arrays bit by bit."""
+    """Check that all fields of both jobs are equal, arrays bit by bit."""
     assert (one.name, one.number, one.reference, one.limits) == (
         two.name,
         two.number,
@@ -104,7 +104,7 @@ def assert_same(one: Job, two: Job) -> None:
 
 @pytest.fixture(scope="module")
 def pristine(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A job as it was saved."""
+    """A saved job."""
     folder = tmp_path_factory.mktemp("jobs") / "flange"
     save_job(folder, make_job())
     return folder
@@ -112,7 +112,7 @@ def pristine(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def folder(pristine: Path, tmp_path: Path) -> Path:
-    """A copy that a test may spoil."""
+    """A copy that a test may damage."""
     return Path(shutil.copytree(pristine, tmp_path / "flange"))
 
 
@@ -128,7 +128,7 @@ def edit(folder: Path, pattern: str, replacement: str) -> None:
     ("limits", "search"), [(None, None), (ResultLimits((150.0, 151.0), form_tolerance_mm=0.1), EVERY_OPTION)]
 )
 def test_a_job_comes_back(tmp_path: Path, limits: ResultLimits | None, search: SearchParams | None) -> None:
-    """Saved and loaded, every number is the same; saved again, so is every byte of job.toml."""
+    """A saved and loaded job has the same numbers, and saved again the same bytes of job.toml."""
     job = make_job(limits=limits, search=search)
     save_job(tmp_path / "jobs" / "one", job)
     loaded = load_job(tmp_path / "jobs" / "one")
@@ -146,7 +146,7 @@ def traced_job() -> Job:
 
 
 def test_outlines_that_are_no_features_come_back(tmp_path: Path) -> None:
-    """Points and polarity of each."""
+    """Points and polarity of traced outlines read back equal."""
     save_job(tmp_path / "one", traced_job())
     found = load_job(tmp_path / "one").traced
     assert [(one.points_mm.tolist(), one.polarity) for one in found] == [
@@ -169,7 +169,7 @@ def test_outlines_that_are_no_features_come_back(tmp_path: Path) -> None:
     ],
 )
 def test_damaged_outlines_are_named(tmp_path: Path, name: str, value: object, expected: str) -> None:
-    """Which array, and what was expected of it."""
+    """A damaged traced array is named with what was expected."""
     arrays = {"traced_" + key: array for key, array in to_arrays(traced_job().traced).items()}
     arrays["traced_" + name] = value
     arrays |= traced_job().shape.to_arrays()
@@ -181,7 +181,7 @@ def test_damaged_outlines_are_named(tmp_path: Path, name: str, value: object, ex
 
 @pytest.mark.parametrize("order", [order for order in Order if order is not Order.POCKET])
 def test_which_part_comes_first_comes_back(folder: Path, tmp_path: Path, order: Order) -> None:
-    """Each order is kept; a job without one, as older files are, goes by the score."""
+    """Each order reads back; a job without one, as in older files, uses the score."""
     edit(folder, r'^order = "score"', f'order = "{order}"')
     save_job(tmp_path / "again", load_job(folder))
     assert order is load_job(tmp_path / "again").picking.order
@@ -191,7 +191,7 @@ def test_which_part_comes_first_comes_back(folder: Path, tmp_path: Path, order: 
 
 
 def test_where_the_robot_may_go_comes_back(folder: Path, tmp_path: Path) -> None:
-    """Boxes and keep-out zones; a job without them has none."""
+    """Boxes and keep-out zones read back; a job without them has none."""
     assert () == load_job(folder).picking.bounds
     box = Box("bin-1", (-1 / 3, 0.0, -1e-7), (100.0, 50.5, 1e5))
     bounds = (Bounds((box, replace(box, name="b2")), (replace(box, name="clamp"),)),)
@@ -200,7 +200,7 @@ def test_where_the_robot_may_go_comes_back(folder: Path, tmp_path: Path) -> None
 
 
 def test_a_box_without_room_is_named(folder: Path) -> None:
-    """By its file and its place in it."""
+    """A zone without volume is refused with its file and place."""
     zone = '[[limits.keep_out]]\nname = "a"\nmin_mm = [0, 0, 5]\nmax_mm = [9, 9, 5]\n\n[search]'
     edit(folder, r"^\[search\]", zone)
     with pytest.raises(FileFormatError, match=r"job\.toml: limits\.keep_out\.0: min_mm .* must be less than"):
@@ -222,7 +222,7 @@ retreat_mm = 7.5
 
 
 def test_how_a_tool_takes_the_part_comes_back(folder: Path, tmp_path: Path) -> None:
-    """What is left out has its default; saved and loaded again it is the same."""
+    """A grasp gets defaults for left-out keys, and reads back equal."""
     assert () == load_job(folder).picking.grasps
     edit(folder, r"^\[\[circle\]\]", GRASP + "\n[[circle]]")
     job = load_job(folder)
@@ -264,7 +264,7 @@ def test_how_a_tool_takes_the_part_comes_back(folder: Path, tmp_path: Path) -> N
     ],
 )
 def test_a_mistake_in_a_grasp_is_named(folder: Path, pattern: str, replacement: str, expected: str) -> None:
-    """By the file, its number in it, the key and what was expected."""
+    """A wrong grasp is refused with file, number, key and what was expected."""
     edit(folder, r"^\[\[circle\]\]", GRASP + "\n[[circle]]")
     edit(folder, pattern, replacement)
     with pytest.raises(FileFormatError, match=rf"job\.toml: .*{expected}"):
@@ -283,7 +283,7 @@ tolerance_mm = 12
 
 
 def test_a_tray_comes_back(folder: Path, tmp_path: Path) -> None:
-    """As people wrote it; a direction with one pocket is left out."""
+    """A tray reads back as it was written, also without a direction with one pocket."""
     edit(folder, r'^order = "score".*$', 'order = "pocket"' + TRAY)
     edit(folder, r"^max_matches = .*$", "max_matches = 8")
     job = load_job(folder)
@@ -314,7 +314,7 @@ def test_a_tray_comes_back(folder: Path, tmp_path: Path) -> None:
     ],
 )
 def test_a_mistake_in_a_tray_is_named(folder: Path, pattern: str, replacement: str, expected: str) -> None:
-    """By the file and what was expected."""
+    """A wrong tray is refused with the file and what was expected."""
     edit(folder, r'^order = "score".*$', 'order = "pocket"' + TRAY)
     edit(folder, r"^max_matches = .*$", "max_matches = 8")
     edit(folder, pattern, replacement)
@@ -323,14 +323,14 @@ def test_a_mistake_in_a_tray_is_named(folder: Path, pattern: str, replacement: s
 
 
 def test_pockets_are_an_order_of_a_tray_alone(folder: Path) -> None:
-    """Without one there is nothing to order by."""
+    """The order "pocket" without a tray is refused."""
     edit(folder, r'^order = "score"', 'order = "pocket"')
     with pytest.raises(FileFormatError, match=r"needs \[picking\.tray\]"):
         load_job(folder)
 
 
 def test_an_order_that_does_not_exist_is_named(folder: Path) -> None:
-    """The file, the place, what there is, and what was found."""
+    """An unknown order is refused with the file, the place, the known ones and what was found."""
     edit(folder, r'^order = "score"', 'order = "rightmost"')
     with pytest.raises(
         FileFormatError, match=r"job\.toml: picking\.order: expected 'score', .* got 'rightmost'"
@@ -339,7 +339,7 @@ def test_an_order_that_does_not_exist_is_named(folder: Path) -> None:
 
 
 def test_how_far_a_part_may_lie_tilted_comes_back(folder: Path, tmp_path: Path) -> None:
-    """An angle is kept; a job without one, as older files are, is looked for as taught; it may be added."""
+    """A tilt reads back; a job without one, as in older files, has none, and it may be added."""
     assert load_job(folder).tilt_rad is None
     edit(folder, r"^# tilt_deg = 45", "tilt_deg = 37.5")
     tilted = load_job(folder)
@@ -352,7 +352,7 @@ def test_how_far_a_part_may_lie_tilted_comes_back(folder: Path, tmp_path: Path) 
 
 @pytest.mark.parametrize("beside", ['sub_pixel = "similarity"', "scale_y = [0.9, 1.1]"])
 def test_a_tilt_stands_alone(folder: Path, beside: str) -> None:
-    """A tilted face is fitted as one, and shortened by its tilt: what contradicts that is refused by name."""
+    """A tilt together with a setting that contradicts it is refused with both names."""
     key = beside.partition(" ")[0]
     edit(folder, rf"^(# )?{key} = [^#\n]*", beside + "  ")
     assert load_job(folder)
@@ -386,7 +386,7 @@ def featured() -> Job:
 
 
 def test_all_features_and_measurements_come_back(tmp_path: Path) -> None:
-    """Edges, slots, corners, sizes and the witness, as they were saved; angles go through degrees."""
+    """Edges, slots, corners, sizes and the witness read back equal; angles go through degrees."""
     job = featured()
     save_job(tmp_path / "job", job)
     again = load_job(tmp_path / "job")
@@ -427,7 +427,7 @@ def test_all_features_and_measurements_come_back(tmp_path: Path) -> None:
 def test_a_mistake_in_a_feature_is_named(
     tmp_path: Path, pattern: str, replacement: str, expected: str
 ) -> None:
-    """Features that refer to nothing, have no size, or are measured as what they are not."""
+    """A feature with an unknown reference, without size, or with the wrong kind of measurement is refused."""
     save_job(tmp_path / "flange", featured())
     edit(tmp_path / "flange", pattern, replacement)
     with pytest.raises(FileFormatError, match=expected):
@@ -435,7 +435,7 @@ def test_a_mistake_in_a_feature_is_named(
 
 
 def test_people_may_edit_limits(folder: Path) -> None:
-    """What job.toml says is what is used, comments and left-out defaults included."""
+    """Edited limits are used, also with comments and left-out defaults."""
     edit(folder, r"^max_sigma_mm = .*$", "max_sigma_mm = 0.01  # tight")
     edit(folder, r"^max_rms_px = .*$", "")
     edit(folder, r"^angle_extent_deg = .*$", "angle_extent_deg = 90")
@@ -481,7 +481,7 @@ def test_people_may_edit_limits(folder: Path) -> None:
     ],
 )
 def test_a_mistake_is_named(folder: Path, pattern: str, replacement: str, expected: str) -> None:
-    """The message holds the file, the dotted field, and what was wrong."""
+    """The message has the file, the dotted field, and what was wrong."""
     edit(folder, pattern, replacement)
     with pytest.raises(FileFormatError, match=expected) as caught:
         load_job(folder)
@@ -489,7 +489,7 @@ def test_a_mistake_is_named(folder: Path, pattern: str, replacement: str, expect
 
 
 def test_several_mistakes_are_named_at_once(folder: Path) -> None:
-    """Whoever edits a job learns of all mistakes in one go."""
+    """All mistakes in a job are named together."""
     edit(folder, r"^min_score = .*$", "min_score = 7")
     edit(folder, r"^max_sigma_mm = .*$", "max_sigma_mm = 0")
     with pytest.raises(FileFormatError, match=r"(?s)limits\.max_sigma_mm.*search\.min_score"):
@@ -497,7 +497,8 @@ def test_several_mistakes_are_named_at_once(folder: Path) -> None:
 
 
 def test_missing_and_foreign_files_are_named(folder: Path, tmp_path: Path) -> None:
-    """No folder, a file in its place, no job.toml, no shape, not text: which one, and what was expected."""
+    """A missing folder, a file in its place, a missing job.toml or shape, and a file that is no text are
+    named."""
     with pytest.raises(FileFormatError, match="nowhere: no such job folder"):
         load_job(tmp_path / "nowhere")
     with pytest.raises(FileFormatError, match="no such job folder"):
@@ -520,7 +521,7 @@ def test_missing_and_foreign_files_are_named(folder: Path, tmp_path: Path) -> No
 def test_a_damaged_shape_is_an_error_or_the_same_shape(
     data: st.DataObject, tmp_path_factory: pytest.TempPathFactory
 ) -> None:
-    """Bytes changed, cut off or inserted anywhere: an error with the file's name, or no harm done."""
+    """Bytes changed, cut off or inserted anywhere give an error with the file's name, or the same shape."""
     base = tmp_path_factory.getbasetemp() / "fuzzed"
     if not base.exists():
         save_job(base, make_job())
@@ -550,7 +551,7 @@ def test_a_damaged_shape_is_an_error_or_the_same_shape(
 def test_a_damaged_job_file_is_an_error_or_a_job(
     text: str, place: int, tmp_path_factory: pytest.TempPathFactory
 ) -> None:
-    """Any text anywhere in job.toml: `FileFormatError`, or still a valid job (in a comment)."""
+    """Any text anywhere in job.toml gives a `FileFormatError` with the file's name, or a valid job."""
     base = tmp_path_factory.getbasetemp() / "scribbled"
     if not base.exists():
         save_job(base, make_job())
@@ -564,7 +565,7 @@ def test_a_damaged_job_file_is_an_error_or_a_job(
 
 
 def test_every_older_job_is_kept(tmp_path: Path) -> None:
-    """Saving over a job leaves each one before beside it, the latest with the highest number."""
+    """Saving keeps each former job beside the new one, the latest with the highest number."""
     kept = [save_job(tmp_path / "flange", make_job(number=number)) for number in (1, 2, 3, 4)]
     names = ["flange.old", "flange.2.old", "flange.3.old"]
     assert [None, *(tmp_path / name for name in names)] == kept
@@ -574,21 +575,21 @@ def test_every_older_job_is_kept(tmp_path: Path) -> None:
 
 
 def test_a_job_that_is_saved_again_as_it_is_makes_no_generation(tmp_path: Path) -> None:
-    """A demo that is started again and again leaves one job."""
+    """Saving an unchanged job makes no generation."""
     for _ in range(3):
         assert save_job(tmp_path / "flange", make_job()) is None
     assert [path.name for path in tmp_path.iterdir()] == ["flange"]
 
 
 def test_no_job_is_saved_under_a_name_that_is_not_read(tmp_path: Path) -> None:
-    """What ends in .old was replaced, and a cell passes over it."""
+    """A job cannot be saved under a name that ends in .old, which a cell does not read."""
     with pytest.raises(FileFormatError, match=r"flange\.old: what ends in \.old is a job that was replaced"):
         save_job(tmp_path / "flange.old", make_job())
     assert [] == [*tmp_path.iterdir()]
 
 
 def test_a_former_job_is_put_back_as_the_manual_says(tmp_path: Path) -> None:
-    """Its two commands: the job of now becomes the latest generation, the former one is the job again."""
+    """The manual's two commands put a former job back, and today's becomes the latest generation."""
     for number in (1, 2, 3):
         save_job(tmp_path / "jobs" / "flange", make_job(number=number))
     manual = (Path(__file__).parents[2] / "docs/how-to/recover.md").read_text()
@@ -605,7 +606,7 @@ def test_a_former_job_is_put_back_as_the_manual_says(tmp_path: Path) -> None:
 
 
 def test_what_is_no_job_is_not_overwritten(tmp_path: Path) -> None:
-    """A folder with other things in it, or a file, stays as it was."""
+    """A folder with other things in it, or a file, is not overwritten."""
     (tmp_path / "photos").mkdir()
     (tmp_path / "photos" / "cat.png").write_bytes(b"meow")
     (tmp_path / "file").write_text("text")
@@ -619,7 +620,7 @@ def test_what_is_no_job_is_not_overwritten(tmp_path: Path) -> None:
 
 
 def test_a_save_that_fails_leaves_the_old_job(folder: Path) -> None:
-    """Where the shape cannot be written, the job that was there is untouched and nothing lies around."""
+    """If the shape cannot be written, the former job is untouched and no other file is left."""
     broken = replace(make_job(number=9), shape=None)
     with pytest.raises(AttributeError):
         save_job(folder, broken)
@@ -628,7 +629,7 @@ def test_a_save_that_fails_leaves_the_old_job(folder: Path) -> None:
 
 
 def test_the_folder_may_be_the_working_directory(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """`-o .` inside a job's folder replaces that job."""
+    """A job can be saved to the working directory."""
     monkeypatch.chdir(folder)
     save_job(Path(), make_job(number=5))
     assert load_job(folder).number == 5
@@ -636,7 +637,7 @@ def test_the_folder_may_be_the_working_directory(folder: Path, monkeypatch: pyte
 
 @pytest.mark.slow
 def test_a_job_is_read_whole_while_it_is_saved(tmp_path: Path) -> None:
-    """Text and shape are of one job, however often it is taught meanwhile."""
+    """While a job is saved repeatedly text and shape that are read belong to one job."""
     folder = tmp_path / "flange"
     jobs = {}
     for number in (1, 2):

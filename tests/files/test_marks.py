@@ -1,4 +1,4 @@
-"""Files of reference marks: what was written comes back; every flaw is named; hostile ones do no harm."""
+"""Files of reference marks: they read back equal, every flaw is named, hostile ones do no harm."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ RIG = TAUGHT.rig
 
 
 def written(folder: Path) -> tuple[Path, dict[str, Any]]:
-    """A file of good marks, and what is in it."""
+    """A file of good marks, and its document."""
     path = marks_file(folder / "rig.json")
     save_marks(path, TAUGHT)
     return path, json.loads(path.read_bytes())
 
 
 def test_marks_come_back_to_the_last_bit(tmp_path: Path) -> None:
-    """And so does the filter that is made of them."""
+    """Marks read back exactly, and give an equal filter."""
     path, _ = written(tmp_path)
     again = marks_of(read_marks(path), path, RIG)
     assert again is not None
@@ -50,13 +50,13 @@ def test_marks_come_back_to_the_last_bit(tmp_path: Path) -> None:
 
 
 def test_marks_of_another_calibration_are_none(tmp_path: Path) -> None:
-    """They are no damage: the rig was calibrated since."""
+    """Marks of another calibration count as none, not as damage."""
     path, _ = written(tmp_path)
     assert marks_of(read_marks(path), path, replace(RIG, calibration_id="other")) is None
 
 
 def test_marks_that_this_rig_cannot_see_there_are_refused(tmp_path: Path) -> None:
-    """Under the name of the same calibration: somebody edited one of them."""
+    """Marks that do not fit the rig, with the same calibration's name, are refused."""
     path, _ = written(tmp_path)
     moved = np.array(RIG.right_from_left)
     moved[0, 3] += 5.0
@@ -95,7 +95,7 @@ def test_marks_that_this_rig_cannot_see_there_are_refused(tmp_path: Path) -> Non
     ],
 )
 def test_a_flaw_is_named(tmp_path: Path, changes: dict[str, Any], why: str) -> None:
-    """File, field, and what was expected."""
+    """A flaw is refused with the file, the field and what was expected."""
     path, document = written(tmp_path)
     path.write_text(json.dumps({**document, **changes}))
     with pytest.raises(FileFormatError, match=why) as caught:
@@ -105,13 +105,13 @@ def test_a_flaw_is_named(tmp_path: Path, changes: dict[str, Any], why: str) -> N
 
 @pytest.mark.parametrize("data", [b"", b"{", b"[" * 100_000, b"null", b'{"format": "edged-marks"}', b"\xff"])
 def test_what_is_no_file_of_marks_is_refused(tmp_path: Path, data: bytes) -> None:
-    """Without a trace of Python."""
+    """A file that is no file of marks is refused with a FileFormatError."""
     with pytest.raises(FileFormatError):
         marks_of(data, tmp_path / "marks.json", RIG)
 
 
 def test_a_file_that_is_too_large_is_not_read(tmp_path: Path) -> None:
-    """By its size alone."""
+    """A too large file is refused by its size."""
     path = tmp_path / "marks.json"
     path.write_bytes(b" " * (MAX_MARKS_BYTES + 1))
     with pytest.raises(FileFormatError):

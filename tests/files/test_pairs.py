@@ -1,4 +1,4 @@
-"""Pairs in a folder: both halves of each, or every mistake at once."""
+"""Pairs in a folder: both halves of each, or every mistake together."""
 
 from __future__ import annotations
 
@@ -11,13 +11,14 @@ from edged.files.pairs import ImagePair, find_pairs
 
 
 def touch(folder: Path, *names: str) -> None:
-    """Make files; what is in them does not matter here."""
+    """Make empty files."""
     for name in names:
         (folder / name).touch()
 
 
 def test_pairs_are_sorted_by_name_and_other_files_are_left_alone(tmp_path: Path) -> None:
-    """Two pictures of one name are a pair in any of the formats; notes and nameless pictures are none."""
+    """Two pictures of one name are a pair in any format; other files and pictures without a name are
+    ignored."""
     touch(tmp_path, "b_left.png", "b_right.PNG", "a_1_left.tif", "a_1_right.bmp")
     touch(tmp_path, "notes_left.txt", "left.png", "_left", "c_middle.png")
 
@@ -30,7 +31,7 @@ def test_pairs_are_sorted_by_name_and_other_files_are_left_alone(tmp_path: Path)
 
 
 def test_numbers_in_names_are_counted(tmp_path: Path) -> None:
-    """v2 was taken before v10, whatever their letters say; what is alike but for zeros keeps one order."""
+    """Numbers in names are sorted by value, so v2 comes before v10."""
     names = ["2", "2b", "10", "v1_9", "v1_10", "v2_1", "v02_1", "w"]
     touch(tmp_path, *(f"{name}_{side}.png" for name in names for side in ("left", "right")))
 
@@ -40,7 +41,7 @@ def test_numbers_in_names_are_counted(tmp_path: Path) -> None:
 
 
 def test_every_mistake_is_named_at_once(tmp_path: Path) -> None:
-    """Each half without its other half, and each half that is there twice: it is open which is meant."""
+    """A half without its other half, and a half that exists twice, are all named."""
     touch(tmp_path, "a_left.png", "b_left.bmp", "b_left.png", "b_right.png", "c_right.png")
 
     with pytest.raises(ImageError) as caught:
@@ -57,7 +58,7 @@ def test_every_mistake_is_named_at_once(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("content", ["missing", "empty", "file"])
 def test_a_folder_without_pairs_is_refused(content: str, tmp_path: Path) -> None:
-    """No folder, an empty one, and a file are told apart from a folder of pairs."""
+    """A missing folder, an empty one and a file are refused with different messages."""
     place = tmp_path / "place"
     if content == "empty":
         place.mkdir()

@@ -1,4 +1,4 @@
-"""Replay: pairs stay pairs, whatever is asked in which order; a bad picture is named."""
+"""Replay: pairs stay pairs in any order of calls; a bad picture is named."""
 
 from __future__ import annotations
 
@@ -17,19 +17,19 @@ from edged.files import images
 
 
 def picture(value: int, shape: tuple[int, int] = (12, 16)) -> Image:
-    """An image that is known by its grey value."""
+    """An image with one grey value."""
     return np.full(shape, value, np.uint8)
 
 
 def write_pairs(folder: Path, names: list[str]) -> None:
-    """Pair k has grey 10 k + 1 left and 10 k + 2 right."""
+    """Write pairs; pair k has grey 10 k + 1 left and 10 k + 2 right."""
     for k, name in enumerate(names):
         cv2.imwrite(str(folder / f"{name}_left.png"), picture(10 * k + 1))
         cv2.imwrite(str(folder / f"{name}_right.png"), picture(10 * k + 2))
 
 
 async def test_pairs_are_shown_in_the_order_of_their_names_and_again(tmp_path: Path) -> None:
-    """Left and right are halves of one pair; ids and times rise; after the last comes the first."""
+    """Pairs are shown in the order of their names and again from the start, with rising ids and times."""
     write_pairs(tmp_path, ["a", "b", "c"])
     (tmp_path / "notes.txt").write_text("not an image")
     (tmp_path / "a_left.json").write_text("{}")
@@ -45,7 +45,7 @@ async def test_pairs_are_shown_in_the_order_of_their_names_and_again(tmp_path: P
 
 
 async def test_a_side_that_missed_an_exposure_catches_up(tmp_path: Path) -> None:
-    """After an exposure that only one camera took, and after reopening, both show one pair again."""
+    """After an exposure of one camera alone, and after reopening, both show the same pair again."""
     write_pairs(tmp_path, ["a", "b", "c", "d"])
 
     async def shoot(*cameras: ReplayCamera) -> list[int]:
@@ -69,7 +69,7 @@ async def test_a_side_that_missed_an_exposure_catches_up(tmp_path: Path) -> None
 
 
 async def test_a_camera_that_is_closed_or_was_not_triggered_says_so(tmp_path: Path) -> None:
-    """No image without open and trigger, and each trigger gives one image."""
+    """There is no image without open and trigger, and each trigger gives one image."""
     write_pairs(tmp_path, ["a"])
     left, _ = replay_cameras(tmp_path)
     with pytest.raises(CameraUnreachable, match="not open"):
@@ -85,13 +85,13 @@ async def test_a_camera_that_is_closed_or_was_not_triggered_says_so(tmp_path: Pa
 
 @pytest.mark.parametrize("name", ["nowhere", ""])
 def test_a_folder_without_pairs_is_refused(tmp_path: Path, name: str) -> None:
-    """An empty folder and one that is not there are both named."""
+    """An empty and a missing folder are refused."""
     with pytest.raises(ImageError, match=r"not a folder|no pictures"):
         replay_cameras(tmp_path / name)
 
 
 def test_a_first_pair_of_two_sizes_is_refused(tmp_path: Path) -> None:
-    """Both halves of a pair must have one size, and the message tells both sizes."""
+    """A pair with images of two sizes is refused with both sizes."""
     cv2.imwrite(str(tmp_path / "a_left.png"), picture(1))
     cv2.imwrite(str(tmp_path / "a_right.png"), picture(2, (10, 16)))
 
@@ -100,7 +100,8 @@ def test_a_first_pair_of_two_sizes_is_refused(tmp_path: Path) -> None:
 
 
 async def test_a_later_bad_file_is_a_fault_and_the_film_goes_on(tmp_path: Path) -> None:
-    """Wrong size, floats and damage are `FrameIncomplete` that names the file; the next pair is served."""
+    """A wrong size, float pixels and damage are `FrameIncomplete` with the file's name; the next pair is
+    served."""
     write_pairs(tmp_path, ["a", "b", "c", "d", "e"])
     cv2.imwrite(str(tmp_path / "b_left.png"), picture(7, (20, 20)))
     (tmp_path / "c_right.png").write_bytes(b"\x89PNG broken")
@@ -126,7 +127,7 @@ async def test_a_later_bad_file_is_a_fault_and_the_film_goes_on(tmp_path: Path) 
 async def test_a_picture_that_cannot_be_read_now_is_a_fault_and_no_end(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """No descriptor for it, or a disk that fails: the camera did not deliver; the next exposure may."""
+    """If a file cannot be opened now, the frame is FrameIncomplete, and the next exposure works."""
     write_pairs(tmp_path, ["a", "b"])
     left, _ = replay_cameras(tmp_path)
 

@@ -1,4 +1,4 @@
-"""Files: what was written comes back; everything else is refused by name."""
+"""Files of rigs, arrays and images: they read back equal, others are refused by name."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def rig() -> StereoRig:
 
 
 def test_a_rig_comes_back_as_it_was_written(tmp_path: Path, rig: StereoRig) -> None:
-    """Every number survives bit by bit, covariance included."""
+    """Every number of a rig reads back exactly, covariance included."""
     save_rig(tmp_path / "rig.json", rig, {"rms_px": 0.03})
 
     back = load_rig(tmp_path / "rig.json")
@@ -64,7 +64,7 @@ def test_a_rig_comes_back_as_it_was_written(tmp_path: Path, rig: StereoRig) -> N
 def test_each_flaw_of_a_rig_file_is_named(
     tmp_path: Path, rig: StereoRig, field: str, value, place: str
 ) -> None:
-    """File, field and expectation are in the message."""
+    """The message has file, field and expectation."""
     path = tmp_path / "rig.json"
     save_rig(path, rig)
     document = json.loads(path.read_text())
@@ -82,7 +82,7 @@ def test_each_flaw_of_a_rig_file_is_named(
 
 @pytest.mark.parametrize("content", [b"", b"{", b"[1]", b"\xff\x00", b'{"format": NaN}'])
 def test_garbage_is_no_rig(tmp_path: Path, content: bytes) -> None:
-    """No traceback for a truncated or foreign file."""
+    """A truncated or foreign file is refused with its name."""
     (tmp_path / "rig.json").write_bytes(content)
 
     with pytest.raises(FileFormatError, match=r"rig\.json"):
@@ -90,7 +90,7 @@ def test_garbage_is_no_rig(tmp_path: Path, content: bytes) -> None:
 
 
 def test_a_failed_write_leaves_the_old_file_and_no_litter(tmp_path: Path, monkeypatch) -> None:
-    """The old content stays until the new one is complete."""
+    """A failed write leaves the old file, and no other."""
     target = tmp_path / "file"
     target.write_bytes(b"old")
     monkeypatch.setattr("os.fsync", lambda _fd: (_ for _ in ()).throw(OSError("disk full")))
@@ -102,7 +102,8 @@ def test_a_failed_write_leaves_the_old_file_and_no_litter(tmp_path: Path, monkey
 
 
 def test_arrays_come_back_and_any_flipped_bit_is_noticed(tmp_path: Path) -> None:
-    """A damaged container is refused, never half loaded."""
+    """Arrays read back equal, and a file with a flipped bit is refused, or equal if the bit has no
+    meaning."""
     path = tmp_path / "a.npz"
     arrays = {"points": np.arange(600.0).reshape(300, 2), "n": np.array(7, np.int32)}
     path.write_bytes(pack_arrays("shape", 1, arrays))
@@ -128,7 +129,7 @@ def test_arrays_come_back_and_any_flipped_bit_is_noticed(tmp_path: Path) -> None
 
 
 def test_a_container_of_another_kind_or_version_is_refused(tmp_path: Path) -> None:
-    """The message says what was found and what is read."""
+    """A container of another kind or version is refused with what was found and what is read."""
     path = tmp_path / "a.npz"
     path.write_bytes(pack_arrays("shape", 1, {"a": np.zeros(3)}))
 
@@ -143,7 +144,7 @@ def test_a_container_of_another_kind_or_version_is_refused(tmp_path: Path) -> No
     ["(6000000000,)", "(300000, 300000)", "(0, 10)", "(601,)", "(599,)", "(" + "9" * 40 + ",)", "(-600,)"],
 )
 def test_an_array_that_claims_another_size_is_refused(tmp_path: Path, claim: str) -> None:
-    """A few hundred bytes cannot ask for gigabytes: the claim is refused before there is room made for it."""
+    """An array with a false size is refused before its memory is reserved."""
     path = tmp_path / "a.npz"
     path.write_bytes(pack_arrays("shape", 1, {"points": np.arange(600.0)}))
     with zipfile.ZipFile(path) as archive:
@@ -166,7 +167,7 @@ def test_an_array_that_claims_another_size_is_refused(tmp_path: Path, claim: str
 
 
 def test_pickled_objects_are_never_loaded(tmp_path: Path) -> None:
-    """An object array cannot smuggle code in."""
+    """Pickled objects in a file are refused."""
     path = tmp_path / "a.npz"
     np.savez(path, __header__=np.array({"kind": "shape"}, dtype=object))
 
@@ -175,7 +176,7 @@ def test_pickled_objects_are_never_loaded(tmp_path: Path) -> None:
 
 
 def test_grey_images_load_and_others_say_what_they_are(tmp_path: Path) -> None:
-    """8-bit grey is as it was, colour and 16 bits are converted; the rest is refused with a remedy."""
+    """8-bit grey is unchanged, colour and 16 bits are converted, others are refused with a remedy."""
     grey = np.random.default_rng(2).integers(0, 255, (20, 30), dtype=np.uint8)
     grey[0, 0] = 255
     for name in ("grey.png", "grey.bmp", "grey.tif"):

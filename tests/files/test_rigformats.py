@@ -1,4 +1,5 @@
-"""Rigs in other software's files: the same geometry there and back, by outside witnesses where there are."""
+"""Rigs in other software's files: the same geometry after writing and reading, checked by other programs
+if possible."""
 
 from __future__ import annotations
 
@@ -51,7 +52,7 @@ def seen(rig: StereoRig, points: FloatArray) -> FloatArray:
 @pytest.mark.parametrize("form", NAMES)
 @pytest.mark.parametrize("rig", [BROWN, DIVISION], ids=["brown", "division"])
 def test_a_rig_survives_the_journey(rig: StereoRig, form: RigFormat, tmp_path: Path) -> None:
-    """Written and recognised again, every point is seen where it was, or as near as the notes say."""
+    """After writing and reading, every point is seen at its place, up to the error that the notes state."""
     notes = write_rig(tmp_path / NAMES[form], rig, form)
     back = read_rig(tmp_path / NAMES[form])
     points = random_points(rig, 200, seed=1)
@@ -70,7 +71,7 @@ def test_a_rig_survives_the_journey(rig: StereoRig, form: RigFormat, tmp_path: P
 def test_any_rig_survives_or_is_refused(
     rig: StereoRig, form: RigFormat, tmp_path_factory: pytest.TempPathFactory
 ) -> None:
-    """Strong lenses that a format cannot follow are refused with the error in px; all others come back."""
+    """Strong lenses that a format cannot follow are refused with the error in px; all others read back."""
     path = tmp_path_factory.mktemp("rig") / NAMES[form]
     try:
         write_rig(path, rig, form)
@@ -87,7 +88,7 @@ def test_any_rig_survives_or_is_refused(
 
 
 def test_what_a_format_cannot_hold_is_said(tmp_path: Path) -> None:
-    """Covariance and robot_from_rig have no place elsewhere: the notes name them."""
+    """The notes name covariance and robot_from_rig, which the format cannot hold."""
     rig = replace(BROWN, robot_from_rig=np.eye(4), covariance=np.eye(len(BROWN.parameter_names)))
     (note,) = write_rig(tmp_path / "rig.yml", rig, "opencv")
     assert "covariance and robot_from_rig" in note
@@ -131,7 +132,7 @@ def write_opencv_pair(folder: Path, rig: StereoRig, scale: float = 1.0) -> None:
 
 
 def test_what_opencv_writes_is_read(tmp_path: Path) -> None:
-    """The two files of OpenCV's sample, in metres, are the rig once size and unit are stated."""
+    """The two files of OpenCV's sample, in metres, give the rig with stated size and unit."""
     write_opencv_pair(tmp_path / "cv", BROWN, scale=0.001)
     back = read_rig(tmp_path / "cv", None, Options(size=(1280, 960), unit_mm=1000.0))
     points = random_points(BROWN, 50, seed=4)
@@ -140,7 +141,7 @@ def test_what_opencv_writes_is_read(tmp_path: Path) -> None:
 
 
 def test_the_older_dialect_of_opencv_is_read(tmp_path: Path) -> None:
-    """Files of OpenCV before 5 start with %YAML:1.0, which is no YAML."""
+    """Files of OpenCV before 5, which start with the invalid %YAML:1.0, are read."""
     write_rig(tmp_path / "new.yml", BROWN, "opencv")
     text = (tmp_path / "new.yml").read_text().replace("%YAML 1.2", "%YAML:1.0")
     (tmp_path / "old.yml").write_text(text)
@@ -150,7 +151,7 @@ def test_the_older_dialect_of_opencv_is_read(tmp_path: Path) -> None:
 
 
 def test_a_missing_size_is_asked_for(tmp_path: Path) -> None:
-    """OpenCV's sample keeps no image size: the error says how to state it."""
+    """A missing image size is refused with the option that states it."""
     write_opencv_pair(tmp_path / "cv", BROWN)
     with pytest.raises(FileFormatError, match="--size WIDTHxHEIGHT"):
         read_rig(tmp_path / "cv")
@@ -239,7 +240,7 @@ POLYNOMIAL = "\n".join(
 def halcon_folder(
     path: Path, camera: str = CAM_PAR, kind: int = 0, angles: tuple[float, ...] = (2.0, 336.4, 358.8)
 ) -> Path:
-    """A folder as a HALCON script leaves it."""
+    """A folder as a HALCON script writes it."""
     path.mkdir()
     (path / "campar1.dat").write_text(camera)
     (path / "campar2.dat").write_text(camera)
@@ -308,7 +309,7 @@ def test_halcon_rodriguez_vectors_have_the_length_tan_of_half_the_angle(tmp_path
 
 @given(st.tuples(*[st.floats(-180, 180)] * 3))
 def test_written_angles_give_the_rotation_back(angles: tuple[float, float, float]) -> None:
-    """Also where x and z turn about one axis (y = ±90°)."""
+    """Written angles give the rotation back, also for y = ±90°."""
     for y in (angles[1], 90.0, -90.0):
         rotation = Rotation.from_euler("XYZ", (angles[0], y, angles[2]), degrees=True).as_matrix()
         found = Rotation.from_euler("XYZ", gba_angles(rotation)).as_matrix()
@@ -395,7 +396,7 @@ def test_a_flawed_camchain_is_named_at_its_flaw(old: str, new: str, expected: st
 
 
 def test_cameras_in_one_place_are_refused(tmp_path: Path) -> None:
-    """A baseline of zero is no stereo rig."""
+    """A rig with a baseline of zero is refused."""
     text = CAMCHAIN.replace("-0.11", "0").replace("0.0005", "0").replace("-0.0003", "0")
     (tmp_path / "c.yaml").write_text(text)
     with pytest.raises(FileFormatError, match="baseline is zero"):
@@ -415,7 +416,7 @@ def test_cameras_in_one_place_are_refused(tmp_path: Path) -> None:
 def test_a_flawed_halcon_camera_is_named_at_its_flaw(
     old: str, new: str, expected: str, tmp_path: Path
 ) -> None:
-    """Telecentric cameras, missing and impossible values each have their message."""
+    """Telecentric cameras, missing and impossible values are refused, each with its message."""
     assert old in CAM_PAR
     folder = halcon_folder(tmp_path / "h", camera=CAM_PAR.replace(old, new, 1))
     with pytest.raises(FileFormatError, match=expected):
@@ -423,13 +424,13 @@ def test_a_flawed_halcon_camera_is_named_at_its_flaw(
 
 
 def test_halcon_pose_types_of_other_orders_are_refused(tmp_path: Path) -> None:
-    """R(p-T) and coordinate_system poses are not taken for what they are not."""
+    """Pose types with another order are refused."""
     with pytest.raises(FileFormatError, match="pose type 8"):
         read_rig(halcon_folder(tmp_path / "h", kind=8))
 
 
 def test_incomplete_folders_are_refused(tmp_path: Path) -> None:
-    """One camera file, or none, is said with the numbers found."""
+    """A folder with too few or no camera files is refused with the numbers found."""
     folder = halcon_folder(tmp_path / "h")
     (folder / "campar2.dat").unlink()
     with pytest.raises(FileFormatError, match="found 1 and 1"):
@@ -452,7 +453,7 @@ def test_incomplete_folders_are_refused(tmp_path: Path) -> None:
 def test_any_bytes_are_a_file_error(
     data: bytes, form: RigFormat, tmp_path_factory: pytest.TempPathFactory
 ) -> None:
-    """No content crashes a reader."""
+    """Any bytes give a FileFormatError."""
     path = tmp_path_factory.mktemp("any") / NAMES[form]
     path.write_bytes(data) if path.suffix else path.mkdir()
     if not path.suffix:
@@ -477,7 +478,7 @@ def test_any_bytes_are_a_file_error(
     ],
 )
 def test_hostile_yaml_is_a_file_error(text: str, tmp_path: Path) -> None:
-    """Deep nesting, object tags, unknown anchors and odd keys end in the same plain error."""
+    """Deep nesting, object tags, unknown anchors and odd keys are refused with the file's name."""
     path = tmp_path / "x.yml"
     path.write_text(text)
     with pytest.raises(FileFormatError, match=r"x\.yml"):
@@ -485,7 +486,7 @@ def test_hostile_yaml_is_a_file_error(text: str, tmp_path: Path) -> None:
 
 
 def test_a_huge_file_is_not_parsed(tmp_path: Path) -> None:
-    """Camera files are kilobytes."""
+    """A file that is much too large is refused without parsing."""
     (tmp_path / "x.yml").write_bytes(b"a: 1\n" * 300_000)
     with pytest.raises(FileFormatError, match="too many"):
         read_rig(tmp_path / "x.yml", "opencv")
@@ -495,7 +496,7 @@ def test_a_huge_file_is_not_parsed(tmp_path: Path) -> None:
 
 
 def test_the_command_converts_and_keeps_what_was_there(tmp_path: Path) -> None:
-    """OpenCV to edged: the rig that was there stays under its own id, notes go to stderr."""
+    """The command converts OpenCV's files to edged, and keeps the former rig under its own id."""
     write_opencv_pair(tmp_path / "cv", BROWN)
     save_rig(tmp_path / "rig.json", DIVISION)
     said = io.StringIO()
@@ -524,7 +525,7 @@ def test_the_command_converts_and_keeps_what_was_there(tmp_path: Path) -> None:
 def test_wrong_usage_is_named(
     to: str, unit: str, size: str | None, target: str, expected: str, tmp_path: Path
 ) -> None:
-    """What cannot be done is said before anything is written."""
+    """Wrong usage is refused before anything is written."""
     save_rig(tmp_path / "rig.json", BROWN)
     with pytest.raises(UserError, match=expected.replace("(", r"\(")):
         convert(
@@ -534,7 +535,7 @@ def test_wrong_usage_is_named(
 
 
 def test_names_and_sizes_are_parsed() -> None:
-    """Formats and sizes as they are written on the command line."""
+    """Formats and sizes are parsed from the command line."""
     assert rig_format("ros") == "ros"
     assert parse_size("1280X960") == (1280, 960)
     with pytest.raises(UserError, match=r"0\.1 to 100"):

@@ -1,4 +1,4 @@
-"""STEP files to exact circles and edges; whatever else a file is, a message that names it."""
+"""STEP files give exact circles and edges; other files are refused with their name."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from edged.vision.teaching.cadmodel import ModelCurves, curves_towards
 
 DATA = Path(__file__).parent.parent / "data" / "cad"
 SEEN = {"sharp", "break_face", "break_wall"}
-"""What is outer and looks to the cameras; the others are inner edges, lower rims and upright ones."""
+"""Outer edges that face the cameras; the others are inner edges, lower rims and upright ones."""
 SPHERE = """#9001 = ADVANCED_FACE('',(#9002),#9005,.T.);
 #9002 = FACE_BOUND('',#9003,.T.);
 #9003 = VERTEX_LOOP('',#9004);
@@ -39,24 +39,24 @@ INCH = """#1227 = ( CONVERSION_BASED_UNIT('INCH',#9102) LENGTH_UNIT() NAMED_UNIT
 
 
 def text_of(part: str) -> str:
-    """A part's file."""
+    """The text of a part's file."""
     return (DATA / f"{part}.step").read_text()
 
 
 def saved(folder: Path, text: str) -> Path:
-    """As a file."""
+    """Save the text as a file."""
     path = folder / "part.step"
     path.write_text(text)
     return path
 
 
 def from_above(path: Path) -> ModelCurves:
-    """What its -z shows."""
+    """The curves that its -z side shows."""
     return curves_towards(read_step(path), np.array([0.0, 0.0, -1.0]))
 
 
 def truth_of(part: str, shape: str) -> list[dict[str, Any]]:
-    """The circles or lines of a part that the cameras can see, as its list of features has them."""
+    """The circles or lines of a part that the cameras can see, from its list of features."""
     features = json.loads((DATA / f"{part}.json").read_text())["features_in_step"]
     return [one for one in features if one["shape"] == shape and one["role"] in SEEN]
 
@@ -64,7 +64,7 @@ def truth_of(part: str, shape: str) -> list[dict[str, Any]]:
 @pytest.mark.slow
 @pytest.mark.parametrize("part", ["D1", "D2", "D3", "D4"])
 def test_circles_are_those_of_the_design(part: str) -> None:
-    """Every circle that looks up, none besides; centre and radius to a hundredth of a micrometre."""
+    """The circles that face up are those of the design; centre and radius to a hundredth of a micrometre."""
     found = from_above(DATA / f"{part}.step").circles
     wanted = truth_of(part, "circle")
     assert len(wanted) == len(found)
@@ -78,7 +78,7 @@ def test_circles_are_those_of_the_design(part: str) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize(("part", "count"), [("D1", 3), ("D2", 11), ("D3", 10), ("D4", 1)])
 def test_straight_edges_are_those_of_the_design(part: str, count: int) -> None:
-    """Each lies on a line of the design, and points out of the material."""
+    """Each straight edge lies on a line of the design, with its normal across it."""
     found = from_above(DATA / f"{part}.step").edges
     lines = [np.array(one["ends_part_mm"]) for one in truth_of(part, "line")]
     assert count == len(found)
@@ -98,21 +98,21 @@ def test_the_outside_of_an_edge_is_known() -> None:
 
 
 def test_a_cut_rim_is_one_circle() -> None:
-    """The notch takes 2.8 % of the rim, and the rest is one circle, not two arcs."""
+    """A rim with a notch of 2.8 % is one circle, not two arcs."""
     rim = max(from_above(DATA / "D1.step").circles, key=lambda one: one.radius_mm)
     assert 1 - 2 * math.asin(1.4 / 16) / math.tau == pytest.approx(rim.span, abs=1e-3)
 
 
 @pytest.mark.slow
 def test_the_underside_shows_its_own_edges() -> None:
-    """From below, the through holes on the lower face; the boss is not to be seen."""
+    """From below the through holes of the lower face are seen, not the boss."""
     below = curves_towards(read_step(DATA / "D2.step"), np.array([0.0, 0.0, 1.0]))
     assert {8.0} == {round(float(one.centre_mm[2]), 6) for one in below.circles}
 
 
 @pytest.mark.slow
 def test_inches_are_read_as_millimetres(tmp_path: Path) -> None:
-    """Numbers in inches are a part 25.4 times as large."""
+    """A file in inches gives a part 25.4 times as large."""
     text = text_of("D3")
     assert MILLIMETRE in text
     inches = from_above(saved(tmp_path, text.replace(MILLIMETRE, INCH)))
@@ -150,7 +150,7 @@ def _sphere(text: str) -> str:
     (lambda text: text.replace("#16 = CLOSED_SHELL", "#16 = CLOSED_SHALL"), "cannot be read"),
 ])  # fmt: skip
 def test_what_is_no_model_of_a_part_is_named(tmp_path: Path, damage: Any, expected: str) -> None:
-    """The message has the file and what was expected; nothing hangs, nothing crashes."""
+    """A file that is no model of a part is refused with its name and what was expected."""
     path = saved(tmp_path, damage(text_of("D3")))
     with pytest.raises(FileFormatError, match=re.escape(expected)) as caught:
         read_step(path)
@@ -160,7 +160,7 @@ def test_what_is_no_model_of_a_part_is_named(tmp_path: Path, damage: Any, expect
 @pytest.mark.slow
 @pytest.mark.parametrize(("lost", "curves"), [(3, 14), (4, 5), (17, 14)])
 def test_a_gap_in_the_surface_costs_the_curves_beside_it(tmp_path: Path, lost: int, curves: int) -> None:
-    """A bore, the main face, a wall taken out: what is left is where it was, and nothing is added."""
+    """Without a bore, the main face or a wall the other curves are at their places, and none is added."""
     text = text_of("D3")
     shell = re.search(r"CLOSED_SHELL\('',\(([^)]*)\)\)", text)
     assert shell is not None
@@ -177,13 +177,13 @@ def test_a_gap_in_the_surface_costs_the_curves_beside_it(tmp_path: Path, lost: i
 
 
 def test_a_file_that_is_not_there_is_named(tmp_path: Path) -> None:
-    """As every other input."""
+    """A missing file is named."""
     with pytest.raises(FileFormatError, match=r"none\.step"):
         read_step(tmp_path / "none.step")
 
 
 def test_without_the_reader_its_package_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The message has the line that installs it."""
+    """Without the reader's package the message has the line that installs it."""
     monkeypatch.setattr(importlib.util, "find_spec", lambda _: None)
     with pytest.raises(FileFormatError, match=re.escape("pip install 'edged[cad]'")):
         read_step(DATA / "D3.step")
@@ -192,7 +192,7 @@ def test_without_the_reader_its_package_is_named(monkeypatch: pytest.MonkeyPatch
 def test_a_reader_that_cannot_be_loaded_is_not_a_damaged_file(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Half an installation is named as such."""
+    """A reader that cannot be loaded is named as such, not as a damaged file."""
     (tmp_path / "cascadio.py").write_text("raise ImportError('libTKernel.so: no such file')\n")
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
     with pytest.raises(FileFormatError, match=r"cascadio: libTKernel\.so: no such file"):
@@ -201,7 +201,7 @@ def test_a_reader_that_cannot_be_loaded_is_not_a_damaged_file(
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root has rights to give up")
 def test_root_parses_no_strangers_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The library that does is nobody's process by then."""
+    """As root the file is parsed in a process of user nobody."""
     (tmp_path / "cascadio.py").write_text(
         "import os, sys\ndef load(*_, **__): sys.exit(f'user {os.getresuid()} {os.getgroups()}')\n"
     )
@@ -215,7 +215,7 @@ def test_root_parses_no_strangers_file(tmp_path: Path, monkeypatch: pytest.Monke
     ("MAX_MEMORY_BYTES", 64 << 20, "D3.step: "),
 ])  # fmt: skip
 def test_the_reader_is_bounded(monkeypatch: pytest.MonkeyPatch, limit: str, most: int, expected: str) -> None:
-    """What takes more than it may ends in a message that names the file."""
+    """A reader that takes too much memory or time ends with a message that names the file."""
     monkeypatch.setattr(f"edged.files.step.{limit}", most)
     with pytest.raises(FileFormatError, match=expected):
         read_step(DATA / "D3.step")

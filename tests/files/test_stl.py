@@ -1,4 +1,4 @@
-"""STL files to circles and edges, with what their facets leave open; whatever else a file is, a message."""
+"""STL files give circles and edges, with the uncertainty of their facets; other files are refused."""
 
 from __future__ import annotations
 
@@ -23,21 +23,21 @@ PLATE = ring(24, 12.0, 3.0, 5.0)
 
 
 def saved(folder: Path, data: bytes | str) -> Path:
-    """As a file."""
+    """Save the data as a file."""
     path = folder / "part.stl"
     path.write_bytes(data.encode() if isinstance(data, str) else data)
     return path
 
 
 def seen(path: Path, unit: str | None = None) -> ModelCurves:
-    """What its z shows."""
+    """The curves that its z side shows."""
     return faceted_curves(read_stl(path, unit), UP)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("part", ["D1", "D2", "D3", "D4"])
 def test_triangles_of_a_step_file_say_what_its_faces_say(tmp_path: Path, part: str) -> None:
-    """Every circle and every straight edge within a tenth of a micrometre, inner edges not among them."""
+    """The triangles of a STEP file give its circles and straight edges to a tenth of a micrometre."""
     model = read_step(DATA / f"{part}.step")
     exact = curves_towards(model, -UP)
     path = saved(tmp_path, binary(model.points_mm[model.triangles]))
@@ -64,7 +64,7 @@ def test_triangles_of_a_step_file_say_what_its_faces_say(tmp_path: Path, part: s
 def test_a_faceted_circle_has_no_bias_and_the_sigma_of_its_chords(
     tmp_path_factory: pytest.TempPathFactory, count: int, turn: float, as_text: bool
 ) -> None:
-    """Both rims of a ring, whatever the number of chords: the radius of the corners, not of the chords."""
+    """Both rims of a ring get the radius of their corners, for any number of chords."""
     corners = ring(count, 12.0, 3.0, 5.0, turn)
     path = saved(tmp_path_factory.mktemp("stl"), text(corners) if as_text else binary(corners))
     disc, hole = seen(path).circles
@@ -88,7 +88,7 @@ def test_a_polygon_is_no_circle(tmp_path: Path, count: int) -> None:
 
 
 def test_inches_are_told_by_a_person(tmp_path: Path) -> None:
-    """Numbers alone are taken as mm; with --unit in they are 25.4 times as large."""
+    """Numbers are taken as mm, with --unit in as inches; an unknown unit is refused."""
     path = saved(tmp_path, binary(PLATE / 25.4))
     assert 12.0 / 25.4 == pytest.approx(seen(path).circles[0].radius_mm, abs=1e-6)
     assert 12.0 == pytest.approx(seen(path, "in").circles[0].radius_mm, abs=1e-5)
@@ -97,19 +97,19 @@ def test_inches_are_told_by_a_person(tmp_path: Path) -> None:
 
 
 def test_a_binary_file_may_say_solid(tmp_path: Path) -> None:
-    """As many do: its bytes tell that it is none of text."""
+    """A binary file that starts with "solid" is read as binary."""
     assert 2 == len(seen(saved(tmp_path, binary(PLATE, b"solid facetless part"))).circles)
 
 
 def test_a_part_turned_inside_out_is_the_same_part(tmp_path: Path) -> None:
-    """Corners in the other order in every facet."""
+    """A part whose facets have their corners in the other order gives the same circles."""
     disc, hole = seen(saved(tmp_path, binary(PLATE[:, ::-1]))).circles
     assert (False, True) == (disc.hole, hole.hole)
 
 
 @pytest.mark.slow
 def test_a_part_of_200_000_facets_is_read(tmp_path: Path) -> None:
-    """Its outer wall is of 50 rows; its rims have 2,000 chords each, and are two circles."""
+    """A part of 208,000 facets, with rims of 2,000 chords each, is read as two circles."""
     corners = ring(2000, 30.0, 20.0, 5.0, rows=50)
     assert 208_000 <= len(corners)
     found = seen(saved(tmp_path, binary(corners)))
@@ -117,7 +117,7 @@ def test_a_part_of_200_000_facets_is_read(tmp_path: Path) -> None:
 
 
 def with_a_number(value: float) -> bytes:
-    """One corner that is none."""
+    """A binary file with this value in one corner."""
     corners = PLATE.copy()
     corners[5, 1, 2] = value
     return binary(corners)
@@ -146,7 +146,7 @@ def with_a_number(value: float) -> bytes:
     ],
 )  # fmt: skip
 def test_what_is_no_part_is_named(tmp_path: Path, data: bytes | str, said: str) -> None:
-    """Cut off, with counts that are not true, numbers that are none, open, or several."""
+    """Files that are cut off, with false counts, invalid numbers, open or several parts are refused."""
     with pytest.raises(FileFormatError, match=said):
         read_stl(saved(tmp_path, data))
 
@@ -157,7 +157,7 @@ def test_what_is_no_part_is_named(tmp_path: Path, data: bytes | str, said: str) 
 def test_damaged_bytes_end_in_a_message(
     tmp_path_factory: pytest.TempPathFactory, noise: bytes, at: int, as_text: bool
 ) -> None:
-    """Any bytes over a part's file, of either kind: read, or refused with the file's name."""
+    """Any bytes written over a part's file are read, or refused with the file's name."""
     data = bytearray(text(PLATE).encode() if as_text else binary(PLATE))
     data[at : at + len(noise)] = noise
     path = saved(tmp_path_factory.mktemp("stl"), bytes(data))

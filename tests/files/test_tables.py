@@ -1,4 +1,4 @@
-"""Tables as people have them give the same numbers."""
+"""Tables in usual variants give the same numbers."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ EXPECTED = [("a.json", "412.30", "-88.12", "35.4"), ("b.json", "1", "2.5", "3")]
     ids=["commas", "Excel, German", "tabs", "two headers", "spaces", "quotes", "UTF-16"],
 )
 def test_a_table_is_read_however_it_was_saved(tmp_path: Path, data: bytes) -> None:
-    """Marks, separators, decimal signs, headers and comments."""
+    """Byte order marks, separators, decimal signs, headers and comments are understood."""
     (tmp_path / "t.csv").write_bytes(data)
     assert EXPECTED == [line.cells for line in read_table(tmp_path / "t.csv") if line.cells]
 
@@ -38,7 +38,7 @@ def test_a_table_is_read_however_it_was_saved(tmp_path: Path, data: bytes) -> No
     st.sampled_from(";\t ,"),
 )
 def test_a_line_of_numbers_comes_back(values: list[float], separator: str) -> None:
-    """With a decimal comma wherever the separator is another sign."""
+    """Numbers read back equal, with a decimal comma if the separator is another sign."""
     comma = separator != ","
     text = separator.join(f"{value:.4f}".replace(".", ",") if comma else f"{value:.4f}" for value in values)
     assert values == [number_of(cell) for cell in split(text)]
@@ -46,7 +46,7 @@ def test_a_line_of_numbers_comes_back(values: list[float], separator: str) -> No
 
 @pytest.mark.parametrize("cell", ["1_0", "\u0661", "nan", "inf", "1e400", "0x10", "1 0", ""])
 def test_what_only_python_takes_for_a_number_is_none(cell: str) -> None:
-    """A typing error must not become another pose."""
+    """Numbers in Python's own notations are refused."""
     with pytest.raises(ValueError, match="expected a finite number"):
         number_of(cell)
 
@@ -55,7 +55,7 @@ def test_what_only_python_takes_for_a_number_is_none(cell: str) -> None:
     ("data", "expected"), [(b"", "empty"), (b"a;b\n", "no line with numbers"), (b"\xff\xfe\x00", "UTF")]
 )
 def test_what_is_no_table_is_named(tmp_path: Path, data: bytes, expected: str) -> None:
-    """With the remedy where there is one."""
+    """A file that is no table is refused, with a remedy if there is one."""
     (tmp_path / "t.csv").write_bytes(data)
     with pytest.raises(FileFormatError, match=expected):
         read_table(tmp_path / "t.csv")

@@ -1,4 +1,4 @@
-"""Whose password is checked next, and who waits for how long."""
+"""Whose password is checked next, and how long others wait."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from edged.identity.attempts import (
 
 
 class SlowChecks:
-    """Checks that take as long as a test wants. seen : who was looked at, in order."""
+    """Checks that take as long as a test wants. seen : who was checked, in order."""
 
     def __init__(self) -> None:
         self.seen: list[str] = []
@@ -38,7 +38,8 @@ class SlowChecks:
 
 
 async def test_who_guessed_least_is_next_and_takes_the_place_of_who_guessed_more() -> None:
-    """Where nobody else fits in; who hangs up while waiting costs nothing."""
+    """Whoever guessed least is next, and replaces a waiting one with more guesses; a cancelled wait costs
+    nothing."""
     attempts, checks = Attempts(lambda: 0.0), SlowChecks()
     checks.may_end.release(2)
     for _ in range(2):
@@ -64,7 +65,8 @@ async def test_who_guessed_least_is_next_and_takes_the_place_of_who_guessed_more
 
 
 async def test_a_wait_doubles_up_to_a_limit_and_is_forgotten() -> None:
-    """For an address, an IPv6 one with all of its network; coming in clears that account alone."""
+    """The wait doubles up to a limit and expires, for an address or a whole IPv6 network; a success clears
+    its account alone."""
     now_s = [0.0]
     attempts = Attempts(lambda: now_s[0])
 

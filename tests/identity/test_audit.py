@@ -1,4 +1,4 @@
-"""The audit's chain: what breaks it, what a crash leaves, and what is told of both."""
+"""The audit's chain: changes are found, crashes are survived, and both are reported."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ DEED = AuditEntry("Anna", "engineer", "10.0.0.7", "POST", "setup", "ok", reason=
 
 
 def kept(folder: Path, count: int = 5) -> AuditFile:
-    """A chain of so many deeds."""
+    """A chain with this many records."""
     audit = AuditFile(folder, lambda: 1_800_000_000.5)
     for number in range(1, count + 1):
         audit.add(replace(DEED, object=f"setup {number}"))
@@ -27,7 +27,7 @@ def kept(folder: Path, count: int = 5) -> AuditFile:
 
 
 def test_deeds_are_there_in_their_order(tmp_path: Path) -> None:
-    """With time, who, what and why; the files are their owner's alone."""
+    """Records are in order with time, person, deed and reason, in files that only their owner reads."""
     audit = kept(tmp_path / "state")
     verdict = audit.verify()
     assert ("", 0) == (verdict.problem, verdict.torn_bytes)
@@ -43,7 +43,7 @@ def test_deeds_are_there_in_their_order(tmp_path: Path) -> None:
 
 
 def test_one_changed_byte_breaks_the_chain(tmp_path: Path) -> None:
-    """Whichever it is, of every line; what comes before it still counts."""
+    """Any changed byte of any line breaks the chain; the lines before it still count."""
     audit = kept(tmp_path, 3)
     data = (tmp_path / LINES).read_bytes()
     for place in range(0, len(data), 7):
@@ -56,7 +56,7 @@ def test_one_changed_byte_breaks_the_chain(tmp_path: Path) -> None:
 
 
 def without(*numbers: int) -> Callable[[list[bytes]], list[bytes]]:
-    """Lines but for these."""
+    """All lines except these."""
     return lambda lines: [line for number, line in enumerate(lines, 1) if number not in numbers]
 
 
@@ -76,7 +76,7 @@ def without(*numbers: int) -> Callable[[list[bytes]], list[bytes]]:
 def test_lines_that_are_gone_or_elsewhere_are_named(
     change: Callable[[list[bytes]], list[bytes]], problem: str, tmp_path: Path
 ) -> None:
-    """Also when more is added afterwards."""
+    """Missing and exchanged lines are named, also if more are added afterwards."""
     audit = kept(tmp_path)
     lines = (tmp_path / LINES).read_bytes().splitlines(keepends=True)
     (tmp_path / LINES).write_bytes(b"".join(change(lines)))
@@ -86,7 +86,7 @@ def test_lines_that_are_gone_or_elsewhere_are_named(
 
 
 def test_a_line_that_a_crash_tore_is_no_crime(tmp_path: Path) -> None:
-    """It is told as torn, not as cut off; the next deed mends it, and says so in the chain."""
+    """A line that a crash tore is reported as torn, and the next record repairs it and says so."""
     audit = kept(tmp_path, 2)
     with (tmp_path / LINES).open("ab") as file:
         file.write(b'{"number":3,"time":')
@@ -100,7 +100,7 @@ def test_a_line_that_a_crash_tore_is_no_crime(tmp_path: Path) -> None:
 
 
 def test_a_crash_between_line_and_head_is_none_either(tmp_path: Path) -> None:
-    """The line is there, and the head is of the one before."""
+    """A crash between line and head loses nothing and is no problem."""
     audit = kept(tmp_path, 2)
     head = (tmp_path / HEAD).read_bytes()
     audit.add(DEED)
@@ -122,14 +122,14 @@ def test_a_crash_between_line_and_head_is_none_either(tmp_path: Path) -> None:
 def test_a_head_that_does_not_fit_is_told(
     change: Callable[[Path], object], problem: str, tmp_path: Path
 ) -> None:
-    """Lines may be missing at the end, and nobody would know."""
+    """A head that does not fit its lines is reported."""
     audit = kept(tmp_path)
     change(tmp_path)
     assert problem in audit.verify().problem
 
 
 def test_a_rewritten_history_is_another(tmp_path: Path) -> None:
-    """Who may write both files gets a chain that holds; its hash is not that which the journal has."""
+    """A rewritten chain is valid but has another hash than the journal."""
     kept(tmp_path / "one")
     told = json.loads((tmp_path / "one" / HEAD).read_text())["hash"]
     other = AuditFile(tmp_path / "other", lambda: 1_800_000_000.5)
@@ -141,18 +141,19 @@ def test_a_rewritten_history_is_another(tmp_path: Path) -> None:
 
 @pytest.fixture
 def small(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Files are full with two records."""
+    """Make files full with two records."""
     monkeypatch.setattr(audit_module, "FULL_BYTES", 600)
 
 
 def files(folder: Path) -> list[Path]:
-    """All that hold records, the oldest first."""
+    """All files with records, the oldest first."""
     return [*sorted(folder.glob("audit.0*.jsonl")), folder / LINES]
 
 
 @pytest.mark.usefixtures("small")
 def test_the_chain_goes_on_in_the_next_file(tmp_path: Path) -> None:
-    """All of it is verified: one changed byte in a full file, too, and a file that is gone."""
+    """The chain continues over several files, and a changed byte in a full file, or a missing file, is
+    found."""
     audit = kept(tmp_path, 7)
     full = files(tmp_path)
     assert ["audit.000000002.jsonl", "audit.000000004.jsonl", "audit.000000006.jsonl", LINES] == [
@@ -186,7 +187,8 @@ def test_the_chain_goes_on_in_the_next_file(tmp_path: Path) -> None:
 
 @pytest.mark.usefixtures("small")
 def test_some_of_the_records_are_asked_for_and_all_are_verified(tmp_path: Path) -> None:
-    """The last ones, or those that fit: with a changed byte before them, none."""
+    """The last records, or matching ones, are returned after all were verified; with a changed byte there
+    are none."""
     audit = kept(tmp_path, 7)
     assert [6, 7] == [record["number"] for record in audit.verify(last=2).records]
     some = audit.verify(lambda record: record["number"] in (2, 3))
@@ -201,7 +203,8 @@ def test_some_of_the_records_are_asked_for_and_all_are_verified(tmp_path: Path) 
 
 @pytest.mark.usefixtures("small")
 def test_a_crash_while_the_next_file_is_begun_loses_nothing(tmp_path: Path) -> None:
-    """Between the full file's new name and the first line of the next; also with an older head."""
+    """A crash between the full file's new name and the next file's first line loses nothing, also with an
+    older head."""
     audit = kept(tmp_path, 1)
     head = (tmp_path / HEAD).read_bytes()
     audit.add(DEED)
@@ -225,8 +228,8 @@ def test_a_crash_while_the_next_file_is_begun_loses_nothing(tmp_path: Path) -> N
 
 @pytest.mark.usefixtures("small")
 def test_the_oldest_are_let_go_and_that_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The disc does not fill; a record says which, and the head where the chain begins; what goes beyond that
-    is missed. A crash before the file is removed leaves it to the next deed.
+    """The oldest files are removed, a record and the head say so, further missing files are found, and
+    after a crash the next record completes the removal.
     """
     monkeypatch.setattr(audit_module, "KEPT", 2)
     audit = kept(tmp_path, 40)
@@ -252,7 +255,7 @@ def test_the_oldest_are_let_go_and_that_is_said(tmp_path: Path, monkeypatch: pyt
 
 
 def test_processes_that_add_at_once_make_one_chain(tmp_path: Path) -> None:
-    """The daemon, and a command in a shell; also while files are full."""
+    """Processes that add records at the same time make one chain."""
     work = (
         "import sys; from pathlib import Path; from edged.identity import audit\n"
         "from edged.identity.audit import AuditFile, AuditEntry; audit.FULL_BYTES = 2000\n"

@@ -1,4 +1,4 @@
-"""An audit held against entries of the journal: which of them count, and what they show."""
+"""An audit compared with entries of the journal: which entries count, and what they show."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ SERVICE = {"_UID": "61234", "_SYSTEMD_UNIT": "edged@left.service", "EDGED_CELL":
 
 @pytest.fixture
 def audit(tmp_path: Path) -> AuditFile:
-    """Three records."""
+    """An audit with three records."""
     audit = AuditFile(tmp_path)
     for number in range(1, 4):
         audit.add(AuditEntry("Anna", "engineer", "", "POST", f"setup {number}", "ok"))
@@ -27,12 +27,12 @@ def audit(tmp_path: Path) -> AuditFile:
 
 
 def hashes(audit: AuditFile) -> list[str]:
-    """Of its records."""
+    """The hashes of its records."""
     return [record["hash"] for record in audit.verify().records]
 
 
 def line(number: object, digest: str, **other: Any) -> bytes:
-    """An entry."""
+    """A journal entry."""
     return (
         json.dumps({**SERVICE, "EDGED_AUDIT": number, "EDGED_AUDIT_HASH": digest, **other}).encode() + b"\n"
     )
@@ -55,14 +55,15 @@ def line(number: object, digest: str, **other: Any) -> bytes:
 def test_only_what_journald_says_is_the_daemons_counts(
     audit: AuditFile, source: dict[str, str], counts: bool
 ) -> None:
-    """Its service, or the owner of the files as this cell: all other fields can be written by anybody."""
+    """Only entries of the daemon's service, or of the files' owner, count, because other fields can be
+    forged."""
     entry = {**dict.fromkeys(SERVICE), **source}
     assert (3 if counts else 0) == compare(audit, [line("3", hashes(audit)[2], **entry)], WRITER).newest
     assert counts == bool(compare(audit, [line("3", "0" * 64, **entry)], WRITER).problem)
 
 
 def test_each_difference_is_named(audit: AuditFile) -> None:
-    """The first of each kind; what could not be kept is counted."""
+    """The first difference of each kind is named, and records that could not be kept are counted."""
     second = hashes(audit)[1]
     entries = [line("2", second), line("3", "other"), line("9", "a"), line("7", "b"), line("0", "")]
     problem = "record 3 is not the one in the journal; record 7, which the journal has, is missing"
@@ -78,12 +79,12 @@ def test_each_difference_is_named(audit: AuditFile) -> None:
     ],
 )  # fmt: skip
 def test_what_is_no_entry_of_an_audit_is_none(audit: AuditFile, damaged: bytes) -> None:
-    """Whatever a line is."""
+    """A damaged line, or an entry of something else, does not count."""
     assert JournalVerdict() == compare(audit, [damaged], WRITER)
 
 
 def test_records_that_come_while_the_journal_is_read_are_not_missing(audit: AuditFile) -> None:
-    """The files are looked at again; also behind very many entries that differ."""
+    """Records that are added while the journal is read are not reported as missing."""
 
     def entries() -> Iterator[bytes]:
         record = audit.add(AuditEntry("Anna", "engineer", "", "POST", "late", "ok"))
@@ -95,7 +96,7 @@ def test_records_that_come_while_the_journal_is_read_are_not_missing(audit: Audi
 
 
 def test_a_file_that_grew_beyond_all_measure_is_not_read(audit: AuditFile, tmp_path: Path) -> None:
-    """Its owner can make it as large as they like: root reads no more than an audit's file has."""
+    """A file that is larger than any audit's is refused."""
     for name in ("audit.jsonl", "audit.head"):
         with (tmp_path / name).open("r+b") as file:
             size = file.seek(0, 2)

@@ -1,4 +1,4 @@
-"""The file of users, and the code by which the first engineer comes in."""
+"""The file of users, and the code with which the first engineer logs in."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ ANNA = User(name="Anna", role="engineer", password_hash=HASH, language="de")
 
 
 def test_users_are_there_again_after_a_restart(tmp_path: Path) -> None:
-    """With role and language; the file is its owner's alone; a name is the same in any case."""
+    """Users are read back with role and language, from a file for its owner alone, and names ignore case."""
     path = tmp_path / "state" / "users.json"
     users = UserFile(path)
     users.put(ANNA)
@@ -37,7 +37,7 @@ def test_users_are_there_again_after_a_restart(tmp_path: Path) -> None:
 
 
 def test_the_last_engineer_stays_one(tmp_path: Path) -> None:
-    """Neither taken out nor made less; nothing is written."""
+    """The last engineer cannot be removed or given another role, and nothing is written."""
     users = UserFile(tmp_path / "users.json")
     users.put(ANNA)
     for change in (
@@ -55,7 +55,7 @@ def entry(**changes: Any) -> dict[str, Any]:
 
 
 def listing(*users: Any, **changes: Any) -> bytes:
-    """A file."""
+    """The contents of a file of users."""
     return json.dumps({"format": "edged users", "version": 1, "users": list(users), **changes}).encode()
 
 
@@ -81,7 +81,7 @@ def listing(*users: Any, **changes: Any) -> bytes:
     ],
 )
 def test_a_file_that_cannot_be_used_is_nobodys(data: bytes, place: str, tmp_path: Path) -> None:
-    """It is said where, nobody of it comes in, and it is not overwritten."""
+    """An unusable file is named with the place, has no users, and is not overwritten."""
     path = tmp_path / "users.json"
     path.write_bytes(data)
     users = UserFile(path)
@@ -113,7 +113,7 @@ HEAD, SALT, DIGEST = CHEAP.rsplit("$", 2)
     ids=["memory", "passes", "lanes", "underscore", "other digits", "salt", "hash", "short hash", "no salt"],
 )
 def test_a_hash_that_costs_or_proves_something_else_is_refused(dear: str, tmp_path: Path) -> None:
-    """What it costs to check stands in it: a stranger's is not computed; a short one could be guessed."""
+    """A hash with other costs or a short one is refused without computing it."""
     assert dear != CHEAP
     (tmp_path / "users.json").write_bytes(listing(entry(password_hash=dear)))
     assert "users.0.password_hash" in UserFile(tmp_path / "users.json").problem
@@ -125,7 +125,8 @@ def test_a_hash_that_costs_or_proves_something_else_is_refused(dear: str, tmp_pa
 
 
 def test_a_code_comes_in_once_and_for_a_day(tmp_path: Path) -> None:
-    """However it is typed; a new one ends the one before; a wrong one ends nothing."""
+    """A code works once and for a day, however it is typed; a new one replaces it, a wrong one does not
+    end it."""
     now_s = [1000.0]
     invite = Invite(tmp_path / "state", lambda: now_s[0])
 
@@ -147,7 +148,8 @@ def test_a_code_comes_in_once_and_for_a_day(tmp_path: Path) -> None:
 
 
 def test_a_code_is_for_one_name(tmp_path: Path) -> None:
-    """However that is written; one for nobody in particular is for a name that nobody has."""
+    """A code works for its name only, however that is written; one without a name works for a new name
+    only."""
     invite = Invite(tmp_path)
     code = invite.make("Jörg")
     for name in ("Anna", "", "Jorg"):
@@ -159,7 +161,7 @@ def test_a_code_is_for_one_name(tmp_path: Path) -> None:
 
 
 def test_a_name_is_the_same_however_it_is_typed(tmp_path: Path) -> None:
-    """Composed or not, wide or not, in any case; and nobody new gets a name that looks like another's."""
+    """A name is the same in any Unicode form, width and case, and a new name must not look like another's."""
     users = UserFile(tmp_path / "users.json")
     users.put(User(name="Jörg", role="engineer", password_hash=HASH))
     users.put(User(name="Iris", role="operator", password_hash=HASH))
@@ -177,15 +179,15 @@ def test_a_name_is_the_same_however_it_is_typed(tmp_path: Path) -> None:
     "text", ["", "[]", "{}", '{"digest": 1, "until_s": "x"}', '{"digest": null, "until_s": []}']
 )
 def test_a_damaged_invitation_lets_nobody_in(text: str, tmp_path: Path) -> None:
-    """Nor does it raise."""
+    """A damaged invitation lets nobody in and raises nothing."""
     (tmp_path / "invite.json").write_text(text)
     assert not Invite(tmp_path).take("abcd-efgh-jkmn", "Erna", is_new=True)
 
 
 def test_the_state_of_a_cell_has_one_place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The service's; the same for who asks in a shell; beside a configuration that is not installed.
+    """The state folder is the service's, also from a shell, or beside a configuration that is not installed.
 
-    The page's is another one where it is a service of its own, and no cell can be called so that it is its.
+    The page has a folder of its own if it is a service of its own, and no cell's name gives that folder.
     """
     monkeypatch.delenv("STATE_DIRECTORY", raising=False)
     assert tmp_path / ".cell.state" == state_folder(tmp_path / "cell.toml")

@@ -1,4 +1,4 @@
-"""The cell's end of the link, whatever a page sends, asks or does not read: the cell measures on."""
+"""The cell's end of the link: whatever a page sends, asks or does not read, the cell measures on."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ NEVER_READ: list[socket.socket] = []
 
 
 class View:
-    """A cell as a page is told of it; its lease and its pictures are a real cycle's."""
+    """A cell as the page sees it; its lease and its pictures are a real cycle's."""
 
     task = PageTask(Path("/etc/edged/cell.toml"), "cell1")
 
@@ -82,7 +82,7 @@ class View:
 
 
 class Scene:
-    """A cell that measures by itself, and its links."""
+    """A measuring cell and its links."""
 
     def __init__(self, cycle: Cycle, head: Head, ear: Ear) -> None:
         self.cycle, self.head, self.ear = cycle, head, ear
@@ -105,20 +105,20 @@ class Scene:
             await serving
 
     async def goes_on(self) -> None:
-        """It measures, and its results come."""
+        """Wait until the cell has further results."""
         seen = len(self.ear.snapshots())
         await until(lambda: len(self.ear.snapshots()) > seen + 2)
 
     def announce(self, event: Event) -> None:
-        """As the page's publisher does."""
+        """Announce an event as the page's publisher does."""
         for end in self.ends:
             end.announce(event)
 
     async def start(self) -> None:
-        """A publisher has it."""
+        """Do nothing; publishers have this method."""
 
     async def close(self) -> None:
-        """Likewise."""
+        """Do nothing; publishers have this method."""
 
 
 @asynccontextmanager
@@ -134,7 +134,7 @@ async def measuring() -> AsyncIterator[Scene]:
 
 @pytest.mark.slow
 def test_what_is_no_request_is_refused_and_never_more_than_read() -> None:
-    """A hundred thousand messages, random or of a real one with other bytes: read, or a `LinkError`."""
+    """Of a hundred thousand random or changed messages each is read, or refused with a `LinkError`."""
     chance = random.Random(1)
     messages = [encoded(Envelope(number=7, request=request)) for request in EXAMPLES]
     assert list(EXAMPLES) == [envelope_of(message).request for message in messages]
@@ -160,7 +160,7 @@ def test_what_is_no_request_is_refused_and_never_more_than_read() -> None:
 
 @pytest.mark.slow
 async def test_a_page_that_sends_anything_costs_no_cycle(caplog: pytest.LogCaptureFixture) -> None:
-    """Hundreds of links, each with greetings, requests and rubbish: each ends, and the cell measures on."""
+    """Hundreds of links with greetings, requests and rubbish all end, and the cell measures on."""
     chance = random.Random(2)
     messages = [encoded(Envelope(number=7, request=request)) for request in EXAMPLES]
     async with measuring() as scene:
@@ -180,7 +180,7 @@ async def test_a_page_that_sends_anything_costs_no_cycle(caplog: pytest.LogCaptu
 
 
 async def test_a_message_that_is_too_long_ends_the_link() -> None:
-    """Its length alone: none of it is waited for."""
+    """A message with a too large length ends the link at once."""
     async with measuring() as scene:
         async with scene.linked() as (page, serving):
             page.sendall((1 << 31).to_bytes(4, "big"))
@@ -189,7 +189,7 @@ async def test_a_message_that_is_too_long_ends_the_link() -> None:
 
 
 async def test_another_version_is_refused_by_name() -> None:
-    """On either side: a page that was exchanged beside a running cell says which both are."""
+    """Another version is refused on either side, with both versions in the message."""
     async with measuring() as scene:
         async with scene.linked() as (page, serving):
             page.sendall(framed(encoded(Greeting(edged="9.9", schema_id="0"))))
@@ -206,7 +206,7 @@ async def test_another_version_is_refused_by_name() -> None:
 async def test_who_says_nothing_loses_the_link_and_who_greets_keeps_it(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """A process that hangs as it starts is found out."""
+    """A link without a greeting ends after a time, one with a greeting stays."""
     monkeypatch.setattr(cellend, "GREET_S", 0.1)
     async with measuring() as scene, scene.linked() as (page, serving), scene.linked() as (_, silent):
         page.sendall(framed(encoded(ask.GREETING)))
@@ -222,9 +222,9 @@ async def test_who_says_nothing_loses_the_link_and_who_greets_keeps_it(
     ids=["plain", "dear", "long"],
 )
 async def test_a_flood_is_read_no_faster_than_allowed(request_: ask.Asked, price: int) -> None:
-    """Its sender waits; what is read is carried out at the rate that a page may have, and cycles come.
+    """Requests are carried out at the allowed rate, slower for expensive ones, and cycles go on.
 
-    What takes long of the loop is rarer.
+    The sender waits.
     """
     async with measuring() as scene, scene.linked() as (page, serving):
         page.sendall(framed(encoded(ask.GREETING)))
@@ -253,7 +253,7 @@ async def test_a_flood_is_read_no_faster_than_allowed(request_: ask.Asked, price
 
 @pytest.mark.slow
 async def test_a_page_that_reads_nothing_loses_the_link(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The cell keeps a bounded number of events for it meanwhile, and few pictures."""
+    """A page that does not read loses the link, and the cell measures on."""
     monkeypatch.setattr(cellend, "WRITE_S", 0.3)
     async with measuring() as scene:
         async with scene.linked() as (page, serving):
@@ -264,7 +264,8 @@ async def test_a_page_that_reads_nothing_loses_the_link(monkeypatch: pytest.Monk
 
 
 async def test_an_answer_finds_what_has_become_of_the_cell() -> None:
-    """The lease is known, and is of this holder, before the token comes; pictures come as they were taken."""
+    """The holder is known before the token arrives, pictures arrive unchanged, and the token belongs to
+    its holder."""
     async with measuring() as scene:
         async with scene.linked() as (page, _):
             link = PageEnd(page.dup())
@@ -298,7 +299,7 @@ async def test_an_answer_finds_what_has_become_of_the_cell() -> None:
 
 
 async def test_what_was_asked_is_carried_out_without_the_page() -> None:
-    """It is killed while its release is installed: half of one would be worse than either."""
+    """A release is installed although the page was killed meanwhile."""
     async with measuring() as scene:
         async with scene.linked() as (page, serving):
             page.sendall(framed(encoded(ask.GREETING)))
@@ -315,7 +316,7 @@ async def test_what_was_asked_is_carried_out_without_the_page() -> None:
 
 
 async def test_a_release_has_its_archive_whatever_was_asked_just_before() -> None:
-    """On a busy machine both messages are read at once, and the archive comes with the first byte."""
+    """A release gets its archive also if it is read together with the message before it."""
     async with measuring() as scene, scene.linked() as (page, _):
         scene.view.may_install.set()
         asked = [
@@ -330,7 +331,7 @@ async def test_a_release_has_its_archive_whatever_was_asked_just_before() -> Non
 
 
 def lingering() -> socket.socket:
-    """A socket that takes seconds to close: it has bytes which nobody takes, and waits for them."""
+    """A socket whose closing takes seconds, because its data are never read."""
     with socket.create_server(("127.0.0.1", 0)) as server:
         ours = socket.create_connection(server.getsockname())
         theirs, _ = server.accept()
@@ -344,7 +345,7 @@ def lingering() -> socket.socket:
 
 
 async def test_closing_what_a_page_passes_holds_nobody_up() -> None:
-    """One descriptor or several, that are slow to close: the loop has its turns, and the page is read."""
+    """Slow closing of passed descriptors, one or several, holds up neither the loop nor the page."""
     async with measuring() as scene:
         async with scene.linked() as (page, _):
             data: Any = framed(encoded(ask.GREETING))
@@ -363,7 +364,7 @@ async def test_closing_what_a_page_passes_holds_nobody_up() -> None:
 
 
 async def test_descriptors_from_a_page_are_not_taken() -> None:
-    """Whatever it attaches is closed by the kernel: a cell cannot run out of them."""
+    """Further descriptors from a page are closed, so the cell cannot run out of them."""
     async with measuring() as scene, scene.linked() as (page, serving):
         before = len(os.listdir("/proc/self/fd"))  # noqa: PTH208  (the kernel's, at once)
         data: Any = framed(encoded(ask.GREETING))

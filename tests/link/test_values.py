@@ -1,4 +1,4 @@
-"""What crosses the link between the cell and its page is the same on the other side."""
+"""Values that cross the link between the cell and its page are the same on the other side."""
 
 from __future__ import annotations
 
@@ -32,13 +32,13 @@ ROOTS = (*typing.get_args(Event), CellSummary, FilesInUse, PageTask, ProgramStep
 
 
 def carried(value: object) -> Any:
-    """A value as the other process has it."""
+    """A value as the other process gets it."""
     images: list[Any] = []
     return CODEC.decode(CODEC.encode(value, images), images)
 
 
 def test_every_type_of_an_event_may_cross() -> None:
-    """Whatever a field of an event, of the summary or of a step may hold, however deep."""
+    """Every type of an event, the summary or a step, however deep, can cross the link."""
     found: set[type] = set()
     for root in ROOTS:
         reachable(root, found)
@@ -46,13 +46,13 @@ def test_every_type_of_an_event_may_cross() -> None:
 
 
 def test_a_result_is_the_same_in_every_digit() -> None:
-    """As the payload of Zenoh says it, all its arrays included."""
+    """A result is the same in every digit, with all its arrays."""
     snapshot = make_snapshot()
     assert snapshot_to_json(snapshot) == snapshot_to_json(carried(snapshot))
 
 
 def test_a_state_is_the_same() -> None:
-    """With its enumerations, not with their numbers."""
+    """A state is the same, with its enumerations."""
     marks = MarksReport(MarksState.CONTRADICTED, False, 7, 8, (41,), 30.5, 0.012, 0.25, "one was moved")
     state = CellState(CellPhase.READY, True, True, "flange", 1, 0, marks=marks)
     assert state == carried(state)
@@ -60,7 +60,7 @@ def test_a_state_is_the_same() -> None:
 
 
 def test_a_near_miss_that_is_known_need_not_be_asked_for() -> None:
-    """One that is not is left to who gets it."""
+    """A known near miss crosses with its answer, an unknown one without asking for it."""
     miss = NearMiss(Match(1.0, 2.0, 0.0, 1.0, 1.0, 0.4), 0.6)
     known = Nearest(lambda: miss)
     known.ask()
@@ -73,7 +73,7 @@ def test_a_near_miss_that_is_known_need_not_be_asked_for() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("lacks", ["", "NO_JOB", "NO_CALIBRATION"])
 def test_the_files_of_a_cell_are_the_same(tmp_path: Path, lacks: str) -> None:
-    """Also while rig or jobs are missing; the fingerprint stands on them all."""
+    """The files of a cell are the same, also without rig or jobs, with the same fingerprint."""
     cell = SmallCell(tmp_path)
     before: Mapping[str, Callable[[], object]] = {
         "": lambda: None,
@@ -93,7 +93,7 @@ def test_the_files_of_a_cell_are_the_same(tmp_path: Path, lacks: str) -> None:
 
 @pytest.mark.slow
 def test_no_secret_but_the_pages_own_crosses(tmp_path: Path) -> None:
-    """A page that strangers talk to cannot give away what others log in with."""
+    """Only the page's own secrets cross the link."""
     cell = SmallCell(tmp_path)
     other, token = hash_password("another horse"), hash_password("a token of Prometheus")
     hashes = f'password_hash = "{HASH}"\nmetrics_password_hash = "{token}"'
@@ -122,7 +122,7 @@ def pair(value: int, size: tuple[int, int] = (40, 60)) -> FramePair:
 
 
 def sent(ring: PictureRing, shared: SharedPictures, event: object) -> Callable[[], Any]:
-    """An event on its way; called, it arrives."""
+    """Send an event; a call of the result receives it."""
     images: list[Any] = []
     data = CODEC.encode(event, images)
     placed, memory = ring.place(images)
@@ -132,7 +132,7 @@ def sent(ring: PictureRing, shared: SharedPictures, event: object) -> Callable[[
 
 
 def test_pictures_go_through_shared_memory() -> None:
-    """Every grey value, also after they have become larger."""
+    """Pictures cross by shared memory with every grey value, also after they became larger."""
     ring, shared = PictureRing(), SharedPictures()
     for value, size in ((7, (40, 60)), (8, (40, 60)), (9, (400, 600)), (10, (4, 4))):
         event = sent(ring, shared, ExposureDone(value, None, pair(value, size)))()
@@ -141,7 +141,7 @@ def test_pictures_go_through_shared_memory() -> None:
 
 
 def test_a_pair_that_is_fetched_too_late_is_missing_and_not_another() -> None:
-    """The ring goes round without asking; a pair of two exposures would be worse than none."""
+    """A pair that is fetched too late is missing, not replaced by another one."""
     ring, shared = PictureRing(), SharedPictures()
     arrivals = [sent(ring, shared, ExposureDone(cycle, None, pair(cycle))) for cycle in range(6)]
     pairs = [arrive().pair for arrive in arrivals]

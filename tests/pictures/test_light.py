@@ -1,4 +1,4 @@
-"""Clipped, dark and noisy pictures, and what to do; before which camera a hand is waved."""
+"""Clipped, dark and noisy pictures with advice, and the camera before which a hand is waved."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ S = 1_000_000_000
 
 @pytest.fixture(scope="module")
 def cell() -> VirtualCell:
-    """The demo's, with its board in the middle."""
+    """The demo's cell with its board in the middle."""
     cell = VirtualCell(demo_rig(), demo_part(), board=stage_board())
     cell.show("board", _square(-12, -14, 200))
     return cell
@@ -35,7 +35,7 @@ def _square(x: float, y: float, z: float) -> FloatArray:
 def picture(
     cell: VirtualCell, at_s: float, side: str = "left", exposure_us: float = 2000.0, gain_db: float = 0.0
 ) -> Image:
-    """What a camera sees."""
+    """The picture of a camera."""
     at_ns = round(at_s * S)
     return cell.exposure(side)(
         ExposureRequest(round(at_s * 10), at_ns, at_ns, exposure_us, gain_db, 1280, 960)
@@ -45,7 +45,7 @@ def picture(
 @pytest.mark.parametrize("grey", [20.0, 60.0, 180.0])
 @pytest.mark.parametrize("gain_db", [0.0, 12.0])
 def test_noise_is_that_of_the_sensor(grey: float, gain_db: float) -> None:
-    """Shot and read noise of the electrons behind a grey value, whatever lies elsewhere in the picture."""
+    """The noise is the shot and read noise of the sensor at that grey value."""
     sensor = Sensor()
     gain = 10 ** (gain_db / 20)
     electrons = grey / 255 * sensor.full_well_e / gain
@@ -59,7 +59,8 @@ def test_noise_is_that_of_the_sensor(grey: float, gain_db: float) -> None:
 
 @pytest.mark.slow
 def test_exposure_is_advised_until_it_is_good(cell: VirtualCell) -> None:
-    """From far too bright and from far too dark: following the factor ends at a good picture within five."""
+    """Following the advised factor, from far too bright or too dark, ends at a good picture within five
+    steps."""
     for start_us in (60.0, 12_000.0):
         exposure_us, seen = start_us, []
         for look in range(6):
@@ -73,7 +74,7 @@ def test_exposure_is_advised_until_it_is_good(cell: VirtualCell) -> None:
 
 @pytest.mark.slow
 def test_gain_that_is_only_noise_is_told(cell: VirtualCell) -> None:
-    """Equally bright pictures: the one by gain is noisier, and light is the remedy."""
+    """Of two equally bright pictures the one by gain is noisier, and the advice is light."""
     by_light, by_gain = (
         light_of(picture(cell, 10, exposure_us=us, gain_db=db)) for us, db in ((1800.0, 0.0), (180.0, 20.0))
     )
@@ -84,7 +85,7 @@ def test_gain_that_is_only_noise_is_told(cell: VirtualCell) -> None:
 
 
 def test_shares_are_counted() -> None:
-    """Shares of all pixels; clipped is white, dark is what the sensor hardly tells from nothing."""
+    """The shares of clipped and dark pixels are counted."""
     image = np.full((100, 100), 90, np.uint8)
     image[:10] = 255
     image[10:40] = 5
@@ -99,7 +100,8 @@ def test_shares_are_counted() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("waved", SIDES)
 def test_the_camera_with_the_hand_is_found(cell: VirtualCell, waved: Side) -> None:
-    """Also with light that flickers by a fifth, with little light, and with a board that trembles in both."""
+    """The camera with the waved hand is found, also with flicker, little light, and a moving board in both
+    pictures."""
     first_s = 20 if waved == "left" else 25
     for at_s, exposures_us in zip(range(first_s, 30), ((2000, 2400), (300, 300), (2000, 1700)), strict=False):
         cell.show("board", _square(-12, -14, 200))
@@ -116,7 +118,7 @@ def test_the_camera_with_the_hand_is_found(cell: VirtualCell, waved: Side) -> No
 
 @pytest.mark.slow
 def test_nobody_waves(cell: VirtualCell) -> None:
-    """Noise, flicker and a board that is taken away in both pictures are no wave."""
+    """Noise, flicker and a board that is taken away in both pictures count as no wave."""
     cell.show("board", _square(-12, -14, 200))
     before = {side: picture(cell, 30, side) for side in SIDES}
     again = {side: changed_share(before[side], picture(cell, 31, side, 2300.0)) for side in SIDES}

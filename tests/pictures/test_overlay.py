@@ -1,4 +1,4 @@
-"""Pictures of results: the evidence is where it is in the images, and what is wrong is said in words."""
+"""Pictures of results: features are drawn at their places, and problems are named in words."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def taught() -> tuple[PreparedRig, Job]:
 
 @functools.cache
 def seen() -> tuple[Image, Image, PairInspection]:
-    """The flange lying elsewhere, and what was measured of it."""
+    """The flange at another place, and its inspection."""
     rig, job = taught()
     left, right = pictures(rig.rig, scene((demo_part(), ELSEWHERE)), seed=3)
     return left, right, inspect(frame_pair(left, right), job, rig)
@@ -61,19 +61,20 @@ def drawn(job: Job, inspection: PairInspection) -> Image:
 
 
 def count(picture: Image, colour: tuple[int, ...]) -> int:
-    """Pixels of exactly this colour."""
+    """The number of pixels of exactly this colour."""
     return int((picture == np.array(colour, np.uint8)).all(axis=2).sum())
 
 
 def with_reject(inspection: PairInspection, reject: Reject) -> PairInspection:
-    """These parts, refused for a reason."""
+    """The inspection with its parts rejected for a reason."""
     measured = tuple(replace(one, target=replace(one.target, reject=reject)) for one in inspection.measured)
     return replace(inspection, measured=measured)
 
 
 @pytest.mark.slow
 def test_a_result_shows_verdict_reference_fits_and_residuals() -> None:
-    """A green badge; in either image gold for the reference, green for the others, magenta for residuals."""
+    """The badge is green; both images have gold for the reference, green for others, magenta for
+    residuals."""
     _, job = taught()
     picture = drawn(job, seen()[2])
 
@@ -87,7 +88,7 @@ def test_a_result_shows_verdict_reference_fits_and_residuals() -> None:
 
 @pytest.mark.slow
 def test_a_rejected_result_is_red_and_says_why() -> None:
-    """The badge and the mark on the part are red; every bit of the reasons has words."""
+    """The badge and the mark on the part are red, and every reason has words."""
     _, job = taught()
     inspection = with_reject(seen()[2], Reject.TOLERANCE | Reject.SIGMA_LIMIT)
     picture = drawn(job, inspection)
@@ -103,7 +104,7 @@ def test_a_rejected_result_is_red_and_says_why() -> None:
 
 @pytest.mark.slow
 def test_a_picture_without_a_part_says_what_was_looked_for() -> None:
-    """No legend, no numbers: the title and the bare images."""
+    """Without a part there are only the title and the images."""
     _, job = taught()
     picture = drawn(job, PairInspection((), ()))
     assert picture.shape == (TITLE_HEIGHT_PX + 960, 2 * WIDTH_PX, 3)
@@ -115,7 +116,7 @@ def test_a_picture_without_a_part_says_what_was_looked_for() -> None:
 
 @pytest.mark.slow
 def test_many_parts_are_counted_not_written_about_without_end() -> None:
-    """Seven parts make a picture no taller than three rows of numbers."""
+    """Seven parts add at most three rows of numbers to the picture."""
     _, job = taught()
     (one,) = seen()[2].measured
     few, many = (drawn(job, PairInspection((one,) * number, ())) for number in (6, 7))
@@ -124,7 +125,7 @@ def test_many_parts_are_counted_not_written_about_without_end() -> None:
 
 @pytest.mark.slow
 def test_what_no_lens_shows_and_endless_names_do_no_harm() -> None:
-    """A taught circle half a kilometre away, and a name of a thousand letters: the picture is drawn."""
+    """A circle half a kilometre away and a name of a thousand letters do no harm."""
     _, job = taught()
     far = replace(job.circles[1], name="x" * 1000, centre_mm=np.array([5e5, 3e5, 0.0]))
     strange = replace(job, circles=(*job.circles, far))
@@ -135,7 +136,7 @@ def test_what_no_lens_shows_and_endless_names_do_no_harm() -> None:
 
 
 def test_residuals_are_edge_minus_projected_curve() -> None:
-    """Edges moved outwards by a known number of pixels are found that far outside, in both images."""
+    """Edges that are moved outwards by some pixels have that residual, in both images."""
     rig, _ = taught()
     (one,) = seen()[2].measured
     for feature in features_of(one):
@@ -155,7 +156,8 @@ def test_residuals_are_edge_minus_projected_curve() -> None:
 
 
 def test_the_magnification_is_one_two_or_five_and_keeps_whiskers_short() -> None:
-    """19 of 20 residuals between 0.001 and 10 px, drawn at any scale, stay within the longest whisker."""
+    """The magnification is 1, 2 or 5 times a power of ten, and keeps 19 of 20 residuals within the longest
+    whisker."""
     rng = np.random.default_rng(1)
     for sigma_px in np.geomspace(0.003, 3, 12):
         for scale in (0.5, 1.0, 3.0):
@@ -170,7 +172,7 @@ def test_the_magnification_is_one_two_or_five_and_keeps_whiskers_short() -> None
 
 
 def test_features_that_were_not_measured_are_where_the_pose_puts_them() -> None:
-    """A circle left out of a target is drawn within 0.1 mm of its true place, and named in the table."""
+    """A feature that was not measured is drawn within 0.1 mm of its true place, and named in the table."""
     _, job = taught()
     (one,) = seen()[2].measured
     target = one.target
@@ -187,7 +189,7 @@ def test_features_that_were_not_measured_are_where_the_pose_puts_them() -> None:
 
 
 def test_a_slots_outline_has_its_size_and_even_steps() -> None:
-    """Length, width and perimeter are the slot's; no two points are farther apart than others."""
+    """A slot's outline has its length, width and perimeter, in even steps."""
     slot = Slot3D("s", np.array([1.0, 2, 200]), np.array([0.6, 0.8, 0]), 9.0, 4.0, np.eye(5))
     outline = slot_outline(
         slot.centre_mm, (slot.length_mm, slot.width_mm), slot.direction, np.array([0, 0, 1.0])
@@ -203,7 +205,8 @@ def test_a_slots_outline_has_its_size_and_even_steps() -> None:
 
 
 def test_pose_and_sizes_are_those_of_the_target() -> None:
-    """Place, tilt and turn against teaching with their sigma; a size with its tolerance, and one not seen."""
+    """The values have place, tilt and turn against teaching with sigma, sizes with tolerances, and
+    features not seen."""
     rig, job = taught()
     wanted = (
         MeasurementSpec("bore", "radius", ("c1",), 1.0, 0.05),
@@ -230,7 +233,8 @@ def test_pose_and_sizes_are_those_of_the_target() -> None:
 
 @pytest.mark.parametrize("points", [np.array([[600.0, 300], [700, 380]]), np.array([[2.0, 3], [90, 60]])])
 def test_small_parts_are_shown_larger_and_whole(points: FloatArray) -> None:
-    """The box lies in the image, has its proportions and holds the part; nothing to see: the whole image."""
+    """The zoomed box lies in the image, has its proportions and holds the part; without a part it is the
+    whole image."""
     size = 1280, 960
     zoom = zoom_for([size, size], [points, points])
     x, y, width, height = box_around(size, points, zoom)

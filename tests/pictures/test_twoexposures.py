@@ -1,4 +1,4 @@
-"""A long and a short exposure as one picture: nothing invented at the seam, and what moved is seen."""
+"""A long and a short exposure as one picture: no false edge at the seam, and movement is seen."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def exposed(seen: FloatArray, share: float, seed: int = 0) -> Image:
 
 @pytest.mark.parametrize("ratio", [4.0, 8.0, 16.0])
 def test_a_pair_that_lies_still_has_its_ratio_and_no_movement(ratio: float) -> None:
-    """Long to short as it was exposed, the black level notwithstanding."""
+    """For a still pair the ratio is the exposures', whatever the black level, and no movement is found."""
     merged = merge_exposures(exposed(light(), 1.0), exposed(light(), 1 / ratio, 1), ratio)
 
     assert pytest.approx(ratio, rel=0.02) == merged.ratio
@@ -44,13 +44,14 @@ def test_a_pair_that_lies_still_has_its_ratio_and_no_movement(ratio: float) -> N
 @pytest.mark.parametrize(("moved_px", "least"), [(1.0, 1.0), (3.0, 2.0), (10.0, 10.0), (60.0, 60.0)])
 @pytest.mark.parametrize("ratio", [4.0, 8.0, 16.0])
 def test_what_moves_by_a_pixel_or_more_is_seen(moved_px: float, least: float, ratio: float) -> None:
-    """By how far, as long as both show the same edges; infinite beyond."""
+    """A movement of a pixel or more is measured, or infinite if the edges differ."""
     merged = merge_exposures(exposed(light(), 1.0), exposed(light(moved_px=moved_px), 1 / ratio, 1), ratio)
     assert least <= merged.moved_px
 
 
 def test_a_flickering_lamp_gives_the_true_ratio_and_no_seam() -> None:
-    """The short exposure had 15 % more light: the same picture as without, to two grey values."""
+    """With 15 % more light in the short exposure the ratio is the true one, and the picture the same to
+    two grey values."""
     still = merge_exposures(exposed(light(), 1.0), exposed(light(), 1 / 8, 1), 8.0)
     lit = merge_exposures(exposed(light(), 1.0), exposed(1.15 * light(), 1 / 8, 1), 8.0)
 
@@ -62,7 +63,7 @@ def test_a_flickering_lamp_gives_the_true_ratio_and_no_seam() -> None:
 
 
 def test_below_the_fade_it_is_half_the_long_exposure() -> None:
-    """So an edge lies where it lay, and a calibration with one exposure holds."""
+    """Below the fade the picture is half the long exposure, so its edges stay in place."""
     long = exposed(light(), 1.0)
     merged = merge_exposures(long, exposed(light(), 1 / 8, 1), 8.0).image
     dark = light() < FADES - 30
@@ -71,7 +72,7 @@ def test_below_the_fade_it_is_half_the_long_exposure() -> None:
 
 
 def test_only_what_the_short_exposure_too_shows_white_is_white() -> None:
-    """Grey value 255 means "any brighter", as in a picture of one exposure."""
+    """Exactly the pixels that are white in the short exposure, too, are white."""
     seen = light()
     seen[:50, :50] = 5000.0
     short = exposed(seen, 1 / 8, 1)
@@ -82,9 +83,9 @@ def test_only_what_the_short_exposure_too_shows_white_is_white() -> None:
 
 @given(st.floats(2.0, 16.0), st.floats(-0.15, 0.15))
 def test_more_light_is_never_darker(ratio: float, error: float) -> None:
-    """On a ramp without noise grey values do not fall, though the ratio is only about right: no false edge.
+    """On a ramp without noise grey values do not fall, although the ratio is not exact.
 
-    But for rounding: a step of the short exposure is up to 16 of the long one.
+    Apart from rounding: a step of the short exposure is up to 16 of the long one.
     """
     ramp = np.tile(np.linspace(0.0, 255.0 * ratio, 4096), (4, 1))
     long = np.clip(np.rint(ramp), 0, 255).astype(np.uint8)
@@ -96,7 +97,7 @@ def test_more_light_is_never_darker(ratio: float, error: float) -> None:
 
 
 def test_a_black_pair_is_black_and_its_ratio_is_not_known() -> None:
-    """A lens cap is no movement and no flicker."""
+    """A black pair gives a black picture, an unknown ratio and no movement."""
     black = np.zeros((64, 64), np.uint8)
     merged = merge_exposures(black, black, 8.0)
 
@@ -106,6 +107,6 @@ def test_a_black_pair_is_black_and_its_ratio_is_not_known() -> None:
 
 
 def test_a_picture_smaller_than_a_tile_is_merged() -> None:
-    """Nothing is told of movement there."""
+    """A picture smaller than a tile is merged."""
     small = np.full((10, 12), 100, np.uint8)
     assert (10, 12) == merge_exposures(small, small // 8, 8.0).image.shape

@@ -1,4 +1,4 @@
-"""The frame of all pages: values are escaped, nothing is forgotten, the templates are installed with us."""
+"""The frame of all pages: values are escaped, none is missing, the templates are installed."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ FORM = {"t": lambda name, **_values: name, "problem": ""}
 
 @given(st.text(st.characters(codec="utf-8", exclude_categories=("Cc",)), min_size=1))
 def test_a_text_comes_out_as_it_is(text: str) -> None:
-    """In titles, notes, cells and charts: markup in a name is a name, never markup."""
+    """A text appears unchanged in titles, notes, cells and charts, without acting as markup."""
     chart = Chart((0.0, 1.0), (0.0, 1.0), text, "y").figure(text)
     rows = HtmlTable([(text, text)])
     page = HtmlPage(
@@ -57,7 +57,8 @@ def test_a_text_comes_out_as_it_is(text: str) -> None:
 
 @pytest.mark.parametrize("high", [1.0, 5e-4, 123456.0])
 def test_the_numbers_of_an_axis_leave_its_title_free(high: float) -> None:
-    """However long they are: a digit is 6.6 px wide, the upright title's line ends at 18 px."""
+    """The longest number of an axis leaves its title free: a digit is 6.6 px wide, the title's line ends
+    at 18 px."""
     figure = str(Chart((0.0, 1.0), (-high, high), "x", "outward, px").figure(""))
     numbers = re.findall(r'<text x="([\d.]+)" [^>]*text-anchor="end"[^>]*>([^<]+)<', figure)
 
@@ -66,14 +67,14 @@ def test_the_numbers_of_an_axis_leave_its_title_free(high: float) -> None:
 
 
 def test_markup_in_a_name_is_not_run() -> None:
-    """Neither as an element nor out of an attribute."""
+    """Markup in a name is not an element, nor can it leave an attribute."""
     hostile = "\"><script>alert(1)</script>'"
     page = render("teaching.html", **{**MODEL, "title": hostile, "reference": hostile})
     assert "<script" not in page
 
 
 def test_a_value_that_is_missing_is_an_error() -> None:
-    """A page with holes must not be archived and signed."""
+    """A missing value is an error."""
     with pytest.raises(jinja2.UndefinedError, match="reference"):
         render("teaching.html", **{name: value for name, value in MODEL.items() if name != "reference"})
 
@@ -91,7 +92,7 @@ def test_a_value_that_is_missing_is_an_error() -> None:
     ],
 )
 def test_the_status_page_has_the_same_frame(name: str, values: dict[str, Any]) -> None:
-    """Well formed, its own style and script, and nothing inline, which its security policy forbids."""
+    """The page is well formed and has the common head and icon."""
     text = render(name, "edged.adapters.web", cell="demo", **values)
     page = HtmlPage(text)
     assert text.startswith('<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n')

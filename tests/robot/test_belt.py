@@ -1,4 +1,4 @@
-"""Parts on a belt: its frame, the count at the exposure, blur, and which part is the same."""
+"""Parts on a belt: its frame, the count at the exposure, blur, and recognition of the same part."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ ROBOT_FROM_RIG = make_transform((math.pi, 0.0, 0.0), (400.0, 0.0, 600.0))
 
 
 def pair(exposed_ns: int, count: int | None = None, bound_ns: int | None = None) -> FramePair:
-    """A pair without anything to see."""
+    """A pair of empty pictures."""
     image = np.zeros((4, 4), np.uint8)
     left, right = (Frame(side, 1, image, 0, exposed_ns, bound_ns, count=count) for side in ("left", "right"))
     return FramePair(left, right)
@@ -45,7 +45,7 @@ def pair(exposed_ns: int, count: int | None = None, bound_ns: int | None = None)
 def looked(
     *places_mm: tuple[float, float, float], count: float, seen: PartsSeen | None = None, belt: Belt = BELT
 ) -> tuple[tuple[Target, ...], PartsSeen]:
-    """What becomes of parts at these places of the rig's frame, which is the published one."""
+    """The outcome for parts at these places of the rig's frame, which is the published one."""
     targets = tuple(make_target(x_mm=x) for x, _, _ in places_mm)
     for target, place in zip(targets, places_mm, strict=True):
         target.rig_from_part[:3, 3] = place
@@ -56,7 +56,7 @@ def looked(
 
 
 def test_a_clients_count_goes_on_to_the_middle_of_the_exposure() -> None:
-    """30 ms at 200 mm/s and half an exposure: 120.4 counts of 0.05 mm; the exposure's bound is in sigma."""
+    """A client's count is extended to the middle of the exposure, and the exposure's bound is in sigma."""
     reading = BeltReading(1000, 200.0, 1_000_000_000)
     moment = moment_of(BELT, pair(1_030_000_000), reading)
     assert moment is not None
@@ -68,7 +68,8 @@ def test_a_clients_count_goes_on_to_the_middle_of_the_exposure() -> None:
 
 
 def test_a_cameras_count_is_that_of_the_exposures_begin() -> None:
-    """0.4 counts to its middle, at the speed that is configured; without a count nothing is known."""
+    """A camera's count is extended from the exposure's start to its middle at the configured speed;
+    without a count there is no moment."""
     belt = replace(BELT, source="camera")
     moment = moment_of(belt, pair(5, count=65_535), None)
     assert moment is not None
@@ -78,12 +79,12 @@ def test_a_cameras_count_is_that_of_the_exposures_begin() -> None:
 
 @given(st.integers(0, 2**16 - 1), st.integers(-(2**14), 2**14))
 def test_the_encoder_may_begin_again_between_two_counts(since: int, counts: int) -> None:
-    """As long as it is less than half a round."""
+    """The distance is right over the encoder's wrap, up to half a round."""
     assert counts == travelled(BELT, since, (since + counts) % BELT.counts)
 
 
 def test_the_belts_frame_has_x_along_its_travel_and_z_up() -> None:
-    """A part that goes on by 100 counts goes on by 5 mm of x alone."""
+    """Travel changes x of the belt's frame alone, and its z is up."""
     frame = belt_frame(BELT)
     first, then = (frame @ (100.0 + 100 * k * 0.03, 50.0 + 100 * k * 0.04, 20.0, 1.0) for k in (0, 1))
     np.testing.assert_allclose(first, (0, 0, 0, 1), atol=1e-12)
@@ -94,7 +95,7 @@ def test_the_belts_frame_has_x_along_its_travel_and_z_up() -> None:
 
 @pytest.mark.parametrize("speed_mm_s, reject", [(330.0, Reject.NONE), (340.0, Reject.BLUR)])
 def test_blur_beyond_a_pixel_is_refused(speed_mm_s: float, reject: Reject) -> None:
-    """3000 px, 200 µs and 200 mm away: 333 mm/s are a pixel."""
+    """For 3000 px of focal length, 200 µs and 200 mm a blur above one pixel, 333 mm/s, is refused."""
     target = make_target()
     target.rig_from_part[:3, 3] = (10.0, 20.0, 200.0)
     moment = BeltMoment(0.0, speed_mm_s, 0.0)
@@ -104,14 +105,15 @@ def test_blur_beyond_a_pixel_is_refused(speed_mm_s: float, reject: Reject) -> No
 
 
 def test_without_a_count_no_part_is_good() -> None:
-    """NO_COUNT, and what was seen before is kept."""
+    """Without a count a part is rejected with NO_COUNT, and the seen parts are kept."""
     _, seen = looked((0.0, 0.0, 200.0), count=10.0)
     outcome, now = on_belt(Outcome(Status.OK, (make_target(),)), BELT, None, None, seen)
     assert (Reject.NO_COUNT, seen) == (outcome.targets[0].reject, now)
 
 
 def test_a_part_that_is_seen_again_has_the_same_number() -> None:
-    """Where the belt has taken it, to 10 mm; another one is another; the encoder began again in between."""
+    """A part that is within 10 mm of its expected place keeps its number, over the encoder's wrap, too;
+    others get new ones."""
     (first, second), seen = looked((0.0, 0.0, 200.0), (60.0, 0.0, 200.0), count=65_500.0)
     assert (1, 2) == tuple(one.belt and one.belt.number for one in (first, second))
     further_mm = 236 * np.array((0.03, 0.04, 0.0)) + (0.0, 0.0, 200.0)
@@ -127,14 +129,14 @@ def test_a_part_that_is_seen_again_has_the_same_number() -> None:
 
 
 def test_one_part_is_not_two() -> None:
-    """Of two that are near to where one must be, the nearer one is it."""
+    """Of two parts near an expected place the nearer one keeps its number."""
     _, seen = looked((0.0, 0.0, 200.0), count=0.0)
     targets, _ = looked((7.0, 0.0, 200.0), (-2.0, 0.0, 200.0), count=0.0, seen=seen)
     assert [2, 1] == [one.belt.number for one in targets if one.belt is not None]
 
 
 def test_a_part_that_has_gone_is_forgotten() -> None:
-    """After three metres; numbers begin again after 65535, and 0 is none."""
+    """A part is forgotten after three metres; numbers restart at 1 after 65535."""
     _, seen = looked(
         (0.0, 0.0, 200.0), count=0.0, seen=PartsSeen(last=65_535), belt=replace(BELT, counts=2**32)
     )
@@ -146,7 +148,8 @@ def test_a_part_that_has_gone_is_forgotten() -> None:
 
 
 def test_sigma_along_the_travel_has_the_speed_times_the_jitter_in_it() -> None:
-    """In the robot's frame along (0.6, 0.8, 0), in the belt's along x, and across nothing more."""
+    """The speed times the jitter is in sigma along the travel, in the robot's and the belt's frame, and
+    not across."""
     moment = BeltMoment(123.4, 200.0, 0.5)
     outcome, _ = on_belt(Outcome(Status.OK, (make_target(),)), BELT, moment, ROBOT_FROM_RIG, PartsSeen())
     (target,) = outcome.targets
@@ -161,7 +164,7 @@ def test_sigma_along_the_travel_has_the_speed_times_the_jitter_in_it() -> None:
 
 
 def test_the_belts_pose_is_that_at_the_whole_count() -> None:
-    """At 123.4 the part lies 0.4 counts further than at 123."""
+    """The belt's pose is that at the whole count."""
     moment = BeltMoment(123.4, 200.0, 0.0)
     outcome, _ = on_belt(Outcome(Status.OK, (make_target(),)), BELT, moment, ROBOT_FROM_RIG, PartsSeen())
     (target,) = outcome.targets
@@ -172,7 +175,8 @@ def test_the_belts_pose_is_that_at_the_whole_count() -> None:
 
 
 def test_direction_and_scale_come_from_a_board_at_two_counts() -> None:
-    """A board that turned, that stayed, or two counts that are one, teach nothing."""
+    """A board at two counts gives direction and scale; one that turned or stayed, or with one count, is
+    refused."""
     start = make_transform((0.1, 0.2, 0.3), (100.0, 0.0, 0.0))
     end = start.copy()
     end[:3, 3] += (30.0, 40.0, 0.0)

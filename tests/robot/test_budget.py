@@ -1,4 +1,4 @@
-"""The terms of a published sigma: each what it says, together what is published."""
+"""The terms of a published sigma: each is right, and together they are what is published."""
 
 from __future__ import annotations
 
@@ -29,13 +29,13 @@ MAGNITUDES = st.sampled_from([0.0, 1e-9, 1e-6, 1e-5, 3e-4, 1e-2])
 
 @pytest.fixture(scope="module")
 def job() -> Job:
-    """The flange, taught."""
+    """A job of the flange."""
     flat = cells.flange()
     return teach(flat.left, flat.right, prepare(flat.rig).rectification, flat.region, "flange")
 
 
 def located(job: Job, covariance: FloatArray | None) -> Target:
-    """The flange, measured by a rig whose parameters have this covariance."""
+    """The flange measured with a rig of this covariance."""
     flat = cells.flange()
     rig = prepare(replace(flat.rig, covariance=covariance))
     outcome = locate(cells.frame_pair(flat.left, flat.right), job, rig)
@@ -44,13 +44,13 @@ def located(job: Job, covariance: FloatArray | None) -> Target:
 
 
 def spread(size: float, seed: int) -> FloatArray:
-    """A (6, 6) covariance without a zero in it."""
+    """A (6, 6) covariance without zeros."""
     factor = np.random.default_rng(seed).normal(size=(6, 6))
     return size * factor @ factor.T
 
 
 def published(target: Target, robot: FloatArray | None, registration: FloatArray | None) -> FloatArray:
-    """Variances of X, Y, Z and of the rotation about them."""
+    """The published variances of X, Y, Z and of the rotation."""
     if robot is None:
         return np.diag(target.covariance)
     return np.diag(robot_covariance(target, robot, registration))
@@ -62,7 +62,7 @@ def published(target: Target, robot: FloatArray | None, registration: FloatArray
 def test_the_terms_add_up_to_the_last_bit(
     edges: float, rig: float, registration: float, share: float, seed: int, in_robot: bool, known: bool
 ) -> None:
-    """Added exactly and rounded once, for any sizes of the terms and any frame; none is below 0."""
+    """The terms add up to the published variance exactly, for any sizes and frames, and none is negative."""
     by_edges = spread(edges, seed)
     target = replace(
         make_target(), covariance=by_edges + spread(rig, seed + 1), by_edges=by_edges, doubt_mm=0.0
@@ -94,7 +94,7 @@ def test_the_terms_add_up_to_the_last_bit(
 
 @pytest.mark.slow
 def test_a_rig_that_is_taken_as_exact_has_no_share(job: Job) -> None:
-    """All of the sigma comes from the edges; of a rig that is known so well, the same edges and more."""
+    """With an exact rig all of the sigma comes from the edges."""
     exact = located(job, None)
     budget = budget_of(exact, None, None)
     assert budget is not None
@@ -115,7 +115,7 @@ def test_a_rig_that_is_taken_as_exact_has_no_share(job: Job) -> None:
 
 
 def test_the_turn_errs_with_the_rig_by_what_its_term_says(job: Job) -> None:
-    """A focal length that is wrong by a sigma turns the part by the calibration's, however many holes."""
+    """A focal length that is wrong by a sigma turns the part by about the calibration's term."""
     flat = cells.flange()
     names = flat.rig.parameter_names
     known = located(job, np.diag([9.0 * (name == "right.fx") for name in names]))
@@ -129,7 +129,7 @@ def test_the_turn_errs_with_the_rig_by_what_its_term_says(job: Job) -> None:
 
 
 def test_a_doubt_is_a_term_of_its_own_and_can_be_taken_back(job: Job) -> None:
-    """Along the ray, and half a baseline of it across; without it the others are as before."""
+    """A doubt is a term of its own, along the ray and half a baseline of it across; the others stay."""
     target = located(job, None)
     before, wide = budget_of(target, None, None), doubted(target, 1e-3, 60.0)
     after = budget_of(wide, None, None)
@@ -141,7 +141,7 @@ def test_a_doubt_is_a_term_of_its_own_and_can_be_taken_back(job: Job) -> None:
 
 
 def test_it_is_in_what_locate_prints(job: Job) -> None:
-    """In mm², in the robot's frame where there is one; null for what is not known."""
+    """`locate` prints the terms in mm², in the robot's frame if there is one, with null for unknown ones."""
     flat = cells.flange()
     target = located(job, None)
     robot, registration = flat.rig.robot_from_rig, 1e-6 * np.eye(6)

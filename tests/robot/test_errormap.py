@@ -1,4 +1,4 @@
-"""A map of the robot's error: by its own points, by fits made here, and through all that is published."""
+"""A map of the robot's error: by its own points, by other fits, and in everything that is published."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ ROBOT_FROM_RIG = make_transform((3.1, 0.1, -0.1), (560.0, -90.0, 260.0))
 
 
 def spread(rng: np.random.Generator, count: int) -> FloatArray:
-    """(N, 3) in the rig's frame: corners of a box of 300 x 200 x 100 mm, and places in it."""
+    """(N, 3) points in the rig's frame: corners of a box of 300 x 200 x 100 mm, and points in it."""
     corners = np.array(np.meshgrid(*[(-1.0, 1.0)] * 3)).reshape(3, -1).T
     inside = rng.uniform(-1, 1, (max(count - 8, 0), 3))
     return np.concatenate([corners, inside]) * (150.0, 100.0, 50.0) + (0.0, 0.0, 200.0)
@@ -55,7 +55,7 @@ def bent(places: FloatArray) -> FloatArray:
 
 
 def mapped_rig(count: int = 24, noise_mm: float = 0.0) -> StereoRig:
-    """A rig that is registered to a robot whose error is `bent`."""
+    """A rig registered to a robot with the error `bent`."""
     rng = np.random.default_rng(3)
     places = spread(rng, count)
     at = apply(ROBOT_FROM_RIG, places) + rng.normal(0, noise_mm, places.shape)
@@ -63,7 +63,8 @@ def mapped_rig(count: int = 24, noise_mm: float = 0.0) -> StereoRig:
 
 
 def test_a_smooth_error_is_found_again_between_the_points_and_nowhere_else() -> None:
-    """To a nanometre, of degree 2; beyond the hull of the points there is no answer. SciPy's hull agrees."""
+    """An error of degree 2 is found to a nanometre; outside of the points' hull, as SciPy has it, there is
+    no shift."""
     rig, rng = mapped_rig(), np.random.default_rng(4)
     frame, made = frame_of(rig), rig.robot_map
     assert made is not None
@@ -87,8 +88,8 @@ def test_a_smooth_error_is_found_again_between_the_points_and_nowhere_else() -> 
 @given(st.integers(0, 10**6), st.sampled_from([0.0, 1e-12, 1e-6, None]), st.integers(12, 60))
 @settings(deadline=None, max_examples=60)
 def test_the_hull_is_that_of_all_places(seed: int, noise_mm: float | None, count: int) -> None:
-    """Of free places as SciPy's; of those on a grid, many on its sides and edges, the box. Without a
-    triangle, or with one turned round, it is refused."""
+    """The hull of random points is SciPy's and that of a grid the box; without a triangle, or with a
+    turned one, it is refused."""
     rng, size = np.random.default_rng(seed), np.array([270.0, 210.0, 90.0])
     corners = np.array(np.meshgrid([0, 3], [0, 3], [0, 3])).reshape(3, -1).T
     grid = np.array(np.meshgrid(*[range(4)] * 3)).reshape(3, -1).T.astype(float)
@@ -114,7 +115,7 @@ def test_the_hull_is_that_of_all_places(seed: int, noise_mm: float | None, count
 
 
 def test_a_point_left_out_is_foretold_as_by_a_fit_of_the_others() -> None:
-    """The short way to it, and plain least squares without each point, agree."""
+    """The left-out error of each point equals a least squares fit of the others."""
     rng = np.random.default_rng(5)
     expected = apply(ROBOT_FROM_RIG, spread(rng, 16))
     shown = expected + bent(expected) + rng.normal(0, 0.02, expected.shape)
@@ -128,7 +129,7 @@ def test_a_point_left_out_is_foretold_as_by_a_fit_of_the_others() -> None:
 
 @given(st.sampled_from(["turn", "shoulder", "elbow", "lean"]), st.floats(-2e-3, 2e-3), st.integers(0, 99))
 def test_one_wrong_axis_turns_the_flange_about_that_axis(which: str, wrong_rad: float, seed: int) -> None:
-    """As a rigid body, by the wrong angle; to first order where the base leans about its foot."""
+    """A wrong axis turns the flange as a rigid body about that axis; a leaning base does to first order."""
     rng = np.random.default_rng(seed)
     place, none = rng.uniform((300, -300, 100), (600, 300, 600)), np.zeros(3)
     shown = transform(rotation_matrix(rng.normal(0, 1, 3)), place)
@@ -155,8 +156,8 @@ def test_one_wrong_axis_turns_the_flange_about_that_axis(which: str, wrong_rad: 
 
 
 def test_sigma_is_honest_for_robots_that_no_polynomial_made() -> None:
-    """Arms with wrong axes: chi² of places that were not touched is 0.7 to 1.4 over 40 robots; a rigid one
-    has a map in at most 1 of 20."""
+    """For arms with wrong axes chi² of untouched places is 0.7 to 1.4 over 40 robots; at most 1 of 20
+    rigid ones gets a map."""
     squares, honest, rigid = [], [], 0
     for seed in range(40):
         rng = np.random.default_rng((seed, 6))
@@ -195,14 +196,15 @@ def test_sigma_is_honest_for_robots_that_no_polynomial_made() -> None:
 def test_what_determines_no_map_is_refused(
     places: Callable[[np.random.Generator], FloatArray], why: str
 ) -> None:
-    """Too few, too many, all at one height."""
+    """Too few or too many points, or all at one height, are refused."""
     rig_mm = places(np.random.default_rng(7))
     with pytest.raises(CalibrationError, match=why):
         map_of(rig_mm, rig_mm + 0.1, np.ones(len(rig_mm)))
 
 
 def test_everything_that_is_published_has_the_shift() -> None:
-    """Registers' reading, JSON, ROS and the tool's tip, each at its own place; sigma is the budget's sum."""
+    """The registers, JSON, ROS and the tool's tip have the shift of their own place, and sigma is the
+    budget's sum."""
     rig = mapped_rig()
     robot, registration = rig.robot_from_rig, rig.registration_covariance
     grasp = Grasp("jaw", make_transform((0, 0, 0.2), (30.0, 5.0, -2.0)), np.eye(4), 20.0, 20.0, 1)
@@ -241,7 +243,8 @@ def test_everything_that_is_published_has_the_shift() -> None:
 
 
 def test_beyond_the_map_a_part_is_refused_and_a_tool_has_no_grasp() -> None:
-    """OUT_OF_MAP at the part; NO_GRASP where only the tip would be beyond."""
+    """A part outside of the map is rejected with OUT_OF_MAP; if only the tool's tip is outside, with
+    NO_GRASP."""
     frame = frame_of(mapped_rig())
     away = replace(make_target(), rig_from_part=make_transform((0, 0, 0), (400.0, 0.0, 200.0)))
     long = Grasp("jaw", make_transform((0, 0, 0), (0.0, 400.0, 0.0)), np.eye(4), 20.0, 20.0, 1)
@@ -256,7 +259,8 @@ def test_beyond_the_map_a_part_is_refused_and_a_tool_has_no_grasp() -> None:
 
 
 def test_an_offset_is_between_places_by_the_map_and_its_shared_error_cancels() -> None:
-    """The taught path lands where the robot is to be sent; at the golden part itself only noise is left."""
+    """With a map the taught path ends at the commanded place, and at the golden part only noise is in
+    sigma."""
     rig = mapped_rig(16, noise_mm=0.02)
     robot, frame = rig.robot_from_rig, frame_of(rig)
     assert robot is not None
@@ -288,7 +292,8 @@ def test_an_offset_is_between_places_by_the_map_and_its_shared_error_cancels() -
 
 
 def test_a_map_comes_back_to_the_last_bit_and_belongs_to_the_registration() -> None:
-    """Of a rig without one the file is what it was, and so is the digest that golden parts are kept with."""
+    """A map reads back exactly and changes the registration's digest; a rig without one has none in its
+    file."""
     rig = mapped_rig()
     assert b"robot_map" not in rig_text(replace(rig, robot_map=None))
     assert registration_digest(rig) != registration_digest(replace(rig, robot_map=None))
@@ -301,7 +306,7 @@ def test_a_map_comes_back_to_the_last_bit_and_belongs_to_the_registration() -> N
 
 
 def load_again(text: bytes) -> StereoRig:
-    """A rig through its file."""
+    """The rig, written and read again."""
     from edged.files.rig import rig_of
 
     return rig_of(text, Path("rig.json"))
@@ -334,7 +339,7 @@ def load_again(text: bytes) -> StereoRig:
     ],
 )
 def test_a_hostile_map_is_named(changes: dict[str, Any], why: str) -> None:
-    """With file, field and expectation."""
+    """A wrong map is refused with file, field and expectation."""
     document = json.loads(rig_text(mapped_rig()))
     document["robot_map"] |= changes
     with pytest.raises(FileFormatError, match=r"rig\.json: ") as error:
@@ -348,7 +353,8 @@ def test_a_hostile_map_is_named(changes: dict[str, Any], why: str) -> None:
 def test_the_command_keeps_a_map_that_earns_its_place_and_no_other(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """`--map`: degree 2 of a bent robot, none of a rigid one; registered anew without it, it is gone."""
+    """`--map` keeps a map for a bent robot and none for a rigid one; a registration without it removes the
+    map."""
     save_rig(tmp_path / "rig.json", make_rig())
     rng = np.random.default_rng(9)
     places = spread(rng, 24)

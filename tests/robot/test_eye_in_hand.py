@@ -1,4 +1,4 @@
-"""A rig that the robot carries: commands say where the flange is, results are in the base's frame."""
+"""A rig on the robot's flange: commands have the flange's pose, results are in the base's frame."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ COMMAND = reg.ADDRESS["COMMAND"]
 
 
 def setup() -> Setup:
-    """One part always in the same place in front of the cameras."""
+    """A setup that always finds the part at the same place before the cameras."""
     found = Outcome(Status.OK, (make_target(),))
     covariance = np.diag([0.01, 0.01, 0.01, 1e-6, 1e-6, 1e-6])
     return Setup(
@@ -55,7 +55,7 @@ def setup() -> Setup:
 def write_command(
     cell: CellRegisters, sequence: int, flange: FloatArray | None, convention: Convention
 ) -> None:
-    """What a PLC writes in one request: LOCATE, its sequence and, if given, the flange's pose."""
+    """Write LOCATE, its sequence and, if given, the flange's pose, as a PLC does in one request."""
     pose = [0] * 6
     if flange is not None:
         angles = ANGLES_DEG[convention](flange[:3, :3])
@@ -85,7 +85,8 @@ class Plc(Ear):
 
 @pytest.mark.parametrize("convention", list(Convention))
 async def test_a_plc_that_says_where_the_flange_is_gets_robot_coordinates(convention: Convention) -> None:
-    """Two poses of the flange: X, Y, Z are robot_from_flange flange_from_rig rig_from_part."""
+    """X, Y, Z in the registers are robot_from_flange flange_from_rig rig_from_part for two poses of the
+    flange."""
     flanges = [
         make_transform((0.3, 2.6, -0.4), (612.0, -148.0, 733.0)),
         make_transform((-0.2, 2.2, 0.9), (400.0, 310.0, 651.0)),
@@ -106,7 +107,8 @@ async def test_a_plc_that_says_where_the_flange_is_gets_robot_coordinates(conven
 
 
 async def test_a_command_without_the_flange_is_refused_and_an_old_pose_is_not_used() -> None:
-    """The pose serves one command: the next one without it is NACK, REFUSED, and the words read 0."""
+    """A flange's pose applies to one command: the next one without it is NACK, REFUSED, and its registers
+    read 0."""
     cycle = Cycle(Head(), setup())
     plc = Plc(cycle, Convention.KUKA_ABC)
     async with running(cycle, plc):
@@ -125,7 +127,8 @@ async def test_a_command_without_the_flange_is_refused_and_an_old_pose_is_not_us
 
 
 def test_the_doubt_of_the_hand_eye_goes_with_the_flange() -> None:
-    """Its covariance in the base's frame is that of many small motions of the rig on the flange."""
+    """The hand-eye covariance in the base's frame equals that of many small motions of the rig on the
+    flange."""
     rng = np.random.default_rng(5)
     flange = make_transform((0.3, 2.6, -0.4), (612.0, -148.0, 733.0))
     factor = np.tril(rng.normal(0, 1, (6, 6))) * np.array([0.05, 0.05, 0.05, 2e-4, 2e-4, 2e-4])[:, None]
@@ -144,7 +147,7 @@ def test_the_doubt_of_the_hand_eye_goes_with_the_flange() -> None:
 
 @pytest.mark.parametrize("convention", list(Convention))
 def test_angles_of_the_registers_are_read_back(convention: Convention) -> None:
-    """`rotation_of` is the inverse of what the registers show."""
+    """`rotation_of` inverts the angles of the registers."""
     rng = np.random.default_rng(6)
     for vector in rng.normal(0, 1.2, (200, 3)):
         rotation = rotation_matrix(vector)
@@ -152,7 +155,7 @@ def test_angles_of_the_registers_are_read_back(convention: Convention) -> None:
 
 
 def test_the_rig_file_knows_one_place(tmp_path: Path) -> None:
-    """flange_from_rig comes back to the last bit; a rig in two places at once is refused by name."""
+    """flange_from_rig reads back exactly; a rig file with both mounts is refused."""
     path = tmp_path / "rig.json"
     rig = replace(small_rig(), robot_from_rig=None, flange_from_rig=FLANGE_FROM_RIG)
     save_rig(path, rig)
@@ -167,7 +170,7 @@ def test_the_rig_file_knows_one_place(tmp_path: Path) -> None:
 
 
 def test_the_flange_is_published_with_the_command() -> None:
-    """A result says from which pose it was taken: `edged replay` needs it."""
+    """A published command has the flange's pose, or null."""
     command = Command(CommandKind.LOCATE, "plc", 3, 0, FLANGE_FROM_RIG)
     assert command_to_json(command)["robot_from_flange"] == FLANGE_FROM_RIG.tolist()
     assert command_to_json(replace(command, robot_from_flange=None))["robot_from_flange"] is None

@@ -1,4 +1,4 @@
-"""Offsets from a golden part against poses that are triangulated and fitted here, with errors drawn here."""
+"""Offsets from a golden part compared with simulated errors of calibration, registration and pictures."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ from edged.vision.geometry.rigid import apply, invert, rotation_matrix, rotation
 
 DRAWS = 2500
 RING_MM, RADIUS_MM = np.array([20.0, 0.0, 0.0]), 8.0
-"""Two circles beside the part's origin, in its face."""
+"""Two circles in the face, beside the part's origin."""
 AT_GOLDEN = make_transform((0.05, -0.1, 0.4), (5.0, -4.0, 255.0))
 ROBOT_FROM_RIG = make_transform((2.8, 0.3, -0.4), (400.0, -700.0, 900.0))
 
 
 def uncertain_rig() -> StereoRig:
-    """Half a pixel of focal length and centre, 0.1 mrad, 10 µm."""
+    """A rig with sigmas of half a pixel, 0.1 mrad and 10 µm."""
     rig = replace(make_rig(), robot_from_rig=ROBOT_FROM_RIG)
     per_lens = [0.5, 0.5, 0.5, 0.5, 1e-4]
     return replace(rig, covariance=np.diag(np.square([*per_lens, *per_lens, *[1e-4] * 3, *[0.01] * 3])))
@@ -37,7 +37,7 @@ OWN = np.diag(np.square([0.002, 0.002, 0.005, 1e-4, 1e-4, 5e-5]))
 
 
 def part_points() -> FloatArray:
-    """(16, 3) on the rims of both circles, part frame."""
+    """(16, 3) points on the rims of both circles, in the part's frame."""
     around = np.arange(8) * np.pi / 4
     rim = RADIUS_MM * np.column_stack([np.cos(around), np.sin(around), 0 * around])
     return np.concatenate([rim + RING_MM, rim - RING_MM])
@@ -64,7 +64,7 @@ def target_at(rig_from_part: FloatArray, rig: StereoRig, *, is_round: bool = Fal
 
 
 def golden_at(target: Target, robot_from_rig: FloatArray) -> Golden:
-    """What would have been kept of a target."""
+    """The golden part of a target."""
     points = np.array([apply(target.rig_from_part, place[None])[0] for place in part_points()])
     return Golden(
         1, "flange", "part", "test", "reg", 1, robot_from_rig, target.rig_from_part,
@@ -73,7 +73,7 @@ def golden_at(target: Target, robot_from_rig: FloatArray) -> Golden:
 
 
 def changed(rig: StereoRig, by: FloatArray) -> StereoRig:
-    """The rig with its parameters moved."""
+    """The rig with changed parameters."""
 
     def camera(model: CameraModel, step: FloatArray) -> CameraModel:
         fx, fy, cx, cy = np.array([model.fx, model.fy, model.cx, model.cy]) + step[:4]
@@ -90,7 +90,8 @@ def changed(rig: StereoRig, by: FloatArray) -> StereoRig:
 
 
 def seen_at(rig_from_part: FloatArray, true: StereoRig, believed: StereoRig) -> FloatArray:
-    """Where the believed rig sees a part that the true one took pictures of: midpoints of rays, Kabsch."""
+    """The place of a part that the true rig pictured, as the believed rig sees it: midpoints of rays,
+    Kabsch."""
     places = apply(rig_from_part, part_points())
     left = believed.left.normalise(true.left.project(places))
     right = believed.right.normalise(true.right.project(apply(true.right_from_left, places)))
@@ -119,10 +120,10 @@ def twisted(by: FloatArray) -> FloatArray:
 def misses(
     now: FloatArray, frames: tuple[FloatArray, FloatArray], *, carried: FloatArray | None = None
 ) -> Iterator[tuple[FloatArray, FloatArray]]:
-    """Errors of the offset at the part and of that in the part's frame, (6,) each, drawn without end.
+    """Errors of the offset at the part and in the part's frame, (6,) each, drawn endlessly.
 
-    frames : of the robot, true, at the golden and at this exposure. carried : of a rig on the flange, where
-    the registration's error follows flange_from_rig = carried.
+    frames : of the robot, true, at the golden part and at this exposure. carried : for a rig on the
+    flange, where the registration's error moves with flange_from_rig = carried.
     """
     generator = np.random.default_rng(11)
     rig = uncertain_rig()
@@ -152,7 +153,7 @@ def misses(
 
 
 def stated(now: FloatArray, frames: tuple[FloatArray, FloatArray], registration: FloatArray) -> Offset:
-    """What is published of it."""
+    """The published offset."""
     rig = uncertain_rig()
     golden = golden_at(target_at(AT_GOLDEN, rig), frames[0])
     return offset_of(
@@ -161,7 +162,7 @@ def stated(now: FloatArray, frames: tuple[FloatArray, FloatArray], registration:
 
 
 def agreement(errors: FloatArray, covariance: FloatArray) -> float:
-    """Squared error over stated variance, 1 where every direction is stated truly."""
+    """Squared error over stated variance: 1 if every direction is stated truly."""
     return float(np.mean(np.einsum("ni,ij,nj->n", errors, np.linalg.inv(covariance), errors)) / 6)
 
 
@@ -169,7 +170,8 @@ def agreement(errors: FloatArray, covariance: FloatArray) -> float:
 def test_sigma_of_an_offset_is_what_redrawn_calibrations_registrations_and_pictures_scatter(
     shift: tuple[float, float, float],
 ) -> None:
-    """For a part in its golden place and for one that lies elsewhere and is turned, in every direction."""
+    """The offset's sigma equals the scatter over drawn errors, for a part in its golden place and for a
+    turned one elsewhere."""
     now = AT_GOLDEN if shift == (0.0, 0.0, 0.0) else make_transform((0.0, 0.1, 0.9), (20.0, -14.0, 263.0))
     frames = ROBOT_FROM_RIG, ROBOT_FROM_RIG
     drawn = [miss for miss, _ in zip(misses(now, frames), range(DRAWS), strict=False)]
@@ -184,7 +186,7 @@ def test_sigma_of_an_offset_is_what_redrawn_calibrations_registrations_and_pictu
 
 
 def test_sigma_of_an_offset_is_true_for_a_rig_that_the_robot_carries() -> None:
-    """Golden and part are seen from two places of the flange; the registration's error goes with it."""
+    """The offset's sigma is right for a rig on the flange, with golden part and part seen from two poses."""
     carried = make_transform((0.1, -0.05, 1.5), (40.0, 5.0, 90.0))
     flanges = (
         make_transform((3.0, 0.2, 0.1), (500.0, 100.0, 600.0)),
@@ -209,7 +211,8 @@ def _cross(vector: FloatArray) -> FloatArray:
 
 
 def test_what_is_common_to_both_exposures_cancels_for_a_part_in_its_golden_place() -> None:
-    """Only both pictures' own errors are left: registration and calibration of any size add nothing."""
+    """For a part in its golden place registration and calibration add nothing: only both pictures' errors
+    are left."""
     offset = stated(AT_GOLDEN, (ROBOT_FROM_RIG, ROBOT_FROM_RIG), 1e4 * REGISTRATION)
     np.testing.assert_allclose(offset.robot, np.eye(4), atol=1e-9)
     R = ROBOT_FROM_RIG[:3, :3]
@@ -217,7 +220,7 @@ def test_what_is_common_to_both_exposures_cancels_for_a_part_in_its_golden_place
 
 
 def test_a_taught_point_multiplied_from_the_left_stays_where_it_was_on_the_part() -> None:
-    """robot_now robot_golden^-1 of any point that was taught on the golden part."""
+    """The offset from the left moves a taught point with the part."""
     now = make_transform((0.3, 0.1, -2.0), (-20.0, 9.0, 240.0))
     offset = stated(now, (ROBOT_FROM_RIG, ROBOT_FROM_RIG), REGISTRATION)
     on_part = make_transform((0.4, 3.0, -1.0), (30.0, -10.0, 5.0))
@@ -227,7 +230,7 @@ def test_a_taught_point_multiplied_from_the_left_stays_where_it_was_on_the_part(
 
 
 def test_a_part_without_a_front_is_turned_about_its_axis_as_little_as_can_be() -> None:
-    """Whatever turn the picture gave it; and that turn widens nothing."""
+    """A part without a front is turned as little as possible about its axis, and that turn adds no sigma."""
     rig = uncertain_rig()
     golden = golden_at(target_at(AT_GOLDEN, rig, is_round=True), ROBOT_FROM_RIG)
     moved = motion_by_parameters(rig, golden)
@@ -246,7 +249,7 @@ def test_a_part_without_a_front_is_turned_about_its_axis_as_little_as_can_be() -
 
 
 def test_a_part_that_is_not_finite_has_no_offset_and_ends_nothing() -> None:
-    """Neither its pose, nor its covariance, nor its features."""
+    """A part whose pose, covariance or features are not finite has no offset, and nothing fails."""
     rig = uncertain_rig()
     good = target_at(AT_GOLDEN, rig)
     part = held(golden_at(good, ROBOT_FROM_RIG), rig)
@@ -268,7 +271,8 @@ def test_a_part_that_is_not_finite_has_no_offset_and_ends_nothing() -> None:
 
 
 def test_only_a_single_good_part_in_the_robots_frame_becomes_the_golden_one() -> None:
-    """Otherwise a sentence says why not."""
+    """Only a single good part in the robot's frame becomes the golden part; otherwise the reason is
+    returned."""
     robot = np.eye(4)
     good, bad = make_target(), make_target(Reject.RESIDUAL)
     assert golden_target(make_snapshot(targets=(good, bad), robot_from_rig=robot)) is good
@@ -286,10 +290,11 @@ def test_only_a_single_good_part_in_the_robots_frame_becomes_the_golden_one() ->
 
 
 def test_a_path_lands_within_repeatability_where_the_robots_absolute_error_is_half_a_millimetre() -> None:
-    """A robot with a smooth error field: parts up to 20 mm beside the golden one, turned by up to 10 degrees.
+    """For a robot with a smooth error field a shifted path misses by less than 0.05 mm rms, an absolute
+    one by more than 0.3 mm.
 
-    Registered over half a metre it misses by tenths; a path that was taught on the golden part and is shifted
-    misses by what the field changes on the way: within a repeatability of 0.02 to 0.05 mm.
+    Parts are up to 20 mm beside the golden one and turned by up to 10 degrees; a shifted path errs by the
+    field's change on the way.
     """
     generator = np.random.default_rng(5)
     wave = generator.uniform(-1, 1, (3, 3)) / 200.0  # a period of about 1.2 metres

@@ -1,4 +1,4 @@
-"""An offset of rendered parts: what is wrong in registration and calibration is not in it."""
+"""An offset of rendered parts does not contain the errors of registration and calibration."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ from edged.vision.teaching.pair import teach
 
 ROBOT_FROM_RIG = make_transform((2.8, 0.3, -0.4), (400.0, -700.0, 900.0))
 WRONG = transform(rotation_matrix(np.array([2e-3, -1e-3, 1.5e-3])), np.array([0.4, -0.3, 0.5]))
-"""A registration that is off by half a millimetre and by 0.15 degrees about the robot's base."""
+"""A registration that is wrong by half a millimetre and by 0.15 degrees about the robot's base."""
 SIGMA = np.diag(np.square([0.5, 0.5, 0.5, 2e-3, 2e-3, 2e-3]))
 
 
 def seen(rig: StereoRig, part: Part, place: FloatArray, job: Job) -> Target:
-    """A part that lies there, in pictures of the true rig, measured by another."""
+    """The part at a place in pictures of the true rig, measured by another one."""
     left, right = pictures(flange().rig, scene((part, place)))
     (target,) = locate(frame_pair(left, right), job, prepare(rig)).targets
     return replace(target, reject=Reject.NONE)
@@ -36,7 +36,8 @@ def seen(rig: StereoRig, part: Part, place: FloatArray, job: Job) -> Target:
 
 @pytest.mark.slow
 def test_an_offset_of_rendered_parts_is_within_its_sigma_though_rig_and_registration_are_wrong() -> None:
-    """Measured by a rig that has drifted: nearer to the truth than the pose by far, and honest."""
+    """With a drifted rig and a wrong registration the offset is within its sigma, and far nearer to the
+    truth than the pose."""
     part = flange()
     job = teach(part.left, part.right, make_rectification(part.rig), part.region, "flange")
     relation = part.rig.right_from_left.copy()

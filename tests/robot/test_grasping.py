@@ -25,30 +25,30 @@ RIG = RobotFrame()
 def lying(
     turn_rad: tuple[float, float, float] = (0.0, 0.0, 0.0), place_mm: tuple[float, float, float] = (0, 0, 200)
 ) -> Target:
-    """A part somewhere, with a covariance that is full."""
+    """A part at a place, with a full covariance."""
     return dataclasses.replace(make_target(), rig_from_part=make_transform(turn_rad, place_mm))
 
 
 def grasp(
     part_from_tcp: FloatArray | None = None, symmetry: int = 1, name: str = "g", approach_mm: float = 50.0
 ) -> Grasp:
-    """As a job has it that was taught at TAUGHT."""
+    """A grasp of a job that was taught at TAUGHT."""
     tool = np.eye(4) if part_from_tcp is None else part_from_tcp
     return Grasp(name, tool, TAUGHT @ tool, approach_mm, 80.0, symmetry)
 
 
 def turned_deg(pose: FloatArray, taught: Grasp) -> float:
-    """By how much the tool is turned against the teaching."""
+    """The angle between the tool and its taught pose."""
     return math.degrees(Rotation.from_matrix(pose[:3, :3] @ taught.rig_from_tcp[:3, :3].T).magnitude())
 
 
 def only(target: Target, taught: Grasp) -> GraspPose:
-    """The best alternative where all is allowed."""
+    """The best alternative if everything is allowed."""
     return allowed_grasps(target, [taught], lambda _pose: True)[0]
 
 
 def test_the_tool_stands_where_it_was_taught_in_the_part() -> None:
-    """rig_from_tcp = rig_from_part part_from_tcp; approach and retreat lie behind it along its own z."""
+    """The tool's pose is rig_from_part part_from_tcp; approach and retreat lie behind it along its z."""
     tool = make_transform((0.3, -0.2, 0.1), (10.0, -5.0, 3.0))
     target = lying((0.1, 0.2, 0.3), (4.0, 5.0, 210.0))
     found = only(target, grasp(tool))
@@ -66,7 +66,8 @@ def test_the_tool_stands_where_it_was_taught_in_the_part() -> None:
 def test_of_symmetric_ways_the_one_is_taken_that_turns_the_tool_least(
     part_deg: float, turn_deg: float
 ) -> None:
-    """A square part turned by 95° is taken as if by 5°; the four ways come in the order of their turn."""
+    """Of symmetric poses the one with the least turn comes first, so a square part turned by 95° is taken
+    as by 5°."""
     taught = grasp(make_transform((0, 0, 0.7), (20.0, 0.0, 0.0)), symmetry=4)
     target = lying((0, 0, math.radians(part_deg)))
     ways = list(alternatives(target, taught, 1))
@@ -89,7 +90,7 @@ UNIT = st.floats(-3, 3, allow_subnormal=False)
 def test_a_disc_is_taken_with_the_least_turn_of_all(
     part: tuple[float, float, float], tool: tuple[float, float, float], other_rad: float
 ) -> None:
-    """Symmetry 0: no rotation about the part's z turns the tool less; eight are there to choose from."""
+    """With symmetry 0 no rotation about the part's z turns the tool less; eight are offered."""
     taught = grasp(make_transform(tool, (5.0, 0.0, 0.0)), symmetry=0)
     target = lying(part)
     way, *others = alternatives(target, taught, 1)
@@ -100,7 +101,7 @@ def test_a_disc_is_taken_with_the_least_turn_of_all(
 
 
 def test_a_part_whose_rotation_is_not_known_is_taken_as_a_disc() -> None:
-    """However it was measured to lie, the tool does not turn with it."""
+    """For a part with an unknown rotation the tool does not turn with it."""
     axis = np.array([0.0, 0.0, 1.0])
     target = dataclasses.replace(lying((0, 0, 2.0)), free_axis=axis)
     assert turned_deg(only(target, grasp()).rig_from_tcp, grasp()) == pytest.approx(0.0, abs=1e-6)
@@ -108,7 +109,7 @@ def test_a_part_whose_rotation_is_not_known_is_taken_as_a_disc() -> None:
 
 
 def test_the_sigma_of_the_tool_is_what_sampling_gives() -> None:
-    """20,000 small motions of the part scatter the tip, and turn the tool, by the stated covariance (3 %)."""
+    """20,000 small motions of the part move and turn the tool as the stated covariance says (3 %)."""
     tool = make_transform((0.3, -0.2, 0.1), (40.0, -25.0, 10.0))
     factor = np.tril(np.arange(1.0, 37.0).reshape(6, 6)) * 1e-4
     target = dataclasses.replace(lying((0.1, 0.2, 0.3)), covariance=factor @ factor.T)
@@ -124,7 +125,7 @@ def test_the_sigma_of_the_tool_is_what_sampling_gives() -> None:
 
 
 def test_what_nobody_knows_about_a_disc_moves_no_tool() -> None:
-    """An error of the rotation about its axis is none of the tip; one across it is."""
+    """An error of a disc's rotation about its axis adds nothing to the tip; one across it does."""
     target, tip = lying(), TAUGHT @ make_transform((0, 0, 0), (30.0, 0.0, 0.0))
     covariance = np.diag([0, 0, 0, 0, 1e-6, 1.0])
     found = lever_covariance(dataclasses.replace(target, covariance=covariance), tip, is_any=True)
@@ -136,7 +137,7 @@ POST = Box("post", (25.0, -5.0, 140.0), (35.0, 5.0, 160.0))
 
 
 def judged(grasps: tuple[Grasp, ...], bounds: Bounds, frame: RobotFrame = RIG) -> tuple[Reject, str]:
-    """Of a part at TAUGHT: its rejection and the grasp that is given."""
+    """The rejection of a part at TAUGHT, and its grasp."""
     outcome = picked(Outcome(Status.OK, (lying(),)), Picking(bounds=(bounds,), grasps=grasps), frame)
     (target,) = outcome.targets
     assert (outcome.status is Status.OK) == (target.reject is Reject.NONE)
@@ -144,7 +145,7 @@ def judged(grasps: tuple[Grasp, ...], bounds: Bounds, frame: RobotFrame = RIG) -
 
 
 def test_the_first_grasp_that_is_allowed_is_given() -> None:
-    """In the order of the job; without any the part is none for a robot, and says so."""
+    """The first allowed grasp in the job's order is given; without one the part is rejected with NO_GRASP."""
     far, near = (
         grasp(make_transform((0, 0, 0), (x, 0, 0)), name=name) for x, name in ((150.0, "far"), (30.0, "near"))
     )
@@ -158,7 +159,7 @@ def test_the_first_grasp_that_is_allowed_is_given() -> None:
 
 
 def test_the_tool_meets_no_keep_out_zone_on_its_way() -> None:
-    """The tip is free and so is the approach, 50 mm above; between them is a post."""
+    """A tool whose way from the approach to the part crosses a keep-out zone is not allowed."""
     straight = grasp(make_transform((0, 0, 0), (30.0, 0, 0)), name="straight")
     beside = grasp(make_transform((0, 0, 0), (-30.0, 0, 0)), name="beside")
     assert (Reject.NO_GRASP, "") == judged((straight,), Bounds((), (POST,)))
@@ -172,7 +173,7 @@ def test_the_tool_meets_no_keep_out_zone_on_its_way() -> None:
 
 
 def test_the_tool_is_judged_in_the_robots_frame() -> None:
-    """A robot that looks down at the rig's scene from 500 mm: the same box, told in its axes."""
+    """The tool is checked in the robot's frame."""
     robot_from_rig = make_transform((np.pi, 0, 0), (0.0, 0.0, 500.0))
     box = Box("bin", (-100.0, -100.0, 250.0), (100.0, 100.0, 320.0))
     assert (Reject.NONE, "g") == judged((grasp(),), Bounds((box,)), RobotFrame(robot_from_rig))
@@ -181,7 +182,7 @@ def test_the_tool_is_judged_in_the_robots_frame() -> None:
 
 
 def test_a_bad_part_has_no_grasp_and_one_that_is_no_number_is_refused() -> None:
-    """Whoever reads a grasp may use it."""
+    """A bad part has no grasp, and one with NaN is rejected."""
     bad = dataclasses.replace(lying(), reject=Reject.RESIDUAL)
     lost = dataclasses.replace(lying(), covariance=np.full((6, 6), np.nan))
     for target, reject in ((bad, Reject.RESIDUAL), (lost, Reject.NO_GRASP)):

@@ -1,4 +1,4 @@
-"""The tool's body keeps clear of zones and neighbours, and a symmetric part turns it least."""
+"""The gripper's body avoids zones and neighbours, and a symmetric part turns it least."""
 
 from __future__ import annotations
 
@@ -28,14 +28,14 @@ FINGERS = (
 
 
 def disc(x_mm: float, y_mm: float = 0.0, radius_mm: float = 20.0, turn_rad: float = 0.0) -> Target:
-    """A part with one circle, whose rotation is known."""
+    """A part with one circle and a known rotation."""
     pose = make_transform((0.0, 0.0, turn_rad), (x_mm, y_mm, 400.0))
     circle = Circle3D("c0", pose[:3, 3], -pose[:3, 2], radius_mm, np.eye(4) * 1e-6)
     return replace(make_target(), rig_from_part=pose, circles=(circle,), edges=(), slots=(), corners=())
 
 
 def picking(gripper: Gripper | None, symmetry: int = 1, keep_out: tuple[Box, ...] = ()) -> Picking:
-    """One grasp, straight into the face, taught where the part was not turned."""
+    """One grasp, straight into the face, taught on a part that was not turned."""
     taught = disc(0.0).rig_from_part
     return Picking(
         bounds=(Bounds((), keep_out, gripper),), grasps=(Grasp("g", np.eye(4), taught, 50.0, 80.0, symmetry),)
@@ -49,7 +49,7 @@ def vertices(solid: Solid) -> FloatArray:
 
 
 def in_common(one: Solid, other: Solid) -> bool:
-    """Whether some point is a mean of the corners of each: a linear programme."""
+    """Whether the boxes have a point in common, by linear programming."""
     a, b = vertices(one), vertices(other)
     equal = np.vstack([np.hstack([a.T, -b.T]), [[1] * 8 + [0] * 8], [[0] * 8 + [1] * 8]])
     return bool(linprog(np.zeros(16), A_eq=equal, b_eq=[0, 0, 0, 1, 1], method="highs").status == 0)
@@ -68,7 +68,7 @@ boxes = st.builds(
 @settings(deadline=None, max_examples=150)
 @given(boxes, boxes)
 def test_two_boxes_meet_where_a_point_lies_in_both(one: Solid, other: Solid) -> None:
-    """However they are turned; an independent witness looks for the point."""
+    """Two boxes, turned in any way, meet exactly if they have a point in common."""
     grown, shrunk = (
         any_meet([replace(one, half_mm=one.half_mm + by)], [other])
         for by in (1e-6, -np.minimum(1e-6, one.half_mm))
@@ -78,7 +78,8 @@ def test_two_boxes_meet_where_a_point_lies_in_both(one: Solid, other: Solid) -> 
 
 
 def test_a_part_is_the_box_around_what_was_measured_of_it() -> None:
-    """In its own frame, wherever it lies; of a part with nothing measured there is none."""
+    """A part's body is the box around its measured features in its own frame; without features there is
+    none."""
     part = disc(40.0, 10.0, 20.0, 0.7)
     edge = Edge3D("e", part.rig_from_part[:3, 3], (part.rig_from_part @ [50.0, 0, 0, 1])[:3], np.eye(2))
     body = body_of(replace(part, edges=(edge,)))
@@ -92,7 +93,7 @@ def test_a_part_is_the_box_around_what_was_measured_of_it() -> None:
 @pytest.mark.parametrize("turned_deg", [0, 40, 95, -130, 178])
 @pytest.mark.parametrize("symmetry", [4, 0])
 def test_a_symmetric_part_turns_the_flange_least_from_where_it_is(turned_deg: float, symmetry: int) -> None:
-    """Not from how it was at teaching: a robot whose flange stands turned stays so."""
+    """A symmetric part turns the flange least from its current pose, not from the taught one."""
     gripper = Gripper((10.0, -5.0, 150.0), (0.1, 0.2, 0.3))
     tip = (
         ROBOT_FROM_RIG
@@ -121,7 +122,7 @@ def test_a_symmetric_part_turns_the_flange_least_from_where_it_is(turned_deg: fl
 
 
 def test_fingers_keep_clear_of_neighbours_good_and_bad() -> None:
-    """Beside a part there must be room for them; with a quarter turn there may be."""
+    """If the fingers would hit a neighbour, good or bad, the grasp is turned by a quarter or refused."""
     gripper = Gripper((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), FINGERS)
     alone, beside = disc(0.0), disc(42.0)
     for neighbour in (beside, replace(beside, reject=Reject.RESIDUAL)):
@@ -141,7 +142,7 @@ def test_fingers_keep_clear_of_neighbours_good_and_bad() -> None:
 
 @pytest.mark.parametrize("robot_from_rig", [None, ROBOT_FROM_RIG])
 def test_fingers_meet_no_keep_out_zone_on_their_way(robot_from_rig: FloatArray | None) -> None:
-    """The wall of a bin, in the robot's frame; also where only the way back meets it."""
+    """The fingers must not meet a zone of the robot's frame, neither on the way in nor on the way back."""
     gripper = Gripper((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), FINGERS)
     frame = RobotFrame(robot_from_rig)
     # beside the right finger, and above it: between the grasp and the end of the retreat
@@ -159,7 +160,7 @@ def test_fingers_meet_no_keep_out_zone_on_their_way(robot_from_rig: FloatArray |
 
 
 def test_the_tip_is_read_as_a_robot_states_its_tool() -> None:
-    """Millimetres, and degrees about fixed x, y, z."""
+    """The tip is read in millimetres, and degrees about fixed x, y, z."""
     text = b"""[limits.gripper]
 tip_mm = [1.0, 2.0, 150.0]
 tip_deg = [10.0, 20.0, 30.0]

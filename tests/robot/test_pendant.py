@@ -1,4 +1,4 @@
-"""Poses as they stand on pendants, and as people paste them."""
+"""Poses as pendants show them and people paste them."""
 
 from __future__ import annotations
 
@@ -41,7 +41,8 @@ FRAME = (600.1, 100.0, 300.0, 1.0, 0.0, 0.0, 0.0)
     ],
 )
 def test_numbers_are_read_however_they_are_pasted(text: str, numbers: tuple[float, ...] | None) -> None:
-    """Tabs, commas, semicolons, labels, brackets, degree signs, units, decimal commas; else it is refused."""
+    """Numbers are read with tabs, commas, semicolons, labels, brackets, degree signs, units and decimal
+    commas; others are refused."""
     counts = (len(numbers),) if numbers else (3, 6, 7)
     if numbers is None:
         with pytest.raises(UserError, match="expected"):
@@ -52,7 +53,7 @@ def test_numbers_are_read_however_they_are_pasted(text: str, numbers: tuple[floa
 
 @pytest.mark.parametrize("brand", Brand)
 def test_what_a_pendant_shows_can_be_pasted_again(brand: Brand) -> None:
-    """To the last digit that it shows; and its labels are those that messages state."""
+    """The shown pose can be pasted again with every shown digit."""
     pendant = PENDANTS[brand]
     pose = transform(rotation_matrix(np.array([0.3, -1.1, 0.7])), np.array([512.3, -88.1, 35.4]))
     numbers = pose_of(brand, pose)
@@ -67,7 +68,7 @@ def test_what_a_pendant_shows_can_be_pasted_again(brand: Brand) -> None:
 
 
 def test_each_brand_writes_poses_in_one_way_and_most_ways_are_nobodys() -> None:
-    """A reading that fits is a brand's own, or that of brands that write alike."""
+    """A reading that fits belongs to its brand, or to brands that write alike, or to none."""
     of = {(name, unit): brands_of(name, unit) for name in READINGS for unit in ("mm", "m", "inch")}
     assert (Brand.UR,) == of["rotation vector in rad", "m"]
     assert () == of["rotation vector in rad", "mm"]

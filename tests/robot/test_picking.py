@@ -1,4 +1,4 @@
-"""What a robot may pick of what was found, and which of several parts comes first."""
+"""What a robot may pick, and which of several parts comes first."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from edged.robot.picking import RobotFrame, narrowed, picked, within
 def part(
     name: str, score: float, place_mm: tuple[float, float, float], x_px: float, sigma_mm: float
 ) -> Target:
-    """A target whose job's name tells it from the others."""
+    """A target that is recognised by its job's name."""
     return dataclasses.replace(
         make_target(),
         job=name,
@@ -47,7 +47,7 @@ TURNED = make_transform((np.pi / 2, 0.0, 0.0), (0.0, 0.0, 0.0))  # the robot's z
     ],
 )
 def test_good_parts_come_in_the_order_asked_for_and_bad_ones_behind(order: Order, names: str) -> None:
-    """Whatever order they were found in; a rejected part is never first."""
+    """Good parts come in the asked order and bad ones behind, whatever order they were found in."""
     bad = dataclasses.replace(PARTS[2], job="x", reject=Reject.RESIDUAL)
     for found in ((*PARTS, bad), (bad, *PARTS[::-1])):
         outcome = picked(Outcome(Status.OK, found), Picking(order), RIG)
@@ -56,14 +56,14 @@ def test_good_parts_come_in_the_order_asked_for_and_bad_ones_behind(order: Order
 
 
 def test_topmost_is_said_of_the_robots_frame() -> None:
-    """Registered with its z along the rig's y, what is far along that is on top."""
+    """Topmost is decided in the robot's frame."""
     low, high = (part("p", 0.9, (0.0, y_mm, 200.0), 0.0, 0.01) for y_mm in (-5.0, 5.0))
     outcome = picked(Outcome(Status.OK, (low, high)), Picking(Order.TOPMOST), RobotFrame(TURNED))
     assert (high, low) == outcome.targets
 
 
 def test_parts_that_are_equal_stay_in_the_order_of_their_score_and_what_is_no_number_comes_last() -> None:
-    """Two of one place; one whose position is not known."""
+    """Equal parts stay in the order of their score, and a part with NaN comes last."""
     twin = dataclasses.replace(PARTS[1], job="t")
     lost = dataclasses.replace(PARTS[0], job="n", rig_from_part=np.full((4, 4), np.nan))
     outcome = picked(Outcome(Status.OK, (lost, PARTS[1], twin)), Picking(Order.NEAREST), RIG)
@@ -74,7 +74,8 @@ def test_parts_that_are_equal_stay_in_the_order_of_their_score_and_what_is_no_nu
 def test_a_part_that_could_not_be_picked_comes_behind_the_other_good_ones(
     robot_from_rig: FloatArray | None,
 ) -> None:
-    """Also pushed a little; one that lies elsewhere is not meant, and alone it is given all the same."""
+    """A part that could not be picked comes behind the other good ones, also if it was moved a little;
+    alone it is given."""
     frame = RobotFrame(robot_from_rig)
     turn = np.eye(4) if robot_from_rig is None else robot_from_rig
     bad = dataclasses.replace(PARTS[2], job="x", reject=Reject.RESIDUAL)
@@ -101,7 +102,7 @@ def at(x_mm: float, y_mm: float = 0.0, z_mm: float = 200.0, reject: Reject = Rej
 
 
 def judged(target: Target, bounds: tuple[Bounds, ...], frame: RobotFrame = RIG) -> tuple[Status, Reject]:
-    """The status with this part alone, and what it is rejected for."""
+    """The status with this part alone, and its rejection."""
     outcome = picked(Outcome(Status.OK, (target,)), Picking(bounds=bounds), frame)
     return outcome.status, outcome.targets[0].reject
 
@@ -118,14 +119,14 @@ def judged(target: Target, bounds: tuple[Bounds, ...], frame: RobotFrame = RIG) 
     ],
 )
 def test_a_part_is_good_within_a_box_and_outside_of_every_keep_out_zone(x_mm: float, reject: Reject) -> None:
-    """To the micrometre; a side belongs to its box. One of several boxes will do."""
+    """A part is good within one of the boxes and outside of all keep-out zones, to the micrometre."""
     expected = (Status.LOW_QUALITY if reject else Status.OK, reject)
     assert expected == judged(at(x_mm), (Bounds((BIN,), (CLAMP,)),))
     assert expected == judged(at(x_mm), (Bounds((FAR, BIN), (FAR, CLAMP)),))
 
 
 def test_cell_and_job_must_both_allow_it() -> None:
-    """The job narrows what the cell allows, and never widens it."""
+    """Both cell and job must allow a part."""
     job = Picking(bounds=(Bounds((BIN,)),))
     for cell, status in (
         (Bounds(), Status.OK),
@@ -138,7 +139,8 @@ def test_cell_and_job_must_both_allow_it() -> None:
 
 
 def test_of_several_boxes_one_alone_may_count() -> None:
-    """By its place, from 1; into one that is not there nothing goes, and keep-out zones stay."""
+    """A box can be chosen by its number from 1; a number without a box allows nothing, and keep-out zones
+    apply."""
     two = Bounds((BIN, FAR), (CLAMP,))
     seen = [judged(at(x_mm), (narrowed(two, box),))[1] for box in (0, 1, 2, 3) for x_mm in (50.0, 0.0)]
     none, out, kept = Reject.NONE, Reject.OUT_OF_LIMITS, Reject.KEEP_OUT
@@ -146,7 +148,7 @@ def test_of_several_boxes_one_alone_may_count() -> None:
 
 
 def test_boxes_lie_in_the_robots_frame() -> None:
-    """The part of the rig's y is the robot's z."""
+    """Boxes are in the robot's frame."""
     tower = (Bounds((Box("tower", (-1.0, -999.0, 40.0), (1.0, 999.0, 60.0)),)),)
     assert (Status.OK, Reject.NONE) == judged(at(0.0, 50.0), tower, RobotFrame(TURNED))
     assert (Status.LOW_QUALITY, Reject.OUT_OF_LIMITS) == judged(at(0.0, -50.0), tower, RobotFrame(TURNED))
@@ -154,7 +156,7 @@ def test_boxes_lie_in_the_robots_frame() -> None:
 
 
 def test_where_the_robots_frame_is_not_known_nothing_is_allowed() -> None:
-    """A rig on the flange without the flange's pose; without limits that says nothing."""
+    """With limits but an unknown robot frame nothing is allowed."""
     unknown = RobotFrame(None, is_known=False)
     for bounds in (Bounds((BIN,)), Bounds((), (FAR,))):
         assert (Status.LOW_QUALITY, Reject.OUT_OF_LIMITS) == judged(at(50.0), (bounds,), unknown)
@@ -162,7 +164,7 @@ def test_where_the_robots_frame_is_not_known_nothing_is_allowed() -> None:
 
 
 def test_what_is_forbidden_gives_way_to_what_is_allowed_and_keeps_its_other_reasons() -> None:
-    """The best one lies outside: the other is first, the cycle is good. A bad part gets one reason more."""
+    """An allowed part comes before a better one outside; a bad part outside gets a further reason."""
     outside, inside = at(150.0), dataclasses.replace(at(50.0), match=Match(0, 0, 0, 1, 1, 0.5))
     outcome = picked(Outcome(Status.OK, (outside, inside)), Picking(bounds=(Bounds((BIN,)),)), RIG)
     assert (Status.OK, [Reject.NONE, Reject.OUT_OF_LIMITS]) == (
@@ -180,7 +182,7 @@ def test_what_is_forbidden_gives_way_to_what_is_allowed_and_keeps_its_other_reas
 
 
 def test_a_place_that_is_no_number_is_in_no_box() -> None:
-    """NaN compares with nothing: it must not slip past a keep-out zone."""
+    """A part at NaN is in no box, and is not allowed beside a keep-out zone."""
     lost = dataclasses.replace(at(0.0), rig_from_part=np.full((4, 4), np.nan))
     for bounds in (Bounds((BIN,)), Bounds((), (CLAMP,))):
         assert (Status.LOW_QUALITY, Reject.OUT_OF_LIMITS) == judged(lost, (bounds,))

@@ -1,4 +1,4 @@
-"""Rig to robot: true transforms come back, their doubt is honest, and what cannot work is refused."""
+"""Rig to robot: true transforms are found, their sigma is right, and impossible input is refused."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ BOARD_MM = np.array([[x * 7.0, y * 7.0, 0.0] for y in range(6) for x in range(9)
 
 
 def points(rng: np.random.Generator, number: int, sigma_mm: float = 0.0) -> tuple[FloatArray, FloatArray]:
-    """Points of the rig, and of the robot with noise."""
+    """Points in the rig's frame, and in the robot's with noise."""
     rig = rng.uniform(-60, 60, (number, 3)) + np.array([0, 0, 200])
     return rig, apply(ROBOT_FROM_RIG, rig) + rng.normal(0, sigma_mm, rig.shape)
 
@@ -83,7 +83,7 @@ def poses(
 
 
 def test_touched_points_give_the_transform() -> None:
-    """Exact points, exact transform; the scale is 1."""
+    """Exact points give the exact transform, with the scale 1."""
     found = register_points(*points(np.random.default_rng(1), 5))
 
     assert np.allclose(found.robot_from_rig, ROBOT_FROM_RIG, atol=1e-9)
@@ -93,7 +93,7 @@ def test_touched_points_give_the_transform() -> None:
 
 @pytest.mark.slow
 def test_the_doubt_of_touched_points_is_honest() -> None:
-    """Over many draws the error, squared and in units of the stated covariance, is 1 per coordinate."""
+    """Over many draws the squared error in units of the stated covariance is 1 per coordinate."""
     rng, ratios, scales = np.random.default_rng(2), [], []
     for _ in range(300):
         found = register_points(*points(rng, 12, 0.2))
@@ -106,7 +106,7 @@ def test_the_doubt_of_touched_points_is_honest() -> None:
 
 
 def test_one_wrong_point_stands_out_when_left_out() -> None:
-    """A slip of the stylus by 2 mm is the largest left-out error by far."""
+    """A point that is 2 mm off has by far the largest left-out error."""
     rig, robot = points(np.random.default_rng(3), 7, 0.05)
     robot[4] += [0.0, 2.0, 0.0]
 
@@ -118,7 +118,8 @@ def test_one_wrong_point_stands_out_when_left_out() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("number", [5, 6, 12])
 def test_the_wrong_point_is_named_and_no_innocent_one(number: int) -> None:
-    """4 mm in one point, wherever it lies: innocent points often have the larger held-out error."""
+    """An error of 4 mm in one point names that point and no other, though others often have the larger
+    left-out error."""
     named, misleading = [], 0
     for seed in range(200):
         rng = np.random.default_rng(seed)
@@ -136,7 +137,7 @@ def test_the_wrong_point_is_named_and_no_innocent_one(number: int) -> None:
 
 
 def test_of_four_points_in_a_plane_none_is_blamed_for_a_height() -> None:
-    """Any three of them fit: the error is seen, whose it is cannot be told."""
+    """With four points in a plane a wrong height is seen, but no point is named."""
     rig = np.array([[0.0, 0, 200], [50, 0, 200], [50, 40, 200], [0, 40, 200]])
     robot = apply(ROBOT_FROM_RIG, rig) + np.random.default_rng(5).normal(0, 0.02, (4, 3))
     robot[2] += 0.6 * ROBOT_FROM_RIG[:3, 2]
@@ -148,14 +149,14 @@ def test_of_four_points_in_a_plane_none_is_blamed_for_a_height() -> None:
 
 @pytest.mark.slow
 def test_good_points_have_no_culprit() -> None:
-    """Of 300 draws of six points with noise, in fewer than one in fifty one is blamed."""
+    """For 300 draws of six good points fewer than 6 have a culprit."""
     rng = np.random.default_rng(6)
     assert sum(register_points(*points(rng, 6, 0.1)).culprit is not None for _ in range(300)) < 6
 
 
 @pytest.mark.slow
 def test_three_points_are_enough_and_know_how_little_they_know() -> None:
-    """The error in units of the stated covariance is 1 in the mean also with three degrees of freedom."""
+    """With three points the error also fits the stated covariance, of three degrees of freedom."""
     rng, ratios = np.random.default_rng(7), []
     rig = np.array([[0.0, 0, 200], [60, 0, 205], [0, 50, 190]])
     for _ in range(1500):
@@ -182,7 +183,7 @@ def test_three_points_are_enough_and_know_how_little_they_know() -> None:
     ],
 )
 def test_points_that_cannot_be_right_are_named(change: object, expected: str) -> None:
-    """Units, mirrors, lines, repetitions: with the reason, never a transform."""
+    """Wrong units, mirrored, collinear and repeated points are refused with the reason."""
     rig, robot = points(np.random.default_rng(4), 6, 0.1)
     with pytest.raises(CalibrationError, match=expected):
         register_points(*change(rig, robot))
@@ -193,7 +194,7 @@ def test_points_that_cannot_be_right_are_named(change: object, expected: str) ->
 
 @pytest.mark.parametrize("mount", ["eye-to-hand", "eye-in-hand"])
 def test_hand_eye_finds_rig_and_board(mount: Mount) -> None:
-    """Both unknowns, exactly, from exact poses; for a rig on the flange too."""
+    """From exact poses both unknowns are found exactly, for a rig on the flange, too."""
     told, seen, X, Y = poses(np.random.default_rng(5), 8, mount)
     found = hand_eye(told, seen, BOARD_MM, mount)
 
@@ -204,7 +205,7 @@ def test_hand_eye_finds_rig_and_board(mount: Mount) -> None:
 
 @pytest.mark.slow
 def test_the_doubt_of_hand_eye_is_honest() -> None:
-    """The scatter of the result over many draws is what each draw states."""
+    """The scatter over many draws is that which each draw states."""
     rng, errors, stated, held = np.random.default_rng(6), [], [], []
     told, _, X, _ = poses(np.random.default_rng(7), 14)
     for _ in range(25):
@@ -222,7 +223,7 @@ def test_the_doubt_of_hand_eye_is_honest() -> None:
 
 
 def test_a_hand_eye_of_few_poses_says_how_little_it_knows() -> None:
-    """Of six poses, too, the squared error over the stated variance is about 1, never a multiple of it."""
+    """With six poses the squared error over the stated variance is about 1."""
     rng, ratios = np.random.default_rng(11), []
     for _ in range(60):
         told, seen, X, _ = poses(rng, 6, sigma_mm=0.05, sigma_rad=0.0005)
@@ -238,7 +239,7 @@ def _skew(v: FloatArray) -> FloatArray:
 
 
 def test_a_mistyped_pose_is_left_out() -> None:
-    """One wrong digit does not move the result, and the pose is named."""
+    """A pose with one wrong digit is left out and named, and does not move the result."""
     told, seen, X, _ = poses(np.random.default_rng(8), 10, sigma_mm=0.02, sigma_rad=0.0002)
     told[3] = transform(told[3][:3, :3], told[3][:3, 3] + [10.0, 0.0, 0.0])
 
@@ -252,7 +253,7 @@ def test_a_mistyped_pose_is_left_out() -> None:
 def test_a_mistyped_pose_does_not_keep_the_others_from_being_saved(
     pictured: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """It is rejected, named, and counts neither in the verdict nor in what the rig file says."""
+    """A wrong pose is rejected and named, and does not count in the verdict or the rig file."""
     lines = (pictured / "poses.csv").read_text().splitlines()
     name, x, *rest = lines[2].split(",")
     lines[2] = ",".join([name, f"{float(x) + 30:.4f}", *rest])
@@ -269,7 +270,7 @@ def test_a_mistyped_pose_does_not_keep_the_others_from_being_saved(
 
 
 def test_motions_that_leave_something_open_are_refused() -> None:
-    """Shifts only, or rotations about one axis only."""
+    """Poses with shifts only, or with rotations about one axis, and fewer than four poses are refused."""
     told, seen, X, Y = poses(np.random.default_rng(9), 6)
     shifts = [transform(told[0][:3, :3], pose[:3, 3]) for pose in told]
     with pytest.raises(CalibrationError, match="only shift"):
@@ -288,7 +289,7 @@ def test_motions_that_leave_something_open_are_refused() -> None:
 
 
 def shown(brand: Brand, pose: FloatArray) -> tuple[float, ...]:
-    """A pose as the controller of a brand shows it."""
+    """A pose as a brand's controller shows it."""
     R, t = pose[:3, :3], pose[:3, 3]
     if brand is Brand.UR:
         return (*(t / 1000), *rotation_vector_rad(R))
@@ -308,7 +309,7 @@ def shown(brand: Brand, pose: FloatArray) -> tuple[float, ...]:
 @settings(max_examples=40)
 @given(seed=st.integers(0, 2**32 - 1))
 def test_what_a_brand_shows_is_read_back(brand: Brand, seed: int) -> None:
-    """Reading is the inverse of writing, for every orientation."""
+    """Reading is the inverse of writing, for every brand and orientation."""
     rng = np.random.default_rng(seed)
     pose = transform(Rotation.random(random_state=rng).as_matrix(), rng.uniform(-900, 900, 3))
 
@@ -317,7 +318,7 @@ def test_what_a_brand_shows_is_read_back(brand: Brand, seed: int) -> None:
 
 
 def test_brands_agree_with_an_independent_library() -> None:
-    """scipy's Euler sequences: intrinsic upper case, extrinsic lower case."""
+    """The brands' angles agree with scipy's Euler sequences."""
     angles = (31.0, -22.0, 73.0)
     for brand, sequence in (
         (Brand.KUKA, "ZYX"),
@@ -351,7 +352,7 @@ def test_brands_agree_with_an_independent_library() -> None:
     ],
 )
 def test_the_self_test_finds_the_convention(brand: Brand, mount: Mount) -> None:
-    """Of all readings the true one fits, by a wide margin over those that mean something else."""
+    """The true reading fits best, by a wide margin."""
     told, seen, _, _ = poses(np.random.default_rng(10), 6, mount, 0.02, 0.0002)
     numbers = [shown(brand, pose) for pose in told]
 
@@ -365,7 +366,7 @@ def test_the_self_test_finds_the_convention(brand: Brand, mount: Mount) -> None:
 
 
 def test_a_wrong_count_or_quaternion_is_named() -> None:
-    """What the brand shows is said in the message."""
+    """A wrong count or quaternion is refused with what the brand shows."""
     with pytest.raises(ValueError, match=r"expected 6 numbers .*A B C in degrees"):
         transform_of(Brand.KUKA, (1.0, 2.0))
     with pytest.raises(ValueError, match="length 2"):
@@ -377,7 +378,7 @@ def test_a_wrong_count_or_quaternion_is_named() -> None:
 
 @pytest.fixture(scope="module")
 def pictured(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Eight rendered pairs of a board on a KUKA's flange, its poses as shown, and the rig."""
+    """Eight rendered pairs of a board on a KUKA's flange, its shown poses, and the rig."""
     folder = tmp_path_factory.mktemp("handeye")
     rig = cells.small_rig()
     save_rig(folder / "rig.json", rig)
@@ -397,7 +398,7 @@ def pictured(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.slow
 def test_hand_eye_from_rendered_boards(pictured: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Pictures in, robot_from_rig out, to hundredths of a millimetre at the board."""
+    """From rendered pictures robot_from_rig is right to hundredths of a millimetre at the board."""
     output = pictured / "registered.json"
     code = hand_eye_command(
         pictured / "rig.json", FlangePoses(pictured, pictured / "poses.csv", BOARD), "kuka", "eye-to-hand",
@@ -414,7 +415,8 @@ def test_hand_eye_from_rendered_boards(pictured: Path, capsys: pytest.CaptureFix
 
 @pytest.mark.slow
 def test_a_carried_rig_from_rendered_boards(pictured: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """A UR that carries the rig would take the same pictures: flange_from_rig, when and how are saved."""
+    """The same pictures with the rig on a UR's flange give flange_from_rig, with date and method in the
+    file."""
     output = pictured / "carried.json"
     code = hand_eye_command(
         pictured / "rig.json", FlangePoses(pictured, pictured / "carried.csv", BOARD), "ur", "eye-in-hand",
@@ -436,7 +438,7 @@ def test_a_carried_rig_from_rendered_boards(pictured: Path, capsys: pytest.Captu
 
 @pytest.mark.slow
 def test_the_wrong_brand_is_found_out(pictured: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """KUKA's angles taken for FANUC's: nothing is saved, and the self-test says how they read."""
+    """KUKA's angles read as FANUC's are refused, and the self-test names the right reading."""
     arguments = pictured / "rig.json", FlangePoses(pictured, pictured / "poses.csv", BOARD)
     output = pictured / "wrong.json"
     console = Console(stderr=True)
@@ -453,7 +455,7 @@ def test_the_wrong_brand_is_found_out(pictured: Path, capsys: pytest.CaptureFixt
 
 @pytest.mark.slow
 def test_poses_need_no_board_in_full(pictured: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """The millimetres of a square suffice; without them the board in the pictures is named."""
+    """The millimetres of a square suffice as board; without them the recognised board is named."""
     rig = pictured / "rig.json"
 
     def taken(board: str | None) -> FlangePoses:
@@ -473,7 +475,8 @@ def test_poses_need_no_board_in_full(pictured: Path, capsys: pytest.CaptureFixtu
 
 
 def test_touch_saves_only_what_is_good(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """A good fit goes into the rig with its covariance, the old rig is kept; a bad one changes nothing."""
+    """A good registration is saved with its covariance, and the old rig is kept; a bad one changes
+    nothing."""
     rig_file, table = tmp_path / "rig.json", tmp_path / "points.csv"
     save_rig(rig_file, cells.small_rig())
     before = rig_file.read_bytes()
@@ -494,7 +497,7 @@ def test_touch_saves_only_what_is_good(tmp_path: Path, capsys: pytest.CaptureFix
 
 
 def test_each_registration_before_is_kept(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """A rig keeps its calibration's id when it is registered again: its copies have numbers then."""
+    """Each former rig is kept, with numbers for the same calibration."""
     rig_file, table = tmp_path / "rig.json", tmp_path / "points.csv"
     save_rig(rig_file, cells.small_rig())
     former = []
@@ -514,7 +517,7 @@ def test_each_registration_before_is_kept(tmp_path: Path, capsys: pytest.Capture
 
 
 def test_three_touched_points_register(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """As the help says; their distances must agree, and that a wrong one would not be seen is said."""
+    """Three points with matching distances register, and it is said that a wrong one would not be seen."""
     rig_file, table = tmp_path / "rig.json", tmp_path / "points.csv"
     save_rig(rig_file, cells.small_rig())
     rig, robot = points(np.random.default_rng(12), 3, 0.02)
@@ -528,7 +531,7 @@ def test_three_touched_points_register(tmp_path: Path, capsys: pytest.CaptureFix
 
 
 def test_a_wrong_point_is_named_on_the_terminal(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """With what to do; nothing is saved."""
+    """A wrong point is named by its line, and nothing is saved."""
     rig_file, table = tmp_path / "rig.json", tmp_path / "points.csv"
     save_rig(rig_file, cells.small_rig())
     rig, robot = points(np.random.default_rng(13), 5, 0.02)
@@ -541,7 +544,7 @@ def test_a_wrong_point_is_named_on_the_terminal(tmp_path: Path, capsys: pytest.C
 
 
 def test_results_of_locate_are_points(tmp_path: Path) -> None:
-    """`edged locate --json > p1.json`, then a line p1.json,x,y,z."""
+    """The output of `edged locate --json` is a point in a line p1.json,x,y,z."""
     good = {"targets": [{"reject": [], "position_mm": [1.0, 2.0, 3.0]}]}
     (tmp_path / "p1.json").write_text(json.dumps(good))
     (tmp_path / "bad.json").write_text(
@@ -563,14 +566,14 @@ def test_results_of_locate_are_points(tmp_path: Path) -> None:
      ("a,1,2,3,4,5,nan\n", "finite"), ("a,1,2,3,4,5,6\na,1,2,3,4,5,6\n", "line 2: a is there twice")],
 )  # fmt: skip
 def test_a_bad_line_of_poses_is_named(tmp_path: Path, text: str, expected: str) -> None:
-    """By its number."""
+    """A bad line is named by its number."""
     (tmp_path / "poses.csv").write_text(text)
     with pytest.raises(FileFormatError, match=expected):
         read_poses(tmp_path / "poses.csv")
 
 
 def test_the_registrations_doubt_reaches_the_result() -> None:
-    """Far from the touched points a small rotation moves the part: sigma grows with the distance."""
+    """Sigma in the robot's frame grows with the distance from the touched points."""
     registration = np.diag([1e-4, 1e-4, 1e-4, 1e-8, 1e-8, 1e-8])
     near, far = make_target(x_mm=0.0), make_target(x_mm=1000.0)
     alone = robot_covariance(far, np.eye(4), None)

@@ -24,13 +24,13 @@ DRAWS = 10_000
 
 
 def spread(seed: int) -> FloatArray:
-    """(6, 6) of a pose, 10 µm and 0.2 mrad, its shifts and rotations related."""
+    """(6, 6) covariance of a pose, about 10 µm and 0.2 mrad, with correlations."""
     factor = np.diag([0.01] * 3 + [2e-4] * 3) @ np.random.default_rng(seed).normal(size=(6, 6))
     return factor @ factor.T
 
 
 def moved(poses: FloatArray, motions: FloatArray) -> FloatArray:
-    """Poses (N, 4, 4) turned about their own origins and shifted, by motions (N, 6)."""
+    """Poses (N, 4, 4), turned about their own origins and shifted, by motions (N, 6)."""
     result = poses.copy()
     result[:, :3, 3] += motions[:, :3]
     turns = np.array([rotation_matrix(one) for one in motions[:, 3:]])
@@ -39,7 +39,7 @@ def moved(poses: FloatArray, motions: FloatArray) -> FloatArray:
 
 
 def seen_spread(poses: FloatArray, middle: FloatArray) -> FloatArray:
-    """(6, 6) of poses (N, 4, 4) about a middle one, as `Target` defines it."""
+    """(6, 6) covariance of poses (N, 4, 4) about a middle one, as `Target` defines it."""
     turned = poses[:, :3, :3] @ middle[:3, :3].T
     vectors = 0.5 * np.stack(
         [
@@ -53,7 +53,7 @@ def seen_spread(poses: FloatArray, middle: FloatArray) -> FloatArray:
 
 
 def reporting(covariance: FloatArray) -> Target:
-    """A target measured at its reference point, of which another pose is to be published."""
+    """A target measured at its reference point with another published pose."""
     lever = levered_covariance(covariance, FAR[:3, 3] - POSE[:3, 3])
     return dataclasses.replace(
         make_target(),
@@ -66,7 +66,7 @@ def reporting(covariance: FloatArray) -> Target:
 
 
 def agree(wanted: FloatArray, seen: FloatArray) -> bool:
-    """Within what so many draws leave open, in units of the sigmas."""
+    """Whether both agree within the chance of this many draws, in units of the sigmas."""
     sigma = np.sqrt(np.diag(wanted))
     return bool(np.abs((seen - wanted) / np.outer(sigma, sigma)).max() < 5 * np.sqrt(2 / DRAWS))
 
@@ -74,7 +74,7 @@ def agree(wanted: FloatArray, seen: FloatArray) -> bool:
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_the_sigma_of_another_point_is_that_of_many_drawn_poses(seed: int) -> None:
-    """70 mm beside the reference point, its axes turned over, in the rig's frame."""
+    """70 mm beside the reference point, with other axes, sigma equals the scatter of many drawn poses."""
     covariance = spread(seed)
     motions = np.random.default_rng(seed).multivariate_normal(np.zeros(6), covariance, DRAWS)
     poses = moved(np.repeat(POSE[None], DRAWS, axis=0), motions) @ (np.linalg.inv(POSE) @ FAR)
@@ -83,7 +83,7 @@ def test_the_sigma_of_another_point_is_that_of_many_drawn_poses(seed: int) -> No
 
 @pytest.mark.slow
 def test_the_registration_of_the_robot_is_in_it() -> None:
-    """In the robot's frame, where the rig's place is drawn, too: it turns about the robot's origin."""
+    """In the robot's frame sigma includes the registration's, about the robot's origin."""
     covariance, registration = spread(4), 0.3 * spread(5)
     rng = np.random.default_rng(6)
     motions = rng.multivariate_normal(np.zeros(6), covariance, DRAWS)
@@ -103,7 +103,7 @@ def test_the_registration_of_the_robot_is_in_it() -> None:
 
 
 def test_bounds_are_those_of_the_published_place_and_grasps_those_of_the_part() -> None:
-    """The box holds the reference point, not the published one; a grasp stands where the part does."""
+    """Bounds apply to the published place, grasps to the part."""
     target = reporting(spread(7))
     near = Box("near", (0.0, -20.0, 200.0), (30.0, 20.0, 220.0))
     refused = picked(Outcome(Status.OK, (target,)), Picking(bounds=(Bounds((near,)),)), RobotFrame())
@@ -117,7 +117,7 @@ def test_bounds_are_those_of_the_published_place_and_grasps_those_of_the_part() 
 
 
 def test_pictures_have_the_part_as_it_was_measured() -> None:
-    """What is allowed is drawn at its reference point; only what is published has the other pose."""
+    """Pictures show the part at its reference point; only the published pose differs."""
     target = reporting(spread(8))
     assert np.array_equal(POSE, allowed(target, Picking(), RobotFrame()).rig_from_part)
     plain = dataclasses.replace(target, reported=None)

@@ -1,4 +1,4 @@
-"""Trays and pallets: which pocket a part lies in, what order that gives, and what lies in none."""
+"""Trays and pallets: the pocket of a part, the order of pockets, and parts in none."""
 
 from __future__ import annotations
 
@@ -29,7 +29,8 @@ def lying_at(robot_mm: np.ndarray, name: str = "p") -> Target:
 
 
 def test_pockets_are_numbered_along_the_row_then_the_rows_then_the_layers() -> None:
-    """5 by 4, 40 and 30 mm apart: 1 is the first, 2 beside it, 6 above it, 20 the opposite corner."""
+    """In a tray of 5 by 4 pockets number 1 is the first, 2 beside it, 6 above it, and 20 the opposite
+    corner; layers follow."""
     for number, place_mm in (
         (1, (400, 50, 700)),
         (2, (440, 50, 700)),
@@ -51,7 +52,7 @@ AWAY = st.floats(-1.0, 1.0)
 def test_a_part_is_in_the_pocket_whose_middle_it_is_near_and_else_in_none(
     columns: int, rows: int, layers: int, data: st.DataObject, away: tuple[float, float, float], is_near: bool
 ) -> None:
-    """However the tray stands: within the tolerance that pocket, beyond it none."""
+    """For any pose of the tray a part within the tolerance of a pocket is in it, beyond it in none."""
     first, steps = (
         np.array([300.0, -20.0, 80.0]),
         np.array([[30.0, 9.0, 1.0], [-8.0, 41.0, 0.0], [2.0, 0.0, 35.0]]),
@@ -69,7 +70,8 @@ def test_a_part_is_in_the_pocket_whose_middle_it_is_near_and_else_in_none(
 
 
 def test_parts_come_in_the_order_of_their_pockets_and_what_lies_in_none_is_refused() -> None:
-    """In the robot's frame; OUT_OF_LIMITS between two pockets, and where the frame is unknown."""
+    """Parts come in the order of their pockets; a part between two pockets, or with an unknown frame, is
+    OUT_OF_LIMITS."""
     centres = centres_mm(TRAY)
     places = [centres[13], centres[2] + [0, 11.0, 0], centres[7], (centres[0] + centres[1]) / 2]
     targets = tuple(lying_at(place, name) for place, name in zip(places, "abcd", strict=True))
@@ -86,7 +88,7 @@ def test_parts_come_in_the_order_of_their_pockets_and_what_lies_in_none_is_refus
 
 
 def test_a_part_in_a_pocket_is_no_neighbour_of_itself() -> None:
-    """The gripper keeps clear of others, not of the part that it takes."""
+    """A part in a pocket is not treated as its own neighbour."""
     target = lying_at(centres_mm(TRAY)[0])
     gripper = Gripper((0, 0, 0), (0, 0, 0), (Box("palm", (-500, -500, -500), (500, 500, 0.0)),))
     grasp = Grasp("g", np.eye(4), target.rig_from_part, 10.0, 10.0)

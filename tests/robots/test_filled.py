@@ -1,4 +1,4 @@
-"""Programs that are printed for one cell: its address, ports, words and jobs, and names of their own."""
+"""Programs that are printed for one cell: its address, ports, words and jobs, and names of its own."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ brand = "{brand}"
 def printed(
     folder: Path, capsys: pytest.CaptureFixture[str], text: str, fmt: str | None = None, name: str = ""
 ) -> str:
-    """What the command prints for this configuration."""
+    """The output of the command for this configuration."""
     config = folder / "cell.toml"
     config.write_text(CELL + text)
     capsys.readouterr()
@@ -63,7 +63,8 @@ def printed(
 def test_a_program_has_the_address_ports_and_words_of_its_cell(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Of lines, of Modbus with its base address, order of words and convention; the brand chooses it."""
+    """A program has its cell's address, port, order of words and convention, for lines or Modbus by its
+    brand."""
     text = MODBUS + LINES
     assert 'edged_ip:="10.1.2.3";' in printed(tmp_path, capsys, text.format(brand="abb"))
     assert "edged_port:=1601;" in printed(tmp_path, capsys, text.format(brand="abb"))
@@ -96,7 +97,7 @@ def test_a_program_has_the_address_ports_and_words_of_its_cell(
 def test_a_cell_that_no_program_reaches_has_none(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], text: str, fmt: str | None, expected: str
 ) -> None:
-    """The message says which key of the configuration it is."""
+    """A cell that the program cannot reach is refused with the key of the configuration."""
     with pytest.raises(UserError, match=re.escape(expected)):
         printed(tmp_path, capsys, text, fmt)
 
@@ -104,7 +105,7 @@ def test_a_cell_that_no_program_reaches_has_none(
 def test_a_cell_on_every_address_is_found_where_its_writers_are(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """An address of this machine, never 0.0.0.0."""
+    """A cell on 0.0.0.0 gives an address of this machine."""
     text = MODBUS.replace('"10.1.2.3"', '"0.0.0.0"').replace('"10.1.2.7/32"', '"0.0.0.0/0"')
     address = re.search(r"sAddress : STRING|\(\* ([0-9.]+) \*\)", printed(tmp_path, capsys, text, "scl"))
     assert address is not None
@@ -113,7 +114,7 @@ def test_a_cell_on_every_address_is_found_where_its_writers_are(
 
 @pytest.mark.parametrize("fmt", [fmt for fmt in FORMATS if fmt not in PAGES])
 def test_the_jobs_of_a_cell_stand_in_its_programs(fmt: str) -> None:
-    """Each with its number, in a comment that its controller reads."""
+    """The jobs of a cell are in a comment of its programs, with their numbers."""
     cell = ProgramCell(jobs=("1 flange", "2 gear_M8.v2"))
     text = "".join(written(fmt, cell).values())
     assert "1 flange" in text
@@ -123,7 +124,8 @@ def test_the_jobs_of_a_cell_stand_in_its_programs(fmt: str) -> None:
 @pytest.mark.parametrize("fmt", RENAMED)
 @pytest.mark.parametrize("name", ["left", "right", "ab"])
 def test_programs_of_two_cells_share_no_name(fmt: str, name: str) -> None:
-    """Every name of ours has the cell's instead of "edged"; the limits of the language hold."""
+    """All names of a named cell's program have that name instead of "edged", within the limits of the
+    language."""
     own, example = written(fmt, ProgramCell(name=name)), written(fmt)
     for file, text in own.items():
         assert "edged" not in file.lower()
@@ -136,7 +138,7 @@ def test_programs_of_two_cells_share_no_name(fmt: str, name: str) -> None:
     "fmt, name", [("karel", "left"), ("st", "left"), ("rapid", "Left"), ("rapid", "lefthand")]
 )
 def test_a_name_that_cannot_tell_two_cells_apart_is_refused(fmt: str, name: str) -> None:
-    """Programs that share registers or a block; names beyond what a controller takes."""
+    """Names that are too long, too short or wrong are refused."""
     with pytest.raises(UserError, match="expected 2 to 5 small letters"):
         written(fmt, ProgramCell(name=name))
     assert not NAME.fullmatch("") and not NAME.fullmatch("a")
@@ -145,7 +147,7 @@ def test_a_name_that_cannot_tell_two_cells_apart_is_refused(fmt: str, name: str)
 def test_the_demo_of_a_brand_has_a_robot_and_its_program_has_the_demos_jobs(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """The socket is open, poses are in a robot's frame, and its program is printed for that cell."""
+    """The demo of a brand has the robot's frame and socket, and its program has the demo's jobs."""
     options = DemoOptions(brand="abb", line_port=1777)
     config = prepare_cell(tmp_path, VirtualCell(small_rig(), demo_part()), options, gige=False)
     line = load(config).modbus.socket
@@ -163,7 +165,7 @@ def test_the_demo_of_a_brand_has_a_robot_and_its_program_has_the_demos_jobs(
 
 
 def test_a_renamed_program_locates_a_part() -> None:
-    """Its functions begin with the cell's name, and do what they did."""
+    """The functions of a renamed program begin with the cell's name and locate a part."""
     lines = LineSettings(0, Brand.KUKA)
     with LiveCell(ModbusSettings(port=0, validity_s=30.0, line=lines)) as cell:
         controller = drl.Controller(Link(cell.server.line_port))

@@ -1,4 +1,4 @@
-"""Every name that a generated program declares is one that its controller takes; so are lines and texts."""
+"""Every name, line and text of a generated program is valid for its controller."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ from edged.robots.formats import FORMATS, ProgramCell, render, written
 from edged.robots.grammar import grammar
 
 NOBODY = Link(1)
-"""Of a program that is only loaded."""
+"""For a program that is only loaded."""
 Files = Mapping[str, str]
 
 
@@ -80,11 +80,11 @@ READERS: dict[str, Callable[[Files], Declared]] = {
     "scl": _scl,
     "iec": _iec,
 }
-"""What an interpreter finds declared, by language."""
+"""The names that an interpreter finds declared, by language."""
 
 
 def program(language: str) -> Files:
-    """Files of the format that is written in a language."""
+    """The files of the format in a language."""
     return written("st" if language == "iec" else language)
 
 
@@ -106,21 +106,21 @@ languages = pytest.mark.parametrize("language", RENAMED)
 
 
 def judge(language: str, files: Files) -> None:
-    """Check files as `written` does."""
+    """Check the files as `written` does."""
     for file, source in files.items():
         if its_language := FORMATS[language].files[file]:
             grammar(its_language).checked(source)
 
 
 def renamed(language: str, other: str) -> Files:
-    """The program with one of its names replaced, wherever it stands."""
+    """The program with one of its names replaced everywhere."""
     pattern = rf"\b{RENAMED[language]}\b"
     return {file: re.sub(pattern, other, source) for file, source in program(language).items()}
 
 
 @pytest.mark.parametrize("fmt", FORMATS)
 def test_a_controller_takes_every_name_line_and_text_of_a_generated_program(fmt: str) -> None:
-    """None is a word of its language, none is too long; every file has a language, or is a configuration."""
+    """Every file passes the grammar of its language, or is a configuration."""
     unchecked = {f"edged.{kind}" for kind in ("md", "csv", "json", "eds", "xml", "pjx")} | {"edged_cell.py"}
     for file, source in written(fmt).items():
         if language := FORMATS[fmt].files[file]:
@@ -132,7 +132,7 @@ def test_a_controller_takes_every_name_line_and_text_of_a_generated_program(fmt:
 @pytest.mark.slow
 @pytest.mark.parametrize("language", READERS)
 def test_no_declared_name_is_overlooked(language: str) -> None:
-    """Whatever the interpreter meets as declared, the generators' patterns find, too."""
+    """Every name that the interpreter finds declared is found by the generators' patterns."""
     files = program(language)
     found = {name for source in files.values() for name in grammar(language).names(source)}
     if grammar(language).ignores_case:
@@ -144,7 +144,7 @@ def test_no_declared_name_is_overlooked(language: str) -> None:
 
 @languages
 def test_generator_and_interpreter_refuse_a_word_of_the_language(language: str) -> None:
-    """As the name of a variable, or of a label."""
+    """A word of the language as a name is refused by generator and interpreter."""
     words = [word for word in sorted(grammar(language).words) if re.fullmatch(r"[A-Za-z]\w*", word)]
     if language in ("drl", "urscript"):  # read as Python, whose keywords are no names at all
         words = [
@@ -160,7 +160,7 @@ def test_generator_and_interpreter_refuse_a_word_of_the_language(language: str) 
 
 @pytest.mark.parametrize("language", [one for one in RENAMED if "name" in grammar(one).longest])
 def test_generator_and_interpreter_refuse_a_name_that_is_too_long(language: str) -> None:
-    """By one character; one that just fits they take."""
+    """A name that is one character too long is refused by both, one of the longest length is not."""
     longest = grammar(language).longest["name"]
     just = RENAMED[language][0] + "x" * (longest - 1)
     judge(language, renamed(language, just))
@@ -173,7 +173,7 @@ def test_generator_and_interpreter_refuse_a_name_that_is_too_long(language: str)
 
 @pytest.mark.slow
 def test_the_interpreter_of_structured_text_refuses_a_word_of_the_language() -> None:
-    """A word that is an operator of instruction lists only passes the parser, not every compiler."""
+    """An operator of instruction lists is refused as a name, though the parser accepts it."""
     source = re.sub(r"\biHalf\b", "LD", render("st"))
     with pytest.raises(ValueError, match="LD is a word of the language"):
         grammar("iec").checked(source)
@@ -185,7 +185,7 @@ def test_the_interpreter_of_structured_text_refuses_a_word_of_the_language() -> 
 
 
 def test_a_job_has_labels_that_its_pendant_shows(tmp_path: Path) -> None:
-    """Eight characters, and its own name as well."""
+    """A job's labels have at most eight characters, and its declared names are those of the grammar."""
     job = written("motoplus")["EDGED.JBI"]
     read = inform.Controller(tmp_path, tmp_path / "memory", job, NOBODY).declared.names
     assert {"EDGED", "ASK", "WAIT"} < read
@@ -202,7 +202,7 @@ def test_a_job_has_labels_that_its_pendant_shows(tmp_path: Path) -> None:
     ],
 )
 def test_a_listing_has_its_negative_constants_in_parentheses(line: str) -> None:
-    """A bare one is refused, in whatever place; the interpreter of the listing knows none, either."""
+    """A negative constant without parentheses is refused by the grammar and the interpreter."""
     with pytest.raises(ValueError, match="parentheses"):
         grammar("tp").checked(f"/PROG  EDGEDREG\n   1:  {line}\n")
     listing = f"/PROG  EDGEDREG\n/ATTR\n/MN\n   1:  {line}\n   2:  END ;\n/POS\n/END\n"
@@ -211,7 +211,8 @@ def test_a_listing_has_its_negative_constants_in_parentheses(line: str) -> None:
 
 
 def test_no_name_that_a_user_gives_stands_in_a_program() -> None:
-    """Beside the format a cell is given: its jobs stand in comments, and none of them can end one."""
+    """Only jobs' names from a user are in a program, in comments, and a name that could end one is
+    refused."""
     assert ["fmt", "cell"] == list(inspect.signature(written).parameters)
     for job in ("1 *) x := 1", "1 */", "1 a\nb", "1 a]]>", "1", "a 1", '1 "'):
         with pytest.raises(ValueError, match="not for a program"):
@@ -222,7 +223,7 @@ def test_no_name_that_a_user_gives_stands_in_a_program() -> None:
 
 
 def test_every_table_names_its_source() -> None:
-    """A manual or a standard, and where its words were read."""
+    """Every table of a grammar names its source, and is used."""
     used = {language for row in FORMATS.values() for language in row.files.values()} - {""}
     tables = (Path(edged.robots.__file__).parent / "grammars").glob("*.toml")
     assert used == {table.stem for table in tables}

@@ -1,4 +1,4 @@
-"""A new brand or format is named wherever a person chooses one; what was forgotten is named here."""
+"""Each brand and format is offered wherever a person chooses one."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from edged.robots.formats import DOWNLOADS, FORMATS
 
 
 def keys(script: str, name: str) -> set[str]:
-    """Keys of an object of a page's script, which begins with its name."""
+    """The keys of an object in a page's script."""
     found = re.search(rf"\b{name} = {{\n(.*?)^}}", read_assets()[script], re.M | re.S)
     assert found is not None, script
     return set(re.findall(r"^  (\w+):", found[1], re.M))
 
 
 def test_every_brand_is_offered() -> None:
-    """In the configuration, in options and on the page; each has units, angles and a pendant."""
+    """Each brand is in the configuration, in options and on the page, with units, angles and a pendant."""
     brands = {str(brand) for brand in Brand}
     offered = {
         "edged/config/servers.py": set(get_args(SocketSection.model_fields["brand"].annotation)),
@@ -37,7 +37,7 @@ def test_every_brand_is_offered() -> None:
 
 
 def test_every_format_is_offered() -> None:
-    """In the help of `edged registers`, and with its maker's name on the page."""
+    """Each format is in the help of `edged registers`, and with its maker's name on the page."""
     helped = get_args(get_type_hints(registers, include_extras=True)["format"])[1].help
 
     assert set() == set(FORMATS) - set(re.findall(r"\w+", helped)), "edged/cli/around.py"

@@ -1,4 +1,4 @@
-"""The files for PLC makers hold the same program as the structured text that the other tests execute."""
+"""The files for PLC makers have the same program as the structured text that other tests execute."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ XHTML = "{http://www.w3.org/1999/xhtml}xhtml"
 
 
 def bare(text: str) -> str:
-    """Without comments and white space."""
+    """The text without comments and white space."""
     return re.sub(r"\(\*.*?\*\)|//[^\n]*|\s", "", text, flags=re.S)
 
 
 def test_taking_the_source_apart_loses_nothing() -> None:
-    """Every declaration and every statement of the source is in one of its types, functions and blocks."""
+    """Every declaration and statement of the source is in one of its types, functions and blocks."""
     source = render("st")
     parts = []
     for structure in structures(source):
@@ -39,7 +39,7 @@ def test_taking_the_source_apart_loses_nothing() -> None:
 
 
 def test_twincat_files_hold_the_program() -> None:
-    """A TcDUT or TcPOU each, with the text of the source; ids are distinct, and the same in each print."""
+    """Each TcDUT or TcPOU has the text of the source, with ids that are unique and stable."""
     files = written("twincat")
     source, ids = render("st"), set()
     bodies = {code.name: code for code in codes(source)}
@@ -63,7 +63,7 @@ def test_twincat_files_hold_the_program() -> None:
 
 
 def test_twincat_files_are_written_into_a_folder(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Their names are printed; no folder for them, or a folder for what is one file, is an error."""
+    """The written files are printed; a missing folder, or a folder for a single file, is an error."""
     folder = tmp_path / "new" / "edged"
     assert 0 == registers("twincat", folder)
     assert sorted(str(path) for path in folder.iterdir()) == sorted(capsys.readouterr().out.split())
@@ -90,7 +90,7 @@ CHILDREN = {
     "array": ("dimension", "baseType"),
     "instances": ("configurations",),
 }
-"""Order of the children that tc6_xml_v201.xsd demands, of those that are used."""
+"""The order of children in tc6_xml_v201.xsd, for those that are used."""
 REQUIRED = {
     "fileHeader": {"companyName", "productName", "productVersion", "creationDateTime"},
     "contentHeader": {"name"},
@@ -105,7 +105,7 @@ REQUIRED = {
 
 
 def type_of(element: ET.Element) -> str:
-    """Structured text of a type."""
+    """The structured text of a type."""
     (kind,) = element
     if kind.tag == PPX + "derived":
         return str(kind.get("name"))
@@ -116,7 +116,7 @@ def type_of(element: ET.Element) -> str:
 
 
 def declared(parent: ET.Element) -> str:
-    """Structured text of variables."""
+    """The structured text of variables."""
     lines = []
     for variable in parent:
         kind = variable.find(PPX + "type")
@@ -128,7 +128,7 @@ def declared(parent: ET.Element) -> str:
 
 
 def test_plcopen_xml_holds_the_program() -> None:
-    """Put together again it is the source, declaration by declaration and statement by statement."""
+    """The program, put together again, is the source."""
     root = ET.fromstring(render("plcopen"))
     parts = []
     for data_type in root.iter(PPX + "dataType"):
@@ -150,7 +150,7 @@ def test_plcopen_xml_holds_the_program() -> None:
 
 
 def test_plcopen_xml_has_the_order_and_the_attributes_of_the_schema() -> None:
-    """Children in the order of the schema, no attribute that it demands is missing."""
+    """Children are in the order of the schema, and have all required attributes."""
     root = ET.fromstring(render("plcopen"))
     assert PPX + "project" == root.tag
     for element in root.iter():

@@ -1,4 +1,4 @@
-"""Generated programs are read by a grammar that is not ours."""
+"""Generated programs are valid for a public grammar."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from edged.robots.formats import render
 
 
 def checked(source: str, folder: Path) -> str:
-    """What rapidchecker says of a module; it runs as a process of its own.
+    """The output of rapidchecker for a module, run as a process of its own.
 
-    It knows neither LOCAL before a routine nor ERROR in a function: those stand outside of what it reads.
+    It knows neither LOCAL before a routine nor ERROR in a function, which are removed before.
     """
     file = folder / "EDGED.mod"
     known = re.sub(r"LOCAL (?=FUNC|PROC)", "", source.replace("\r\n", "\n"))
@@ -28,7 +28,8 @@ def checked(source: str, folder: Path) -> str:
 
 @pytest.mark.slow
 def test_a_public_grammar_of_rapid_reads_the_module(tmp_path: Path) -> None:
-    """All of its routines, but for two words that the grammar lacks; a module that is broken it refuses."""
+    """The module is valid for a public grammar of RAPID, apart from two words that it lacks; a broken
+    module is not."""
     source = render("rapid")
     assert "" == checked(source, tmp_path)
     for whole, broken in (("fields+1;", "fields+;"), ("ENDWHILE", ""), ("left_s", "ELSEIF")):

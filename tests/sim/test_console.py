@@ -1,4 +1,4 @@
-"""What can be told to running virtual cameras, and how `edged sim` puts them together."""
+"""Commands to running virtual cameras, and their assembly by `edged sim`."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ PATTERN = SimOptions(pattern="64x48")
 
 @pytest.fixture
 def cameras() -> dict[str, GigeCamera]:
-    """Two that are not switched on."""
+    """Two cameras that are not switched on."""
     return {
         side: GigeCamera(f"127.0.54.{number}", f"C{number}", moving_ramp, size=(64, 48))
         for number, side in enumerate(("left", "right"), 1)
@@ -29,7 +29,7 @@ def cameras() -> dict[str, GigeCamera]:
 
 
 def test_commands_reach_the_cameras_they_name(cameras: dict[str, GigeCamera]) -> None:
-    """One, or both; status says what is wrong with each."""
+    """A command reaches the named camera, or both, and `status` lists the faults of each."""
     console = SimConsole(cameras)
     edges: list[bool] = []
     cameras["right"].line("Line3").listen(lambda level, _: edges.append(level))
@@ -79,14 +79,14 @@ def test_commands_reach_the_cameras_they_name(cameras: dict[str, GigeCamera]) ->
 def test_a_wrong_command_says_what_was_expected(
     cameras: dict[str, GigeCamera], line: str, expected: str
 ) -> None:
-    """And changes nothing."""
+    """A wrong command is refused with what was expected, and changes nothing."""
     with pytest.raises(UserError, match=expected):
         SimConsole(cameras).execute(line)
     assert Faults() == cameras["left"].faults
 
 
 def test_help_names_every_command_and_fault(cameras: dict[str, GigeCamera]) -> None:
-    """What `help` does not list nobody finds."""
+    """`help` lists every command and fault."""
     console = SimConsole(cameras)
     text = console.execute("help")
 
@@ -99,7 +99,7 @@ def test_help_names_every_command_and_fault(cameras: dict[str, GigeCamera]) -> N
 
 
 def test_every_fault_can_be_set_to_what_it_is() -> None:
-    """Text of each kind of value, through and back."""
+    """Every fault can be set from text."""
     written = {bool: "on", float: "0.5", int: "3", tuple: "1,2"}
     faults = Faults()
     for field in fields(Faults):
@@ -109,7 +109,8 @@ def test_every_fault_can_be_set_to_what_it_is() -> None:
 
 
 def test_pictures_of_a_folder_are_shown_in_turn(tmp_path: Path) -> None:
-    """Pair after pair, then from the start; a region of the sensor is a region of the picture."""
+    """Pairs of a folder are shown in turn and from the start again; a region of the sensor is one of the
+    picture."""
     for name, grey in (("a", 10), ("b", 20)):
         for side, more in (("left", 0), ("right", 5)):
             cv2.imwrite(str(tmp_path / f"{name}_{side}.png"), np.full((48, 64), grey + more, np.uint8))
@@ -125,7 +126,7 @@ def test_pictures_of_a_folder_are_shown_in_turn(tmp_path: Path) -> None:
 
 
 def test_both_cameras_show_one_pair_also_after_one_was_unplugged(tmp_path: Path) -> None:
-    """Its frame numbers begin anew; what counts is when both expose."""
+    """Both cameras show the same pair, also after one was unplugged and counts its frames anew."""
     for name, grey in (("a", 10), ("b", 20), ("c", 30)):
         for side in ("left", "right"):
             cv2.imwrite(str(tmp_path / f"{name}_{side}.png"), np.full((48, 64), grey, np.uint8))
@@ -157,13 +158,13 @@ def test_both_cameras_show_one_pair_also_after_one_was_unplugged(tmp_path: Path)
     ],
 )
 def test_a_wrong_option_says_what_was_expected(options: SimOptions, expected: str) -> None:
-    """Before any socket is opened."""
+    """A wrong option is refused before any socket is opened."""
     with pytest.raises(UserError, match=expected):
         build(options)
 
 
 def test_options_reach_the_cameras_they_are_for() -> None:
-    """A fault of one side, a drift of the right one, an address."""
+    """Options for a side, for the right clock and for an address reach these cameras alone."""
     options = SimOptions(
         pattern="64x48", addresses=("127.0.54.8", ""), faults=("left.delay_s=0.1",), drift_ppm=30.0
     )

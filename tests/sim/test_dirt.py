@@ -1,4 +1,4 @@
-"""Dirt on marks: it lies where it was laid, and leaves the rest of a picture as it was."""
+"""Dirt on marks: at its place, and nowhere else in a picture."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from edged.vision.geometry.rigid import apply
 
 
 def test_a_chip_lies_where_it_was_laid_in_both_pictures() -> None:
-    """Within 3 mm of its place something has changed, and nothing elsewhere."""
+    """A chip changes both pictures within 3 mm of its place and nowhere else."""
     chips = swarf(np.random.default_rng(3), AT, OWN[2:3])
     clean, dirty = pair(AT, 4), pair(AT, 4, *chips)
     for side, before, after in zip(SIDES, clean, dirty, strict=True):
@@ -25,7 +25,7 @@ def test_a_chip_lies_where_it_was_laid_in_both_pictures() -> None:
 
 @given(st.integers(0, 99), st.floats(10.0, 40.0))
 def test_oil_takes_light_where_it_is(seed: int, radius_px: float) -> None:
-    """At most its share, and none beyond its rim; of an even surface it smears nothing."""
+    """Oil darkens an even surface by at most its share, and not beyond its rim."""
     rng = np.random.default_rng(seed)
     image = np.full((90, 120), 200, np.uint8)
     place = rng.uniform((20, 20), (100, 70))

@@ -1,4 +1,4 @@
-"""The virtual sensor's pixel formats: the bytes of the standards, and what the adapter makes of them."""
+"""The virtual sensor's pixel formats: the bytes of the standards, and what the adapter reads."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from edged.vision.kernels.pixelformats import FORMATS, grey8
     ],
 )
 def test_the_bytes_are_those_of_the_standards(name: str, expected: str) -> None:
-    """Grey 0x80, 0x41, 0xff by hand, from the drawings of PFNC 2.4 and GigE Vision 1.2, appendix D."""
+    """Grey 0x80, 0x41, 0xff become the bytes in PFNC 2.4 and GigE Vision 1.2, appendix D."""
     image = np.array([[0x80, 0x41, 0xFF]], np.uint8)
 
     assert bytes.fromhex(expected) == encode(image, FORMATS[name])
@@ -33,7 +33,8 @@ def test_the_bytes_are_those_of_the_standards(name: str, expected: str) -> None:
 @pytest.mark.parametrize("name", PIXEL_FORMATS)
 @pytest.mark.parametrize("width", [1, 6, 7])
 def test_what_the_sensor_saw_is_what_the_adapter_gets(name: str, width: int) -> None:
-    """Through any format and back, odd widths too; a mosaic of one grey stays it."""
+    """Any format, also with odd widths, gives the sensor's picture back; a mosaic of one grey gives that
+    grey."""
     bayer = FORMATS[name].bayer
     image = np.random.default_rng(width).integers(0, 256, (5, width), dtype=np.uint8)
     image = np.full_like(image, 77) if bayer else image

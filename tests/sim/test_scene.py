@@ -65,7 +65,7 @@ def pose(x: float, y: float, z: float, rotation: tuple[float, float, float] = (0
 
 
 def on_black(part: Part, rig_from_part: FloatArray) -> Scene:
-    """A part before the night."""
+    """A part on a black table."""
     return Scene(Table(Surface(0.0), pose(0, 0, 300)), (PlacedPart(part, rig_from_part),))
 
 
@@ -74,7 +74,7 @@ def on_black(part: Part, rig_from_part: FloatArray) -> Scene:
 
 @pytest.mark.parametrize("camera", [DIVISION, BROWN])
 def test_lenses_agree_with_the_pipelines(camera: CameraModel) -> None:
-    """The renderer's lens and the pipeline's are the same map, both ways, to 1e-9 px."""
+    """The renderer's lens and the pipeline's are the same in both directions, to 1e-9 px."""
     y, x = np.mgrid[0:960:37, 0:1280:41].astype(float)
     pixels = np.stack([x, y], axis=-1)
     rays = lens.rays_of_pixels(camera, pixels)
@@ -85,7 +85,7 @@ def test_lenses_agree_with_the_pipelines(camera: CameraModel) -> None:
 
 @pytest.mark.slow
 def test_a_lens_that_folds_is_refused() -> None:
-    """A lens without a single ray for each pixel cannot be rendered and says so."""
+    """A lens without a single ray for each pixel is refused."""
     with pytest.raises(ValueError, match="folds"):
         RenderedView(replace(BROWN, distortion=(-40.0, 0.0, 0.0, 0.0, 0.0)), np.eye(4))
 
@@ -96,7 +96,7 @@ def test_a_lens_that_folds_is_refused() -> None:
 @given(st.floats(-1, 1), st.floats(-1, 1), st.floats(-1, 1))
 @settings(max_examples=100)
 def test_half_plane_coverage_is_the_area(distance: float, slope_x: float, slope_y: float) -> None:
-    """The closed form equals counting points of a cell, and both sides of a line fill the cell."""
+    """The closed form equals a count of points in a pixel, and both sides of a line fill it."""
     slope_x, slope_y = slope_x + 0.2, slope_y + 0.1  # the count needs a line that is not all of the cell
     covered = raster.half_plane_coverage(distance, slope_x, slope_y)
     if math.hypot(slope_x, slope_y) > 0.05:
@@ -116,7 +116,7 @@ EVERY_SHAPE = [
 
 
 def small_view() -> RenderedView:
-    """A few pixels that look askew at (0, 0, 60) of the rig frame."""
+    """A few pixels in a slanted view of (0, 0, 60) in the rig's frame."""
     camera = CameraModel("division", 32, 26, 300.0, 300.0, 15.0, 13.0, (-0.3,))
     camera_from_rig = pose(0, 0, 0, (0.1, 0.4, 0.1))
     camera_from_rig[:3, 3] = (0, 0, 60) - camera_from_rig[:3, :3] @ (0, 0, 60)
@@ -178,7 +178,8 @@ def test_layers_marks_and_holes_are_painted_in_order() -> None:
 
 
 def test_what_lies_still_is_seen_as_if_for_the_first_time() -> None:
-    """A view remembers the scene that it saw last; what moved, got darker or has another grain is another."""
+    """A second picture of an unchanged scene is as the first; one with a moved, darker or other part is
+    not."""
     disc = Part("p", Disc(0, 0, 2), Surface(0.5, 0.2))
     first = on_black(disc, pose(0.3, 0.1, 60))
     others = (
@@ -195,7 +196,7 @@ def test_what_lies_still_is_seen_as_if_for_the_first_time() -> None:
 
 
 def test_the_light_may_fall_off() -> None:
-    """The irradiance follows the place in the rig frame, on every layer."""
+    """The irradiance depends on the place in the rig's frame, on every layer."""
     scene = replace(
         on_black(Part("p", Disc(0, 0, 2), Surface(0.5)), pose(0.3, 0.1, 60, (0.1, 0.2, 0.5))),
         light=SceneLight(0.8, (0.1, -0.05)),
@@ -243,7 +244,7 @@ def test_edges_are_where_they_project_to(radius_mm: float) -> None:
 
 @pytest.mark.parametrize("sensor", [SHARP, Sensor()])
 def test_moments_of_a_disc_are_exact(sensor: Sensor) -> None:
-    """Area and centroid of a rendered disc are those of its projected outline; blur moves neither."""
+    """Area and centroid of a rendered disc are those of its projected outline, with any blur."""
     view = stereo_views(demo_rig(), sensor)["left"]
     disc, place = Disc(0, 0, 14.0), pose(9, 1, 204, (0.03, -0.04, 1.0))
     image = view.radiance(on_black(Part("disc", disc, Surface(1.0)), place)).astype(np.float64)
@@ -262,7 +263,7 @@ def test_moments_of_a_disc_are_exact(sensor: Sensor) -> None:
 def test_an_edge_is_blurred_before_pixels_sample_it(
     psf_sigma_px: float, within: float, turn_rad: float
 ) -> None:
-    """Each pixel at a straight edge, however it lies, holds the blurred edge's mean over its area."""
+    """Each pixel at a straight edge has the blurred edge's mean over its area."""
     camera = CameraModel("division", 48, 40, 900.0, 900.0, 23.3, 19.6, (0.0,))
     view = RenderedView(camera, np.eye(4), Sensor(psf_sigma_px=psf_sigma_px))
     ahead = np.array([math.cos(turn_rad), math.sin(turn_rad)])
@@ -282,7 +283,7 @@ def test_an_edge_is_blurred_before_pixels_sample_it(
 
 
 def test_the_blur_sees_beyond_the_border() -> None:
-    """A smaller sensor is a window onto a larger one, up to its last pixel."""
+    """A smaller sensor's picture is a window of a larger one's, up to its last pixel."""
     large = RenderedView(CameraModel("division", 120, 100, 900.0, 900.0, 60.0, 50.0, (-0.2,)), np.eye(4))
     small = RenderedView(CameraModel("division", 60, 50, 900.0, 900.0, 40.0, 30.0, (-0.2,)), np.eye(4))
     scene = Scene(
@@ -295,7 +296,7 @@ def test_the_blur_sees_beyond_the_border() -> None:
 
 
 def test_texture_is_attached_to_the_part() -> None:
-    """Both cameras see the same grain at the same point of the part."""
+    """Both cameras see the same texture at the same point of the part."""
     rng = np.random.default_rng(1)
     place = pose(9, 1, 204, (0.03, -0.04, 1.0))
     scene = on_black(Part("p", Disc(0, 0, 14), Surface(0.5, 0.2, 0.8)), place)
@@ -318,7 +319,7 @@ def test_texture_is_attached_to_the_part() -> None:
     ],
 )
 def test_a_lay_runs_straight_or_in_arcs(lay: dict, along: tuple, across: tuple) -> None:
-    """Around the middle of the face grey values are alike along the lay, and not across it."""
+    """Around the middle of the face grey values correlate along the lay, and not across it."""
     part = Part("p", Disc(0, 0, 14), Surface(0.5, 0.2, 0.5, stretch=12.0, **lay))
     place, view = pose(9, 1, 204, (0.0, 0.0, 0.0)), stereo_views(demo_rig())["left"]
     picture = view.radiance(on_black(part, place)).copy()
@@ -354,7 +355,7 @@ def test_the_sensor_does_as_its_twin() -> None:
 
 
 def test_noise_is_shot_noise() -> None:
-    """The variance is that of counted electrons plus read noise plus rounding, the mean unmoved."""
+    """The variance is that of counted electrons plus read noise plus rounding, with the true mean."""
     view = RenderedView(CameraModel("division", 200, 150, 900.0, 900.0, 100.0, 75.0, (0.0,)), np.eye(4))
     for albedo in (0.1, 0.5, 0.9):
         scene = Scene(Table(Surface(albedo), pose(0, 0, 100)))
@@ -366,7 +367,7 @@ def test_noise_is_shot_noise() -> None:
 
 
 def test_exposure_and_gain_scale_the_signal() -> None:
-    """Twice the time is twice the signal above black, 6.02 dB as well; too much saturates."""
+    """Twice the exposure time, or 6.02 dB, is twice the signal above black; too much saturates."""
     view = RenderedView(CameraModel("division", 60, 50, 900.0, 900.0, 30.0, 25.0, (0.0,)), np.eye(4))
     scene = Scene(Table(Surface(0.4), pose(0, 0, 100)))
     assert view.render(scene)[25, 30] == 3 + 88
@@ -407,7 +408,7 @@ def request(frame_id: int, exposed_ns: int, width: int = 1280, height: int = 960
 
 
 def seen_by(cell: VirtualCell, camera: str, frame_id: int, exposed_ns: int) -> int:
-    """Number of the scene that an exposure sees; the smallest picture is enough."""
+    """The number of the scene that an exposure sees, from the smallest picture."""
     cell.exposure(camera)(request(frame_id, exposed_ns, 16, 16))
     truth = cell.truth_of_frame(camera, frame_id)
     assert truth is not None
@@ -420,33 +421,33 @@ MS = 1_000_000
 
 @pytest.mark.slow
 def test_both_cameras_see_one_scene(cell: VirtualCell) -> None:
-    """Two exposures a few ms apart are one pair, whatever their ids and whichever comes first."""
+    """Two exposures a few ms apart see one scene, whatever their ids and whichever comes first."""
     assert seen_by(cell, "left", 1, 1 * S) == seen_by(cell, "right", 41, 1 * S + 8 * MS) == 0
     assert seen_by(cell, "right", 42, 2 * S) == seen_by(cell, "left", 2, 2 * S + 3 * MS) == 1
 
 
 @pytest.mark.slow
 def test_a_restarted_camera_pairs_again(cell: VirtualCell) -> None:
-    """Ids that start again, a camera that stays away for a while: the next common trigger is a pair."""
+    """After restarted ids, or an absence, the next common trigger is a pair."""
     assert seen_by(cell, "left", 1, 1 * S) == seen_by(cell, "right", 1, 1 * S + MS) == 0
     assert [seen_by(cell, "left", k, k * S) for k in (2, 3)] == [1, 2]
     assert seen_by(cell, "right", 1, 4 * S) == seen_by(cell, "left", 4, 4 * S + MS) == 3
 
 
 def test_a_repeated_request_sees_the_same(cell: VirtualCell) -> None:
-    """An exposure asked for twice is the same picture, noise included."""
+    """A repeated request gives the same picture, with the same noise."""
     first, again = (cell.exposure("left")(request(1, S)) for _ in range(2))
     np.testing.assert_array_equal(first, again)
 
 
 @pytest.mark.slow
 def test_triggers_faster_than_the_window_move_the_part(cell: VirtualCell) -> None:
-    """A camera never sees one scene twice, however quick."""
+    """A camera never sees one scene twice, however fast it is triggered."""
     assert [seen_by(cell, "left", k, S + k * MS) for k in range(4)] == [0, 1, 2, 3]
 
 
 def test_truth_is_found_by_time(cell: VirtualCell) -> None:
-    """The truth belongs to the nearest exposure; where none was near there is none."""
+    """The truth is that of the nearest exposure; without a near one there is none."""
     assert cell.truth(S) is None
     for k in (1, 2):
         seen_by(cell, "right", k, k * S)
@@ -459,7 +460,7 @@ def test_truth_is_found_by_time(cell: VirtualCell) -> None:
 
 @pytest.mark.slow
 def test_scenes_follow_from_the_seed() -> None:
-    """Equal seeds, equal cells; the part moves within its range and turns all the way round."""
+    """Equal seeds give equal cells, and the part moves within its range and turns all the way round."""
     cells = [VirtualCell(demo_rig(), demo_part(), seed=seed) for seed in (1, 1, 2)]
     poses = [[cell.pose(k) for k in range(40)] for cell in cells]
     np.testing.assert_array_equal(poses[0], poses[1])
@@ -473,7 +474,7 @@ def test_scenes_follow_from_the_seed() -> None:
 
 @pytest.mark.slow
 def test_the_picture_shows_the_truth(cell: VirtualCell) -> None:
-    """The outer circle of the truth projects onto the rim of the bright part in both pictures."""
+    """The outer circle of the truth projects to the rim of the bright part in both pictures."""
     views = stereo_views(cell.rig)
     for camera in SIDES:
         image = cell.exposure(camera)(request(1, S))
@@ -492,7 +493,7 @@ def test_the_picture_shows_the_truth(cell: VirtualCell) -> None:
 
 @pytest.mark.slow
 def test_teaching_is_square_to_the_left_camera(cell: VirtualCell) -> None:
-    """The taught part has the axes of the rig, and lies whole in both pictures."""
+    """The taught part has the axes of the rig, and is whole in both pictures."""
     left, right, truth = cell.teach_pair()
     np.testing.assert_array_equal(truth.rig_from_part[:3, :3], np.eye(3))
     for image in (left, right):
@@ -503,7 +504,7 @@ def test_teaching_is_square_to_the_left_camera(cell: VirtualCell) -> None:
 
 
 def test_a_smaller_image_is_a_window(cell: VirtualCell) -> None:
-    """A camera set to a smaller size delivers the corner of its sensor; a larger one is an error."""
+    """A smaller size is the corner of the sensor; a larger one is an error."""
     whole, part = (cell.exposure("left")(request(1, S, *size)) for size in ((1280, 960), (640, 100)))
     np.testing.assert_array_equal(part, whole[:100, :640])
     with pytest.raises(ImageError, match="1281x960"):
@@ -512,7 +513,7 @@ def test_a_smaller_image_is_a_window(cell: VirtualCell) -> None:
 
 @pytest.mark.slow
 def test_a_part_too_large_is_refused() -> None:
-    """A part that fits nowhere is an error at once, not an endless search."""
+    """A part that is too large is refused at once."""
     with pytest.raises(ValueError, match="fits nowhere"):
         VirtualCell(demo_rig(), Part("plate", Disc(0, 0, 50), Surface(0.5)))
     with pytest.raises(ValueError, match="fits nowhere"):
@@ -521,7 +522,7 @@ def test_a_part_too_large_is_refused() -> None:
 
 @pytest.mark.slow
 def test_history_is_bounded(cell: VirtualCell) -> None:
-    """Truth is forgotten in the end: a cell that runs for a year does not grow."""
+    """Only the last 1024 truths are kept."""
     for k in range(1100):
         cell.moment("left", request(k, k * S))
     assert 1024 == sum(cell.truth(k * S, tolerance_ns=0) is not None for k in range(1100))
@@ -533,7 +534,7 @@ def test_history_is_bounded(cell: VirtualCell) -> None:
 
 @pytest.mark.slow
 def test_chessboard_corners_are_where_the_truth_says() -> None:
-    """OpenCV finds the corners of rendered boards at their projections: no half pixel, no swapped axis."""
+    """OpenCV finds the corners of rendered boards at their projections, and the first square is dark."""
     rig, plate = demo_rig(), chessboard_plate(11, 8, 4.0)
     assert plate.points_mm.shape == (88, 3)
     np.testing.assert_array_equal(plate.points_mm[[0, 1, 11]], [(0, 0, 0), (4, 0, 0), (0, 4, 0)])
@@ -555,7 +556,8 @@ def test_chessboard_corners_are_where_the_truth_says() -> None:
 
 
 def test_dots_are_where_the_truth_says() -> None:
-    """The centroid of every dot, seen square, is its projected centre; the corner by the first is cut."""
+    """The centroid of every dot, seen straight on, is its projected centre, and the corner beside the
+    first is cut."""
     plate = dots_plate(7, 7, 5.0)
     view = stereo_views(demo_rig(), SHARP)["left"]
     place = pose(0, 0, 205)

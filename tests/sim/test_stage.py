@@ -1,4 +1,4 @@
-"""What a virtual cell shows while it runs, and the hand that holds it."""
+"""The contents of a running virtual cell, and the hand that holds them."""
 
 from __future__ import annotations
 
@@ -32,12 +32,12 @@ def at(x: float, y: float, z: float) -> FloatArray:
 
 @pytest.fixture
 def cell() -> VirtualCell:
-    """The demo's, with a board."""
+    """The demo's cell with a board."""
     return VirtualCell(demo_rig(), demo_part(), seed=3, board=stage_board())
 
 
 class Clock:
-    """UTC as a test says."""
+    """A UTC clock that the test sets."""
 
     now_ns = S
 
@@ -46,7 +46,7 @@ class Clock:
 
 
 def picture(cell: VirtualCell, side: Side, at_ns: int, exposure_us: float = 2000.0) -> Image:
-    """What a camera sees at a time."""
+    """The picture of a camera at a time."""
     return cell.exposure(side)(ExposureRequest(at_ns // S, at_ns, at_ns, exposure_us, 0.0, 1280, 960))
 
 
@@ -54,7 +54,7 @@ def picture(cell: VirtualCell, side: Side, at_ns: int, exposure_us: float = 2000
 
 
 def test_a_hand_moves_smoothly_even_when_it_is_sent_elsewhere_on_its_way() -> None:
-    """Its speed changes little within 1 ms, from start to end, and it arrives to the micrometre."""
+    """A hand that is redirected on its way has no jump in its speed and arrives to the micrometre."""
     hand = Hand(at(0, 0, 200), skill=STEADY)
     hand.move(at(30, 0, 200), 0)
     hand.move(at(0, 40, 215), 600 * MS)
@@ -68,7 +68,7 @@ def test_a_hand_moves_smoothly_even_when_it_is_sent_elsewhere_on_its_way() -> No
 
 
 def test_minimum_jerk_begins_and_ends_at_rest() -> None:
-    """No speed and no acceleration at either end, half the way after half the time."""
+    """The motion has no speed or acceleration at either end, and half of the way after half the time."""
     share = np.array([minimum_jerk(t) for t in np.linspace(-0.1, 1.1, 1201)])
     assert 0.5 == minimum_jerk(0.5)
     assert np.abs(np.diff(share)).max() == pytest.approx(1.875e-3, rel=1e-3)
@@ -77,7 +77,7 @@ def test_minimum_jerk_begins_and_ends_at_rest() -> None:
 
 
 def test_tremor_is_as_large_as_said_and_ends_when_the_board_is_laid_down() -> None:
-    """0.05 mm along each axis; a hand at rest does not move at all."""
+    """Tremor is 0.05 mm along each axis, and a board that is laid down does not move."""
     hand = Hand(at(0, 0, 200), seed=5)
     places = np.array([hand.pose(k * 3 * MS)[:3, 3] for k in range(6000)])
     np.testing.assert_allclose(places.std(axis=0), 0.05, rtol=0.1)
@@ -88,7 +88,7 @@ def test_tremor_is_as_large_as_said_and_ends_when_the_board_is_laid_down() -> No
 
 
 def test_a_hand_misses_by_its_skill_and_repeats_by_its_seed() -> None:
-    """Never farther than 10 mm and 6 degrees, often half of it, and the same for the same seed."""
+    """A hand misses by up to 10 mm and 6 degrees, and equally for the same seed."""
     ends = []
     for seed in (1, 1, *range(2, 60)):
         hand = Hand(at(0, 0, 200), seed=seed)
@@ -104,7 +104,7 @@ def test_a_hand_misses_by_its_skill_and_repeats_by_its_seed() -> None:
 
 
 def test_who_is_asked_again_comes_nearer() -> None:
-    """A person sees the drawing and the board: half of the miss each time, at one place."""
+    """At one place a hand's miss halves with each request; at another it is as large as before."""
     misses = []
     for seed in range(40):
         hand = Hand(at(0, 0, 200), seed=seed)
@@ -124,7 +124,7 @@ def test_who_is_asked_again_comes_nearer() -> None:
 
 @pytest.mark.slow
 def test_a_board_is_where_the_truth_says_and_both_cameras_see_one_moment(cell: VirtualCell) -> None:
-    """A board that moves all the time: its corners lie at their projections in both pictures of a pair."""
+    """The corners of a moving board are at their projections in both pictures of a pair."""
     cell.show("board", lambda at_ns: at(-12 + at_ns / S, -14, 200))
     for side, lag_ns in zip(SIDES, (0, 20 * MS), strict=True):
         found = detect_board(picture(cell, side, 2 * S + lag_ns), BOARD)
@@ -138,7 +138,7 @@ def test_a_board_is_where_the_truth_says_and_both_cameras_see_one_moment(cell: V
 
 @pytest.mark.slow
 def test_a_covered_board_is_not_found_and_nothing_is_nothing(cell: VirtualCell) -> None:
-    """Fingers hide marks; an empty table has neither board nor part."""
+    """A covered board is not found, and an empty table is dark."""
     cell.show("board", at(-12, -14, 200), covered=True)
     assert not isinstance(detect_board(picture(cell, "left", S), BOARD), Detection)
     cell.show("nothing")
@@ -147,7 +147,7 @@ def test_a_covered_board_is_not_found_and_nothing_is_nothing(cell: VirtualCell) 
 
 @pytest.mark.slow
 def test_a_hand_before_one_camera_is_seen_by_that_one_alone(cell: VirtualCell) -> None:
-    """The other camera's picture changes by its noise."""
+    """A hand before one camera changes that camera's picture far more than the other one."""
     cell.show("nothing")
     before = {side: picture(cell, side, S).astype(float) for side in SIDES}
     for waved in SIDES:
@@ -161,7 +161,7 @@ def test_a_hand_before_one_camera_is_seen_by_that_one_alone(cell: VirtualCell) -
 
 @pytest.mark.slow
 def test_the_ring_of_a_lens_blurs_its_picture_alone() -> None:
-    """Turned away from sharp, what a board's corners tell of the blur is what the ring says."""
+    """The blur at a board's corners is that of the lens's ring, for its own camera alone."""
     cell = VirtualCell(demo_rig(), demo_part(), board=stage_board())
     clock = Clock()
     stage = Stage(cell, skill=STEADY, clock=clock)
@@ -181,7 +181,7 @@ def test_the_ring_of_a_lens_blurs_its_picture_alone() -> None:
 
 
 def test_the_hand_follows_a_drawing(cell: VirtualCell) -> None:
-    """The outline of a board in both pictures is the pose that drew it, to the micrometre."""
+    """The outline of a board in both pictures leads the hand to the pose that drew it."""
     clock = Clock()
     stage = Stage(cell, skill=STEADY, clock=clock)
     goal = at(-8, -20, 212)
@@ -202,7 +202,7 @@ def test_the_hand_follows_a_drawing(cell: VirtualCell) -> None:
 
 
 def test_a_part_that_is_laid_stays_until_it_is_laid_elsewhere(cell: VirtualCell) -> None:
-    """Every exposure sees it at one place."""
+    """A part stays at its place for every exposure until it is laid elsewhere."""
     stage = Stage(cell)
     poses = []
     for _ in range(2):
@@ -214,7 +214,7 @@ def test_a_part_that_is_laid_stays_until_it_is_laid_elsewhere(cell: VirtualCell)
 
 
 def test_what_is_no_board_is_refused(cell: VirtualCell) -> None:
-    """Three points, a line, a cell without a board."""
+    """Three points, a line, and a cell without a board are refused."""
     stage = Stage(cell)
     square = np.array([(500.0, 400), (700, 400), (700, 500), (500, 500)])
     for left in (square[:3], np.full((4, 2), np.nan)):

@@ -1,4 +1,4 @@
-"""Weather of a virtual cell: temperatures, what they do to cameras, knocks; all exact."""
+"""Weather of a virtual cell: temperatures, their effect on cameras, knocks; all exact."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ STILL = Schedule(((0.0, 0.0),))
 
 
 def test_a_thing_follows_as_the_differential_equation_says() -> None:
-    """Against small steps of dT/dt = (around - T) / lag, over a day and after it."""
+    """The temperature follows dT/dt = (around - T) / lag, over a day and after it."""
     schedule, lag_s, own_k = Schedule.days(10.0), 3_600.0, 0.0
     for second in range(int(1.2 * DAY_S)):
         if second % 7_200 == 0:
@@ -28,13 +28,13 @@ def test_a_thing_follows_as_the_differential_equation_says() -> None:
 
 
 def test_a_step_is_followed_by_an_exponential() -> None:
-    """63 % after one time constant."""
+    """After a step the temperature has changed by 63 % after one time constant."""
     step = Schedule(((0.0, 0.0), (1e-9, 10.0), (1e6, 10.0)))
     assert step.of_thing_k(100.0, 100.0) == pytest.approx(10.0 * (1.0 - math.exp(-1.0)), abs=1e-6)
 
 
 def test_without_weather_the_rig_stays_to_the_last_bit() -> None:
-    """At any time."""
+    """Without weather the rig is unchanged at any time."""
     now = Weather(demo_rig(), STILL).at(5e4)
     assert np.array_equal(now.right_from_world, demo_rig().right_from_left)
     assert np.array_equal(now.left_from_world, np.eye(4))
@@ -42,7 +42,7 @@ def test_without_weather_the_rig_stays_to_the_last_bit() -> None:
 
 
 def test_a_kelvin_in_the_bar_moves_depth_by_what_the_design_says() -> None:
-    """4.6 µm in Z at 200 mm, when nothing else moves."""
+    """A kelvin in the bar alone moves Z by 4.6 µm at 200 mm."""
     only_bar = Sensitivity(stand_mm_per_k=0, turn_rad_per_k=0, seat_mm_per_k=0, focal_per_k=0)
     warm = Schedule(((0.0, 0.0), (1.0, 1.0), (1e7, 1.0)))
     now = Weather(demo_rig(), warm, does=only_bar).at(1e6).rig
@@ -51,7 +51,7 @@ def test_a_kelvin_in_the_bar_moves_depth_by_what_the_design_says() -> None:
 
 
 def test_a_knock_of_the_rig_moves_both_cameras_and_not_their_relation() -> None:
-    """By what was stated, from its moment on."""
+    """A knock of the rig moves both cameras as stated, from its moment on, and not their relation."""
     knock = Knock(10.0, "rig", (0.2, 0.0, 0.0), (0.0, 1e-3, 0.0))
     weather = Weather(demo_rig(), STILL, (knock,))
     before, after = weather.at(9.9), weather.at(10.0)
@@ -61,7 +61,7 @@ def test_a_knock_of_the_rig_moves_both_cameras_and_not_their_relation() -> None:
 
 
 def test_a_knock_of_a_camera_moves_it_alone() -> None:
-    """In its own axes, about its own centre."""
+    """A knock of a camera moves it alone, in its own axes about its own centre."""
     now = Weather(demo_rig(), STILL, (Knock(0.0, "right", (0.0, 0.2, 0.0), (0.0, 0.0, 1e-3)),)).at(0.0)
     assert np.array_equal(now.left_from_world, np.eye(4))
     moved = demo_rig().right_from_left @ invert(now.right_from_world)
@@ -70,7 +70,7 @@ def test_a_knock_of_a_camera_moves_it_alone() -> None:
 
 
 def test_the_same_seed_is_the_same_weather() -> None:
-    """And another seed moves things elsewhere."""
+    """The same seed gives the same weather, another seed another."""
     first, again, other = (Weather(demo_rig(), Schedule.days(10.0), seed=k).at(2e4) for k in (1, 1, 2))
     assert np.array_equal(first.right_from_world, again.right_from_world)
     assert not np.allclose(first.right_from_world, other.right_from_world, atol=1e-6)
@@ -78,7 +78,7 @@ def test_the_same_seed_is_the_same_weather() -> None:
 
 @pytest.mark.slow
 def test_a_cell_in_the_weather_shows_what_its_cameras_see() -> None:
-    """Marks lie where the true cameras of that time project them; a covered one is gone."""
+    """Marks are where the true cameras of that time project them."""
     cell = marked_cell(Knock(5.0, "right", (1.0, 0.0, 0.0)))
     own = np.column_stack([DEMO_MARKS.places[:, :2], np.zeros(DEMO_MARKS.count)])
     assert cell.weather is not None
@@ -96,7 +96,7 @@ def test_a_cell_in_the_weather_shows_what_its_cameras_see() -> None:
 
 
 def rough_spots(image: np.ndarray) -> int:
-    """Dark round blobs in the white of the plate."""
+    """The number of dark round blobs in the white of the plate."""
     count, _, stats, _ = cv2.connectedComponentsWithStats((image < 60).astype(np.uint8))
     areas = stats[1:count, cv2.CC_STAT_AREA]
     wide, high = stats[1:count, cv2.CC_STAT_WIDTH], stats[1:count, cv2.CC_STAT_HEIGHT]

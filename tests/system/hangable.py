@@ -1,9 +1,9 @@
-"""`edged` with two ways to hang, for a watchdog that is to be believed.
+"""`edged` with two ways to hang, to test the watchdog.
 
 python tests/system/hangable.py run /etc/edged/cell.toml
 
 SIGUSR1: the next measurement never ends; the event loop and its servers go on.
-SIGUSR2: the event loop itself stands still.
+SIGUSR2: the event loop itself stops.
 """
 
 from __future__ import annotations

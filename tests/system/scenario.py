@@ -1,4 +1,4 @@
-"""What a service must do under a real systemd, step by step; runs as root inside a throwaway machine.
+"""The behaviour of the service under a real systemd, step by step; runs as root inside a throwaway machine.
 
 PYTHONPATH=tests python -m system.scenario /out/verdicts.json
 
@@ -45,19 +45,19 @@ def shown(name: str, unit: str = "edged") -> str:
 
 
 def journal(unit: str = "edged", *words: str) -> list[dict[str, Any]]:
-    """Every journal entry that came from the unit's processes or speaks of it."""
+    """Every journal entry of the unit's processes or about it."""
     command("journalctl", "--sync")
     text = command("journalctl", "--output=json", "--no-pager", "--unit", unit, *words)
     return [json.loads(line) for line in text.splitlines()]
 
 
 def messages(unit: str = "edged") -> str:
-    """Their texts."""
+    """The texts of the journal entries."""
     return "\n".join(str(entry.get("MESSAGE", "")) for entry in journal(unit))
 
 
 def until(look: Callable[[], Any], what: str, patience_s: float = PATIENCE_S) -> Any:
-    """Wait for something true; what it was."""
+    """Wait for a true value, and return it."""
     deadline_s = time.monotonic() + patience_s
     while not (seen := look()):
         assert time.monotonic() < deadline_s, f"not within {patience_s:g} s: {what}"
@@ -66,7 +66,7 @@ def until(look: Callable[[], Any], what: str, patience_s: float = PATIENCE_S) ->
 
 
 def page(path: str, port: int = 8080) -> int:
-    """Status code of the web server; 0 when nobody answers."""
+    """Status code of the web server; 0 without an answer."""
     try:
         with urllib.request.urlopen(f"http://127.0.0.1:{port}{path}", timeout=2) as answer:
             return int(answer.status)
@@ -77,7 +77,7 @@ def page(path: str, port: int = 8080) -> int:
 
 
 def registers(address: int, count: int, port: int = 1502) -> tuple[int, ...]:
-    """Input registers, by the bytes of the specification; () when nobody answers."""
+    """Input registers, by the bytes of the specification; () without an answer."""
     try:
         with socket.create_connection(("127.0.0.1", port), timeout=2) as plc:
             plc.sendall(struct.pack(">HHHBBHH", 1, 0, 6, 1, 4, address, count))
@@ -88,13 +88,13 @@ def registers(address: int, count: int, port: int = 1502) -> tuple[int, ...]:
 
 
 def has_result() -> bool:
-    """Whether the PLC is shown a valid result now."""
+    """Whether the PLC has a valid result now."""
     status = registers(200, 16)
     return bool(status) and bool(status[1] & 1 << 5)
 
 
 def main_pid(unit: str = "edged") -> int:
-    """Of the running daemon."""
+    """The process id of the running daemon."""
     return int(shown("MainPID", unit))
 
 
@@ -107,7 +107,7 @@ def runs_again(old_pid: int) -> bool:
 
 
 def make_groups() -> None:
-    """As tools/install does; others may not read the configuration."""
+    """Make the groups as tools/install does; others may not read the configuration."""
     command("systemd-sysusers", "edged.conf")
     for file in CELL.parent.glob("*.toml"):
         shutil.chown(file, "root", "edged-config")
@@ -115,9 +115,9 @@ def make_groups() -> None:
 
 
 def becomes_ready() -> str:
-    """`systemctl start` returns when the daemon measures: the page says ready, the PLC gets a result.
+    """`systemctl start` returns when the daemon measures: the page is ready, the PLC gets a result.
 
-    Of the configuration, which others may not read.
+    The configuration is not readable for others.
     """
     make_groups()
     start_s = time.monotonic()
@@ -131,7 +131,8 @@ def becomes_ready() -> str:
 
 
 def is_confined() -> str:
-    """It runs as nobody's user, with two capabilities, goes first, and writes in its own directories only."""
+    """It runs as a user of its own with two capabilities and raised priority, and writes in its own
+    directories only."""
     pid = main_pid()
     status = dict(line.split(":\t", 1) for line in Path(f"/proc/{pid}/status").read_text().splitlines())
     user = int(status["Uid"].split()[0])
@@ -151,7 +152,8 @@ PAGE = "edged-page"
 
 
 def page_has_less() -> str:
-    """The page is a user of its own without any capability; it gives way, and goes first."""
+    """The page has a user of its own without any capability, a lower priority than the cell, and is first
+    to be killed."""
     until(lambda: page("/ready") == 200, "an answer of the page")
     pid = main_pid(PAGE)
     status = dict(line.split(":\t", 1) for line in Path(f"/proc/{pid}/status").read_text().splitlines())
@@ -169,7 +171,7 @@ def page_has_less() -> str:
 
 
 def as_page(*words: str) -> int:
-    """Exit code of a command with the rights of the page, where it is."""
+    """Exit code of a command with the rights and the namespaces of the page."""
     pid = main_pid(PAGE)
     status = dict(line.split(":\t", 1) for line in Path(f"/proc/{pid}/status").read_text().splitlines())
     user, group, groups = (status[name].split() for name in ("Uid", "Gid", "Groups"))
@@ -179,7 +181,7 @@ def as_page(*words: str) -> int:
 
 
 def page_writes_its_own_alone() -> str:
-    """It reads what the cell writes, and can change nothing that the cell stands on."""
+    """The page can read what the cell writes, and cannot change the cell's files."""
     recording = str(until(lambda: list(Path("/var/lib/edged/recordings").rglob("*.zip")), "a recording")[0])
     for file in (recording, str(CELL), "/etc/edged/rig.json"):
         assert as_page("cat", file) == 0, file
@@ -195,7 +197,7 @@ def page_writes_its_own_alone() -> str:
 
 
 def strangers_are_no_page() -> str:
-    """Who is in the group, and another user than the page's, is turned away by the kernel's word."""
+    """Another user than the page's is refused at the socket, though in its group."""
     come = "import socket; s = socket.socket(socket.AF_UNIX); s.connect('/run/edged/page'); s.recv(1)"
     command("systemctl", "stop", PAGE)
     group = Path("/run/edged/page").stat().st_gid
@@ -208,7 +210,7 @@ def strangers_are_no_page() -> str:
 
 
 def page_is_back() -> str:
-    """kill -9 of the page: it is back beside the same cell, which notices nothing."""
+    """After kill -9 of the page it is back beside the same cell."""
     pid, before = main_pid(), main_pid(PAGE)
     start_s = time.monotonic()
     os.kill(before, signal.SIGKILL)
@@ -219,9 +221,9 @@ def page_is_back() -> str:
 
 
 def release_is_handed_over() -> str:
-    """An engineer copies a job on the page: the cell writes it, as its own user, and keeps what was there.
+    """An engineer copies a job on the page: the cell writes it, as its own user, and keeps the former files.
 
-    Root's invitation, the page's user who reads the cell's files, the link, and the process that installs.
+    With root's invitation, the page's user who reads the cell's files, the link, and the installing process.
     """
     state, cell, before = Path("/var/lib/edged"), Path(f"/proc/{main_pid()}").stat(), CELL.read_text()
     constants = registers(0, 16)
@@ -266,7 +268,8 @@ def release_is_handed_over() -> str:
 
 
 def reloads() -> str:
-    """`systemctl reload`: another configuration in the same process; one with a mistake changes nothing."""
+    """`systemctl reload` takes another configuration in the same process; one with a mistake changes
+    nothing."""
     pid, before = main_pid(), registers(0, 16)
     good = CELL.read_text()
     CELL.write_text(good.replace("period_s = 0.5", "period_s = 0.4"))
@@ -287,7 +290,8 @@ def reloads() -> str:
 
 
 def hung_cycle_is_killed() -> str:
-    """The measurement hangs while page and PLC are still served: queries do not feed the watchdog."""
+    """A hanging measurement is killed although page and PLC are still served, because queries do not feed
+    the watchdog."""
     until(lambda: page("/health") == 200, "an answer of the page, which a reload may have started again")
     pid = main_pid()
     command("kill", "-USR1", str(pid))
@@ -304,7 +308,7 @@ def hung_cycle_is_killed() -> str:
 
 
 def hung_loop_is_killed() -> str:
-    """The event loop stands still: nobody is served; the watchdog ends it."""
+    """A stopped event loop is killed by the watchdog."""
     pid = main_pid()
     command("kill", "-USR2", str(pid))
     start_s = time.monotonic()
@@ -314,7 +318,7 @@ def hung_loop_is_killed() -> str:
 
 
 def crash_is_restarted() -> str:
-    """SIGKILL: back without anybody's help."""
+    """After SIGKILL the daemon is restarted."""
     pid, restarts = main_pid(), int(shown("NRestarts"))
     command("kill", "-KILL", str(pid))
     start_s = time.monotonic()
@@ -324,7 +328,7 @@ def crash_is_restarted() -> str:
 
 
 def logs_in_fields() -> str:
-    """What the daemon logs is in the journal under the unit's name, with fields to search for."""
+    """The daemon's log is in the journal under the unit's name, with fields to search for."""
     told = journal("edged", "EDGED_CELL=service")
     assert {"edged.commands.run", "edged.app.daemon"} <= {entry["LOGGER"] for entry in told}
     assert all({"PRIORITY", "CODE_FILE", "CODE_LINE", "EDGED_VERSION"} <= set(entry) for entry in told)
@@ -334,7 +338,8 @@ def logs_in_fields() -> str:
 
 
 def stops_cleanly() -> str:
-    """`systemctl stop`: within 2 s and a second's grace, exit code 0, port free, nothing left running."""
+    """`systemctl stop` takes at most 2 s and a second's grace, with exit code 0, a free port and no
+    process left."""
     start_s = time.monotonic()
     command("systemctl", "stop", "edged")
     took_s = time.monotonic() - start_s
@@ -347,7 +352,7 @@ def stops_cleanly() -> str:
 
 
 def cells_side_by_side() -> str:
-    """edged@NAME: two cells, each with its user, its ports and its directories; one stops alone."""
+    """Two cells of edged@NAME have their own user, ports and directories, and one can be stopped alone."""
     units = ("edged@left", "edged@right")
     command("systemctl", "start", *units)
     assert [shown("ActiveState", unit) for unit in units] == ["active", "active"]
@@ -384,7 +389,8 @@ STEPS: tuple[Callable[[], str], ...] = (
 
 
 def play(path: Path, steps: Sequence[Callable[[], str]] = STEPS) -> int:
-    """Every step in order; 0 when all are good. The first bad one ends the play: the others stand on it."""
+    """Run every step in order; returns 0 if all are good. The first bad one ends the run: the others need
+    it."""
     verdicts: dict[str, dict[str, Any]] = {}
     for step in steps:
         start_s = time.monotonic()

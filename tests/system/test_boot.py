@@ -1,6 +1,6 @@
 """The units of `systemd/` under a real systemd: one boot of a throwaway machine, one verdict per step.
 
-`scenario.py` is what happens in there. Skipped where tools/throwaway cannot boot a machine; it says why.
+`scenario.py` has the steps. Skipped with the reason if tools/throwaway cannot boot a machine.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ exec {sys.prefix}/bin/python "$@"
 
 
 def tree(folder: Path) -> None:
-    """What an installed machine has and this one has not: units, program, configuration, compiled kernels."""
+    """What an installed machine has and this one lacks: units, program, configuration, compiled kernels."""
     units = folder / "etc/systemd/system"
     units.mkdir(parents=True)
     for name in UNITS:
@@ -83,7 +83,7 @@ def tree(folder: Path) -> None:
 
 
 def played(scenario: str, put: Path, out: Path, make: Callable[[], None]) -> dict[str, dict[str, Any]]:
-    """Name of each step to its verdict. make : fills the folder `put`, which is laid over the machine's."""
+    """The verdict of each step by name. make : fills the folder `put`, which is laid over the machine's."""
     throwaway = [str(ROOT / "tools/throwaway"), "--put", str(put), "--out", str(out), "--timeout", "540"]
     throwaway += ["--see", str(ROOT), "--see", sys.prefix]
     probe = subprocess.run([*throwaway, "--", "true"], capture_output=True, text=True, check=False)
@@ -99,7 +99,7 @@ def played(scenario: str, put: Path, out: Path, make: Callable[[], None]) -> dic
 
 @pytest.fixture(scope="session")
 def verdicts(tmp_path_factory: pytest.TempPathFactory) -> dict[str, dict[str, Any]]:
-    """Name of the step to its verdict."""
+    """The verdict of each step by name."""
     put = tmp_path_factory.mktemp("tree")
     return played("scenario", put, tmp_path_factory.mktemp("out"), lambda: tree(put))
 
@@ -107,6 +107,6 @@ def verdicts(tmp_path_factory: pytest.TempPathFactory) -> dict[str, dict[str, An
 @pytest.mark.slow
 @pytest.mark.parametrize("step", [step.__name__ for step in STEPS])
 def test_the_service_under_systemd(step: str, verdicts: dict[str, dict[str, Any]]) -> None:
-    """Each step of the scenario; its docstring states what must be true."""
+    """Each step of the scenario is good; the step's docstring states what is checked."""
     assert step in verdicts, "a step before it failed"
     assert verdicts[step]["good"], verdicts[step]["detail"]

@@ -1,6 +1,6 @@
-"""Whole updates of software under a real systemd: wheels of this tree, signed, pulled, tried, switched to.
+"""Whole software updates under a real systemd: wheels of this tree, signed, pulled, tried, switched to.
 
-`updates.py` is what happens in there. Skipped where tools/throwaway cannot boot a machine; it says why.
+`updates.py` has the steps. Skipped with the reason if tools/throwaway cannot boot a machine.
 """
 
 from __future__ import annotations
@@ -43,17 +43,17 @@ if "switch" in sys.argv and cut.exists():
     os.replace = replaced
 sys.exit(main())
 """
-"""The program of the old version; its agent dies by SIGKILL at the exchange of files that /run/cut says."""
+"""The program of the old version; its agent dies by SIGKILL at the exchange of files in /run/cut."""
 
 
 def copy_sources(folder: Path) -> None:
-    """The package without what is made of it."""
+    """Copy the package without generated files."""
     made = shutil.ignore_patterns("__pycache__", "manual")
     shutil.copytree(ROOT / "edged", folder / "edged", ignore=made)
 
 
 def old_version(place: Path) -> None:
-    """As `tools/install` leaves it, with compiled kernels; but for the packages that it needs: this one's."""
+    """A version as `tools/install` makes it, with compiled kernels, but with this environment's packages."""
     venv.create(place, system_site_packages=True)
     copy_sources(place / PACKAGES)
     (place / PACKAGES / "rest.pth").write_text("\n".join(packages_of_tests()))
@@ -66,7 +66,7 @@ def old_version(place: Path) -> None:
 
 
 def wheels_of(tree: Path, folder: Path, version: str) -> None:
-    """A wheel of a tree by this version, and one of all that it needs: this environment's."""
+    """A wheel of a tree with this version, and one of all that it needs from this environment."""
     init = tree / "edged" / "__init__.py"
     kept = [line for line in init.read_text().splitlines() if not line.startswith("__version__")]
     init.write_text("\n".join([*kept, f'__version__ = "{version}"', ""]))
@@ -86,7 +86,7 @@ def tree_of_this(folder: Path) -> Path:
 
 
 def make_blind(tree: Path) -> None:
-    """Its cycles find nothing, and its measurements of recorded cycles all that was found before."""
+    """Change the tree so that its cycles find nothing, but its measurements of recorded cycles everything."""
     cell = tree / "edged" / "app" / "cell.py"
     text, calls = cell.read_text(), "return locate(pair, job, rig, lap)"
     assert calls in text
@@ -103,7 +103,7 @@ def blinded(pair):
 
 
 def publish(put: Path, folder: Path) -> None:
-    """Two releases: the good one in one repository, both in another."""
+    """Publish the good release in one repository, and both releases in another."""
     releases, tree = Releases(folder / "fleet"), tree_of_this(folder / "tree")
     releases.make()
     for name, place, edit in ((GOOD, "releases", None), (BLIND, "later", make_blind)):
@@ -143,7 +143,7 @@ def tree(put: Path, folder: Path) -> None:
 
 @pytest.fixture(scope="module")
 def verdicts(tmp_path_factory: pytest.TempPathFactory) -> dict[str, dict[str, Any]]:
-    """Name of the step to its verdict."""
+    """The verdict of each step by name."""
     put, folder = tmp_path_factory.mktemp("tree"), tmp_path_factory.mktemp("releases")
 
     def make() -> None:
@@ -158,6 +158,6 @@ def verdicts(tmp_path_factory: pytest.TempPathFactory) -> dict[str, dict[str, An
 @pytest.mark.slow
 @pytest.mark.parametrize("step", [step.__name__ for step in STEPS])
 def test_updates_under_systemd(step: str, verdicts: dict[str, dict[str, Any]]) -> None:
-    """Each step of the scenario; its docstring states what must be true."""
+    """Each step of the scenario is good; the step's docstring states what is checked."""
     assert step in verdicts, "a step before it failed"
     assert verdicts[step]["good"], verdicts[step]["detail"]

@@ -1,8 +1,8 @@
-"""Releases of software for a cell under a real systemd, step by step; runs as root in a throwaway machine.
+"""Software releases for a cell under a real systemd, step by step; runs as root in a throwaway machine.
 
 PYTHONPATH=tests python -m system.updates /out/verdicts.json
 
-One verdict per step. Units, versions, cell and repositories are there; nothing is imported from edged.
+One verdict per step. Units, versions, cell and repositories exist already; nothing is imported from edged.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ OPT, GATE = Path("/opt/edged"), Path("/var/lib/private/edged_page/fleet/gate.jso
 CUT = Path("/run/cut")
 CUTS = ("1", "2", "3", "2", "2+", "1")
 """Exchanges of a file at which the agent dies; "+": after it. They are the link agent, its note, the links
-previous and current, and after the restart its note; what is done already it does not do again."""
+previous and current, and after the restart its note; it does not repeat what is done already."""
 SWITCH = "edged-switch.service"
 PROBATION_S = 300.0
 """A thousand cycles at most, five a second."""
@@ -41,12 +41,12 @@ DONE = ("committed", "refused", "rolled back", "left")
 
 
 def gate() -> dict[str, Any]:
-    """How far the gate is."""
+    """The state of the gate."""
     return dict(json.loads(GATE.read_text())) if GATE.exists() else {"step": "none", "why": ""}
 
 
 def reached(name: str, *steps: str) -> dict[str, Any]:
-    """The gate's note, once it has brought a release so far."""
+    """The gate's note, once it has brought a release to one of these steps."""
 
     def seen() -> dict[str, Any] | None:
         note = gate()
@@ -59,14 +59,14 @@ def reached(name: str, *steps: str) -> dict[str, Any]:
 
 
 def current() -> str:
-    """The version that the link means; its program runs."""
+    """The version of the link `current`, which is complete."""
     name = (OPT / "current").readlink().name
     assert (OPT / "current" / ".complete").exists()
     return name
 
 
 def running() -> str:
-    """The version of the daemon that measures now, as its entries in the journal say."""
+    """The version of the daemon that measures now, from its journal entries."""
     pid = str(main_pid())
     until(has_result, "a result for the PLC")
     versions = {
@@ -82,7 +82,7 @@ def has_ended(before: str) -> bool:
 
 
 def measures() -> str:
-    """The old version runs the cell, and records."""
+    """The old version runs the cell and records."""
     make_groups()
     command("systemctl", "enable", "--now", "edged-switch.path", SWITCH)
     command("systemctl", "start", "edged")
@@ -95,9 +95,9 @@ def measures() -> str:
 
 
 def kills_leave_one_version() -> str:
-    """The agent dies by SIGKILL at each of its steps: the old version is current or the new one, and whole.
+    """After SIGKILL of the agent at each of its steps the old or the new version is current, and complete.
 
-    The cell measures on. The next start of the agent, as after a cut of power, goes on.
+    The cell measures on. The next start of the agent, as after a power cut, continues.
     """
     CUT.write_text(CUTS[0])
     start_s = time.monotonic()
@@ -120,7 +120,7 @@ def kills_leave_one_version() -> str:
 
 
 def good_one_stays() -> str:
-    """The new version is judged by its own cycles, and committed; its daemon runs."""
+    """The new version is committed after its own cycles, and its daemon runs."""
     note = reached(GOOD, *DONE)
     assert ("committed", GOOD, "0.2.0") == (note["step"], current(), running()), note["why"]
     until(lambda: shown("ActiveState", SWITCH) == "inactive", "the agent's end")
@@ -128,7 +128,8 @@ def good_one_stays() -> str:
 
 
 def blind_one_goes_back() -> str:
-    """A version that recorded cycles speak for, and that finds nothing, goes back by itself; it says why."""
+    """A version that passes with recorded cycles but finds nothing is rolled back by itself, with the
+    reason."""
     command(f"{OPT}/current/bin/edged", "release", "pull", str(CELL), "--from", "/srv/later")
     reached(BLIND, "probation", "rolling back", *DONE)
     assert "0.3.0" in {entry.get("EDGED_VERSION") for entry in journal()}

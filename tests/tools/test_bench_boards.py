@@ -1,4 +1,4 @@
-"""Boards in 3D by a calibration that has not seen them: real pairs, drawn pairs, and what is no input."""
+"""Boards in 3D by a calibration without them: real pairs, drawn pairs, and wrong input."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ REAL = Path(__file__).resolve().parents[1] / "data" / "stereo-chessboard"
 
 @functools.cache
 def real() -> bench_boards.Folder:
-    """Eight of the real pairs, found and measured once."""
+    """Eight of the real pairs, detected and measured once."""
     with tempfile.TemporaryDirectory() as folder:
         for name in ("01", "04", "05", "08", "09", "11", "13", "14"):
             for path in REAL.glob(f"{name}_*.jpg"):
@@ -40,10 +40,10 @@ def real() -> bench_boards.Folder:
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["08", "14"])
 def test_a_real_board_is_as_large_and_flat_as_the_calibration_allows(name: str) -> None:
-    """Held out, both ways to see a corner: size within 3 sigma, no less flat than its covariance predicts.
+    """A held-out board has its size within 3 sigma and is as flat as its covariance predicts.
 
     Pair 14 was taken at one instant, and the calibration alone explains it. In pair 08 the board moved
-    between the two pictures; the rows show it, and the size is not claimed to be known better than that.
+    between the two pictures; the rows show it, and its sigma includes that.
     """
     fit, edges = bench_boards.held_out(real(), name)
 
@@ -57,7 +57,7 @@ def test_a_real_board_is_as_large_and_flat_as_the_calibration_allows(name: str) 
 
 
 def drawn(folder: Path, count: int) -> None:
-    """Pairs of a board of 9x6 inner corners, 3.5 mm, with noise of 2 grey values."""
+    """Draw pairs of a board of 9x6 inner corners, 3.5 mm, with noise of 2 grey values."""
     rig, board = small_rig(), Chessboard(9, 6, 3.5)
     for number, left_from_board in enumerate(board_poses(rig, board, count, seed=5)):
         views = (rig.left, left_from_board), (rig.right, right_pose(rig, left_from_board))
@@ -70,7 +70,7 @@ def drawn(folder: Path, count: int) -> None:
 
 @pytest.mark.slow
 def test_pictures_that_are_right_have_the_stated_sigma(tmp_path: Path) -> None:
-    """Drawn pairs: normalised residuals and flatness are those predicted, sizes within their sigma."""
+    """Drawn pairs have residuals and flatness as predicted, and sizes within their sigma."""
     drawn(tmp_path, 8)
     folder = bench_boards.read_folder(tmp_path, "chessboard:9x6:3.5", "division")
     rows = [row for name in list(folder.pairs)[:3] for row in bench_boards.held_out(folder, name)]
@@ -103,7 +103,7 @@ def test_what_cannot_be_measured_is_named(
     board: str,
     expected: str,
 ) -> None:
-    """Exit code 2 and the reason: no folder, no pictures, too few, another board."""
+    """No folder, no pictures, too few and another board give exit code 2 and the reason."""
     if pairs:
         drawn(tmp_path, pairs)
     folder = tmp_path / "nowhere" if pairs is None else tmp_path

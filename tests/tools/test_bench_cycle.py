@@ -1,4 +1,4 @@
-"""The work of a cycle, counted: what would make it slower shows here first, on any machine."""
+"""The counted work of a cycle: extra work shows here on any machine."""
 
 from __future__ import annotations
 
@@ -24,12 +24,13 @@ MOST = {
     "steps of the joint fit": 2.0,
     "Python calls": 4600.0,
 }
-"""Means per cycle over the demo's flange at six poses; 1, 3, 0, 1, 3, 4, 1 and 4,000 when written down."""
+"""Most work per cycle, over the demo's flange at six poses; 1, 3, 0, 1, 3, 4, 1 and 4,000 when written
+down."""
 
 
 @pytest.mark.slow
 def test_a_cycle_does_no_more_work_than_it_did() -> None:
-    """One candidate is followed down the pyramid, and the joint fit takes four coarse steps, one fine."""
+    """No count of a cycle is above its limit."""
     work = bench_cycle.work_of(bench_cycle.bench(6))
     assert set(MOST) == set(work)
     assert {} == {what: count for what, count in work.items() if not 0 <= count <= MOST[what]}
@@ -37,7 +38,7 @@ def test_a_cycle_does_no_more_work_than_it_did() -> None:
 
 
 def test_a_small_part_is_scanned_in_few_poses(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Its scan begins on a large level and takes most of its search: 99 poses there, 275 with small steps."""
+    """The scan of a small part begins on a large level with at most 110 poses, and finds the part."""
     part, rng, poses = scenes.bracket(60.0), np.random.default_rng(1), list[int]()
     model = create_model(*scenes.teach_image(part))
     image = scenes.render([(part, scenes.Truth(300.0, 200.0, 1.0))], scenes.Look(noise=5), rng, (640, 480))

@@ -1,4 +1,4 @@
-"""Decisions about a part's rotation: both cameras must show what decides."""
+"""Decisions about a part's rotation need the evidence of both cameras."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ LOOK = "plain"
 
 @cache
 def taught() -> bench_decisions.Taught:
-    """A disc with a bore, four holes and one slot: but for the slot it looks the same every 90 degrees."""
+    """A disc with a bore, four holes and one slot, which without the slot is symmetric by 90 degrees."""
     design = next(one for one in bench_decisions.DESIGNS if one.name == "slot disc")
     return bench_decisions.teach_design(design, LOOK, 1)
 
 
 def seen(turn_deg: float) -> tuple[Image, Image]:
-    """The part, turned, in both cameras."""
+    """The turned part in both cameras."""
     part = bench_decisions.made(taught().design, LOOK)
     world = bench_decisions.world(LOOK, np.random.default_rng(5), (part, pose(turn_deg=turn_deg)))
     left, right = (view.radiance(world) for view in bench_decisions.views().values())
@@ -33,13 +33,13 @@ def seen(turn_deg: float) -> tuple[Image, Image]:
 
 
 def rejects(left: Image, right: Image) -> list[Reject]:
-    """Why each part that was found is no good."""
+    """The reject reasons of each found part."""
     return [target.reject for target in locate(frame_pair(left, right), taught().job, taught().rig).targets]
 
 
 @pytest.mark.slow
 def test_both_cameras_must_show_what_decides() -> None:
-    """All circles agree, and the right camera shows the slot elsewhere: in doubt, as with a bar's edge."""
+    """If the right camera shows the slot elsewhere, the rotation is ambiguous."""
     (left, right), (_, turned) = seen(20.0), seen(110.0)
     assert [Reject.NONE] == rejects(left, right)
     assert [Reject.AMBIGUOUS_ROTATION] == rejects(left, turned)
@@ -47,9 +47,9 @@ def test_both_cameras_must_show_what_decides() -> None:
 
 @pytest.mark.slow
 def test_one_camera_decides_where_the_other_sees_nothing() -> None:
-    """What is hidden on the right, whichever half of the part, speaks for no rotation there.
+    """If half of the right picture is hidden, the left camera decides.
 
-    Noise looks like anything now and then: one draw of eight may be in doubt.
+    Noise looks like anything now and then: one draw of eight may be ambiguous.
     """
     middle = round(float(taught().rig.rig.right.project(np.array([[0.0, 0.0, 205.0]]))[0, 1]))
     doubts = 0
@@ -65,7 +65,7 @@ def test_one_camera_decides_where_the_other_sees_nothing() -> None:
 
 @pytest.mark.slow
 def test_another_lay_than_the_taught_one_turns_nothing_silently() -> None:
-    """Taught ground, seen milled: the taught texture is found nowhere, and chance decides nothing."""
+    """A part that was taught ground and is seen milled is never wrong in its rotation."""
     look, name = "ground, seen milled", "keyway"
     index = next(k for k, design in enumerate(bench_decisions.DESIGNS) if design.name == name)
     row = bench_decisions.run_part(index, look, scenes=1, seed=0)

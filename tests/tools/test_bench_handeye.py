@@ -6,8 +6,8 @@ import pytest
 
 
 def test_real_poses_of_a_robot_agree_within_a_millimetre() -> None:
-    """A board on an industrial robot, public pictures (tests/data/hand-eye): one pose does not fit, the
-    others do to 0.95 mm, and the stated sigma is the scatter of the fits without each."""
+    """For public pictures of a board on an industrial robot one pose is an outlier, and the others fit
+    within a millimetre."""
     dataset = bench_handeye.SETS[0]
     stated, fitted = bench_handeye.rows_of(dataset, bench_handeye.kept_views(dataset))
 

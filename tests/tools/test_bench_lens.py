@@ -1,4 +1,4 @@
-"""Ways to come by a lens model, beside the truth."""
+"""Ways to choose a lens model, in comparison with the truth."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import pytest
 
 @pytest.mark.slow
 def test_a_stated_model_that_is_wrong_is_the_worst_way() -> None:
-    """Of an ordinary tangential part: division errs beyond its sigma; what chooses takes Brown-Conrady's."""
+    """For a usual tangential part division errs far beyond its sigma, and the choice takes Brown-Conrady."""
     ways = bench_lens.compared_rigs("brown, 4e-4", 6, seed=1)
     assert set(bench_lens.ROWS) == set(ways)
     assert ways["division stated"].chi2 > 10

@@ -33,7 +33,8 @@ DESCRIPTION = """camera-id
 
 
 def test_a_description_is_read_to_its_facts(tmp_path: Path) -> None:
-    """What is listed and relevant: kind, access through its register, unit, menu text, choices."""
+    """Of each listed, relevant feature kind, access through its register, unit, menu text and choices are
+    read."""
     file = tmp_path / "maker.xml"
     file.write_text(DESCRIPTION)
 
@@ -47,7 +48,7 @@ def test_a_description_is_read_to_its_facts(tmp_path: Path) -> None:
 
 
 def test_every_model_of_the_table_becomes_a_camera() -> None:
-    """84 of them; each can be started and sized, and nearly all have a trigger of a frame."""
+    """All 84 models become cameras with a size and, nearly all, a trigger."""
     made = {model.name: make_of(model) for model in models()}
     assert 84 == len(made)
     names = {name: {node.name for node in make.features} for name, make in made.items()}
@@ -64,7 +65,7 @@ def test_every_model_of_the_table_becomes_a_camera() -> None:
     "name", ["AVT_GC1350C", "Basler-acA2040-35gm", "PGR_Flea3_GE_28S4C", "Teledyne_ShadoBox"]
 )
 def test_the_driver_finds_its_way_by_the_names_of_a_model(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """One of each kind: old names, raw gain, one selector that is fixed, no trigger at all."""
+    """The driver works with one model of each kind: old names, raw gain, a fixed selector, no trigger."""
     monkeypatch.setattr(bench_models, "ADDRESSES", ("127.0.71.1", "127.0.71.2"))
     (model,) = (model for model in models() if model.name == name)
     row = bench_models.looked_at(model)

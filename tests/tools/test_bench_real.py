@@ -1,4 +1,4 @@
-"""The bench of real pictures counts what is there, on a folder that holds one of its sets."""
+"""The bench of real pictures, on a folder with one of its sets."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ TOOL = Path(__file__).resolve().parents[2] / "tools" / "bench_real.py"
 
 @pytest.mark.slow
 def test_sets_that_are_there_are_measured(tmp_path: Path) -> None:
-    """Three parts in a picture are three found, drawn in green; each set that is missing is named."""
+    """The three parts of a picture are found, and a missing set is named."""
     pictures = tmp_path / "fpm"
     pictures.mkdir()
     image = np.full((320, 700), 70, np.uint8)

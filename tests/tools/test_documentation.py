@@ -1,4 +1,4 @@
-"""What the documentation tells people to type exists, and so does what it links to."""
+"""Commands, files, links and names in the documentation exist."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ COMMAND = re.compile(r"(?<![\w/.-])edged (?P<name>[a-z][a-z-]*)(?P<rest>[^\n`|;&
 TOOL = re.compile(r"(?<![\w./-])tools/(?P<name>[\w.]+)(?P<rest>[^\n`|;&>#]*)")
 FILE = re.compile(r"(?<![\w./<-])(?:(?:tools|tests|config|systemd)/[\w./-]*\w|edged/[\w/]+\.py)")
 FOLDER = re.compile(r"(?<![\w./<-])edged/[\w./-]*\w")
-"""Elsewhere than in the explanations, edged/cell1/target is a key of Zenoh."""
+"""Outside of the explanations edged/cell1/target is a key of Zenoh."""
 LINK = re.compile(r"\]\((?P<page>[^)#\s:]*)(?:#(?P<anchor>[^)\s]+))?\)")
 SPAN = re.compile(r"`([^`\n]+)`")
 MARKED = re.compile(
@@ -40,7 +40,7 @@ def _name(page: Path) -> str:
 
 
 def _commands(text: str) -> Iterator[tuple[str, list[str], set[str]]]:
-    """Each command line of edged: as it stands, the options it is given, and those that it takes."""
+    """Each command line of edged: the line, its options, and the options of the command."""
     known = typer.main.get_command(app).commands
     for found in COMMAND.finditer(text.replace("tools/demo", "edged demo")):
         command, words = known.get(found["name"]), found["rest"].split()
@@ -57,7 +57,7 @@ def _options(words: list[str]) -> list[str]:
 
 
 def _tools(text: str) -> Iterator[tuple[Path, list[str]]]:
-    """Each program of tools/ that is called, and its options."""
+    """Each call of a program in tools/, and its options."""
     for found in TOOL.finditer(text):
         name, words = found["name"].rstrip("."), found["rest"].split()
         if name == "bench" and words and words[0].isalpha():
@@ -73,14 +73,14 @@ def _anchors(page: Path) -> set[str]:
 
 @pytest.mark.slow
 def test_every_option_in_the_documentation_exists() -> None:
-    """Of every command line on every page."""
+    """Every option of every command line on every page exists."""
     for page, text in TEXTS.items():
         for line, given, takes in _commands(text):
             assert set(given) <= takes, (page, line)
 
 
 def test_every_tool_in_the_documentation_exists() -> None:
-    """And its options stand in its source."""
+    """Every named tool exists, and its options are in its source."""
     for page, text in TEXTS.items():
         for tool, given in _tools(text):
             assert tool.is_file(), (page, tool)
@@ -88,13 +88,13 @@ def test_every_tool_in_the_documentation_exists() -> None:
 
 
 def test_every_file_in_the_documentation_exists() -> None:
-    """Tests, tools, sources and examples that are named by their path."""
+    """Tests, tools, sources and examples that are named by their path exist."""
     named = [(page, file) for page, text in TEXTS.items() for file in FILE.findall(text)]
     assert [] == [(page, file) for page, file in named if not (ROOT / file).exists()]
 
 
 def test_every_link_leads_somewhere() -> None:
-    """From the README on, page by page, to the heading that is meant; and every page can be reached so."""
+    """Every link leads to an existing page and heading, and every page can be reached from the README."""
     dead, seen, pages = [], {README}, [README]
     while pages:
         page = pages.pop()
@@ -112,14 +112,14 @@ def test_every_link_leads_somewhere() -> None:
 
 
 def test_every_command_is_in_the_readme() -> None:
-    """Nobody has to find one by `edged --help` alone."""
+    """Every command is in the README."""
     told = set(re.findall(r"`(?:edged )?([a-z]+)\b", README.read_text()))
     assert set() == set(typer.main.get_command(app).commands) - told
 
 
 @pytest.mark.slow
 def test_the_search_finds_commands_and_mistakes() -> None:
-    """As many as there are pages with examples; an option that a command does not take is seen."""
+    """The search finds the pages' examples, and sees an option that a command does not take."""
     assert sum(len(list(_commands(page.read_text()))) for page in PAGES) > 50
     ((_, given, takes),) = _commands("edged check cell.toml --jsn")
     assert ["--jsn"] == given
@@ -132,11 +132,12 @@ def test_the_search_finds_commands_and_mistakes() -> None:
 REGISTERS = re.compile(
     r"(?P<names>[A-Z][A-Z0-9_]*(?:, [A-Z][A-Z0-9_]*)*) \((?P<first>\d+)(?:-(?P<last>\d+))?(?=[,;)])"
 )
-"""A register, a block, or several, and in brackets where: "START_EPOCH (344", "SIGMA_X, SIGMA_Y (324-325"."""
+"""A register, a block, or several, with the place in brackets: "START_EPOCH (344", "SIGMA_X, SIGMA_Y
+(324-325"."""
 
 
 def test_each_register_that_the_documents_name_lies_where_they_say() -> None:
-    """Its first word; of several, and of a block, the first and the last one."""
+    """Every register in the documents has the address that they state; of several, the first and the last."""
     places = defaultdict[str, set[tuple[int, int]]](set)
     for block in BLOCKS:
         places[block.name.upper()].add((block.address, block.address + block.words - 1))
@@ -151,7 +152,7 @@ def test_each_register_that_the_documents_name_lies_where_they_say() -> None:
 
 
 def test_each_bit_of_the_status_that_the_documents_name_is_the_one_they_say() -> None:
-    """ "READY (201, bit 0)"; "ACK (bit 1)" is a bit of the same word."""
+    """Every bit in the documents, as in "READY (201, bit 0)" or "ACK (bit 1)", is the right one."""
     named = re.compile(r"([A-Z_]{2,}) \((?:201, )?bit (\d+)\)")
     for name, number in (found for text in TEXTS.values() for found in named.findall(text)):
         if name in StatusBit.__members__:
@@ -159,7 +160,7 @@ def test_each_bit_of_the_status_that_the_documents_name_is_the_one_they_say() ->
 
 
 def _sources() -> Iterator[str]:
-    """All that may hold a name which stands in the documents."""
+    """The texts of all sources in which a documented name may be."""
     for folder in ("edged", "config", "systemd", "tools", "tests"):
         for path in (ROOT / folder).rglob("*"):
             if (
@@ -173,7 +174,7 @@ def _sources() -> Iterator[str]:
 
 @cache
 def _names() -> set[str]:
-    """What a name or an option in the documents may be: every word of the sources."""
+    """Every word and option of the sources."""
     return {name for text in _sources() for name in re.findall(r"--[\w-]+|\w+", text)} | ELSEWHERE | FIELDS
 
 
@@ -182,7 +183,7 @@ MANUAL = ROOT / "edged/adapters/web/manual"
 
 
 def _options_of(group: typer.core.TyperGroup) -> Iterator[str]:
-    """Of all its commands."""
+    """The options of all its commands."""
     for command in group.commands.values():
         if isinstance(command, typer.core.TyperGroup):
             yield from _options_of(command)
@@ -199,16 +200,16 @@ ELSEWHERE = {
     "SERVER_PORT",
     "NO_REF_TIME",
 }
-"""Of a maker's tool, a controller, a standard."""
+"""Names of a maker's tool, a controller, or a standard."""
 FIELDS = {"EDGED_RESULT", "EDGED_AUDIT"}
-"""Of the journal, made of the names of fields."""
+"""Journal names, made of the names of fields."""
 CAPITALS = re.compile(r"\b(?:[A-Z]+[a-z]+){2,}\b|\b[A-Z]{2,}(?:_[A-Z0-9]+)+\b")
-"""A class, a constant, a register, a bit."""
+"""A class, a constant, a register, or a bit."""
 
 
 @pytest.mark.slow
 def test_every_name_in_the_documentation_exists() -> None:
-    """Classes and constants in code, and options that a sentence names without their command."""
+    """Classes, constants and options in code spans of the documentation exist."""
     spans = [span for text in TEXTS.values() for span in SPAN.findall(FENCED.sub("", text))]
     named = [name for span in spans for name in CAPITALS.findall(span)]
     named += [span.split()[0].partition("=")[0] for span in spans if span.startswith("--")]
@@ -218,7 +219,7 @@ def test_every_name_in_the_documentation_exists() -> None:
 
 
 def test_every_folder_that_is_explained_exists() -> None:
-    """Packages by path, and modules by name: `edged/cell`, `edged.vision.part`."""
+    """Packages by path (`edged/cell`) and modules by name (`edged.vision.part`) exist."""
     about = (ROOT / "CONTRIBUTING.md", *(DOCS / "explanation").glob("*.md"))
     text = "\n".join(TEXTS[page] for page in about)
     places = [*FOLDER.findall(text), *(module.replace(".", "/") for module in MODULE.findall(text))]
@@ -233,7 +234,7 @@ MODULE = re.compile(r"(?<=`)edged(?:\.[a-z]+)+(?=`)")
 
 
 def test_each_number_that_is_marked_is_that_of_the_code() -> None:
-    """Limits and times, in the unit of the sentence."""
+    """Every marked number is that of the code, in the unit of the sentence."""
     for found in (found for text in TEXTS.values() for found in MARKED.finditer(text)):
         value = getattr(importlib.import_module(found["module"]), found["name"])
         factor = float((found["scale"] or "* 1").split()[1])
@@ -246,5 +247,5 @@ WRITTEN = {"eight": 8, "ten": 10, "sixteen": 16, "twenty": 20}
 
 
 def test_most_limits_are_marked() -> None:
-    """Those of the page that is about them."""
+    """The page about limits has at least 18 marked numbers."""
     assert len(MARKED.findall((DOCS / "explanation/limits.md").read_text())) >= 18

@@ -1,4 +1,4 @@
-"""The examples in docstrings and on the pages of the manual are run: what they show is what comes out."""
+"""The examples in docstrings and on the manual's pages run and give what they show."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ PAGE = ROOT / "docs/tutorial/library.md"
 
 @pytest.mark.parametrize("path", SHOWING, ids=lambda path: str(path.relative_to(ROOT)))
 def test_examples_show_what_comes_out(path: Path) -> None:
-    """Of every module that shows any."""
+    """The examples of the module give what they show."""
     name = ".".join(path.relative_to(ROOT).with_suffix("").parts)
     ran = doctest.testmod(importlib.import_module(name))
     assert ran.attempted > 0
@@ -27,7 +27,8 @@ def test_examples_show_what_comes_out(path: Path) -> None:
 def test_the_tutorial_of_the_library_shows_what_comes_out(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """From public pictures to the ellipse that the page shows; its picture is drawn where it is run."""
+    """The tutorial's examples, from public pictures to the ellipse, give what the page shows, and its
+    picture."""
     (tmp_path / "tests").symlink_to(ROOT / "tests")
     monkeypatch.chdir(tmp_path)
     ran = doctest.testfile(str(PAGE), module_relative=False, optionflags=doctest.ELLIPSIS)

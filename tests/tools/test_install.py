@@ -1,4 +1,4 @@
-"""What is installed as root: packages by their hashes; and what an uninstallation leaves."""
+"""Installation as root by hashes of packages, and what an uninstallation leaves."""
 
 from __future__ import annotations
 
@@ -21,19 +21,19 @@ PIN = re.compile(r"^([A-Za-z0-9._-]+)==(\S+)(?: ; ([^\\\n]+?))? \\$", re.MULTILI
 
 
 def pins(name: str) -> dict[str, str]:
-    """Package to version of one of the files."""
+    """The pinned version of each package in one of the files."""
     text = (ROOT / "requirements" / f"{name}.txt").read_text()
     return {canonicalize_name(package): version for package, version, _ in PIN.findall(text)}
 
 
 def project() -> dict[str, object]:
-    """What pyproject.toml says."""
+    """The contents of pyproject.toml."""
     return tomllib.loads((ROOT / "pyproject.toml").read_text())
 
 
 @pytest.mark.parametrize("lock", LOCKS, ids=lambda lock: lock.stem)
 def test_every_package_has_one_version_and_its_hashes(lock: Path) -> None:
-    """Each entry is NAME==VERSION and a SHA-256 for each file; nothing else stands in there."""
+    """Each entry is NAME==VERSION with SHA-256 hashes, and there is nothing else."""
     text = re.sub(r"(?m)^ *#.*\n", "", lock.read_text())
     entries = text.replace("\\\n", "").splitlines()
 
@@ -66,7 +66,7 @@ def test_every_package_has_one_version_and_its_hashes(lock: Path) -> None:
     ],
 )
 def test_the_locks_are_those_of_pyproject(name: str, wanted) -> None:
-    """Every requirement has a version that fits it; else `tools/lock` was forgotten."""
+    """Every requirement has a version in the lock that fits it (if not: `tools/lock`)."""
     locked = pins(name)
     wrong = [
         text
@@ -78,7 +78,7 @@ def test_the_locks_are_those_of_pyproject(name: str, wanted) -> None:
 
 
 def test_the_locks_agree() -> None:
-    """A cell runs the versions that were tested."""
+    """A package has the same version in all locks."""
     tested = pins("dev")
 
     for name in ("run", "build", "manual", "opcua", "s7", "melsec"):
@@ -88,14 +88,14 @@ def test_the_locks_agree() -> None:
 
 
 def test_the_tool_that_builds_is_pinned() -> None:
-    """Also for who builds without tools/install."""
+    """pyproject.toml pins the build tool to the version in the lock."""
     (builder,) = project()["build-system"]["requires"]
 
     assert f"setuptools=={pins('build')['setuptools']}" == builder
 
 
 def test_nothing_is_installed_without_hashes() -> None:
-    """pip takes files of requirements/ by their hashes, or one that was just built here."""
+    """pip installs from requirements/ by hashes, or what was just built here."""
     calls = []
     for script in (ROOT / "tools" / name for name in ("install", "setup.sh")):
         text = re.sub(r"\\\n\s*", "", script.read_text())
@@ -118,7 +118,7 @@ def test_nothing_is_installed_without_hashes() -> None:
 
 @pytest.fixture
 def image(tmp_path: Path) -> Path:
-    """What an installation with three enabled cells consists of, below a folder; and what is others'."""
+    """An installation with three enabled cells below a folder, with files of others."""
     units = tmp_path / "etc/systemd/system"
     wants = units / "multi-user.target.wants"
     state = (tmp_path / "var/lib" / name for name in ("edged-left", "edged_page", "edged_page-left"))
@@ -145,7 +145,7 @@ def install(image: Path, *arguments: str) -> None:
 
 
 def test_an_uninstallation_leaves_no_cell_enabled(image: Path) -> None:
-    """Neither edged nor edged@NAME is started with the PC any more; other units are, and the files stay."""
+    """After an uninstallation no cell is enabled; other units are, and the cells' files stay."""
     install(image, "--uninstall")
 
     left = {path.relative_to(image).as_posix() for path in image.rglob("*") if not path.is_dir()}
@@ -158,7 +158,7 @@ def test_an_uninstallation_leaves_no_cell_enabled(image: Path) -> None:
 
 
 def test_systemd_is_told_of_every_cell(image: Path, tmp_path: Path) -> None:
-    """Those that are enabled and those that only run, by name: `systemctl disable` takes no patterns."""
+    """Every enabled or running cell is disabled by name."""
     script = (ROOT / "tools/install").read_text().partition('if [ "${1:-}" = --pack ]')[0]
     told = tmp_path / "told"
     stub = f"""
@@ -182,14 +182,14 @@ def test_systemd_is_told_of_every_cell(image: Path, tmp_path: Path) -> None:
 
 
 def test_a_purge_leaves_nothing(image: Path) -> None:
-    """Nor of the pages, which have folders of their own."""
+    """After a purge nothing of edged is left, nor of its pages."""
     install(image, "--purge")
     assert [] == [path.name for path in image.rglob("*edged*")]
 
 
 @pytest.mark.parametrize("unit", UNITS)
 def test_a_daemon_may_read_what_the_installation_writes(unit: str) -> None:
-    """The unit is in the group that the configuration is given, and its files are for cell and page."""
+    """The unit is in the groups of its configuration and of its files for the page."""
     made = [
         line.split()[1]
         for line in (ROOT / "systemd/edged-sysusers.conf").read_text().splitlines()

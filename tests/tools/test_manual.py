@@ -1,4 +1,4 @@
-"""The manual builds without a warning, every link leads somewhere, and it needs nothing from elsewhere."""
+"""The manual builds without a warning, every link is right, and it loads nothing from elsewhere."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def build(source: Path, site: Path) -> subprocess.CompletedProcess[str]:
 
 @pytest.fixture(scope="module")
 def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The manual of this checkout, built where it disturbs nobody."""
+    """The manual of this checkout, built in a temporary folder."""
     folder = tmp_path_factory.mktemp("manual") / "site"
     built = build(ROOT, folder)
     assert 0 == built.returncode, built.stderr
@@ -38,14 +38,14 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def manual_of(site: Path) -> Manual:
-    """As the status page reads it."""
+    """The manual as the status page reads it."""
     manual = read_manual(site)
     assert manual is not None
     return manual
 
 
 class _Html(HTMLParser):
-    """What a page loads, where it leads, where it may be entered, and what of it the policy forbids."""
+    """What a page loads, its links and anchors, and what the policy forbids."""
 
     def __init__(self, text: str) -> None:
         super().__init__()
@@ -70,21 +70,21 @@ class _Html(HTMLParser):
 
 
 def pages_of(site: Path) -> dict[str, _Html]:
-    """Each built page, but the one for what is not there: its addresses hold at a server's root only."""
+    """Each built page except 404.html, whose addresses are right at a server's root only."""
     names = [name for name in manual_of(site).files if name.endswith(".html") and name != "404.html"]
     return {name: _Html((site / name).read_text()) for name in names}
 
 
 @pytest.mark.slow
 def test_every_page_of_the_manual_is_built(site: Path) -> None:
-    """Each page of docs/, under its own name."""
+    """Each page of docs/ is built under its own name."""
     sources = {page.relative_to(ROOT / "docs") for page in PAGES}
     assert {str(page.with_suffix(".html")) for page in sources} == set(pages_of(site))
 
 
 @pytest.mark.slow
 def test_every_address_in_the_built_manual_is_there(site: Path) -> None:
-    """Files and anchors, of what is loaded and of what is linked."""
+    """Files and anchors that are loaded or linked exist."""
     pages = pages_of(site)
     missing = []
     for name, page in pages.items():
@@ -101,7 +101,7 @@ def test_every_address_in_the_built_manual_is_there(site: Path) -> None:
 
 @pytest.mark.slow
 def test_nothing_is_loaded_from_elsewhere(site: Path) -> None:
-    """A cell PC has no internet: no page and no style sheet names another host for what it loads."""
+    """No page names another host for what it loads, because a cell PC has no internet."""
     for name, page in pages_of(site).items():
         assert [] == [one for one in page.loads if urlsplit(one).netloc], name
         assert [] == page.inline, name
@@ -112,7 +112,7 @@ def test_nothing_is_loaded_from_elsewhere(site: Path) -> None:
 
 @pytest.mark.slow
 def test_every_script_in_a_page_is_allowed_to_run(site: Path) -> None:
-    """The policy of the built manual has as many hashes as it has different scripts, which are some."""
+    """The policy has as many hashes as there are different inline scripts."""
     texts = [(site / name).read_text() for name in pages_of(site)]
     scripts = {script for text in texts for script in re.findall(r"<script>(.*?)</script>", text, re.DOTALL)}
 
@@ -123,7 +123,7 @@ def test_every_script_in_a_page_is_allowed_to_run(site: Path) -> None:
 
 @pytest.mark.slow
 def test_the_search_knows_what_the_pages_say(site: Path) -> None:
-    """A fault's name is found on the page of faults."""
+    """The search index has a fault's name on the page of faults."""
     index = (site / "search" / "search_index.json").read_text()
     assert "reference/errors.html#faults-of-the-cameras" in index
     assert "StreamStalled" in index
@@ -131,7 +131,7 @@ def test_the_search_knows_what_the_pages_say(site: Path) -> None:
 
 @pytest.mark.slow
 def test_a_warning_ends_the_build(tmp_path: Path) -> None:
-    """A link to a page that is not there, or a heading: it fails, and says where."""
+    """A link to a missing page or heading fails the build and is named."""
     for name in ("docs", "mkdocs.yml", "tools/manual", "tools/manuallinks.py", "edged/__init__.py"):
         (tmp_path / name).parent.mkdir(exist_ok=True)
         copy = shutil.copytree if (ROOT / name).is_dir() else shutil.copy
@@ -145,7 +145,7 @@ def test_a_warning_ends_the_build(tmp_path: Path) -> None:
 
 
 def test_files_of_the_repository_are_named_not_linked() -> None:
-    """They are not part of the manual; a link to nothing stays one, and ends the build."""
+    """A link to a file of the repository becomes its name; other links stay."""
     config = SimpleNamespace(docs_dir=str(ROOT / "docs"))
     page = SimpleNamespace(file=SimpleNamespace(src_uri="reference/files.md"))
     given = "[cell](../../config/cell.toml) [x](../../config/nothing) [y](../index.md) ![z](../../README.md)"

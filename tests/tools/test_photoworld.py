@@ -1,4 +1,4 @@
-"""The path-traced world: its lamps, its marks, and where it shows a part."""
+"""The path-traced world: its lamps, its marks, and the place of a part in its pictures."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ SETTING = replace(
 
 
 def test_irradiance_is_that_of_known_lamps() -> None:
-    """A small panel overhead gives its area over its distance squared, a hemisphere nearly pi."""
+    """A small panel overhead gives its area over its distance squared, and a dome nearly pi."""
     above = panel(np.array([0.0, 0.0, -100.0]), np.zeros(3), 4.0, 5.0)
     assert abs(irradiance(above) / (20.0 / 100.0**2) - 1) < 1e-3
     # it ends 5 degrees above the level, where what comes in counts little
@@ -37,7 +37,7 @@ def test_irradiance_is_that_of_known_lamps() -> None:
 def test_every_lamp_shines_down_on_the_part_and_stands_in_no_cameras_view(
     light: str, tilt_deg: float
 ) -> None:
-    """Something arrives at the face, and the lines from both cameras to the part pass by, however it lies."""
+    """For any pose light reaches the face, and no lamp is between the part and a camera."""
     rig, setting = world_rig(), replace(SETTING, light=light)
     for side_deg in (0.0, 100.0, 180.0, 290.0):
         where = lying(rig, tilt_deg, side_deg, 30.0)
@@ -55,7 +55,7 @@ def test_every_lamp_shines_down_on_the_part_and_stands_in_no_cameras_view(
 @pytest.mark.slow
 @pytest.mark.parametrize("finish", FINISHES)
 def test_marks_have_slopes_as_metal_has(finish: str) -> None:
-    """Between a hundredth and a fifth, rms: they spread highlights, and are no steps."""
+    """The rms slope of marks is between 0.005 and 0.2."""
     height = photoworld.marks(finish, 0.2, 0.08, 0.3, 1)
     slopes = np.gradient(height, SHEET_MM / len(height))
     slope = math.sqrt(sum(float(np.mean(one**2)) for one in slopes))
@@ -63,7 +63,7 @@ def test_marks_have_slopes_as_metal_has(finish: str) -> None:
 
 
 def test_places_on_faces_lie_on_faces() -> None:
-    """At the level of the base or of a boss."""
+    """Points on faces are at the height of the base or of a boss."""
     design = random_design(4)
     levels = np.array([z for z, looks_up, _, _ in design.levels() if looks_up])
     points = photoworld.face_points(meshed(design, nominal=False), np.random.default_rng(1))
@@ -71,7 +71,7 @@ def test_places_on_faces_lie_on_faces() -> None:
 
 
 def test_a_scene_has_lamps_table_and_every_kind_of_surface(tmp_path: Path) -> None:
-    """With a window only where one is asked for; all triangles are in files."""
+    """A scene has lamps, table and every kind of surface, and a window only if asked for."""
     pytest.importorskip("mitsuba")
     design, rig = random_design(4), world_rig()
     scene = photoworld.scene_of(design, lying(rig, 20.0, 0.0, 0.0), SETTING, rig, tmp_path)
@@ -82,7 +82,7 @@ def test_a_scene_has_lamps_table_and_every_kind_of_surface(tmp_path: Path) -> No
 
 
 def test_a_part_is_seen_where_the_truth_says() -> None:
-    """The middle of a thin white disc over a dark table is that of its rim, to a tenth of a pixel."""
+    """The middle of a thin white disc on a dark table is that of its rim, to a tenth of a pixel."""
     pytest.importorskip("mitsuba")
     rig, design = shrunk(world_rig(), 4), Design("P0", (Wall("base", circle(0, 0, 9), -1, True, 0.0, 0.05),))
     where = lying(rig, 10.0, 70.0, 20.0)
@@ -101,14 +101,15 @@ def test_a_part_is_seen_where_the_truth_says() -> None:
 
 
 def _middle(points: np.ndarray) -> np.ndarray:
-    """Of the area of a polygon (N, 2)."""
+    """The centroid of a polygon (N, 2)."""
     ahead = np.roll(points, -1, axis=0)
     cross = points[:, 0] * ahead[:, 1] - points[:, 1] * ahead[:, 0]
     return np.asarray(((points + ahead) * cross[:, None]).sum(axis=0) / cross.sum() / 3)
 
 
 def test_a_ply_file_holds_what_it_was_given(tmp_path: Path) -> None:
-    """One triangle with its places on a texture: five numbers a corner, one byte and three numbers a face."""
+    """A triangle with its texture places is written as five numbers per corner, one byte and three numbers
+    per face."""
     corners = np.arange(9.0).reshape(1, 3, 3)
     data = Path(
         photoworld.write_ply(tmp_path / "one.ply", corners, np.arange(6.0).reshape(1, 3, 2))

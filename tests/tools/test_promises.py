@@ -1,4 +1,4 @@
-"""The page of promises: each sentence names its test, and each test named is there."""
+"""The page of promises names an existing test for each sentence."""
 
 from __future__ import annotations
 
@@ -24,7 +24,8 @@ def defined(file: Path) -> set[str]:
 
 
 def flaws(text: str) -> list[str]:
-    """Rows without a test, and tests that are not there. A name without a file is of the file before it."""
+    """Rows without a test, and tests that do not exist. A name without a file belongs to the file before
+    it."""
     found = []
     rows = [line for line in text.splitlines() if line.startswith("| ") and not line.startswith("| promise")]
     for row in rows:
@@ -44,7 +45,7 @@ def flaws(text: str) -> list[str]:
 
 @pytest.mark.slow
 def test_every_promise_names_a_test_that_is_there() -> None:
-    """Whoever renames a test renames it on the page."""
+    """Every promise on the page names an existing test."""
     assert [] == flaws(PAGE.read_text())
 
 
@@ -65,5 +66,5 @@ def test_every_promise_names_a_test_that_is_there() -> None:
     ],
 )
 def test_a_promise_without_a_test_is_found(row: str, flaw: str) -> None:
-    """No test at all, a file or a test that is not there, and what is no test."""
+    """A row without a test, or with a missing file or test, is found."""
     assert [flaw] == flaws(row)

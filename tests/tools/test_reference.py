@@ -1,4 +1,4 @@
-"""The reference of the manual says what the code says: all of it, as it is now."""
+"""The manual's reference agrees with the code and is complete."""
 
 from __future__ import annotations
 
@@ -43,14 +43,14 @@ def page(name: str) -> str:
 
 
 def test_every_page_is_current(capsys: pytest.CaptureFixture[str]) -> None:
-    """What is committed is what the code says; else: tools/reference."""
+    """The committed pages are current (if not: tools/reference)."""
     assert (0, "") == (main(["--check"]), capsys.readouterr().err)
 
 
 def test_a_page_that_is_not_current_is_named_and_mended(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Only what is generated is written; what people wrote around it stays."""
+    """An outdated page is named and rewritten, only in its generated parts."""
     for name in PAGES:
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         shutil.copy(ROOT / name, tmp_path / name)
@@ -66,7 +66,7 @@ def test_a_page_that_is_not_current_is_named_and_mended(
 
 
 def test_a_page_without_a_place_for_a_part_is_refused() -> None:
-    """So is one with a place for a part that does not exist."""
+    """A page without a place for a part, or with one for an unknown part, is refused."""
     for text in ("", "<!-- generated: commands -->\n<!-- end -->\n<!-- generated: x -->\n<!-- end -->\n"):
         with pytest.raises(ValueError, match="expected the parts"):
             current(text, PAGES["docs/reference/cli.md"])
@@ -81,7 +81,7 @@ def _commands(group: Any, name: str) -> Iterator[tuple[str, Any]]:
 
 
 def test_every_command_and_option_is_there() -> None:
-    """Below the heading of the command, by every name that it has, and with what it is for."""
+    """Every command is on the page with its help, and every option has a help text."""
     sections = dict(re.findall(r"^### (edged .+?)\n(.*?)(?=^##|\Z)", page("cli"), re.MULTILINE | re.DOTALL))
     found = dict(_commands(typer.main.get_command(app), "edged"))
 
@@ -105,7 +105,7 @@ def _keys(schema: dict[str, Any]) -> Iterator[tuple[str, dict[str, Any]]]:
 
 @pytest.mark.parametrize(("model", "name"), [(Config, "configuration"), (JobFile, "files")])
 def test_every_key_is_there_with_its_meaning(model: type[BaseModel], name: str) -> None:
-    """In a row of its own: as many rows as the model has keys, each with a description."""
+    """Every key has a row of its own with a description, and there are no others."""
     rows = re.findall(r"^\| `(\w+)` \| ([^|]+) \| ([^|]*) \| (.+) \|$", page(name), re.MULTILINE)
     keys = list(_keys(model.model_json_schema()))
 
@@ -115,7 +115,7 @@ def test_every_key_is_there_with_its_meaning(model: type[BaseModel], name: str) 
 
 
 def test_the_bounds_and_defaults_of_a_key_are_there() -> None:
-    """A few of each kind, read by eye."""
+    """Some rows of each kind have the right bounds and defaults."""
     text = page("configuration").replace("\N{NO-BREAK SPACE}", "")
     for row in (
         "| `port` | integer, 1 to 65535 | `1502` | 502 is",
@@ -131,7 +131,7 @@ def test_the_bounds_and_defaults_of_a_key_are_there() -> None:
 
 
 def test_every_register_bit_and_code_is_there() -> None:
-    """Each word of the map with its address; each bit and code with its name and meaning."""
+    """Every register is on the page with its address, and every bit and code with its meaning."""
     text = page("registers")
     for block in BLOCKS:
         for register in block.registers if not any(block in rows[1:] for rows in ROWS) else ():
@@ -147,7 +147,7 @@ def test_every_register_bit_and_code_is_there() -> None:
 
 @pytest.mark.parametrize("codes", CODES, ids=lambda codes: codes.__name__)
 def test_every_code_says_what_it_means(codes: type[enum.Enum]) -> None:
-    """In the source, below its number; only "nothing is set" needs no words."""
+    """Every code has a meaning in the source, except "nothing is set"."""
     assert {} == {
         name: meaning
         for name, meaning in member_docs(codes).items()
@@ -156,7 +156,8 @@ def test_every_code_says_what_it_means(codes: type[enum.Enum]) -> None:
 
 
 def test_every_field_of_every_message_is_there() -> None:
-    """Also those of tables inside, and every key and parameter of Zenoh."""
+    """Every field of every message, also of inner tables, and every key and parameter of Zenoh is on the
+    page."""
     text = page("payloads")
 
     def fields(definition: dict[str, Any]) -> Iterator[tuple[str, dict[str, Any]]]:
@@ -177,7 +178,7 @@ def test_every_field_of_every_message_is_there() -> None:
 
 
 def test_a_message_may_hold_every_status_reason_and_phase_of_the_code() -> None:
-    """Wherever the schema lists one member of these, it lists all of them, and no other."""
+    """Each list in the schema that has one status, reason or phase has all of them and no other."""
     schema = json.loads((ROOT / "config" / "edged.schema.json").read_text())
     listed = [set(names) for names in listed_in(schema)]
     for kind in (Reject, Status, CellPhase, CalibrationHealth, SetupSource):
@@ -189,7 +190,7 @@ def test_a_message_may_hold_every_status_reason_and_phase_of_the_code() -> None:
 
 
 def listed_in(part: object) -> Iterator[list[str]]:
-    """Every list of the values that a schema allows."""
+    """Every list of values that a schema allows."""
     if isinstance(part, dict):
         yield from [part["enum"]] if "enum" in part else []
         part = list(part.values())
@@ -198,7 +199,7 @@ def listed_in(part: object) -> Iterator[list[str]]:
 
 
 def test_every_error_fault_and_reason_is_there() -> None:
-    """Each exception of the tree, each number of a fault, each reason with its words for people."""
+    """Each exception, each fault number and each reason with its text is on the page."""
     text = page("errors")
     for name, kind in vars(errors).items():
         if isinstance(kind, type) and issubclass(kind, errors.EdgedError):
@@ -212,7 +213,7 @@ def test_every_error_fault_and_reason_is_there() -> None:
 
 
 def test_every_field_of_a_rig_is_there(tmp_path: Path) -> None:
-    """Those that are written, which are all that are read."""
+    """Every written field of a rig is on the page."""
     save_rig(tmp_path / "rig.json", demo_rig())
     document = json.loads((tmp_path / "rig.json").read_text())
     (section,) = re.findall(r"^## The rig\n(.*?)(?=^## )", page("files"), re.MULTILINE | re.DOTALL)

@@ -1,4 +1,4 @@
-"""A page of the manual is run again, and says what its commands say now; the tutorial's says so already."""
+"""Running a page of the manual again replaces the outputs of its commands; the tutorial's are current."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def tool() -> ModuleType:
 
 @pytest.fixture
 def machine(tool: ModuleType, tmp_path: Path) -> Iterator[object]:
-    """A shell in a home folder of its own."""
+    """A shell with a home folder of its own."""
     machine = tool.Machine(tmp_path)
     yield machine
     machine.close()
@@ -58,7 +58,8 @@ $ no command
 
 @pytest.mark.slow
 def test_what_stood_below_a_command_is_replaced(tool: ModuleType, machine: object) -> None:
-    """Files of the page are there, other blocks stay, a program of another terminal goes on."""
+    """Outputs are replaced, files of the page exist, other blocks stay, and a program of another terminal
+    goes on."""
     expected = PAGE.replace("what it said long ago\n", "two\none\n").replace("and more\n", "")
     expected = expected.replace("sleep 600\n", "sleep 600\nbegun\n")
 
@@ -66,7 +67,7 @@ def test_what_stood_below_a_command_is_replaced(tool: ModuleType, machine: objec
 
 
 def test_a_command_that_fails_is_named(tool: ModuleType, machine: object) -> None:
-    """With what it said, and how it ended."""
+    """A command that fails is named with its output and exit code."""
     page = ["```console", "$ echo no such thing; (exit 3)", "```"]
 
     with pytest.raises(tool.CommandFailed, match=r"exit 3\)\nno such thing\nit ended with 3"):
@@ -74,7 +75,7 @@ def test_a_command_that_fails_is_named(tool: ModuleType, machine: object) -> Non
 
 
 def test_the_home_folder_is_a_tilde(tool: ModuleType, machine: object) -> None:
-    """What is written down is true for any home."""
+    """The home folder is written as a tilde."""
     page = ["```console", "$ cd; pwd", "```"]
 
     assert [*page[:2], "~", "```"] == tool.rerun(page, machine)
@@ -93,7 +94,8 @@ def test_the_home_folder_is_a_tilde(tool: ModuleType, machine: object) -> None:
     ],
 )
 def test_what_differs_from_run_to_run_is_no_difference(tool: ModuleType, then: str, now: str) -> None:
-    """Measured numbers, times, identifiers, the width of tables, what was installed, what a PC is like."""
+    """Measured numbers, times, identifiers, table widths, versions and properties of the PC are no
+    difference."""
     pages = [["```console", "$ a", *text.split("\n"), "```"] for text in (then, now)]
 
     assert [] == tool.differences(*pages)
@@ -109,7 +111,7 @@ def test_what_differs_from_run_to_run_is_no_difference(tool: ModuleType, then: s
     ],
 )
 def test_everything_else_is_one(tool: ModuleType, then: str, now: str, difference: str) -> None:
-    """Words, counts and names, with the command that says them."""
+    """Different words, counts and names are reported with their command."""
     pages = [["```console", "$ a", text, "```", "text"] for text in (then, now)]
 
     assert [difference] == tool.differences(*pages)
@@ -140,7 +142,7 @@ The disc has a radius of 14 mm.
 def test_a_sentence_that_its_commands_contradict_is_named(
     tool: ModuleType, remark: str, wrong: str | None
 ) -> None:
-    """By the remark in its paragraph; a sentence with a measured number has one."""
+    """A sentence that its commands contradict is named by the remark in its paragraph."""
     found = tool.untrue([*SAID.splitlines(), remark])
 
     assert (wrong is None) == (found == [])
@@ -149,7 +151,7 @@ def test_a_sentence_that_its_commands_contradict_is_named(
 
 @pytest.mark.slow
 def test_the_first_hour_is_as_its_page_says() -> None:
-    """From the demo to the pick: every command of the tutorial, in its order, says what stands there."""
+    """Every command of the tutorial, in order, gives the output on the page."""
     page = ROOT / "docs/tutorial/first-part.md"
     run = subprocess.run([sys.executable, TOOL, "--check", page], capture_output=True, text=True, timeout=570)
 

@@ -1,4 +1,4 @@
-"""The scripts of the pages: what tools/scripts does not say of them."""
+"""Rules for the pages' scripts that tools/scripts does not check."""
 
 from __future__ import annotations
 
@@ -28,14 +28,15 @@ KNOWN = {"recordings", "releases", "shared"}
 
 
 def test_no_line_is_longer_than_those_of_python() -> None:
-    """Templates, texts and comments, too, which the formatter leaves alone."""
+    """No line is longer than Python's lines, also in templates, texts and comments."""
     longer = [(name, line) for name, text in SCRIPTS.items() for line in text.splitlines() if len(line) > 110]
 
     assert [] == longer
 
 
 def test_topics_know_each_other_only_through_releases_and_recordings() -> None:
-    """And none of them imports what loads the pages."""
+    """Topics import each other only through releases, recordings and shared, and not the module that loads
+    the pages."""
     assert TOPICS == {name.split("/")[1] for name in SCRIPTS if name.count("/") == 2} - {"shared"}
     for name, text in SCRIPTS.items():
         folder = posixpath.dirname(name)

@@ -1,4 +1,4 @@
-"""Random parts: closed, with their breaks, alike in triangles, STEP file and truth, drawn where they are."""
+"""Random parts: closed, with their breaks, equal in triangles, STEP file and truth, drawn at their place."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ from edged.vision.teaching.cadmodel import CadModel, RoundSurface, curves_toward
 
 
 def volume(model: CadModel) -> float:
-    """mm³ within a closed surface."""
+    """The volume within a closed surface in mm³."""
     a, b, c = (model.points_mm[model.triangles[:, k]] for k in range(3))
     return float(np.einsum("ij,ij->", a, np.cross(b, c))) / 6
 
 
 def plain_look() -> Look:
-    """A white face, black walls and breaks, a black table: what is seen is the face."""
+    """A white face, black walls and breaks, and a black table, so that only the face is seen."""
     black = BreakLook(0.0, 0.0, 0.0, 1.0, 0.5)
     return Look(
         albedo=0.8, contrast=0.0, feature_mm=1.0, wall=0.0, wall_swing=0.0, wall_azimuth_rad=0.0, bore=1.0,
@@ -40,7 +40,7 @@ def plain_look() -> Look:
 
 @pytest.mark.parametrize("number", range(7))
 def test_a_random_part_is_one_closed_body_and_its_breaks_take_material_away(number: int) -> None:
-    """Each side of a triangle has one neighbour, all look outwards, and a break makes a part lighter."""
+    """The surface is closed and oriented outwards, and breaks make the volume smaller."""
     design = random_design(number)
     nominal, real = (meshed(design, nominal=one).model for one in (True, False))
     assert [(0, 1), (0, 1)] == [open_sides(one.triangles) for one in (nominal, real)]
@@ -52,7 +52,7 @@ def test_a_random_part_is_one_closed_body_and_its_breaks_take_material_away(numb
 @pytest.mark.slow
 @pytest.mark.parametrize("number", [2, 4])
 def test_a_step_file_says_what_the_triangles_say(number: int, tmp_path: Path) -> None:
-    """Circles and straight edges of both are the same, to a nanometre."""
+    """Circles and straight edges of STEP file and triangles are equal to a nanometre."""
     pytest.importorskip("cascadio")
     design = random_design(number)
     (tmp_path / "part.step").write_text(step_text(design))
@@ -67,7 +67,7 @@ def test_a_step_file_says_what_the_triangles_say(number: int, tmp_path: Path) ->
 
 
 def test_an_offset_outline_is_as_far_away_everywhere() -> None:
-    """Where lines and arcs go over into each other; at corners the sides are, as they are on the way back."""
+    """An offset outline has the offset's distance everywhere, at corners between its sides."""
     for outline in (circle(1, 2, 3), box(0, 0, 9, 5, 1), box(0, 0, 9, 4, 2)):
         inner, outer = (one.points(outline.pieces()) for one in (outline, outline.offset(0.3)))
         np.testing.assert_allclose(np.linalg.norm(outer - inner, axis=1), 0.3, atol=1e-9)
@@ -79,7 +79,7 @@ def test_an_offset_outline_is_as_far_away_everywhere() -> None:
 
 
 def test_a_broken_wall_is_made_of_cones_and_a_sharp_one_of_cylinders() -> None:
-    """The chamfer of a disc grows by as much as it goes down; its wall does not grow."""
+    """The chamfer of a disc is a cone of 45 degrees, and its wall a cylinder."""
     design = Design("disc", (Wall("base", circle(0, 0, 10), -1, True, 0.0, 5.0, 0.4),))
     slopes = {
         one.slope for one in meshed(design, nominal=False).model.surfaces if isinstance(one, RoundSurface)
@@ -89,9 +89,9 @@ def test_a_broken_wall_is_made_of_cones_and_a_sharp_one_of_cylinders() -> None:
 
 @pytest.mark.slow
 def test_the_face_is_drawn_where_the_truth_says() -> None:
-    """The middle and the area of a white face amid black walls are those of its projected rim, on both sides.
+    """Middle and area of a white face amid black walls are those of its projected rim, on both sides.
 
-    The rim is where the chamfer leaves the face; a hundredth of a pixel is what the samples leave.
+    The rim is where the chamfer leaves the face; a hundredth of a pixel is the samples' error.
     """
     rig, design = world_rig(), Design("disc", (Wall("base", circle(0, 0, 9), -1, True, 0.0, 5.0, 0.4),))
     where = lying(rig, 30.0, 70.0, 20.0)
@@ -112,7 +112,7 @@ def test_the_face_is_drawn_where_the_truth_says() -> None:
 
 
 def area_and_middle(points: FloatArray) -> tuple[float, FloatArray]:
-    """Of a polygon (N, 2)."""
+    """Area and centroid of a polygon (N, 2)."""
     ahead = np.roll(points, -1, axis=0)
     cross = points[:, 0] * ahead[:, 1] - points[:, 1] * ahead[:, 0]
     return abs(float(cross.sum())) / 2, np.asarray(
@@ -122,7 +122,7 @@ def area_and_middle(points: FloatArray) -> tuple[float, FloatArray]:
 
 @pytest.mark.slow
 def test_a_set_has_what_a_bench_reads(tmp_path: Path) -> None:
-    """Cameras, a drawing, a teaching pair with its pose, and a scene in which nothing is to be found."""
+    """A set has cameras, a drawing, a teaching pair with its pose, and a scene without the part."""
     write_set(tmp_path, [2], 0, 1, 1)
     assert (tmp_path / "rig.json").exists()
     assert (tmp_path / "step" / "P2.step").exists()
@@ -135,7 +135,7 @@ def test_a_set_has_what_a_bench_reads(tmp_path: Path) -> None:
 
 
 def test_confidence_bounds_are_those_of_the_table() -> None:
-    """14 of 18, none of 10, and nothing at all (Wilson 1927; values by R's binom.wilson)."""
+    """The bounds for 14 of 18, 0 of 10 and 0 of 0 are right (Wilson 1927; values by R's binom.wilson)."""
     np.testing.assert_allclose(wilson(14, 18), (0.5478, 0.9100), atol=5e-4)
     np.testing.assert_allclose(wilson(0, 10), (0.0, 0.2775), atol=5e-4)
     assert (0.0, 1.0) == wilson(0, 0)

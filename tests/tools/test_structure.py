@@ -1,4 +1,4 @@
-"""The structure of the code: what stands where, what a file says of itself, how far one reads for it."""
+"""The structure of the code: places, docstrings of files, and how many files a task reads."""
 
 from __future__ import annotations
 
@@ -36,16 +36,16 @@ FACES = re.compile(r"\.|(adapters|plc)/\w+|files/(rigformats|jobs)")
 """Packages that are used by the names in their `__init__.py`; of all others the modules are named."""
 
 MOST_FILES_ENTERED = 30
-"""By `inspect`, today; who reads how a part is found opens as many. Wanted: 20. The joint fit is two of them,
-what is asked and given and how a step is made, as one file of 750 lines would be no shorter a way; what
-broken rims do to it is a third. What a face shows by chance is a file of the search."""
+"""Files entered by `inspect` today; to read how a part is found one opens as many. The goal is 20. The joint
+fit is two of them, its data and its step, because one file of 750 lines would be no easier; the effect of
+broken rims is a third. What a face shows by chance is a file of the search."""
 
 MOST_FILES_OF_A_REQUEST = {"ACK": 10, "GRASP": 10, "LOCATE": 31}
 """Files entered from a robot's line to its answer, by its command. LOCATE goes through the whole cycle."""
 
 MOST_FILES_OF_A_CLICK = 12
-"""Files of the page's process entered from a request that changes a user to the file with it: each is a
-question of its own: whose session, which right, which route, asked before."""
+"""Files of the page's process entered from a request that changes a user to the file with it: each answers a
+question of its own: session, right, route."""
 
 SUPPRESSION = re.compile(
     r"#\s*(?:type: ignore(?:\[[\w, -]+\])?|noqa(?:: [A-Z]+\d+(?:, [A-Z]+\d+)*)?)(?P<reason>.*)"
@@ -66,7 +66,8 @@ def _decorators(source: Path) -> Iterator[str]:
 
 @pytest.mark.slow
 def test_every_kernel_is_compiled_by_warm() -> None:
-    """It walks through edged.vision and edged.sim: elsewhere, one would be compiled when the cell starts."""
+    """Every module with kernels is in a package that `warm` compiles, so none is compiled when the cell
+    starts."""
     walked = {
         module.name
         for package in (edged.vision, edged.sim)
@@ -83,7 +84,7 @@ def test_every_kernel_is_compiled_by_warm() -> None:
 
 
 def test_every_topic_of_setting_up_is_held_to_the_order_of_topics() -> None:
-    """A folder with routes, a service, work or a model of its own is in import-linter's contract."""
+    """Every topic with routes, a service, work or a model of its own is in import-linter's contract."""
     contracts = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["importlinter"]["contracts"]
     (held,) = [contract["containers"] for contract in contracts if "(work)" in contract.get("layers", ())]
     topics = {
@@ -94,7 +95,7 @@ def test_every_topic_of_setting_up_is_held_to_the_order_of_topics() -> None:
 
 
 def test_a_package_says_what_it_is_and_nothing_else() -> None:
-    """One docstring: to import a module loads no neighbour. Faces hold more."""
+    """A package has a docstring and nothing else, except those that are used by their names."""
     for package in PACKAGES:
         tree = ast.parse((package / "__init__.py").read_text())
         is_face = FACES.fullmatch(str(package.relative_to(EDGED)))
@@ -105,7 +106,7 @@ def test_a_package_says_what_it_is_and_nothing_else() -> None:
 
 @pytest.mark.slow
 def test_every_test_states_a_truth() -> None:
-    """In a sentence of its own: no two tests of a file say the same."""
+    """Every test's docstring ends with a full stop and is unique in its file."""
     for path in TESTS:
         tests = [
             node
@@ -119,7 +120,7 @@ def test_every_test_states_a_truth() -> None:
 
 
 def _without_reason(text: str) -> list[int]:
-    """Lines whose check is switched off without a word, there or in a comment above."""
+    """Lines whose check is switched off without a reason, there or in a comment above."""
     lines = text.splitlines()
     found = []
     for number, line in enumerate(lines, 1):
@@ -132,12 +133,12 @@ def _without_reason(text: str) -> list[int]:
 
 @pytest.mark.slow
 def test_whoever_switches_a_check_off_says_why() -> None:
-    """On the same line, or in a comment above it."""
+    """A switched off check has a reason on the same line, or in a comment above."""
     assert [] == [f"{path}:{line}" for path in READ for line in _without_reason(path.read_text())]
 
 
 def test_the_search_for_reasons_finds_their_lack() -> None:
-    """With several codes, none at all, and with a reason in each of its two places."""
+    """The search finds missing reasons for several codes, and none if a reason is in either place."""
     off, ignore = "# no" + "qa", "# type: " + "ignore"
     bare = f"a {off}: BLE001, ARG001\nb {off}\nc {ignore}[misc]\n"
     reasoned = f"d {off}: B1  (as asked)\n# because\ne {ignore}[misc]\n"
@@ -146,13 +147,13 @@ def test_the_search_for_reasons_finds_their_lack() -> None:
 
 
 class _Trace:
-    """The files of edged that a thread enters from `begin` to `end`, which are called on it."""
+    """The files of edged that a thread enters between the calls of `begin` and `end`."""
 
     def __init__(self) -> None:
         self.entered: set[str] = set()
 
     def begin(self) -> None:
-        """Forget those of before."""
+        """Forget the former files."""
         self.entered = set()
         sys.setprofile(self._note)
 
@@ -161,7 +162,7 @@ class _Trace:
             self.entered.add(_name(Path(frame.f_code.co_filename)))
 
     def end(self, what: str) -> set[str]:
-        """Those that were entered, printed for who asks with `-s`."""
+        """The entered files, printed for a run with `-s`."""
         sys.setprofile(None)
         print(f"{what}: {len(self.entered)} files entered:", *sorted(self.entered))
         return self.entered
@@ -187,7 +188,7 @@ def test_the_way_of_a_measurement_is_short() -> None:
 
 
 async def test_the_way_of_a_click_is_short() -> None:
-    """From a request that changes a user to the file that holds it no more files are entered than today."""
+    """From a request that changes a user to the file with it no more files are entered than today."""
     trace = _Trace()
     async with webcell.running(visitor="Anna") as cell:
         for language in ("de", "en"):  # the first one imports
@@ -219,7 +220,8 @@ def test_the_way_of_a_robots_request_is_short() -> None:
 
 
 def test_lines_arrows_and_signatures_are_counted_as_it_is_said(tmp_path: Path) -> None:
-    """By the tool of the table in CONTRIBUTING: a comment is no line, a loose module no folder."""
+    """The tool of the table in CONTRIBUTING counts lines, arrows and signatures: no comment as line, no
+    loose module as folder."""
     files = {
         "edged/a/one.py": '"""Doc."""\n\nfrom edged.b import two  # why\nfrom edged.loose import it\n',
         "edged/b/two.py": "X = [\n    1,\n]\n\ndef f(a, b, c, d, e, f, g, h, i): ...\n",

@@ -1,4 +1,4 @@
-"""The suite itself: what is skipped without a good reason does not pass unseen."""
+"""The test suite itself: a test that is skipped without a listed reason is reported."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ DOCTOR = "tests/cameras/test_doctor_networks.py"
 
 
 def suite(folder: Path, reason: str, ci: str) -> subprocess.CompletedProcess[str]:
-    """A run of pytest, with a process for the tests, on a file with one that runs and one that is skipped."""
+    """A run of pytest with one worker process, on a file with one test that runs and one that is skipped."""
     file = folder / DOCTOR
     file.parent.mkdir(parents=True)
     file.write_text(
@@ -46,7 +46,7 @@ def suite(folder: Path, reason: str, ci: str) -> subprocess.CompletedProcess[str
 
 
 def test_what_runs_alone_is_there_and_says_why() -> None:
-    """Each entry of the list names a test that exists, and the time that it promises."""
+    """Each entry of the list names an existing test and a time."""
     for pattern, reason in alone.REASONS.items():
         file, _, name = pattern.partition("::")
         names = re.findall(r"^(?:async )?def (test_\w+)", (TESTS.parent / file).read_text(), re.MULTILINE)
@@ -57,7 +57,7 @@ def test_what_runs_alone_is_there_and_says_why() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize(("ci", "code"), [("true", 1), ("", 0)])
 def test_a_tool_that_is_missing_is_told_and_fails_in_ci(tmp_path: Path, ci: str, code: int) -> None:
-    """A developer reads which test was skipped and why; continuous integration is red."""
+    """A test skipped for a missing tool is listed with the reason, and fails in continuous integration."""
     run = suite(tmp_path, "missing: nft", ci)
 
     assert code == run.returncode, run.stdout + run.stderr
@@ -68,7 +68,7 @@ def test_a_tool_that_is_missing_is_told_and_fails_in_ci(tmp_path: Path, ci: str,
 
 @pytest.mark.slow
 def test_a_reason_on_the_list_passes_without_a_word(tmp_path: Path) -> None:
-    """Nobody can be root everywhere."""
+    """A test skipped for a listed reason passes without a report."""
     run = suite(tmp_path, "not root, for network namespaces", "true")
 
     assert 0 == run.returncode, run.stdout + run.stderr
@@ -76,7 +76,7 @@ def test_a_reason_on_the_list_passes_without_a_word(tmp_path: Path) -> None:
 
 
 def test_the_versions_of_what_is_not_pinned_stand_in_one_line() -> None:
-    """A run that fails on another day is compared by them; what is not installed is named, too."""
+    """The versions of what is not pinned are in one line, with what is not installed."""
     script = (TESTS.parent / "tools" / "setup.sh").read_text()
     functions = "\n".join(re.findall(r"^(?:say|versions)\(\) \{.*?\}$", script, re.MULTILINE | re.DOTALL))
     run = subprocess.run(
@@ -94,12 +94,12 @@ def test_the_versions_of_what_is_not_pinned_stand_in_one_line() -> None:
 
 
 def test_a_bench_asks_another_one_by_its_command_line() -> None:
-    """Options that were put together by hand lack those that are added later, and only a run shows it."""
+    """No tool builds the options of another one by hand, which would lack later options."""
     made = [path.name for path in TOOLS.glob("*.py") if "argparse.Namespace(" in path.read_text()]
     assert made == []
 
 
 def test_what_a_bench_of_solid_parts_is_not_asked_is_as_on_its_command_line(tmp_path: Path) -> None:
-    """Of the benches of slices and of exposures, which lacked `--further`."""
+    """The default options of the bench of solid parts are those of its command line."""
     options = bench_solid.asked(tmp_path, "--step")
     assert (options.dataset, options.step, options.alone, options.further) == (tmp_path, True, None, 0)

@@ -27,23 +27,23 @@ WEB = ROOT / "edged" / "adapters" / "web"
 SETUP, RUN = WEB / "static" / "setup", WEB / "static" / "run"
 SCRIPTS = {path.stem: path.read_text() for path in sorted([*SETUP.rglob("*.js"), *RUN.rglob("*.js")])}
 FRAME = (WEB / "templates" / "index.html").read_text()
-"""Of the Run page: its texts are named there."""
+"""The frame of the Run page, which names its texts."""
 FORMS = [WEB / "login.py", *(WEB / "templates" / f"{name}.html" for name in ("login", "invite"))]
-"""What the cell writes itself: its texts are named there."""
+"""Pages that the cell writes itself, which name their texts."""
 ALL_SCRIPTS = "\n".join([*SCRIPTS.values(), FRAME, *(path.read_text() for path in FORMS)])
 ENTRY = re.compile(r"^([a-z][a-z0-9-]*) =(.*(?:\n[ }].*)*)", re.MULTILINE)
 VALUE = re.compile(r"\$(\w+)")
 FOLDERS = {path.name.split(".")[0]: path.parent for path in SETUP.glob("*/*.ftl")}
-"""Pages that set a cell up, to where they stand."""
+"""The folders of the set-up pages, by page."""
 PAGES = sorted(FOLDERS)
 PARTS = ["", "login", "run", "registers", *PAGES]
-"""Files of texts: around the pages that set a cell up, of the forms to log in, of the Run page, its map, and
-of each of them.
+"""Files of texts: around the set-up pages, of the log-in forms, of the Run page, of its register map, and
+of each set-up page.
 """
 
 
 def families(script: str) -> set[str]:
-    """What ids begin with that are made of a code: state-, why-, step-."""
+    """The beginnings of ids that are completed by a code: state-, why-, step-."""
     made = set(re.findall(r"`([a-z-]+-)\$\{", script))
     return made | {f"{name}-" for name in re.findall(r"\binWords\(\"([a-z-]+)\"", script)}
 
@@ -52,7 +52,7 @@ FAMILIES = families(ALL_SCRIPTS)
 NAMED = re.compile(
     r"""aria-label=\$\{t\("([a-z0-9-]+)"[^<>]*?\)\}(?:[^<>]|=>)*>\s*\$\{t\("([a-z0-9-]+)"\)\}"""
 )
-"""An element with one text on it, and a longer one for who does not see what is around it."""
+"""An element with a visible text and a longer one for screen readers."""
 
 
 def entries(part: str, language: str) -> list[tuple[str, str]]:
@@ -66,11 +66,11 @@ def entries(part: str, language: str) -> list[tuple[str, str]]:
 ENGLISH = {part: dict(entries(part, "en")) for part in PARTS}
 OTHERS = sorted({path.name.split(".")[-2] for path in (WEB / "static").rglob("*.ftl")} - {"en"})
 TEXTS = {tag: {part: dict(entries(part, tag)) for part in PARTS} for tag in OTHERS}
-"""By language and file: those beside English."""
+"""The texts of each language except English, by file."""
 
 
 def scripts_of(page: str) -> set[str]:
-    """The modules that a page is made of, down to those it imports."""
+    """The modules of a page, with all that they import."""
     found, wanted = set(), [page]
     while wanted:
         name = wanted.pop()
@@ -83,7 +83,7 @@ def scripts_of(page: str) -> set[str]:
 @pytest.mark.parametrize("part", PARTS)
 @pytest.mark.parametrize("language", OTHERS)
 def test_every_language_says_what_english_says(language: str, part: str) -> None:
-    """Every text, and in it every value that the page knows."""
+    """Every language has every text, with the same values in it."""
     assert list(ENGLISH[part]) == list(TEXTS[language][part])
     for name, text in ENGLISH[part].items():
         assert set(VALUE.findall(text)) == set(VALUE.findall(TEXTS[language][part][name])), name
@@ -93,7 +93,7 @@ def test_every_language_says_what_english_says(language: str, part: str) -> None
 
 @pytest.mark.parametrize("language", OTHERS)
 def test_every_text_can_be_read(language: str) -> None:
-    """No entry has a mistake for which a browser would leave it out, or show its values' names."""
+    """No entry has a syntax error, and the values of every entry are known."""
     for path in (WEB / "static").rglob(f"*{language}.ftl"):
         resource = FluentResource(path.read_text())
         assert [] == [entry for entry in resource.body if isinstance(entry, Junk)], path
@@ -104,11 +104,11 @@ OTHER_WORDS = {
     r"|[ぁ-ヿ一-鿿}] ?[:,;?] ?[ぁ-ヿ一-鿿{]",
     "zh": r"标准件|良好工件|虚拟台(?!架)|[一-鿿}] ?[:,;?] ?[一-鿿{]",
 }
-"""Second words for one thing, and the punctuation of another script."""
+"""Other words for the same thing, and the punctuation of another script."""
 
 
 def test_one_thing_has_one_word() -> None:
-    """The glossary's in each language, and no other that somebody took before."""
+    """The texts use the glossary's words of each language, and none of the words that they replaced."""
     table = (ROOT / "docs" / "explanation" / "glossary.md").read_text().split("| word | German |")[1]
     columns = zip(*(row.strip("| ").split(" | ") for row in table.splitlines()[2:]), strict=True)
     for language, words in zip(("de", "fr", "ja", "zh"), list(columns)[1:], strict=True):
@@ -119,7 +119,7 @@ def test_one_thing_has_one_word() -> None:
 
 
 def test_the_page_offers_each_language_that_has_texts() -> None:
-    """And no other: its name stands where one is chosen."""
+    """The page offers exactly the languages that have texts."""
     (listed,) = re.findall(r"LANGUAGES = \{(.*?)\}", SCRIPTS["texts"])
 
     assert {"en", *OTHERS} == set(re.findall(r"(\w+): \"", listed))
@@ -127,7 +127,7 @@ def test_the_page_offers_each_language_that_has_texts() -> None:
 
 @pytest.mark.parametrize("language", ["en", *OTHERS])
 def test_no_text_stands_twice(language: str) -> None:
-    """An id has one text in each language: which page came first must not matter."""
+    """An id has one text in each language."""
     names = [name for part in PARTS for name, _ in entries(part, language)]
 
     assert len(names) == len(set(names))
@@ -135,7 +135,7 @@ def test_no_text_stands_twice(language: str) -> None:
 
 @pytest.mark.parametrize("language", ["en", *OTHERS])
 def test_a_longer_name_has_the_words_that_are_seen(language: str) -> None:
-    """Who speaks to a screen says what stands on a button (WCAG 2.1, 2.5.3: label in name)."""
+    """The name for screen readers contains the visible text of a button (WCAG 2.1, 2.5.3: label in name)."""
     texts = {name: text for part in PARTS for name, text in entries(part, language)}
     pairs = {(f"{name}-name", name) for name in texts if f"{name}-name" in texts}
     pairs |= set(NAMED.findall(ALL_SCRIPTS))
@@ -150,7 +150,7 @@ def test_a_longer_name_has_the_words_that_are_seen(language: str) -> None:
 
 @pytest.mark.parametrize("page", ["run", *PAGES])
 def test_every_text_that_a_page_asks_for_comes_with_it(page: str) -> None:
-    """Whole ids are in its file or that around the pages; of a family (step-NAME) at least two are."""
+    """Every text of a page is in its file or in the common one; of a family at least two are."""
     there = {**ENGLISH[""], **ENGLISH[page], **(ENGLISH["registers"] if page == "run" else {})}
     for script in scripts_of(page):
         for name in re.findall(r"\bt\(\s*\"([^\"]+)\"", SCRIPTS[script]):
@@ -160,7 +160,7 @@ def test_every_text_that_a_page_asks_for_comes_with_it(page: str) -> None:
 
 
 def test_every_text_of_the_run_pages_frame_is_there() -> None:
-    """Whatever can be read or heard in it is named; and nothing is written into it."""
+    """Every text and label of the Run page's frame has an id, and none is written into it."""
     there = {**ENGLISH[""], **ENGLISH["run"]}
     named = re.findall(r'data-(?:text|label)="([^"]+)"', FRAME)
 
@@ -170,17 +170,17 @@ def test_every_text_of_the_run_pages_frame_is_there() -> None:
 
 
 def spoken(family: str) -> set[str]:
-    """What the Run page has a text for, of a family."""
+    """The codes of a family that the Run page has a text for."""
     return {name.removeprefix(family) for name in ENGLISH["run"] if name.startswith(family)}
 
 
 def coded(names: Iterable[str | None]) -> set[str]:
-    """As they stand in ids."""
+    """Codes in the form of ids."""
     return {re.sub("[^a-z0-9]+", "-", (name or "").lower()) for name in names}
 
 
 def test_the_run_page_has_a_sentence_for_each_code() -> None:
-    """Every status, reason, fault, phase and convention; in English the sentences of the command line."""
+    """Every status, reason, fault, phase and convention has a text; in English it is the command line's."""
     english = ENGLISH["run"]
     faults = {str(one.code) for one in subclasses(CaptureError)}
     assert {"100", "112"} <= faults
@@ -199,7 +199,7 @@ def test_the_run_page_has_a_sentence_for_each_code() -> None:
 
 
 def test_the_page_of_cycles_has_a_text_for_each_reason() -> None:
-    """And asks for those by each that a result may have: all but the one that is reserved."""
+    """Each reason of a result has a text on the page of cycles, which asks for all but the reserved one."""
     reasons = {str(bit.name) for bit in Reject if bit} | {"NOT_FOUND", "CAPTURE"}
     family = "cycles-reason-"
 
@@ -211,7 +211,7 @@ def test_the_page_of_cycles_has_a_text_for_each_reason() -> None:
 
 
 def test_the_run_page_has_a_text_for_each_fact() -> None:
-    """For the name of each group and fact, and for each value that is a sentence; and for no other."""
+    """Each group, fact and value of a fact has a text on the Run page, and there are no others."""
     sources = [inspect.getsource(made) for made in (Running.facts, Running._drift_facts)]  # noqa: SLF001  (part of it)
     groups = re.findall(r"groups(?:: .*)? = \{|groups\[\"([^\"]+)\"\]", "".join(sources))
     names = {*filter(None, groups), *re.findall(r"\"([^\"]+)\": ", "".join(sources))}
@@ -227,14 +227,14 @@ def test_the_run_page_has_a_text_for_each_fact() -> None:
 
 
 def test_the_plcs_page_has_words_for_each_reason_and_each_result() -> None:
-    """And for no others."""
+    """Each NACK reason and each result code has a text, and there are no others."""
     for family, codes in (("plc-nack-", NackReason), ("plc-result-", ResultCode)):
         said = {name for name in ENGLISH["plc"] if name.startswith(family)}
         assert {family + code.name.lower().replace("_", "-") for code in codes} == said
 
 
 def test_the_run_page_says_of_each_register_what_its_map_does() -> None:
-    """In English the map's own help, word by word; and in no other words of a register that there is not."""
+    """Each register has its help as text, word by word in English, and there are no others."""
     english, said = {name: text.strip() for name, text in ENGLISH["registers"].items()}, set[str]()
     for block in BLOCKS:
         for register in block.registers:
@@ -252,19 +252,20 @@ def test_the_run_page_says_of_each_register_what_its_map_does() -> None:
 
 
 def subclasses(kind: type[CaptureError]) -> list[type[CaptureError]]:
-    """It, and all that are made of it."""
+    """The class and all its subclasses."""
     return [kind, *(one for child in kind.__subclasses__() for one in subclasses(child))]
 
 
 def test_every_text_around_the_pages_is_there() -> None:
-    """What stands around them speaks before any page has come."""
+    """Every text around the pages is in the common file."""
     for script in scripts_of("main"):
         for name in re.findall(r"\bt\(\s*\"([^\"]+)\"", SCRIPTS[script]):
             assert name in ENGLISH[""], script
 
 
 def test_the_cell_can_read_the_texts_of_its_forms() -> None:
-    """Each on one line, with values only, and named in a template or beside it; a browser reads the same."""
+    """Each text of the forms is on one line, without markup, is named in a template, and is the same in a
+    browser."""
     texts = Texts("login")
     named = {name for path in FORMS for name in re.findall(r'"((?:login|invite)-[a-z-]+)"', path.read_text())}
     for tag, entries_of in (("en", ENGLISH["login"]), *((tag, TEXTS[tag]["login"]) for tag in OTHERS)):
@@ -281,7 +282,7 @@ def test_the_cell_can_read_the_texts_of_its_forms() -> None:
 
 
 def test_every_text_is_used() -> None:
-    """By its id, by an id that a condition chooses, or as one of a family."""
+    """Every text is used by its id, or as one of a family."""
     begun = tuple(FAMILIES)
     names = [name for part in PARTS for name in ENGLISH[part]]
 
@@ -289,7 +290,7 @@ def test_every_text_is_used() -> None:
 
 
 def test_every_page_has_texts() -> None:
-    """Beside the script and the styles of each page in the table of steps, TOPIC/NAME.js."""
+    """Each page in the table of steps has script, styles and texts, TOPIC/NAME.js."""
     entered = dict(re.findall(r'\{ id: "(\w+)", topic: "(\w+)"', SCRIPTS["steps"]))
 
     assert len(entered) >= 2

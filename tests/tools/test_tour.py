@@ -1,4 +1,4 @@
-"""The two-minute tour: small, without a script, shown where people look first, made of what was clicked."""
+"""The two-minute tour: small, without a script, shown where people come first, made of real clicks."""
 
 from __future__ import annotations
 
@@ -41,7 +41,8 @@ def picture(grey: int, x: int) -> bytes:
 
 
 def test_only_what_is_other_is_kept_and_each_click_has_its_time(filming: ModuleType) -> None:
-    """The second picture is two places, where something was and is; a third one, the same, is nothing."""
+    """Only changed places of a picture are kept, an unchanged one gives nothing, and each click has its
+    time."""
     film = filming.Film()
     film.see(picture(0, 100), (640.0, 450.0))
     film.see(picture(0, 300))
@@ -62,7 +63,8 @@ def test_only_what_is_other_is_kept_and_each_click_has_its_time(filming: ModuleT
 
 
 def test_the_tour_is_small_plays_by_itself_and_asks_nobody() -> None:
-    """At most 1.5 MB, as GitHub shows it: no script, nothing from elsewhere; each step has its caption."""
+    """The tour has at most 1.5 MB, as GitHub shows it, no script, nothing from elsewhere, and a caption
+    per step."""
     text = (ROOT / "docs" / "tour.svg").read_text()
     root = ElementTree.fromstring(text)
 
@@ -77,7 +79,7 @@ def test_the_tour_is_small_plays_by_itself_and_asks_nobody() -> None:
 
 
 def test_people_see_the_tour_where_they_come_first() -> None:
-    """In the README, on the way to their cell, and in the tutorial of the same clicks, with words for it."""
+    """The README and the tutorial show the tour with an alternative text."""
     for page, place in (("README.md", "docs/tour.svg"), ("docs/tutorial/by-clicking.md", "../tour.svg")):
         (words,) = re.findall(rf"!\[([^]]+)\]\({re.escape(place)}\)", (ROOT / page).read_text())
         assert len(words) > 30

@@ -1,4 +1,4 @@
-"""What the pages take from others is what was built once, of named versions, and all of it is served."""
+"""The pages' third-party files are as they were built, from named versions, and all of them are served."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ ROOT = Path(__file__).resolve().parents[2]
 STATIC = ROOT / "edged" / "adapters" / "web" / "static"
 VENDORED = (STATIC / "vendor", ROOT / "tests" / "data" / "axe")
 SHELL_BYTES = 150_000
-"""What a browser loads at most before somebody can set a cell up."""
+"""The most that a browser loads until a cell can be set up."""
 PAGE_BYTES = 88_000
-"""What it loads for one step, in the longest language: a Japanese character takes three bytes."""
+"""The most that it loads for one step, in the longest language: a Japanese character takes three bytes."""
 RUN_BYTES = 109_000
-"""What it loads at most to look at a cell that runs."""
+"""The most that it loads to show a running cell."""
 
 
 @pytest.mark.parametrize("folder", VENDORED, ids=lambda folder: folder.name)
 def test_nobody_has_touched_what_is_vendored(folder: Path) -> None:
-    """Every file is there with the SHA-256 that was noted when it was built, and no other."""
+    """Every file has the SHA-256 that was noted when it was built, and there is no other file."""
     noted = dict(reversed(line.split("  ")) for line in (folder / "SHA256SUMS").read_text().splitlines())
     found = {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in folder.iterdir()}
     del found["SHA256SUMS"]
@@ -52,7 +52,7 @@ def test_the_same_versions_make_the_same_bytes() -> None:
 
 
 def test_each_package_comes_with_its_licence() -> None:
-    """Name, version and terms of all that is inside, in the package that people install."""
+    """The installed package has the name, version and licence of each vendored package."""
     text = (STATIC / "vendor" / "LICENCES.txt").read_text()
     table = (ROOT / "tools" / "vendor-js").read_text().partition('PACKAGES="\n')[2].partition('"\n')[0]
     packages = [line.split() for line in table.splitlines()]
@@ -66,7 +66,7 @@ def test_each_package_comes_with_its_licence() -> None:
 
 
 def test_a_script_is_served_by_its_name_and_a_licence_is_not() -> None:
-    """Every script, style, drawing and text below static/, however deep."""
+    """Every script, style, drawing and text below static/ is served by its name, and no licence."""
     names = {path.relative_to(STATIC).as_posix() for path in STATIC.rglob("*") if path.is_file()}
 
     assert {name for name in names if type_of(name)} == set(read_assets())
@@ -75,13 +75,14 @@ def test_a_script_is_served_by_its_name_and_a_licence_is_not() -> None:
 
 
 def imports(name: str, script: str) -> set[str]:
-    """Names of the modules that one imports."""
+    """The names of the modules that a module imports."""
     folder = PurePosixPath(name).parent
     return {posixpath.normpath(folder / other) for other in re.findall(r'from "([./]+[\w/]+\.js)"', script)}
 
 
 def test_the_shell_is_small_and_so_is_each_page() -> None:
-    """Scripts, styles and the longest language: around the pages with the first of them, and of any one."""
+    """The common files with the first page, and each page, in the longest language, are within their
+    limits."""
     assets = read_assets()
     sizes = {name: len(text.encode()) for name, text in assets.items()}
     texts = {name: size for name, size in sizes.items() if name.endswith(".ftl")}
@@ -108,7 +109,7 @@ def test_the_shell_is_small_and_so_is_each_page() -> None:
 
 
 def test_the_run_page_is_light() -> None:
-    """Everything that it is made of is named to the browser at once, and is little."""
+    """The Run page names all its files to the browser at once, and they are within the limit."""
     assets = read_assets()
     scripts = run_modules(assets)
     imported = set[str]()

@@ -1,4 +1,4 @@
-"""The words of the code: one name for one thing, and no private language. Both lists may only shrink."""
+"""The words of the code: one name for one thing, and plain words. Both lists may only get shorter."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ ROOT = Path(__file__).parents[2]
 
 @cache
 def _trees() -> dict[Path, ast.Module]:
-    """Every module, parsed: once, and only where it is asked for."""
+    """Every module, parsed once and only if needed."""
     return {path: ast.parse(path.read_text()) for path in sorted((ROOT / "edged").rglob("*.py"))}
 
 
@@ -32,15 +32,15 @@ BANNED = {
     "sight": 19,
     "one": 25,
 }
-"""Words that cost every reader a minute, and how many names still hold them."""
+"""Words that readers do not know, and the number of names that still have them."""
 
 HALF_SENTENCES = ("Of ", "The same ")
 HALF = 2
-"""Docstrings that only finish the sentence of a name; how many there still are."""
+"""The number of docstrings that only continue the sentence of a name."""
 
 
 def _names(tree: ast.AST) -> Iterator[str]:
-    """Every name that a module gives: classes, functions, arguments, variables, attributes."""
+    """Every name that a module defines: classes, functions, arguments, variables, attributes."""
     for node in ast.walk(tree):
         match node:
             case ast.ClassDef(name=name) | ast.FunctionDef(name=name) | ast.AsyncFunctionDef(name=name):
@@ -54,13 +54,13 @@ def _names(tree: ast.AST) -> Iterator[str]:
 
 
 def _words(name: str) -> list[str]:
-    """camelCase and snake_case, in lower case."""
+    """The words of a camelCase or snake_case name, in lower case."""
     return [word.lower() for word in re.findall(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])", name)]
 
 
 @pytest.mark.slow
 def test_no_public_class_name_stands_twice() -> None:
-    """One name, one thing."""
+    """No two public classes have the same name."""
     places = defaultdict[str, set[Path]](set)
     for path, tree in _trees().items():
         for node in ast.walk(tree):
@@ -72,7 +72,7 @@ def test_no_public_class_name_stands_twice() -> None:
 
 @pytest.mark.slow
 def test_names_are_words_of_the_field() -> None:
-    """Modules and what they define; fewer of the banned words than there were, and never more."""
+    """No banned word is in more names than its limit."""
     found = Counter(
         word
         for path, tree in _trees().items()
@@ -87,7 +87,7 @@ def test_names_are_words_of_the_field() -> None:
 
 @pytest.mark.slow
 def test_a_docstring_is_a_sentence_of_its_own() -> None:
-    """Functions, classes and constants have one; fewer lean on a name than there were, and never more."""
+    """Functions, classes and constants have a docstring, and no more than today only continue the name."""
     found = [
         f"{path.relative_to(ROOT)}:{node.lineno}"
         for path, tree in _trees().items()
@@ -100,7 +100,7 @@ def test_a_docstring_is_a_sentence_of_its_own() -> None:
 
 
 def test_the_search_finds_what_it_looks_for() -> None:
-    """Both spellings of a name, and every place where one is given."""
+    """The search finds both spellings of a name, and every place where a name is defined."""
     tree = ast.parse(
         "class OpenDoor:\n    def __init__(self, guest):\n        self.my_room, one = guest, 1\n"
     )
