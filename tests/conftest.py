@@ -110,10 +110,11 @@ def pytest_collection_finish():
 
 
 def pytest_collection_modifyitems(items):
-    """Sort files with most long tests first, so that no process waits for another one's long file at the
-    end."""
-    long = Counter(item.path for item in items if item.get_closest_marker("slow"))
-    items.sort(key=lambda item: (not item.nodeid.startswith(ONE_WIRE), -long[item.path]))
+    """Run files with most slow tests first, so that no process waits at the end for another's long file."""
+    slow = Counter(
+        item.path for item in items if {"slow", "long"} & {mark.name for mark in item.iter_markers()}
+    )
+    items.sort(key=lambda item: (not item.nodeid.startswith(ONE_WIRE), -slow[item.path]))
 
 
 def pytest_runtest_setup(item):

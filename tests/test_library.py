@@ -73,6 +73,7 @@ def test_what_is_saved_is_what_is_loaded(job: Job, tmp_path: Path) -> None:
     np.testing.assert_array_equal(expected.rig_from_part, target.rig_from_part)
 
 
+@pytest.mark.long
 def test_what_weakens_a_job_is_a_warning() -> None:
     """A region that cuts the part gives a warning."""
     part = flange()

@@ -14,13 +14,13 @@ from helpers.powercuts import Call, Changed, Disk, Record, Synced, cut
 from edged.files import atomic
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_300_power_cuts_leave_the_old_state_or_the_new(template: Path, tmp_path: Path) -> None:
     """After a power cut at any call the cell is readable, unmixed, and has everything that was completed."""
     assert [] == statewriters.survive(template / "cell.toml", tmp_path, 300, seed=1)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("of_files", [True, False], ids=["files", "folders"])
 def test_writers_that_bring_nothing_to_the_disk_are_caught(
     template: Path, tmp_path: Path, of_files: bool, monkeypatch: pytest.MonkeyPatch

@@ -81,7 +81,7 @@ def test_a_spool_that_nobody_packs_is_bounded(tmp_path: Path) -> None:
     assert [f"0-000002{FULL}"] == sorted(path.name for path in spool.iterdir())
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_daemon_that_is_killed_loses_a_second_at_most(tmp_path: Path) -> None:
     """After kill -9 of a daemon the next one packs what it left, and each row is there once."""
     cell = Cell(tmp_path, 'source = "virtual-inprocess"')

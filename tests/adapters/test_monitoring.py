@@ -23,7 +23,7 @@ AT_REST = {"Faults of the cameras", "Why targets were refused"}
 TEMPLATE = Path("/usr/share/prometheus/alertmanager/default.tmpl")
 """Debian's Alertmanager does not start without it."""
 ARE_HERE = program("prometheus") and program("prometheus-alertmanager") and TEMPLATE.exists()
-pytestmark = [pytest.mark.slow, pytest.mark.skipif(not ARE_HERE, reason="no prometheus")]
+pytestmark = [pytest.mark.long, pytest.mark.skipif(not ARE_HERE, reason="no prometheus")]
 
 
 @dataclass

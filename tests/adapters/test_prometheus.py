@@ -59,6 +59,7 @@ def test_each_alarm_comes_when_it_should_and_no_other(tmp_path: Path) -> None:
     assert ALERTS.keys() == fired
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("rule", "other"),
     [

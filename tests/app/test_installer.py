@@ -136,6 +136,7 @@ def hostile(good: Backup) -> dict[str, bytes]:
     }
 
 
+@pytest.mark.long
 def test_archives_that_are_none_change_nothing(place: Place) -> None:
     """Each invalid archive is refused with a reason, without a reload or a change."""
     before = place.files()

@@ -21,6 +21,7 @@ def come(place: Path) -> socket.socket:
     return ours
 
 
+@pytest.mark.long
 async def test_its_user_is_let_in_and_known_by_the_kernel(tmp_path: Path) -> None:
     """The page's user is accepted, one process after the other; the socket is for its group, and is gone
     with the cell."""

@@ -233,7 +233,7 @@ def hanging_opcua(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> SmallCell:
     return small
 
 
-@pytest.mark.slow
+@pytest.mark.long
 async def test_a_cell_measures_whose_opcua_server_does_not_start(
     hanging_opcua: SmallCell, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -253,7 +253,7 @@ async def test_a_cell_measures_whose_opcua_server_does_not_start(
         await running
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_stop_does_not_wait_for_a_server_that_hangs(hanging_opcua: SmallCell) -> None:
     """A stop does not wait for a server that hangs."""
     path = hanging_opcua.config
@@ -271,7 +271,7 @@ def test_a_stop_does_not_wait_for_a_server_that_hangs(hanging_opcua: SmallCell) 
     assert asyncio.run(main()) < 8.0
 
 
-@pytest.mark.slow
+@pytest.mark.long
 async def test_a_cell_measures_whose_plc_is_off_and_serves_it_when_it_comes(tmp_path: Path) -> None:
     """The cell measures while its PLC is off, says so, and writes to it, or after a reload to another one,
     once it is on."""

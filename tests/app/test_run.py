@@ -64,7 +64,7 @@ def _modules_after(program: str) -> list[str]:
     ).stdout.split()
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_cell_with_real_cameras_starts_without_the_simulation() -> None:
     """The daemon imports neither the simulation nor calibration tools nor plotting."""
     loaded = _modules_after("edged.commands.run")
@@ -108,7 +108,7 @@ runpy.run_module("edged.app.page", run_name="__main__")
 """
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_page_loads_without_looking_for_garbage() -> None:
     """A page starts without garbage collection."""
     program = [sys.executable, "-c", PAGE_WITHOUT_A_CELL]
@@ -148,7 +148,7 @@ print(before, len(set(all_kernels)))
 """
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_first_cycle_that_finds_a_part_compiles_nothing(tmp_path: Path) -> None:
     """At READY every kernel that a part needs is compiled, and the first found part compiles and loads
     none."""
@@ -192,7 +192,7 @@ def wait_held(daemon: DaemonProcess, *numbers: signal.Signals) -> None:
     assert "numpy" not in Path(f"/proc/{daemon.process.pid}/maps").read_text()
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_hang_up_before_the_daemon_stands_is_a_reload_after_its_start(small: SmallCell) -> None:
     """SIGHUP before the daemon is up, even repeated, becomes a reload after its start."""
     daemon = DaemonProcess(small.config)

@@ -516,7 +516,7 @@ def held(kind: str, monkeypatch: pytest.MonkeyPatch) -> Hanging:
     return hanging
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("kind", KINDS)
 async def test_a_server_that_starts_slowly_is_named_and_started_later(
     kind: str, tmp_path: Path, line: str, monkeypatch: pytest.MonkeyPatch
@@ -543,7 +543,7 @@ async def test_a_server_that_starts_slowly_is_named_and_started_later(
         await servers.close()
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("kind", KINDS)
 async def test_a_reload_for_a_server_that_starts_slowly_is_refused_by_name(
     kind: str, tmp_path: Path, line: str, monkeypatch: pytest.MonkeyPatch
@@ -568,7 +568,7 @@ async def test_a_reload_for_a_server_that_starts_slowly_is_refused_by_name(
         await servers.close()
 
 
-@pytest.mark.slow
+@pytest.mark.long
 async def test_a_reload_does_not_wait_for_what_could_not_start_before(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

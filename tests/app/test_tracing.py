@@ -91,7 +91,7 @@ def within(inner: Span, outer: Span) -> bool:
     return bool(outer["ts"] <= inner["ts"] and inner["ts"] + inner["dur"] <= outer["ts"] + outer["dur"])
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_cycle_is_seen_from_trigger_to_the_wire(tmp_path: Path) -> None:
     """The trace of a cycle has frames, rectification, find, measure with its fits, the answer, and the
     read of it."""

@@ -116,6 +116,7 @@ def test_a_camera_that_a_program_controls_is_left_alone() -> None:
         assert camera.address == LEFT
 
 
+@pytest.mark.long
 def test_addresses_that_do_not_fit_are_refused() -> None:
     """An address of another network, of another camera, of this host, and an invalid one are refused."""
     with lost(), gige_camera(RIGHT, "EDGED-OTHER", Sensor(2)):
@@ -146,7 +147,7 @@ def test_an_answer_that_is_none_is_no_camera(answer: bytes) -> None:
 
 
 @needs_camera
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_list_names_it_and_the_command_that_helps(capsys: pytest.CaptureFixture[str]) -> None:
     """The list and its JSON show a lost camera, and the command that helps; the command gives it an
     address."""
@@ -170,7 +171,7 @@ def test_the_list_names_it_and_the_command_that_helps(capsys: pytest.CaptureFixt
 
 
 @needs_camera
-@pytest.mark.slow
+@pytest.mark.long
 async def test_the_page_shows_it_and_moves_it_by_one_click(tmp_path: Path) -> None:
     """The page shows a lost camera and moves it by one click, except if another program controls it."""
     async with staged(tmp_path) as newcomer:
@@ -210,7 +211,7 @@ def test_no_socket_is_left() -> None:
 
 @needs_camera
 @needs_chromium
-@pytest.mark.slow
+@pytest.mark.long
 async def test_a_person_moves_it_by_the_button_beside_it(tmp_path: Path) -> None:
     """In a browser the lost camera alone has the trouble and the button, and can be used as left or right
     only afterwards; the new address, or that a program controls it, is shown."""

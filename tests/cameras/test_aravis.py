@@ -376,7 +376,7 @@ async def test_a_setting_that_does_not_fit_is_named_and_leaves_nothing_open(
 # --- faults -----------------------------------------------------------------------------------------
 
 
-@pytest.mark.slow
+@pytest.mark.long
 async def test_a_camera_that_is_not_there_is_unreachable_in_bounded_time() -> None:
     """An unknown address and an unknown serial number fail within a bounded time."""
     async with (
@@ -444,7 +444,7 @@ def process() -> Iterator[Process]:
     process.kill()
 
 
-@pytest.mark.slow
+@pytest.mark.long
 async def test_a_killed_camera_is_a_fault_until_it_returns_and_then_heals(process: Process) -> None:
     """After kill -9 there are only `CaptureError`s, and good images again once the camera is back."""
     head = StereoHead(

@@ -135,7 +135,7 @@ async def test_packets_that_are_lost_and_sent_again_are_no_fault(cell: Cell) -> 
     assert [] == line.faults
 
 
-@pytest.mark.slow
+@pytest.mark.long
 async def test_a_stream_that_stalls_is_told_from_a_dead_camera(cell: Cell) -> None:
     """If triggers are taken but nothing comes, the fault is 104, then 112 with the third, and heals."""
     async with working(cell) as line:
@@ -216,7 +216,7 @@ async def test_packets_that_come_twice_or_in_another_order_are_no_fault(cell: Ce
     assert [] == line.faults
 
 
-@pytest.mark.slow
+@pytest.mark.long
 async def test_a_camera_whose_address_changed_is_found_by_its_serial_number(cell: Cell) -> None:
     """A camera with a new address is fault 101, and is then found there by its serial number."""
     async with working(cell, device="EDGED-T1") as line:

@@ -252,7 +252,7 @@ async def test_a_camera_without_a_trigger_runs_freely_and_says_so() -> None:
             await camera.frame()
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_two_cameras_are_reported_on(tmp_path: Path) -> None:
     """The report has both cameras and their exposures together, and no name of a camera."""
     file, told = tmp_path / "report.json", io.StringIO()

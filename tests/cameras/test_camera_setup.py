@@ -84,7 +84,7 @@ async def test_the_expected_camera_opens(cell: Cell) -> None:
     await opens(left_camera(serial="EDGED-T1"))
 
 
-@pytest.mark.slow
+@pytest.mark.long
 async def test_a_camera_whose_address_has_changed_is_found_by_its_serial_number(
     cell: Cell, caplog: pytest.LogCaptureFixture
 ) -> None:

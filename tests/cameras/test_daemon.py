@@ -116,6 +116,7 @@ def in_process_cell(tmp_path: Path) -> Iterator[Cell]:
         cell.stop()
 
 
+@pytest.mark.long
 def test_a_terminal_that_closes_ends_the_daemon(tmp_path: Path) -> None:
     """The daemon prints READY and its page; a SIGHUP with a terminal reloads, and without one stops it."""
     cell = Cell(tmp_path / "cell", 'source = "virtual-inprocess"')
@@ -138,6 +139,7 @@ def test_a_terminal_that_closes_ends_the_daemon(tmp_path: Path) -> None:
     assert any("the terminal was closed: the cell stops" in line for line in cell.log)
 
 
+@pytest.mark.long
 @needs("mbpoll")
 def test_results_reach_plc_mbpoll_and_zenoh_and_agree(in_process_cell: Cell) -> None:
     """pymodbus and Zenoh give the same cycle, and mbpoll reads the block as well."""
@@ -199,6 +201,7 @@ def test_sighup_with_a_bad_configuration_changes_nothing_and_says_why(in_process
     wait_until(lambda: in_process_cell.read("constants")["CONFIG_CRC"] not in (0, fingerprint))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("shared", ["zenoh", "modbus"])
 def test_a_second_daemon_on_the_same_port_says_so_and_leaves_the_first_alone(
     in_process_cell: Cell, shared: str
@@ -257,6 +260,7 @@ class CameraProcess:
         self.process.stdout.close()
 
 
+@pytest.mark.long
 @needs_camera
 def test_a_killed_camera_invalidates_and_its_return_heals(tmp_path: Path) -> None:
     """After kill -9 of a camera there is no valid result but CAM_FAULT; with the camera back results are
@@ -305,6 +309,7 @@ def _valid(cell: Cell) -> dict[str, Any] | None:
     return result if result["X"] != INVALID else None
 
 
+@pytest.mark.long
 @needs_camera
 def test_the_demo_meets_its_accuracy_over_gige_vision() -> None:
     """With two GigE Vision cameras and the part in any place and rotation the error is below 0.05 mm rms."""
@@ -322,6 +327,7 @@ def test_the_demo_meets_its_accuracy_over_gige_vision() -> None:
     assert summary["rms_mm"] < 0.05
 
 
+@pytest.mark.long
 def test_the_command_mode_handshake_over_modbus(tmp_path: Path) -> None:
     """COMMAND and CMD_SEQ give ACK and a result with that sequence; ACK_SEQ releases it."""
     cell = Cell(tmp_path / "cell", 'source = "virtual-inprocess"', mode="command")

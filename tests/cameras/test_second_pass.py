@@ -28,6 +28,7 @@ ASKED_BACK = re.compile(r"status of (403|409) .*/activate$")
 """A release asks for the password again, and for a signature if recorded cycles were not tried."""
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("backward", [False, True])
 @pytest.mark.parametrize("browser", BROWSERS)
 async def test_all_is_done_a_second_time_with_a_lost_picture_in_every_action(

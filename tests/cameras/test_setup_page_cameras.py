@@ -36,6 +36,7 @@ ADVICE = r"/px wide|Exposure is good|Set \d/.test(document.body.innerText)"  # "
 SLIDER = """document.querySelector("[aria-label='Settings of the left camera'] [type=range]")"""
 
 
+@pytest.mark.long
 async def test_cameras_are_told_apart_by_a_wave_and_set_with_their_own_limits(tmp_path: Path) -> None:
     """A user assigns the cameras by a wave, sets exposure within their limits, and sees light and focus;
     axe finds nothing, and all fits a phone."""

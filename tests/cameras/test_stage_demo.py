@@ -72,6 +72,7 @@ async def test_a_stranger_neither_sees_nor_moves_anything(tmp_path: Path) -> Non
         assert 15 == len(asked)
 
 
+@pytest.mark.long
 async def test_cameras_are_found_adjusted_and_exchanged_until_setup_ends(tmp_path: Path) -> None:
     """Cameras are assigned by a waved hand, adjusted within their limits and exchanged, and all is undone
     at the end."""
@@ -108,6 +109,7 @@ async def test_cameras_are_found_adjusted_and_exchanged_until_setup_ends(tmp_pat
         assert [2000.0, 2000.0] == [device.registers.number(g.EXPOSURE_TIME) for device in devices]
 
 
+@pytest.mark.long
 async def test_what_is_kept_outlives_setup_and_the_daemon(tmp_path: Path) -> None:
     """Kept exposures and exchanged cameras of a cell without a rig outlive SETUP and the daemon."""
     for is_kept in (False, True):
@@ -155,6 +157,7 @@ async def test_light_and_focus_of_live_pictures_are_told(tmp_path: Path) -> None
         assert 1.6 < right["sigma_z_factor"] < 2.2
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("is_calibrated", "expected"),
     [

@@ -174,7 +174,7 @@ async def test_a_part_of_the_names():
     assert ["cell1", "cell1"] == [line.split()[0] for line in text.splitlines()]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_script_waits_no_longer_than_it_says(capsys):
     """With nobody publishing `--count 1 --timeout` gives exit status 1 and a hint."""
     options = WatchOptions((f"tcp/127.0.0.1:{free_port()}",), count=1, timeout_s=4.5)
@@ -183,7 +183,7 @@ def test_a_script_waits_no_longer_than_it_says(capsys):
     assert "does a cell or router run and listen there?" in capsys.readouterr().err
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_router_that_goes_is_said(capsys):
     """The loss of the router is printed, and its return, too."""
     port, codes = free_port(), []
@@ -234,7 +234,7 @@ def test_certificates_that_cannot_be_are_refused(tmp_path, monkeypatch, options,
         watch(WatchOptions(connect, tls=tls), Console(file=io.StringIO()))
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_router_with_mtls_lets_a_certificate_in(tmp_path):
     """With certificate, key and authority `watch` gets results over mTLS, without them none."""
     make_certificates(tmp_path)

@@ -58,7 +58,7 @@ def parts(
     return [seen(float(radius)) for radius in radii]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_parts_that_differ_raise_no_alarm() -> None:
     """Ten thousand parts with twice the warning limit's spread raise no warning."""
     assert set(watch(parts(np.random.default_rng(1), 10_000))) == {CalibrationHealth.HOLDS}
@@ -155,7 +155,7 @@ def test_what_is_not_finite_says_nothing() -> None:
     assert monitor.state().verdict is CalibrationHealth.HOLDS
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("share", [1.001, 0.999, 1.01])
 def test_a_wrong_baseline_is_seen_by_the_length_and_not_by_the_rows(share: float) -> None:
     """A baseline error of 0.1 % changes the radius by 0.1 % but leaves the row residuals unchanged."""
@@ -175,7 +175,7 @@ def test_a_wrong_baseline_is_seen_by_the_length_and_not_by_the_rows(share: float
     assert lengths == pytest.approx([0.0, 100 * (share - 1)], abs=0.03)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_turned_camera_is_seen_by_the_rows() -> None:
     """A right camera tilted by 1 mrad (1.6 px) gives row residuals of twice the limit."""
     flat = cells.flange()

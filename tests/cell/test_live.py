@@ -103,6 +103,7 @@ async def test_a_dead_camera_is_told_once_and_tried_again(monkeypatch: pytest.Mo
         await until(lambda: scene.numbers)
 
 
+@pytest.mark.long
 async def test_a_cell_that_stops_ends_them(monkeypatch: pytest.MonkeyPatch) -> None:
     """If the cell stops, pictures end without an unhandled task error."""
 

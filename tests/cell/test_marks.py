@@ -96,7 +96,7 @@ def truth(cell: VirtualCell, snapshot: Snapshot) -> np.ndarray:
     return found.rig_from_part[:3, 3]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_without_marks_every_digit_is_what_the_pipeline_says(tmp_path: Path) -> None:
     """The result equals the pipeline's to the last digit, and nothing published mentions marks."""
     files = prepared(tmp_path)
@@ -141,7 +141,7 @@ def test_a_cold_cell_measures_as_on_the_day_of_its_teaching(tmp_path: Path) -> N
         assert second.timing_ms["marks"] > 0
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_knocked_cell_gives_no_result_until_its_marks_agree_and_replays_to_the_bit(tmp_path: Path) -> None:
     """Replaying the recording gives bit-identical exposures, and an edited record is detected."""
     files = prepared(tmp_path / "cell")
@@ -195,7 +195,7 @@ def test_a_reload_goes_on_with_the_same_marks_and_begins_anew_with_others(tmp_pa
     assert known[2] > 0.2 * known[0]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_registers_say_what_the_marks_say(tmp_path: Path) -> None:
     """Registers hold the state, the marks and the cameras' displacement; a knock has a state of its own."""
     files = prepared(tmp_path)
@@ -229,7 +229,7 @@ def test_marks_of_another_calibration_correct_nothing_and_say_so(tmp_path: Path)
     assert snapshot.marks.valid
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("knocked", ["heal", "refuse"])
 def test_a_knock_in_setup_is_found_by_the_first_exposure_after_it(tmp_path: Path, knocked: str) -> None:
     """Captures in SETUP do not affect the track; results return after three agreeing exposures, or never."""

@@ -107,7 +107,7 @@ def published(shown: list[str]) -> _Recalling:
     return ear
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @settings(max_examples=4)
 @given(shown=st.lists(st.sampled_from(PICTURES), min_size=2, max_size=5))
 def test_later_cycles_leave_what_was_published_as_it_was(shown: list[str]) -> None:

@@ -634,7 +634,7 @@ async def test_repeated_faults_do_not_grow_their_traceback() -> None:
     assert lengths[1] == lengths[-1]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 async def test_random_faults_give_good_pairs_or_capture_errors_and_nothing_else() -> None:
     """In a thousand exposures with random faults, each returned pair is one new exposure."""
     random = np.random.default_rng(7)

@@ -29,7 +29,7 @@ def write_pairs(folder: Path, count: int) -> None:
             cv2.imwrite(str(folder / f"p{number}_{side}.png"), noisy)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_cell_is_accepted_only_by_all_of_its_tests(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -72,7 +72,7 @@ def test_a_cell_is_accepted_only_by_all_of_its_tests(
     assert kept == (tmp_path / "acceptance.json").read_bytes()
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_study_of_a_size_says_whether_the_cell_is_fit(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -467,7 +467,7 @@ def test_roots_own_folder_needs_nobody_else(machine: Machine) -> None:
             assert (0, place) == (os.geteuid(), same)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_root_runs_no_code_from_a_cache_of_the_daemons_user(machine: Machine) -> None:
     """numba's cache in a folder of the daemon's user is not used by root, which says so."""
     cache = machine.state / "numba"

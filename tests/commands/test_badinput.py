@@ -645,7 +645,7 @@ def test_a_mistake_is_named(name: str, place: Path, busy: int, capsys: pytest.Ca
     assert (case.message, case.code) == (answer, code)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_port_in_use_is_named(place: Path, busy: int) -> None:
     """The daemon's error names the address and how to find out what uses it."""
     spoil(place / "cell.toml", ("port = 1502", "port = BUSY"), busy)

@@ -54,7 +54,7 @@ def run(
     return said.getvalue()
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_folder_becomes_a_rig(pictures: Path, tmp_path: Path) -> None:
     """The rig is the true one within its stated sigma and reproducible, the old file is kept under its own
     calibration id, and a registration is dropped."""
@@ -93,7 +93,7 @@ def test_a_folder_becomes_a_rig(pictures: Path, tmp_path: Path) -> None:
     assert json.loads(old) == json.loads(output.read_text())
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_lens_model_is_chosen_and_told(pictures: Path, tmp_path: Path) -> None:
     """With model "auto" the command, the report and the rig file state the chosen model and its weight."""
     output, report = tmp_path / "rig.json", tmp_path / "report.html"
@@ -116,7 +116,7 @@ def test_a_report_does_not_replace_the_rig(pictures: Path, tmp_path: Path) -> No
     assert not (tmp_path / "x.json").exists()
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_jpeg_and_bmp_are_read_too(folder: Path, tmp_path: Path) -> None:
     """Pictures may be of any format OpenCV reads without loss of meaning."""
     for number, suffix in ((0, ".jpg"), (1, ".bmp"), (2, ".TIF")):
@@ -164,7 +164,7 @@ def test_a_broken_picture_is_refused(folder: Path, tmp_path: Path) -> None:
     refused(folder, tmp_path, "v3_left.png: not an image")
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_wrong_count_of_corners_is_refused(folder: Path, tmp_path: Path) -> None:
     """The error names the board that is in the pictures, or the reason for every view."""
     refused(
@@ -194,7 +194,7 @@ def test_without_a_board_the_pictures_are_asked(folder: Path, tmp_path: Path) ->
     )
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_length_alone_suffices(folder: Path, tmp_path: Path) -> None:
     """The board is recognised, reported, and stored in the rig as if it had been stated in full.
 

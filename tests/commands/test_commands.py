@@ -258,7 +258,7 @@ def teach_arguments(folder: Path, **changed: object) -> list[object]:
     return ["teach", *(item for key, value in values.items() for item in (f"--{key}", value))]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_swapped_pictures_are_told_as_such(edged: Edged, folder: Path) -> None:
     """Each command that takes a pair reports swapped pictures, but not empty ones."""
     rig, job = ("--rig", folder / "rig.json"), ("--job", folder / "jobs" / "flange")
@@ -349,7 +349,7 @@ def test_a_region_that_cuts_the_part_is_a_warning(edged: Edged, folder: Path) ->
     assert "what is cut red" in page
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_teach_says_what_a_tilt_takes(edged: Edged, folder: Path) -> None:
     """--tilt is stored in the job, and the number of views and the resulting depth are reported."""
     code, out, err = edged(*teach_arguments(folder, tilt=45))

@@ -245,7 +245,7 @@ def test_a_daemon_of_another_user_is_known_by_its_whole_path(
     assert process.pid == found.process
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_cell_whose_daemon_runs_is_well(tmp_path: Path) -> None:
     """Ports of the daemon and its page are OK, and the daemon reports itself and its configuration.
 

@@ -17,7 +17,7 @@ from edged.files.rig import load_rig
 from edged.sim.weather import Knock
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_doctor_says_what_the_marks_say(tmp_path: Path) -> None:
     """There is no finding without marks, and one each for marks that are OK, moved or covered, with
     advice."""

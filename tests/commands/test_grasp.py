@@ -77,7 +77,7 @@ def test_where_the_robot_stands_becomes_a_grasp(
     assert "one sigma of the tip" in capsys.readouterr().out
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_what_cannot_become_a_grasp_is_said_and_nothing_is_written(
     folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

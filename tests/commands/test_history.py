@@ -52,7 +52,7 @@ def test_the_cell_that_drifts_is_named(
     assert f"north/cell09: {figure} of flange is" in capsys.readouterr().out
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_where_none_drifts_hardly_ever_one_is_named(tmp_path: Path) -> None:
     """Of sixty healthy fleets (240 comparisons) at most three name a cell."""
     alarms = 0
@@ -65,7 +65,7 @@ def test_where_none_drifts_hardly_ever_one_is_named(tmp_path: Path) -> None:
     assert alarms <= 3
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_few_cells_are_not_compared(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Five cells, or cells with few cycles, are not compared, which is reported."""
     make_fleet(tmp_path, 5, seed=1, drifting="sigma", cycles=20)
@@ -90,7 +90,7 @@ class Words(HTMLParser):
         self.tags.append(tag)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_report_of_a_week_has_every_cell(tmp_path: Path) -> None:
     """It has each cell's figures, daily charts, reasons and the outlier, and no script."""
     make_fleet(tmp_path / "in", 6, seed=2, drifting="size")

@@ -19,7 +19,7 @@ from edged.sim.cell import demo_rig
 from edged.sim.weather import Knock
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_fifty_pairs_teach_what_one_pair_is_compared_with(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

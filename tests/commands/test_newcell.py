@@ -67,7 +67,7 @@ def test_a_folder_that_cannot_be_written_is_named(tmp_path: Path, monkeypatch: p
         config_in(tmp_path)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 async def test_the_first_engineer_comes_in_by_the_code_of_the_console(tmp_path: Path) -> None:
     """The code from the console makes an engineer who can take the cell."""
     web, modbus = free_port(), free_port()

@@ -207,7 +207,7 @@ def test_where_nothing_can_be_written_one_line_says_so(
     assert before == {path for path in cell.rglob("*") if "__pycache__" not in path.parts}
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("output", OUTPUTS, ids=" ".join)
 def test_a_folder_that_is_not_there_is_made_or_named(
     output: tuple[str, str], tmp_path: Path, run: Command

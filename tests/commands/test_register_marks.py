@@ -21,7 +21,7 @@ OLD_FROM_NEW = make_transform((0.003, -0.002, 0.004), (0.3, -0.4, 1.0))
 """From the left camera's new frame to its former one, after the cameras were remounted."""
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_robot_stays_known_over_a_new_calibration(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

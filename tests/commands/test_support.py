@@ -201,6 +201,7 @@ def test_a_changed_bundle_is_refused_as_a_whole(
     assert 2 == exit_code("replay", changed)
 
 
+@pytest.mark.long
 def test_a_bomb_is_not_unpacked() -> None:
     """Many members of allowed size are limited in total, and a member may not understate its size."""
     buffer = io.BytesIO()

@@ -70,7 +70,7 @@ def taught(break_mm: float, grey: float) -> Settled:
     return settled(teach(*pair, rectification, None, "D3"), pair)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("break_mm", "grey", "tilt_deg"), [(0.5, 0.2, 30.0), (0.5, 0.2, 15.0), (0.5, 0.9, 45.0)]
 )

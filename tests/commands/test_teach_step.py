@@ -107,7 +107,7 @@ def write_pair(folder: Path, name: str, pair: tuple[Image, Image]) -> tuple[Path
     return paths
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_result_has_the_frame_of_the_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Taught and located by the commands, four points of the file's frame, tilted by 20°, are right within
     30 µm."""
@@ -155,7 +155,7 @@ def test_a_moved_hole_is_another_revision() -> None:
     assert 0.3 == pytest.approx(float(said[1]), abs=0.03)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_moved_hole_is_named_by_all_edges_too() -> None:
     """With all edges, a hole 0.3 mm beside its place is named, though most edges agree."""
     holes = (HOLES[0], Hole("h1", Disc(3.3, -7, 1.4)), *HOLES[2:])
@@ -168,7 +168,7 @@ def test_a_moved_hole_is_named_by_all_edges_too() -> None:
     assert 0.3 == pytest.approx(float(said[1]), abs=0.07)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_what_the_pair_alone_takes_for_another_revision_is_asked_of_all_edges(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -231,7 +231,7 @@ def test_a_job_keeps_the_frame_on_disc(tmp_path: Path) -> None:
         load_job(tmp_path / "job")
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_frame_of_the_file_is_published_where_the_job_says_so(tmp_path: Path) -> None:
     """With `report` a point of the file is published within 30 µm, with the file's axes and levered sigma."""
     points = (
@@ -333,7 +333,7 @@ def stl_of(folder: Path, scale: float = 1.0) -> Path:
     return path
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_an_stl_file_settles_a_pair_as_well(tmp_path: Path) -> None:
     """Radii and centres equal the STEP file's within 0.1 µm, with the facets' uncertainty in the job's
     sigma."""
@@ -350,7 +350,7 @@ def test_an_stl_file_settles_a_pair_as_well(tmp_path: Path) -> None:
     assert 0.0002 < found.job.sigma_mm < 0.002
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_radii_of_a_coarse_file_are_those_of_the_pair(tmp_path: Path) -> None:
     """Where chords leave 20 µm of uncertainty, the radii of the pair are used, which is reported."""
     curves = read_model(stl_of(tmp_path), "-z")[1].curves
@@ -400,7 +400,7 @@ def drawn() -> Job:
     return teach_model(model, shown.curves, prepare(small_rig()).rectification, 205.0, "D3")[0]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize(("tilt_deg", "turn_deg"), [(0.0, 40.0), (30.0, 200.0)])
 def test_a_file_alone_is_enough_to_find_the_part(tilt_deg: float, turn_deg: float) -> None:
     """A sharp part is found within 30 µm, with a sigma for edges that have not been seen."""

@@ -52,7 +52,7 @@ def spooled(folder: Path, day: int, first: int, count: int) -> None:
     spool.turn_over()
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_what_is_packed_comes_into_the_bucket_whoever_is_killed(
     server: S3Server, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -257,7 +257,7 @@ def test_a_drawing_that_would_fill_the_memory_is_refused(kind: str, tmp_path: Pa
     assert "large" == caught.value.code
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_drawing_that_costs_too_much_is_refused(tmp_path: Path) -> None:
     """A drawing that takes too much memory or time is refused, and the next one is read as usual."""
     document = ezdxf.new(units=MM)

@@ -105,7 +105,7 @@ def test_what_was_packed_before_a_cut_is_not_there_twice(tmp_path: Path) -> None
     assert [(6, 6)] == ask([tmp_path], "SELECT count(*), count(DISTINCT cycle) FROM cycles")[1]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_kills_lose_no_promised_row_and_double_none(tmp_path: Path) -> None:
     """With writer and packer killed by -9 at random moments no promised row is lost and none is doubled."""
     chance, promised = random.Random(37), set[tuple[int, int]]()

@@ -515,7 +515,7 @@ def test_missing_and_foreign_files_are_named(folder: Path, tmp_path: Path) -> No
         load_job(folder)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @settings(max_examples=150)
 @given(data=st.data())
 def test_a_damaged_shape_is_an_error_or_the_same_shape(
@@ -545,7 +545,7 @@ def test_a_damaged_shape_is_an_error_or_the_same_shape(
         assert_same(job, make_job())
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @settings(max_examples=80)
 @given(text=st.text(max_size=200), place=st.integers(0, 1500))
 def test_a_damaged_job_file_is_an_error_or_a_job(
@@ -635,7 +635,7 @@ def test_the_folder_may_be_the_working_directory(folder: Path, monkeypatch: pyte
     assert load_job(folder).number == 5
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_job_is_read_whole_while_it_is_saved(tmp_path: Path) -> None:
     """While a job is saved repeatedly text and shape that are read belong to one job."""
     folder = tmp_path / "flange"

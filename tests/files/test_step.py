@@ -61,7 +61,7 @@ def truth_of(part: str, shape: str) -> list[dict[str, Any]]:
     return [one for one in features if one["shape"] == shape and one["role"] in SEEN]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("part", ["D1", "D2", "D3", "D4"])
 def test_circles_are_those_of_the_design(part: str) -> None:
     """The circles that face up are those of the design; centre and radius to a hundredth of a micrometre."""
@@ -75,7 +75,7 @@ def test_circles_are_those_of_the_design(part: str) -> None:
         assert (one["kind"] == "hole") == near.hole
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize(("part", "count"), [("D1", 3), ("D2", 11), ("D3", 10), ("D4", 1)])
 def test_straight_edges_are_those_of_the_design(part: str, count: int) -> None:
     """Each straight edge lies on a line of the design, with its normal across it."""
@@ -110,7 +110,7 @@ def test_the_underside_shows_its_own_edges() -> None:
     assert {8.0} == {round(float(one.centre_mm[2]), 6) for one in below.circles}
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_inches_are_read_as_millimetres(tmp_path: Path) -> None:
     """A file in inches gives a part 25.4 times as large."""
     text = text_of("D3")
@@ -137,6 +137,7 @@ def _sphere(text: str) -> str:
     return re.sub(r"#\d+ = ADVANCED_FACE\('',\((?!#9002)[^)]*\)[^;]*;", "", shell)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("damage", "expected"), [
     (lambda _: "", "not a STEP file"),
     (lambda _: "solid part\nendsolid part\n", "not a STEP file"),
@@ -157,7 +158,7 @@ def test_what_is_no_model_of_a_part_is_named(tmp_path: Path, damage: Any, expect
     assert str(path) in str(caught.value)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize(("lost", "curves"), [(3, 14), (4, 5), (17, 14)])
 def test_a_gap_in_the_surface_costs_the_curves_beside_it(tmp_path: Path, lost: int, curves: int) -> None:
     """Without a bore, the main face or a wall the other curves are at their places, and none is added."""

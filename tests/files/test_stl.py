@@ -107,7 +107,7 @@ def test_a_part_turned_inside_out_is_the_same_part(tmp_path: Path) -> None:
     assert (False, True) == (disc.hole, hole.hole)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_part_of_200_000_facets_is_read(tmp_path: Path) -> None:
     """A part of 208,000 facets, with rims of 2,000 chords each, is read as two circles."""
     corners = ring(2000, 30.0, 20.0, 5.0, rows=50)
@@ -151,7 +151,7 @@ def test_what_is_no_part_is_named(tmp_path: Path, data: bytes | str, said: str) 
         read_stl(saved(tmp_path, data))
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @settings(max_examples=150)
 @given(st.binary(max_size=600), st.integers(0, 9000), st.booleans())
 def test_damaged_bytes_end_in_a_message(

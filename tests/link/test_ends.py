@@ -132,7 +132,7 @@ async def measuring() -> AsyncIterator[Scene]:
         yield scene
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_what_is_no_request_is_refused_and_never_more_than_read() -> None:
     """Of a hundred thousand random or changed messages each is read, or refused with a `LinkError`."""
     chance = random.Random(1)
@@ -344,6 +344,7 @@ def lingering() -> socket.socket:
     return ours
 
 
+@pytest.mark.long
 async def test_closing_what_a_page_passes_holds_nobody_up() -> None:
     """Slow closing of passed descriptors, one or several, holds up neither the loop nor the page."""
     async with measuring() as scene:

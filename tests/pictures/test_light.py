@@ -57,7 +57,7 @@ def test_noise_is_that_of_the_sensor(grey: float, gain_db: float) -> None:
     assert noise == pytest.approx(math.hypot(expected, 12**-0.5), rel=0.06)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_exposure_is_advised_until_it_is_good(cell: VirtualCell) -> None:
     """Following the advised factor, from far too bright or too dark, ends at a good picture within five
     steps."""
@@ -97,7 +97,7 @@ def test_shares_are_counted() -> None:
 # --- a hand is waved ----------------------------------------------------------------------------------
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("waved", SIDES)
 def test_the_camera_with_the_hand_is_found(cell: VirtualCell, waved: Side) -> None:
     """The camera with the waved hand is found, also with flicker, little light, and a moving board in both

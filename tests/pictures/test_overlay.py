@@ -71,7 +71,7 @@ def with_reject(inspection: PairInspection, reject: Reject) -> PairInspection:
     return replace(inspection, measured=measured)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_result_shows_verdict_reference_fits_and_residuals() -> None:
     """The badge is green; both images have gold for the reference, green for others, magenta for
     residuals."""
@@ -114,7 +114,7 @@ def test_a_picture_without_a_part_says_what_was_looked_for() -> None:
     assert headline(job, (), (), nearest) == "flange: the best scores 0.51, 0.60 is needed"
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_many_parts_are_counted_not_written_about_without_end() -> None:
     """Seven parts add at most three rows of numbers to the picture."""
     _, job = taught()

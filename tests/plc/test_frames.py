@@ -49,7 +49,7 @@ def test_a_request_is_read_as_it_was_written(
             assert named == read_request(named.frame(), configured)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @given(WORD, st.sampled_from(LineStatus), WORD, st.data())
 @settings(max_examples=100, derandomize=True)
 def test_an_answer_is_read_as_it_was_written(

@@ -24,7 +24,7 @@ def _quiet(caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level("CRITICAL")
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_ten_minutes_of_handshakes_without_a_violation() -> None:
     """With dead cameras, clock changes, restarts, reloads, three clients and triggers, every rule holds."""
     book = Soak(3).run(600.0)
@@ -49,7 +49,7 @@ def test_ten_minutes_of_handshakes_without_a_violation() -> None:
         assert book.counts[event], event
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_scanner_of_images_beside_them_is_given_nothing_old_either() -> None:
     """In two minutes with restarts and reloads, each part in an image was requested once and is recent."""
     book = Soak(5, image_s=120.0).run(120.0)
@@ -97,7 +97,7 @@ def test_a_cell_that_answers_twice_is_caught(monkeypatch: pytest.MonkeyPatch) ->
     assert found("second answer")
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_function_block_is_never_wrong_over_restarts_and_reloads() -> None:
     """In every scan xValid means: exposed after xExecute, not too old, of the requested job."""
     book = Soak(1, block_s=60.0).run(60.0)
@@ -106,7 +106,7 @@ def test_the_function_block_is_never_wrong_over_restarts_and_reloads() -> None:
     assert book.counts["scans with a further part"]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("defect", "violation"),
     [
@@ -142,7 +142,7 @@ def found(what: str) -> bool:
     return Soak(1, until=what).run(3600.0).is_found
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_cell_that_runs_the_first_number_after_a_start_is_caught(monkeypatch: pytest.MonkeyPatch) -> None:
     """A PLC that goes on writing the same registers makes a new daemon run an old command."""
     real = hs.step
@@ -228,7 +228,7 @@ def take_by_number(self: PendingTriggers[Any], command: Any) -> Any:
     return pending.query if pending is not None else None
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("owner", "name", "defect", "violation"),
     [

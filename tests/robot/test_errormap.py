@@ -155,6 +155,7 @@ def test_one_wrong_axis_turns_the_flange_about_that_axis(which: str, wrong_rad: 
     np.testing.assert_allclose(given[:3, 3], expected[:3, 3], atol=1e-6 if which != "lean" else 2e-3)
 
 
+@pytest.mark.long
 def test_sigma_is_honest_for_robots_that_no_polynomial_made() -> None:
     """For arms with wrong axes chi² of untouched places is 0.7 to 1.4 over 40 robots; at most 1 of 20
     rigid ones gets a map."""

@@ -166,6 +166,7 @@ def agreement(errors: FloatArray, covariance: FloatArray) -> float:
     return float(np.mean(np.einsum("ni,ij,nj->n", errors, np.linalg.inv(covariance), errors)) / 6)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("shift", [(0.0, 0.0, 0.0), (15.0, -10.0, 8.0)])
 def test_sigma_of_an_offset_is_what_redrawn_calibrations_registrations_and_pictures_scatter(
     shift: tuple[float, float, float],
@@ -185,6 +186,7 @@ def test_sigma_of_an_offset_is_what_redrawn_calibrations_registrations_and_pictu
         np.testing.assert_allclose(errors.std(axis=0), np.sqrt(np.diag(covariance)), rtol=0.12)
 
 
+@pytest.mark.long
 def test_sigma_of_an_offset_is_true_for_a_rig_that_the_robot_carries() -> None:
     """The offset's sigma is right for a rig on the flange, with golden part and part seen from two poses."""
     carried = make_transform((0.1, -0.05, 1.5), (40.0, 5.0, 90.0))

@@ -34,7 +34,7 @@ def seen(rig: StereoRig, part: Part, place: FloatArray, job: Job) -> Target:
     return replace(target, reject=Reject.NONE)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_an_offset_of_rendered_parts_is_within_its_sigma_though_rig_and_registration_are_wrong() -> None:
     """With a drifted rig and a wrong registration the offset is within its sigma, and far nearer to the
     truth than the pose."""

@@ -65,6 +65,7 @@ boxes = st.builds(
 )
 
 
+@pytest.mark.long
 @settings(deadline=None, max_examples=150)
 @given(boxes, boxes)
 def test_two_boxes_meet_where_a_point_lies_in_both(one: Solid, other: Solid) -> None:
@@ -90,6 +91,7 @@ def test_a_part_is_the_box_around_what_was_measured_of_it() -> None:
     assert body_of(replace(part, circles=())) is None
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("turned_deg", [0, 40, 95, -130, 178])
 @pytest.mark.parametrize("symmetry", [4, 0])
 def test_a_symmetric_part_turns_the_flange_least_from_where_it_is(turned_deg: float, symmetry: int) -> None:

@@ -91,7 +91,7 @@ def test_touched_points_give_the_transform() -> None:
     assert found.held_out_mm.max() < 1e-9
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_doubt_of_touched_points_is_honest() -> None:
     """Over many draws the squared error in units of the stated covariance is 1 per coordinate."""
     rng, ratios, scales = np.random.default_rng(2), [], []
@@ -203,7 +203,7 @@ def test_hand_eye_finds_rig_and_board(mount: Mount) -> None:
     assert found.rms_mm < 1e-6
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_doubt_of_hand_eye_is_honest() -> None:
     """The scatter over many draws is that which each draw states."""
     rng, errors, stated, held = np.random.default_rng(6), [], [], []
@@ -249,7 +249,7 @@ def test_a_mistyped_pose_is_left_out() -> None:
     assert found.held_out_mm[3] > 5
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_mistyped_pose_does_not_keep_the_others_from_being_saved(
     pictured: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -341,7 +341,7 @@ def test_brands_agree_with_an_independent_library() -> None:
     assert transform_of(Brand.UR, (0.1, 0, 0, *v))[0, 3] == pytest.approx(100.0)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("brand", "mount"),
     [
@@ -436,7 +436,7 @@ def test_a_carried_rig_from_rendered_boards(pictured: Path, capsys: pytest.Captu
     assert datetime.fromisoformat(note["when"]).tzinfo is not None
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_wrong_brand_is_found_out(pictured: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """KUKA's angles read as FANUC's are refused, and the self-test names the right reading."""
     arguments = pictured / "rig.json", FlangePoses(pictured, pictured / "poses.csv", BOARD)
@@ -453,7 +453,7 @@ def test_the_wrong_brand_is_found_out(pictured: Path, capsys: pytest.CaptureFixt
     assert self_test(*arguments, "kuka", True, console) == 0
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_poses_need_no_board_in_full(pictured: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """The millimetres of a square suffice as board; without them the recognised board is named."""
     rig = pictured / "rig.json"

@@ -142,6 +142,7 @@ def test_no_declared_name_is_overlooked(language: str) -> None:
     assert set() == {name.upper() if grammar(language).ignores_case else name for name in declared} - found
 
 
+@pytest.mark.long
 @languages
 def test_generator_and_interpreter_refuse_a_word_of_the_language(language: str) -> None:
     """A word of the language as a name is refused by generator and interpreter."""
@@ -171,7 +172,7 @@ def test_generator_and_interpreter_refuse_a_name_that_is_too_long(language: str)
         READERS[language](renamed(language, just + "x"))
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_interpreter_of_structured_text_refuses_a_word_of_the_language() -> None:
     """An operator of instruction lists is refused as a name, though the parser accepts it."""
     source = re.sub(r"\biHalf\b", "LD", render("st"))

@@ -26,7 +26,7 @@ def checked(source: str, folder: Path) -> str:
     return "" if done.returncode == 0 else done.stdout
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_public_grammar_of_rapid_reads_the_module(tmp_path: Path) -> None:
     """The module is valid for a public grammar of RAPID, apart from two words that it lacks; a broken
     module is not."""

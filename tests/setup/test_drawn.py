@@ -25,7 +25,7 @@ def sent(path: Path, **how: Any) -> dict[str, Any]:
     return {"name": path.name, "data": b64encode(path.read_bytes()).decode(), **how}
 
 
-@pytest.mark.slow
+@pytest.mark.long
 async def test_the_job_is_that_of_the_command_line(tmp_path: Path) -> None:
     """The job equals the command's byte by byte, also with the depth that the pair tells; its features lie
     on the part in the pictures, and a tapped gripping point is kept.

@@ -31,7 +31,7 @@ def asked(tmp_path: Path) -> Callable[[Callable[[BrowserSession], Awaitable[None
     return run
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_all_of_the_api_is_what_its_document_says(
     asked: Callable[[Callable[[BrowserSession], Awaitable[None]]], None],
 ) -> None:

@@ -39,7 +39,7 @@ async def asked(cell: PartCell, path: str, **body: Any) -> tuple[int, Any]:
     return await cell.ask("POST", f"/acceptance/study{path}", body)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_study_goes_on_where_it_was_and_ends_in_the_commands_report(cell: PartCell) -> None:
     """The study names who measures which part, ignores repeated or failed measurements, outlives the
     daemon, and gives the figures of `edged study`; the audit names who took one back."""

@@ -34,7 +34,7 @@ class Losses:
         monkeypatch.setattr(StereoHead, "capture", capture)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 async def test_a_lost_frame_costs_no_action_of_a_second_pass(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

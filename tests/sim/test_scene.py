@@ -138,7 +138,7 @@ def supersampled(view: RenderedView, scene: Scene, n: int = 8) -> FloatArray:
     return image
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("shape", EVERY_SHAPE, ids=lambda shape: type(shape).__name__)
 def test_every_shape_covers_what_it_should(shape: object) -> None:
     """A rendered shape equals dense sampling of its definition, pixel by pixel."""
@@ -153,7 +153,7 @@ def test_every_shape_covers_what_it_should(shape: object) -> None:
     assert abs(error.mean()) < 1e-3
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_layers_marks_and_holes_are_painted_in_order() -> None:
     """Later parts hide earlier ones, marks lie on the face, holes show a darkened background."""
     lower = Part(
@@ -511,7 +511,7 @@ def test_a_smaller_image_is_a_window(cell: VirtualCell) -> None:
         cell.exposure("left")(request(2, S, 1281, 960))
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_part_too_large_is_refused() -> None:
     """A part that is too large is refused at once."""
     with pytest.raises(ValueError, match="fits nowhere"):
@@ -520,7 +520,7 @@ def test_a_part_too_large_is_refused() -> None:
         next(calibration_views(demo_rig(), chessboard_plate(11, 8, 40.0), 1))
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_history_is_bounded(cell: VirtualCell) -> None:
     """Only the last 1024 truths are kept."""
     for k in range(1100):
@@ -532,7 +532,7 @@ def test_history_is_bounded(cell: VirtualCell) -> None:
 # --- calibration plates ------------------------------------------------------------------------------
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_chessboard_corners_are_where_the_truth_says() -> None:
     """OpenCV finds the corners of rendered boards at their projections, and the first square is dark."""
     rig, plate = demo_rig(), chessboard_plate(11, 8, 4.0)
@@ -555,6 +555,7 @@ def test_chessboard_corners_are_where_the_truth_says() -> None:
             assert image[y, x] < 40
 
 
+@pytest.mark.long
 def test_dots_are_where_the_truth_says() -> None:
     """The centroid of every dot, seen straight on, is its projected centre, and the corner beside the
     first is cut."""

@@ -159,7 +159,7 @@ def test_a_hand_before_one_camera_is_seen_by_that_one_alone(cell: VirtualCell) -
     cell.wave(None)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_ring_of_a_lens_blurs_its_picture_alone() -> None:
     """The blur at a board's corners is that of the lens's ring, for its own camera alone."""
     cell = VirtualCell(demo_rig(), demo_part(), board=stage_board())

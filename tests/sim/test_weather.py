@@ -76,7 +76,7 @@ def test_the_same_seed_is_the_same_weather() -> None:
     assert not np.allclose(first.right_from_world, other.right_from_world, atol=1e-6)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_cell_in_the_weather_shows_what_its_cameras_see() -> None:
     """Marks are where the true cameras of that time project them."""
     cell = marked_cell(Knock(5.0, "right", (1.0, 0.0, 0.0)))

@@ -104,7 +104,7 @@ def verdicts(tmp_path_factory: pytest.TempPathFactory) -> dict[str, dict[str, An
     return played("scenario", put, tmp_path_factory.mktemp("out"), lambda: tree(put))
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("step", [step.__name__ for step in STEPS])
 def test_the_service_under_systemd(step: str, verdicts: dict[str, dict[str, Any]]) -> None:
     """Each step of the scenario is good; the step's docstring states what is checked."""

@@ -155,7 +155,7 @@ def verdicts(tmp_path_factory: pytest.TempPathFactory) -> dict[str, dict[str, An
     return played("updates", put, tmp_path_factory.mktemp("out"), make)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("step", [step.__name__ for step in STEPS])
 def test_updates_under_systemd(step: str, verdicts: dict[str, dict[str, Any]]) -> None:
     """Each step of the scenario is good; the step's docstring states what is checked."""

@@ -37,7 +37,7 @@ def real() -> bench_boards.Folder:
     return replace(found, pairs=pairs)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["08", "14"])
 def test_a_real_board_is_as_large_and_flat_as_the_calibration_allows(name: str) -> None:
     """A held-out board has its size within 3 sigma and is as flat as its covariance predicts.
@@ -68,7 +68,7 @@ def drawn(folder: Path, count: int) -> None:
             cv2.imwrite(str(folder / f"{number:02}_{side}.png"), image)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_pictures_that_are_right_have_the_stated_sigma(tmp_path: Path) -> None:
     """Drawn pairs have residuals and flatness as predicted, and sizes within their sigma."""
     drawn(tmp_path, 8)

@@ -28,7 +28,7 @@ MOST = {
 down."""
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_cycle_does_no_more_work_than_it_did() -> None:
     """No count of a cycle is above its limit."""
     work = bench_cycle.work_of(bench_cycle.bench(6))

@@ -37,7 +37,7 @@ def rejects(left: Image, right: Image) -> list[Reject]:
     return [target.reject for target in locate(frame_pair(left, right), taught().job, taught().rig).targets]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_both_cameras_must_show_what_decides() -> None:
     """If the right camera shows the slot elsewhere, the rotation is ambiguous."""
     (left, right), (_, turned) = seen(20.0), seen(110.0)
@@ -63,7 +63,7 @@ def test_one_camera_decides_where_the_other_sees_nothing() -> None:
     assert doubts <= 1
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_another_lay_than_the_taught_one_turns_nothing_silently() -> None:
     """A part that was taught ground and is seen milled is never wrong in its rotation."""
     look, name = "ground, seen milled", "keyway"

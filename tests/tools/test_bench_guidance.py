@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_guided_views_are_worth_the_double() -> None:
     """Six guided views predict no more sigma than a careful person's twelve, and the errors fit the sigma."""
     guided, careful = bench_guidance.outcomes(6, 12, 0.01, seed=1)

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 
+@pytest.mark.long
 def test_real_poses_of_a_robot_agree_within_a_millimetre() -> None:
     """For public pictures of a board on an industrial robot one pose is an outlier, and the others fit
     within a millimetre."""

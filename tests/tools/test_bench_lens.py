@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_stated_model_that_is_wrong_is_the_worst_way() -> None:
     """For a usual tangential part division errs far beyond its sigma, and the choice takes Brown-Conrady."""
     ways = bench_lens.compared_rigs("brown, 4e-4", 6, seed=1)

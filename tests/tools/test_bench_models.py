@@ -59,7 +59,7 @@ def test_every_model_of_the_table_becomes_a_camera() -> None:
     assert WITHOUT_TRIGGER == {name for name in reached if "TriggerMode" not in names[name]}
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @needs_aravis()
 @pytest.mark.parametrize(
     "name", ["AVT_GC1350C", "Basler-acA2040-35gm", "PGR_Flea3_GE_28S4C", "Teledyne_ShadoBox"]

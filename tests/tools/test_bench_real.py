@@ -15,7 +15,7 @@ from helpers.drawings import BRACKET, draw
 TOOL = Path(__file__).resolve().parents[2] / "tools" / "bench_real.py"
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_sets_that_are_there_are_measured(tmp_path: Path) -> None:
     """The three parts of a picture are found, and a missing set is named."""
     pictures = tmp_path / "fpm"

@@ -71,7 +71,7 @@ def _anchors(page: Path) -> set[str]:
     return {re.sub(r"[^\w -]", "", heading.lower()).strip().replace(" ", "-") for heading in headings}
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_every_option_in_the_documentation_exists() -> None:
     """Every option of every command line on every page exists."""
     for page, text in TEXTS.items():
@@ -117,7 +117,7 @@ def test_every_command_is_in_the_readme() -> None:
     assert set() == set(typer.main.get_command(app).commands) - told
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_search_finds_commands_and_mistakes() -> None:
     """The search finds the pages' examples, and sees an option that a command does not take."""
     assert sum(len(list(_commands(page.read_text()))) for page in PAGES) > 50
@@ -207,7 +207,7 @@ CAPITALS = re.compile(r"\b(?:[A-Z]+[a-z]+){2,}\b|\b[A-Z]{2,}(?:_[A-Z0-9]+)+\b")
 """A class, a constant, a register, or a bit."""
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_every_name_in_the_documentation_exists() -> None:
     """Classes, constants and options in code spans of the documentation exist."""
     spans = [span for text in TEXTS.values() for span in SPAN.findall(FENCED.sub("", text))]

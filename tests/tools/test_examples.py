@@ -23,7 +23,7 @@ def test_examples_show_what_comes_out(path: Path) -> None:
     assert 0 == ran.failed
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_tutorial_of_the_library_shows_what_comes_out(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

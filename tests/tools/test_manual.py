@@ -129,7 +129,7 @@ def test_the_search_knows_what_the_pages_say(site: Path) -> None:
     assert "StreamStalled" in index
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_warning_ends_the_build(tmp_path: Path) -> None:
     """A link to a missing page or heading fails the build and is named."""
     for name in ("docs", "mkdocs.yml", "tools/manual", "tools/manuallinks.py", "edged/__init__.py"):

@@ -52,7 +52,7 @@ def test_every_lamp_shines_down_on_the_part_and_stands_in_no_cameras_view(
             assert np.linalg.norm(away[between], axis=1).min() > 10.0
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("finish", FINISHES)
 def test_marks_have_slopes_as_metal_has(finish: str) -> None:
     """The rms slope of marks is between 0.005 and 0.2."""

@@ -43,7 +43,7 @@ def flaws(text: str) -> list[str]:
     return [*found, *([] if rows else ["no rows"])]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_every_promise_names_a_test_that_is_there() -> None:
     """Every promise on the page names an existing test."""
     assert [] == flaws(PAGE.read_text())

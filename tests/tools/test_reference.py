@@ -47,6 +47,7 @@ def test_every_page_is_current(capsys: pytest.CaptureFixture[str]) -> None:
     assert (0, "") == (main(["--check"]), capsys.readouterr().err)
 
 
+@pytest.mark.long
 def test_a_page_that_is_not_current_is_named_and_mended(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

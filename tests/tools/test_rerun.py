@@ -56,7 +56,7 @@ $ no command
 """
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_what_stood_below_a_command_is_replaced(tool: ModuleType, machine: object) -> None:
     """Outputs are replaced, files of the page exist, other blocks stay, and a program of another terminal
     goes on."""
@@ -149,7 +149,7 @@ def test_a_sentence_that_its_commands_contradict_is_named(
     assert wrong is None or wrong in found[0]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_first_hour_is_as_its_page_says() -> None:
     """Every command of the tutorial, in order, gives the output on the page."""
     page = ROOT / "docs/tutorial/first-part.md"

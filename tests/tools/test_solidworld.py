@@ -49,7 +49,7 @@ def test_a_random_part_is_one_closed_body_and_its_breaks_take_material_away(numb
     assert 0 < volume(real)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("number", [2, 4])
 def test_a_step_file_says_what_the_triangles_say(number: int, tmp_path: Path) -> None:
     """Circles and straight edges of STEP file and triangles are equal to a nanometre."""
@@ -87,7 +87,7 @@ def test_a_broken_wall_is_made_of_cones_and_a_sharp_one_of_cylinders() -> None:
     assert {round(slope, 9) for slope in slopes} == {0.0, -1.0}
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_face_is_drawn_where_the_truth_says() -> None:
     """Middle and area of a white face amid black walls are those of its projected rim, on both sides.
 
@@ -120,7 +120,7 @@ def area_and_middle(points: FloatArray) -> tuple[float, FloatArray]:
     )
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_set_has_what_a_bench_reads(tmp_path: Path) -> None:
     """A set has cameras, a drawing, a teaching pair with its pose, and a scene without the part."""
     write_set(tmp_path, [2], 0, 1, 1)

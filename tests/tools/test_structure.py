@@ -64,7 +64,7 @@ def _decorators(source: Path) -> Iterator[str]:
             yield ast.unparse(called).rpartition(".")[2]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_every_kernel_is_compiled_by_warm() -> None:
     """Every module with kernels is in a package that `warm` compiles, so none is compiled when the cell
     starts."""
@@ -104,7 +104,7 @@ def test_a_package_says_what_it_is_and_nothing_else() -> None:
         assert is_face or len(tree.body) == 1, package
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_every_test_states_a_truth() -> None:
     """Every test's docstring ends with a full stop and is unique in its file."""
     for path in TESTS:
@@ -168,7 +168,7 @@ class _Trace:
         return self.entered
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_way_of_a_measurement_is_short() -> None:
     """From `inspect` to the demo's measured flange no more files are entered than today."""
     cell = VirtualCell(demo_rig(), demo_part())

@@ -54,7 +54,7 @@ def test_what_runs_alone_is_there_and_says_why() -> None:
         assert re.search(r"\d s\b", reason), reason
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize(("ci", "code"), [("true", 1), ("", 0)])
 def test_a_tool_that_is_missing_is_told_and_fails_in_ci(tmp_path: Path, ci: str, code: int) -> None:
     """A test skipped for a missing tool is listed with the reason, and fails in continuous integration."""
@@ -66,7 +66,7 @@ def test_a_tool_that_is_missing_is_told_and_fails_in_ci(tmp_path: Path, ci: str,
     assert "test_that_runs" not in run.stdout
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_reason_on_the_list_passes_without_a_word(tmp_path: Path) -> None:
     """A test skipped for a listed reason passes without a report."""
     run = suite(tmp_path, "not root, for network namespaces", "true")

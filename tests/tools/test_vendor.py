@@ -35,7 +35,7 @@ def test_nobody_has_touched_what_is_vendored(folder: Path) -> None:
     assert noted == found
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_same_versions_make_the_same_bytes() -> None:
     """tools/vendor-js builds the committed files again, from archives with known SHA-256."""
     if shutil.which("npm") is None:

@@ -58,7 +58,7 @@ def _words(name: str) -> list[str]:
     return [word.lower() for word in re.findall(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])", name)]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_no_public_class_name_stands_twice() -> None:
     """No two public classes have the same name."""
     places = defaultdict[str, set[Path]](set)

@@ -58,6 +58,7 @@ def test_every_field_of_a_stage_has_its_source(source: Path) -> None:
     assert [] == [line for stage in stages for line in _undocumented(text, stage.body[1:])]
 
 
+@pytest.mark.long
 def test_every_field_of_a_stage_is_read() -> None:
     """Every field of a stage is read somewhere."""
     sources = [ast.parse(source.read_text()) for source in sorted(VISION.parent.rglob("*.py"))]

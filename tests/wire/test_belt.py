@@ -602,6 +602,7 @@ def test_a_belt_needs_what_tells_the_blur_and_the_count(folder: SmallCell) -> No
             load_config(path)
 
 
+@pytest.mark.long
 def test_a_board_at_two_counts_teaches_direction_and_scale(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

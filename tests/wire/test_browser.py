@@ -253,7 +253,7 @@ async def test_it_speaks_german_throughout() -> None:
             assert count in read
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("width", [390, 1280])
 async def test_no_word_is_written_into_the_page(width: int) -> None:
     """With marked and stretched texts, all readable text carries the mark and fits, for a good result, a bad
@@ -304,7 +304,7 @@ async def test_a_lost_cell_is_not_shown_as_present() -> None:
         page.complaints.clear()  # about the lost connection
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("way", ["leave", "freeze"])
 async def test_a_page_that_comes_back_from_the_browsers_memory_is_live_again(way: str) -> None:
     """After leaving or freezing, the page shows no connection until it returns and receives live results."""

@@ -180,7 +180,7 @@ def test_the_python_client_narrows_to_one_box(client_module: ModuleType) -> None
             client.locate()
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_structured_text_narrows_to_one_box_and_locks_the_cell() -> None:
     """uiBox is read at the rising edge and xAutoLock at once; both are off by default."""
     cell = LiveCell()

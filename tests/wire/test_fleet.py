@@ -40,7 +40,7 @@ def wait_for(config: Path, name: str, *steps: str) -> dict[str, Any]:
     return found
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_running_cell_takes_a_good_release_refuses_a_bad_one_and_outlives_a_kill(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

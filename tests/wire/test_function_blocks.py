@@ -17,7 +17,7 @@ from edged.robots.formats import render
 makers = pytest.mark.parametrize("make", [S7, TwinCat])
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @makers
 def test_a_function_block_locates_a_part(make: type[S7 | TwinCat]) -> None:
     """Two parts, a job change and an unknown job, one command after the other, end as documented."""

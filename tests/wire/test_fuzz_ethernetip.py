@@ -11,7 +11,7 @@ import pytest
 FUZZER = Path(__file__).parents[2] / "tools" / "fuzz_ethernetip.py"
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_thousands_of_hostile_frames_leave_no_trace() -> None:
     """After 5000 frames nothing has crashed or grown, and a good scanner has kept its connection."""
     run = subprocess.run(

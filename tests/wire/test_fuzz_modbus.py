@@ -15,7 +15,7 @@ from edged.plc.registers import CRC_START, crc16
 FUZZER = Path(__file__).parents[2] / "tools" / "fuzz_modbus.py"
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_thousands_of_hostile_frames_leave_no_trace_on_tcp_and_serial_line() -> None:
     """After 3000 frames nothing has crashed, hung or grown, and good clients are still served."""
     run = subprocess.run(

@@ -37,7 +37,7 @@ async def attempt(browser: BrowserSession, name: str, password: str) -> int:
         return answer.status
 
 
-@pytest.mark.slow
+@pytest.mark.long
 async def test_an_own_password_buys_no_guesses_at_that_of_another(monkeypatch: pytest.MonkeyPatch) -> None:
     """Alternating wrong passwords with an own correct one allows two dozen guesses an hour, not thousands."""
     guesses = list[str]()

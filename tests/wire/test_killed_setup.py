@@ -184,6 +184,7 @@ async def teaching(cell: Cell) -> str:
     return cell.kept["teaching"]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("victim", ["page", "link"])
 async def test_a_view_is_taken_or_is_not(cell: Cell, victim: str) -> None:
     """After the kill, each view that the next page lists has both its pictures."""
@@ -199,6 +200,7 @@ async def test_a_view_is_taken_or_is_not(cell: Cell, victim: str) -> None:
     assert "SETUP" == (await cell.ask("GET", "cell"))["state"]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("victim", ["worker", "page"])
 async def test_a_calibration_that_was_not_solved_is_not(cell: Cell, victim: str) -> None:
     """After the kill, the draft has its views, no result and no task."""
@@ -216,6 +218,7 @@ async def test_a_calibration_that_was_not_solved_is_not(cell: Cell, victim: str)
     assert (None, was) == (told["solved"], now)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("victim", ["page", "link"])
 async def test_a_rig_is_the_cells_or_is_not(cell: Cell, victim: str) -> None:
     """After the kill, the next page shows the calibration that is on disk."""
@@ -230,6 +233,7 @@ async def test_a_rig_is_the_cells_or_is_not(cell: Cell, victim: str) -> None:
     await active_release_is_the_cells(cell)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("victim", ["worker", "page"])
 async def test_a_part_that_is_being_looked_at_is_looked_at_again(cell: Cell, victim: str) -> None:
     """After the kill, a draft has its proposal or a reason why not, and does not wait for ever."""
@@ -241,6 +245,7 @@ async def test_a_part_that_is_being_looked_at_is_looked_at_again(cell: Cell, vic
     assert told["features"] or told["trouble"]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("victim", ["worker", "page"])
 async def test_a_trial_goes_on_or_is_off(cell: Cell, victim: str) -> None:
     """A trial survives a replaced worker, and is off after the page was replaced."""
@@ -253,6 +258,7 @@ async def test_a_trial_goes_on_or_is_off(cell: Cell, victim: str) -> None:
     await cell.ask("PUT", "trials", {**cell.newcomer.token, "on": False})
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("victim", ["page", "link"])
 async def test_a_job_is_the_cells_or_is_not(cell: Cell, victim: str) -> None:
     """After the kill, the jobs on disk and the active release agree."""
@@ -268,6 +274,7 @@ async def test_a_job_is_the_cells_or_is_not(cell: Cell, victim: str) -> None:
         await cell.ask("POST", f"{draft}/activate", {**cell.newcomer.token, "note": "again"})
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("victim", ["page", "link"])
 async def test_a_cell_that_measures_measures_on(cell: Cell, victim: str) -> None:
     """Results continue after the kill, and the next page shows the newest."""

@@ -57,7 +57,7 @@ async def test_a_form_comes_in_the_language_that_was_chosen_or_else_is_liked_bes
                 assert "<script" not in text
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("tag", "wrong", "differ", "short", "code", "wait", "storage"),
     [
@@ -125,7 +125,7 @@ def words(text: str) -> set[str]:
     return set(re.findall(r"[^\W\d_]{3,}", text))
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @needs("chromium")
 async def test_they_can_be_read_and_used_by_everybody() -> None:
     """In every language all words are in the texts, nothing is cut off or too small for a finger, and axe

@@ -913,7 +913,7 @@ async def test_strangers_are_closed_before_the_handshake(tls: TlsSettings) -> No
         assert struct.pack(">BBH", 3, 2, reg.MAGIC) == await locate_id(server, tls, "127.0.0.9")
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("sent", [b"no TLS", b""], ids=["nonsense", "nothing"])
 async def test_a_handshake_that_fails_leaves_no_memory(tls: TlsSettings, sent: bytes) -> None:
     """Its 256 KiB of buffers are freed without the garbage collector, also after a client disconnects."""

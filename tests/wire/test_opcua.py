@@ -340,7 +340,7 @@ async def test_no_value_that_has_fallen_waits_in_a_slow_subscription(
     assert {NO_DATA} == {code for _, _, code in notes.changes}
 
 
-@pytest.mark.slow
+@pytest.mark.long
 async def test_a_result_that_grows_old_falls_without_anybody_doing_anything(secure: OpcUaSettings) -> None:
     """After validity_s no read gives a coordinate, and subscribers are notified without any request."""
     with OpcUaCell(secure, ModbusSettings(port=0, validity_s=0.4)) as cell:
@@ -360,7 +360,7 @@ async def test_a_result_that_grows_old_falls_without_anybody_doing_anything(secu
     assert [NO_DATA, 0, NO_DATA] == [code for _, _, code in changes]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 async def test_a_result_whose_time_is_over_is_not_shown_though_the_cell_is_busy_elsewhere(
     secure: OpcUaSettings,
 ) -> None:
@@ -381,7 +381,7 @@ async def test_a_result_whose_time_is_over_is_not_shown_though_the_cell_is_busy_
             await done.wait()
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_no_read_sees_halves_of_two_results(secure: OpcUaSettings) -> None:
     """In a constantly measuring cell, head, tail and every block's sequence of one read belong together."""
     names = [
@@ -422,7 +422,7 @@ async def test_a_part_that_no_robot_may_use_has_a_result_and_no_coordinate(
         assert await register(client, "result", "X") is None
 
 
-@pytest.mark.slow
+@pytest.mark.long
 async def test_verify_gives_no_coordinates_also_not_in_the_content(
     cell: OpcUaCell, secure: OpcUaSettings
 ) -> None:
@@ -436,7 +436,7 @@ async def test_verify_gives_no_coordinates_also_not_in_the_content(
         assert await register(client, "status", "STATUS_BITS") & reg.StatusBit.OK
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("is_seldom_shown", [False, True])
 async def test_a_recipe_is_prepared_by_the_handshakes_job_change(
     cell: OpcUaCell, secure: OpcUaSettings, monkeypatch: pytest.MonkeyPatch, is_seldom_shown: bool
@@ -618,7 +618,7 @@ async def test_a_strange_certificate_is_kept_so_that_it_can_be_trusted(
     assert (folder / "stranger.der").read_bytes() in kept
 
 
-@pytest.mark.slow
+@pytest.mark.long
 async def test_who_is_anonymous_may_look_and_not_command(secure: OpcUaSettings) -> None:
     """Reading is allowed but commands are not, also on an encrypted channel; passwords need encryption."""
     with OpcUaCell(replace(secure, anonymous=True)) as cell:
@@ -838,7 +838,7 @@ print(json.dumps(said))
 """
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_stack_of_another_origin_reads_structures_commands_and_follows_the_states(
     cell: OpcUaCell, secure: OpcUaSettings
 ) -> None:
@@ -875,7 +875,7 @@ def _expired(secure: OpcUaSettings) -> None:
 # --- a daemon --------------------------------------------------------------------------------------
 
 
-@pytest.mark.slow
+@pytest.mark.long
 async def test_a_daemon_serves_it_and_goes_on_when_a_reload_exchanges_the_registers(tmp_path: Path) -> None:
     """After Modbus moved to another port, the same OPC UA session shows the new registers and epoch."""
     small, port, modbus = SmallCell(tmp_path, period_s=0.5), free_port(), free_port()

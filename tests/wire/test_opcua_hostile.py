@@ -141,7 +141,7 @@ async def test_a_request_is_bounded(cell: OpcUaCell) -> None:
             await client.uaclient.call([call, call])
 
 
-@pytest.mark.slow
+@pytest.mark.long
 async def test_a_session_holds_a_share_and_no_more(cell: OpcUaCell) -> None:
     """A session has a limited number of subscriptions, which end with it."""
 

@@ -57,6 +57,7 @@ def asked(cell: SmallCell, path: str) -> Any:
             time.sleep(0.01)
 
 
+@pytest.mark.long
 def test_a_page_that_is_killed_is_back_and_the_cell_measures_on(
     cell: tuple[SmallCell, DaemonProcess],
 ) -> None:
@@ -85,6 +86,7 @@ def test_a_page_that_is_killed_is_back_and_the_cell_measures_on(
     assert 3 == sum("the page has ended: it was ended by SIGKILL" in line for line in daemon.log)
 
 
+@pytest.mark.long
 def test_a_page_that_hangs_is_replaced(cell: tuple[SmallCell, DaemonProcess]) -> None:
     """A stopped page is replaced by another one, which answers."""
     small, daemon = cell
@@ -109,6 +111,7 @@ def refused(cell: SmallCell) -> str:
     return ""
 
 
+@pytest.mark.long
 def test_the_page_of_a_cell_that_hangs_says_so(cell: tuple[SmallCell, DaemonProcess]) -> None:
     """While the cell is stopped /ready reports that it does not answer, and afterwards that it does."""
     small, daemon = cell
@@ -121,6 +124,7 @@ def test_the_page_of_a_cell_that_hangs_says_so(cell: tuple[SmallCell, DaemonProc
     wait_until(lambda: not refused(small))
 
 
+@pytest.mark.long
 def test_the_page_of_a_killed_cell_ends(cell: tuple[SmallCell, DaemonProcess]) -> None:
     """The page ends with its cell, and a new cell can use the port."""
     small, daemon = cell
@@ -137,6 +141,7 @@ def test_the_page_of_a_killed_cell_ends(cell: tuple[SmallCell, DaemonProcess]) -
         again.stop()
 
 
+@pytest.mark.long
 def test_the_page_keeps_nothing_that_the_cell_needs(cell: tuple[SmallCell, DaemonProcess]) -> None:
     """It has lower priority and a high OOM score, cannot gain privileges, and loads none of the servers."""
     small, daemon = cell

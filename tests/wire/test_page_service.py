@@ -112,6 +112,7 @@ def service() -> Iterator[Service]:
                 daemon.stop()
 
 
+@pytest.mark.long
 def test_a_page_of_another_user_serves_what_the_cell_opened(service: Service) -> None:
     """The cell opens the port, and the page runs as another user that is not the cell's child."""
     assert service.asked("/ready")["ready"]
@@ -121,6 +122,7 @@ def test_a_page_of_another_user_serves_what_the_cell_opened(service: Service) ->
     assert 0o660 == service.socket.stat().st_mode & 0o777
 
 
+@pytest.mark.long
 def test_who_is_not_the_page_is_turned_away(service: Service) -> None:
     """A process of another user is refused as the page, whatever it claims, and the page can still
     connect."""
@@ -135,6 +137,7 @@ def test_who_is_not_the_page_is_turned_away(service: Service) -> None:
     assert service.asked("/ready")["ready"]
 
 
+@pytest.mark.long
 def test_a_page_that_is_killed_comes_again_and_the_cell_measures_on(service: Service) -> None:
     """A restarted page gets the port again, and no result is wrong or late."""
     with Witness(service.cell.modbus_port) as witness:
@@ -159,6 +162,7 @@ sys.exit(main(["20", sys.argv[1]]))
 """
 
 
+@pytest.mark.long
 def test_another_version_is_refused_by_name(service: Service) -> None:
     """A page of another version is named in the cell's log and refused, and the right one can still
     connect."""
@@ -171,6 +175,7 @@ def test_another_version_is_refused_by_name(service: Service) -> None:
     assert service.asked("/ready")["ready"]
 
 
+@pytest.mark.long
 def test_a_page_that_does_not_end_keeps_no_port(service: Service) -> None:
     """After a reload a hanging old page does not block the port for the new one."""
     service.asked("/ready")
@@ -187,6 +192,7 @@ def test_a_page_that_does_not_end_keeps_no_port(service: Service) -> None:
     old.wait(LIMIT_S)
 
 
+@pytest.mark.long
 def test_the_page_of_a_killed_cell_ends(service: Service) -> None:
     """The page ends, and a new cell and page work with the socket file that is still there."""
     service.asked("/ready")

@@ -38,7 +38,7 @@ async def save(page: Browser) -> None:
     await put_in_force(page)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @needs("chromium")
 def test_a_plc_and_a_robot_are_connected_on_the_page(tmp_path: Path) -> None:
     """Connections are changed twice and back, an unsuitable brand is questioned, and failures change

@@ -318,6 +318,7 @@ def test_the_cell_measures_whatever_the_plc_answers(
     wait_until(lambda: not any(thread.name == "plc" for thread in threading.enumerate()))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("family", ["s7", "udt", "melsec"])
 def test_mangled_answers_end_in_a_new_connection(
     family: str, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture

@@ -34,7 +34,7 @@ def cell(tmp_path_factory: pytest.TempPathFactory) -> Iterator[WalkedCell]:
         yield cell
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_ten_poses_register_the_rig_and_the_robot_measures_at_once(cell: WalkedCell) -> None:
     """Nothing is measured before, the answer states the error, and the old rig file is kept."""
     before = cell.rig
@@ -59,7 +59,7 @@ def test_ten_poses_register_the_rig_and_the_robot_measures_at_once(cell: WalkedC
     cell.arm.shows = "board"
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_what_adds_nothing_says_so(cell: WalkedCell) -> None:
     """Wrong order, too few poses, a repeated pose, no board and no pose each have a status of their own."""
     walk = cell.arm.walk()
@@ -85,7 +85,7 @@ def test_what_adds_nothing_says_so(cell: WalkedCell) -> None:
         assert NackReason.TURN_MORE == robot.ask("REGISTER_SOLVE")[0]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_pose_that_was_said_wrongly_is_named(cell: WalkedCell) -> None:
     """One pose that is 5 mm off is rejected and named; if half are wrong, the result is not good."""
     saved = cell.rig.robot_from_rig
@@ -111,7 +111,7 @@ def test_a_pose_that_was_said_wrongly_is_named(cell: WalkedCell) -> None:
     assert cell.error_mm() < GOOD_MM
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_another_makers_convention_is_found_out(cell: WalkedCell, caplog: pytest.LogCaptureFixture) -> None:
     """KUKA's angles sent to a FANUC cell give a status of their own, and the log says how they read."""
     with caplog.at_level("WARNING"), cell.robot() as robot:
@@ -145,7 +145,7 @@ def test_touched_points_register_it_and_mirrored_ones_do_not(cell: WalkedCell) -
     assert cell.error_mm() < 0.2
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_over_modbus_it_is_the_same(cell: WalkedCell) -> None:
     """The block `registration` shows each command's progress, and a reload in between ends the
     registration."""
@@ -211,7 +211,7 @@ def test_the_python_client_goes_step_by_step(cell: WalkedCell) -> None:
             client.register("REGISTER_SOLVE")
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_rig_that_was_changed_on_the_disc_is_not_written_over(cell: WalkedCell) -> None:
     """If the rig file has changed since it was loaded, REGISTER_SOLVE fails and the file stays as it is."""
     file = cell.config.with_name("rig.json")

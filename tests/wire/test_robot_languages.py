@@ -597,6 +597,7 @@ def test_krl_fetches_as_many_targets_as_it_has_room_for() -> None:
         assert not bits(cell) & StatusBit.RESULT_VALID
 
 
+@pytest.mark.long
 @sides
 def test_a_taught_path_times_the_offset_lands_where_the_part_is(make: type[Any]) -> None:
     """Golden part and offset are obtained by the robot's program, and the offset is multiplied from the

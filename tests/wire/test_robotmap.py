@@ -44,7 +44,7 @@ async def shown(client: Client, block: str, name: str) -> Any:
     return data.Value.Value if data.StatusCode.is_good() else None
 
 
-@pytest.mark.slow
+@pytest.mark.long
 async def test_the_map_is_in_all_that_a_running_cell_says() -> None:
     """After a reload with a map, OPC UA, Modbus and lines give its X, and registers its quality; a part
     beyond the map has no coordinate but a bit with the reason."""

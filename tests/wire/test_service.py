@@ -23,7 +23,7 @@ def may_mount() -> bool:
     return not subprocess.run(mount, capture_output=True, check=False).returncode
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_kill_9_leaves_whole_files_and_no_old_result(tmp_path: Path) -> None:
     """Recordings are complete, torn ones are removed at the next start, and the PLC sees no result twice.
 
@@ -41,7 +41,7 @@ def test_kill_9_leaves_whole_files_and_no_old_result(tmp_path: Path) -> None:
     assert witness.report.sights
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.skipif(not FAKETIME.exists(), reason="libfaketime is not installed")
 @pytest.mark.skipif(not may_mount(), reason="this kernel lets us mount no disk")
 def test_a_bad_disk_and_a_clock_that_is_set_do_not_reach_the_plc(tmp_path: Path) -> None:

@@ -187,6 +187,7 @@ async def test_who_was_away_says_the_password_again() -> None:
         assert cell.ear.state() is CellPhase.SETUP
 
 
+@pytest.mark.long
 async def test_an_engineer_says_who_may_come_in() -> None:
     """Users are added with name, role and password, one's own role is fixed, and the audit shows it."""
     people = '[...document.querySelectorAll(".people strong")].map((e) => e.textContent)'
@@ -212,6 +213,7 @@ async def test_an_engineer_says_who_may_come_in() -> None:
         assert 0 == await page.value(TOO_WIDE)
 
 
+@pytest.mark.long
 async def test_who_may_come_in_is_changed_with_the_password() -> None:
     """Some minutes after the log-in the password is asked for; a wrong one is reported, the right one
     works."""
@@ -295,6 +297,7 @@ async def test_a_keyboard_is_enough() -> None:
         await page.until('document.querySelector(".lease.mine")')
 
 
+@pytest.mark.long
 async def test_few_keys_lead_about_and_none_while_somebody_types() -> None:
     """Keys are listed by "?", go to steps, do nothing in fields or dialogs, and can be switched off."""
     shown = 'document.querySelector("main").dataset.page'
@@ -351,6 +354,7 @@ async def test_what_cannot_be_fetched_is_no_uncaught_error() -> None:
         await page.until('document.documentElement.lang === "de"')
 
 
+@pytest.mark.long
 async def test_a_fault_is_said_in_words_with_what_ends_it() -> None:
     """The fault is shown on every page, stays while it recurs, and goes soon after it is over."""
     async with on_the_page(360, 740) as (page, cell):

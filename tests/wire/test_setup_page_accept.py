@@ -34,6 +34,7 @@ def flange_cell(folder: Path) -> PartCell:
     return cell
 
 
+@pytest.mark.long
 async def test_a_person_accepts_the_cell_by_the_page(tmp_path: Path) -> None:
     """After 50 pictures of a still part and one elsewhere, finished tests show results and others are
     open; the cell has not passed, the document is beside the rig, and the audit has a record."""
@@ -83,6 +84,7 @@ async def test_a_person_accepts_the_cell_by_the_page(tmp_path: Path) -> None:
         assert [] == page.complaints
 
 
+@pytest.mark.long
 async def test_people_study_a_size_by_the_page(tmp_path: Path) -> None:
     """With one part measured 25 times, wrong input is named, a reloaded page continues, the last
     measurement is taken back and repeated, and the end shows C_g, C_gk and the document to sign."""

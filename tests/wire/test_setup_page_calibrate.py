@@ -51,6 +51,7 @@ async def ask_for_a_board(page: Browser, newcomer: Newcomer) -> None:
     await page.until(said("Which board?"))
 
 
+@pytest.mark.long
 async def test_views_are_taken_left_out_and_found_again_after_a_reload(tmp_path: Path) -> None:
     """Pictures show the board and its next place, views can be left out, and a reload keeps the draft."""
     async with staged(tmp_path, gige=False) as newcomer:
@@ -85,6 +86,7 @@ async def test_views_are_taken_left_out_and_found_again_after_a_reload(tmp_path:
             assert [] == page.complaints
 
 
+@pytest.mark.long
 async def test_the_hand_follows_until_something_else_is_laid_there(tmp_path: Path) -> None:
     """The hand stops following the drawn place once a part is laid before the cameras."""
     async with staged(tmp_path, gige=False) as newcomer:
@@ -106,6 +108,7 @@ async def test_the_hand_follows_until_something_else_is_laid_there(tmp_path: Pat
             assert [] == page.complaints
 
 
+@pytest.mark.long
 async def test_a_wrongly_chosen_board_is_put_right(tmp_path: Path) -> None:
     """After another calibration with the right board is begun, the first one is not opened again by
     itself."""
@@ -139,6 +142,7 @@ async def test_a_wrongly_chosen_board_is_put_right(tmp_path: Path) -> None:
             assert [] == page.complaints
 
 
+@pytest.mark.long
 async def test_what_was_begun_is_gone_on_with_or_discarded(tmp_path: Path) -> None:
     """Drafts can be continued or discarded on either screen, and a later calibration contains nothing of
     them."""
@@ -180,6 +184,7 @@ async def overtaken(newcomer: Newcomer, page: Browser, identity: str) -> None:
         await page.until(f'live.told("mark").value?.id === {goal_um}')
 
 
+@pytest.mark.long
 async def test_another_calibration_is_begun_when_one_is_in_use(tmp_path: Path) -> None:
     """Another one can be begun at once, both on the page that activated the first and on one opened later."""
     cell = BoardCell(tmp_path)
@@ -215,6 +220,7 @@ async def test_another_calibration_is_begun_when_one_is_in_use(tmp_path: Path) -
         assert [] == page.complaints
 
 
+@pytest.mark.long
 async def test_another_calibration_is_begun_after_a_stop(tmp_path: Path) -> None:
     """After a restart the earlier draft is still there, can be put aside or discarded, and hinders
     nothing."""
@@ -245,6 +251,7 @@ async def test_another_calibration_is_begun_after_a_stop(tmp_path: Path) -> None
                     await page.until(said("Hold the board before both cameras"))
 
 
+@pytest.mark.long
 async def test_a_check_says_in_words_and_shapes_whether_the_calibration_holds(tmp_path: Path) -> None:
     """The board is asked for once, a wrong calibration has a remedy, and only the verdict ticks the step."""
     true = small_rig()

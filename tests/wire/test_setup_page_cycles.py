@@ -106,6 +106,7 @@ async def look(page: Browser, status: str) -> None:
     await page.until('document.querySelector("#cycle")')
 
 
+@pytest.mark.long
 async def test_a_failed_cycle_is_understood_and_a_rig_tested_before_its_use(
     cell: Callable[[], RecordingCell],
 ) -> None:
@@ -191,6 +192,7 @@ async def test_a_job_is_taught_from_a_recorded_cycle(cell: Callable[[], Recordin
         await page.until("""!window.isOld && document.querySelector('main[data-page="teach"] .editor')""")
 
 
+@pytest.mark.long
 async def test_whoever_renames_a_job_that_an_editor_has_changed_signs_for_it(
     cell: Callable[[], RecordingCell],
 ) -> None:
@@ -247,6 +249,7 @@ async def test_whoever_renames_a_job_that_an_editor_has_changed_signs_for_it(
         page.complaints.clear()  # the browser's own word for what was refused
 
 
+@pytest.mark.long
 async def test_everybody_can_use_it(cell: Callable[[], RecordingCell]) -> None:
     """With all that it may show, narrow and wide: axe finds nothing, all fits, fingers find every target, and
     no word is written into the page.

@@ -51,6 +51,7 @@ async def downloaded(page: Browser, label: str, count: int) -> tuple[str, bytes]
     return name, base64.b64decode(data)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("opened", BROWSERS)
 def test_findings_are_mended_by_a_button(tmp_path: Path, opened: Opener) -> None:
     """A file readable by others and one changed by hand are found and mended; each finding has advice.
@@ -93,6 +94,7 @@ def test_findings_are_mended_by_a_button(tmp_path: Path, opened: Opener) -> None
     complete(tmp_path).run(test)
 
 
+@pytest.mark.long
 @needs("chromium")
 def test_a_backup_is_downloaded_and_another_one_restored(tmp_path: Path) -> None:
     """The download is a valid archive, a restore is shown before it is done, and the support file

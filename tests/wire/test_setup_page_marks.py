@@ -145,6 +145,7 @@ SIGHTS = {
 }
 
 
+@pytest.mark.long
 async def test_each_state_is_said_and_drawn(tmp_path: Path) -> None:
     """Good, shifted, knocked, one mark moved, covered, and foreign plates each have their texts and results;
     EDGED_SHOTS keeps pictures of them."""
@@ -173,6 +174,7 @@ async def test_each_state_is_said_and_drawn(tmp_path: Path) -> None:
         assert [] == page.complaints
 
 
+@pytest.mark.long
 async def test_marks_are_taught_by_the_page_and_stand_in_the_audit(tmp_path: Path) -> None:
     """Marks are in use at once and equal those of the command; a picture without marks teaches none and keeps
     the old ones."""

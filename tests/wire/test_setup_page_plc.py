@@ -86,6 +86,7 @@ def swapped(value: int, words: bool, octets: bool) -> int:
     return int.from_bytes(struct.pack(">2H", *(pair[::-1] if words else pair)), "big")
 
 
+@pytest.mark.long
 @needs("chromium")
 async def test_the_page_tells_what_is_swapped_shows_the_ladder_and_gives_the_cell_back() -> None:
     """Swapped words, swapped bytes and an address off by one are named, READY returns, the last commands are

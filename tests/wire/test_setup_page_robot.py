@@ -76,6 +76,7 @@ async def on_stage(folder: Path) -> AsyncIterator[tuple[Newcomer, Browser]]:
         yield newcomer, page
 
 
+@pytest.mark.long
 async def test_a_robot_is_registered_by_touch(tmp_path: Path) -> None:
     """Five touches, one mistyped and corrected, register the rig, proved by another touch and activated;
     what is sent equals the field, and a late answer does not overwrite newer messages.
@@ -129,6 +130,7 @@ async def test_a_robot_is_registered_by_touch(tmp_path: Path) -> None:
         assert [] == page.complaints
 
 
+@pytest.mark.long
 async def test_the_map_of_the_robots_error_is_shown(tmp_path: Path) -> None:
     """Its quality and the robot's errors are shown; EDGED_SHOTS keeps a picture."""
     rig = small_rig()
@@ -156,6 +158,7 @@ async def test_the_map_of_the_robots_error_is_shown(tmp_path: Path) -> None:
         await accessible(page)
 
 
+@pytest.mark.long
 async def test_another_registration_is_begun_and_one_is_discarded(tmp_path: Path) -> None:
     """An earlier registration opens only on request, neither by changing steps nor by a reload."""
     async with on_stage(tmp_path) as (newcomer, page):
@@ -190,6 +193,7 @@ async def test_another_registration_is_begun_and_one_is_discarded(tmp_path: Path
         assert [] == [complaint for complaint in page.complaints if first["id"] not in complaint]
 
 
+@pytest.mark.long
 async def test_poses_of_another_brand_are_told_and_read_rightly_by_one_button(tmp_path: Path) -> None:
     """Poses entered as KUKA's are recognised as Universal Robots', and one button reads them so; nothing
     is cut off."""

@@ -34,6 +34,7 @@ async def use(page: Browser) -> None:
     await put_in_force(page)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("opened", BROWSERS)
 def test_a_setting_is_chosen_and_goes_back(tmp_path: Path, opened: Opener) -> None:
     """A setting is changed twice and reset, failures change nothing, and choosing connections keeps it."""

@@ -131,6 +131,7 @@ def _nothing_fails_unseen(stand: Stand) -> Iterator[None]:
     assert [] == stand.page.complaints
 
 
+@pytest.mark.long
 async def test_a_part_is_proposed_with_its_true_sizes_and_each_tap_says_what_it_costs(stand: Stand) -> None:
     """Proposed sizes are true, taps and ticks show in both picture and list with their cost, and keys undo
     them."""
@@ -192,6 +193,7 @@ async def test_wheel_and_fingers_bring_a_place_nearer_and_both_pictures_show_it(
     await page.until(f"{VIEW}[2] === 640")
 
 
+@pytest.mark.long
 async def test_keys_alone_tap_and_move_points_as_finely_as_one_likes(stand: Stand) -> None:
     """Arrows move by 1 px, with shift 10, with alt 0.1; Enter taps at a cross, and Delete removes."""
     page = stand.page
@@ -226,6 +228,7 @@ async def test_keys_alone_tap_and_move_points_as_finely_as_one_likes(stand: Stan
     await stand.until(lambda now: now["shapes"] == start)
 
 
+@pytest.mark.long
 async def test_reference_grip_and_sizes_are_picked_on_the_part(stand: Stand) -> None:
     """A tap near a hole makes its centre the reference, and a size is judged at once against its true
     value."""
@@ -270,6 +273,7 @@ async def test_reference_grip_and_sizes_are_picked_on_the_part(stand: Stand) -> 
     await page.until('document.querySelector(".draft-bar strong").textContent === "flange-2"')
 
 
+@pytest.mark.long
 async def test_a_further_pair_is_added_shown_and_removed(stand: Stand) -> None:
     """Both its pictures are shown with the finding that edges are sharp, and axe finds nothing."""
     page = stand.page
@@ -286,6 +290,7 @@ async def test_a_further_pair_is_added_shown_and_removed(stand: Stand) -> None:
     await page.until(f"{said('is not settled')} && {shown}.length === 0")
 
 
+@pytest.mark.long
 async def test_a_job_is_learnt_from_a_drawing_instead(stand: Stand, tmp_path: Path) -> None:
     """A DXF file gives the drawing's sizes on the pictured part, an error names its place in the file, and
     undo restores what the pair taught.
@@ -417,6 +422,7 @@ async def test_the_cell_is_turned_in_space_by_mouse_and_keys(stand: Stand) -> No
     await page.until(f"{paths} === {first!r}")
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("language", ["fr", "ja", "zh"])
 async def test_every_page_fits_a_phone_in_every_language(stand: Stand, language: str) -> None:
     """360 px are enough, every text is translated, and only names are English."""
@@ -435,6 +441,7 @@ async def test_every_page_fits_a_phone_in_every_language(stand: Stand, language:
     await page.value(f'{texts}.then((texts) => texts.choose("en"))')
 
 
+@pytest.mark.long
 async def test_a_draft_is_tried_where_the_part_lies_and_the_map_says_what_is_to_come(stand: Stand) -> None:
     """Every outline is drawn and each place kept, and leaving the page ends the trial."""
     placed = 'document.querySelectorAll(".covered").length'
@@ -476,6 +483,7 @@ async def test_a_draft_is_tried_where_the_part_lies_and_the_map_says_what_is_to_
     assert 0 == await page.value(TOO_WIDE)
 
 
+@pytest.mark.long
 async def test_a_job_in_use_finds_the_part_where_it_truly_is(stand: Stand) -> None:
     """Two buttons turn a draft into a release that the cell measures with, and the list shows its
     accuracy."""
@@ -523,6 +531,7 @@ async def test_a_job_in_use_finds_the_part_where_it_truly_is(stand: Stand) -> No
     assert 0 == await page.value(TOO_WIDE)
 
 
+@pytest.mark.long
 async def test_another_part_is_taught_after_one_is_in_use_and_after_one_is_discarded(stand: Stand) -> None:
     """Each next part is taught from a fresh pair, on the page where the previous one was finished."""
     page = stand.page

@@ -31,6 +31,7 @@ async def with_a_page(name: str, size: tuple[int, int], place: str) -> AsyncIter
         yield page, cell
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("size", [(360, 740), (800, 480), (1280, 900)])
 async def test_an_error_stands_beside_what_was_pressed(size: tuple[int, int]) -> None:
     """The message is visible, also on small screens, far down a page and after scrolling."""
@@ -51,6 +52,7 @@ async def test_an_error_stands_beside_what_was_pressed(size: tuple[int, int]) ->
         await page.until('!document.querySelector(".trouble")')
 
 
+@pytest.mark.long
 async def test_the_next_person_is_typed_while_the_first_one_is_added() -> None:
     """Text typed meanwhile stays in its fields."""
     name = 'document.querySelector("#users ~ form label:nth-child(1) input")'

@@ -226,7 +226,7 @@ def test_mbpoll_sees_setup_and_ends_it(cell: LiveCell) -> None:
     assert 0 == words()[218]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_cell_without_a_calibration_runs_in_setup_until_it_has_one(tmp_path: Path) -> None:
     """It has READY=1 for systemd, 503 with the reason, and NACK 7 for the PLC, also after kill -9.
 
@@ -281,7 +281,7 @@ def _ready(port: int) -> tuple[int, str]:
         return error.code, json.load(error)["error"]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_killed_daemon_does_not_make_a_cell_ready_that_somebody_has(tmp_path: Path) -> None:
     """After kill -9, twice, the cell is in SETUP without a name, NACK 7 and never READY, until a user ends
     it.

@@ -320,6 +320,7 @@ async def test_tabs_of_one_browser_have_one_lease(walk: Walk) -> None:
         await page.ask("Page.reload")
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("role", OTHERS)
 async def test_who_may_not_is_refused_nothing(walk: Walk, role: str) -> None:
     """Viewers and operators get through all pages without an error: whatever can be used there is allowed."""

@@ -50,7 +50,7 @@ def is_ready(port: int) -> bool:
     return False
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_more_strangers_than_descriptors_take_nothing_from_the_cell(tmp_path: Path) -> None:
     """With 1100 strangers each at page, Zenoh and Modbus, the PLC connects, recordings go on, the log stays
     short, and READY returns."""

@@ -127,7 +127,7 @@ def walked(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFact
         yield cell, lambda arm: walk(cell, arm)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_program_that_sees_no_board_says_so_and_changes_nothing(walked: Walked) -> None:
     """Every pose is left out, so that there are too few, and the rig file is unchanged."""
     cell, walk = walked
@@ -137,7 +137,7 @@ def test_a_program_that_sees_no_board_says_so_and_changes_nothing(walked: Walked
     assert before == cell.config.with_name("rig.json").read_bytes()
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_program_walks_ten_poses_and_the_rig_is_registered(walked: Walked) -> None:
     """The error is below GOOD_MM where the cameras look, and the robot ends at its start."""
     cell, walk = walked

@@ -187,7 +187,7 @@ async def test_a_viewer_hears_of_each_cycle() -> None:
             assert seen == [2, 3, 4]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 async def test_a_viewer_that_does_not_read_holds_nothing_up() -> None:
     """Announcing stays fast with a viewer that does not read, and no states are queued for it."""
     async with served() as (web, session), session.get("/events"):

@@ -301,7 +301,7 @@ async def test_what_zenohs_own_file_says_wins(tmp_path):
     assert reply["ok"]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 async def test_results_come_back_when_the_router_does(caplog):
     """Cell and subscriber find a router that dies and returns, without a restart.
 

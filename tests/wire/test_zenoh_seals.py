@@ -168,7 +168,7 @@ async def test_who_comes_late_or_meets_a_restart_hears_the_cell():
             assert [] == subscriber.listening.doubts()
 
 
-@pytest.mark.slow
+@pytest.mark.long
 async def test_without_a_key_two_sessions_of_a_name_are_named():
     """A peer that publishes under the cell's name is reported once the cell continues, but a restart is
     not."""

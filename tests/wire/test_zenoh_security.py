@@ -142,7 +142,7 @@ async def test_a_cell_with_the_example_is_closed_to_who_is_not_named(certificate
         await who_may_what(cell, certificates, port)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 async def test_a_fleet_router_with_the_example_is_closed_to_who_is_not_named(certificates, tmp_path):
     """Access is the same through the router, and a cell cannot publish under another cell's name."""
     port = free_port()

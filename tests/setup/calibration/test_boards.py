@@ -44,7 +44,7 @@ def test_another_board_must_be_in_most_pictures(others: int, blanks: int, refuse
         check_board_shown(pictures, STATED)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_another_board_is_told_after_a_few_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
     """Another board is found after looking at a few pictures, with one full search in vain."""
     looked: list[str] = []

@@ -55,7 +55,7 @@ def solved(images: Images) -> Calibrated:
     return solve(views, "division")
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_arrays_and_files_give_the_same_rig_to_the_last_bit(
     images: Images, solved: Calibrated, tmp_path: Path
 ) -> None:
@@ -76,7 +76,7 @@ def test_arrays_and_files_give_the_same_rig_to_the_last_bit(
     assert json.loads(json.dumps(solved.quality)) == load_rig_quality(output)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_each_picture_is_read_twice(images: Images) -> None:
     """Each picture is read once to find the board and once to measure, with small copies kept for the report.
 
@@ -122,7 +122,7 @@ def test_a_check_says_the_same_to_the_last_bit(
     assert [one["measured_mm"] for one in said["lengths"]] == [one.measured_mm for one in found.lengths]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_progress_counts_each_stage_to_its_end(images: Images) -> None:
     """Stages of many pieces report all of them, others only their start."""
     told: list[tuple[str, int, int]] = []

@@ -26,7 +26,7 @@ from edged.vision.geometry.rigid import rotation_matrix, transform
 BOARD = "chessboard:11x8:4"
 
 
-@pytest.mark.slow
+@pytest.mark.long
 async def test_a_check_says_whether_the_rig_is_what_the_cameras_are(tmp_path: Path) -> None:
     """The true rig holds; half a percent of baseline gives lengths wrong by as much with good rows; a camera
     turned by a pixel gives rows off by as much; without a board there is no verdict.

@@ -55,7 +55,7 @@ def test_too_few_views_say_so_and_ask_for_the_next_tilt(kept: tuple[Path, Views]
     assert one.ghosts[0].code != two.ghosts[0].code
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_each_view_is_worth_what_the_ghost_promised(kept: tuple[Path, Views]) -> None:
     """A pair taken at the ghost has its outline, and lowers sigma to about the predicted value."""
     _, views = kept
@@ -80,7 +80,7 @@ def test_each_view_is_worth_what_the_ghost_promised(kept: tuple[Path, Views]) ->
     assert ghost.code not in [one.code for one in after.ghosts]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_sigma_is_believed_the_more_views_there_are() -> None:
     """With few views the usual mark noise is stated, and with many the observed one."""
 
@@ -101,7 +101,7 @@ def test_sigma_is_believed_the_more_views_there_are() -> None:
     assert 1 < excess(16) < 1.5
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_draft_and_the_command_give_the_same_rig_to_the_last_bit(
     kept: tuple[Path, Views], tmp_path: Path
 ) -> None:

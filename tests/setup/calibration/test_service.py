@@ -27,7 +27,7 @@ from edged.vision.geometry.triangulation import triangulate_raw
 from edged.vision.geometry.uncertainty import calibration_covariance
 
 
-@pytest.mark.slow
+@pytest.mark.long
 async def test_views_become_a_rig_that_is_right(tmp_path: Path) -> None:
     """Over HTTP there are suggestions, a solution with its report and its activation, and measured points
     are true."""
@@ -89,7 +89,7 @@ def error_in_sigmas(rig: StereoRig) -> float:
     return float(np.sqrt(np.sum(errors_mm**2) / np.sum(variances)))
 
 
-@pytest.mark.slow
+@pytest.mark.long
 async def test_pictures_take_themselves_when_the_board_is_still(tmp_path: Path) -> None:
     """The board is recognised in live pairs, and a view is taken of each place where it rests."""
     async with BoardCell(tmp_path).running() as cell:
@@ -129,7 +129,7 @@ async def look(socket: aiohttp.ClientWebSocketResponse) -> None:
             await socket.send_json({"seen": told["number"]})
 
 
-@pytest.mark.slow
+@pytest.mark.long
 async def test_a_draft_survives_the_daemon(tmp_path: Path) -> None:
     """Another daemon continues with the same views, undo history and suggestion."""
     cell = BoardCell(tmp_path)
@@ -148,7 +148,7 @@ async def test_a_draft_survives_the_daemon(tmp_path: Path) -> None:
         assert [(before["id"], 3)] == [(one["id"], one["views"]) for one in listed["calibrations"]]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 async def test_a_worker_that_is_killed_costs_one_task(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -184,7 +184,7 @@ async def test_a_worker_that_is_killed_costs_one_task(
         assert (None, None, 3) == (draft["solved"], draft["task"], len(draft["views"]))
 
 
-@pytest.mark.slow
+@pytest.mark.long
 async def test_a_discarded_draft_is_gone_with_what_was_under_way_for_it(tmp_path: Path) -> None:
     """Discarding cancels suggestions, solving and automatic views, and the next draft is independent."""
     async with BoardCell(tmp_path).running() as cell:
@@ -208,7 +208,7 @@ async def test_a_discarded_draft_is_gone_with_what_was_under_way_for_it(tmp_path
         assert draft["sigma_um"]["z"] > 0
 
 
-@pytest.mark.slow
+@pytest.mark.long
 async def test_live_pairs_are_looked_at_for_the_draft_that_somebody_goes_on_with(tmp_path: Path) -> None:
     """Live pairs are for the draft begun or continued last; others take no view automatically."""
     async with BoardCell(tmp_path).running() as cell:
@@ -244,7 +244,7 @@ WRONG: dict[str, tuple[str, Callable[[int], tuple[Image, Image]]]] = {
 """Mistakes visible in pictures: the stated board, and what a view shows."""
 
 
-@pytest.mark.slow
+@pytest.mark.long
 async def test_a_mistake_at_the_board_has_a_name(tmp_path: Path) -> None:
     """Each mistake has a code of its own, and nothing is solved."""
     async with BoardCell(tmp_path).running() as cell:

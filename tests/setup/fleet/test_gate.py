@@ -43,7 +43,7 @@ def stricter(text: str) -> str:
 # --- a good release ---------------------------------------------------------------------------------
 
 
-@pytest.mark.slow
+@pytest.mark.long
 async def test_a_good_release_waits_for_leave_and_stays_after_its_probation(cell: GatedCell) -> None:
     """It is not activated while the PLC locks the cell, a person has it, or outside the window."""
     before = cell.fingerprint
@@ -68,7 +68,7 @@ async def test_a_good_release_waits_for_leave_and_stays_after_its_probation(cell
     assert note == await cell.step()
 
 
-@pytest.mark.slow
+@pytest.mark.long
 async def test_a_release_that_turns_the_part_by_180_degrees_is_refused(cell: GatedCell) -> None:
     """The turn is found although every cycle stays good at its place, whatever displacement is allowed."""
     before = cell.fingerprint
@@ -80,7 +80,7 @@ async def test_a_release_that_turns_the_part_by_180_degrees_is_refused(cell: Gat
         assert f"{RECORDED} good recorded cycles come out elsewhere" in note.why
 
 
-@pytest.mark.slow
+@pytest.mark.long
 async def test_a_release_that_makes_good_recordings_bad_is_refused(cell: GatedCell) -> None:
     """It is refused with the number of cycles that become bad, and not tried again, unlike another
     release."""
@@ -116,7 +116,7 @@ async def test_a_new_job_comes_beside_the_others(cell: GatedCell) -> None:
 # --- probation --------------------------------------------------------------------------------------
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("measured", "why"),
     [
@@ -156,7 +156,7 @@ async def test_what_a_person_changes_meanwhile_is_theirs(cell: GatedCell) -> Non
     assert "left" == (await GatedCell(cell.folder, cell.pairs, NIGHT).step()).step
 
 
-@pytest.mark.slow
+@pytest.mark.long
 async def test_a_cell_that_refuses_it_goes_on_as_before(cell: GatedCell) -> None:
     """If the daemon refuses to reload, the release is refused and the cell unchanged."""
     before = cell.fingerprint
@@ -170,7 +170,7 @@ async def test_a_cell_that_refuses_it_goes_on_as_before(cell: GatedCell) -> None
 # --- power ------------------------------------------------------------------------------------------
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.takes(300)
 async def test_the_power_fails_at_any_write_and_the_cell_is_the_old_or_the_new_one(
     cell: GatedCell, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

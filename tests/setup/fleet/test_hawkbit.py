@@ -77,6 +77,7 @@ def assigning(
         yield Assigning(plant, config, stub)
 
 
+@pytest.mark.long
 def test_what_is_assigned_is_fetched_and_the_gate_closes_it(assigning: Assigning) -> None:
     """An assigned release is fetched regardless of rings, each step is reported once, and then the next
     comes."""
@@ -111,6 +112,7 @@ def test_what_no_plant_has_signed_is_closed_as_a_failure(assigning: Assigning) -
     assert [("deploymentBase", "7", "closed", "failure", words)] == assigning.stub.fed
 
 
+@pytest.mark.long
 def test_what_is_taken_back_in_time_is_not_fetched_and_later_is_refused(assigning: Assigning) -> None:
     """A cancelled assignment is not fetched; if the gate has begun, cancelling is refused."""
     stub = assigning.stub

@@ -38,6 +38,7 @@ def token(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         parameters.generate_keypair(id=b"\2", store=True)
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("token")
 def test_a_release_that_a_token_has_signed_is_fetched(
     own_cell: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]

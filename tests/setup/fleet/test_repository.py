@@ -134,6 +134,7 @@ def test_an_older_repository_than_the_cell_has_seen_is_refused(
     assert "second" == staged(cell)["offer"]["name"]
 
 
+@pytest.mark.long
 def test_a_root_counts_once_enough_of_its_keys_have_signed(
     releases: Releases, cell: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -166,6 +167,7 @@ def test_a_key_opens_by_its_passphrase_alone_and_is_never_replaced(
 # --- rings ----------------------------------------------------------------------------------------
 
 
+@pytest.mark.long
 def test_rings_hold_one_cell_then_5_then_25_percent_then_all() -> None:
     """Of 500 cells the rings hold 1, 25, 125 and 500, beginning with another cell for each release."""
     cells = [f"cell-{number:03}" for number in range(500)]
@@ -177,6 +179,7 @@ def test_rings_hold_one_cell_then_5_then_25_percent_then_all() -> None:
     assert 2 == ring_of("cell-000", "r7", cells, given=2)
 
 
+@pytest.mark.long
 def test_a_cell_takes_a_release_once_its_ring_is_reached(
     releases: Releases, cell: Path, template: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -68,7 +68,7 @@ def cell_of(releases: Releases, own_cell: Path, opt: Path) -> Path:
     return config
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_wheels_are_signed_fetched_and_installed_by_pip_beside_what_runs(
     releases: Releases, own_cell: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -182,7 +182,7 @@ def blind(shown: dict[str, Any]) -> None:
     shown.update(status="NO_TARGET", targets=[])
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_version_that_runs_measures_recorded_cycles_as_a_process(
     recorded: GatedCell, made: Made, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -204,7 +204,7 @@ def test_a_version_that_measures_otherwise_is_refused(edit: Any, why: str, made:
     assert why in note.why
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_version_that_measures_as_before_runs_and_stays(made: Made) -> None:
     """It is activated once the PLC's lock ends, and the previous version stays available for going back."""
     cell = made(the_same)
@@ -258,7 +258,7 @@ def test_a_version_that_does_not_come_up_is_taken_back_by_root(how: str, made: M
 # --- power ----------------------------------------------------------------------------------------
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.takes(120)
 def test_the_power_fails_at_any_write_and_one_whole_version_runs(
     made: Made, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

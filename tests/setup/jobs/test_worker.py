@@ -153,7 +153,7 @@ async def test_a_task_that_takes_too_much_memory_fails_alone(task: str, size: in
         assert 100 << 20 == await worker.run("fill", 100)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 async def test_a_task_that_takes_too_long_is_ended() -> None:
     """A task beyond its own processor time is ended; earlier tasks and waiting do not count."""
     async with working(limits=TaskLimits(4096 * MIB, 2)) as worker:

@@ -95,7 +95,7 @@ def with_job(cell: Cell, tmp_path: Path, **changes: Any) -> Contents:
     return {**cell.files.contents, **changed}
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_same_job_and_rig_give_the_same_bits(cell: Cell) -> None:
     """Measured again with the same job and rig, nothing differs, is lost or moves."""
     retold = {**cell.files.contents, "rig.json": cell.files.contents["rig.json"] + b"\n"}

@@ -75,7 +75,7 @@ async def tried(cell: RecordingCell, body: dict[str, object]) -> dict[str, objec
     return dict(result)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 async def test_a_rig_that_makes_good_cycles_bad_is_signed_for_or_stays_out(
     recorded: Recorded, tmp_path: Path
 ) -> None:
@@ -191,7 +191,7 @@ async def test_a_regression_is_cancelled_and_others_have_their_turn(
             assert 404 == (await cell.ask("GET", f"/regressions/{begun['regression']}"))[0]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 async def test_a_job_that_was_taught_again_is_tried_as_used(recorded: Recorded, tmp_path: Path) -> None:
     """A job taught again is refused untried, and the files tried are those used."""
     async with cell_of(recorded, tmp_path).running() as cell:
@@ -209,7 +209,7 @@ async def test_a_job_that_was_taught_again_is_tried_as_used(recorded: Recorded, 
         assert result["counts"]["good_to_bad"] == release["tested"]["good_to_bad"]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 async def test_what_jobs_are_called_is_not_measured(recorded: Recorded, tmp_path: Path) -> None:
     """Renaming, renumbering, copying and retiring need no trial. An edit activated together with a name is
     tried, or signed for.

@@ -305,7 +305,7 @@ async def test_a_rig_or_job_that_is_not_kept_leaves_the_pictures(recorded: Recor
         setup_of(folder / "cycles" / "a.zip", {"fingerprint": ".."})
 
 
-@pytest.mark.slow
+@pytest.mark.long
 async def test_over_http_a_failed_cycle_stands_beside_a_good_one(recorded: Recorded, tmp_path: Path) -> None:
     """List, document, JPEG pictures and what-if work over HTTP, oversized pictures are not unpacked, and
     wrong requests are refused with a reason.

@@ -53,6 +53,7 @@ class Page:
             time.sleep(0.02)
 
 
+@pytest.mark.long
 def test_a_robots_program_is_seen_pose_by_pose_and_point_by_point(tmp_path: Path) -> None:
     """Six poses are listed as they come, judged as in the robot's answers, and active after solving; then
     touched points of a part."""

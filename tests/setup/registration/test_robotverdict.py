@@ -87,7 +87,7 @@ def posed(turns_deg: list[tuple[float, float, float]], brand: Brand | None = Bra
     return judge_poses(RIG, poses, BOARD, brand, "eye-to-hand", 0.5)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_turn_that_poses_lack_is_told() -> None:
     """The missing kind of turn is named: all, tilts, or tilts in one direction."""
     assert "all" == posed([(0, 0, 0)] * 4).missing
@@ -101,7 +101,7 @@ def test_the_turn_that_poses_lack_is_told() -> None:
     assert [(0, 0), (20, -90), (20, 0), (0, 0)] == tilts
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_poses_that_no_equation_takes_are_told(monkeypatch: pytest.MonkeyPatch) -> None:
     """An error of the linear algebra has the code "calibration"."""
 
@@ -114,7 +114,7 @@ def test_poses_that_no_equation_takes_are_told(monkeypatch: pytest.MonkeyPatch) 
     assert ("calibration", "SVD did not converge") == (judged.trouble.code, judged.trouble.text)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_poses_of_nobody_are_ranked_and_of_a_stranger_told() -> None:
     """Without a brand the best reading comes first, and KUKA numbers are not read as FANUC's."""
     turns = [(0, 0, 0), (20, 5, 0), (0, 20, 10), (-10, 0, 30), (5, -15, -20)]

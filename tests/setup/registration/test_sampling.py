@@ -44,7 +44,7 @@ WORD = st.one_of(
 )
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @given(st.lists(st.tuples(*[WORD] * 6), min_size=6, max_size=9), st.sampled_from(Convention))
 @settings(max_examples=20, derandomize=True)
 def test_whatever_the_flange_says_has_a_verdict(words: list[tuple[int, ...]], convention: Convention) -> None:

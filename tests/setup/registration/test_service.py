@@ -106,6 +106,7 @@ async def test_a_persons_draft_gets_its_samples_from_the_page_alone(tmp_path: Pa
         assert [] == (await person.judged())["samples"]
 
 
+@pytest.mark.long
 async def test_six_touches_give_the_robots_frame_and_the_place_to_go_to(tmp_path: Path) -> None:
     """Six touches with 10 µm of noise are right within 25 µm in the volume; a mistyped one is named until
     it is corrected; the result equals the command's. A board of wrong length cannot be touched."""
@@ -163,6 +164,7 @@ async def test_six_touches_give_the_robots_frame_and_the_place_to_go_to(tmp_path
         check_same_digits(tmp_path, before, document, rig.robot_from_rig)
 
 
+@pytest.mark.long
 async def test_a_discarded_draft_is_gone_and_another_is_begun(tmp_path: Path) -> None:
     """A draft can be discarded while it is judged, with its latest revision, and the next one is
     independent."""
@@ -201,6 +203,7 @@ def check_same_digits(folder: Path, rig: bytes, document: dict[str, Any], found:
     assert found.tolist() == json.loads(out.read_text())["robot_from_rig"]
 
 
+@pytest.mark.long
 async def test_poses_tell_whose_they_are_which_one_is_wrong_and_which_turn_they_lack(tmp_path: Path) -> None:
     """Poses entered for the wrong brand are recognised; read rightly, a mistyped one is named and ignored,
     and the rig is right, also if the robot carries it."""

@@ -51,7 +51,7 @@ async def ready(cell: PartCell) -> AsyncIterator[None]:
         yield
 
 
-@pytest.mark.slow
+@pytest.mark.long
 async def test_jobs_are_renamed_numbered_retired_and_brought_back(tmp_path: Path) -> None:
     """Each change is a release that keeps all edits, and impossible ones are refused without effect."""
     cell = cell_with_jobs(tmp_path)

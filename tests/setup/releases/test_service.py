@@ -105,7 +105,7 @@ def test_a_rig_becomes_active_as_a_release_and_the_one_before_is_kept(cell: Runn
         activate(cell, rig)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_way_back_restores_the_fingerprint(cell: RunningCell) -> None:
     """Going back and forth activates existing releases with their fingerprints."""
     before, old = cell.now.files.fingerprint, cell.rig.read_bytes()
@@ -140,7 +140,7 @@ def choose(cell: RunningCell, chosen: ChosenConnections) -> None:
     asyncio.run(cell.activation.activate_connections(chosen.content(), Mandate("Anna", "settings")))
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_settings_are_a_release_and_come_back_with_it(cell: RunningCell) -> None:
     """Each release restores the settings that it became active with."""
     before, files = cell.now.files.fingerprint, cell.files()
@@ -167,7 +167,7 @@ def test_settings_are_a_release_and_come_back_with_it(cell: RunningCell) -> None
     assert files == cell.files()
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_password_that_was_replaced_does_not_come_back(cell: RunningCell) -> None:
     """A changed password makes no release, and no release restores an old one."""
 
@@ -201,7 +201,7 @@ def test_settings_before_the_first_calibration_are_kept_without_a_release(cell: 
     assert "rig.connections.json" in cell.releases.open(1).files
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_cameras_that_are_kept_are_a_release(cell: RunningCell) -> None:
     """Kept exposure and gain are a release and can be undone."""
     cell.running.session.camera_changes = {"left": ChosenCamera(exposure_us=1234.0)}
@@ -230,7 +230,7 @@ def activate_job(cell: RunningCell, name: str, number: int, replaced: str | None
     return asyncio.run(asked())
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_job_becomes_active_as_a_release_and_the_way_back_restores_the_fingerprint(
     cell: RunningCell,
 ) -> None:
@@ -257,7 +257,7 @@ def test_a_job_becomes_active_as_a_release_and_the_way_back_restores_the_fingerp
     assert after == cell.files()
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_jobs_that_do_not_go_together_change_nothing(cell: RunningCell) -> None:
     """Jobs with the same number, an unreadable one, and a missing initial one are refused."""
     files = cell.files()
@@ -419,7 +419,7 @@ def test_the_plant_forbids_it(cell: RunningCell) -> None:
     assert files == cell.files()
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_cameras_that_were_tried_become_active_with_the_rig(cell: RunningCell) -> None:
     """Tried camera settings are activated and undone with the rig as one release."""
     cell.running.session.camera_changes = {"left": ChosenCamera(exposure_us=1234.0)}
@@ -441,7 +441,7 @@ def test_cameras_that_were_tried_become_active_with_the_rig(cell: RunningCell) -
     assert before == cell.files()
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize(
     "cameras", [{}, {"left": ChosenCamera(device="other")}], ids=["rig", "rig and cameras"]
 )
@@ -476,7 +476,7 @@ def test_power_cuts_leave_the_rig_before_or_the_new_one_as_a_release(
     assert {before, after} == found
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_power_cuts_leave_the_jobs_before_or_the_new_ones_as_a_release(
     template: Path, tmp_path: Path
 ) -> None:
@@ -510,7 +510,7 @@ def test_power_cuts_leave_the_jobs_before_or_the_new_ones_as_a_release(
     assert {now, after} == found
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_pair_is_kept_once_for_all_releases(cell: RunningCell) -> None:
     """Pairs are stored once beside the archives, restored with their job, and deleted with the last
     release."""

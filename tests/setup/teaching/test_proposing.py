@@ -110,6 +110,7 @@ def test_a_part_of_edges_alone_has_corners_for_a_reference(tmp_path: Path) -> No
     assert fewer.job.kind_of(fewer.job.reference) == "corner"
 
 
+@pytest.mark.long
 def test_what_one_pair_leaves_open_of_a_part_of_several_heights_is_said() -> None:
     """For a part of several heights the ambiguity from the cameras' angle is reported, for a flat one not."""
     images = make_rectification(small_rig())

@@ -74,7 +74,7 @@ async def test_the_part_is_proposed_without_a_tap(tmp_path: Path) -> None:
         assert np.abs(shown.astype(float) - flange().right).mean() < 3
 
 
-@pytest.mark.slow
+@pytest.mark.long
 async def test_what_people_say_is_what_is_learnt(tmp_path: Path) -> None:
     """Region, left-out features, reference, grip and sizes of a draft can be set, undone and done again."""
     async with PartCell(tmp_path).running() as cell:
@@ -124,7 +124,7 @@ async def test_what_people_say_is_what_is_learnt(tmp_path: Path) -> None:
         ]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 async def test_a_further_pair_says_what_the_breaks_are_and_one_without_the_part_is_named(
     tmp_path: Path,
 ) -> None:
@@ -155,7 +155,7 @@ async def test_a_further_pair_says_what_the_breaks_are_and_one_without_the_part_
         assert 400 == (await refused(cell, "POST", f"/teachings/{draft['id']}/further", {}))[0]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 async def test_two_people_and_a_kill(tmp_path: Path) -> None:
     """A late user is shown the newest draft, a tap finds the part and nothing on the table, and the draft
     survives a kill of the worker and a restart of the daemon."""
@@ -213,7 +213,7 @@ async def test_two_people_and_a_kill(tmp_path: Path) -> None:
         assert kept[0] == await cell.learnt(kept[0]["id"])
 
 
-@pytest.mark.slow
+@pytest.mark.long
 async def test_a_draft_becomes_the_cells_job_and_the_way_back_is_open(tmp_path: Path) -> None:
     """The first job completes the cell and equals the command's byte by byte; edited from its kept pair it
     becomes the next release, and going back restores the fingerprint."""

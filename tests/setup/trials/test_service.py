@@ -80,7 +80,7 @@ def cropping(run: Callable[..., Awaitable[Any]]) -> Callable[..., Awaitable[Any]
     return cropped
 
 
-@pytest.mark.slow
+@pytest.mark.long
 async def test_a_job_is_tried_on_live_pairs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A trial gives the part's place in the robot's frame, follows a moved part with a longer trail, and
     also tries a draft; what cannot be tried is refused with a code."""
@@ -148,7 +148,7 @@ async def test_a_job_is_tried_on_live_pairs(tmp_path: Path, monkeypatch: pytest.
             assert (True, draft) == (still_on["on"], still_on["teaching"])
 
 
-@pytest.mark.slow
+@pytest.mark.long
 async def test_the_still_test_is_a_task_with_a_verdict(tmp_path: Path) -> None:
     """Identical pictures do not scatter; a part that is moved or taken away gives no verdict."""
     cell = TaughtCell(tmp_path)

@@ -92,7 +92,7 @@ def of_pictures(poses: list[FloatArray], each: int) -> StillResult:
     return still_part(rig, job, seen)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_noise_of_its_edges_is_the_scatter_of_a_part() -> None:
     """The stated noise agrees with the scatter within a third in each axis; the sigma of the edges is
     larger."""

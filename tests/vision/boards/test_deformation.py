@@ -42,7 +42,7 @@ def normalised_error(calibration: Calibration) -> FloatArray:
     return parameter_error(calibration.rig, RIG)[sigma > 0] / sigma[sigma > 0]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_bent_board_is_found_bent() -> None:
     """Taken as flat, a bent board spoils the rig beyond its sigma; with a free shape rig and shape are
     right."""
@@ -61,7 +61,7 @@ def test_a_bent_board_is_found_bent() -> None:
     assert any("from lowest to highest mark" in note for note in free.notes)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_sigma_of_the_rig_knows_of_the_shape() -> None:
     """Over 8 draws of noise the normalised squared error per parameter of the rig is 1."""
     true = bent(BOARD)
@@ -85,7 +85,7 @@ def test_a_flat_board_stays_flat() -> None:
     assert np.abs(normalised_error(free)).max() < 3.5
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_two_boards_have_two_shapes() -> None:
     """Each board of a calibration gets its own shape."""
     truths = bent(BOARD), ShapedBoard(OTHER, OTHER.points_mm)

@@ -104,7 +104,7 @@ def test_corners_are_found_to_a_hundredth_of_a_pixel(spec: str) -> None:
     assert np.abs(error.mean(axis=0)).max() < 0.004
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_stated_sigma_is_the_scatter() -> None:
     """Over many noise draws the normalised error of a corner is 1, and more noise means a larger sigma."""
     board = Chessboard(6, 5, 4.0)
@@ -274,7 +274,7 @@ def test_the_middle_of_an_ellipse_is_not_the_middle_of_the_circle() -> None:
     assert np.abs(found.pixels - true).max() < 0.01
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_filled_corner_numbers_the_dots_whatever_the_turn() -> None:
     """A square plate turned by any quarter starts at its filled corner."""
     pose = board_poses(SMALL, PLATE, 1, seed=5)[0]

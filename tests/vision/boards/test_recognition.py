@@ -69,7 +69,7 @@ def test_kind_and_size_are_seen(spec: str, expected: str) -> None:
         assert whole.diameter_mm == pytest.approx(board.diameter_mm, rel=0.08)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("board", "legacy"),
     [
@@ -106,7 +106,7 @@ def test_the_lowest_rows_come_from_the_picture_that_shows_them() -> None:
     assert (8, 6, "5X5_50") == (both.columns, both.rows, both.dictionary)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_real_board_is_recognised_by_most_pictures() -> None:
     """Most pictures of a hand-held board in a room give 9x6, and so does their majority."""
     pictures = sorted(REAL.glob("*.jpg"))

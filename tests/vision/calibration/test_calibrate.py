@@ -35,7 +35,7 @@ def views_of(
     return synthetic_views(rig, board, board_poses(rig, board, n, seed), sigma_px, seed)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("model", ["brown", "division"])
 @pytest.mark.parametrize("vergence_deg", [0.0, 24.0])
 def test_exact_marks_give_the_exact_rig(model: str, vergence_deg: float) -> None:
@@ -53,7 +53,7 @@ def test_exact_marks_give_the_exact_rig(model: str, vergence_deg: float) -> None
     assert found.outliers == 0
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("model", ["brown", "division"])
 def test_the_stated_covariance_is_the_error(model: str) -> None:
     """Over repeated noise the normalised squared error per parameter is 1, and none is beyond 4.5 sigma."""
@@ -77,7 +77,7 @@ def test_the_stated_covariance_is_the_error(model: str) -> None:
     assert worst < 4.5
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_precise_marks_count_more_than_rough_ones() -> None:
     """Marks that are ten times rougher and have the sigma to match hardly spoil the result."""
     rig = make_rig()
@@ -121,7 +121,7 @@ def test_a_view_as_good_as_its_marks_state_is_kept() -> None:
     assert ["view_05"] == [name for name, _ in calibrate([*fine[:5], wrong[5]], rig).excluded]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_wrong_marks_are_dropped() -> None:
     """Marks that are off by pixels are found and counted, and do not move the result."""
     rig = make_rig()
@@ -135,7 +135,7 @@ def test_wrong_marks_are_dropped() -> None:
     assert np.abs(found.rig.right_from_left - clean.rig.right_from_left)[:3, 3].max() < 0.002
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_one_bad_view_is_left_out_and_named() -> None:
     """A view in which the board slipped between both exposures is named; the rest is used."""
     rig = make_rig()
@@ -206,7 +206,7 @@ def test_two_boards_in_one_calibration() -> None:
     assert abs(found.rig.baseline_mm - rig.baseline_mm) < 0.05
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("aspect", [1.0, 1.002])
 def test_fx_leaves_fy_only_where_the_data_demand_it(aspect: float) -> None:
     """Square pixels stay exactly square; pixels that are oblong by 0.2 % are measured as oblong."""
@@ -224,7 +224,7 @@ def test_fx_leaves_fy_only_where_the_data_demand_it(aspect: float) -> None:
             assert camera.fy / camera.fx == pytest.approx(aspect, abs=2e-4)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("k3", [0.0, -30.0])
 def test_k3_is_released_only_where_the_data_demand_it(k3: float) -> None:
     """A lens without sixth-order distortion keeps k3 = 0; one with it does not."""
@@ -237,7 +237,7 @@ def test_k3_is_released_only_where_the_data_demand_it(k3: float) -> None:
     assert found.rms_px == pytest.approx(0.01 * np.sqrt(2), rel=0.08)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_same_input_gives_the_same_name() -> None:
     """The same views give the same calibration id, other values another."""
     rig = make_rig()
@@ -288,7 +288,7 @@ def test_swapped_images_are_refused() -> None:
         calibrate(views, rig)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("angle_deg", "first", "kept"), [(0.02, 7, range(7, 14)), (1.0, 8, range(8)), (1.0, 4, range(4, 14))]
 )

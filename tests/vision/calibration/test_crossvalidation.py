@@ -24,7 +24,7 @@ SIZE = (1280, 960)
 VIEWS = synthetic_views(RIG, BOARD, board_poses(RIG, BOARD, 8, 1), 0.02, 1)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_held_out_figures_are_the_noise_that_was_put_in() -> None:
     """With marks of 0.02 px noise the held-out residuals are about as large, and the scale is true."""
     held = hold_out(calibrate_stereo(VIEWS, SIZE, SIZE, "division"))
@@ -38,7 +38,7 @@ def test_held_out_figures_are_the_noise_that_was_put_in() -> None:
     assert 0 < max(view.flatness_mm for view in held) < 0.01
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_view_of_a_wrongly_printed_board_shows_in_its_length() -> None:
     """A board 0.1 % too large in one view only is seen when that view is held out."""
     large = replace(BOARD, pitch_mm=4.004)
@@ -69,7 +69,7 @@ def test_known_lengths_are_single_distances_of_the_board() -> None:
     assert 0 < np.abs(lengths[:, 1] - lengths[:, 0]).max() < 0.05
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_measured_shape_is_compared_with_opencv_as_stated() -> None:
     """Plain OpenCV gets the stated flat board, and the report shows it beside the measured shape."""
     calibration = calibrate_stereo(VIEWS, SIZE, SIZE, "division", plate_shape=True)
@@ -89,7 +89,7 @@ def test_three_views_still_make_a_report() -> None:
     assert "nan" not in page
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_report_is_one_well_formed_page_that_says_it_all() -> None:
     """The page is well formed, has no outside references, escapes user text, and contains every view and
     figure."""

@@ -81,7 +81,7 @@ def test_the_response_comes_back(gamma: float) -> None:
     assert (abs(found.shift_px) < 0.01) == (gamma == 1.0)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_ink_that_has_spread_is_no_response() -> None:
     """Spread ink displaces the edges without a gamma; it is reported, not corrected."""
     found = imaging_of([the_edges(printed_with_spread_ink(number), number) for number in range(3)], SIZE)
@@ -90,7 +90,7 @@ def test_ink_that_has_spread_is_no_response() -> None:
     assert any(one.remedy for one in findings((found, found), RIG, 300.0) if one.name == "left response")
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_blur_is_its_sigma() -> None:
     """An additional Gaussian of 0.8 px adds its square to the blur."""
     sharp, soft = (
@@ -104,7 +104,7 @@ def test_blur_is_its_sigma() -> None:
     )
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_comet_tail_is_asymmetric() -> None:
     """A blur with a tail to one side is asymmetric, one without is not."""
     kernel = np.zeros((1, 9), np.float32)
@@ -126,6 +126,7 @@ def test_saturation_is_its_share() -> None:
     assert any(one.remedy for one in findings((found, found), RIG, 300.0) if one.name == "left saturation")
 
 
+@pytest.mark.long
 def test_light_that_falls_off_is_seen() -> None:
     """A loss of half of the light on one side raises the falloff."""
     shade = np.linspace(1.0, 0.5, CAMERA.width)
@@ -161,6 +162,7 @@ def test_images_become_linear_before_they_are_measured() -> None:
     assert np.array_equal(images.right, bent)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("amount", "least", "most"), [(0.0, 0.0, 0.01), (0.5, 0.03, 0.2)])
 def test_halos_are_seen(amount: float, least: float, most: float) -> None:
     """Halos of a camera's sharpening are measured, with a remedy; a lens makes none."""

@@ -47,7 +47,7 @@ def sigma_mm(calibration: Calibration) -> float:
     return float(np.sqrt(np.mean(np.einsum("nii->n", covariance))))
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("rig", "name", "model"),
     [
@@ -68,7 +68,7 @@ def test_the_true_lens_is_chosen(rig: StereoRig, name: str, model: str) -> None:
     assert expected == freedom_of(found.rig.left).distortion
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_simple_lens_is_known_better() -> None:
     """The sigma with a chosen division model is below Brown-Conrady's and above that of a given division
     model."""
@@ -78,7 +78,7 @@ def test_a_simple_lens_is_known_better() -> None:
     assert 0.95 * sigma_mm(brown) > sigma_mm(chosen) > sigma_mm(division)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_sigma_knows_that_another_model_may_be_true() -> None:
     """If the views hardly show a tangential part, the stated sigma still equals the error."""
     rig, squares, simpler = brown_rig(1e-4), [], 0
@@ -103,13 +103,13 @@ def test_views_that_determine_no_brown_lens_still_choose() -> None:
     assert np.linalg.eigvalsh(found.rig.covariance).min() > -1e-9 * np.trace(found.rig.covariance)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_stated_model_is_not_questioned() -> None:
     """With a stated model no other models are tried or reported."""
     assert () == calibrate_stereo(views_of(DIVISION), SIZE, SIZE, "brown").lenses
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_lens_that_folds_the_picture_is_not_chosen() -> None:
     """A polynomial that fits the middle best but folds back further out is not chosen."""
     rig = make_rig("brown", focal_px=425.0, size=SIZE)

@@ -58,7 +58,7 @@ def test_points_follow_the_parameters(model: LensModel) -> None:
         np.testing.assert_allclose(analytic[:, :, column] / scale, numeric / scale, atol=2e-4)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_covariance_of_points_is_their_scatter_over_calibrations() -> None:
     """Over 24 noisy calibrations the normalised squared error of a point is 3, its number of coordinates."""
     point = np.array([[5.0, -3.0, RIG.baseline_mm / 0.42]])
@@ -79,7 +79,7 @@ def test_a_rig_of_unknown_covariance_adds_nothing() -> None:
     assert best_next_view(replace(known, rig=replace(known.rig, covariance=None))) is None
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_suggested_view_does_what_it_promises() -> None:
     """After the suggested view the points' sigma falls by the predicted share."""
     before = calibration_of(RIG, 6, tilt_deg=12.0)
@@ -96,7 +96,7 @@ def test_the_suggested_view_does_what_it_promises() -> None:
     assert 1 - rms(after) / rms(before) == pytest.approx(advice.gain, abs=0.08)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_plan_counts_the_views_to_a_goal() -> None:
     """The plan gives the number of views to a goal: none if it is reached, and no number if it is out of
     reach."""

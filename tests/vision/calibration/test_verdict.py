@@ -20,7 +20,7 @@ RIG = make_rig("division")
 SIZE = (RIG.left.width, RIG.left.height)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("views", "sigma_px", "grade", "why"),
     [
@@ -41,7 +41,7 @@ def test_few_views_are_usable_and_noise_is_not(views: int, sigma_px: float, grad
     assert str(verdict).startswith(f"verdict: {grade}: ")
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_pictures_that_a_camera_has_changed_are_usable_at_best() -> None:
     """Twenty views of a camera that sharpens or clips are usable at best, with both reasons."""
     poses = board_poses(RIG, BOARD, 20, 0)
@@ -58,7 +58,7 @@ def test_pictures_that_a_camera_has_changed_are_usable_at_best() -> None:
     ) == verdict.why
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_boards_in_one_half_of_the_image_are_no_good_calibration() -> None:
     """With twenty views all in the right half the grade is usable, and the other half is named."""
     poses = [pose for pose in board_poses(RIG, SMALL, 120, 0) if pose[0, 3] > 0][:20]

@@ -130,7 +130,7 @@ def test_the_sigma_is_honest(plain_disc: tuple[FloatArray, FloatArray]) -> None:
     assert 0.7 < np.mean(chi2) < 1.4
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_scatter_is_near_the_bound(plain_disc: tuple[FloatArray, FloatArray]) -> None:
     """Over draws of noise the centre scatters by less than 1.3 times the Cramér-Rao bound.
 

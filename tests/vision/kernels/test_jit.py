@@ -177,6 +177,7 @@ def test_a_stored_kernel_is_known_by_the_numbers_frozen_into_it(monkeypatch: pyt
     assert before != frozen_into(cast(Any, _and_one).py_func)
 
 
+@pytest.mark.long
 def test_a_stored_kernel_is_known_by_the_code_of_those_it_calls(tmp_path: Path) -> None:
     """A changed file with a called kernel compiles the callers in other files anew."""
     kernel_of = (
@@ -270,6 +271,7 @@ def twice(x):
 """
 
 
+@pytest.mark.long
 def test_kernels_of_sources_in_another_folder_are_taken_over_and_found_by_a_link(tmp_path: Path) -> None:
     """Kernels of the same sources in another folder are taken over, and a link to the folder finds them."""
     before, after, current, kernels = (tmp_path / name for name in ("before", "after", "current", "kernels"))

@@ -110,6 +110,7 @@ def test_marks_outside_of_where_they_are_looked_for_are_searched() -> None:
     assert np.linalg.norm(shown, axis=1).min() > 30
 
 
+@pytest.mark.long
 def test_marks_that_are_covered_for_ever_end_in_a_sigma_that_says_so() -> None:
     """With an exposure each ten minutes for a year and no marks, sigma grows beyond the largest that is
     allowed."""

@@ -44,7 +44,7 @@ def test_dots_are_measured_to_a_fiftieth_of_a_pixel(seed: int) -> None:
         assert np.abs(seen.pixels - true).max() < 0.02
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_covered_dot_and_a_foreign_code_are_not_seen() -> None:
     """Swarf over a rim or a code hides that dot, and the plate of another cell at the same place has none."""
     left_of = apply(AT, OWN)
@@ -62,7 +62,7 @@ def test_a_covered_dot_and_a_foreign_code_are_not_seen() -> None:
     assert np.isnan(measure_marks(foreign[0], taught().looks[0], taught().pixels[0]).sigma_px).all()
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_pictures_without_marks_cannot_be_taught() -> None:
     """Pictures with no marks, mirrored marks, two plates or a moved plate are refused with that reason."""
     rig = demo_rig()

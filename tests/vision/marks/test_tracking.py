@@ -79,6 +79,7 @@ def test_no_displacement_is_the_calibrated_rig_to_the_last_bit() -> None:
 # --- weather ----------------------------------------------------------------------------------------------
 
 
+@pytest.mark.long
 def test_weather_is_followed_and_sigma_is_honest() -> None:
     """In six hours of warming by 10 K the error is below 0.15 of that without marks, and as large as its
     sigma."""

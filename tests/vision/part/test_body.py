@@ -56,7 +56,7 @@ def cast(body: PartBody, points_mm: FloatArray, eye_mm: FloatArray, behind_mm: f
     return hidden
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @settings(max_examples=6)
 @given(lean=st.floats(0.3, 1.0), side=st.floats(0, 6.3), part=st.sampled_from(["D2", "D4"]))
 def test_what_is_hidden_is_what_rays_meet(lean: float, side: float, part: str) -> None:
@@ -152,6 +152,7 @@ def test_a_body_is_the_same_again_from_its_arrays() -> None:
     assert np.array_equal(again.lines, body("D1").lines)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("name", "value", "said"),
     [

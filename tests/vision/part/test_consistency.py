@@ -53,7 +53,7 @@ def error(name: str, target: Target) -> FloatArray:
     return target.position_mm - cell(name).true_pose(PLACE)[:3, 3]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["disc", "plate", "round"])
 def test_a_good_picture_leaves_no_doubt(name: str) -> None:
     """With matching rows and sizes as taught, no doubt is added to any sigma, and nothing is refused."""

@@ -51,7 +51,7 @@ def worst_sigmas(job: Job, target: Target, where: FloatArray) -> float:
     return float(max(np.abs(error / target.sigma_mm).max(), turned))
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("lights", "side_rad"),
     [
@@ -79,7 +79,7 @@ def test_a_sharp_edge_is_not_taken_for_a_broken_one() -> None:
         assert {0.0} == {one.scatter.break_mm for one in measured.fits}
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_highlight_beside_the_rims_is_a_break() -> None:
     """For rims with a highlight all around the width of the break is that of the highlight, to a third."""
     glinting = np.full((2, 2), 2.0 * FACE)
@@ -92,7 +92,7 @@ def test_a_highlight_beside_the_rims_is_a_break() -> None:
     assert measured.target.sigma_mm[2] > 0.05
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_radius_at_the_other_end_is_a_break() -> None:
     """If small breaks are taught at the upper ends and seen at the lower ones, within the tolerance, the
     sigma covers the distance between both ends."""
@@ -105,7 +105,7 @@ def test_a_radius_at_the_other_end_is_a_break() -> None:
     assert worst_sigmas(job, measured.target, pose()) < 4.0
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_holes_whose_breaks_each_camera_sees_otherwise_are_taught_in_one_face() -> None:
     """Holes whose breaks the cameras see differently are taught in the plane of the face."""
     lights = np.array([[0.35, DARK], [DARK, 0.35]])

@@ -75,7 +75,7 @@ def test_where_a_part_was_measured_its_sigma_is_expected(name: str, turn_deg: fl
     assert not budget.doubt.any()
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_elsewhere_errors_are_as_large_as_was_expected() -> None:
     """For a turned, tilted and moved part the squared errors over the expected variances have a mean near 1.
 

@@ -107,6 +107,7 @@ def test_curves_that_are_not_there_are_left_out() -> None:
 # --- parts -------------------------------------------------------------------------------------------
 
 
+@pytest.mark.long
 def test_a_part_without_circles_is_located() -> None:
     """A plate of straight edges, turned, tilted and shifted, gets position, rotation and size from its
     edges."""
@@ -132,7 +133,7 @@ def test_a_part_without_circles_is_located() -> None:
         assert np.linalg.norm(drawn - corner.position_mm, axis=1).min() < 0.03
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_sizes_are_those_of_the_drawing() -> None:
     """Radius, distances, width and length are those of the drawing, within 10 µm and four sigmas."""
     here = cell("disc")
@@ -180,7 +181,7 @@ def test_any_feature_may_be_the_reference(name: str) -> None:
     assert np.abs(target.position_mm - truth).max() < 0.02
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_round_part_states_its_free_axis() -> None:
     """A plain disc has a free axis, and its rotation about it has the sigma of an unknown angle."""
     here = cell("round")
@@ -241,6 +242,7 @@ def test_each_limit_has_its_reason_without_circles(limits: dict[str, object], ex
     assert only(outcome).reject & expected
 
 
+@pytest.mark.long
 def test_what_only_one_camera_shows_is_dismissed_with_its_place() -> None:
     """With a blank right image there is no target; the dismissed place is given and drawn in the picture."""
     for name in ("disc", "plate"):
@@ -317,6 +319,7 @@ def test_an_ambiguous_rotation_is_refused() -> None:
         assert result.target.reject == expected
 
 
+@pytest.mark.long
 def test_circles_do_not_decide_what_the_search_could_not() -> None:
     """If circles alone decide a rotation that the search left open, the part is refused."""
     holes = tuple(
@@ -354,7 +357,7 @@ def test_edges_of_two_different_moments_are_refused(turn_deg: float, across_mm: 
     assert all(reject & (Reject.LEFT_RIGHT_MISMATCH | Reject.FEW_EDGES) for reject in reasons)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_hidden_part_shows_too_few_edges() -> None:
     """With a third of the outline covered and nine tenths required, the part is refused for too few edges,
     with a larger sigma.

@@ -69,7 +69,7 @@ def test_teaching_finds_both_faces() -> None:
     assert len(here.job.edges) >= 4
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize(("tilt_deg", "side_deg", "turn_deg"), [
     (0.0, 0.0, 120.0), (20.0, 80.0, 250.0), (35.0, 170.0, 40.0), (45.0, 260.0, 160.0), (45.0, 20.0, 300.0),
 ])  # fmt: skip
@@ -166,7 +166,7 @@ def test_half_of_the_edges_displaced_do_not_draw_the_pose_between_both() -> None
     assert found.share > 0.5
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize(("albedo", "found"), [(0.05, 1), (0.3, 1), (0.45, 1), (0.62, 0), (0.8, 1)])
 def test_walls_of_any_brightness_shift_nothing(albedo: float, found: int) -> None:
     """With darker or brighter walls the result is as right as ever; with walls as bright as the face there
@@ -180,7 +180,7 @@ def test_walls_of_any_brightness_shift_nothing(albedo: float, found: int) -> Non
         assert (np.abs(error_mm(target, where)) < 4 * np.sqrt(np.diag(target.covariance)[:3])).all()
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_sizes_are_measured_not_taken_from_teaching() -> None:
     """A bore 0.12 mm larger than taught is measured with its true size."""
     here = taught()
@@ -192,7 +192,7 @@ def test_sizes_are_measured_not_taken_from_teaching() -> None:
     assert seen.radius_mm == pytest.approx(2.12, abs=0.02)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_flat_job_is_not_solid() -> None:
     """A plate without a boss gives a job that is not solid."""
     rig = prepare(small_rig())
@@ -202,7 +202,7 @@ def test_a_flat_job_is_not_solid() -> None:
     assert not job.solid
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_another_part_is_not_taken_for_the_block() -> None:
     """A plate without the block's boss gives no good result."""
     here = taught()
@@ -212,7 +212,7 @@ def test_another_part_is_not_taken_for_the_block() -> None:
     assert [one for one in here.see(world).targets if one.reject is Reject.NONE] == []
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("taller_mm", [0.0, 0.08])
 def test_a_height_is_measured_not_taken_from_teaching(taller_mm: float) -> None:
     """A boss that is taller than taught is measured with its true height, within four sigmas."""
@@ -233,7 +233,7 @@ def test_a_height_is_measured_not_taken_from_teaching(taller_mm: float) -> None:
     assert height.ok
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_its_sigma_is_what_was_expected_of_it() -> None:
     """All six expected sigmas of the part are the stated ones, within 7 %, with equally clear edges."""
     here = taught()
@@ -261,7 +261,7 @@ def test_the_report_states_heights() -> None:
     assert f", {-float(bore.centre_mm[2]):+.3f}" in page.replace("&#43;", "+")
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_corner_of_a_raised_face_is_reported_at_its_height() -> None:
     """A corner of a raised face is reported at the intersection of its edges in space."""
     here = taught()
@@ -278,7 +278,7 @@ def test_a_corner_of_a_raised_face_is_reported_at_its_height() -> None:
     np.testing.assert_allclose(corner.position_mm, apply(where, np.array([-11.0, -7.0, -STEP_MM])))
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_where_rows_of_single_curves_do_not_meet_the_whole_is_asked(monkeypatch: pytest.MonkeyPatch) -> None:
     """If the rows of single curves do not agree, the part as a whole is still good."""
     rig = prepare(small_rig())

@@ -69,7 +69,7 @@ def coarse() -> Cell:
     return Cell(prepared, job, taught.part, invert(taught.rig_from_part) @ job.rig_from_part)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize(("side_deg", "turn_deg"), SIDES_AND_TURNS)
 @pytest.mark.parametrize(("asked_deg", "tilt_deg"), [(30.0, 30.0), (45.0, 45.0)])
 def test_a_tilted_flange_is_as_right_as_a_flat_one(
@@ -88,7 +88,7 @@ def test_a_tilted_flange_is_as_right_as_a_flat_one(
     assert turned_deg(target, here.true_pose(where)) < 0.05
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["plate", "disc"])
 @pytest.mark.parametrize(("asked_deg", "tilt_deg"), [(30.0, 12.0), (30.0, 30.0), (45.0, 38.0), (45.0, 45.0)])
 def test_tilted_parts_are_found_to_every_side(name: str, asked_deg: float, tilt_deg: float) -> None:
@@ -109,7 +109,7 @@ def test_tilted_parts_are_found_to_every_side(name: str, asked_deg: float, tilt_
         assert turned_deg(target, truth) < 0.4
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("tilt_deg", [15.0, 30.0, 45.0])
 def test_a_thick_part_with_dark_walls_is_measured_by_its_face(tilt_deg: float) -> None:
     """A flange of 5 mm with visible dark walls is right to 10 µm and its normal to 0.05°."""
@@ -156,7 +156,7 @@ def test_a_flat_job_has_no_views() -> None:
     assert counts[-1] <= 40
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @settings(max_examples=60)
 @given(
     tilt_deg=st.floats(0.0, 45.0),
@@ -190,6 +190,7 @@ def test_every_face_within_the_tilt_is_like_a_view(tilt_deg: float, side_deg: fl
     assert min(misfits) < 0.125 * np.sqrt(np.mean(np.abs(face) ** 2))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("spoilt", ["edge-on", "turned away", "out of view"])
 def test_a_job_of_another_rig_is_looked_for_as_taught(spoilt: str) -> None:
     """A face that this rig does not see from above has no views, and the search goes on without them."""
@@ -221,6 +222,7 @@ def test_what_a_tilted_part_takes_up() -> None:
     assert "left" in reach_of(aside, rectification, math.radians(45.0)).outside
 
 
+@pytest.mark.long
 def test_nothing_is_invented_where_no_part_lies() -> None:
     """An empty table and another part give no good target, with all views, too."""
     here = cell("disc")

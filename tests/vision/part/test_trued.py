@@ -50,7 +50,7 @@ def seen(drifted: bool) -> FramePair:
     return FramePair.of_images(*images)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_part_is_found_where_it_is_though_the_cameras_are_not() -> None:
     """With the correction the part is right to 4 µm; without it, it is off by tens of µm or refused."""
     _, job, prepared = cell()
@@ -82,7 +82,7 @@ def test_no_displacement_changes_no_digit_but_sigma() -> None:
     assert not after.by_marks.any()
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_what_the_correction_does_not_know_is_in_every_sigma() -> None:
     """Over draws of displacements pose, circles and sizes scatter as their covariances state."""
     _, job, prepared = cell()

@@ -100,7 +100,7 @@ def test_no_face_is_no_evidence_for_a_few_points() -> None:
     assert nats[0] < EVIDENCE
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("lay", ["streaks", "rings"])
 def test_a_bare_face_is_no_evidence(lay: str) -> None:
     """Holes looked for on a bare textured face seldom give 4 nats, and never decide."""

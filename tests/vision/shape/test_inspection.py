@@ -46,7 +46,7 @@ def test_symmetries_are_said_in_words() -> None:
     assert not any("turn" in warning for warning in bracket.warnings)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_expected_precision_is_reached() -> None:
     """The scatter of the search at the stated noise is near the stated bound."""
     model, inspection = learnt(drawings.BRACKET)

@@ -56,7 +56,7 @@ def width_mm(laid: LaidBody) -> float:
     return float(np.median(laid.model.breaks_mm[laid.model.breaks_mm > 0]))
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize(("design", "seed", "break_mm"), [(4, 5, 0.394), (84, 1, 0.475)])
 def test_a_part_taught_by_the_lower_edges_of_its_breaks_is_laid_where_it_is(
     tmp_path: Path, design: int, seed: int, break_mm: float
@@ -71,7 +71,7 @@ def test_a_part_taught_by_the_lower_edges_of_its_breaks_is_laid_where_it_is(
     assert width_mm(laid) == pytest.approx(break_mm, abs=0.03)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_part_without_breaks_has_none(tmp_path: Path) -> None:
     """A textured part without breaks is laid without breaks."""
     laid, error = laid_from(tmp_path, 214, 5, 0.0)
@@ -79,7 +79,7 @@ def test_a_part_without_breaks_has_none(tmp_path: Path) -> None:
     assert error[2, 3] == pytest.approx(0.0, abs=0.02)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_part_whose_file_has_all_breaks_is_laid_without(tmp_path: Path) -> None:
     """If the file already has all breaks, the part is laid without further ones."""
     drawn_model = drawing_of(tmp_path, 214)
@@ -90,7 +90,7 @@ def test_a_part_whose_file_has_all_breaks_is_laid_without(tmp_path: Path) -> Non
     assert (invert(place(0.0)) @ laid.fit.pose)[2, 3] == pytest.approx(0.0, abs=0.02)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("seed", [1, 3])
 def test_breaks_that_show_contradict_a_sharp_edge(tmp_path: Path, seed: int) -> None:
     """Breaks that were invisible at teaching and now show contradict a model with sharp edges."""
@@ -106,7 +106,7 @@ def test_breaks_that_show_contradict_a_sharp_edge(tmp_path: Path, seed: int) -> 
     assert found[0] > BREAKS.most_misfit > found[1]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_both_edges_of_breaks_leave_half_of_what_one_leaves(tmp_path: Path) -> None:
     """With both edges of the breaks the profiles leave least; a width too narrow leaves more, and so does
     a place aside."""
@@ -120,7 +120,7 @@ def test_both_edges_of_breaks_leave_half_of_what_one_leaves(tmp_path: Path) -> N
     assert leaves.gain(with_breaks(model, 0.394), [aside]).mean < narrow.mean
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_hole_is_moved_only_where_that_leaves_less_of_the_pair(tmp_path: Path) -> None:
     """A hole that is 0.3 mm aside in the file is moved back, one at its place is not moved."""
     drawn_model, images = drawing_of(tmp_path, 4), images_of(4, 5)

@@ -128,6 +128,7 @@ def test_a_pose_climbs_to_where_both_cameras_respond(seed: int) -> None:
     assert turn_between(poses[0], where) < math.radians(6.0)
 
 
+@pytest.mark.long
 def test_a_part_that_its_shape_does_not_find_is_found_by_its_edges() -> None:
     """The block tilted by 30 degrees, not found by its outline, is found by its edges to a tenth of a mm."""
     here = taught()
@@ -140,6 +141,7 @@ def test_a_part_that_its_shape_does_not_find_is_found_by_its_edges() -> None:
     assert (np.abs(error) < 4 * np.sqrt(np.diag(target.covariance)[:3])).all()
 
 
+@pytest.mark.long
 def test_a_job_of_a_few_small_circles_is_looked_for_all_the_same() -> None:
     """For three small pins far apart there is no good target and no error."""
     here = taught()
@@ -152,6 +154,7 @@ def test_a_job_of_a_few_small_circles_is_looked_for_all_the_same() -> None:
     assert all(target.reject is not Reject.NONE for target in outcome.targets)
 
 
+@pytest.mark.long
 def test_stages_are_those_of_any_measurement() -> None:
     """Also with a second search the pictures are rectified once, and the stages are the usual ones."""
     here = taught()

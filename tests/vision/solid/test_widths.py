@@ -18,7 +18,7 @@ DESIGN = 4
 """A design with breaks of 0.39 mm, which its teaching pair does not settle."""
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_where_narrow_breaks_lead_nowhere_a_part_is_looked_for_by_wide_ones(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

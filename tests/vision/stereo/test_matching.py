@@ -142,7 +142,7 @@ def test_sigma_is_honest_where_gradients_are_half_noise() -> None:
     assert 0.8 < np.nanmean(error**2 / sigma**2) < 1.25
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_all_fractions_of_a_pixel_are_alike() -> None:
     """There is no pull towards whole or half pixels: without noise the mean error is below 0.005 px."""
     texture = random_texture(2)
@@ -203,7 +203,7 @@ def test_points_of_a_part_are_where_they_are() -> None:
     assert 0.5 < np.nanmean((error_px / matches.sigma_px) ** 2) < 1.5
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_grain_along_the_rows_widens_sigma() -> None:
     """On metal brushed along the rows sigma is large and equals the scatter."""
     chi2 = []

@@ -47,7 +47,7 @@ def outline_px(flat: Flange, rectification: Rectification, where: FloatArray) ->
     return rectification.rectify_points("left", flat.rig.left.project(rig))
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_strong_texture_is_not_learnt(flat: Flange, rectification: Rectification) -> None:
     """In regions with much of the table nine of ten model points lie on the part, and it is found on
     another such table, turned and nearer, to 0.5 px."""

@@ -48,7 +48,7 @@ def upper_circles(design: int) -> list[tuple[FloatArray, float]]:
     return [(np.array(circle["centre_left_mm"]), circle["radius_mm"]) for circle in circles]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("design", BROKEN)
 def test_both_edges_of_each_break_are_found(design: int) -> None:
     """The break width is found to 0.03 mm, and most circles at the upper edges, to 0.03 mm."""
@@ -66,7 +66,7 @@ def test_both_edges_of_each_break_are_found(design: int) -> None:
     assert sum(apart < 0.03 for apart in away) > 0.5 * len(away) or not away
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("design", SHARP)
 def test_walls_beside_sharp_edges_are_no_breaks(design: int) -> None:
     """For a part with sharp edges the job stays as it was."""
@@ -75,7 +75,7 @@ def test_walls_beside_sharp_edges_are_no_breaks(design: int) -> None:
     assert said == ()
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_part_whose_breaks_were_shown_is_measured_by_both_edges(tmp_path: Path) -> None:
     """At 25 degrees the part is measured by its saved job to 0.05 mm."""
     design = 216

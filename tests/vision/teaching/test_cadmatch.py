@@ -61,7 +61,7 @@ motions = st.builds(
 )
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @settings(max_examples=12)
 @given(part=st.sampled_from(["D1", "D2", "D3", "D4"]), motion=motions, seed=st.integers(0, 1000))
 def test_a_part_is_found_wherever_its_frame_is(part: str, motion: FloatArray, seed: int) -> None:

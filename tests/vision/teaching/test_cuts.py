@@ -42,7 +42,7 @@ def test_the_whole_picture_teaches_as_well(flat: cells.Flange, rectification: Re
     assert () == cuts_of(flat, rectification, None)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_region_around_the_part_cuts_nothing(flat: cells.Flange, rectification: Rectification) -> None:
     """A region around the part cuts nothing, tight or with much textured table."""
     r = flat.region

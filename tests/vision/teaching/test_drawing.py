@@ -33,7 +33,7 @@ def square(size_mm: float) -> FloatArray:
     return size_mm / 2 * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @settings(max_examples=8)
 @given(st.integers(0, 10_000))
 def test_coverage_is_the_area_in_each_pixel(seed: int) -> None:

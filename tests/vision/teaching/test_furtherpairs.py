@@ -37,7 +37,7 @@ def view(images: StereoImages, pose: FloatArray) -> LaidPair:
     return LaidPair(images, Pyramids(images.rig, images.raw, 1), pose)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_tilted_pair_tells_the_form_of_the_breaks() -> None:
     """A tilted pair gives the breaks' width to 0.03 mm and shows that the lower edges were taught."""
     job = taught()
@@ -53,7 +53,7 @@ def test_a_tilted_pair_tells_the_form_of_the_breaks() -> None:
     assert all(form.sigmas_behind(choice.form) > DECISION.certain for form in choice.others)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_further_pair_settles_the_job_and_the_job_keeps_it(tmp_path: Path) -> None:
     """With a further pair both edges of each break are found, the job's file keeps it, and a line says so."""
     assert taught().break_mm is None
@@ -68,7 +68,7 @@ def test_a_further_pair_settles_the_job_and_the_job_keeps_it(tmp_path: Path) -> 
     assert (again.break_mm, again.break_end) == (job.break_mm, "face")
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_pair_of_another_part_is_refused_by_its_number() -> None:
     """A pair of another part is refused with its number, and a job with too few curves is refused, too."""
     with pytest.raises(TeachError, match=r"^pair 2: .*expected one part"):

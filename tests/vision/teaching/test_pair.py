@@ -80,7 +80,7 @@ def test_limits_follow_from_the_depth(job: Job) -> None:
     assert job.search.scale_max == pytest.approx(depth / nearest)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_teaching_twice_is_the_same(job: Job, flat: Flange, rectification: Rectification) -> None:
     """Teaching again from the same images gives exactly the same job."""
     again = teach(flat.left, flat.right, rectification, flat.region, "flange", 7)
@@ -89,6 +89,7 @@ def test_teaching_twice_is_the_same(job: Job, flat: Flange, rectification: Recti
         assert np.array_equal(again.shape.to_arrays()[key], array)
 
 
+@pytest.mark.long
 def test_a_tilted_part_is_taught_in_its_own_frame() -> None:
     """For a part tilted by 8° z is the face's normal away from the cameras, and x the rig's, projected."""
     flat = flange()
@@ -105,7 +106,7 @@ def test_a_tilted_part_is_taught_in_its_own_frame() -> None:
     assert np.abs(np.array([circle.centre_mm[2] for circle in job.circles])).max() < 0.05
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_face_leans_by_what_its_long_edges_say_too() -> None:
     """Four long edges hold the face of a plate whose two small holes would lean it by 0.3°."""
     flat = flange()
@@ -141,7 +142,7 @@ def test_a_region_without_a_part_is_refused(
         teach(flat.left, flat.right, rectification, region, "x")
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_images_of_which_one_shows_nothing_are_refused(flat: Flange, rectification: Rectification) -> None:
     """Blank, identical and swapped images are refused."""
     blank = np.full_like(flat.left, 60)
@@ -228,6 +229,7 @@ def test_images_that_do_not_fit_the_rig_are_refused(flat: Flange, rectification:
         teach(flat.left, flat.right[:100], rectification, flat.region, "x")
 
 
+@pytest.mark.long
 def test_holes_of_a_perforated_table_are_none_of_the_part() -> None:
     """Holes of a perforated table are not taught, neither with a region nor with the whole picture."""
     rig = prepare(small_rig())

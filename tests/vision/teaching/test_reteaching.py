@@ -33,7 +33,7 @@ def after() -> Job:
     return taught(2)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_an_unedited_job_is_replaced_without_a_word(before: Job, after: Job) -> None:
     """Without edits the new job replaces the old one, and no line is said."""
     job, said = carry_over(before, after)
@@ -41,7 +41,7 @@ def test_an_unedited_job_is_replaced_without_a_word(before: Job, after: Job) -> 
     assert (after.limits, after.search, after.measurements) == (job.limits, job.search, job.measurements)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_edits_stay(before: Job, after: Job) -> None:
     """Limits, search parameters and a stated size with its tolerance stay, and each is listed."""
     bolts = MeasurementSpec("bolts", "distance", ("c2", "c4"), 19.4, 0.05)
@@ -67,7 +67,7 @@ def test_edits_stay(before: Job, after: Job) -> None:
         assert words in text
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_what_cannot_stay_is_said(before: Job, after: Job) -> None:
     """A measurement of a missing feature and a feature's own name are lost, and listed."""
     lost = MeasurementSpec("slot", "distance", ("bore", "c0"), 1.0, 0.1)

@@ -66,7 +66,7 @@ def taught(design: Design, table: float = 0.03, grain: float = 0.05) -> Job:
     return teach(*pictures(world, rig().rig), rig().rectification, None, design.name)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_an_outline_with_round_corners_is_traced_at_the_height_of_its_face() -> None:
     """The outline with round corners is traced at its height, 3.6 mm below the boss, to some hundredths."""
     job = taught(PLATE)
@@ -78,7 +78,7 @@ def test_an_outline_with_round_corners_is_traced_at_the_height_of_its_face() -> 
     assert lengths[np.abs(heights - BOSS_MM) >= 0.05].sum() < 0.1 * around
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_tables_grain_is_not_traced() -> None:
     """On a table as bright as the part, with marks as strong as its outline, nothing beyond the part is
     traced."""
@@ -104,7 +104,7 @@ def test_a_few_marks_far_below_a_part_are_the_tables_and_a_flange_is_not() -> No
     assert above_table([*marks, *flange], [hole]) == flange
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize(("tilt", "side", "turn"), [(10.0, 40.0, 200.0), (25.0, 250.0, 75.0)])
 def test_a_part_of_one_hole_is_turned_as_its_outline_says(tilt: float, side: float, turn: float) -> None:
     """A disc with a flat and one hole is found in the rotation of its outline, to 0.5°."""
@@ -134,7 +134,7 @@ def test_a_stadium_around_a_hole_is_no_slot() -> None:
         assert (second > first) == grows
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_outlines_are_traced_also_where_one_camera_sees_the_part_much_darker() -> None:
     """If one picture is 3.6 times darker, as many outlines are traced."""
     left, right = drawnparts.pair(4)
@@ -143,7 +143,7 @@ def test_outlines_are_traced_also_where_one_camera_sees_the_part_much_darker() -
     assert len(other.traced) == len(alike.traced) > 0
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("ratio", [1e-3, 1e3])
 def test_a_picture_that_is_black_or_white_beside_the_other_one_shows_no_outlines(ratio: float) -> None:
     """If one picture is black or white, no outline is traced."""
