@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 from edged.cbor import decode_cbor, encode_cbor
 from edged.payload import encode, snapshot_to_json
 
-# RFC 8949, appendix A (those that use what JSON can say, in the form that we write)
+# RFC 8949, appendix A (those with JSON values, in the form that we write)
 VECTORS = {
     "00": 0,
     "17": 23,
@@ -106,7 +106,7 @@ def test_what_is_not_written_here_is_refused(data):
         decode_cbor(bytes.fromhex(data))
 
 
-# tags of the registry that cbor2 reads by itself, and one that nobody has
+# registered tags that cbor2 reads by itself, and an unregistered one
 @pytest.mark.parametrize(
     "tag",
     [

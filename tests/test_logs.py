@@ -250,7 +250,7 @@ def test_the_loop_logs_a_fault_with_its_cycle_and_once(caplog: pytest.LogCapture
 
         cell.head.broken = True
         wait_for(104)
-        time.sleep(1.0)  # faults that nobody asked for come ten times a second
+        time.sleep(1.0)  # faults without a command come ten times a second
         cell.head.broken = False
         wait_for(0)
         plc.close()

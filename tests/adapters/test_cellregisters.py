@@ -180,7 +180,7 @@ def test_a_stop_in_setup_makes_nothing_ready() -> None:
     assert (4, NackReason.SETUP) == tuple(status(cell)[name] for name in ("STATE", "NACK_REASON"))
 
 
-# --- what a result stands on ----------------------------------------------------------------------
+# --- the basis of a result ------------------------------------------------------------------------
 
 RESULTS = {
     "result": (reg.RESULT, ""),

@@ -60,7 +60,7 @@ def run_events(recorder: Recorder, events: Iterable[Event], *, pace: bool = True
         await recorder.start()
         for event in events:
             recorder.announce(event)
-            while pace and recorder._waiting:  # noqa: ASYNC110, SLF001  (nothing else tells)
+            while pace and recorder._waiting:  # noqa: ASYNC110, SLF001  (there is no event for it)
                 await asyncio.sleep(0.001)
         await recorder.close()
 
@@ -369,7 +369,7 @@ def test_good_cycles_are_left_out_first(tmp_path: Path) -> None:
     slow = recorder(tmp_path)
     run_events(slow, cycles(*[Status.OK] * 5, Status.LOW_QUALITY), pace=False)
 
-    # close gives up what waits, so the ring holds what was begun; the count tells the choice
+    # close drops waiting cycles, so the ring has only those begun; the count shows the choice
     assert slow.figures.left_out == 3
 
 

@@ -123,7 +123,7 @@ def test_a_port_that_cannot_be_opened_leaves_all_servers_as_they_were(tmp_path: 
 
 
 def test_only_what_changed_is_exchanged(tmp_path: Path) -> None:
-    """A new page leaves the PLC's server as it is, and the publishers are told once."""
+    """A new page leaves the PLC's server as it is, and the change is announced once."""
     modbus, web = free_port(), free_port()
     before = config(tmp_path, f"[zenoh]\nenabled = false\n[modbus]\nport = {modbus}\n")
     after = config(tmp_path, f"[zenoh]\nenabled = false\n[modbus]\nport = {modbus}\n[web]\nport = {web}\n")

@@ -119,7 +119,7 @@ class Lab:
         sh(f"ip addr add {LEFT}/24 dev spy", "ip link set spy up", inside=intruder.id)
         yield
         intruder.end()
-        sh("ip neigh flush dev cam0")  # or the kernel keeps on talking to who has gone
+        sh("ip neigh flush dev cam0")  # or the kernel still sends to the removed device
 
     @contextlib.contextmanager
     def firewall(self) -> Iterator[None]:

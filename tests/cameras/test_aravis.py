@@ -161,7 +161,7 @@ def test_a_repeated_frame_keeps_its_id_and_a_restart_counts_on() -> None:
 
 
 def test_a_buffer_without_a_packet_of_an_image_is_no_image() -> None:
-    """A buffer without image data, from a stranger's packet, is given back, and the next image is the
+    """A buffer without image data, from a foreign packet, is given back, and the next image is the
     first."""
     aravis = library("left").aravis
     stop, given_back, delivered = threading.Event(), [], []

@@ -83,7 +83,7 @@ async def test_a_refused_trigger_is_a_frame_that_did_not_come_and_no_lost_camera
     with habit(Quirk.BUSY_REFUSES) as cell:
         async with opened(left_camera()) as camera:
             await shoot(camera)
-            cell.left._triggers.exposing = True  # noqa: SLF001  (as after a pulse that nobody knows of)
+            cell.left._triggers.exposing = True  # noqa: SLF001  (as after an unknown pulse)
             with pytest.raises(FrameTimeout, match="still busy with an exposure"):
                 await camera.trigger()
             cell.left._triggers.exposing = False  # noqa: SLF001  (and it is over)

@@ -374,7 +374,7 @@ async def test_an_encoders_count_comes_with_the_image_of_its_exposure(cell: Cell
     ],
 )
 def test_a_count_is_of_one_camera_and_one_exposure(cameras: dict[str, Any], trouble: str) -> None:
-    """A count of both cameras, or without a defined moment, is refused in the configuration."""
+    """A count of both cameras, of a replay, with two exposures or by an unknown name is refused."""
     left = {"device": LEFT, "count": "EncoderValue"}
     with pytest.raises(ValidationError, match=trouble):
         CamerasSection.model_validate({"left": left, "right": {"device": RIGHT}, **cameras})

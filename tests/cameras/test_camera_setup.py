@@ -233,7 +233,7 @@ async def test_free_running_cameras_give_pairs_exposed_after_the_request(cell: C
     async with closing(head):
         pairs = []
         for _ in range(5):
-            await asyncio.sleep(0.12)  # two exposures that nobody wants
+            await asyncio.sleep(0.12)  # two exposures without a request
             pairs.append(await head.capture())
 
     assert 20.0 == cell.left.registers.number(g.FRAME_RATE)

@@ -2,8 +2,8 @@
 
 The job is interpreted after the form of public jobs and from memory of "INFORM II" (`SET`, `INC`, `JUMP ...
 IF`, `TIMER`, `GETS`, `SETE`; I of 16 bits, D of 32, positions in 0.001 mm and 0.0001 degrees). The task is
-compiled by the machine's C compiler, with the header and the controller in `tests/motoplus`, and runs as a
-process of its own.
+compiled by the machine's C compiler, with the header and the controller in `tests/helpers/motoplus`, and runs
+as a process of its own.
 """
 
 from __future__ import annotations

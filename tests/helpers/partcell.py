@@ -40,7 +40,7 @@ class PartCell(BoardCell):
         return await self.learnt(draft["id"])
 
     async def learnt(self, identity: str) -> dict[str, Any]:
-        """Wait until a draft is no longer being learnt, and return it."""
+        """Wait until the proposal of a draft is complete, and return it."""
         return dict(await self.until(f"/teachings/{identity}", lambda draft: draft["proposing"] is None))
 
     async def change(self, method: str, draft: dict[str, Any], path: str, body: Any) -> dict[str, Any]:

@@ -54,7 +54,7 @@ def record(folder: Path, fingerprint: str) -> None:
         await keeper.start()
         keeper.announce(ExposureDone(1, None, pair))
         keeper.announce(done)
-        while keeper.figures.written + keeper.figures.failed == 0:  # noqa: ASYNC110  (nothing else tells)
+        while keeper.figures.written + keeper.figures.failed == 0:  # noqa: ASYNC110  (there is no event for it)
             await asyncio.sleep(0.0005)
         await keeper.close()
         assert 0 == keeper.figures.failed

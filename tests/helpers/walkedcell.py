@@ -169,7 +169,7 @@ class WalkedCell:
 
     async def _reloaded(self) -> bool:
         done = await self._daemon.reload()
-        while self._daemon._cycle._cell.pending is not None:  # noqa: ASYNC110, SLF001  (nothing else tells)
+        while self._daemon._cycle._cell.pending is not None:  # noqa: ASYNC110, SLF001  (there is no event for it)
             await asyncio.sleep(POLL_S)
         return done
 

@@ -158,7 +158,7 @@ class AnyBits(RuleBasedStateMachine):
     def start(self) -> None:
         self.run = Bits()
         self.last: dict[int, bool] = {}  # START as each client last wrote it, since it has the turn
-        self.writer = 0  # who wrote CONTROL last
+        self.writer = 0  # the client that wrote CONTROL last
         self.edges = 0
         self.by_bits: list[int] = []  # tickets that an edge has begun
         self.used: set[int] = set()  # tickets whose START has fallen

@@ -619,7 +619,7 @@ class AnyClientAnyCell(RuleBasedStateMachine):
         self.list_client, self.list_job, self.list_until_s = 0, 0, 0.0
         self.given: set[str] = set()  # parts that were shown
         self.shown = ""  # the part that is on display, where NEXT_PART showed it
-        self.is_set_up = False  # somebody has the cell for setting it up
+        self.is_set_up = False  # whether a user has the cell in SETUP
         self.is_registering = False  # it is a robot's program
         self.basis = 0  # what results stand on
         self.bases: dict[str, int] = {}  # by payload: what it was measured by

@@ -260,8 +260,8 @@ def test_beyond_the_map_a_part_is_refused_and_a_tool_has_no_grasp() -> None:
 
 
 def test_an_offset_is_between_places_by_the_map_and_its_shared_error_cancels() -> None:
-    """With a map the taught path ends at the commanded place, and at the golden part only noise is in
-    sigma."""
+    """An offset is between the places that the map gives, and its sigma has only noise and the difference of
+    the map's errors."""
     rig = mapped_rig(16, noise_mm=0.02)
     robot, frame = rig.robot_from_rig, frame_of(rig)
     assert robot is not None

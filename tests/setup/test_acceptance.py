@@ -137,7 +137,7 @@ def test_a_robot_with_backlash_does_not_pass() -> None:
 
 
 def test_a_still_part_is_judged_by_its_scatter() -> None:
-    """An honest sigma passes; a larger scatter, a movement or too few pictures does not."""
+    """A true sigma passes; a larger scatter, a movement or too few pictures does not."""
     sigma = np.full(3, 0.001)
     result = StillResult("honest", 50, sigma, sigma, sigma, 1.0, (0.8, 1.2), True)
     assert still_verdict(result).good

@@ -27,7 +27,7 @@ def sent(path: Path, **how: Any) -> dict[str, Any]:
 
 @pytest.mark.long
 async def test_the_job_is_that_of_the_command_line(tmp_path: Path) -> None:
-    """The job equals the command's byte by byte, also with the depth that the pair tells; its features lie
+    """The job equals the command's byte by byte, also with the depth from the pair; its features lie
     on the part in the pictures, and a tapped gripping point is kept.
     """
     path, made = flange_drawing(tmp_path), list[bytes]()

@@ -19,7 +19,7 @@ OTHER_ROBOT = {"mount": "fixed", "kind": "poses", "brand": "kuka", "board": BOAR
 
 
 class Losses:
-    """Loses the next frame whenever it is told to."""
+    """Loses the next frame whenever a test asks for it."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.is_due = False

@@ -520,9 +520,7 @@ async def test_a_client_that_does_not_read_is_not_answered_for_ever() -> None:
             lazy.setblocking(False)
             request = frame(struct.pack(">BHH", 3, 600, 120)) * 50
             loop = asyncio.get_running_loop()
-            with pytest.raises(
-                TimeoutError
-            ):  # at last the socket takes no more: nobody reads at the other end
+            with pytest.raises(TimeoutError):  # the socket is full at last: the other end does not read
                 for _ in range(100_000):
                     await asyncio.wait_for(loop.sock_sendall(lazy, request), 1.0)
             assert not (await rig.client.read_holding_registers(300, count=48)).isError()

@@ -172,7 +172,7 @@ class Liar:
         if not line or said is None:
             reader.close()
             link.close()
-        if line:  # only now, as whoever sees it concludes that nothing more will come
+        if line:  # only now, because it means that nothing more will come
             self.waiting.pop(0)
             self.answered += 1
         return bool(line) and said is not None

@@ -261,7 +261,7 @@ def test_a_cell_without_a_calibration_runs_in_setup_until_it_has_one(tmp_path: P
                 (kept / "jobs").rename(small.folder / "jobs")
                 daemon.process.send_signal(signal.SIGHUP)
                 plc.until(lambda status: bool(status["STATUS_BITS"] & StatusBit.READY))
-                wait_until(lambda: (200, "") == _ready(small.web_port))  # the page hears of it a moment later
+                wait_until(lambda: (200, "") == _ready(small.web_port))  # the page gets it a moment later
                 assert plc.command(CommandKind.LOCATE)["STATUS_BITS"] & StatusBit.RESULT_VALID
                 shutil.move(small.folder / "jobs", kept / "jobs")
                 daemon.process.send_signal(signal.SIGHUP)

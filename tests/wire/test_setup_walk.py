@@ -137,7 +137,7 @@ async def worked(newcomer: Newcomer) -> None:
     newcomer.world.cell.teach_pair()  # the first rendering takes longer than a camera may
     await ask("PUT", "stage", {"showing": "part"})
     draft = f"teachings/{(await ask('POST', 'teachings', token, 201))['id']}"
-    while (taught := await ask("GET", draft))["proposing"]:  # noqa: ASYNC110  (nothing else tells)
+    while (taught := await ask("GET", draft))["proposing"]:  # noqa: ASYNC110  (there is no event for it)
         await asyncio.sleep(0.02)
     left_out = {"revision": taught["revision"], "features": {taught["features"][3]["key"]: False}}
     taught = await ask("PUT", f"{draft}/features", left_out)

@@ -33,7 +33,7 @@ def cuts_of(flat: cells.Flange, rectification: Rectification, region: Region | N
 
 @pytest.mark.slow
 def test_the_whole_picture_teaches_as_well(flat: cells.Flange, rectification: Rectification) -> None:
-    """Without a region the same circles are learnt, to a micron, and nothing is cut."""
+    """Without a region the same circles are taught, to a micrometre, and nothing is cut."""
     one, two = (teach(flat.left, flat.right, rectification, each, "x") for each in (flat.region, None))
 
     assert [circle.radius_mm for circle in one.circles] == pytest.approx(
