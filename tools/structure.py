@@ -2,7 +2,8 @@
 
     python tools/structure.py [ROOT]
 
-An arrow is one folder of edged that imports from another; those of `edged.vision` count one by one, and tools
+An import between folders is one folder of edged that imports from another; those of `edged.vision` count
+one by one, and tools
 too. Lines are of code: without blank ones, comments and docstrings. The number of files that a pair, a
 request and a click enter is in tests/tools/test_structure.py, which prints it with `pytest -s`.
 """
@@ -61,7 +62,7 @@ def package_of(root: Path, names: list[str]) -> str:
     return ".".join(names) if (root / "edged").joinpath(*names).is_dir() else ""
 
 
-def arrows(root: Path, trees: dict[Path, ast.Module]) -> set[tuple[str, str]]:
+def imports(root: Path, trees: dict[Path, ast.Module]) -> set[tuple[str, str]]:
     """Pairs (importing, imported) of folders."""
     found = set[tuple[str, str]]()
     for path, tree in trees.items():
@@ -76,7 +77,7 @@ def arrows(root: Path, trees: dict[Path, ast.Module]) -> set[tuple[str, str]]:
     return {(one, other) for one, other in found if one != other and one and other}
 
 
-def floors(downwards: set[tuple[str, str]]) -> int:
+def layers(downwards: set[tuple[str, str]]) -> int:
     """Length of the longest path downwards."""
     below = {one: {other for first, other in downwards if first == one} for one, _ in downwards}
 
@@ -125,9 +126,10 @@ def main(root: Path) -> None:
         for name in ("edged", "tests", "tools")
     }
     product = {path: trees[path] for path in of["edged"]}
-    downwards = arrows(root, {path: trees[path] for path in (*of["edged"], *of["tools"])})
-    folders = len({folder for arrow in downwards for folder in arrow})
-    print(f"folders of edged with tools: {folders} on {floors(downwards)} floors, {len(downwards)} arrows")
+    downwards = imports(root, {path: trees[path] for path in (*of["edged"], *of["tools"])})
+    folders = len({folder for pair in downwards for folder in pair})
+    size = f"{folders} in {layers(downwards)} layers, {len(downwards)} imports between them"
+    print(f"folders of edged with tools: {size}")
     classes = Counter(
         node.name
         for tree in product.values()
@@ -137,7 +139,7 @@ def main(root: Path) -> None:
     print(f"public class names that stand in several modules: {sum(n > 1 for n in classes.values())}")
     vision = {path: tree for path, tree in product.items() if "vision" in path.parts}
     every, held, bare = numbers(vision, texts)
-    print(f"constants with numbers in vision: {every}, {held} in classes, {bare} without a word")
+    print(f"constants with numbers in vision: {every}, {held} in classes, {bare} without a comment")
     functions = [
         node
         for tree in product.values()

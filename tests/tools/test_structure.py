@@ -219,8 +219,8 @@ def test_the_way_of_a_robots_request_is_short() -> None:
             assert len(entered) <= most
 
 
-def test_lines_arrows_and_signatures_are_counted_as_it_is_said(tmp_path: Path) -> None:
-    """The tool of the table in CONTRIBUTING counts lines, arrows and signatures: no comment as line, no
+def test_lines_imports_and_signatures_are_counted_as_described(tmp_path: Path) -> None:
+    """The tool of the table in CONTRIBUTING counts lines, imports and signatures: no comment as line, no
     loose module as folder."""
     files = {
         "edged/a/one.py": '"""Doc."""\n\nfrom edged.b import two  # why\nfrom edged.loose import it\n',
@@ -235,6 +235,6 @@ def test_lines_arrows_and_signatures_are_counted_as_it_is_said(tmp_path: Path) -
     ran = subprocess.run(
         [sys.executable, ROOT / "tools/structure.py", tmp_path], capture_output=True, text=True, check=True
     )
-    assert "folders of edged with tools: 3 on 2 floors, 2 arrows" in ran.stdout
+    assert "folders of edged with tools: 3 in 2 layers, 2 imports between them" in ran.stdout
     assert "functions of edged: 1, with more than 8 parameters: 1" in ran.stdout
     assert "edged: 3 files, 7 lines of code, 10 in all" in ran.stdout
