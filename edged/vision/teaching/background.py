@@ -18,7 +18,7 @@ from edged.vision.edges.contours import Contour, find_contours
 from edged.vision.edges.subpixel import edges_along_normals
 from edged.vision.geometry.rigid import Plane, apply
 from edged.vision.teaching.features import TeachingView, common_depths, plane_of, strong_contours
-from edged.vision.teaching.params import TEACHING, TRACING
+from edged.vision.teaching.params import TEACHING
 
 
 def without_background(view: TeachingView, rig_from_part: FloatArray, mask: Image) -> Image:
@@ -51,7 +51,7 @@ def without_background(view: TeachingView, rig_from_part: FloatArray, mask: Imag
 def agreeing_with(view: TeachingView, face: Plane, contour: Contour) -> B8:
     """(N,) whether the right image shows the same edge where the face predicts each point of a contour."""
     offsets, slopes, _ = edges_in_right(view, face, contour.points, contour.normals, 2.0)
-    ratio = slopes / np.maximum(view.ratio * contour.slopes, 1e-9)
+    ratio = slopes / np.maximum(view.ratio_beyond(TEACHING.max_slope_ratio) * contour.slopes, 1e-9)
     with np.errstate(invalid="ignore"):
         alike = (ratio < TEACHING.max_slope_ratio) & (ratio > 1 / TEACHING.max_slope_ratio)
         return np.asarray((np.abs(offsets) <= TEACHING.max_mismatch_px) & alike)
@@ -67,10 +67,7 @@ def with_ratio(view: TeachingView) -> TeachingView:
 
 
 def _usual_ratio(view: TeachingView) -> float:
-    """Median ratio of edge slopes, right image to left, where the cameras clearly differ.
-
-    1 where they are similar enough for tracing, where the ratios scatter, and where no plane is found.
-    """
+    """Median ratio of edge slopes, right image to left; 1 where the ratios scatter or no plane is found."""
     contours = strong_contours(view)
     face = plane_of(view, contours, common_depths(view.images.rectification))
     if face is None:
@@ -86,8 +83,7 @@ def _usual_ratio(view: TeachingView) -> float:
         return 1.0
     low, usual, high = np.quantile(ratios, (0.25, 0.5, 0.75))
     is_plain = 0 < high < TEACHING.max_slope_ratio * low
-    are_alike = 1 / TRACING.slope_ratio < usual < TRACING.slope_ratio
-    return float(usual) if is_plain and not are_alike else 1.0
+    return float(usual) if is_plain else 1.0
 
 
 def tells_apart(view: TeachingView, face: Plane, other: Plane, contours: Sequence[Contour]) -> bool:

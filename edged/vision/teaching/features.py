@@ -56,6 +56,10 @@ class TeachingView:
     mask: Image
     ratio: float = 1.0
 
+    def ratio_beyond(self, factor: float) -> float:
+        """Return the ratio if both pictures differ by more than a factor, else 1."""
+        return 1.0 if 1 / factor < self.ratio < factor else self.ratio
+
 
 def find_features(
     view: TeachingView, rig_from_part: FloatArray, circles: Sequence[Curve] = ()
@@ -89,6 +93,21 @@ def find_edge_face(view: TeachingView, depth_mm: tuple[float, float]) -> FloatAr
         return None
     corners = np.concatenate([fitted.curve.outline(np.linspace(0, 1, 16)).points for fitted in fit.fits])
     return part_frame(-fit.face.normal, fit.face.to_rig(corners.mean(axis=0, keepdims=True))[0])
+
+
+def distant_corner(edges: Sequence[EdgeFeature]) -> CornerFeature | None:
+    """The corner where the longest edges would meet that are not parallel; None if all are.
+
+    A broken corner, or one whose edges each camera sees at another end of their breaks, shows none by itself.
+    """
+    for first, second in itertools.combinations(edges, 2):
+        along = [edge.end_mm - edge.start_mm for edge in (first, second)]
+        lengths = [float(np.linalg.norm(line)) for line in along]
+        if np.linalg.norm(np.cross(along[0], along[1])) > math.sin(TEACHING.min_corner_rad) * math.prod(
+            lengths
+        ):
+            return CornerFeature("k0", (first.name, second.name))
+    return None
 
 
 def plane_of(view: TeachingView, contours: Sequence[Contour], depth_mm: tuple[float, float]) -> Plane | None:

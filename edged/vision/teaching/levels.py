@@ -72,7 +72,7 @@ def find_levels(
     """
     images, found = view.images, list[FoundCircle]()
     for ellipse in ellipses:
-        measured = _measured(images, ellipse, face.normal, depth_mm)
+        measured = at_own_depth(images, ellipse, face.normal, depth_mm)
         if measured is not None and is_clear(measured.fit):
             found.append(measured)
     found = _without_breaks(found, face.normal)
@@ -107,7 +107,7 @@ def in_front(plane: Plane | None, found: Sequence[FoundCircle], normal: FloatArr
     return (height,) if above.min() > TEACHING.apart_mm else ()
 
 
-def _measured(
+def at_own_depth(
     images: StereoImages, ellipse: ImageEllipse, normal: FloatArray, depth_mm: tuple[float, float]
 ) -> FoundCircle | None:
     """Measure one circle at its own distance; None if it is not seen."""

@@ -41,6 +41,7 @@ from edged.vision.teaching.features import (
     FoundFeatures,
     TeachingView,
     common_depths,
+    distant_corner,
     find_edge_face,
     find_features,
     outline_mask,
@@ -50,12 +51,12 @@ from edged.vision.teaching.features import (
 )
 from edged.vision.teaching.levels import (
     SolidFeatures,
+    at_own_depth,
     circle_on,
     find_levels,
     fitted_as_contours_lie,
     flat_features,
     main_face_mask,
-    measured_anew,
     solid_features,
 )
 from edged.vision.teaching.params import TEACHING
@@ -159,7 +160,7 @@ def _with_circles(view: TeachingView, wanted: WantedJob, thresholds: EdgeThresho
         depths_mm = _near_depths(view.images.rectification, largest)
         beside = _as_contours_lie(view, face, largest, depths_mm)
         if beside is not None:
-            face, largest = _turned_as(view.images, beside, face, largest)
+            face, largest = _turned_as(view.images, beside, ellipses, depths_mm) or (face, largest)
         levels = find_levels(view, ellipses, face, depths_mm, _is_clear, beside)
         if levels is not None:
             solid = solid_features(view, levels)
@@ -321,6 +322,8 @@ def _from_edges(view: TeachingView) -> tuple[FloatArray, str, FoundFeatures] | N
     if amid is None:
         return None
     found, amid = find_features(view, amid)
+    if not (found.slots or found.corners) and (corner := distant_corner(found.edges)) is not None:
+        found = replace(found, corners=(corner,))
     if found.slots:
         reference, place = found.slots[0].name, found.slots[0].centre_mm
     elif found.corners:
@@ -427,13 +430,14 @@ def _as_contours_lie(
 
 
 def _turned_as(
-    images: StereoImages, plane: Plane, face: Plane, largest: FoundCircle
-) -> tuple[Plane, FoundCircle]:
-    """Make the largest circle's face parallel to a plane and measure it again; unchanged if not seen."""
-    again = measured_anew(images, largest, plane.normal)
-    if again is None:
-        return face, largest
-    return Plane.through(again.circle.centre_mm, plane.normal), again
+    images: StereoImages, plane: Plane, ellipses: Sequence[ImageEllipse], depths_mm: tuple[float, float]
+) -> tuple[Plane, FoundCircle] | None:
+    """Find the largest circle that is seen in a plane's direction, and its face; None if there is none."""
+    for ellipse in ellipses:
+        found = at_own_depth(images, ellipse, plane.normal, depths_mm)
+        if found is not None and _is_clear(found.fit):
+            return Plane.through(found.circle.centre_mm, plane.normal), found
+    return None
 
 
 def _is_clear(fit: CurveFit) -> bool:

@@ -88,9 +88,10 @@ class _Tracer:
         """Find the edges of the right image."""
         images = view.images
         thresholds = None
-        if view.ratio != 1.0:  # the strongest edges of the right image may be glints
+        ratio = view.ratio_beyond(TRACING.slope_ratio)
+        if ratio != 1.0:  # the strongest edges of the right image may be glints
             weakest = min(float(np.median(contour.slopes)) for contour in strong_contours(view))
-            slopes = view.ratio * weakest * np.array(TRACING.wide_slopes)
+            slopes = ratio * weakest * np.array(TRACING.wide_slopes)
             thresholds = EdgeThresholds(*np.clip(slopes, MIN_CONTRAST, MAX_CONTRAST))
         contours = find_contours(images.rectified_right, images.rectification.valid_right, thresholds)
         points = np.concatenate([np.zeros((0, 2)), *(contour.points for contour in contours)])
@@ -198,7 +199,8 @@ class _Tracer:
         offsets, slopes, normals = edges_in_right(
             self.view, here, stretch.points, stretch.normals, 2 * TRACING.agree_px
         )
-        ratio = slopes / np.maximum(self.view.ratio * stretch.slopes, 1e-9)
+        usual = self.view.ratio_beyond(TRACING.slope_ratio)
+        ratio = slopes / np.maximum(usual * stretch.slopes, 1e-9)
         with np.errstate(invalid="ignore"):
             alike = (ratio < TRACING.slope_ratio) & (ratio > 1 / TRACING.slope_ratio)
         moved = in_right(self.view, lower, stretch.points) - in_right(self.view, here, stretch.points)

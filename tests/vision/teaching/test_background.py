@@ -14,7 +14,7 @@ from edged.sim.render.scene import Surface
 from edged.vision.geometry.rectification import Rectification, StereoImages, make_rectification
 from edged.vision.geometry.rigid import Plane, rotation_matrix
 from edged.vision.shape.search import find_shapes
-from edged.vision.teaching.background import tells_apart, without_background
+from edged.vision.teaching.background import agreeing_with, tells_apart, with_ratio, without_background
 from edged.vision.teaching.features import TeachingView, plane_of, strong_contours
 from edged.vision.teaching.pair import teach
 
@@ -95,3 +95,17 @@ def test_contours_tell_the_face_from_one_that_leans(flat: Flange, rectification:
     found = plane_of(view, contours, (150.0, 260.0))
     assert found is not None
     assert math.degrees(math.acos(min(abs(float(found.normal @ face.normal)), 1.0))) < 0.3
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("darker", [0.3, 0.42, 0.7])
+def test_contours_agree_also_where_one_picture_is_darker(
+    flat: Flange, rectification: Rectification, darker: float
+) -> None:
+    """Most contours of the face are found again in a right picture that has any share of the brightness."""
+    right = np.rint(darker * flat.right).astype(np.uint8)
+    view = TeachingView(StereoImages.of(rectification, flat.left, right), rectification.valid_left)
+    view = with_ratio(view)
+    face = Plane.through(pose()[:3, 3], pose()[:3, 2])
+    agreeing = np.concatenate([agreeing_with(view, face, contour) for contour in strong_contours(view)])
+    assert agreeing.mean() > 0.8

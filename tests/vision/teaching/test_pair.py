@@ -271,3 +271,30 @@ def test_faint_holes_tell_how_a_dark_part_with_a_bright_insert_lies() -> None:
     job = teach(*pictures(rig.rig, scene((sheet, table), (cover, face))), rig.rectification, None, "cover")
     found = {round(circle.radius_mm, 1) for circle in job.circles}
     assert {1.6, 2.2, 5.0} <= found, found
+
+
+@pytest.mark.slow
+def test_a_circle_a_little_off_the_face_of_the_largest_is_a_feature_too() -> None:
+    """A boss 0.22 mm high, between what one flat face and what two faces were once taken to be."""
+    rig = prepare(small_rig())
+    face = lying(rig.rig, 0.0, 0.0, 0.0)
+    raised = face.copy()
+    raised[:3, 3] -= 0.22 * face[:3, 2]
+    disc = Part("disc", Disc(0, 0, 13.0), Surface(albedo=0.6), (Hole("hole", Disc(-5.0, -4.0, 2.0), 0.05),))
+    boss = Part("boss", Disc(4.0, 3.0, 4.0), Surface(albedo=0.3))
+    job = teach(*pictures(rig.rig, scene((disc, face), (boss, raised))), rig.rectification, None, "disc")
+    found = {round(circle.radius_mm, 1): circle.centre_mm[2] for circle in job.circles}
+    assert {2.0, 4.0, 13.0} == set(found)
+    assert found[13.0] - found[4.0] == pytest.approx(0.22, abs=0.03)
+
+
+@pytest.mark.slow
+def test_a_plate_without_circles_and_corners_is_taught_by_where_its_edges_would_meet() -> None:
+    """Its corners are rounded by 4 mm, so no two edges meet; the reference is where the longest two would."""
+    rig = prepare(small_rig())
+    plate = Part("plate", RoundedBox(0, 0, 24, 18, 4.0), Surface(albedo=0.6))
+    where = lying(rig.rig, 0.0, 0.0, 0.0)
+    job = teach(*pictures(rig.rig, scene((plate, where))), rig.rectification, None, "plate")
+    assert (0, 4, 1) == (len(job.circles), len(job.edges), len(job.corners))
+    corner = np.abs((invert(where) @ job.rig_from_part)[:2, 3])
+    np.testing.assert_allclose(corner, (12.0, 9.0), atol=0.02)
