@@ -219,7 +219,7 @@ class CellService:
         if self._running.session.is_locked:
             raise SetupRefused(LOCKED)
         command = self._command(CommandKind.GOLDEN, number, "it commands GOLDEN itself")
-        end = await self._ends.of(command, self._running.cycle.submit, GOLDEN_S)
+        end = await self._ends.submit_and_wait(command, self._running.cycle.submit, GOLDEN_S)
         if isinstance(end, CommandFailed):
             raise CommandRefused(end.reason)
         if end.golden is not GoldenState.HELD:

@@ -15,7 +15,7 @@ from edged.robot.budget import budget_of
 from edged.robot.covariance import robot_covariance
 from edged.robot.picking import RobotFrame, allowed, picked
 from edged.vision.geometry.rigid import rotation_matrix
-from edged.vision.geometry.uncertainty import levered_covariance
+from edged.vision.geometry.uncertainty import shifted_pose_covariance
 
 POSE = make_transform((0.3, -0.2, 0.9), (12.0, -7.0, 210.0))
 FAR = POSE @ make_transform((0.0, np.pi, 0.4), (60.0, 25.0, -30.0))
@@ -54,7 +54,7 @@ def seen_spread(poses: FloatArray, middle: FloatArray) -> FloatArray:
 
 def reporting(covariance: FloatArray) -> Target:
     """A target measured at its reference point with another published pose."""
-    lever = levered_covariance(covariance, FAR[:3, 3] - POSE[:3, 3])
+    lever = shifted_pose_covariance(covariance, FAR[:3, 3] - POSE[:3, 3])
     return dataclasses.replace(
         make_target(),
         rig_from_part=POSE,
