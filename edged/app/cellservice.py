@@ -141,7 +141,7 @@ class CellService:
             case ask.Mend():
                 await self._mend(request.what)
             case _:
-                return await self._looked_up(request)
+                return await self._answer_query(request)
         return None
 
     async def _install(self, request: ask.InstallRelease, memory: int) -> None:
@@ -194,7 +194,7 @@ class CellService:
         elif refused := await self._running.reload():
             raise UserError(f"the cell cannot run with it, and goes on as before: {refused}")
 
-    async def _looked_up(self, request: ask.Asked) -> object:
+    async def _answer_query(self, request: ask.Asked) -> object:
         """Answer a request that changes nothing, except on a stage."""
         match request:
             case ask.AskRegisters():

@@ -15,8 +15,8 @@ from edged.app.cameras import CellHead, Size, head_of
 from edged.app.cell import LoadedCell, load_any_cell, load_cell, warm_up, with_golden, with_registration
 from edged.app.cellservice import CellService
 from edged.app.installer import Installer
-from edged.app.pageserver import PageServer, PageWitness
-from edged.app.pagesource import AwaitedPage, StartedPage
+from edged.app.pageserver import PageServer, RegistrationReporter
+from edged.app.pagesource import PageService, StartedPage
 from edged.app.running import Running
 from edged.app.servers import START_S, Servers, close_within, start_within
 from edged.cell.commandends import CommandEnds
@@ -86,7 +86,7 @@ class Daemon:
         observers: Sequence[Publisher] = (),
         world: VirtualWorld | None = None,
         routes: Sequence[object] = (),
-        awaited: AwaitedPage | None = None,
+        awaited: PageService | None = None,
     ) -> None:
         self.on_started: Callable[[], None] = lambda: None
         self._path = path
@@ -263,7 +263,7 @@ class Daemon:
         )
         source = StartedPage() if self._awaited is None else self._awaited
         page = PageServer(section.host, section.port, service, source)
-        self._registrar.witness = PageWitness(page.tell_step, asyncio.get_running_loop())
+        self._registrar.witness = RegistrationReporter(page.tell_step, asyncio.get_running_loop())
         return page
 
     def _head_with(self, changes: Mapping[Side, ChosenCamera]) -> CellHead:

@@ -32,7 +32,7 @@ PAUSE_S, MOST_PAUSE_S = 0.2, 5.0
 GOOD_S = 30.0
 
 
-class PageWitness:
+class RegistrationReporter:
     """Reports a robot's registration to the page, from any thread.
 
     Implements `edged.setup.registration.registrar.Witness`. tell : called on the event loop.

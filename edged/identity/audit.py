@@ -107,7 +107,7 @@ class AuditFile:
                     continue  # another process may have begun the next file by now
                 number, digest = self._write(file, deed, number, digest)
                 self._note_end(number, digest)
-                self._let_go(folder, file, number, digest)
+                self._prune(folder, file, number, digest)
                 return {"number": number, "hash": digest}
 
     def _write(self, file: BinaryIO, deed: AuditEntry, number: int, digest: str) -> tuple[int, str]:
@@ -138,7 +138,7 @@ class AuditFile:
     def _put_head(self, head: AuditHead) -> None:
         write_atomically(self._folder / HEAD, head.to_bytes(), mode=0o600, is_state=True)
 
-    def _let_go(self, folder: int, file: BinaryIO, number: int, digest: str) -> None:
+    def _prune(self, folder: int, file: BinaryIO, number: int, digest: str) -> None:
         """Delete the oldest full files when there are too many, and those that a crash left behind."""
         head, full = self._head(), _full(folder)
         if head is None:

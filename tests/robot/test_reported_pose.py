@@ -13,7 +13,7 @@ from edged.domain.measurement import Outcome, Reject, ReportedPose, Status, Targ
 from edged.domain.picking import Bounds, Box, Grasp, Picking
 from edged.robot.budget import budget_of
 from edged.robot.covariance import robot_covariance
-from edged.robot.picking import RobotFrame, allowed, picked
+from edged.robot.picking import RobotFrame, picked, with_allowed_grasps
 from edged.vision.geometry.rigid import rotation_matrix
 from edged.vision.geometry.uncertainty import shifted_pose_covariance
 
@@ -119,6 +119,6 @@ def test_bounds_are_those_of_the_published_place_and_grasps_those_of_the_part() 
 def test_pictures_have_the_part_as_it_was_measured() -> None:
     """Pictures show the part at its reference point; only the published pose differs."""
     target = reporting(spread(8))
-    assert np.array_equal(POSE, allowed(target, Picking(), RobotFrame()).rig_from_part)
+    assert np.array_equal(POSE, with_allowed_grasps(target, Picking(), RobotFrame()).rig_from_part)
     plain = dataclasses.replace(target, reported=None)
     assert plain is plain.as_reported

@@ -45,7 +45,7 @@ from edged.plc import handshakeevents as ev
 from edged.plc import registers as reg
 from edged.plc.answers import NackReason, ResultVerdict
 from edged.plc.controlbits import EndOfUse, StartBit, StartCommand, begun, cell_bits, control_written
-from edged.plc.ladder import Ladder
+from edged.plc.exchangelog import ExchangeLog
 from edged.plc.statuswords import status_values
 from edged.ports import Commander
 from edged.robot.orientations import rotation_of
@@ -138,7 +138,7 @@ class CellRegisters:
         self._counts: dict[str, int] = {}
         self.addresses: dict[int, str] = {}
         """Address of each Modbus/TCP client, by its number."""
-        self.ladder = Ladder(self.addresses)
+        self.ladder = ExchangeLog(self.addresses)
         self._place_basis()
         self._place(reg.REFERENCE_MARKS, reg.marks_values(MarksReport()))
         self._place(reg.ROBOT_MAP, reg.map_values(MapFigures()))
@@ -294,7 +294,7 @@ class CellRegisters:
         given = {start + k: word for k, word in enumerate(words) if word is not None}
         if not hs.may_write(self._state, client, now_s):
             if _offset("CMD_SEQ") in given:
-                self._step(ev.Barred(client), now_s)
+                self._step(ev.WriteRejected(client), now_s)
             raise RequestRefused(DEVICE_BUSY)
         new = list(self._command)
         for offset, word in given.items():
@@ -368,7 +368,7 @@ class CellRegisters:
             reg.Option.ONCE in options,
             job if code == CommandKind.NEXT_PART else None,
             registers=code in REGISTERING,
-            asks_way=code == CommandKind.NEXT_GRASP,
+            wants_next_grasp=code == CommandKind.NEXT_GRASP,
             way=self._another_way(job),
         )
         for effect in self._step(event, now_s):
@@ -405,7 +405,9 @@ class CellRegisters:
     def _another_way(self, job: int) -> reg.RegisterResult | None:
         """Result to show for NEXT_GRASP of this job (0: any); None if the part has no other grasp."""
         shown = self._state.result
-        return shown.payload.another_way() if shown is not None and job in (0, shown.payload.job) else None
+        return (
+            shown.payload.with_next_grasp() if shown is not None and job in (0, shown.payload.job) else None
+        )
 
     def _taken_flange(self) -> tuple[FloatArray | None, tuple[float, ...]]:
         """Read and clear FLANGE: robot_from_flange (4, 4), None if all zeros, and its numbers (mm, degrees).
@@ -448,7 +450,7 @@ class CellRegisters:
             case JobChanged(_, _, command):
                 ticket = self._ticket(command)
                 is_others = ticket is None or ticket == NOBODYS
-                self._step(ev.OtherJob() if is_others else self._done(ticket, now_s), now_s)
+                self._step(ev.JobChangedElsewhere() if is_others else self._done(ticket, now_s), now_s)
             case Registered():
                 self._take_registered(event, now_s)
             case CommandFailed(command, reason):
@@ -511,7 +513,9 @@ class CellRegisters:
         exposed_s = self._exposures.exposed_s(snapshot)
         ticket = self._ticket(snapshot.command)
         if result.code is reg.ResultCode.KEPT and ticket == NOBODYS:
-            self._step(ev.OtherJob(), now_s)  # the result on display may have an offset from the former part
+            self._step(
+                ev.JobChangedElsewhere(), now_s
+            )  # the result on display may have an offset from the former part
         rest = result.further() if verdict is ResultVerdict.GOOD else ()
         job, basis = snapshot.job_number, snapshot.basis
         self._step(ev.Finished(ticket, snapshot.cycle, verdict, exposed_s, result, rest, job, basis), now_s)

@@ -17,7 +17,7 @@ from edged.adapters.modbus.settings import ModbusSettings
 from edged.adapters.modbus.tcp import TcpServer
 from edged.domain.events import Event
 from edged.errors import CommandRefused
-from edged.plc.ladder import Exchange
+from edged.plc.exchangelog import Exchange
 from edged.plc.registers import BLOCKS, COMMAND, JOBS, Block, Number, Register, decode, encode
 from edged.ports import Commander
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from edged.cell.drift import TELLING
+from edged.cell.drift import DRIFT_REJECTS
 from edged.domain.arrays import SIDES, FloatArray, Image
 from edged.domain.frames import FramePair
 from edged.domain.measurement import Circle3D, Target
@@ -103,7 +103,7 @@ def by_part(
     circles as A-B (the distance of their centres). Raises `UserError` for another name.
     """
     outcome = locate(FramePair.of_images(*images), job, prepare(rig))
-    measured = [target for target in outcome.targets if not target.reject & ~TELLING]
+    measured = [target for target in outcome.targets if not target.reject & ~DRIFT_REJECTS]
     if not measured:
         return Finding("UNDECIDED", math.nan, (), f"the part was not measured: {outcome.status}")
     target = without_doubt(measured[0], rig.baseline_mm)

@@ -20,7 +20,7 @@ _KINDS = {
     "edged.files.jobs.schema": "TraySection",
     "edged.files.recording": "Entry",
     "edged.robot.orientations": "Brand Convention",
-    "edged.robot.readings": "PoseReading",
+    "edged.robot.readings": "PoseFormat",
     "edged.setup.calibration.checking": "Finding Limits",
     "edged.setup.calibration.drafts": "Solution",
     "edged.setup.calibration.guidance": "Ghost Guided",
