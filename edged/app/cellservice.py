@@ -22,9 +22,9 @@ from edged.domain.events import Command, CommandFailed, CommandKind
 from edged.domain.exposure import CameraValues
 from edged.domain.golden import GoldenState
 from edged.errors import CommandRefused, LinkError, SetupRefused, UserError
-from edged.files.acceptance import acceptance_file, exchange_acceptance
-from edged.files.atomic import put_back
-from edged.files.marks import MAX_MARKS_BYTES, exchange_marks, marks_file
+from edged.files.acceptance import acceptance_file, replace_acceptance
+from edged.files.atomic import restore_file
+from edged.files.marks import MAX_MARKS_BYTES, marks_file, replace_marks
 from edged.link import requests as ask
 from edged.link.memory import sealed_bytes
 from edged.link.summary import CellSummary, FilesInUse, PageTask, PlcNow
@@ -174,11 +174,11 @@ class CellService:
         rig, path = self._running.files.rig, self._running.files.config.cell.rig
         if rig is None:
             raise UserError("this cell has no calibration")
-        exchange = exchange_marks if request.what == "marks" else exchange_acceptance
+        exchange = replace_marks if request.what == "marks" else replace_acceptance
         place = marks_file(path) if request.what == "marks" else acceptance_file(path)
         former = await asyncio.to_thread(exchange, place, data, rig)
         if refused := await self._running.reload():
-            await asyncio.to_thread(put_back, place, former)
+            await asyncio.to_thread(restore_file, place, former)
             raise UserError(f"the cell cannot run with it, and goes on as before: {refused}")
         log.info("%s was exchanged", place.name)
 

@@ -32,7 +32,7 @@ from edged.files.statefolder import SetupNote, setup_note
 from edged.link.summary import PageTask
 from edged.logs import fields
 from edged.ports import Publisher
-from edged.setup.cellfiles import CellFiles, doubts, exposed_secrets
+from edged.setup.cellfiles import CellFiles, exposed_secrets, warnings_for
 from edged.setup.registration.registrar import CellRegistrar
 from edged.setup.releases.jobuse import JobUse
 from edged.vision.geometry.camera import StereoRig
@@ -222,7 +222,7 @@ class Daemon:
         cell = self._running.loaded.cell
         for secret in exposed_secrets(self._path, cell.config):
             log.warning("%s", secret)
-        for doubt in doubts(cell) if isinstance(cell, CellFiles) else ():
+        for doubt in warnings_for(cell) if isinstance(cell, CellFiles) else ():
             log.warning("%s", doubt)
 
     async def _run_cycle(self) -> None:

@@ -23,7 +23,7 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 from edged.errors import FileFormatError
-from edged.files.atomic import give_like, make_folders, open_folder, write_atomically
+from edged.files.atomic import copy_owner, make_folders, open_folder, write_atomically
 from edged.identity.auditchain import START, AuditChain, AuditHead, end_of, head_in, line_of
 from edged.owners import open_plain
 
@@ -324,7 +324,7 @@ def _open_lines(folder: int, *, make: bool) -> int:
                 raise
         with suppress(FileExistsError):  # another process was quicker
             handle = open_plain(LINES, os.O_RDWR | os.O_CREAT | os.O_EXCL, folder)
-            give_like(handle, folder)
+            copy_owner(handle, folder)
             return handle
 
 

@@ -180,9 +180,9 @@ def offset_of(
     """Offset of a target from the golden part; its covariance is derived in the module docstring.
 
     registration (6, 6) : as for `robot_covariance`; None: taken as exact. golden_jacobian (6, P) : motion of
-    the golden part by the rig's parameters; was_shifted : its shift by the map of the robot's error. For a part
-    with rotational symmetry, the turn about its axis is the one that turns the robot's path least, and counts
-    as exact.
+    the golden part by the rig's parameters; was_shifted : its shift by the map of the robot's error. For a
+    part with rotational symmetry, the turn about its axis is the one that turns the robot's path least, and
+    counts as exact.
     """
     own, points_mm = own_and_points(target)
     rig_from_part = _least_turned(target, golden, robot_from_rig)

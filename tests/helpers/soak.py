@@ -554,7 +554,7 @@ class Line:
 
     def gone(self) -> None:
         """End the connection."""
-        self.server.gone(self.number)
+        self.server.client_disconnected(self.number)
         self._world.lines.pop(self.number, None)
 
 

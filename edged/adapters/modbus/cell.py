@@ -53,7 +53,7 @@ from edged.vision.geometry.rigid import transform
 
 ACCEPTANCE_S = 60.0
 """Period of updating the block of the acceptance test, which counts days."""
-NOBODYS = -1
+FOREIGN_TICKET = -1
 """Ticket for a command that has ended here, or that was not submitted here."""
 VERDICTS = {
     reg.ResultCode.OK: ResultVerdict.GOOD,
@@ -343,7 +343,7 @@ class CellRegisters:
         word = sum(1 << (start + i) for i, bit in enumerate(bits) if bit)
         self.write(client, options, [word])
 
-    def gone(self, client: int) -> None:
+    def client_disconnected(self, client: int) -> None:
         """Remove a client whose connection has ended."""
         if self._locked_by == client:
             self._command[_offset("AUTO_LOCK")] = 0
@@ -449,13 +449,13 @@ class CellRegisters:
                 self._step(ev.Exposed(self._ticket(command)), now_s)
             case JobChanged(_, _, command):
                 ticket = self._ticket(command)
-                is_others = ticket is None or ticket == NOBODYS
+                is_others = ticket is None or ticket == FOREIGN_TICKET
                 self._step(ev.JobChangedElsewhere() if is_others else self._done(ticket, now_s), now_s)
             case Registered():
                 self._take_registered(event, now_s)
             case CommandFailed(command, reason):
                 ticket = self._ticket(command)
-                if ticket not in (None, NOBODYS):
+                if ticket not in (None, FOREIGN_TICKET):
                     self._failures.warning("command %d failed: %s", ticket & hs.SEQUENCE_MASK, reason)
                     self._step(ev.ExecutionFailed(ticket), now_s)
             case Basis():
@@ -492,7 +492,7 @@ class CellRegisters:
 
     def _take_registered(self, event: Registered, now_s: float) -> None:
         ticket = self._ticket(event.command)
-        is_mine = ticket is not None and ticket != NOBODYS
+        is_mine = ticket is not None and ticket != FOREIGN_TICKET
         self._registration = event.registration
         self._registered_by = event.command.sequence & hs.SEQUENCE_MASK if is_mine else 0
         self._place_basis()
@@ -512,7 +512,7 @@ class CellRegisters:
         verdict = VERDICTS.get(result.code, ResultVerdict.BAD)
         exposed_s = self._exposures.exposed_s(snapshot)
         ticket = self._ticket(snapshot.command)
-        if result.code is reg.ResultCode.KEPT and ticket == NOBODYS:
+        if result.code is reg.ResultCode.KEPT and ticket == FOREIGN_TICKET:
             self._step(
                 ev.JobChangedElsewhere(), now_s
             )  # the result on display may have an offset from the former part
@@ -532,15 +532,15 @@ class CellRegisters:
         return effects
 
     def _ticket(self, command: Command | None) -> int | None:
-        """Ticket of a command: None without a command, `NOBODYS` for one that is not open here.
+        """Ticket of a command: None without a command, `FOREIGN_TICKET` for one that is not open here.
 
         Compared by identity: tickets start over when a reload recreates these registers, while commands of
-        the previous registers may still be measured. A cycle requested over Zenoh has `NOBODYS`, so that it
-        is not shown to a PLC like one of a free-running cell.
+        the previous registers may still be measured. A cycle requested over Zenoh has `FOREIGN_TICKET`, so
+        that it is not shown to a PLC like one of a free-running cell.
         """
         if command is None:
             return None
-        return command.sequence if self._submitted.get(command.sequence) is command else NOBODYS
+        return command.sequence if self._submitted.get(command.sequence) is command else FOREIGN_TICKET
 
 
 def _new_epoch() -> int:

@@ -96,9 +96,9 @@ class ModbusPublisher:
         except RequestRefused as error:
             raise CommandRefused("another client holds the right to write") from error
 
-    def leave(self, client: int) -> None:
+    def remove_client(self, client: int) -> None:
         """Remove a client of `write`, and end its right to write."""
-        self._cell.gone(client)
+        self._cell.client_disconnected(client)
 
     def watch(self, changed: Callable[[], None]) -> None:
         """Register a callback for each write and event, called on the event loop."""

@@ -28,7 +28,7 @@ from edged.adapters.web.login import (
     LoginForms,
     ServedNames,
     cookie_name,
-    tell_of_users,
+    log_user_status,
     visitor_of,
 )
 from edged.adapters.web.manualfiles import FOLDER, is_built
@@ -242,7 +242,7 @@ class WebPublisher:
         place = f"{'https' if context is not None else 'http'}://{host}:{self.port}"
         log.info("status page: %s", place)
         if self._users is not None and self._invite is not None:
-            tell_of_users(self._users, self._invite, place)
+            log_user_status(self._users, self._invite, place)
 
     def _api(self, commissioner: Commissioner) -> Gate:
         """The API for setting the cell up: the routes that every cell has, and further ones."""

@@ -48,7 +48,7 @@ _KINDS = {
     "edged.setup.teaching.model": "Brush Content Corners DiscRegion Drawing Gripping Mark Rectangle Size",
     "edged.setup.teaching.proposing": "JobSeen LearningOrder",
     "edged.setup.trials.sigmamap": "SigmaMap",
-    "edged.setup.trials.stilltest": "Stand StillResult",
+    "edged.setup.trials.stilltest": "StillSample StillResult",
     "edged.setup.trials.tried": "Lines Terms TriedPair TriedPart Whiskers",
     "edged.setup.trials.work": "TrialSetup",
     "edged.vision.boards.board": "Charuco Chessboard CircleGrid Detection DotBoard NotDetected",

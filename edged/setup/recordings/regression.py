@@ -24,7 +24,7 @@ from edged.pictures.overlay import draw_pair
 from edged.pipeline import PairInspection, PreparedRig, decide, inspect
 from edged.robot.belt import on_belt
 from edged.robot.covariance import moved_frame
-from edged.robot.picking import RobotFrame, with_allowed_grasps, frame_of, picked
+from edged.robot.picking import RobotFrame, frame_of, picked, with_allowed_grasps
 from edged.vision.part.job import Job
 
 COMPARED = ("status", "targets", "rejected")
