@@ -29,7 +29,7 @@ class CborBounds:
     depth: int
 
 
-ANYBODYS = CborBounds(1 << 20, 20_000, MAX_DEPTH)
+UNTRUSTED_BOUNDS = CborBounds(1 << 20, 20_000, MAX_DEPTH)
 """Bounds for results and requests of other programs: each has a few hundred items."""
 
 
@@ -39,7 +39,7 @@ def encode_cbor(value: object) -> bytes:
     return cbor2.dumps(value, encoders={str: encode_text})
 
 
-def decode_cbor(data: bytes, bounds: CborBounds = ANYBODYS) -> Any:
+def decode_cbor(data: bytes, bounds: CborBounds = UNTRUSTED_BOUNDS) -> Any:
     """Decode a CBOR item. Raises `ValueError` for anything that `encode_cbor` would not write.
 
     Memory and time are bounded by the length of the data, whatever lengths the data claims.

@@ -42,8 +42,8 @@ class TcpClient:
 
     name : its address as the operating system gives it. peer : the host in it.
     active_s : time of the last `touch`. busy : one of its requests is being answered.
-    has_flooded : it has sent more than it may, and was closed. is_let_in : the protocol has authenticated and
-    admitted it.
+    has_flooded : it has sent more than it may, and was closed. is_authenticated : the protocol has
+    authenticated and admitted it.
     """
 
     def __init__(self, listener: TcpListener, connection: socket.socket, name: tuple[Any, ...]) -> None:
@@ -52,7 +52,7 @@ class TcpClient:
         self.active_s = time.monotonic()
         self.busy = False
         self.has_flooded = False
-        self.is_let_in = False
+        self.is_authenticated = False
         self._inflow: Rate | None = None
         self._listener = listener
         self._connection = connection

@@ -65,12 +65,12 @@ def other_owner(place: Path) -> int | None:
         return None if found is None else found[0]
 
 
-def by_name(folder: Path) -> Path:
+def named_path(folder: Path) -> Path:
     """Path of a folder that ends with its own name, or that of a link to it, but not with "." or ".."."""
     return folder.resolve() if folder.name in ("", "..") else folder
 
 
-def unlinked(folder: Path) -> Path:
+def resolved(folder: Path) -> Path:
     """Resolve a path that may be a link; call it inside `as_owner`, for the owner of the link."""
     return folder.resolve() if folder.is_symlink() else folder
 

@@ -294,7 +294,7 @@ def message(
     return {**origin, **body}
 
 
-def said(code: str, text: str, **values: Any) -> Json:
+def translatable(code: str, text: str, **values: Any) -> Json:
     """Sentence in English with its code and values, from which a page writes it in other languages.
 
     Decimal numbers among the values are strings, with the digits to show.

@@ -16,13 +16,13 @@ from edged.domain.measurement import Nearest, NearMiss, NotMeasured, Outcome, Re
 from edged.vision.geometry.camera import StereoRig
 from edged.vision.geometry.correction import RigCorrection
 from edged.vision.geometry.rectification import Rectification, StereoImages, make_rectification
+from edged.vision.part.calibratedframe import in_calibrated_frame
 from edged.vision.part.job import Job
 from edged.vision.part.measure import measure_part
 from edged.vision.part.measured import MeasuredPart
 from edged.vision.part.pointcloud import PointCloud, point_cloud
 from edged.vision.part.prediction import match_in_raw
 from edged.vision.part.tilt import views_of
-from edged.vision.part.trued import trued
 from edged.vision.shape.candidates import ShapeMatch
 from edged.vision.shape.params import SearchParams
 from edged.vision.shape.search import find_shapes
@@ -163,7 +163,8 @@ def decide(inspection: PairInspection, job: Job, rig: PreparedRig) -> Outcome:
     if calibrated is None or correction is None:
         return judge(inspection)
     measured = tuple(
-        replace(part, target=trued(job, part.target, calibrated, correction)) for part in inspection.measured
+        replace(part, target=in_calibrated_frame(job, part.target, calibrated, correction))
+        for part in inspection.measured
     )
     return judge(replace(inspection, measured=measured))
 

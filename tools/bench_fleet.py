@@ -202,7 +202,7 @@ def route(port: int) -> None:
 
 
 @dataclass
-class Ours:
+class BenchProcess:
     """A process of the bench that can be killed and restarted."""
 
     target: Callable[..., None]
@@ -335,14 +335,16 @@ class Bench:
             place.mkdir()
             config = plant_config(place, [f"127.0.0.1:{ports['web']}", *light], token=TOKEN, every="15s")
             self.prometheus = Engine("prometheus", place, f"--config.file={config}")
-        self.server = Ours(serve_releases, (self.releases.repository, self.certificates, ports["releases"]))
-        self.router = Ours(route, (ports["router"],))
+        self.server = BenchProcess(
+            serve_releases, (self.releases.repository, self.certificates, ports["releases"])
+        )
+        self.router = BenchProcess(route, (ports["router"],))
         self.plc_notes, self.heard_notes = self.folder / "plc.txt", self.folder / "heard.txt"
         self.others = [
-            Ours(serve_metrics, (self.count, ports["metrics"])),
-            Ours(run_cell, (self.config(REAL),)),
-            Ours(trigger, (ports["modbus"], self.plc_notes)),
-            Ours(listen, (ports["router"], self.heard_notes)),
+            BenchProcess(serve_metrics, (self.count, ports["metrics"])),
+            BenchProcess(run_cell, (self.config(REAL),)),
+            BenchProcess(trigger, (ports["modbus"], self.plc_notes)),
+            BenchProcess(listen, (ports["router"], self.heard_notes)),
         ]
 
     def config(self, name: str) -> Path:
@@ -585,7 +587,7 @@ class Bench:
         p50, p99 = np.percentile(took_ms, (50, 99))
         return [title, len(noted), late, round(p50), round(p99), round(max(took_ms))]
 
-    def books(self) -> None:
+    def check_recovery(self) -> None:
         """Check at the end that every service has recovered, and the store against the number of cycles."""
         restarted_s = time.monotonic()
         again = self.until(lambda: not pulled(self.config(REAL)).startswith("refused"), MOST_S)
@@ -681,7 +683,7 @@ def bench(folder: Path, cells: int) -> dict[str, Any]:
                 show()
             noted = fleet.plc(0.0)
             print(f"the PLC meanwhile: {fleet.row('', 0.0)[1:]} of {len(noted)}", flush=True)
-            fleet.books()
+            fleet.check_recovery()
     return fleet.figures
 
 
@@ -698,7 +700,7 @@ def planned(folder: Path, cells: int) -> list[list[Any]]:
     )
     text += f'[web]\nport = {port}\n[recorder]\nfolder = "recordings"\nmin_free_mib = 0\n'
     cell.write_text(text + f'[history]\nfolder = "{folder / "store"}"\nmin_free_mib = 0\n')
-    daemon = Ours(run_cell, (cell,))
+    daemon = BenchProcess(run_cell, (cell,))
     daemon.start()
     try:
         page = fleetplan.page_of(port, 3)

@@ -17,7 +17,7 @@ from benching import bench_parser, finish
 from computedmarks import Compared, compared, is_whole, seen_by, views_at
 
 from edged.domain.arrays import SIDES, FloatArray, Image
-from edged.setup.calibration.guidance import Ghost, first_ghosts, guide, held_share, waits_for
+from edged.setup.calibration.guidance import Ghost, first_ghosts, guide, held_share, wait_reason
 from edged.setup.calibration.shown import Seen, Watched
 from edged.setup.calibration.views import Looked, Views
 from edged.setup.pairs import Pair, Picture
@@ -95,7 +95,7 @@ def brought(
         clock.now_ns += MOVE_NS
         pose, watched = held(stage)
         whole = is_whole(demo_rig(), apply(pose, BOARD_MODEL.points_mm))
-        if whole and not waits_for(watched, still=True, ghost=ghost, others=taken):
+        if whole and not wait_reason(watched, still=True, ghost=ghost, others=taken):
             return pose, watched.outlines
     return None
 

@@ -168,7 +168,7 @@ async def one_pair(head: StereoHead) -> FramePair:
 # --- what a person does ------------------------------------------------------------
 
 
-def obey(pairs: Twins, told: str) -> str:
+def follow_advice(pairs: Twins, told: str) -> str:
     """Do what a message says; return it in a person's words, "" for a message without advice."""
     if "gain_db:" in told and "GainRaw" in told:
         pairs.side.pop("gain_db")
@@ -197,7 +197,7 @@ def opened(pairs: Twins, row: Row) -> bool:
         try:
             pair = run(pairs.cameras, pairs.head(), one_pair)
         except (EdgedError, TimeoutError) as error:
-            done = obey(pairs, str(error))
+            done = follow_advice(pairs, str(error))
             if not done:
                 row.wrong.append(str(error).removeprefix("camera both: ").partition("; right:")[0])
                 return False

@@ -17,7 +17,7 @@ from helpers.ports import free_port
 
 from edged.app.cell import load_cell, warm_up
 from edged.app.daemon import Daemon
-from edged.app.process import SWITCH_INTERVAL_S, keep_what_is_loaded
+from edged.app.process import SWITCH_INTERVAL_S, freeze_garbage
 from edged.commands.demo import DemoOptions, prepare_cell
 from edged.domain.events import Event, Snapshot
 from edged.sim.cell import VirtualCell, demo_part, demo_rig
@@ -75,7 +75,7 @@ class BenchCell:
                 if task.done():
                     task.result()
             await asyncio.sleep(0.5)
-            keep_what_is_loaded()  # likewise
+            freeze_garbage()  # likewise
             yield
         finally:
             daemon.stop()

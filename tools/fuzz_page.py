@@ -165,7 +165,7 @@ class HostilePage:
         self._requests = [self._request() for _ in range(POOL)]
         self.sent: Counter[str] = Counter()
 
-    def haunt(self, messages: int, seconds: float) -> None:
+    def attack(self, messages: int, seconds: float) -> None:
         """Attack until `messages` were sent, or `seconds` have passed."""
         end_s = time.monotonic() + seconds
         while self.sent.total() < messages and time.monotonic() < end_s:
@@ -291,12 +291,12 @@ def tried(page: str, messages: int, seconds: float) -> tuple[Reads, Counter[str]
                 time.sleep(0.1)
             hostile = HostilePage(cell.socket, 1)
             if page != "none":
-                hostile.haunt(50, 20.0)  # one-time allocations for a first page count as no growth
+                hostile.attack(50, 20.0)  # one-time allocations for a first page count as no growth
             before, began_s = footprint(cell.process.pid, cell.log), time.monotonic()
             if page == "none":
                 time.sleep(seconds)
             else:
-                hostile.haunt(messages, seconds)
+                hostile.attack(messages, seconds)
             took_s = time.monotonic() - began_s
             time.sleep(1.0)
             growth = tuple(

@@ -100,7 +100,7 @@ class Bench:
 
     def see(self, number: int) -> None:
         """Let the hands follow the view of the first (0) or the other right camera (1)."""
-        self.world.cell.stand_in("right", self.views[number])
+        self.world.cell.replace_camera("right", self.views[number])
 
     def lose(self, is_on: bool) -> None:
         """Set whether pictures are lost from now on."""

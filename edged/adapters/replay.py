@@ -18,7 +18,7 @@ from edged.files.images import load_image
 from edged.files.pairs import ImagePair, find_pairs
 
 
-class Reel:
+class PairSequence:
     """The sequence of pairs that two `ReplayCamera`s go through in step.
 
     An exposure begins when a side that has taken part in the current one asks again; the other side joins it.
@@ -56,7 +56,7 @@ class Reel:
 class ReplayCamera:
     """Camera for one side of a folder of pairs."""
 
-    def __init__(self, name: str, reel: Reel) -> None:
+    def __init__(self, name: str, reel: PairSequence) -> None:
         if name not in SIDES:
             raise ValueError(f"a replay camera is left or right, not {name!r}")
         self._name = name
@@ -107,7 +107,7 @@ def replay_cameras(folder: Path) -> tuple[ReplayCamera, ReplayCamera]:
     """
     pairs = find_pairs(folder)
     left = load_image(pairs[0].left)
-    reel = Reel(pairs, (left.shape[0], left.shape[1]))
+    reel = PairSequence(pairs, (left.shape[0], left.shape[1]))
     reel.load("right", 1)
     return ReplayCamera("left", reel), ReplayCamera("right", reel)
 

@@ -25,7 +25,7 @@ from edged.config.cameras import CameraSection, CamerasSection, TriggerSection
 from edged.domain.arrays import SIDES
 from edged.errors import ConfigError
 from edged.link.summary import OpenCamera
-from edged.payload import Json, said
+from edged.payload import Json, translatable
 from edged.ports import Camera, Head
 
 if TYPE_CHECKING:  # a cell with real cameras starts without the simulation
@@ -165,7 +165,7 @@ def _aravis(
 def camera_facts(head: CellHead) -> dict[str, list[Json]]:
     """Return the state of each camera as text for people; a lost camera stays in the list."""
     facts = {
-        camera.name: [said("not-connected", "not connected")]
+        camera.name: [translatable("not-connected", "not connected")]
         for camera in head.cameras
         if isinstance(camera, AravisCamera)
     }
@@ -173,27 +173,33 @@ def camera_facts(head: CellHead) -> dict[str, list[Json]]:
         parts = []
         if health.temperature_c is not None:
             celsius = f"{health.temperature_c:.1f}"
-            parts.append(said("temperature", f"{celsius} °C", value=celsius))
+            parts.append(translatable("temperature", f"{celsius} °C", value=celsius))
         kind = "PTP" if health.ptp else "free-running"
         if health.clock_bound_ns is None:
-            parts.append(said(f"clock-{kind.lower()}", f"clock: {kind}"))
+            parts.append(translatable(f"clock-{kind.lower()}", f"clock: {kind}"))
         else:
             bound = f"{health.clock_bound_ns * 1e-3:.0f}"
-            parts.append(said(f"clock-{kind.lower()}-within", f"clock: {kind}, ±{bound} µs", bound=bound))
+            parts.append(
+                translatable(f"clock-{kind.lower()}-within", f"clock: {kind}, ±{bound} µs", bound=bound)
+            )
         if health.gamma != 1.0:
-            parts.append(said("gamma", f"Gamma {health.gamma:g}", value=f"{health.gamma:g}"))
+            parts.append(translatable("gamma", f"Gamma {health.gamma:g}", value=f"{health.gamma:g}"))
         if health.complete is not None:
             whole, damaged = str(health.complete), str(health.failed or 0)
-            parts.append(said("images", f"{whole} images, {damaged} damaged", whole=whole, damaged=damaged))
+            parts.append(
+                translatable("images", f"{whole} images, {damaged} damaged", whole=whole, damaged=damaged)
+            )
         if health.resent is not None:
             resent, lost = str(health.resent), str(health.lost or 0)
-            parts.append(said("packets", f"packets: {resent} resent, {lost} lost", resent=resent, lost=lost))
+            parts.append(
+                translatable("packets", f"packets: {resent} resent, {lost} lost", resent=resent, lost=lost)
+            )
         if health.packet_delay_us is not None:
             pause = f"{health.packet_delay_us:.1f}"
-            parts.append(said("packet-delay", f"{pause} µs between packets", pause=pause))
+            parts.append(translatable("packet-delay", f"{pause} µs between packets", pause=pause))
         if health.lacks:
             what = "; ".join(str(lack) for lack in health.lacks)
-            parts.append(said("lacks", f"has not: {what}", what=what))
+            parts.append(translatable("lacks", f"has not: {what}", what=what))
         facts[camera] = parts
     if isinstance(head, TwoExposureHead) and head.taken is not None:
         taken = head.taken
@@ -201,7 +207,7 @@ def camera_facts(head: CellHead) -> dict[str, list[Json]]:
         apart = f"{taken.apart_ns * 1e-6:.0f}"
         text = f"exposed for {long} and {short} µs, {apart} ms apart"
         for parts in facts.values():
-            parts.append(said("two-exposures", text, long=long, short=short, apart=apart))
+            parts.append(translatable("two-exposures", text, long=long, short=short, apart=apart))
     return facts
 
 

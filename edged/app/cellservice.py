@@ -22,9 +22,9 @@ from edged.domain.events import Command, CommandFailed, CommandKind
 from edged.domain.exposure import CameraValues
 from edged.domain.golden import GoldenState
 from edged.errors import CommandRefused, LinkError, SetupRefused, UserError
-from edged.files.acceptance import acceptance_file, exchange_acceptance
-from edged.files.atomic import put_back
-from edged.files.marks import MAX_MARKS_BYTES, exchange_marks, marks_file
+from edged.files.acceptance import acceptance_file, replace_acceptance
+from edged.files.atomic import restore_file
+from edged.files.marks import MAX_MARKS_BYTES, marks_file, replace_marks
 from edged.link import requests as ask
 from edged.link.memory import sealed_bytes
 from edged.link.summary import CellSummary, FilesInUse, PageTask, PlcNow
@@ -141,7 +141,7 @@ class CellService:
             case ask.Mend():
                 await self._mend(request.what)
             case _:
-                return await self._looked_up(request)
+                return await self._answer_query(request)
         return None
 
     async def _install(self, request: ask.InstallRelease, memory: int) -> None:
@@ -174,11 +174,11 @@ class CellService:
         rig, path = self._running.files.rig, self._running.files.config.cell.rig
         if rig is None:
             raise UserError("this cell has no calibration")
-        exchange = exchange_marks if request.what == "marks" else exchange_acceptance
+        exchange = replace_marks if request.what == "marks" else replace_acceptance
         place = marks_file(path) if request.what == "marks" else acceptance_file(path)
         former = await asyncio.to_thread(exchange, place, data, rig)
         if refused := await self._running.reload():
-            await asyncio.to_thread(put_back, place, former)
+            await asyncio.to_thread(restore_file, place, former)
             raise UserError(f"the cell cannot run with it, and goes on as before: {refused}")
         log.info("%s was exchanged", place.name)
 
@@ -194,7 +194,7 @@ class CellService:
         elif refused := await self._running.reload():
             raise UserError(f"the cell cannot run with it, and goes on as before: {refused}")
 
-    async def _looked_up(self, request: ask.Asked) -> object:
+    async def _answer_query(self, request: ask.Asked) -> object:
         """Answer a request that changes nothing, except on a stage."""
         match request:
             case ask.AskRegisters():
@@ -219,7 +219,7 @@ class CellService:
         if self._running.session.is_locked:
             raise SetupRefused(LOCKED)
         command = self._command(CommandKind.GOLDEN, number, "it commands GOLDEN itself")
-        end = await self._ends.of(command, self._running.cycle.submit, GOLDEN_S)
+        end = await self._ends.submit_and_wait(command, self._running.cycle.submit, GOLDEN_S)
         if isinstance(end, CommandFailed):
             raise CommandRefused(end.reason)
         if end.golden is not GoldenState.HELD:

@@ -15,8 +15,8 @@ from edged.app.cameras import CellHead, Size, head_of
 from edged.app.cell import LoadedCell, load_any_cell, load_cell, warm_up, with_golden, with_registration
 from edged.app.cellservice import CellService
 from edged.app.installer import Installer
-from edged.app.pageserver import PageServer, PageWitness
-from edged.app.pagesource import AwaitedPage, StartedPage
+from edged.app.pageserver import PageServer, RegistrationReporter
+from edged.app.pagesource import PageService, StartedPage
 from edged.app.running import Running
 from edged.app.servers import START_S, Servers, close_within, start_within
 from edged.cell.commandends import CommandEnds
@@ -32,7 +32,7 @@ from edged.files.statefolder import SetupNote, setup_note
 from edged.link.summary import PageTask
 from edged.logs import fields
 from edged.ports import Publisher
-from edged.setup.cellfiles import CellFiles, doubts, exposed_secrets
+from edged.setup.cellfiles import CellFiles, exposed_secrets, warnings_for
 from edged.setup.registration.registrar import CellRegistrar
 from edged.setup.releases.jobuse import JobUse
 from edged.vision.geometry.camera import StereoRig
@@ -86,7 +86,7 @@ class Daemon:
         observers: Sequence[Publisher] = (),
         world: VirtualWorld | None = None,
         routes: Sequence[object] = (),
-        awaited: AwaitedPage | None = None,
+        awaited: PageService | None = None,
     ) -> None:
         self.on_started: Callable[[], None] = lambda: None
         self._path = path
@@ -222,7 +222,7 @@ class Daemon:
         cell = self._running.loaded.cell
         for secret in exposed_secrets(self._path, cell.config):
             log.warning("%s", secret)
-        for doubt in doubts(cell) if isinstance(cell, CellFiles) else ():
+        for doubt in warnings_for(cell) if isinstance(cell, CellFiles) else ():
             log.warning("%s", doubt)
 
     async def _run_cycle(self) -> None:
@@ -263,7 +263,7 @@ class Daemon:
         )
         source = StartedPage() if self._awaited is None else self._awaited
         page = PageServer(section.host, section.port, service, source)
-        self._registrar.witness = PageWitness(page.tell_step, asyncio.get_running_loop())
+        self._registrar.witness = RegistrationReporter(page.tell_step, asyncio.get_running_loop())
         return page
 
     def _head_with(self, changes: Mapping[Side, ChosenCamera]) -> CellHead:

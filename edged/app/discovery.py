@@ -2,22 +2,22 @@
 
 from edged.adapters.aravis import (
     CameraInfo,
-    HeardCamera,
+    DiscoveredCamera,
     aravis_missing,
     control_state,
     give_address,
     list_cameras,
     with_addresses,
 )
-from edged.adapters.plcmemory import ask as ask_plc
+from edged.adapters.plcmemory import probe as probe_plc
 
 __all__ = [
     "CameraInfo",
-    "HeardCamera",
+    "DiscoveredCamera",
     "aravis_missing",
-    "ask_plc",
     "control_state",
     "give_address",
     "list_cameras",
+    "probe_plc",
     "with_addresses",
 ]

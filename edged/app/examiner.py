@@ -9,7 +9,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from edged.app.lesserprocess import NICER, environment
+from edged.app.unprivileged import NICER, environment
 from edged.config.configuration import Config
 from edged.connections import Rate
 from edged.errors import CommandRefused, translated

@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
-from edged.adapters.zenoh.listener import CELL_NAME, listening
+from edged.adapters.zenoh.listener import CELL_NAME, subscribed
 from edged.adapters.zenoh.session import ClientTls
 
 __all__ = ["ClientTls", "Document", "Fleet", "News", "is_cell_name", "is_name_pattern", "news_of_cells"]
@@ -66,5 +66,5 @@ def news_of_cells(
         if not inbox.full():
             inbox.put_nowait(News(name, kind, document))
 
-    with listening(connect, cell or "*", heard, tls, shared_key) as listened:
+    with subscribed(connect, cell or "*", heard, tls, shared_key) as listened:
         yield Fleet(inbox, listened.links, listened.doubts)

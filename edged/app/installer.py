@@ -11,7 +11,7 @@ import sys
 from collections.abc import Awaitable, Callable
 from pathlib import Path
 
-from edged.app.lesserprocess import LESSER, environment
+from edged.app.unprivileged import UNPRIVILEGED_PREFIX, environment
 from edged.codec.plainerrors import error_of
 from edged.errors import LinkError, SetupRefused, UserError
 from edged.files.statefolder import state_folder
@@ -59,7 +59,7 @@ class Installer:
     def _started(self, memory: int) -> subprocess.Popen[bytes]:
         command = [sys.executable, "-m", "edged.setup.releases.installing", str(self._config), str(memory)]
         return subprocess.Popen(
-            [*LESSER, *command],
+            [*UNPRIVILEGED_PREFIX, *command],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             pass_fds=[memory],

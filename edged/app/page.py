@@ -28,7 +28,7 @@ from typing import Any
 
 from edged.adapters.journal import set_up_logging
 from edged.adapters.web import SettingUp, WebPublisher
-from edged.app.garbage import keep_what_is_loaded
+from edged.app.garbage import freeze_garbage
 from edged.app.remotecell import RemoteCell
 from edged.app.setup import SetupServices
 from edged.app.wantedservers import web_settings
@@ -257,7 +257,7 @@ def main(arguments: Sequence[str]) -> int:
     link.set_inheritable(False)
     link.setblocking(False)
     threading.Thread(target=_end_with, args=(link.dup(),), name="link", daemon=True).start()
-    return asyncio.run(serve(link, start_log, keep_what_is_loaded))
+    return asyncio.run(serve(link, start_log, freeze_garbage))
 
 
 def _reached(place: str) -> socket.socket:

@@ -32,10 +32,10 @@ PAUSE_S, MOST_PAUSE_S = 0.2, 5.0
 GOOD_S = 30.0
 
 
-class PageWitness:
+class RegistrationReporter:
     """Reports a robot's registration to the page, from any thread.
 
-    Implements `edged.setup.registration.registrar.Witness`. tell : called on the event loop.
+    Implements `edged.setup.registration.registrar.RegistrationListener`. tell : called on the event loop.
     """
 
     def __init__(self, tell: Callable[[ProgramStep], None], loop: asyncio.AbstractEventLoop) -> None:

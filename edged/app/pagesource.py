@@ -17,7 +17,7 @@ import sys
 from pathlib import Path
 from typing import Protocol
 
-from edged.app.lesserprocess import LESSER, environment
+from edged.app.unprivileged import UNPRIVILEGED_PREFIX, environment
 from edged.errors import UserError
 
 log = logging.getLogger(__name__)
@@ -84,7 +84,7 @@ class StartedPage:
         return f"it was ended by {signal.Signals(-code).name}" if code < 0 else f"code {code}"
 
 
-class AwaitedPage:
+class PageService:
     """A page service that connects to a socket in the cell's runtime directory. user : that it runs as.
 
     The socket is open to the cell's group, and the kernel identifies the peer (SO_PEERCRED, unix(7)).
@@ -161,7 +161,7 @@ class AwaitedPage:
                 self._place.unlink()
 
 
-def awaited_page(user: str) -> AwaitedPage:
+def awaited_page(user: str) -> PageService:
     """Return the source of a page that is a service of its own. Raises `UserError` outside a service."""
     folder = os.environ.get("RUNTIME_DIRECTORY", "").partition(":")[0]
     if not folder:
@@ -169,7 +169,7 @@ def awaited_page(user: str) -> AwaitedPage:
             "--page-user: the page comes to a socket in the service's runtime directory, and there is none: "
             "RUNTIME_DIRECTORY is not set (systemd.exec(5), RuntimeDirectory=)"
         )
-    return AwaitedPage(user, Path(folder) / SOCKET)
+    return PageService(user, Path(folder) / SOCKET)
 
 
 def peer_of(connection: socket.socket) -> tuple[int, int]:
@@ -195,7 +195,7 @@ def _has_ended(process: int) -> bool:
 def _started(link: socket.socket) -> subprocess.Popen[bytes]:
     level = logging.getLogger().level
     return subprocess.Popen(
-        [*LESSER, sys.executable, "-m", "edged.app.page", str(level), str(link.fileno())],
+        [*UNPRIVILEGED_PREFIX, sys.executable, "-m", "edged.app.page", str(level), str(link.fileno())],
         stdin=subprocess.DEVNULL,
         pass_fds=[link.fileno()],
         env=environment(),

@@ -13,7 +13,7 @@ from collections.abc import Callable
 
 from edged.adapters.journal import set_up_logging
 from edged.app.daemon import Daemon
-from edged.app.garbage import keep_what_is_loaded
+from edged.app.garbage import freeze_garbage
 
 log = logging.getLogger(__name__)
 
@@ -48,7 +48,7 @@ async def serve(build: Callable[[], Daemon]) -> None:
     gc.freeze()  # now, as building triggers collections as well
     gc.enable()
     daemon = build()
-    daemon.on_started = keep_what_is_loaded
+    daemon.on_started = freeze_garbage
     loop = asyncio.get_running_loop()
     reloads: set[asyncio.Task[bool]] = set()
 

@@ -24,7 +24,7 @@ from edged.link.memory import sealed
 from edged.link.pageend import PageEnd
 from edged.link.summary import CellSummary, FilesInUse
 from edged.pipeline import PreparedRig, nearest_miss
-from edged.plc.ladder import Exchange
+from edged.plc.exchangelog import Exchange
 from edged.plc.registers import BLOCKS, Number, Register
 from edged.robot.orientations import Convention
 from edged.setup.cellfiles import CellFiles, UnfinishedCell, cell_of

@@ -25,7 +25,7 @@ from edged.domain.acceptance import Acceptance, AcceptanceState
 from edged.domain.marks import MarksState
 from edged.domain.overview import Overview, RigFigures
 from edged.errors import without_folders
-from edged.payload import Json, said
+from edged.payload import Json, translatable
 from edged.plc.registers import Number, Register
 from edged.ports import Publisher
 from edged.setup.cellfiles import CellFiles, UnfinishedCell
@@ -115,15 +115,15 @@ class Running:
     def facts(self) -> dict[str, dict[str, Any]]:
         """Facts about the cell's components for the status page, by group."""
         config, setup = self.files.config, self.loaded.setup
-        registered = said("not-registered", "no: results are in the rig's frame")
+        registered = translatable("not-registered", "no: results are in the rig's frame")
         if setup.robot_from_rig is not None:
-            registered = said("registered", "yes")
+            registered = translatable("registered", "yes")
         if setup.flange_from_rig is not None:
-            registered = said("on-flange", "on the flange: commands say where it is")
+            registered = translatable("on-flange", "on the flange: commands say where it is")
         groups: dict[str, dict[str, Any]] = {
             "Software": {"version": __version__, "configuration": setup.fingerprint},
             "Calibration": {
-                "id": setup.calibration_id or said("none-yet", "none yet"),
+                "id": setup.calibration_id or translatable("none-yet", "none yet"),
                 "registered to the robot": registered,
                 **self._drift_facts(),
             },
@@ -139,22 +139,24 @@ class Running:
         if (plc := self.plc()) is not None:
             groups["PLC"] = {"address": plc.place}
             if plc.problem:
-                groups["PLC"]["problem"] = said("own-words", without_folders(plc.problem))
+                groups["PLC"]["problem"] = translatable("own-words", without_folders(plc.problem))
         if (ethernetip := self.ethernetip()) is not None:
-            groups["EtherNet/IP"] = {"scanner": ethernetip.scanner or said("none", "none")}
+            groups["EtherNet/IP"] = {"scanner": ethernetip.scanner or translatable("none", "none")}
         if (opcua := config.opcua) is not None and "opcua" in self.servers:
             groups["OPC UA"] = {
                 "port": opcua.port,
-                "commands": said("with-password", "with a password")
+                "commands": translatable("with-password", "with a password")
                 if opcua.password_hash
-                else said("none", "none"),
+                else translatable("none", "none"),
             }
         if zenoh is not None:
-            groups["Zenoh"] = {"listens on": ", ".join(config.zenoh.listen) or said("nothing", "nothing")}
+            groups["Zenoh"] = {
+                "listens on": ", ".join(config.zenoh.listen) or translatable("nothing", "nothing")
+            }
         if isinstance(recorder, Recorder):
             kept = recorder.figures
             groups["Recorder"] = {
-                "kept": said(
+                "kept": translatable(
                     "recordings",
                     f"{kept.kept} cycles, {kept.kept_bytes / 1e6:.0f} MB",
                     cycles=str(kept.kept),
@@ -164,21 +166,23 @@ class Running:
                 "failed": kept.failed,
             }
             if kept.problem:
-                groups["Recorder"]["problem"] = said("own-words", without_folders(kept.problem))
+                groups["Recorder"]["problem"] = translatable("own-words", without_folders(kept.problem))
         if (written := self.history()) is not None:
             groups["History"] = {"written": written.written, "skipped": written.left_out}
             if written.problem:
-                groups["History"]["problem"] = said("own-words", without_folders(written.problem))
+                groups["History"]["problem"] = translatable("own-words", without_folders(written.problem))
         for name, problem in self.problems.items():
             if name in GROUPS:
-                groups.setdefault(GROUPS[name], {})["problem"] = said("own-words", without_folders(problem))
+                groups.setdefault(GROUPS[name], {})["problem"] = translatable(
+                    "own-words", without_folders(problem)
+                )
         return groups
 
     def _drift_facts(self) -> dict[str, Json | str]:
         drift = self.cycle.drift
         verdict = drift.verdict.name.lower()
         return {
-            "verdict": said(verdict, verdict),
+            "verdict": translatable(verdict, verdict),
             "rows, mean": _figure(drift.rows_px, ".3f", "px"),
             "known length, mean": _figure(drift.length_percent, "+.3f", "%"),
         }
@@ -306,4 +310,4 @@ def _figure(value: float, digits: str, unit: str) -> Json | str:
     if math.isnan(value):
         return "–"
     text = format(value, digits)
-    return said("figure", f"{text} {unit}", value=text, unit=unit)
+    return translatable("figure", f"{text} {unit}", value=text, unit=unit)

@@ -19,8 +19,8 @@ from edged.adapters.history import CycleHistory
 from edged.adapters.modbus import ModbusPublisher, server_context
 from edged.adapters.plcmemory import PlcMemoryPublisher, make_memory
 from edged.adapters.recorder import Recorder
-from edged.app.lesserprocess import LESSER, environment
 from edged.app.running import Running
+from edged.app.unprivileged import UNPRIVILEGED_PREFIX, environment
 from edged.app.wantedservers import (
     WantedServer,
     ethernetip_settings,
@@ -172,7 +172,7 @@ class Servers:
     async def _restart(self, name: str, new: tuple[WantedServer, Build] | None) -> None:
         try:
             running = self._wanted.get(name)
-            if new is not None and running is not None and _lie_apart(running[0], new[0]):
+            if new is not None and running is not None and _can_coexist(running[0], new[0]):
                 before = self._started[name]
                 await self._start(name, *new)
                 await close_within(before, f"{name} on {running[0].place}")
@@ -290,7 +290,7 @@ def _history_builder(section: HistorySection, cell: str) -> Build:
     if importlib.util.find_spec("pyarrow") is None:
         raise ListenError("history: needs another package: pip install 'edged[history]'")
     limits = str(section.max_days), str(section.max_mib), *([section.bucket] if section.bucket else [])
-    program = [*LESSER, sys.executable, "-m", "edged.files.history.packing", str(section.folder)]
+    program = [*UNPRIVILEGED_PREFIX, sys.executable, "-m", "edged.files.history.packing", str(section.folder)]
     return partial(CycleHistory, section, cell, ([*program, section.plant, cell, *limits], environment()))
 
 
@@ -300,6 +300,6 @@ def _show_bug(trying: asyncio.Task[None]) -> None:
         log.error("a server cannot be started because of a bug, and is not tried again", exc_info=bug)
 
 
-def _lie_apart(first: WantedServer, second: WantedServer) -> bool:
+def _can_coexist(first: WantedServer, second: WantedServer) -> bool:
     """Whether both can run at once: both ports are known and differ."""
     return None not in (first.port, second.port) and first.port != second.port

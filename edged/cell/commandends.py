@@ -30,7 +30,9 @@ class CommandEnds:
     async def close(self) -> None:
         """Nothing to close."""
 
-    async def of(self, command: Command, submit: Callable[[Command], None], limit_s: float) -> Ended:
+    async def submit_and_wait(
+        self, command: Command, submit: Callable[[Command], None], limit_s: float
+    ) -> Ended:
         """Submit a command and wait for its end. Raises `CommandRefused`, also after the limit."""
         end: asyncio.Future[Ended] = asyncio.get_running_loop().create_future()
         waiting = command, end

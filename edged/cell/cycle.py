@@ -231,7 +231,7 @@ class Cycle:
             cell.fail_waiting("the configuration was reloaded while it waited: ask again")
         if head is not None:
             if cell.in_setup:
-                await cell.cameras.put_down(cell.head)  # settings on trial belong to the previous cameras
+                await cell.cameras.release(cell.head)  # settings on trial belong to the previous cameras
             await cell.head.close()
             cell.head = head
         if not cell.in_setup:
@@ -278,11 +278,11 @@ class Cycle:
         if idle_s is not None:
             wait_s = max(0.0, max(self._exposed_s + idle_s, self._rests_until_s) - now_s)
         if not await cell.wait(wait_s) and (period_s is None or time.monotonic() < next_s):
-            await (self._check_cameras() if idle_s is None else self._expose_for_nobody())
+            await (self._check_cameras() if idle_s is None else self._warming_exposure())
             cell.announce(Idle())
         return due_s
 
-    async def _expose_for_nobody(self) -> None:
+    async def _warming_exposure(self) -> None:
         """Make one exposure to keep the sensors at working temperature; a failure is a camera fault.
 
         Only the reference marks in the pair are used, as no part covers them now. The rest is discarded.

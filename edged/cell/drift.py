@@ -25,9 +25,9 @@ WEIGHT = 0.05
 """Weight of the newest cycle; the mean spans about forty cycles."""
 CERTAIN = 3.0
 """Standard errors between the mean and a limit before the limit counts as passed."""
-TELLING = Reject.TOLERANCE | Reject.LEFT_RIGHT_MISMATCH
+DRIFT_REJECTS = Reject.TOLERANCE | Reject.LEFT_RIGHT_MISMATCH
 """Rejects caused by a wrong rig calibration; targets rejected for other reasons are no evidence of drift."""
-TORN = Reject.FEW_EDGES | Reject.RESIDUAL | Reject.SIGMA_LIMIT
+ROW_MISMATCH_REJECTS = Reject.FEW_EDGES | Reject.RESIDUAL | Reject.SIGMA_LIMIT
 """Rejects that a row mismatch also causes in a fit over both images; the sizes are meaningless then."""
 
 
@@ -91,8 +91,8 @@ class DriftMonitor:
 
         Parts rejected for wrong rows or sizes count as well, since a wrong calibration causes exactly that.
         """
-        torn = TORN if target.reject & Reject.LEFT_RIGHT_MISMATCH else Reject.NONE
-        if target.reject & ~(TELLING | torn):
+        torn = ROW_MISMATCH_REJECTS if target.reject & Reject.LEFT_RIGHT_MISMATCH else Reject.NONE
+        if target.reject & ~(DRIFT_REJECTS | torn):
             return
         if math.isfinite(target.epipolar_rms_px):
             self._rows.add(target.epipolar_rms_px)

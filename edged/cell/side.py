@@ -87,7 +87,7 @@ class CameraSide:
             if self.closing is closing:
                 self.closing = None
 
-    def look_at(self, frame: Frame, *, detect_frozen: bool) -> PairingError | None:
+    def check_frame(self, frame: Frame, *, detect_frozen: bool) -> PairingError | None:
         """Remember a frame; return what is wrong with it as the successor of the previous one, or None."""
         last_id, last_image = self.frame_id, self.image
         self.frame_id, self.image = frame.frame_id, frame.image

@@ -133,7 +133,7 @@ class StereoHead:
         Waits without limit; may be cancelled and called again without losing a frame.
         """
         await self._ready(look=any(side.suspect for side in self._sides))
-        pair = await self._judged(self._come())
+        pair = await self._judged(self._receive_pair())
         return FramePair(pair.left, pair.right, missed=self._missed)
 
     async def _judged(self, frames: Coroutine[Any, Any, FramePair]) -> FramePair:
@@ -298,7 +298,7 @@ class StereoHead:
                 pair = FramePair(pair.left, await right.frame())
         return pair
 
-    async def _come(self) -> FramePair:
+    async def _receive_pair(self) -> FramePair:
         """Wait for two externally triggered frames. Raises `FrameUnpaired` for a frame without a partner."""
         while True:
             tasks = [side.listen() for side in self._sides]
@@ -357,7 +357,7 @@ class StereoHead:
                     frame.camera, f"its image is {width}x{height} px, the rig was calibrated with {wanted}"
                 )
         errors = [
-            side.look_at(frame, detect_frozen=self._settings.detect_frozen)
+            side.check_frame(frame, detect_frozen=self._settings.detect_frozen)
             for side, frame in zip(self._sides, (pair.left, pair.right), strict=True)
         ]
         for error in errors:

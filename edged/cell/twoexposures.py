@@ -38,7 +38,7 @@ Which = Literal["long", "short"]
 
 
 @dataclass(frozen=True, slots=True)
-class TakenTwice:
+class ExposureTimes:
     """Exposures of the last pair. long_us, short_us : left camera. apart_ns : time from first to second."""
 
     long_us: float
@@ -61,7 +61,7 @@ class TwoExposureHead:
         self._configured_us, self._long_us = dict(long_us), dict(long_us)
         self._made_us: dict[Which, tuple[float, ...]] = {}
         self._now: Which | None = None
-        self.taken: TakenTwice | None = None
+        self.taken: ExposureTimes | None = None
 
     @property
     def cameras(self) -> tuple[Camera, Camera]:
@@ -96,7 +96,7 @@ class TwoExposureHead:
             where, problem = problems.popitem()
             raise ExposuresDiffer("both" if problems else where, problem)
         left, right = (_between(first.side(side), second.side(side), merged[side]) for side in SIDES)
-        self.taken = TakenTwice(self._made_us["long"][0], self._made_us["short"][0], apart_ns)
+        self.taken = ExposureTimes(self._made_us["long"][0], self._made_us["short"][0], apart_ns)
         return FramePair(left, right, missed=first.missed + second.missed)
 
     async def listen(self) -> FramePair:

@@ -37,7 +37,7 @@ FORMAT = 1
 _SEQUENCES: dict[type, str] = {list: "list", tuple: "tuple", frozenset: "set"}
 _COLLECTED: dict[str, Callable[[list[Any]], Any]] = {"list": list, "tuple": tuple, "set": frozenset}
 _ARRAY_KINDS = "biufUS"
-_DAMAGE = (
+DECODE_ERRORS = (
     cbor2.CBORDecodeError,
     TypeError,
     ValueError,
@@ -83,7 +83,7 @@ class Codec:
             if not (isinstance(message, list) and len(message) == 2 and message[0] == FORMAT):
                 raise ValueError(f"expected a list of the format, {FORMAT}, and a value")
             return self._value(message[1], images)
-        except _DAMAGE as error:
+        except DECODE_ERRORS as error:
             why = printable(str(error)[:300]) or type(error).__name__
             raise ValueError(f"no message of {self.what}: {why}") from error
 
@@ -139,7 +139,7 @@ class Codec:
     # --- decoding --------------------------------------------------------------------------------
 
     def _value(self, plain: Any, images: Sequence[Image | None]) -> Any:
-        """Convert CBOR types back to a value. Raises the exceptions in `_DAMAGE`."""
+        """Convert CBOR types back to a value. Raises the exceptions in `DECODE_ERRORS`."""
         if isinstance(plain, dict):
             if not all(type(key) is str for key in plain):
                 raise TypeError("a key that is no text")

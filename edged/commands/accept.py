@@ -8,7 +8,7 @@ from pathlib import Path
 
 from rich.console import Console
 
-from edged.commands.saying import say
+from edged.commands.saying import print_safe
 from edged.domain.acceptance import Acceptance
 from edged.errors import UserError
 from edged.files.acceptance import acceptance_file
@@ -74,10 +74,10 @@ def _tell(
     tests: Sequence[AcceptanceTest], found: Acceptance, output: Path, signer: str | None, console: Console
 ) -> None:
     for test in tests:
-        say(f"{test.name}: {VERDICTS[test.good]}{f' - {test.why}' if test.why else ''}", console)
+        print_safe(f"{test.name}: {VERDICTS[test.good]}{f' - {test.why}' if test.why else ''}", console)
         for name, value in test.figures.items():
-            say(f"  {name}: {value}", console)
+            print_safe(f"  {name}: {value}", console)
     verdict = "passed" if found.passed else "not passed"
-    say(f"the cell has {verdict}; {output}/acceptance.html and .pdf are the page to sign", console)
+    print_safe(f"the cell has {verdict}; {output}/acceptance.html and .pdf are the page to sign", console)
     if signer is not None:
-        say(f"signed with the key {signer}: {signature_file(output / 'acceptance.json')}", console)
+        print_safe(f"signed with the key {signer}: {signature_file(output / 'acceptance.json')}", console)

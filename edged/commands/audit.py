@@ -13,7 +13,7 @@ from typing import IO
 
 from rich.console import Console
 
-from edged.commands.saying import say
+from edged.commands.saying import print_safe
 from edged.config.reading import load
 from edged.errors import FileFormatError, UserError, translated
 from edged.files.statefolder import page_folder
@@ -90,38 +90,40 @@ def _print(verdict: AuditVerdict, witness: JournalVerdict | None, folder: Path, 
         why = f" ({record['reason']})" if record["reason"] else ""
         who = f"{record['user'] or 'nobody'} {record['role']}".strip()
         deed = f"{record['verb']} {record['object']}: {record['outcome']}{why}"
-        say(
+        print_safe(
             f"{record['number']:6}  {record['time']}  {who} at {record['address'] or 'here'}  {deed}", console
         )
     if verdict.torn_bytes:
-        say(f"a crash tore the last line, {verdict.torn_bytes} bytes: it was never finished", console)
+        print_safe(f"a crash tore the last line, {verdict.torn_bytes} bytes: it was never finished", console)
     if verdict.problem:
-        say(f"{folder / LINES}: {verdict.problem}", console)
+        print_safe(f"{folder / LINES}: {verdict.problem}", console)
     elif not verdict.count:
-        say(f"{folder}: no record is kept here", console)
+        print_safe(f"{folder}: no record is kept here", console)
     else:
         some = f"records {verdict.first} to {verdict.count}"
         kept = some if verdict.first > 1 else f"{verdict.count} records"
-        say(f"{kept}, the chain holds; last hash {verdict.hash}", console)
+        print_safe(f"{kept}, the chain holds; last hash {verdict.hash}", console)
     if witness is None:
-        say("who may write these files can replace all of them: --against journal compares", console)
+        print_safe("who may write these files can replace all of them: --against journal compares", console)
     else:
         _print_witness(verdict, witness, console)
 
 
 def _print_witness(verdict: AuditVerdict, witness: JournalVerdict, console: Console) -> None:
     if witness.problem:
-        say(f"the journal: {witness.problem}", console)
+        print_safe(f"the journal: {witness.problem}", console)
     elif witness.newest:
         after = verdict.count - witness.newest
-        say(
+        print_safe(
             f"the journal has record {witness.newest}, and none that is another one here"
             + (f"; the {after} after it are in the files alone" if after else ""),
             console,
         )
     else:
-        say("the journal has none of these records, or may not be read: it shows nothing", console)
+        print_safe("the journal has none of these records, or may not be read: it shows nothing", console)
     if witness.let_go:
-        say(f"the journal still has records up to {witness.let_go} that the files have let go", console)
+        print_safe(
+            f"the journal still has records up to {witness.let_go} that the files have let go", console
+        )
     if witness.lost:
-        say(f"the journal has {witness.lost} actions that the files could not take", console)
+        print_safe(f"the journal has {witness.lost} actions that the files could not take", console)

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from rich.console import Console
 
-from edged.commands.saying import say
+from edged.commands.saying import print_safe
 from edged.errors import ConfigError, UserError
 from edged.files.atomic import write_file
 from edged.files.outputs import check_folder, check_outputs
@@ -37,7 +37,7 @@ def backup(
     taken, data = made.backup, made.archive
     signed = None if key is None else signature_of(data, key)
     write_file(output, data, mode=0o600)
-    say(
+    print_safe(
         f"{output}: cell {taken.cell}, fingerprint {taken.fingerprint}, {len(taken.files)} files, "
         f"{len(data) / 1024:.0f} KiB",
         console,
@@ -45,10 +45,10 @@ def backup(
     if signed is not None:
         signature, who = signed
         write_file(signature_file(output), signature)
-        say(f"signed with the key {who}: {signature_file(output)}", console)
+        print_safe(f"signed with the key {who}: {signature_file(output)}", console)
     _print_left_out(taken, console)
     if made.holds_password:
-        say("it holds the hash of a password: only its owner may read it (mode 600)", console)
+        print_safe("it holds the hash of a password: only its owner may read it (mode 600)", console)
     return 0
 
 
@@ -69,16 +69,16 @@ def restore(
     taken = read(archive, signed_by)
     if output is not None:
         check_folder(output)
-    say(
+    print_safe(
         f"{archive}: cell {taken.cell}, fingerprint {taken.fingerprint}, written by edged {taken.version} at "
         f"{taken.created:%Y-%m-%d %H:%M} UTC; {len(taken.files)} files, every checksum is right",
         console,
     )
     if signed_by is not None:
-        say(f"{signature_file(archive).name}: signed with the key in {signed_by}", console)
+        print_safe(f"{signature_file(archive).name}: signed with the key in {signed_by}", console)
     _print_left_out(taken, console)
     if not fits_map(taken):
-        say(
+        print_safe(
             f"the Modbus map of this version is another one: compare {REGISTERS} with `edged registers`",
             console,
         )
@@ -95,7 +95,7 @@ def restore(
             raise
         raise UserError(f"{error} with --force") from None
     if kept is not None:
-        say(f"the cell's former files are in {kept} now", console)
+        print_safe(f"the cell's former files are in {kept} now", console)
     if former is not None:
         _print_lines("other than before", rights.changed_from(former), console)
     return _tell_verdict(taken, output, console)
@@ -108,19 +108,21 @@ def _tell_verdict(taken: Backup, output: Path, console: Console) -> int:
         fingerprint = read_cell(config).fingerprint
     except ConfigError as error:
         for line in f"restored, but it would not start here: {error}".split("\n"):
-            say(line, console)
+            print_safe(line, console)
         return 1
     is_stated = fingerprint == taken.fingerprint
     verdict = "as the archive says" if is_stated else "another one: the version reads it differently"
-    say(f"restored into {output}; fingerprint {fingerprint}, {verdict}. Next: edged doctor {config}", console)
+    print_safe(
+        f"restored into {output}; fingerprint {fingerprint}, {verdict}. Next: edged doctor {config}", console
+    )
     return 0
 
 
 def _print_lines(beginning: str, lines: Sequence[str], console: Console) -> None:
     for line in lines[:MAX_LINES]:
-        say(f"{beginning}: {line}", console)
+        print_safe(f"{beginning}: {line}", console)
     if len(lines) > MAX_LINES:
-        say(f"{beginning}: {len(lines) - MAX_LINES} more", console)
+        print_safe(f"{beginning}: {len(lines) - MAX_LINES} more", console)
 
 
 def _print_left_out(taken: Backup, console: Console) -> None:

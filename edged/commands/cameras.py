@@ -13,7 +13,7 @@ from rich.table import Column, Table
 from edged.app.camerareport import camera_report
 from edged.app.discovery import (
     CameraInfo,
-    HeardCamera,
+    DiscoveredCamera,
     aravis_missing,
     give_address,
     list_cameras,
@@ -65,7 +65,7 @@ def address(serial: str, wanted: str, console: Console) -> int:
     return 0
 
 
-def _fields(info: CameraInfo, heard: HeardCamera | None) -> Json:
+def _fields(info: CameraInfo, heard: DiscoveredCamera | None) -> Json:
     """Fields of a camera for `--json`."""
     reached = {"address_by": "", "in_network": True}
     if heard is not None:

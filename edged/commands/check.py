@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 
 from edged.errors import ConfigError
-from edged.setup.cellfiles import UnfinishedCell, doubts, exposed_secrets, read_any_cell
+from edged.setup.cellfiles import UnfinishedCell, exposed_secrets, read_any_cell, warnings_for
 
 
 def check(path: Path, *, as_json: bool) -> int:
@@ -22,7 +22,7 @@ def check(path: Path, *, as_json: bool) -> int:
     if isinstance(cell, UnfinishedCell):
         return _refused(path, ConfigError(str(path), [*cell.missing]), as_json=as_json, starts_in_setup=True)
     config, rig = cell.config, cell.rig
-    warnings = [*doubts(cell), *(str(secret) for secret in exposed_secrets(path, config))]
+    warnings = [*warnings_for(cell), *(str(secret) for secret in exposed_secrets(path, config))]
     jobs = [{"number": job.number, "name": job.name} for job in cell.jobs]
     if as_json:
         print(

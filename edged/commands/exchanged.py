@@ -14,7 +14,7 @@ from edged.vision.part.job import Job
 SWAPPED = "left and right are swapped: with the pictures exchanged it succeeds; the left camera's comes first"
 
 
-def found_exchanged(left: Image, right: Image, job: Job, rig: PreparedRig) -> bool:
+def is_swapped(left: Image, right: Image, job: Job, rig: PreparedRig) -> bool:
     """Whether a pair without a good part yields one when its sides are swapped."""
     with suppress(ImageError):  # the cameras' images differ in size, so they are not swapped
         return locate(FramePair.of_images(right, left), job, rig).status is Status.OK

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from rich.console import Console
 
-from edged.commands.exchanged import SWAPPED, found_exchanged
+from edged.commands.exchanged import SWAPPED, is_swapped
 from edged.domain.events import Snapshot
 from edged.domain.frames import FramePair
 from edged.errors import UserError
@@ -52,8 +52,8 @@ def golden(rig: Path, job: Path, left: Path, right: Path, console: Console) -> i
     )
     target = golden_target(snapshot)
     if isinstance(target, str):
-        is_swapped = not outcome.targets and found_exchanged(*pair.images, taught, prepared)
-        console.print(f"{job}: nothing was kept: {SWAPPED if is_swapped else target}", markup=False)
+        swapped = not outcome.targets and is_swapped(*pair.images, taught, prepared)
+        console.print(f"{job}: nothing was kept: {SWAPPED if swapped else target}", markup=False)
         return 1
     place = golden_file(rig, taught.number)
     with as_owner(rig.parent) as folder:

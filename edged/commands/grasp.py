@@ -7,7 +7,7 @@ from pathlib import Path
 
 from rich.console import Console
 
-from edged.commands.exchanged import SWAPPED, found_exchanged
+from edged.commands.exchanged import SWAPPED, is_swapped
 from edged.domain.arrays import FloatArray
 from edged.domain.frames import FramePair
 from edged.domain.measurement import Reject, Target
@@ -61,7 +61,7 @@ def touch(rig: Path, job: Path, left: Path, right: Path, asked: Touch, console: 
     if len(good) != 1:
         why_not = sorted({words for target in outcome.targets for words in reasons(target.reject)})
         why = f"{len(good)} good parts, expected one" if good else ", ".join(why_not) or str(outcome.status)
-        if not good and found_exchanged(*pair.images, taught, prepared):
+        if not good and is_swapped(*pair.images, taught, prepared):
             why = SWAPPED
         console.print(f"{job}: nothing was written: {why}", markup=False)
         return 1

@@ -9,7 +9,7 @@ from pathlib import Path
 from rich.console import Console
 from rich.table import Table
 
-from edged.commands.saying import say
+from edged.commands.saying import print_safe
 from edged.domain.outliers import OUTLIERS
 from edged.errors import printable
 from edged.files.atomic import write_file
@@ -45,7 +45,7 @@ def week(folders: Sequence[Path | str], until: str | None, output: Path, console
     days = day_figures(folders, first, last)
     page = week_page((first, last), days, reasons(folders, first, last), compare(folders, first, last))
     write_file(output, page.encode())
-    say(f"{output}: {first} to {last}, {sum(day.cycles for day in days)} cycles", console)
+    print_safe(f"{output}: {first} to {last}, {sum(day.cycles for day in days)} cycles", console)
     return 0
 
 
@@ -58,9 +58,9 @@ def compared(folders: Sequence[Path | str], until: str | None, as_json: bool, co
         print(json.dumps({"first": first, "last": last, "compared": [what.to_json() for what in found]}))
         return 1 if differing else 0
     for what, cell in differing:
-        say(differing_line(what, cell), console)
+        print_safe(differing_line(what, cell), console)
     enough = sum(what.limit is not None for what in found)
-    say(
+    print_safe(
         f"{first} to {last}: {enough} figures compared, {len(differing)} differences; "
         f"{len(found) - enough} of jobs that fewer than {OUTLIERS.min_count} cells have",
         console,

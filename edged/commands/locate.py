@@ -13,7 +13,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from edged.commands.exchanged import SWAPPED, found_exchanged
+from edged.commands.exchanged import SWAPPED, is_swapped
 from edged.domain.arrays import FloatArray, Image
 from edged.domain.frames import FramePair
 from edged.domain.measurement import Outcome, Status, Target
@@ -77,7 +77,7 @@ def locate(
     timing_ms = {stage: round(taken_ms, 3) for stage, taken_ms in watch.stages_ms().items()}
     inspection = within_reach(inspection, taught, frame)
     outcome = picked(judge(inspection), taught.picking, frame)
-    swapped = outcome.status is not Status.OK and found_exchanged(*pair.images, taught, prepared)
+    swapped = outcome.status is not Status.OK and is_swapped(*pair.images, taught, prepared)
     if overlay is not None:
         _write_picture(overlay, pictured(pair.images, inspection, prepared, taught, outcome.status))
     if ply is not None or cloud is not None:

@@ -15,7 +15,7 @@ from typing import Any
 from pydantic import ValidationError
 from rich.console import Console
 
-from edged.commands.saying import say
+from edged.commands.saying import print_safe
 from edged.config.configuration import Config
 from edged.config.reading import load, problem_of
 from edged.errors import UserError, translated
@@ -57,11 +57,11 @@ def key(file: Path, token: str | None, console: Console) -> int:
         if not is_in_token(place):
             raise UserError(f"--token {token}: expected hsm:ID?label=TOKEN")
         public_of_token(place, file, _passphrase(place))
-        say(f"{file}: the public half of {token}, to give away", console)
+        print_safe(f"{file}: the public half of {token}, to give away", console)
         return 0
     passphrase = _passphrase(file, again=True)
     public = make_key(file, passphrase)
-    say(f"{file}: the private half, keep it offline; {public}: the public one, to give away", console)
+    print_safe(f"{file}: the private half, keep it offline; {public}: the public one, to give away", console)
     return 0
 
 
@@ -75,7 +75,7 @@ def root(
     public += [signer.public_key for signer in signers if signer.public_key not in public]
     file = Repository(folder).make_root(public, threshold, public_key(targets), public_key(online), signers)
     lacking = max(threshold - len(signers), 0)
-    say(
+    print_safe(
         f"{file}: {len(signers)} of {threshold} signatures" + _then(lacking, "edged release countersign"),
         console,
     )
@@ -85,14 +85,16 @@ def root(
 def countersign(folder: Path, file: Path, console: Console) -> int:
     """Sign the root with another of its keys."""
     lacking = Repository(folder).countersign(_signer(file))
-    say(f"{folder}: the root is signed with {file}" + _then(lacking, "edged release countersign"), console)
+    print_safe(
+        f"{folder}: the root is signed with {file}" + _then(lacking, "edged release countersign"), console
+    )
     return 0
 
 
 def delegate(folder: Path, plant: str, plant_key: Path, file: Path, console: Console) -> int:
     """Let a key sign the releases of a plant."""
     Repository(folder).delegate(plant, public_key(plant_key), _signer(file))
-    say(f"{folder}: {plant_key} signs what is below {plant}/, and nothing else", console)
+    print_safe(f"{folder}: {plant_key} signs what is below {plant}/, and nothing else", console)
     return 0
 
 
@@ -138,7 +140,7 @@ def sign(
         offer = repository.sign(plant, _signer(file), path, data, custom, parts)
     except ValidationError as error:
         raise UserError(f"{name}: {problem_of(error.errors()[0], Offer)}") from error
-    say(
+    print_safe(
         f"{path}: number {offer.number}, ring {RINGS[offer.ring]}{_then(1, 'edged release publish')}", console
     )
     return 0
@@ -150,7 +152,7 @@ def publish(folder: Path, file: Path, days: float, console: Console) -> int:
     roles = ", ".join(
         f"{name.removesuffix('.json')} {meta.version}" for name, meta in sorted(seen.meta.items())
     )
-    say(
+    print_safe(
         f"{folder}: published, snapshot {seen.version} ({roles}), until {seen.expires:%Y-%m-%d %H:%M} UTC",
         console,
     )
@@ -176,7 +178,7 @@ def pull(config: Path, console: Console, *, place: str | None, name: str | None,
             path = next((path for path, offer in offers.items() if offer.name == name), name)
             data = client.fetch(path)
             write_file(output, data)
-            say(f"{output}: {path}, verified, {len(data)} bytes", console)
+            print_safe(f"{output}: {path}, verified, {len(data)} bytes", console)
             return 0
         given = None if section is None else section.ring
         kinds = ("jobs",) if section is None or section.software is None else ("jobs", "software")
@@ -188,17 +190,17 @@ def pull(config: Path, console: Console, *, place: str | None, name: str | None,
             server = Hawkbit(section.hawkbit, token, cell, kept)
             due = server.due({path: o for path, o in offers.items() if o.kind in kinds}, client.digest)
         if not due:
-            say(f"{cell}: no release for it yet, of {len(offers)}", console)
+            print_safe(f"{cell}: no release for it yet, of {len(offers)}", console)
             return 1
         new = [one for one in due.values() if not is_fetched(kept / FOLDER, *one)]
         if not new:
             fetched = ", ".join(sorted(path for path, _ in due.values()))
-            say(f"{cell}: {fetched} is fetched already", console)
+            print_safe(f"{cell}: {fetched} is fetched already", console)
             return 0
         path, offer = min(new, key=lambda one: one[1].number)
         gate = gate_in(kept / FOLDER)
         if gate is not None and gate.step not in DONE and gate.staged.offer.kind != offer.kind:
-            say(f"{cell}: {path} comes after {gate.staged.path}, which is {gate.step}", console)
+            print_safe(f"{cell}: {path} comes after {gate.staged.path}, which is {gate.step}", console)
             return 0
         if offer.kind == "jobs":
             client.stage(path, offer)
@@ -207,7 +209,7 @@ def pull(config: Path, console: Console, *, place: str | None, name: str | None,
         _install(source, section.software, path, offer)
         with _kept(config) as kept:
             source(kept).stage(path, offer)
-    say(f"{cell}: {path} is verified and fetched: the gate tries it on recorded cycles next", console)
+    print_safe(f"{cell}: {path} is verified and fetched: the gate tries it on recorded cycles next", console)
     return 0
 
 
@@ -236,9 +238,9 @@ def switch(config: Path, unit: str, console: Console) -> int:
     with translated(UserError, f"{section.software}: the version cannot be switched"):
         done = follow(Versions(section.software), page_folder(config), SystemdUnit(unit))
     if done is None:
-        say(f"{config}: its gate wants no other version", console)
+        print_safe(f"{config}: its gate wants no other version", console)
         return 0
-    say(f"{done.order.to}: {done.state}{f': {done.why}' if done.why else ''}", console)
+    print_safe(f"{done.order.to}: {done.state}{f': {done.why}' if done.why else ''}", console)
     return int(done.state == "failed")
 
 
@@ -281,20 +283,20 @@ def status(config: Path, console: Console, *, place: str | None, as_json: bool) 
             if offer["kind"] == "file"
             else f", ring {offer['ring']}; this cell is in ring {offer['ring_of_cell']}"
         )
-        say(
+        print_safe(
             f"{offer['number']:5}  {offer['created']}  {offer['path']}{own}  {offer['note']}".rstrip(),
             console,
         )
     if problem:
         sys.stderr.write(f"edged: {problem}\n")
     if there is not None:
-        say(f"{cell}: fetched {there.path} from {there.repository}", console)
+        print_safe(f"{cell}: fetched {there.path} from {there.repository}", console)
     said = (
         "no release yet"
         if gate is None
         else f"{gate.staged.offer.name} is {gate.step} since {gate.at}: {gate.why}"
     )
-    say(f"{cell}: {said}", console)
+    print_safe(f"{cell}: {said}", console)
     return int(bool(problem))
 
 

@@ -7,6 +7,6 @@ from rich.console import Console
 from edged.errors import printable
 
 
-def say(text: str, console: Console) -> None:
+def print_safe(text: str, console: Console) -> None:
     """Print a line unchanged, except for characters that would control the terminal."""
     console.print(printable(text), markup=False, highlight=False)

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from rich.console import Console
 
-from edged.commands.saying import say
+from edged.commands.saying import print_safe
 from edged.domain.numerals import decimal
 from edged.errors import UserError
 from edged.files.atomic import write_file
@@ -84,9 +84,9 @@ def study(
         print(json.dumps({"good": good, **figures}))
     else:
         for test in tests:
-            say(f"{test.name}: {test.verdict}", console)
+            print_safe(f"{test.name}: {test.verdict}", console)
             for name, value in test.figures.items():
-                say(f"  {name}: {value}", console)
+                print_safe(f"  {name}: {value}", console)
     return 0 if good else 1
 
 

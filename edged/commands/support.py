@@ -7,7 +7,7 @@ from pathlib import Path
 
 from rich.console import Console
 
-from edged.commands.saying import say
+from edged.commands.saying import print_safe
 from edged.doctor.examination import examine
 from edged.errors import UserError
 from edged.files.atomic import write_file
@@ -35,11 +35,11 @@ def support(config: Path, output: Path, cycle: int | None, console: Console) -> 
     data = bundle.pack(document, members)
     write_file(output, data, mode=0o600)
     cycles = [Path(name).name for name in members if name.startswith("cycles/")]
-    say(
+    print_safe(
         f"{output}: {len(data) / 1024:.0f} KiB, {cycles[0] if cycles else 'no failed cycle is recorded'}",
         console,
     )
-    say(
+    print_safe(
         f"no password and no key is in it; names, addresses and pictures are. There: edged replay {output}",
         console,
     )

@@ -110,7 +110,7 @@ class TriggerSection(Section):
         return self
 
     @property
-    def is_ours(self) -> bool:
+    def is_self_triggered(self) -> bool:
         """Whether edged itself starts the exposures, at any time."""
         return self.mode not in ("free-run", "line") and not self.first_line
 
@@ -180,7 +180,7 @@ class CamerasSection(Section):
     def _check_two_exposures(self) -> None:
         if self.source == "replay":
             raise ValueError("exposure_ratio: pictures of a folder were exposed already")
-        if not self.trigger.is_ours:
+        if not self.trigger.is_self_triggered:
             raise ValueError(
                 'exposure_ratio: needs trigger.mode "software", "action" or "chain" without first_line'
             )

@@ -48,7 +48,7 @@ class Config(Section):
 
     @model_validator(mode="after")
     def _triggered(self) -> Config:
-        if self.cycle.idle_s is not None and not self.cameras.trigger.is_ours:
+        if self.cycle.idle_s is not None and not self.cameras.trigger.is_self_triggered:
             raise ValueError(
                 'cycle.idle_s: needs exposures that edged makes: cameras.trigger.mode "software", "action" '
                 'or "chain" without first_line'

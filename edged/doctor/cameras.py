@@ -29,7 +29,7 @@ def look_at_cameras(
         yield bad("Aravis", missing, "no camera can be reached", "apt install gir1.2-aravis-0.8 python3-gi")
         return
     discovered = list_cameras()
-    yield from twins(discovered)
+    yield from duplicates(discovered)
     ports = interfaces()
     if ports is None:
         yield skip("network ports", "the command `ip` is missing: apt install iproute2")
@@ -66,7 +66,7 @@ def _configured(device: str, found: Sequence[CameraInfo]) -> CameraInfo | None:
     return next((info for info in found if device in (info.serial, info.address, info.device_id)), None)
 
 
-def twins(found: Sequence[CameraInfo]) -> Iterator[Check]:
+def duplicates(found: Sequence[CameraInfo]) -> Iterator[Check]:
     """Find cameras with the same address or the same serial number."""
     for address, who in _shared((info.address, info.serial) for info in found):
         yield bad(

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from pathlib import Path
 
-from edged.app.discovery import ask_plc
+from edged.app.discovery import probe_plc
 from edged.config.plc import PlcSection
 from edged.config.reading import load
 from edged.doctor.cameras import look_at_cameras
@@ -16,7 +16,7 @@ from edged.doctor.pictures import take_pictures
 from edged.errors import ConfigError, ListenError, PlcFault
 from edged.robot.errormap import error_map
 from edged.robot.picking import frame_of
-from edged.setup.cellfiles import CellFiles, UnfinishedCell, doubts, exposed_secrets, read_any_cell
+from edged.setup.cellfiles import CellFiles, UnfinishedCell, exposed_secrets, read_any_cell, warnings_for
 from edged.vision.geometry.camera import StereoRig
 
 MAP_NAME = "robot's error"
@@ -57,7 +57,7 @@ def examine(path: Path, *, trigger: bool = True, process: int | None = None) -> 
         rig, fingerprint = cell.rig, cell.fingerprint
         jobs = f"{len(cell.jobs)} job(s), calibration {rig.calibration_id}"
         yield ok("configuration", jobs)
-        for doubt in doubts(cell):
+        for doubt in warnings_for(cell):
             yield warn("calibration", doubt, "lengths may be wrong", "edged calibrate; then edged verify")
     for secret in exposed_secrets(path, config):
         yield warn(
@@ -89,7 +89,7 @@ def look_at_plc(section: PlcSection) -> Check:
     """Check that the PLC answers and has both images: connect, read, disconnect; nothing is written."""
     name = "PLC's memory"
     try:
-        return ok(name, ask_plc(section))
+        return ok(name, probe_plc(section))
     except ListenError as error:
         return bad(name, str(error), "the daemon does not start", "install it")
     except PlcFault as fault:

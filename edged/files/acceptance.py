@@ -42,7 +42,7 @@ def document_of(
     return text_of_json(document)
 
 
-def exchange_acceptance(path: Path, data: bytes, rig: StereoRig) -> bytes | None:
+def replace_acceptance(path: Path, data: bytes, rig: StereoRig) -> bytes | None:
     """Write an acceptance of this rig and return the former content. Raises `FileFormatError`."""
     found = acceptance_in(data, path, rig.calibration_id, registration_digest(rig))
     if found.wrong is not AcceptanceState.NONE:
@@ -69,6 +69,6 @@ def acceptance_in(data: bytes, path: Path, calibration_id: str, registration: st
     passed = reader.document.get("passed")
     if not isinstance(passed, bool):
         raise reader.error("passed", f"expected true or false, got {passed!r}")
-    made_ns, due_ns = (reader.whole(name, 2**63 - 1, 1) for name in ("made_ns", "due_ns"))
+    made_ns, due_ns = (reader.integer(name, 2**63 - 1, 1) for name in ("made_ns", "due_ns"))
     same = reader.text("calibration_id") == calibration_id and reader.text("registration") == registration
     return Acceptance(passed, made_ns, due_ns, AcceptanceState.NONE if same else AcceptanceState.OTHER_RIG)

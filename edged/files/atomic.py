@@ -39,7 +39,7 @@ def write_atomically(
         try:
             with os.fdopen(handle, "wb") as file:
                 if is_state:
-                    give_like(handle, folder)
+                    copy_owner(handle, folder)
                 if group != -1:
                     os.fchown(handle, -1, group)
                 os.fchmod(handle, mode)  # it was created private
@@ -64,7 +64,7 @@ def _new_file(beginning: str, folder: int) -> tuple[int, str]:
     raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), beginning)
 
 
-def give_like(handle: int, folder: int) -> None:
+def copy_owner(handle: int, folder: int) -> None:
     """When running as root, give a new file the owner of its (open) folder. Raises `OSError`."""
     if os.geteuid() == 0:
         owner = os.fstat(folder)
@@ -125,7 +125,7 @@ def replace_folder(folder: Path, files: Mapping[str, bytes], keep: Path | None =
         sync_folders(draft)
         in_use = folder.exists() and any(folder.iterdir())
         if in_use:
-            exchange(draft, folder)
+            swap_paths(draft, folder)
         else:
             draft.replace(folder)
     except BaseException:
@@ -157,7 +157,7 @@ def _holds(folder: Path, files: Mapping[str, bytes]) -> bool:
         return False
 
 
-def exchange(first: Path, second: Path) -> None:
+def swap_paths(first: Path, second: Path) -> None:
     """Swap two paths atomically, so that neither is ever missing. Raises `OSError`.
 
     Uses renameat2(2) with RENAME_EXCHANGE (Linux only). Network file systems may lack it: there it takes
@@ -248,7 +248,7 @@ def _read(path: Path, what: str, folder: int | None, most: int = MAX_FILE_BYTES)
             return data
 
 
-def put_back(path: Path, former: bytes | None) -> None:
+def restore_file(path: Path, former: bytes | None) -> None:
     """Restore a file's former content; None: remove the file. Raises `FileFormatError`."""
     if former is None:
         path.unlink(missing_ok=True)

@@ -131,7 +131,7 @@ def _read_chains(
         there = ", ".join(map(repr, known))[:500]
         raise FileFormatError(f"{path}: no layer {missing[0]!r}, there are {there}", "layer", there=there)
     scale = _scale(document, path, units)
-    _forget_undrawn(document, layers)
+    _drop_undrawn(document, layers)
     _check_content(_placed_content(document, path), path, most_points)
     chains: list[JoinedPoints] = []
     points = 0
@@ -195,7 +195,7 @@ class _Content:
         )
 
 
-def _forget_undrawn(document: DxfDocument, layers: Sequence[str]) -> None:
+def _drop_undrawn(document: DxfDocument, layers: Sequence[str]) -> None:
     """Delete every entity that is not a shape on a wanted layer, except block references.
 
     The content of a block is copied at each placement, so it is filtered, too. Text, dimensions and hatches
@@ -392,7 +392,7 @@ def _joined(lines: Sequence[FloatArray], place: str) -> list[FloatArray]:
         used.add(first)
         while (following := _next(chain, used, ends)) is not first:
             if following is None:
-                raise _why_open(place, chain, ends)
+                raise _open_outline_error(place, chain, ends)
             chain.append(following)
             used.add(following)
         points = [edge.payload[::-1] if edge.is_reverse else edge.payload for edge in chain]
@@ -416,7 +416,7 @@ def _next(chain: Sequence[Edge], used: Set[Edge], ends: Deposit) -> Edge | None:
     )
 
 
-def _why_open(place: str, chain: Sequence[Edge], ends: Deposit) -> FileFormatError:
+def _open_outline_error(place: str, chain: Sequence[Edge], ends: Deposit) -> FileFormatError:
     """Error that says why a chain does not close: a loose end, or a point where more than two edges meet."""
     hint = "expected closed outlines (leave out construction lines by choosing layers)"
     last, first = chain[-1].end, chain[0].start

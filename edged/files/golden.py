@@ -61,12 +61,12 @@ def load_golden(path: Path) -> Golden:
     data = read_bytes(path, "a golden part", MAX_GOLDEN_BYTES)
     reader = JsonFields.of(data, path, "golden part", GOLDEN_FORMAT, GOLDEN_VERSION)
     golden = Golden(
-        number=reader.whole("number", 0xFFFF),
+        number=reader.integer("number", 0xFFFF),
         job=reader.text("job"),
         part=_digest(reader, "part"),
         calibration_id=reader.text("calibration_id"),
         registration=_digest(reader, "registration"),
-        exposed_ns=reader.whole("exposed_ns", 2**63 - 1),
+        exposed_ns=reader.integer("exposed_ns", 2**63 - 1),
         robot_from_rig=reader.transform("robot_from_rig"),
         rig_from_part=reader.transform("rig_from_part"),
         covariance=reader.covariance("covariance", 6),

@@ -62,7 +62,7 @@ class JsonFields:
             raise self.error(name, f"expected a number, got {value!r}")
         return float(value)
 
-    def whole(self, name: str, most: int, least: int = 0, what: str = "") -> int:
+    def integer(self, name: str, most: int, least: int = 0, what: str = "") -> int:
         """A whole number from least to most. what : description for the message."""
         value = self.document.get(name)
         if isinstance(value, bool) or not isinstance(value, int) or not least <= value <= most:
@@ -73,7 +73,7 @@ class JsonFields:
 
     def size_px(self, name: str) -> int:
         """A size in pixels."""
-        return self.whole(name, 99_999, 1, "a size in pixels")
+        return self.integer(name, 99_999, 1, "a size in pixels")
 
     def text(self, name: str) -> str:
         """A string that is not empty."""

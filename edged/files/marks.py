@@ -87,8 +87,8 @@ def keep_old_marks(path: Path, calibration_id: str) -> Path | None:
     return kept
 
 
-def exchange_marks(path: Path, data: bytes, rig: StereoRig) -> bytes | None:
-    """Write marks of this rig; returns the former content, for `put_back`. Raises `FileFormatError`."""
+def replace_marks(path: Path, data: bytes, rig: StereoRig) -> bytes | None:
+    """Write marks of this rig; returns the former content, for `restore_file`. Raises `FileFormatError`."""
     if marks_of(data, path, rig) is None:
         raise FileFormatError(f"{path}: the new marks are of another calibration")
     former = read_marks(path) if path.is_file() else None
@@ -160,8 +160,8 @@ def _taught(reader: JsonFields, rig: StereoRig) -> TaughtMarks:
         (float(blur_px[0]), float(blur_px[1])),
         noise,
         reader.covariance("covariance", 3 * count),
-        reader.whole("exposures", 10**6),
-        reader.whole("exposed_ns", 2**63 - 1),
+        reader.integer("exposures", 10**6),
+        reader.integer("exposed_ns", 2**63 - 1),
     )
 
 

@@ -45,7 +45,7 @@ def read_shared_key(path: Path) -> bytes:
         expected = f"expected a shared key of {MIN_KEY_BYTES} at least, as of openssl rand -hex 32"
         raise FileFormatError(f"{path}: {len(key)} bytes: {expected}")
     if is_exposed(path):
-        raise FileFormatError(f"{path}: every user of this machine may read it: {closing(path)}")
+        raise FileFormatError(f"{path}: every user of this machine may read it: {chmod_command(path)}")
     return key
 
 
@@ -57,7 +57,7 @@ def is_exposed(path: Path) -> bool:
         return False
 
 
-def closing(path: Path) -> str:
+def chmod_command(path: Path) -> str:
     """Shell command that makes the file unreadable for other users, but not for the daemon."""
     file = shlex.quote(str(path.resolve()))
     if _config_group() is None:

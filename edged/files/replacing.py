@@ -10,7 +10,7 @@ from collections.abc import Collection, Mapping
 from contextlib import suppress
 from pathlib import Path
 
-from edged.files.atomic import exchange, make_folders, open_folder, sync, sync_folders, write_atomically
+from edged.files.atomic import make_folders, open_folder, swap_paths, sync, sync_folders, write_atomically
 from edged.files.private import write_private
 from edged.owners import open_plain
 
@@ -48,7 +48,7 @@ def replace_files(
             sync(folder.parent)
             return False
         _like_former(draft, folder)
-        exchange(draft, folder)
+        swap_paths(draft, folder)
     except BaseException:
         shutil.rmtree(draft, ignore_errors=True)
         raise

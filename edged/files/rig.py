@@ -139,7 +139,7 @@ def _map(reader: JsonFields) -> RobotMap | None:
     if reader.document.get("robot_from_rig") is None:
         raise reader.error("robot_map", "expected none in a rig without robot_from_rig")
     of_map = reader.sub("robot_map")
-    if of_map.whole("version", 0xFFFF) != MAP_VERSION:
+    if of_map.integer("version", 0xFFFF) != MAP_VERSION:
         raise of_map.error("version", f"this edged reads {MAP_VERSION}: register by the points again")
     beside = {name: reader.document.get(name) for name in ("calibration_id", "robot_from_rig")}
     if of_map.document.get("beside") != beside:
@@ -151,7 +151,9 @@ def _map(reader: JsonFields) -> RobotMap | None:
     expected, shown = (of_map.array(name, (count, 3)) for name in ("expected_mm", "shown_mm"))
     if max(np.abs(expected).max(), np.abs(shown).max()) > FARTHEST_MM:
         raise of_map.error("expected_mm", f"expected places within {FARTHEST_MM:g} mm of the robot")
-    made = RobotMap(expected, shown, of_map.whole("degree", max(DEGREES), min(DEGREES)), _hull(of_map, count))
+    made = RobotMap(
+        expected, shown, of_map.integer("degree", max(DEGREES), min(DEGREES)), _hull(of_map, count)
+    )
     try:
         error_map(made)
     except CalibrationError as error:

@@ -59,7 +59,7 @@ class Attempts:
         self._clock_s = clock_s
         self._wrong: OrderedDict[tuple[str, str], _Wrong] = OrderedDict()
         self._known: OrderedDict[tuple[str, str], None] = OrderedDict()
-        self._turns = _Turns(lambda place: sum(wrong.count for wrong in self._of(0, place)))
+        self._turns = _CheckQueue(lambda place: sum(wrong.count for wrong in self._of(0, place)))
 
     async def check(self, address: str, account: str, is_right: Callable[[], bool]) -> bool:
         """Whether an attempt is right, checked in a thread. Raises `TooManyAttempts`, and what is_right does.
@@ -113,7 +113,7 @@ class Attempts:
             self._wrong.popitem(last=False)
 
 
-class _Turns:
+class _CheckQueue:
     """Queue for one job at a time, in a thread. rank : of an address; the lowest is next, then the first."""
 
     def __init__(self, rank: Callable[[str], int]) -> None:

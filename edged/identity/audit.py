@@ -23,7 +23,7 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 from edged.errors import FileFormatError
-from edged.files.atomic import give_like, make_folders, open_folder, write_atomically
+from edged.files.atomic import copy_owner, make_folders, open_folder, write_atomically
 from edged.identity.auditchain import START, AuditChain, AuditHead, end_of, head_in, line_of
 from edged.owners import open_plain
 
@@ -107,7 +107,7 @@ class AuditFile:
                     continue  # another process may have begun the next file by now
                 number, digest = self._write(file, deed, number, digest)
                 self._note_end(number, digest)
-                self._let_go(folder, file, number, digest)
+                self._prune(folder, file, number, digest)
                 return {"number": number, "hash": digest}
 
     def _write(self, file: BinaryIO, deed: AuditEntry, number: int, digest: str) -> tuple[int, str]:
@@ -138,7 +138,7 @@ class AuditFile:
     def _put_head(self, head: AuditHead) -> None:
         write_atomically(self._folder / HEAD, head.to_bytes(), mode=0o600, is_state=True)
 
-    def _let_go(self, folder: int, file: BinaryIO, number: int, digest: str) -> None:
+    def _prune(self, folder: int, file: BinaryIO, number: int, digest: str) -> None:
         """Delete the oldest full files when there are too many, and those that a crash left behind."""
         head, full = self._head(), _full(folder)
         if head is None:
@@ -324,7 +324,7 @@ def _open_lines(folder: int, *, make: bool) -> int:
                 raise
         with suppress(FileExistsError):  # another process was quicker
             handle = open_plain(LINES, os.O_RDWR | os.O_CREAT | os.O_EXCL, folder)
-            give_like(handle, folder)
+            copy_owner(handle, folder)
             return handle
 
 

@@ -52,7 +52,7 @@ EVENTS, PAIRS, STEPS = 256, 2, 20
 UNDERWAY, CAPTURES = 16, 4
 """Maximum requests under way plus unsent answers, beyond which no more are read; of these with pictures."""
 REQUESTS_PER_S, REQUESTS_AT_ONCE = 200.0, 400.0
-COSTLY, DEAR = (AskExchanges, AskMetrics, AskRegisters), 20
+EXPENSIVE_REQUESTS, EXPENSIVE_COST = (AskExchanges, AskMetrics, AskRegisters), 20
 """Requests that take milliseconds of the event loop, and the number of others that each counts for."""
 COUNTED_BYTES = 1024
 """A message counts once more for each this many bytes: to check 15 kB of numbers takes 3 ms of the loop."""
@@ -269,7 +269,7 @@ class CellEnd:
                 self._rate.owe(len(message) // COUNTED_BYTES)
                 if self.is_greeted:
                     envelope = envelope_of(message)
-                    self._rate.owe(DEAR if isinstance(envelope.request, COSTLY) else 0)
+                    self._rate.owe(EXPENSIVE_COST if isinstance(envelope.request, EXPENSIVE_REQUESTS) else 0)
                     self._carry_out(envelope)
                 else:
                     self._greet(message)

@@ -31,7 +31,7 @@ from edged.domain import (
     robotmap,
 )
 from edged.link import summary
-from edged.plc.ladder import Exchange, Rung
+from edged.plc.exchangelog import Exchange, ExchangeStep
 
 MOST_BYTES = 256 << 20
 """Maximum size of a message: the largest hold the files of many jobs."""
@@ -95,7 +95,7 @@ TYPES: tuple[type, ...] = (
     summary.ProgramStep,
     ChosenCamera,
     Exchange,
-    Rung,
+    ExchangeStep,
 )
 CODEC = Codec.of("a cell", TYPES, CborBounds(MOST_BYTES, 1_000_000, 64))
 

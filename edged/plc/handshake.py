@@ -52,7 +52,6 @@ from edged.plc.answers import AckState, NackReason, ResultVerdict
 from edged.plc.handshakeevents import (
     AckWritten,
     Answered,
-    Barred,
     ClaimedBy,
     CycleBegun,
     Declined,
@@ -63,13 +62,14 @@ from edged.plc.handshakeevents import (
     Exposed,
     Finished,
     HeartbeatWritten,
-    OtherJob,
+    JobChangedElsewhere,
     Released,
     Resumed,
     SequenceWritten,
     Submit,
     Suspended,
     Tick,
+    WriteRejected,
 )
 
 Payload = TypeVar("Payload")
@@ -255,12 +255,12 @@ def _take(
             return replace(state, owner=client, owner_until_s=now_s + state.limits.owner_s), ()
         case Released():
             return _release(state, event), ()
-        case Barred(client):
+        case WriteRejected(client):
             # a value that it still writes when its turn comes may be a command that it has given up meanwhile
             return (replace(state, synchronised=None) if state.synchronised == client else state), ()
         case Exchanged(basis):
             return _exchange(state, basis)
-        case OtherJob():
+        case JobChangedElsewhere():
             return _without_result(state), ()
         case Suspended(registers):
             return _suspend(state, registers)
@@ -350,9 +350,9 @@ def _command(
         return _refuse(state, NackReason.UNKNOWN_COMMAND)
     if event.next_of is not None:
         return _next_part(state, parts, event)
-    if event.asks_way:
+    if event.wants_next_grasp:
         mine = parts if parts is not None and parts.client == event.client else None
-        return _next_way(replace(state, parts=mine), shown, event)
+        return _show_next_grasp(replace(state, parts=mine), shown, event)
     if len(state.open) >= state.limits.queue:
         return _refuse(replace(state, overrun=True), NackReason.QUEUE_FULL)
     deadline_s = float("inf") if event.timeout_s is None else now_s + event.timeout_s
@@ -378,7 +378,7 @@ def _next_part(
     return _show_at_once(replace(state, parts=rest), event.sequence, parts.exposed_s, parts.rest[0])
 
 
-def _next_way(
+def _show_next_grasp(
     state: Handshake[Payload], shown: ShownResult[Payload] | None, event: SequenceWritten[Payload]
 ) -> tuple[Handshake[Payload], tuple[Effect, ...]]:
     """Show the part that was on display with its next grasp; the command is never open."""

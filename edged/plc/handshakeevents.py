@@ -18,8 +18,8 @@ class SequenceWritten(Generic[Payload]):
 
     client : the writer. once : written once, not cyclically: it runs as a client's first command, too.
     timeout_s : for this command; None: no limit. next_of : NEXT_PART from a list of this job (0: any);
-    None: another command. registers : a registration command. asks_way : NEXT_GRASP; way : the part on
-    display with its next grasp; None: it has no other.
+    None: another command. registers : a registration command. wants_next_grasp : NEXT_GRASP; way : the
+    part on display with its next grasp; None: it has no other.
     """
 
     sequence: int
@@ -29,7 +29,7 @@ class SequenceWritten(Generic[Payload]):
     once: bool = False
     next_of: int | None = None
     registers: bool = False
-    asks_way: bool = False
+    wants_next_grasp: bool = False
     way: Payload | None = None
 
 
@@ -109,7 +109,7 @@ class Released:
 
 
 @dataclass(frozen=True, slots=True)
-class Barred:
+class WriteRejected:
     """A client wrote CMD_SEQ while another client held the right to write: it was refused."""
 
     client: int
@@ -126,7 +126,7 @@ class Exchanged:
 
 
 @dataclass(frozen=True, slots=True)
-class OtherJob:
+class JobChangedElsewhere:
     """The active job was changed, but not by the client."""
 
 
@@ -161,9 +161,9 @@ Event = (
     | Finished[Payload]
     | ClaimedBy
     | Released
-    | Barred
+    | WriteRejected
     | Exchanged
-    | OtherJob
+    | JobChangedElsewhere
     | Suspended
     | Resumed
     | Tick

@@ -71,7 +71,7 @@ class ImageClient:
         if self._next_show is not None:
             self._next_show.cancel()
         if self._watch.source is not None:
-            self._watch.source.leave(self._client)
+            self._watch.source.remove_client(self._client)
 
     def take(self, image: bytes) -> None:
         """Take an image that was sent to the cell."""
@@ -87,7 +87,7 @@ class ImageClient:
             return
         self._image = None
         if self._watch.source is not None:
-            self._watch.source.leave(self._client)
+            self._watch.source.remove_client(self._client)
         self._client = next(self._numbers)
 
     def _show(self) -> None:

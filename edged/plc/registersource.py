@@ -24,7 +24,7 @@ class RegisterSource(Protocol):
         Raises `CommandRefused` during another client's turn.
         """
 
-    def leave(self, client: int) -> None:
+    def remove_client(self, client: int) -> None:
         """Remove a client and end its right to write."""
 
     def watch(self, changed: Callable[[], None]) -> None:

@@ -41,7 +41,7 @@ FLAT = 0.05
 
 
 @dataclass(frozen=True, slots=True)
-class MapTrial:
+class MapFit:
     """Quality of one degree; 0: the registration alone. held_out_mm : rms over points that were left out."""
 
     degree: int
@@ -75,7 +75,7 @@ class ErrorMap:
         # a point's residual is too small by its own pull on the fit (leverage); few points: Student's t
         variance = float(np.mean(np.sum(left**2, axis=1) / kept)) / 3.0
         self.noise_mm = math.sqrt(variance * freedom / (freedom - 2))
-        self.trial = MapTrial(
+        self.trial = MapFit(
             made.degree, _rms(self.held_out_mm), _bic(float(np.sum(left**2)), left.size, 3 * rows.shape[1])
         )
 
@@ -117,9 +117,9 @@ def error_map(made: RobotMap) -> ErrorMap:
     return ErrorMap(made)
 
 
-def map_of(
+def fit_map(
     expected_mm: FloatArray, shown_mm: FloatArray, alone_mm: FloatArray
-) -> tuple[RobotMap | None, tuple[MapTrial, ...]]:
+) -> tuple[RobotMap | None, tuple[MapFit, ...]]:
     """Best map, None if none improves on the registration alone, and all trials, the one without a map first.
 
     alone_mm (N,) : distance of each point from the registration by all others. Raises `CalibrationError`.
@@ -131,7 +131,7 @@ def map_of(
         )
     hull = hull_of(expected_mm)
     left = shown_mm - expected_mm
-    alone = MapTrial(0, _rms(alone_mm), _bic(float(np.sum(left**2)), left.size, 6))
+    alone = MapFit(0, _rms(alone_mm), _bic(float(np.sum(left**2)), left.size, 6))
     tried = {0: alone}
     for degree in DEGREES:
         if count >= POINTS_PER_TERM * math.comb(3 + degree, 3):

@@ -174,15 +174,15 @@ def offset_of(
     robot_from_rig: FloatArray,
     registration: FloatArray | None,
     rig: StereoRig,
-    was_moved: FloatArray,
+    golden_jacobian: FloatArray,
     was_shifted: RobotShift | None = None,
 ) -> Offset:
     """Offset of a target from the golden part; its covariance is derived in the module docstring.
 
-    registration (6, 6) : as for `robot_covariance`; None: taken as exact. was_moved (6, P) : motion of the
-    golden part by the rig's parameters; was_shifted : its shift by the map of the robot's error. For a part
-    with rotational symmetry, the turn about its axis is the one that turns the robot's path least, and counts
-    as exact.
+    registration (6, 6) : as for `robot_covariance`; None: taken as exact. golden_jacobian (6, P) : motion of
+    the golden part by the rig's parameters; was_shifted : its shift by the map of the robot's error. For a
+    part with rotational symmetry, the turn about its axis is the one that turns the robot's path least, and
+    counts as exact.
     """
     own, points_mm = own_and_points(target)
     rig_from_part = _least_turned(target, golden, robot_from_rig)
@@ -203,7 +203,7 @@ def offset_of(
 
     def spread(back: FloatArray, forth: FloatArray) -> FloatArray:
         """Covariance of back z - forth z_g."""
-        by_rig, by_lenses = back @ now - forth @ then, back @ now @ moved - forth @ then @ was_moved
+        by_rig, by_lenses = back @ now - forth @ then, back @ now @ moved - forth @ then @ golden_jacobian
         alone = back @ now @ own @ now.T @ back.T + forth @ then @ own_then @ then.T @ forth.T
         shared = by_rig @ at_rig @ by_rig.T
         if shift is not None and was_shifted is not None:

@@ -94,7 +94,7 @@ def held(target: Target, grasp: GraspPose) -> Target:
     )
 
 
-def placing(robot_offset: FloatArray, robot_from_tool: FloatArray) -> FloatArray:
+def place_correction(robot_offset: FloatArray, robot_from_tool: FloatArray) -> FloatArray:
     """Matrix (4, 4) to multiply a taught place by from the right, for a part that the gripper holds askew.
 
     robot_offset : robot_now robot_golden^-1 of the part, both seen with the tool at robot_from_tool. The part

@@ -281,7 +281,7 @@ def pose_of(brand: Brand, robot_from_part: FloatArray) -> tuple[float, ...]:
     return (*(robot_from_part[:3, 3] / to_mm).tolist(), *angles)
 
 
-READINGS: dict[str, tuple[int, Callable[..., FloatArray]]] = {
+POSE_FORMATS: dict[str, tuple[int, Callable[..., FloatArray]]] = {
     "rotation vector in rad": (3, matrix_rotation_vector),
     "rotation vector in degrees": (3, lambda *v: matrix_rotation_vector(*np.radians(v))),
     **{

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from edged.errors import UserError
-from edged.robot.orientations import LENGTH_UNITS_MM, READINGS, Brand, transform_of
+from edged.robot.orientations import LENGTH_UNITS_MM, POSE_FORMATS, Brand, transform_of
 from edged.vision.geometry.rigid import transform
 
 
@@ -124,7 +124,7 @@ def _floats(found: list[str]) -> tuple[float, ...]:
 
 READING_CODES: dict[str, str] = dict(
     zip(
-        READINGS,
+        POSE_FORMATS,
         (
             "vector-rad",
             "vector-deg",
@@ -142,12 +142,12 @@ READING_CODES: dict[str, str] = dict(
         strict=True,
     )
 )
-"""Codes of the `READINGS`, for programs and for the web page, which translates them."""
+"""Codes of the `POSE_FORMATS`, for programs and for the web page, which translates them."""
 
 
 def brands_of(orientation: str, length_unit: str) -> tuple[Brand, ...]:
     """Brands whose pendants write poses in this orientation and unit; may be none or several."""
-    count, reader = READINGS[orientation]
+    count, reader = POSE_FORMATS[orientation]
     unit = np.array((0.5, 0.1, 0.7, 0.5)) if count == 4 else np.array((0.4, -0.7, 1.1))
     probe = (1.0, 2.0, 3.0, *(unit / np.linalg.norm(unit) if count == 4 else unit).tolist())
     pose = transform(np.asarray(reader(*probe[3:])), LENGTH_UNITS_MM[length_unit] * np.array(probe[:3]))

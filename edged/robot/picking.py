@@ -84,7 +84,7 @@ def picked(outcome: Outcome, picking: Picking, frame: RobotFrame) -> Outcome:
     key = _KEYS[picking.order]
     pockets = 0 if picking.tray is None else picking.tray.pockets
     reported = [
-        _mapped(allowed(target, picking, frame, outcome.targets).as_reported, frame)
+        _mapped(with_allowed_grasps(target, picking, frame, outcome.targets).as_reported, frame)
         for target in outcome.targets
     ]
     skipped = _skipped(reported, picking.skipped_mm, frame)
@@ -130,7 +130,9 @@ def _skipped(
     return None if near is None or not apart_mm[near] <= SAME_PLACE_MM else good[near]
 
 
-def allowed(target: Target, picking: Picking, frame: RobotFrame, found: Iterable[Target] = ()) -> Target:
+def with_allowed_grasps(
+    target: Target, picking: Picking, frame: RobotFrame, found: Iterable[Target] = ()
+) -> Target:
     """Add the allowed grasps to a target, and reject it where the robot must not go.
 
     found : all parts of the picture, good and bad, including this one: the gripper keeps clear of the others.

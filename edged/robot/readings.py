@@ -16,7 +16,7 @@ MOUNTS: tuple[Mount, ...] = ("eye-to-hand", "eye-in-hand")
 
 
 @dataclass(frozen=True, slots=True)
-class PoseReading:
+class PoseFormat:
     """One way to read poses, and the rms of the best hand-eye calibration with it."""
 
     orientation: str
@@ -31,14 +31,14 @@ def rank_readings(
     board_mm: FloatArray,
     orientations: Mapping[str, tuple[int, Callable[..., FloatArray]]],
     units_mm: Mapping[str, float],
-) -> list[PoseReading]:
+) -> list[PoseFormat]:
     """Rank all readings that can be computed, best first.
 
     numbers : poses as the controller shows them, x y z and three or four numbers of orientation.
     orientations : name to (count, reader to a rotation matrix).  units_mm : name to length in mm.
     Raises `CalibrationError` when no reading gives a hand-eye calibration at all.
     """
-    found: list[PoseReading] = []
+    found: list[PoseFormat] = []
     reasons: list[str] = []
     for name, (count, reader) in orientations.items():
         if any(len(pose) != 3 + count for pose in numbers):
@@ -59,7 +59,7 @@ def rank_readings(
                 except (CalibrationError, np.linalg.LinAlgError) as error:
                     reasons.append(str(error))
                     continue
-                found.append(PoseReading(name, unit, mount, rms))
+                found.append(PoseFormat(name, unit, mount, rms))
     if not found:
         why = reasons[0] if reasons else "none takes so many numbers"
         raise CalibrationError(f"no reading of the poses gives a hand-eye: {why}")

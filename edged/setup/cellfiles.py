@@ -29,7 +29,7 @@ from edged.files.acceptance import acceptance_file, load_acceptance
 from edged.files.golden import golden_file, load_golden
 from edged.files.jobs import job_folders, job_of, read_job
 from edged.files.marks import MARKS_NAME, marks_file, marks_of, read_marks
-from edged.files.private import can_close, closing, is_exposed, read_shared_key
+from edged.files.private import can_close, chmod_command, is_exposed, read_shared_key
 from edged.files.rig import read_rig, rig_of
 from edged.files.secrettext import without_secrets
 from edged.link.summary import FilesInUse
@@ -234,7 +234,7 @@ UNACCEPTED = {
 """Remarks on states of the last acceptance test in which the cell does not count as accepted."""
 
 
-def doubts(cell: CellFiles) -> list[str]:
+def warnings_for(cell: CellFiles) -> list[str]:
     """Remarks that a person should check before trusting results; none keeps the cell from measuring."""
     rig, remarks = cell.rig, []
     try:
@@ -274,7 +274,7 @@ def exposed_secrets(path: Path, config: Config) -> list[ExposedSecret]:
         with contextlib.suppress(ConfigError):  # reported by `read_cell`
             secrets += [("zenoh.config_file", file) for file in secret_files(config.zenoh.config_file)]
     return [
-        ExposedSecret(place, file, closing(file), can_close(file))
+        ExposedSecret(place, file, chmod_command(file), can_close(file))
         for place, file in secrets
         if is_exposed(file)
     ]

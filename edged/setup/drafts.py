@@ -137,7 +137,7 @@ class OpenDrafts(Generic[S, D, O]):
         self.current = identity
         async with self.changing(opened, revision):
             await asyncio.to_thread(change, cast(D, opened.draft))
-        return self.tell(opened)
+        return self.publish(opened)
 
     @asynccontextmanager
     async def changing(self, opened: O, revision: int | None = None) -> AsyncIterator[None]:
@@ -169,16 +169,16 @@ class OpenDrafts(Generic[S, D, O]):
             opened.is_gone = True
             await self._topic.stop(opened)
 
-    def tell(self, opened: O) -> DraftHead:
+    def publish(self, opened: O) -> DraftHead:
         """Send a draft to every page."""
         document = self._topic.document(opened)
         if not opened.is_gone:
             self._notices.publish(self._kind, document.model_dump(mode="json"))
         return document
 
-    async def tell_again(self, identity: str) -> None:
+    async def republish(self, identity: str) -> None:
         """Send a draft after a change outside its files. Raises as `get`."""
-        self.tell(await self.get(identity))
+        self.publish(await self.get(identity))
 
 
 class Latest(Generic[R]):

@@ -14,7 +14,7 @@ from aiohttp import web
 from edged.adapters.web.routes import Answer, Call, route
 from edged.identity.visitors import Role
 from edged.link.summary import CellSummary
-from edged.plc.ladder import Exchange
+from edged.plc.exchangelog import Exchange
 from edged.plc.registers import ADDRESS, constant_values
 from edged.robot.orientations import Convention
 from edged.robots.formats import DOWNLOADS, written
@@ -25,7 +25,7 @@ EPOCH = (2026, 1, 1, 0, 0, 0)
 
 
 class RungDocument(Answer):
-    """One step of an exchange; see `edged.plc.ladder.Rung`. by : "plc" or "cell"."""
+    """One step of an exchange; see `edged.plc.exchangelog.ExchangeStep`. by : "plc" or "cell"."""
 
     after_ms: float
     by: str

@@ -220,7 +220,7 @@ class VirtualCell:
         """Current view of a camera."""
         return self._views[side]
 
-    def stand_in(self, side: Side, view: RenderedView) -> None:
+    def replace_camera(self, side: Side, view: RenderedView) -> None:
         """Replace the camera of a side; hands are placed by the new camera's view."""
         self._views[side] = view
 

@@ -145,9 +145,9 @@ def test_auto_lock_is_told_when_it_changes_and_falls_with_its_connection() -> No
     cell = registers(queue)
     for _ in range(3):
         cell.write(1, reg.ADDRESS["AUTO_LOCK"], [1, 0, 0])
-    cell.gone(2)
+    cell.client_disconnected(2)
     assert [True] == queue.locks
-    cell.gone(1)
+    cell.client_disconnected(1)
     assert [True, False] == queue.locks
     words = cell.read(reg.COMMAND.address, reg.COMMAND.words)
     assert 0 == reg.decode(reg.COMMAND, words)["AUTO_LOCK"]
@@ -320,7 +320,7 @@ def test_a_block_that_changes_between_two_requests_is_told_by_its_crc_and_mostly
     elif change == "reload":
         cell.take(Basis(1, "cal2", "beef"))
     else:
-        cell.gone(1)
+        cell.client_disconnected(1)
         cell.write(2, reg.ADDRESS["CMD_SEQ"], [0])
         cell.write(2, reg.ADDRESS["COMMAND"], [CommandKind.LOCATE, 0, 8 if change == "next command" else 7])
         moved = replace(with_grasp(), rig_from_part=make_transform((0.0, 0.0, 0.1), (1.0, 2.0, 3.0)))

@@ -21,7 +21,7 @@ from edged.files.rig import load_rig, save_rig
 from edged.payload import state_to_json
 from edged.plc import registers as reg
 from edged.robot.golden import registration_digest
-from edged.setup.cellfiles import CellFiles, doubts
+from edged.setup.cellfiles import CellFiles, warnings_for
 from edged.setup.releases.archive import make
 from edged.sim.cell import VirtualCell, demo_part
 
@@ -45,7 +45,7 @@ def accepted(config: Path, days: int, *, passed: bool = True, calibration: str =
 def said(loaded: LoadedCell) -> list[str]:
     """The warnings about the acceptance."""
     assert isinstance(loaded.cell, CellFiles)
-    return [line for line in doubts(loaded.cell) if "acceptance" in line]
+    return [line for line in warnings_for(loaded.cell) if "acceptance" in line]
 
 
 def test_each_state_of_an_acceptance_is_said(config: Path) -> None:

@@ -26,7 +26,7 @@ from edged.errors import UserError
 from edged.files.golden import golden_file, load_golden
 from edged.files.rig import load_rig, save_rig
 from edged.robot.errormap import hull_of
-from edged.setup.cellfiles import doubts, read_cell
+from edged.setup.cellfiles import read_cell, warnings_for
 from edged.setup.releases.archive import make
 from edged.sim.cell import VirtualCell
 
@@ -93,7 +93,7 @@ def test_a_kept_part_is_in_use_at_once_and_after_a_restart(cell: Path) -> None:
         offsets.append(found)
     np.testing.assert_array_equal(offsets[0].robot, offsets[1].robot)
     np.testing.assert_array_equal(offsets[0].covariance, offsets[1].covariance)
-    assert [] == doubts(again.cell)
+    assert [] == warnings_for(again.cell)
     assert not any("golden" in name for name in make(cell).backup.files)
 
 
@@ -151,7 +151,7 @@ def test_a_golden_part_holds_as_long_as_what_it_was_kept_with(cell: Path, what: 
     change(cell)
     again = load_cell(cell)
     assert state is state_of(again)
-    said = [line for line in doubts(again.cell) if line.startswith("golden/1.json")]
+    said = [line for line in warnings_for(again.cell) if line.startswith("golden/1.json")]
     assert (1 if why else 0) == len(said)
     assert not why or (why in said[0] and state.name in said[0])
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from edged.app import pagesource
-from edged.app.pagesource import AwaitedPage, peer_of
+from edged.app.pagesource import PageService, peer_of
 
 
 def come(place: Path) -> socket.socket:
@@ -25,7 +25,7 @@ def come(place: Path) -> socket.socket:
 async def test_its_user_is_let_in_and_known_by_the_kernel(tmp_path: Path) -> None:
     """The page's user is accepted, one process after the other; the socket is for its group, and is gone
     with the cell."""
-    page = AwaitedPage(pwd.getpwuid(os.geteuid()).pw_name, tmp_path / "page")
+    page = PageService(pwd.getpwuid(os.geteuid()).pw_name, tmp_path / "page")
     page.open()
     assert 0o660 == (tmp_path / "page").stat().st_mode & 0o777
     for _ in range(2):
@@ -45,7 +45,7 @@ async def test_another_user_is_refused_and_the_next_may_come(
     monkeypatch.setattr(pagesource, "REFUSED_S", 0.01)
     numbers = iter([None, 12345, os.geteuid()])
     monkeypatch.setattr(pagesource, "_number_of", lambda _name: next(numbers))
-    page = AwaitedPage("edged_page", tmp_path / "page")
+    page = PageService("edged_page", tmp_path / "page")
     waiting = asyncio.create_task(page.connection())
     await asyncio.sleep(0)
     for _ in range(2):
@@ -65,15 +65,15 @@ def test_only_a_socket_makes_room(tmp_path: Path) -> None:
     place = tmp_path / "page"
     with socket.socket(socket.AF_UNIX) as old:
         old.bind(str(place))
-    page = AwaitedPage("edged_page", place)
+    page = PageService("edged_page", place)
     page.open()
     page.close()
     place.write_text("people's")
     with pytest.raises(OSError, match="in use"):
-        AwaitedPage("edged_page", place).open()
+        PageService("edged_page", place).open()
     assert "people's" == place.read_text()
     place.unlink()
     place.symlink_to(tmp_path / "elsewhere")
     with pytest.raises(OSError, match="in use"):
-        AwaitedPage("edged_page", place).open()
+        PageService("edged_page", place).open()
     assert not (tmp_path / "elsewhere").exists()

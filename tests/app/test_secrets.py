@@ -286,4 +286,4 @@ def test_a_private_file_is_its_owners_or_also_the_daemons(
         (tmp_path / "new").stat().st_mode & 0o777,
         (tmp_path / "new").read_bytes(),
     )
-    assert ("chmod 600" if daemons is None else "chmod 640") in private.closing(like)
+    assert ("chmod 600" if daemons is None else "chmod 640") in private.chmod_command(like)

@@ -21,7 +21,7 @@ from helpers.stagecell import staged
 from rich.console import Console
 
 from edged.adapters.aravis import addresses, give_address, list_cameras, with_addresses
-from edged.adapters.aravis.addresses import HeardCamera, free_address, hear_cameras
+from edged.adapters.aravis.addresses import DiscoveredCamera, discover_cameras, free_address
 from edged.commands.cameras import address as give
 from edged.commands.cameras import cameras as list_them
 from edged.commands.stage import USER
@@ -57,9 +57,9 @@ def lost(**identity: Any) -> Iterator[GigeCamera]:
         yield camera
 
 
-def heard(serial: str = SERIAL) -> HeardCamera:
+def heard(serial: str = SERIAL) -> DiscoveredCamera:
     """The camera from its answer to a broadcast."""
-    return next(one for one in hear_cameras() if one.serial == serial)
+    return next(one for one in discover_cameras() if one.serial == serial)
 
 
 def test_a_camera_of_another_network_is_heard_and_told_as_lost() -> None:
@@ -201,7 +201,7 @@ def test_no_socket_is_left() -> None:
     before = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     number = before.fileno()
     before.close()
-    hear_cameras()
+    discover_cameras()
     after = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     try:
         assert number == after.fileno()

@@ -116,9 +116,9 @@ async def test_cameras_that_cannot_be_opened_leave_those_from_before() -> None:
     assert {} == cameras.changes
     await cameras.capture(head, listens=False)
     await cameras.adjust(head, "left", CameraValues(gain_db=6.0))
-    await cameras.put_down(head)
+    await cameras.release(head)
     await cameras.capture(head, listens=False)
-    await cameras.put_down(head)
+    await cameras.release(head)
     assert [(2000.0, 0.0), (2000.0, 0.0)] == film.exposed
 
 

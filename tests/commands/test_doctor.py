@@ -347,14 +347,14 @@ def info(serial: str, address: str, control: str = "free") -> CameraInfo:
 def test_two_cameras_at_one_address_are_found() -> None:
     """Two cameras with the same address are reported."""
     found = [info("1", "10.0.0.5"), info("2", "10.0.0.5"), info("3", "10.0.0.6")]
-    (check,) = cameras.twins(found)
+    (check,) = cameras.duplicates(found)
     assert check.finding == "10.0.0.5 is the address of 1, 2"
 
 
 def test_a_camera_that_answers_at_two_addresses_is_found() -> None:
     """A serial number at two addresses is reported, but not cameras without a serial number."""
     found = [info("1", "10.0.0.5"), info("1", "10.0.1.5"), info("", "10.0.0.6"), info("", "10.0.0.7")]
-    (check,) = cameras.twins(found)
+    (check,) = cameras.duplicates(found)
     assert (CheckResult.WARN, "1 answers at 10.0.0.5, 10.0.1.5") == (check.verdict, check.finding)
 
 

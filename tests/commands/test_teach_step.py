@@ -37,9 +37,9 @@ from edged.robot.picking import RobotFrame, picked
 from edged.sim.render.scene import Disc, Hole, Part, Scene, Table
 from edged.vision.geometry.rectification import StereoImages
 from edged.vision.geometry.rigid import apply, invert
-from edged.vision.geometry.uncertainty import levered_covariance
+from edged.vision.geometry.uncertainty import shifted_pose_covariance
 from edged.vision.part.job import Job, ModelPoint
-from edged.vision.solid.breaks import LaidBody
+from edged.vision.solid.breaks import FittedBody
 from edged.vision.solid.edgemodel import EdgeModel
 from edged.vision.teaching import cadpair, cadsettling
 from edged.vision.teaching.cadjob import teach_model
@@ -57,9 +57,9 @@ NO_DRAWING = DrawingSource(None, None, None, (), None)
 @pytest.fixture(scope="module", autouse=True)
 def laid_once() -> Iterator[None]:
     """Fit a body to the same pair and pose only once, as it takes twelve seconds."""
-    lay, laid = cadsettling.lay_with_breaks, dict[bytes, LaidBody | None]()
+    lay, laid = cadsettling.lay_with_breaks, dict[bytes, FittedBody | None]()
 
-    def once(images: StereoImages, model: EdgeModel, where: FloatArray) -> LaidBody | None:
+    def once(images: StereoImages, model: EdgeModel, where: FloatArray) -> FittedBody | None:
         key = pickle.dumps((repr(images.rig), images.raw, model, where))
         if key not in laid:
             laid[key] = lay(images, model, where)
@@ -251,7 +251,7 @@ def test_the_frame_of_the_file_is_published_where_the_job_says_so(tmp_path: Path
         assert np.abs(told[report].rig_from_part[:3, :3] - where[:3, :3]).max() < 2e-3
         assert Reject.NONE is told[report].reject
     arm = told["tip"].position_mm - told["reference"].position_mm
-    assert np.array_equal(levered_covariance(told["reference"].covariance, arm), told["tip"].covariance)
+    assert np.array_equal(shifted_pose_covariance(told["reference"].covariance, arm), told["tip"].covariance)
     assert Reject.SIGMA_LIMIT in told["far"].reject
 
 

@@ -243,9 +243,9 @@ class Record:
                 ("fsync", self._on_fsync),
             ):
                 patch.setattr(os, name, self._watched(getattr(os, name), watch))
-            exchange = self._watched(atomic.exchange, self._on_exchange)
-            patch.setattr(atomic, "exchange", exchange)
-            patch.setattr(replacing, "exchange", exchange)
+            exchange = self._watched(atomic.swap_paths, self._on_exchange)
+            patch.setattr(atomic, "swap_paths", exchange)
+            patch.setattr(replacing, "swap_paths", exchange)
             yield
         self.note()
         for thing in list(self._unsynced):

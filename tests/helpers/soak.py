@@ -177,7 +177,9 @@ class WatchedRegisters(CellRegisters):
         if self.is_over:  # one of its connections ends: no client is notified any more
             return effects
         for effect in effects:
-            is_next = isinstance(event, ev.SequenceWritten) and (event.next_of is not None or event.asks_way)
+            is_next = isinstance(event, ev.SequenceWritten) and (
+                event.next_of is not None or event.wants_next_grasp
+            )
             if isinstance(effect, ev.Submit) or (is_next and effect.answer is answers.AckState.ACK):
                 sequence = effect.ticket & hs.SEQUENCE_MASK
                 self._exposed_for_s = self._exposed_for_s if is_next else now_s
@@ -204,7 +206,9 @@ class Book:
 
     def note(self, cell: object, event: Any, effects: tuple[ev.Effect, ...], now_s: float) -> None:
         """Record accepted commands and how they ended; NEXT_PART and NEXT_GRASP are never open."""
-        is_next = isinstance(event, ev.SequenceWritten) and (event.next_of is not None or event.asks_way)
+        is_next = isinstance(event, ev.SequenceWritten) and (
+            event.next_of is not None or event.wants_next_grasp
+        )
         for effect in effects:
             key = (id(cell), effect.ticket)
             if isinstance(effect, ev.Submit):
@@ -550,7 +554,7 @@ class Line:
 
     def gone(self) -> None:
         """End the connection."""
-        self.server.gone(self.number)
+        self.server.client_disconnected(self.number)
         self._world.lines.pop(self.number, None)
 
 

@@ -20,7 +20,7 @@ from edged.cell.cycle import Cycle
 from edged.domain.overview import Overview
 from edged.identity.users import RoleName, User, UserFile
 from edged.link.summary import CellSummary
-from edged.plc.ladder import Exchange
+from edged.plc.exchangelog import Exchange
 from edged.setup.plcroutes import PlcRoutes
 from helpers.browsersession import PASSWORD, BrowserSession, browsing
 from helpers.pagesources import FixedSources

@@ -218,7 +218,11 @@ async def test_who_says_nothing_loses_the_link_and_who_greets_keeps_it(
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("request_", "price"),
-    [(ask.RenewLease(token="x"), 1), (ask.AskMetrics(), 1 + cellend.DEAR), (LONG, 1 + LONG_BYTES // 1024)],
+    [
+        (ask.RenewLease(token="x"), 1),
+        (ask.AskMetrics(), 1 + cellend.EXPENSIVE_COST),
+        (LONG, 1 + LONG_BYTES // 1024),
+    ],
     ids=["plain", "dear", "long"],
 )
 async def test_a_flood_is_read_no_faster_than_allowed(request_: ask.Asked, price: int) -> None:

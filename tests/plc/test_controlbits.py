@@ -208,7 +208,9 @@ class AnyBits(RuleBasedStateMachine):
         self.run.now_s += seconds
 
     @rule(
-        event=st.sampled_from([ev.Suspended(), ev.Resumed(), ev.OtherJob(), ev.Released(1), ev.Released(2)])
+        event=st.sampled_from(
+            [ev.Suspended(), ev.Resumed(), ev.JobChangedElsewhere(), ev.Released(1), ev.Released(2)]
+        )
     )
     def disturb(self, event: ev.Event[int]) -> None:
         self.run.tell(event)

@@ -128,10 +128,10 @@ def test_a_new_connection_and_another_client_begin_with_a_number_that_runs_nothi
 def test_a_command_that_had_to_wait_for_its_turn_runs_nothing() -> None:
     """A command written during another client's turn runs nothing afterwards."""
     run = Run()
-    run.tell(ev.Barred(3))
+    run.tell(ev.WriteRejected(3))
     assert (ev.Submit(1),) == run.tell(ev.SequenceWritten(1)), "another client's turn is nothing to this one"
     run.good(1)
-    run.tell(ev.Barred(0))
+    run.tell(ev.WriteRejected(0))
     (answered,) = run.tell(ev.SequenceWritten(2))
     assert isinstance(answered, ev.Answered) and answered.reason is NackReason.BASELINE
 
@@ -354,7 +354,7 @@ OTHERS = {
     "no command": ev.SequenceWritten(0),
     "another client": ev.SequenceWritten(2, client=5, once=True),
     "another basis": ev.Exchanged(1),
-    "another job by somebody else": ev.OtherJob(),
+    "another job by somebody else": ev.JobChangedElsewhere(),
     "SETUP": ev.Suspended(),
     "the connection's end": ev.Released(0, gone=True),
 }
@@ -579,15 +579,15 @@ def test_another_way_to_take_the_part_on_display_leaves_the_list_as_it_is() -> N
     run.tell(ev.SequenceWritten(1))
     run.good(1, 1, "a", "b")
     run.now_s += 1.5
-    (answered,) = run.tell(ev.SequenceWritten(2, asks_way=True, way="a, other"))
+    (answered,) = run.tell(ev.SequenceWritten(2, wants_next_grasp=True, way="a, other"))
     assert ev.Answered(2, AckState.ACK, NackReason.NONE) == answered
     assert (True, 2, "a, other") == (run.valid, run.state.result.sequence, run.state.result.payload)
     assert (100.0, 1, ()) == (run.state.result.exposed_s, hs.remaining(run.state), run.state.open)
-    (answered,) = run.tell(ev.SequenceWritten(3, asks_way=True))
+    (answered,) = run.tell(ev.SequenceWritten(3, wants_next_grasp=True))
     assert (NackReason.NO_LIST, False, 1) == (answered.reason, run.valid, hs.remaining(run.state))
     assert "b" == run.next_part(4)
     run.tell(ev.AckWritten(4))
-    (answered,) = run.tell(ev.SequenceWritten(5, asks_way=True, way="b, other"))
+    (answered,) = run.tell(ev.SequenceWritten(5, wants_next_grasp=True, way="b, other"))
     assert (NackReason.NO_LIST, None) == (answered.reason, run.state.result), "the robot has it already"
 
 
@@ -596,7 +596,7 @@ def test_only_who_asked_for_a_part_gets_another_way_to_take_it() -> None:
     run = Run()
     run.tell(ev.SequenceWritten(1))
     run.good(1, 1, "a", "b")
-    (answered,) = run.tell(ev.SequenceWritten(2, client=5, once=True, asks_way=True, way="a, other"))
+    (answered,) = run.tell(ev.SequenceWritten(2, client=5, once=True, wants_next_grasp=True, way="a, other"))
     assert (NackReason.NO_LIST, False, 0) == (answered.reason, run.valid, hs.remaining(run.state))
 
 
@@ -705,7 +705,7 @@ class AnyClientAnyCell(RuleBasedStateMachine):
         self.last_writer, mine = client, client == self.last_writer
         shown = before.result.payload if before.result is not None and self.run.valid else ""
         way = f"{shown}, taken as {before.ticket}" if has_one else None
-        effects = self.run.tell(ev.SequenceWritten(sequence, client=client, asks_way=True, way=way))
+        effects = self.run.tell(ev.SequenceWritten(sequence, client=client, wants_next_grasp=True, way=way))
         assert not any(isinstance(effect, ev.Submit) for effect in effects), "NEXT_GRASP made an exposure"
         if sequence == before.command_sequence and (mine or not sequence):
             return
@@ -741,7 +741,7 @@ class AnyClientAnyCell(RuleBasedStateMachine):
 
     @rule()
     def another_job_is_active(self) -> None:
-        self.run.tell(ev.OtherJob())
+        self.run.tell(ev.JobChangedElsewhere())
         assert not self.run.valid
         self.list, self.shown = [], ""
 

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from helpers.soak import Soak
 
-from edged.adapters.modbus.cell import NOBODYS, CellRegisters
+from edged.adapters.modbus.cell import FOREIGN_TICKET, CellRegisters
 from edged.adapters.zenoh.triggers import PendingTriggers
 from edged.cell.context import CellContext
 from edged.cell.cycle import Cycle
@@ -215,7 +215,7 @@ def by_number(self: CellRegisters, command: Any) -> int | None:
     """The ticket of a command, whoever submitted it."""
     if command is None:
         return None
-    return command.sequence if command.source == PLC_SOURCE else NOBODYS
+    return command.sequence if command.source == PLC_SOURCE else FOREIGN_TICKET
 
 
 def take_by_number(self: PendingTriggers[Any], command: Any) -> Any:

@@ -19,7 +19,7 @@ from edged.payload import outcome_to_json
 from edged.pipeline import locate, prepare
 from edged.robot.budget import budget_of
 from edged.robot.covariance import robot_covariance
-from edged.vision.part.consistency import doubted, undoubted
+from edged.vision.part.consistency import doubted, without_doubt
 from edged.vision.part.job import Job
 from edged.vision.teaching.pair import teach
 
@@ -137,7 +137,7 @@ def test_a_doubt_is_a_term_of_its_own_and_can_be_taken_back(job: Job) -> None:
     assert after is not None
     assert after.doubt[2] == pytest.approx((1e-3 * target.position_mm[2]) ** 2, rel=0.05)
     np.testing.assert_allclose(after.edges, before.edges, rtol=1e-12)
-    assert not undoubted(wide, 60.0).by_doubt.any()
+    assert not without_doubt(wide, 60.0).by_doubt.any()
 
 
 def test_it_is_in_what_locate_prints(job: Job) -> None:

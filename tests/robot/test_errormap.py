@@ -28,7 +28,7 @@ from edged.errors import CalibrationError, FileFormatError, Undetermined
 from edged.files.rig import load_rig, rig_text, save_rig
 from edged.payload import target_to_json
 from edged.robot.budget import budget_of
-from edged.robot.errormap import GROWN, ErrorMap, hull_of, map_of
+from edged.robot.errormap import GROWN, ErrorMap, fit_map, hull_of
 from edged.robot.golden import held, offset_of, registration_digest
 from edged.robot.orientations import Convention
 from edged.robot.picking import frame_of, picked
@@ -200,7 +200,7 @@ def test_what_determines_no_map_is_refused(
     """Too few or too many points, or all at one height, are refused."""
     rig_mm = places(np.random.default_rng(7))
     with pytest.raises(CalibrationError, match=why):
-        map_of(rig_mm, rig_mm + 0.1, np.ones(len(rig_mm)))
+        fit_map(rig_mm, rig_mm + 0.1, np.ones(len(rig_mm)))
 
 
 def test_everything_that_is_published_has_the_shift() -> None:

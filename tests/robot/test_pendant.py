@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from edged.errors import UserError
-from edged.robot.orientations import POSE_FIELDS, READINGS, Brand, pose_of
+from edged.robot.orientations import POSE_FIELDS, POSE_FORMATS, Brand, pose_of
 from edged.robot.pendant import PENDANTS, READING_CODES, brands_of, numbers_in
 from edged.vision.geometry.rigid import rotation_matrix, transform
 
@@ -69,8 +69,8 @@ def test_what_a_pendant_shows_can_be_pasted_again(brand: Brand) -> None:
 
 def test_each_brand_writes_poses_in_one_way_and_most_ways_are_nobodys() -> None:
     """A reading that fits belongs to its brand, or to brands that write alike, or to none."""
-    of = {(name, unit): brands_of(name, unit) for name in READINGS for unit in ("mm", "m", "inch")}
+    of = {(name, unit): brands_of(name, unit) for name in POSE_FORMATS for unit in ("mm", "m", "inch")}
     assert (Brand.UR,) == of["rotation vector in rad", "m"]
     assert () == of["rotation vector in rad", "mm"]
     assert sorted(Brand) == sorted(brand for brands in of.values() for brand in brands)
-    assert len(READINGS) == len(set(READING_CODES.values()))
+    assert len(POSE_FORMATS) == len(set(READING_CODES.values()))

@@ -28,7 +28,7 @@ from edged.robot.handeye import Mount, hand_eye
 from edged.robot.orientations import (
     ANGLES_DEG,
     LENGTH_UNITS_MM,
-    READINGS,
+    POSE_FORMATS,
     Brand,
     Convention,
     matrix_quaternion,
@@ -356,7 +356,7 @@ def test_the_self_test_finds_the_convention(brand: Brand, mount: Mount) -> None:
     told, seen, _, _ = poses(np.random.default_rng(10), 6, mount, 0.02, 0.0002)
     numbers = [shown(brand, pose) for pose in told]
 
-    ranked = rank_readings(numbers, seen, BOARD_MM, READINGS, LENGTH_UNITS_MM)
+    ranked = rank_readings(numbers, seen, BOARD_MM, POSE_FORMATS, LENGTH_UNITS_MM)
 
     assert ranked[0].mount == mount
     assert ranked[0].length_unit == ("m" if brand is Brand.UR else "mm")

@@ -13,9 +13,9 @@ from edged.domain.measurement import Outcome, Reject, ReportedPose, Status, Targ
 from edged.domain.picking import Bounds, Box, Grasp, Picking
 from edged.robot.budget import budget_of
 from edged.robot.covariance import robot_covariance
-from edged.robot.picking import RobotFrame, allowed, picked
+from edged.robot.picking import RobotFrame, picked, with_allowed_grasps
 from edged.vision.geometry.rigid import rotation_matrix
-from edged.vision.geometry.uncertainty import levered_covariance
+from edged.vision.geometry.uncertainty import shifted_pose_covariance
 
 POSE = make_transform((0.3, -0.2, 0.9), (12.0, -7.0, 210.0))
 FAR = POSE @ make_transform((0.0, np.pi, 0.4), (60.0, 25.0, -30.0))
@@ -54,7 +54,7 @@ def seen_spread(poses: FloatArray, middle: FloatArray) -> FloatArray:
 
 def reporting(covariance: FloatArray) -> Target:
     """A target measured at its reference point with another published pose."""
-    lever = levered_covariance(covariance, FAR[:3, 3] - POSE[:3, 3])
+    lever = shifted_pose_covariance(covariance, FAR[:3, 3] - POSE[:3, 3])
     return dataclasses.replace(
         make_target(),
         rig_from_part=POSE,
@@ -119,6 +119,6 @@ def test_bounds_are_those_of_the_published_place_and_grasps_those_of_the_part() 
 def test_pictures_have_the_part_as_it_was_measured() -> None:
     """Pictures show the part at its reference point; only the published pose differs."""
     target = reporting(spread(8))
-    assert np.array_equal(POSE, allowed(target, Picking(), RobotFrame()).rig_from_part)
+    assert np.array_equal(POSE, with_allowed_grasps(target, Picking(), RobotFrame()).rig_from_part)
     plain = dataclasses.replace(target, reported=None)
     assert plain is plain.as_reported

@@ -20,7 +20,7 @@ from edged.adapters.web import WebPublisher, WebSettings
 from edged.domain.cell import CellPhase, CellState
 from edged.domain.events import ExposureDone
 from edged.domain.measurement import Match, Nearest, NearMiss, NotMeasured, Reject, Status
-from edged.payload import said
+from edged.payload import translatable
 from edged.plc.registers import BLOCKS
 from edged.vision.geometry.rectification import make_rectification
 
@@ -31,10 +31,13 @@ FACTS = {
     "Software": {"version": "1.2.3", "configuration": "12ab"},
     "Cameras": {
         "source": "gige",
-        "left": [said("temperature", "41.5 °C", value="41.5"), said("clock-ptp", "clock: PTP")],
+        "left": [
+            translatable("temperature", "41.5 °C", value="41.5"),
+            translatable("clock-ptp", "clock: PTP"),
+        ],
     },
-    "Calibration": {"rows, mean": said("figure", "0.120 px", value="0.120", unit="px"), "id": "demo"},
-    "Recorder": {"problem": said("own-words", "No space left on device")},
+    "Calibration": {"rows, mean": translatable("figure", "0.120 px", value="0.120", unit="px"), "id": "demo"},
+    "Recorder": {"problem": translatable("own-words", "No space left on device")},
 }
 REGISTERS = [
     (register, 1)

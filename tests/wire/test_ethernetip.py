@@ -271,7 +271,7 @@ def test_another_clients_turn_is_respected() -> None:
         heartbeat = program.word(at.HEARTBEAT)
         wait_until(lambda: program.word(at.HEARTBEAT) not in (heartbeat, heartbeat + 1))
         assert 0 == cell.head.captures
-        cell.call(lambda: cell.server.leave(99))
+        cell.call(lambda: cell.server.remove_client(99))
         program.write(at.CONTROL, 0)
         program.locate()
         assert 1 == cell.head.captures

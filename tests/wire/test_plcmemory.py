@@ -31,7 +31,7 @@ from helpers.waiting import wait_until
 from pymodbus.client import ModbusTcpClient
 
 from edged.adapters.modbus import ModbusPublisher, ModbusSettings
-from edged.adapters.plcmemory import PlcMemoryPublisher, ask, make_memory
+from edged.adapters.plcmemory import PlcMemoryPublisher, make_memory, probe
 from edged.config.plc import MelsecSection, PlcSection
 from edged.errors import PlcFault
 from edged.plc.answers import NackReason
@@ -209,7 +209,7 @@ def test_during_another_clients_turn_a_plc_waits_as_one_that_writes_for_ever(han
         with program_beside(cell := LiveCell(settings), controller, handshake) as (program, _):
             wait_until(lambda: cell.call(lambda: cell.server.owner))
             # as when it lapses because the PLC is silent for longer than owner_s
-            cell.call(lambda: vars(cell.server)["_cell"].gone(2_000_000))
+            cell.call(lambda: vars(cell.server)["_cell"].client_disconnected(2_000_000))
             cell.call(lambda: cell.server.write(OTHER, {"CLIENT_HEARTBEAT": 0}))
             program.write(at.CONTROL, 1)
             program.write(at.CMD, 1)
@@ -217,7 +217,7 @@ def test_during_another_clients_turn_a_plc_waits_as_one_that_writes_for_ever(han
             heartbeat = program.word(at.HEARTBEAT)
             wait_until(lambda: program.word(at.HEARTBEAT) not in (heartbeat, heartbeat + 1))
             assert 0 == cell.head.captures
-            cell.call(lambda: cell.server.leave(OTHER))
+            cell.call(lambda: cell.server.remove_client(OTHER))
             if handshake == "start-bit":
                 wait_until(lambda: cell.call(lambda: cell.server.owner))  # its writes are taken again
                 assert (0, 0) == (program.word(at.BITS), cell.head.captures)
@@ -352,15 +352,15 @@ def test_mangled_answers_end_in_a_new_connection(
 
 
 def test_a_block_that_is_too_short_or_missing_is_named() -> None:
-    """`ask`, as used by `edged doctor`, and the cell name the problem, and nothing is written."""
+    """`probe`, as used by `edged doctor`, and the cell name the problem, and nothing is written."""
     controller = S7Controller(size=191)
     try:
         with pytest.raises(PlcFault, match=r"DB100, 192 bytes from 0 on: .*that long"):
-            ask(controller.section)
+            probe(controller.section)
         assert controller.section.s7 is not None
         missing = controller.section.s7.model_copy(update={"db": 101})
         with pytest.raises(PlcFault, match="DB101"):
-            ask(controller.section.model_copy(update={"s7": missing}))
+            probe(controller.section.model_copy(update={"s7": missing}))
         with LiveCell() as cell, memory_of(cell, controller.section) as publisher:
             wait_until(lambda: "DB100" in publisher.problem)
         assert bytes(191) == controller.get(0, 191)
@@ -369,9 +369,9 @@ def test_a_block_that_is_too_short_or_missing_is_named() -> None:
 
 
 def test_a_plc_is_asked_without_being_written(controller: Controller) -> None:
-    """`ask` reports the current words and writes nothing."""
+    """`probe` reports the current words and writes nothing."""
     Program(controller).write(at.CMD_SEQ, 7)
-    assert "192 bytes for edged: CMD_SEQ 7, CONTROL 0" in ask(controller.section)
+    assert "192 bytes for edged: CMD_SEQ 7, CONTROL 0" in probe(controller.section)
     assert bytes(128) == controller.get(64, 128)
 
 
@@ -439,7 +439,7 @@ def test_a_tag_that_is_another_is_named(changes: dict[str, bytes | int], expecte
     controller = UdtController(**changes)
     try:
         with pytest.raises(PlcFault, match=expected):
-            ask(controller.section)
+            probe(controller.section)
         assert bytes(128) == bytes(controller.members["FromCell"])
     finally:
         controller.stop()
@@ -454,7 +454,7 @@ def test_a_tag_that_is_missing_is_named_and_a_programs_tag_is_found_by_its_path(
         for tag in ("Other", "Program:Main.Edge"):
             section = controller.section.model_copy(update={"logix": logix.model_copy(update={"tag": tag})})
             with pytest.raises(PlcFault, match=f"{tag}.ToCell: status 0x05 : no tag of that name"):
-                ask(section)
+                probe(section)
         assert [("Other", "ToCell"), ("Program:Main", "Edge", "ToCell")] == controller.paths
     finally:
         controller.stop()
@@ -479,6 +479,6 @@ def test_devices_that_a_cpu_does_not_have_are_named() -> None:
                 update={"melsec": melsec.model_copy(update={"device": device})}
             )
             with pytest.raises(PlcFault, match=f"96 words from {device} on: .*the CPU has them"):
-                ask(section)
+                probe(section)
     finally:
         controller.stop()

@@ -44,7 +44,7 @@ from edged.domain.measurement import Match, Nearest, NearMiss, NotMeasured, Reje
 from edged.errors import ListenError
 from edged.identity.access import Access
 from edged.identity.attempts import MAX_WAITING, TooManyAttempts
-from edged.payload import said
+from edged.payload import translatable
 from edged.plc.registers import Kind, Register
 from edged.plc.registers.values import measured
 from edged.robot.grasping import allowed_grasps
@@ -527,7 +527,7 @@ async def test_a_terminal_says_facts_and_the_last_fault_in_english() -> None:
     facts = {
         "Cameras": {
             "source": "gige",
-            "left": [said("temperature", "41.5 °C", value="41.5"), said("a", "b c")],
+            "left": [translatable("temperature", "41.5 °C", value="41.5"), translatable("a", "b c")],
         }
     }
     console = Console(file=io.StringIO(), width=200)

@@ -26,7 +26,7 @@ from helpers.zenohcell import READY, Cell
 from rich.console import Console
 
 from edged.adapters.zenoh import open_session, session_config
-from edged.adapters.zenoh.listener import listening
+from edged.adapters.zenoh.listener import subscribed
 from edged.commands.watch import WatchOptions, watch
 from edged.domain.measurement import Status
 from edged.errors import UserError
@@ -77,7 +77,7 @@ class Subscriber:
         self.kinds: set[str] = set()
         self.lock = threading.Lock()
         self.listening = stack.enter_context(
-            listening([f"tcp/127.0.0.1:{port}"], "*", self._hear, shared_key=key)
+            subscribed([f"tcp/127.0.0.1:{port}"], "*", self._hear, shared_key=key)
         )
 
     def _hear(self, _cell: str, kind: str, document: dict[str, Any]) -> None:

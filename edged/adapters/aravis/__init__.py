@@ -19,7 +19,7 @@
 Using a camera needs `gir1.2-aravis-0.8` and PyGObject; importing this package does not.
 """
 
-from edged.adapters.aravis.addresses import HeardCamera, give_address, with_addresses
+from edged.adapters.aravis.addresses import DiscoveredCamera, give_address, with_addresses
 from edged.adapters.aravis.camera import AravisCamera
 from edged.adapters.aravis.library import CameraInfo, aravis_missing, control_state, list_cameras
 from edged.adapters.aravis.session import CameraHealth

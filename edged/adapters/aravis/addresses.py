@@ -47,7 +47,7 @@ REQUEST = 0x33
 
 
 @dataclass(frozen=True, slots=True)
-class HeardCamera:
+class DiscoveredCamera:
     """A camera that answered a broadcast.
 
     mac : in lower case, as in CameraInfo.physical_id. offered, way : supported and enabled ways to get its
@@ -75,9 +75,9 @@ class HeardCamera:
         return ", ".join(name for bit, name in WAYS.items() if self.way & bit and bit != 4) or "link-local"
 
 
-def hear_cameras() -> list[HeardCamera]:
+def discover_cameras() -> list[DiscoveredCamera]:
     """Every GigE Vision camera that answers a broadcast on any port of this host. Blocks for `HEAR_S`."""
-    found = list[tuple[bool, int, HeardCamera]]()
+    found = list[tuple[bool, int, DiscoveredCamera]]()
     with contextlib.ExitStack() as stack:
         asked = {}
         for order, (port, host) in enumerate(_ports()):
@@ -97,7 +97,7 @@ def hear_cameras() -> list[HeardCamera]:
     return list({heard.mac: heard for _, _, heard in found}.values())
 
 
-def free_address(camera: HeardCamera, taken: Collection[str]) -> str:
+def free_address(camera: DiscoveredCamera, taken: Collection[str]) -> str:
     """Return a free address for a camera in its port's network. Raises `CameraSetupError`.
 
     The last number of its current address is kept if possible.
@@ -122,7 +122,7 @@ def give_address(serial: str, address: str = "") -> tuple[str, bool]:
     Raises `CameraUnreachable` if the camera is not heard, `CameraBusy` if a program controls it,
     `CameraSetupError` if the address does not fit or the camera refuses it.
     """
-    heard = hear_cameras()
+    heard = discover_cameras()
     camera = next((other for other in heard if other.serial == serial), None)
     if camera is None:
         raise CameraUnreachable(serial, "no GigE Vision camera with this serial number hears a broadcast")
@@ -144,9 +144,9 @@ def give_address(serial: str, address: str = "") -> tuple[str, bool]:
     return wanted, _keep(camera, wanted)
 
 
-def with_addresses(cameras: Sequence[CameraInfo]) -> list[tuple[CameraInfo, HeardCamera | None]]:
+def with_addresses(cameras: Sequence[CameraInfo]) -> list[tuple[CameraInfo, DiscoveredCamera | None]]:
     """Pair cameras with their answers to a broadcast; None for a camera on USB, or behind a router."""
-    heard = {camera.mac: camera for camera in hear_cameras()} if cameras else {}
+    heard = {camera.mac: camera for camera in discover_cameras()} if cameras else {}
     return [(info, heard.get(info.physical_id.lower())) for info in cameras]
 
 
@@ -184,7 +184,7 @@ def _broadcast(udp: socket.socket, host: ipaddress.IPv4Interface, command: int, 
             udp.sendto(header + body, (address, GVCP_PORT))
 
 
-def _heard(answer: bytes, port: str, host: ipaddress.IPv4Interface) -> HeardCamera | None:
+def _heard(answer: bytes, port: str, host: ipaddress.IPv4Interface) -> DiscoveredCamera | None:
     """Parse the answer to DISCOVERY; None for anything else."""
     status, kind, _, request = struct.unpack(">HHHH", answer[:8].ljust(8, b"\0"))
     body = answer[8:]
@@ -193,10 +193,10 @@ def _heard(answer: bytes, port: str, host: ipaddress.IPv4Interface) -> HeardCame
     high, low, offered, way = struct.unpack(">4I", body[0x08:0x18])
     mac = ((high & 0xFFFF) << 32 | low).to_bytes(6, "big").hex(":")
     serial = body[0xD8:0xE8].split(b"\0")[0].decode("ascii", "replace")
-    return HeardCamera(mac, serial, socket.inet_ntoa(body[0x24:0x28]), offered, way, port, host)
+    return DiscoveredCamera(mac, serial, socket.inet_ntoa(body[0x24:0x28]), offered, way, port, host)
 
 
-def _force(camera: HeardCamera, address: str) -> None:
+def _force(camera: DiscoveredCamera, address: str) -> None:
     mac = int(camera.mac.replace(":", ""), 16)
     mask = camera.host.network.netmask
     body = struct.pack(
@@ -222,7 +222,7 @@ def _force(camera: HeardCamera, address: str) -> None:
             raise CameraUnreachable(camera.serial, f"it does not answer at {address}")
 
 
-def _keep(camera: HeardCamera, address: str) -> bool:
+def _keep(camera: DiscoveredCamera, address: str) -> bool:
     """Make a camera keep its address when it is switched off; False if it cannot. Raises `CaptureError`."""
     if not camera.offered & PERSISTENT:
         return False

@@ -111,7 +111,7 @@ class _Connection:
                 result = job()
             except CaptureError as error:
                 log.debug("%s", error, exc_info=True)
-                future.set_exception(_bare(error))
+                future.set_exception(_without_traceback(error))
             except BaseException as error:  # noqa: BLE001  (a bug: raised by the await of the job)
                 future.set_exception(error)
             else:
@@ -122,7 +122,7 @@ class _Connection:
         self._closed()
 
 
-def _bare(error: CaptureError) -> CaptureError:
+def _without_traceback(error: CaptureError) -> CaptureError:
     """Return the error without its traceback and cause, whose frames refer to the camera and keep it open."""
     error.__cause__ = error.__context__ = None
     return error.with_traceback(None)
@@ -198,7 +198,7 @@ class AravisCamera:
         A camera with an external trigger is only armed: `frame` returns images exposed from now on.
         """
         connection, session = self._opened()
-        restart = session.fires and self._awaiting and not self._arrivals
+        restart = session.triggers_itself and self._awaiting and not self._arrivals
         self._awaiting = True
         self._triggers += 1
         self._arrivals.clear()
@@ -216,7 +216,7 @@ class AravisCamera:
         With an external trigger, return the oldest image not yet fetched. A cancelled call loses none.
         """
         _, session = self._opened()
-        if session.fires and not self._awaiting:
+        if session.triggers_itself and not self._awaiting:
             raise FrameTimeout(self._name, "no exposure was triggered")
         try:
             async with asyncio.timeout(FRAME_S):
@@ -376,7 +376,7 @@ class AravisCamera:
         In doubt, an image of a free-running camera counts as stale, since another follows soon; any other
         image does not.
         """
-        if self._triggers == 0 or (session.fires and self._triggers == 1):
+        if self._triggers == 0 or (session.triggers_itself and self._triggers == 1):
             return False  # never armed, or the first trigger of a connection: nothing came before it
         mapped = session.clock.at(arrival.device_ns) if self._stamps_fit else None
         if mapped is None:
@@ -388,7 +388,7 @@ class AravisCamera:
     def _exposed(self, session: CameraSession, arrival: Arrival) -> tuple[Mapped, TimeBase]:
         """Host time of the exposure with the bound of its error, and the source of that time."""
         took_ns = DELIVERY_NS + session.exposure_ns
-        earliest_ns = self._sent_ns if session.fires else arrival.arrived_ns - took_ns
+        earliest_ns = self._sent_ns if session.triggers_itself else arrival.arrived_ns - took_ns
         session.note_exposure(earliest_ns, arrival)
         mapped = session.clock.at(arrival.device_ns) if arrival.device_ns else None
         if mapped is not None:
@@ -405,7 +405,7 @@ class AravisCamera:
             if fits:
                 return mapped, TimeBase.PTP if session.ptp else TimeBase.CAMERA
         bound_ns = arrival.arrived_ns - earliest_ns
-        if session.fires:
+        if session.triggers_itself:
             return Mapped(earliest_ns, bound_ns), TimeBase.HOST
         return Mapped(arrival.arrived_ns, bound_ns), TimeBase.ARRIVAL
 

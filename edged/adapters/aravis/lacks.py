@@ -18,7 +18,7 @@ OFFERED = 8
 
 
 @dataclass(frozen=True, slots=True)
-class CameraLack:
+class MissingFeature:
     """A feature that a camera lacks. code : of a text in the page's languages. menu : offered instead."""
 
     code: str
@@ -29,7 +29,7 @@ class CameraLack:
         return f"{self.text} ({self.menu})" if self.menu else self.text
 
 
-def lacks(features: Features, *, clock: bool) -> tuple[CameraLack, ...]:
+def missing_features(features: Features, *, clock: bool) -> tuple[MissingFeature, ...]:
     """Return the features that this camera lacks. clock : whether its clock can be read."""
     sources = features.choices(TRIGGER_SOURCE) if features.exists("TriggerMode") else []
     output = features.first(*OUTPUT_SOURCES)
@@ -65,7 +65,7 @@ def lacks(features: Features, *, clock: bool) -> tuple[CameraLack, ...]:
         ("clock", "clock that can be read", "", clock),
         ("temperature", "temperature", "", bool(features.first(*TEMPERATURE))),
     )
-    return tuple(CameraLack(code, text, menu) for code, text, menu, has in found if not has)
+    return tuple(MissingFeature(code, text, menu) for code, text, menu, has in found if not has)
 
 
 def _offers(features: Features, name: str, choices: list[str]) -> str:

@@ -26,7 +26,7 @@ from edged.adapters.aravis.clock import (
     ptp_locked,
 )
 from edged.adapters.aravis.features import Features, Value
-from edged.adapters.aravis.lacks import CameraLack, lacks
+from edged.adapters.aravis.lacks import MissingFeature, missing_features
 from edged.adapters.aravis.library import (
     CONTROL_PRIVILEGE_REGISTER,
     CONTROLLED,
@@ -42,7 +42,7 @@ from edged.adapters.aravis.processing import gamma_in_effect, gamma_switch
 from edged.adapters.aravis.settings import AravisSettings
 from edged.adapters.aravis.setup import Placement, set_up
 from edged.adapters.aravis.stream import Arrival, ChunkReader, Decoder, FrameCounter, pump
-from edged.adapters.aravis.trigger import Action, Software, fires, send_action
+from edged.adapters.aravis.trigger import Action, Software, send_action, triggers_itself
 from edged.domain.exposure import CameraLimits, CameraValues
 from edged.errors import CameraBusy, CameraRestarted, CameraSetupError, CameraUnreachable, FrameTimeout
 from edged.logs import LogLimit
@@ -99,7 +99,7 @@ class CameraHealth:
     lost: int | None = None
     gamma: float = 1.0
     linear: tuple[str, Value] = ("Gamma", 1.0)
-    lacks: tuple[CameraLack, ...] = ()
+    lacks: tuple[MissingFeature, ...] = ()
     packet_delay_us: float | None = None
     firmware: str = ""
     packet_bytes: int | None = None
@@ -149,7 +149,7 @@ class CameraSession:
         self._temperature_c: float | None = None
         self._gamma = 1.0
         self._linear: tuple[str, Value] = ("Gamma", 1.0)
-        self._lacks: tuple[CameraLack, ...] = ()
+        self._lacks: tuple[MissingFeature, ...] = ()
         self._packet_delay_us: float | None = None
         self.exposure_ns = 0
         self._packet_bytes: int | None = None
@@ -177,9 +177,9 @@ class CameraSession:
     # --- used on the control thread ----------------------------------------------------------
 
     @property
-    def fires(self) -> bool:
+    def triggers_itself(self) -> bool:
         """Whether `trigger` causes the exposure; else an external trigger does."""
-        return fires(self.settings.trigger)
+        return triggers_itself(self.settings.trigger)
 
     def trigger(self) -> int:
         """Start an exposure; return the host time at which the command left.
@@ -412,7 +412,7 @@ class CameraSession:
             self._note_exposure_time(exposure.values_of(features))
         self._latch = find_latch(device, features, gige=camera.is_gv_device())
         with self._talking("asking what it has"):
-            self._lacks = lacks(features, clock=self._latch is not None)
+            self._lacks = missing_features(features, clock=self._latch is not None)
             self._firmware = firmware_of(features)
         for _ in range(CLOCK_READINGS):
             self._read_clock()

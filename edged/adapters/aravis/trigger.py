@@ -102,7 +102,7 @@ class Output:
     inverted: bool = False
 
 
-def fires(trigger: Trigger) -> bool:
+def triggers_itself(trigger: Trigger) -> bool:
     """Whether the camera's `trigger` causes the exposure; else it only waits for an external one."""
     return isinstance(trigger, Software) or (isinstance(trigger, Action) and bool(trigger.send_to))
 

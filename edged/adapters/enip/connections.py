@@ -65,13 +65,13 @@ class Purpose(enum.Enum):
 
 @dataclass(frozen=True, slots=True)
 class WantedConnection:
-    """A Forward_Open request. triad : its serial number, the originator's vendor and serial number.
+    """A Forward_Open request. connection_key : its serial number, the originator's vendor and serial number.
 
     to_id : connection id T->O. rpi_us, size, type : O->T and T->O.
     """
 
     to_id: int
-    triad: tuple[int, int, int]
+    connection_key: tuple[int, int, int]
     multiplier: int
     rpi_us: tuple[int, int]  # O->T, T->O
     size: tuple[int, int]
@@ -153,7 +153,7 @@ class Connections:
         self, wanted: WantedConnection, peer: str, port: int, session: int, now_s: float
     ) -> CipConnection:
         """Open a connection. Raises `OpenRefused`."""
-        if any(found.wanted.triad == wanted.triad for found in self.by_id.values()):
+        if any(found.wanted.connection_key == wanted.connection_key for found in self.by_id.values()):
             raise OpenRefused(Refusal.DUPLICATE)
         kind = _kind(wanted)
         if kind is Purpose.OWNER and self.owner is not None:
@@ -168,10 +168,10 @@ class Connections:
         self.by_id[number] = made
         return made
 
-    def close(self, triad: tuple[int, int, int], peer: str) -> CipConnection:
+    def close(self, connection_key: tuple[int, int, int], peer: str) -> CipConnection:
         """Close a connection of this peer. Raises `OpenRefused`."""
         for found in self.by_id.values():
-            if found.wanted.triad == triad and found.peer == peer:
+            if found.wanted.connection_key == connection_key and found.peer == peer:
                 return self.by_id.pop(found.id)
         raise OpenRefused(Refusal.NOT_OPEN)
 

@@ -189,7 +189,7 @@ class EnipServer:
 
     def _open(self, request: msg.CipRequest, session: EnipSession, port: int) -> bytes:
         wanted = wanted_of(request.data, large=request.service == LARGE_FORWARD_OPEN)
-        named = struct.pack("<HHI", *wanted.triad)
+        named = struct.pack("<HHI", *wanted.connection_key)
         try:
             made = self.connections.open(wanted, session.peer, port, session.number, time.monotonic())
         except OpenRefused as error:
@@ -203,10 +203,12 @@ class EnipServer:
     def _close(self, request: msg.CipRequest, session: EnipSession) -> bytes:
         if len(request.data) < CLOSE.size:
             raise msg.BadMessage("a Forward_Close is cut off")
-        _, _, *triad, _ = CLOSE.unpack_from(request.data)
-        named = struct.pack("<HHI", *triad)
+        _, _, *connection_key, _ = CLOSE.unpack_from(request.data)
+        named = struct.pack("<HHI", *connection_key)
         try:
-            closed = self.connections.close((triad[0], triad[1], triad[2]), session.peer)
+            closed = self.connections.close(
+                (connection_key[0], connection_key[1], connection_key[2]), session.peer
+            )
         except OpenRefused as error:
             return msg.reply_to(request.service, named + bytes(2), msg.CONNECTION_FAILURE, extended=error.why)
         self._forget(closed)

@@ -45,7 +45,7 @@ from edged.plc import handshakeevents as ev
 from edged.plc import registers as reg
 from edged.plc.answers import NackReason, ResultVerdict
 from edged.plc.controlbits import EndOfUse, StartBit, StartCommand, begun, cell_bits, control_written
-from edged.plc.ladder import Ladder
+from edged.plc.exchangelog import ExchangeLog
 from edged.plc.statuswords import status_values
 from edged.ports import Commander
 from edged.robot.orientations import rotation_of
@@ -53,7 +53,7 @@ from edged.vision.geometry.rigid import transform
 
 ACCEPTANCE_S = 60.0
 """Period of updating the block of the acceptance test, which counts days."""
-NOBODYS = -1
+FOREIGN_TICKET = -1
 """Ticket for a command that has ended here, or that was not submitted here."""
 VERDICTS = {
     reg.ResultCode.OK: ResultVerdict.GOOD,
@@ -138,7 +138,7 @@ class CellRegisters:
         self._counts: dict[str, int] = {}
         self.addresses: dict[int, str] = {}
         """Address of each Modbus/TCP client, by its number."""
-        self.ladder = Ladder(self.addresses)
+        self.ladder = ExchangeLog(self.addresses)
         self._place_basis()
         self._place(reg.REFERENCE_MARKS, reg.marks_values(MarksReport()))
         self._place(reg.ROBOT_MAP, reg.map_values(MapFigures()))
@@ -294,7 +294,7 @@ class CellRegisters:
         given = {start + k: word for k, word in enumerate(words) if word is not None}
         if not hs.may_write(self._state, client, now_s):
             if _offset("CMD_SEQ") in given:
-                self._step(ev.Barred(client), now_s)
+                self._step(ev.WriteRejected(client), now_s)
             raise RequestRefused(DEVICE_BUSY)
         new = list(self._command)
         for offset, word in given.items():
@@ -343,7 +343,7 @@ class CellRegisters:
         word = sum(1 << (start + i) for i, bit in enumerate(bits) if bit)
         self.write(client, options, [word])
 
-    def gone(self, client: int) -> None:
+    def client_disconnected(self, client: int) -> None:
         """Remove a client whose connection has ended."""
         if self._locked_by == client:
             self._command[_offset("AUTO_LOCK")] = 0
@@ -368,7 +368,7 @@ class CellRegisters:
             reg.Option.ONCE in options,
             job if code == CommandKind.NEXT_PART else None,
             registers=code in REGISTERING,
-            asks_way=code == CommandKind.NEXT_GRASP,
+            wants_next_grasp=code == CommandKind.NEXT_GRASP,
             way=self._another_way(job),
         )
         for effect in self._step(event, now_s):
@@ -405,7 +405,9 @@ class CellRegisters:
     def _another_way(self, job: int) -> reg.RegisterResult | None:
         """Result to show for NEXT_GRASP of this job (0: any); None if the part has no other grasp."""
         shown = self._state.result
-        return shown.payload.another_way() if shown is not None and job in (0, shown.payload.job) else None
+        return (
+            shown.payload.with_next_grasp() if shown is not None and job in (0, shown.payload.job) else None
+        )
 
     def _taken_flange(self) -> tuple[FloatArray | None, tuple[float, ...]]:
         """Read and clear FLANGE: robot_from_flange (4, 4), None if all zeros, and its numbers (mm, degrees).
@@ -447,13 +449,13 @@ class CellRegisters:
                 self._step(ev.Exposed(self._ticket(command)), now_s)
             case JobChanged(_, _, command):
                 ticket = self._ticket(command)
-                is_others = ticket is None or ticket == NOBODYS
-                self._step(ev.OtherJob() if is_others else self._done(ticket, now_s), now_s)
+                is_others = ticket is None or ticket == FOREIGN_TICKET
+                self._step(ev.JobChangedElsewhere() if is_others else self._done(ticket, now_s), now_s)
             case Registered():
                 self._take_registered(event, now_s)
             case CommandFailed(command, reason):
                 ticket = self._ticket(command)
-                if ticket not in (None, NOBODYS):
+                if ticket not in (None, FOREIGN_TICKET):
                     self._failures.warning("command %d failed: %s", ticket & hs.SEQUENCE_MASK, reason)
                     self._step(ev.ExecutionFailed(ticket), now_s)
             case Basis():
@@ -490,7 +492,7 @@ class CellRegisters:
 
     def _take_registered(self, event: Registered, now_s: float) -> None:
         ticket = self._ticket(event.command)
-        is_mine = ticket is not None and ticket != NOBODYS
+        is_mine = ticket is not None and ticket != FOREIGN_TICKET
         self._registration = event.registration
         self._registered_by = event.command.sequence & hs.SEQUENCE_MASK if is_mine else 0
         self._place_basis()
@@ -510,8 +512,10 @@ class CellRegisters:
         verdict = VERDICTS.get(result.code, ResultVerdict.BAD)
         exposed_s = self._exposures.exposed_s(snapshot)
         ticket = self._ticket(snapshot.command)
-        if result.code is reg.ResultCode.KEPT and ticket == NOBODYS:
-            self._step(ev.OtherJob(), now_s)  # the result on display may have an offset from the former part
+        if result.code is reg.ResultCode.KEPT and ticket == FOREIGN_TICKET:
+            self._step(
+                ev.JobChangedElsewhere(), now_s
+            )  # the result on display may have an offset from the former part
         rest = result.further() if verdict is ResultVerdict.GOOD else ()
         job, basis = snapshot.job_number, snapshot.basis
         self._step(ev.Finished(ticket, snapshot.cycle, verdict, exposed_s, result, rest, job, basis), now_s)
@@ -528,15 +532,15 @@ class CellRegisters:
         return effects
 
     def _ticket(self, command: Command | None) -> int | None:
-        """Ticket of a command: None without a command, `NOBODYS` for one that is not open here.
+        """Ticket of a command: None without a command, `FOREIGN_TICKET` for one that is not open here.
 
         Compared by identity: tickets start over when a reload recreates these registers, while commands of
-        the previous registers may still be measured. A cycle requested over Zenoh has `NOBODYS`, so that it
-        is not shown to a PLC like one of a free-running cell.
+        the previous registers may still be measured. A cycle requested over Zenoh has `FOREIGN_TICKET`, so
+        that it is not shown to a PLC like one of a free-running cell.
         """
         if command is None:
             return None
-        return command.sequence if self._submitted.get(command.sequence) is command else NOBODYS
+        return command.sequence if self._submitted.get(command.sequence) is command else FOREIGN_TICKET
 
 
 def _new_epoch() -> int:

@@ -40,7 +40,7 @@ from edged.plc import registers as reg
 from edged.plc.answers import NackReason
 from edged.plc.frames import COMMANDS, MAGIC, read_request
 from edged.plc.lines import POSE_NAMES, UNKNOWN, BadRequest, LineAnswer, LineStatus
-from edged.robot.grasping import placing
+from edged.robot.grasping import place_correction
 from edged.robot.orientations import ANGLES_DEG, Brand, pose_of, rotation_of, transform_of
 from edged.vision.geometry.rigid import transform
 
@@ -396,7 +396,7 @@ class Robot:
         x, y, z, a, b, c = (number / 1000 for number in numbers)
         offset = transform(rotation_of(self._settings.convention, a, b, c), np.array([x, y, z]))
         answer = self._answer(request, values, numbers, "O_SIGMA")
-        turned = pose_of(request.brand, placing(offset, request.flange))
+        turned = pose_of(request.brand, place_correction(offset, request.flange))
         return replace(answer, pose=turned, sigma=(UNKNOWN,) * 3)
 
     def _offset_numbers(self, place: str) -> tuple[dict[str, reg.Number], list[float]]:

@@ -161,7 +161,7 @@ class LineServer:
                 "modbus.socket: %s was disconnected: %s", client.peer, str(error) or "it is silent"
             )
         finally:
-            self._cell.gone(number)
+            self._cell.client_disconnected(number)
             writer.close()
             try:
                 async with asyncio.timeout(SEND_S):

@@ -17,7 +17,7 @@ from edged.adapters.modbus.settings import ModbusSettings
 from edged.adapters.modbus.tcp import TcpServer
 from edged.domain.events import Event
 from edged.errors import CommandRefused
-from edged.plc.ladder import Exchange
+from edged.plc.exchangelog import Exchange
 from edged.plc.registers import BLOCKS, COMMAND, JOBS, Block, Number, Register, decode, encode
 from edged.ports import Commander
 
@@ -96,9 +96,9 @@ class ModbusPublisher:
         except RequestRefused as error:
             raise CommandRefused("another client holds the right to write") from error
 
-    def leave(self, client: int) -> None:
+    def remove_client(self, client: int) -> None:
         """Remove a client of `write`, and end its right to write."""
-        self._cell.gone(client)
+        self._cell.client_disconnected(client)
 
     def watch(self, changed: Callable[[], None]) -> None:
         """Register a callback for each write and event, called on the event loop."""

@@ -130,7 +130,7 @@ class RtuServer:
         loop.remove_reader(line.fileno())
         loop.remove_writer(line.fileno())
         line.close()
-        self._cell.gone(self._client)
+        self._cell.client_disconnected(self._client)
 
     def _lost(self, why: str) -> None:
         self._losses.warning("modbus: %s is lost (%s), trying again", self._settings.device, why)

@@ -96,7 +96,7 @@ class TcpServer:
         connection = self._connections.pop(client, None)
         if connection is not None:
             del self.cell.addresses[connection.number]
-            self.cell.gone(connection.number)
+            self.cell.client_disconnected(connection.number)
 
     def _admit(self, newcomer: TcpClient) -> bool:
         """Whether a new connection may stay; checked before its handshake, which takes memory and time."""

@@ -33,7 +33,7 @@ MAX_UNSENT_BYTES = 2 * 1024 * 1024
 WAITING = 16
 """Most queued frames of one client; with more, reading pauses."""
 REQUESTS_PER_S = 200.0
-STRANGERS_PER_S = 20.0
+CHANNELS_PER_S = 20.0
 """Limit of secure channels opened by all clients together: each costs a private-key operation."""
 NONE_URI = "http://opcfoundation.org/UA/SecurityPolicy#None"
 

@@ -134,7 +134,7 @@ class Methods:
             return [structure(JobIdDataType()), _error(UNKNOWN_RECIPE)]
         picture = self._space.picture
         if picture is None or vision_state(picture.values, free_running=False).top is not Top.OPERATIONAL:
-            return WRONG_STATE if _who() is not None else DENIED
+            return WRONG_STATE if _commanding_session() is not None else DENIED
         ran = await self._run({"COMMAND": CommandKind.LOCATE, "JOB": number})
         if isinstance(ran, ua.StatusCode):
             return ran
@@ -173,15 +173,15 @@ class Methods:
         return await self._write({"OPTIONS": 1})
 
     async def _run(self, words: Mapping[str, Number]) -> tuple[int, int, RegisterPicture] | ua.StatusCode:
-        session = _who()
+        session = _commanding_session()
         return DENIED if session is None else await self._handshake.command(session.session_id, words)
 
     async def _write(self, words: Mapping[str, Number]) -> MethodAnswer:
-        session = _who()
+        session = _commanding_session()
         return DENIED if session is None else [_error(await self._handshake.write(session.session_id, words))]
 
     async def _select_automatic(self) -> MethodAnswer:
-        if _who() is None:
+        if _commanding_session() is None:
             return DENIED
         picture = self._space.picture
         if picture is None or vision_state(picture.values, free_running=False).top is not Top.OPERATIONAL:
@@ -197,7 +197,7 @@ class Methods:
     async def _prepare(self, number: int | None) -> MethodAnswer:
         """Return InternalIdOut, IsCompleted and Error; the event RecipePrepared announces the completion."""
         picture = self._space.picture
-        if _who() is None:
+        if _commanding_session() is None:
             return DENIED
         if number is None or picture is None:
             return _prepared("", done=False, error=UNKNOWN_RECIPE)
@@ -310,7 +310,7 @@ async def _unsupported(*_arguments: object) -> MethodAnswer:
     return NOT_SUPPORTED
 
 
-def _who() -> OpcUaSession | None:
+def _commanding_session() -> OpcUaSession | None:
     """The calling session, if it may command; else None."""
     session = caller.get()
     return session if session is not None and session.may_command else None

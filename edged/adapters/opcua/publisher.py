@@ -207,4 +207,4 @@ class OpcUaPublisher:
     def _forget(self, session: ua.NodeId) -> None:
         client = self._clients.pop(session, None)
         if client is not None and self._watch.source is not None:
-            self._watch.source.leave(client)
+            self._watch.source.remove_client(client)

@@ -22,7 +22,7 @@ from asyncua.server.address_space import AttributeValue
 from cryptography.hazmat.primitives.serialization import Encoding
 
 from edged import __version__
-from edged.adapters.opcua.connection import STRANGERS_PER_S, OpcUaConnection
+from edged.adapters.opcua.connection import CHANNELS_PER_S, OpcUaConnection
 from edged.adapters.opcua.methods import CommandWriter, Methods
 from edged.adapters.opcua.model import read_model
 from edged.adapters.opcua.nodes import CELL_URI, VISION_URI, base
@@ -57,7 +57,7 @@ log = logging.getLogger(__name__)
 
 
 class ServerThread:
-    """Owns the server's thread. fallen : called on it when a result has expired.
+    """Owns the server's thread. on_expired : called on it when a result has expired.
 
     gone : called on it with the id of each ended session.
     """
@@ -67,20 +67,20 @@ class ServerThread:
         settings: OpcUaSettings,
         identity: ServerIdentity,
         handshake: CommandWriter,
-        fallen: Callable[[], None],
+        on_expired: Callable[[], None],
         gone: Callable[[ua.NodeId], None],
     ) -> None:
         self._settings = settings
         self._identity = identity
         self._handshake = handshake
-        self._fallen = fallen
+        self._on_expired = on_expired
         self._gone = gone
         self._loop: asyncio.AbstractEventLoop | None = None
         self._stopping = asyncio.Event()
         self._thread: threading.Thread | None = None
         self._listener: TcpListener | None = None
         self._log = LogLimit(__name__)
-        self._channels = Rate(STRANGERS_PER_S)
+        self._channels = Rate(CHANNELS_PER_S)
         self._connections: dict[TcpClient, OpcUaConnection] = {}
         self._newest: RegisterPicture | None = None
         self._shown = asyncio.Event()
@@ -310,20 +310,20 @@ class ServerThread:
         if until_s:
             loop = asyncio.get_running_loop()
             delay_s = max(until_s - time.monotonic(), 0.0)
-            self._timer = loop.call_later(delay_s, lambda: self._keep(loop.create_task(self._fall(space))))
+            self._timer = loop.call_later(delay_s, lambda: self._keep(loop.create_task(self._expire(space))))
 
     def _keep(self, task: asyncio.Task[None]) -> None:
         self._falling = task  # without a reference the task may be collected before its end
 
-    async def _fall(self, space: Space) -> None:
+    async def _expire(self, space: Space) -> None:
         if space.is_overdue:
-            await space.fall()
-            self._fallen()
+            await space.expire()
+            self._on_expired()
 
     async def _before_read(self) -> None:
         """Hide an expired result if a read comes before the timer."""
         if self._space is not None and self._space.is_overdue:
-            await self._space.fall()
+            await self._space.expire()
 
     async def _tick(self, server: Server) -> None:
         """Update the server's clock, which clients use as a heartbeat."""

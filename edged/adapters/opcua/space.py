@@ -130,7 +130,7 @@ class Space:
         self._written: tuple[Snapshot, str] | None = None  # cache: its content is formatted once
         self._log = LogLimit(__name__)
         self.picture: RegisterPicture | None = None
-        self._fallen = True
+        self._expired = True
         self._state = VisionState(Top.PREOPERATIONAL, None)
         self.recipe_added: Callable[[str], None] = lambda _path: None
 
@@ -212,7 +212,7 @@ class Space:
 
     async def show(self, picture: RegisterPicture) -> None:
         """Replace the picture: write all values, then emit the events of the change."""
-        before, self.picture, self._fallen = self.picture, picture, False
+        before, self.picture, self._expired = self.picture, picture, False
         if before is None or before.jobs != picture.jobs:
             self._exchange_recipes(picture)
         state, self._state = (
@@ -220,17 +220,17 @@ class Space:
             vision_state(picture.values, free_running=self._settings.free_running),
         )
         if self._moment_s() >= picture.valid_until_s > 0.0:
-            await self.fall()  # it expired on the way here
+            await self.expire()  # it expired on the way here
         else:
             await self._write([*self._register_values(picture), *self._other_values(picture)])
         for event in self._events(before, state, picture):
             await self._emit(event)
 
-    async def fall(self) -> None:
+    async def expire(self) -> None:
         """Hide an expired result without waiting for the next picture."""
-        if self._fallen or self.picture is None:
+        if self._expired or self.picture is None:
             return
-        self._fallen = True
+        self._expired = True
         hidden: list[tuple[ua.NodeId, object, ua.StatusCode, ua.VariantType]] = [
             (node, None, BAD, VARIANTS[register.kind])
             for register, node, is_result in self._registers.values()
@@ -242,7 +242,7 @@ class Space:
     def is_overdue(self) -> bool:
         """Whether a coordinate is still shown that may no longer be used."""
         picture = self.picture
-        return not self._fallen and picture is not None and 0.0 < picture.valid_until_s <= self._moment_s()
+        return not self._expired and picture is not None and 0.0 < picture.valid_until_s <= self._moment_s()
 
     async def _write(self, values: list[tuple[ua.NodeId, object, ua.StatusCode, ua.VariantType]]) -> None:
         now = datetime.now(UTC)

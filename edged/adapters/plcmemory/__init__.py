@@ -1,3 +1,3 @@
 """Memory of a PLC: the cell as a client that reads and writes its process images there."""
 
-from edged.adapters.plcmemory.publisher import PlcMemoryPublisher, ask, make_memory
+from edged.adapters.plcmemory.publisher import PlcMemoryPublisher, make_memory, probe

@@ -43,7 +43,7 @@ def make_memory(section: PlcSection) -> Callable[[], PlcMemory]:
     return lambda: LogixMemory(host, logix, ANSWER_S)
 
 
-def ask(section: PlcSection) -> str:
+def probe(section: PlcSection) -> str:
     """Connect to the PLC, read its image and disconnect; nothing is written. Return a line for people.
 
     Raises `PlcFault`, or `ListenError`.

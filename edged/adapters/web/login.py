@@ -217,7 +217,7 @@ class LoginForms:
         return answer
 
 
-def tell_of_users(users: UserFile, invite: Invite, place: str) -> None:
+def log_user_status(users: UserFile, invite: Invite, place: str) -> None:
     """Log that the users' file cannot be used, or how the first engineer gets in."""
     if users.problem:
         log.error("nobody can log in by name: %s", users.problem)

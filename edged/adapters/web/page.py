@@ -26,7 +26,7 @@ from edged.domain.measurement import Match, Nearest, NearMiss, NotMeasured, Stat
 from edged.domain.numerals import known
 from edged.domain.overview import Overview
 from edged.logs import RELAPSE_S
-from edged.payload import Json, reject_names, said, snapshot_to_json, state_to_json
+from edged.payload import Json, reject_names, snapshot_to_json, state_to_json, translatable
 from edged.pictures.captions import REASONS, why_nothing
 from edged.pictures.encoding import jpeg
 from edged.plc.registers import Number, Register
@@ -61,7 +61,7 @@ class PageSources(Protocol):
         """Number and name of each job."""
 
     def facts(self) -> Mapping[str, Mapping[str, Any]]:
-        """Names and values by group; a value is shown as it is, from `payload.said`, or a list of these."""
+        """Names and values by group; a value is shown as is, from `payload.translatable`, or a list."""
 
     async def registers(self) -> Sequence[tuple[Register, Number]]:
         """Each register with its value; empty without a Modbus server. Raises `LinkError`."""
@@ -337,7 +337,7 @@ def _trend(snapshot: Snapshot) -> Json:
 def _why(snapshot: Snapshot) -> list[Json]:
     """Reasons why a cycle is bad; empty for a good one and for one that only took pictures."""
     if snapshot.error:
-        return [said("ERROR", snapshot.error, number=snapshot.error_code)]
+        return [translatable("ERROR", snapshot.error, number=snapshot.error_code)]
     if snapshot.status is Status.NO_TARGET:
         grabbed = snapshot.command is not None and snapshot.command.kind is CommandKind.GRAB
         if grabbed or (snapshot.nearest is not None and not snapshot.nearest.answered):
@@ -345,7 +345,7 @@ def _why(snapshot: Snapshot) -> list[Json]:
         return _why_nothing(snapshot.dismissed, None if snapshot.nearest is None else snapshot.nearest.answer)
     rejected = [target.reject for target in snapshot.targets]
     return [
-        said(bit.name or "", words)
+        translatable(bit.name or "", words)
         for bit, words in REASONS.items()
         if any(reject & bit for reject in rejected)
     ]
@@ -355,13 +355,13 @@ def _why_nothing(dismissed: Sequence[NotMeasured], nearest: NearMiss | None) -> 
     lines = why_nothing(dismissed, nearest)
     if dismissed:
         return [
-            said("SEEN", line, **_place(part.match), reject=reject_names(part.reject))
+            translatable("SEEN", line, **_place(part.match), reject=reject_names(part.reject))
             for line, part in zip(lines, dismissed, strict=True)
         ]
     if nearest is not None:
         needed = f"{nearest.needed_score:.2f}"
-        return [said("NEAREST", line, **_place(nearest.match), needed=needed) for line in lines]
-    return [said("NOTHING", line) for line in lines]
+        return [translatable("NEAREST", line, **_place(nearest.match), needed=needed) for line in lines]
+    return [translatable("NOTHING", line) for line in lines]
 
 
 def _place(match: Match) -> Json:

@@ -29,7 +29,7 @@ def displaced_by(newcomer: TcpClient, clients: Sequence[TcpClient]) -> tuple[boo
     clients : all others. Strangers' connections are closed first: at the newcomer's own address if that has
     its share, else at the address with the most; so opening many takes no place from others.
     """
-    strangers = [client for client in clients if not client.is_let_in]
+    strangers = [client for client in clients if not client.is_authenticated]
     place = network_of(newcomer.peer)
     own = [client for client in strangers if network_of(client.peer) == place]
     if len(own) >= OF_ADDRESS:
@@ -37,7 +37,7 @@ def displaced_by(newcomer: TcpClient, clients: Sequence[TcpClient]) -> tuple[boo
     elif len(strangers) >= MAX_CONNECTIONS - KEPT:
         candidates = [strangers]
     elif len(clients) >= MAX_CONNECTIONS:
-        candidates = [strangers, [client for client in clients if client.is_let_in]]
+        candidates = [strangers, [client for client in clients if client.is_authenticated]]
     else:
         return True, None
     for several in candidates:

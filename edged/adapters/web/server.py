@@ -28,7 +28,7 @@ from edged.adapters.web.login import (
     LoginForms,
     ServedNames,
     cookie_name,
-    tell_of_users,
+    log_user_status,
     visitor_of,
 )
 from edged.adapters.web.manualfiles import FOLDER, is_built
@@ -242,7 +242,7 @@ class WebPublisher:
         place = f"{'https' if context is not None else 'http'}://{host}:{self.port}"
         log.info("status page: %s", place)
         if self._users is not None and self._invite is not None:
-            tell_of_users(self._users, self._invite, place)
+            log_user_status(self._users, self._invite, place)
 
     def _api(self, commissioner: Commissioner) -> Gate:
         """The API for setting the cell up: the routes that every cell has, and further ones."""
@@ -382,9 +382,9 @@ class WebPublisher:
                 raise web.HTTPMisdirectedRequest(text="this host name is not served here\n")
             if "Content-Encoding" in request.headers:
                 raise web.HTTPUnsupportedMediaType(text="expected a body that is not compressed\n")
-            is_let_in = await self._is_let_in(request)
-            request[CLIENT].is_let_in = is_let_in
-            if not (is_let_in or self._is_free(request)):
+            is_authorised = await self._is_authorised(request)
+            request[CLIENT].is_authenticated = is_authorised
+            if not (is_authorised or self._is_free(request)):
                 is_page = request.path in ("/", "/setup") or request.path.startswith("/manual")
                 if is_page and "text/html" in request.headers.get("Accept", ""):
                     raise web.HTTPSeeOther("/login?to=setup" if request.path == "/setup" else "/login")
@@ -405,7 +405,7 @@ class WebPublisher:
                 response.headers.setdefault(name, value)
         return response
 
-    async def _is_let_in(self, request: web.Request) -> bool:
+    async def _is_authorised(self, request: web.Request) -> bool:
         """Whether the sender may see the cell, or the metrics if these are requested."""
         if self._access.is_open or self._visitor(request) is not None:
             return True

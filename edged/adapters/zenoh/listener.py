@@ -13,7 +13,7 @@ from typing import Any
 import zenoh
 import zenoh.ext
 
-from edged.adapters.zenoh.seals import Seal, Speakers, Verifier, seal_in
+from edged.adapters.zenoh.seals import Seal, SessionTracker, Verifier, seal_in
 from edged.adapters.zenoh.session import ClientTls, open_session, session_config, with_tls
 from edged.cbor import decode_cbor
 from edged.domain.numerals import json_of
@@ -38,7 +38,7 @@ class Listening:
     doubts: Callable[[], list[str]]
 
 
-class Doorkeeper:
+class MessageFilter:
     """Admits only genuine messages of cells; thread-safe. key : shared with the cells; None: admits all."""
 
     def __init__(self, key: bytes | None) -> None:
@@ -46,7 +46,7 @@ class Doorkeeper:
         self._lock = threading.Lock()
         self._known: set[str] = set()
         self._dropped: Counter[str] = Counter()
-        self._speakers: dict[str, Speakers] = {}
+        self._speakers: dict[str, SessionTracker] = {}
         self._rivals: dict[str, tuple[str, str]] = {}
 
     def admits(self, cell: str, kind: str, sample: zenoh.Sample) -> bool:
@@ -67,7 +67,7 @@ class Doorkeeper:
 
     def _note_speaker(self, cell: str, seal: Seal | None) -> None:
         if cell in self._speakers or len(self._speakers) < MAX_DOUBTED:
-            speakers = self._speakers.setdefault(cell, Speakers())
+            speakers = self._speakers.setdefault(cell, SessionTracker())
             rivals = speakers.heard("unnamed" if seal is None else seal.session)
             if rivals is not None:
                 self._rivals.setdefault(cell, rivals)
@@ -88,10 +88,10 @@ class Doorkeeper:
 
 
 @contextmanager
-def listening(
+def subscribed(
     connect: Sequence[str],
     cell: str,
-    heard: Heard,
+    on_message: Heard,
     tls: ClientTls | None = None,
     shared_key: bytes | None = None,
 ) -> Iterator[Listening]:
@@ -102,12 +102,12 @@ def listening(
     `ConfigError` for invalid endpoints, and `UserError` for unusable certificates.
     """
 
-    doorkeeper = Doorkeeper(shared_key)
+    message_filter = MessageFilter(shared_key)
 
     def arrived(sample: zenoh.Sample) -> None:
         message = _read(sample)
-        if message is not None and doorkeeper.admits(message[0], message[1], sample):
-            heard(*message)
+        if message is not None and message_filter.admits(message[0], message[1], sample):
+            on_message(*message)
 
     with ExitStack() as stack:
         # a peer, because a client connects to only one endpoint, and gives up if that is not there yet
@@ -123,7 +123,7 @@ def listening(
         session.declare_subscriber(f"edged/{cell}/health", arrived)
         session.liveliness().declare_subscriber(f"edged/{cell}/alive", arrived, history=True)
         yield Listening(
-            lambda: len(session.info.routers_zid()) + len(session.info.peers_zid()), doorkeeper.doubts
+            lambda: len(session.info.routers_zid()) + len(session.info.peers_zid()), message_filter.doubts
         )
 
 

@@ -102,7 +102,7 @@ class Verifier:
         return True
 
 
-class Speakers:
+class SessionTracker:
     """Tracks the sessions that claim to be a cell, to find two at a time; a restart is a new session."""
 
     def __init__(self) -> None:

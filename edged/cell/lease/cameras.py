@@ -120,7 +120,7 @@ class SetupCameras:
         """The head that takes pictures."""
         return self._draft or configured
 
-    async def put_down(self, configured: Head) -> None:
+    async def release(self, configured: Head) -> None:
         """Close every camera and return to the configured head."""
         draft, self._draft = self._draft, None
         self._changes, self._by_head = {}, {}

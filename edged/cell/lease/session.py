@@ -133,7 +133,7 @@ class SetupSession:
         cell.tell_state(CellPhase.SETUP)
         await self._keep_note()
         if not self.lease.taken:
-            await cell.cameras.put_down(cell.head)
+            await cell.cameras.release(cell.head)
         request = self.lease.take()
         if request is not None:
             await _carry_out(request)
@@ -144,7 +144,7 @@ class SetupSession:
         """Return to the configured cameras, take one test pair, then announce READY or FAULT."""
         cell = self._cell
         await self._keep_note()
-        await cell.cameras.put_down(cell.head)
+        await cell.cameras.release(cell.head)
         cell.cameras.hand_back()
         cell.in_setup = False
         try:
@@ -161,7 +161,7 @@ class SetupSession:
         """Refuse all further requests and close every camera, as the daemon ends."""
         self.lease.stop()
         self._cell.cameras.hand_back()
-        await self._cell.cameras.put_down(self._cell.head)
+        await self._cell.cameras.release(self._cell.head)
 
     async def _keep_note(self) -> None:
         """Bring the note up to date; end SETUP if its start cannot be saved."""

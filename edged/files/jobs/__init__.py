@@ -23,7 +23,7 @@ from edged.files.atomic import read_folder, replace_folder
 from edged.files.jobs.schema import JobFile
 from edged.files.jobs.text import to_toml
 from edged.files.outputs import check_folder
-from edged.owners import as_owner, by_name, unlinked
+from edged.owners import as_owner, named_path, resolved
 from edged.vision.part.body import PartBody
 from edged.vision.part.job import Job
 from edged.vision.part.traced import TracedCurve, from_arrays, to_arrays
@@ -110,7 +110,7 @@ def job_folders(folder: Path) -> list[Path]:
 
 def check_job_folder(folder: Path) -> None:
     """Refuse a path that is not a job folder or not writable. Raises `UserError`."""
-    if by_name(folder).suffix == REPLACED:
+    if named_path(folder).suffix == REPLACED:
         raise FileFormatError(
             f"{folder}: what ends in {REPLACED} is a job that was replaced; choose another name"
         )
@@ -143,9 +143,9 @@ def save_job(folder: Path, job: Job) -> Path | None:
     Returns the path of the kept job: FOLDER.old, later FOLDER.2.old, FOLDER.3.old, ...; None if there was
     none, or an identical one. Raises `FileFormatError` if something else is in the way or writing fails.
     """
-    folder = by_name(Path(folder))
+    folder = named_path(Path(folder))
     check_job_folder(folder)
     with translated(FileFormatError, f"{folder}: cannot write a job"), as_owner(folder.parent) as above:
-        place = unlinked(above / folder.name)
+        place = resolved(above / folder.name)
         kept = replace_folder(place, job_files(job), place.with_name(f"{place.name}{REPLACED}"))
-    return None if kept is None else unlinked(folder).with_name(kept.name)
+    return None if kept is None else resolved(folder).with_name(kept.name)

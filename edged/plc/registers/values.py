@@ -35,7 +35,7 @@ from edged.plc.registers.schema import (
     Number,
     ResultCode,
 )
-from edged.robot.grasping import held, placing
+from edged.robot.grasping import held, place_correction
 from edged.robot.orientations import ANGLES_DEG, Convention, rotation_vector_rad, sigma_angles_deg
 from edged.robot.reading import reading_of
 
@@ -143,7 +143,7 @@ class RegisterResult:
             if index > self.index and pose is not None and not pose.reject
         )
 
-    def another_way(self) -> RegisterResult | None:
+    def with_next_grasp(self) -> RegisterResult | None:
         """Copy with the next grasp of the part that is shown; None: there is none."""
         shown = self.poses[self.index] if self.poses else None
         if shown is None or not shown.other_tools:
@@ -259,7 +259,7 @@ def _place(offset: Offset | None, command: Command | None, convention: Conventio
     """Correction for placing the part in the gripper, in register units; () if unknown or out of range."""
     if offset is None or command is None or command.robot_from_flange is None:
         return ()
-    place = placing(offset.robot, command.robot_from_flange)
+    place = place_correction(offset.robot, command.robot_from_flange)
     if not _is_sane(place):
         return ()
     exact = (*place[:3, 3].tolist(), *ANGLES_DEG[convention](place[:3, :3]))

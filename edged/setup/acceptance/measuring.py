@@ -18,7 +18,7 @@ from edged.robot.golden import motion_of_points, own_and_points
 from edged.setup.acceptance.verdicts import PlacedPoses
 from edged.setup.calibration.checking import length_of
 from edged.setup.pairs import load_pair
-from edged.setup.trials.stilltest import Stand, StillResult
+from edged.setup.trials.stilltest import StillResult, StillSample
 from edged.setup.trials.tried import stand_of, still_part
 from edged.vision.geometry.rigid import apply, invert, skew
 from edged.vision.part.job import Job
@@ -107,7 +107,7 @@ def sizes_in(
 
 def still_in(rig: PreparedRig, job: Job, pairs: Sequence[ImagePair]) -> StillResult:
     """Result of a still test: many pictures of a part that is not moved."""
-    stands: list[Stand | None] = []
+    stands: list[StillSample | None] = []
     for pair in pairs:
         inspection = inspect(_frames(rig, pair), job, rig)
         good = [part for part in inspection.measured if not part.target.reject]

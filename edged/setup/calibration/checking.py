@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from edged.cell.drift import TELLING
+from edged.cell.drift import DRIFT_REJECTS
 from edged.domain.arrays import SIDES, FloatArray, Image
 from edged.domain.frames import FramePair
 from edged.domain.measurement import Circle3D, Target
@@ -23,7 +23,7 @@ from edged.vision.calibration.verification import BoardCheck, Length, Verdict, c
 from edged.vision.geometry.camera import StereoRig
 from edged.vision.geometry.rectification import linear_pair
 from edged.vision.geometry.rigid import apply
-from edged.vision.part.consistency import undoubted
+from edged.vision.part.consistency import without_doubt
 from edged.vision.part.job import Job
 
 MAX_OFFERED = 12
@@ -103,10 +103,10 @@ def by_part(
     circles as A-B (the distance of their centres). Raises `UserError` for another name.
     """
     outcome = locate(FramePair.of_images(*images), job, prepare(rig))
-    measured = [target for target in outcome.targets if not target.reject & ~TELLING]
+    measured = [target for target in outcome.targets if not target.reject & ~DRIFT_REJECTS]
     if not measured:
         return Finding("UNDECIDED", math.nan, (), f"the part was not measured: {outcome.status}")
-    target = undoubted(measured[0], rig.baseline_mm)
+    target = without_doubt(measured[0], rig.baseline_mm)
     lengths = tuple(length_of(target, name, true_mm) for name, true_mm in known.items())
     return _judged(target.epipolar_rms_px, lengths, limits, None)
 

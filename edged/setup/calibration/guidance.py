@@ -109,7 +109,7 @@ def guide(
     return Guided(None, fresh, rms, dict(calibration.excluded), 1e3 * plan.sigma_mm, plan.more_views)
 
 
-def waits_for(
+def wait_reason(
     watched: Watched | None, *, still: bool, ghost: Ghost | None, others: Sequence[FloatArray]
 ) -> str:
     """Code of why a pair is not taken automatically; "" if it should be taken.
@@ -143,7 +143,7 @@ def _is_nearer(watched: Watched, ghost: Ghost, others: Sequence[FloatArray]) -> 
     return not is_same(ghost.outlines, views) and off < least_off_px(known, views)
 
 
-class Patience:
+class GhostSelector:
     """Chooses the ghost to offer: the next one if the board rested or was unseen too long without a view."""
 
     def __init__(self) -> None:

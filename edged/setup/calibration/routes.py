@@ -107,7 +107,7 @@ class CalibrationRoutes:
         return await self._calibrations.add(draft, call.body.token)
 
     async def _auto(self, draft: str, call: Call[Auto]) -> DraftHead:
-        return await self._calibrations.take_by_itself(draft, call.body.token, on=call.body.on)
+        return await self._calibrations.set_auto_capture(draft, call.body.token, on=call.body.on)
 
     async def _solve(self, draft: str, call: Call[Nothing]) -> Begun:
         call.trail.object = task = await self._calibrations.solve(draft)
@@ -116,7 +116,7 @@ class CalibrationRoutes:
     async def _activate(self, draft: str, call: Call[Activating]) -> ReleaseDocument:
         ours = self._calibrations
         release = await activated(self._activation, call, ours.solution, ours.drafts)
-        ours.put_down(draft)
+        ours.stop_auto_capture(draft)
         return release
 
     async def _report(self, draft: str, _: Call[None]) -> web.Response:

@@ -27,12 +27,12 @@ from edged.setup.calibration.drafts import Draft, Drafts, Looks, Solution
 from edged.setup.calibration.guidance import (
     FIRST_SHARE,
     Ghost,
+    GhostSelector,
     Guided,
-    Patience,
     first_ghosts,
     held_share,
     nearness,
-    waits_for,
+    wait_reason,
 )
 from edged.setup.calibration.model import DraftState, ViewState
 from edged.setup.calibration.shown import Stillness, Watched, corners_in_space
@@ -75,7 +75,7 @@ class OpenCalibration:
     still: bool = False
     waits: str = "no_board"
     stillness: Stillness = field(default_factory=Stillness)
-    patience: Patience = field(default_factory=Patience)
+    patience: GhostSelector = field(default_factory=GhostSelector)
     recognised: list[NominalBoard] = field(default_factory=list)
     task: str | None = None
     fault: Exception | None = None
@@ -157,7 +157,7 @@ class Calibrations:
         for other in self.drafts.open.values():
             other.auto = other.auto if other is opened else None
         self.drafts.current = identity
-        return self.drafts.tell(opened)
+        return self.drafts.publish(opened)
 
     async def add(self, identity: str, token: str) -> DraftHead:
         """Take a pair. Raises `SetupRefused`, `CaptureError`, `CalibrationError`."""
@@ -169,18 +169,18 @@ class Calibrations:
         await self._take(opened, *pair.images)
         return self.document(opened)
 
-    async def take_by_itself(self, identity: str, token: str, *, on: bool) -> DraftHead:
+    async def set_auto_capture(self, identity: str, token: str, *, on: bool) -> DraftHead:
         """Take live pairs when the board is held still, as long as the lease of this token lasts."""
         opened = await self.drafts.get(identity)
         self.drafts.current, opened.auto = identity, token if on else None
-        return self.drafts.tell(opened)
+        return self.drafts.publish(opened)
 
-    def put_down(self, identity: str) -> None:
+    def stop_auto_capture(self, identity: str) -> None:
         """Stop taking pairs automatically for a draft; unknown ones are ignored."""
         opened = self.drafts.open.get(identity)
         if opened is not None and opened.auto is not None:
             opened.auto = None
-            self.drafts.tell(opened)
+            self.drafts.publish(opened)
 
     async def solve(self, identity: str) -> str:
         """Start to solve a draft, and return the task. Raises `CalibrationError` if it is being solved."""
@@ -191,7 +191,7 @@ class Calibrations:
             raise CalibrationError("there are no views yet")
         opened.auto = None  # no further views are needed once it is solved
         opened.task = self._tasks.start("solve", partial(self._solve, opened))
-        self.drafts.tell(opened)
+        self.drafts.publish(opened)
         return opened.task
 
     async def solution(self, identity: str) -> bytes:
@@ -219,7 +219,7 @@ class Calibrations:
             log.warning("a live pair cannot be analysed: %s", error)
             if (opened := self.drafts.open.get(identity)) is not None:
                 opened.fault = error
-                self.drafts.tell(opened)
+                self.drafts.publish(opened)
         finally:
             self._watching = None
 
@@ -247,14 +247,14 @@ class Calibrations:
             await self._cell.session.renew_setup(opened.auto)
             await self._take(opened, left, right)
             opened.stillness = Stillness()
-        self.drafts.tell(opened)
+        self.drafts.publish(opened)
 
     def _waits(self, opened: OpenCalibration) -> str:
         if not opened.draft.state.boards:
             return "board_unknown"
         if opened.guide.is_running or self._tasks.is_running(opened.task):
             return "busy"
-        return waits_for(opened.watched, still=opened.still, ghost=opened.ghost, others=opened.outlines)
+        return wait_reason(opened.watched, still=opened.still, ghost=opened.ghost, others=opened.outlines)
 
     async def _recognise(self, opened: OpenCalibration, seen: NominalBoard) -> None:
         opened.recognised = [*opened.recognised[1 - LOOKS_THAT_AGREE :], seen]
@@ -275,7 +275,7 @@ class Calibrations:
             looks, *seen = await self._worker.run("keep_pair", *order)
             await asyncio.to_thread(draft.add, name, *seen)
             opened.looks[name] = looks
-        self.drafts.tell(opened)
+        self.drafts.publish(opened)
 
     async def _known(self, opened: OpenCalibration, **progress: Progress) -> dict[str, Looks]:
         """Boards found in the views in use; pairs from before a restart are analysed again."""
@@ -309,14 +309,14 @@ class Calibrations:
             if draft.state.used != state.used:
                 raise CalibrationError("the views have changed meanwhile: solve it again")
             await asyncio.to_thread(draft.solve, solution)
-        self.drafts.tell(opened)
+        self.drafts.publish(opened)
 
     # --- the topic of `drafts` -------------------------------------------------------------------
 
     def opened(self, draft: Draft) -> OpenCalibration:
         """Open a draft for work."""
         opened = OpenCalibration(draft)
-        compute, tell = partial(self._guided, opened), partial(self.drafts.tell, opened)
+        compute, tell = partial(self._guided, opened), partial(self.drafts.publish, opened)
         opened.guide = Latest(None, lambda: opened.guided_by, compute, tell)
         if not draft.state.used:
             opened.guide.set(None)

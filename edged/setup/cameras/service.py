@@ -9,7 +9,7 @@ from typing import Any
 
 from edged.adapters.aravis import (
     CameraInfo,
-    HeardCamera,
+    DiscoveredCamera,
     aravis_missing,
     give_address,
     list_cameras,
@@ -291,11 +291,11 @@ def _with_camera(info: CameraInfo) -> ChosenCamera:
     return ChosenCamera(device=info.address if network else info.serial, serial=info.serial)
 
 
-def _with_addresses() -> list[tuple[CameraInfo, HeardCamera | None]]:
+def _with_addresses() -> list[tuple[CameraInfo, DiscoveredCamera | None]]:
     return with_addresses(list_cameras())
 
 
-def _described(info: CameraInfo, heard: HeardCamera | None, side: Side | None) -> dict[str, Any]:
+def _described(info: CameraInfo, heard: DiscoveredCamera | None, side: Side | None) -> dict[str, Any]:
     trouble = None if info.control in ("", "free") else info.control
     if trouble == "controlled":
         trouble = None if side is not None else "controlled by another program or host"

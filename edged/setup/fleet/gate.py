@@ -39,7 +39,7 @@ from edged.setup.fleet.software import SoftwareGate
 from edged.setup.inuse import CellInUse
 from edged.setup.recordings.regressiondocuments import TriedCandidate
 from edged.setup.recordings.regressions import Regressions
-from edged.setup.recordings.setups import Contents, concerned, successors
+from edged.setup.recordings.setups import Contents, affected_jobs, successors
 from edged.setup.releases.archive import MAX_BYTES, Parts, parts_at, with_parts
 from edged.setup.releases.jobsfolder import Jobs, contents_with, of_job, with_job
 from edged.setup.releases.service import Activation, Mandate
@@ -287,7 +287,7 @@ class FleetGate:
     @staticmethod
     def _changed(active: Contents, candidate: Contents) -> dict[int, int]:
         """Old and new numbers of the jobs that are measured differently."""
-        there, numbers = successors(active, candidate), concerned(active, candidate)
+        there, numbers = successors(active, candidate), affected_jobs(active, candidate)
         return {old: new for old, new in there.items() if numbers is None or old in numbers}
 
 

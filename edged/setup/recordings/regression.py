@@ -24,7 +24,7 @@ from edged.pictures.overlay import draw_pair
 from edged.pipeline import PairInspection, PreparedRig, decide, inspect
 from edged.robot.belt import on_belt
 from edged.robot.covariance import moved_frame
-from edged.robot.picking import RobotFrame, allowed, frame_of, picked
+from edged.robot.picking import RobotFrame, frame_of, picked, with_allowed_grasps
 from edged.vision.part.job import Job
 
 COMPARED = ("status", "targets", "rejected")
@@ -82,7 +82,8 @@ def within_reach(inspection: PairInspection, job: Job, frame: RobotFrame) -> Pai
     """The inspection with parts rejected that the robot may not pick."""
     found = [part.target for part in inspection.measured]
     parts = (
-        replace(part, target=allowed(part.target, job.picking, frame, found)) for part in inspection.measured
+        replace(part, target=with_allowed_grasps(part.target, job.picking, frame, found))
+        for part in inspection.measured
     )
     return replace(inspection, measured=tuple(parts))
 

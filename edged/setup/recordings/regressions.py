@@ -25,7 +25,7 @@ from edged.setup.recordings.regressiondocuments import (
     TriedCandidate,
     document_of,
 )
-from edged.setup.recordings.setups import Contents, concerned, digest_of, facts_of_jobs, job_of_cycle
+from edged.setup.recordings.setups import Contents, affected_jobs, digest_of, facts_of_jobs, job_of_cycle
 from edged.setup.releases.releasefolder import Tested
 
 log = logging.getLogger(__name__)
@@ -128,7 +128,7 @@ class Regressions:
             return []
         if self._records is None or self._records.folder != folder:
             self._records = Records(folder)
-        numbers, jobs = concerned(active, candidate), facts_of_jobs(active)
+        numbers, jobs = affected_jobs(active, candidate), facts_of_jobs(active)
         if numbers == set():
             return []
         found = []

@@ -176,8 +176,10 @@ class Cycles:
             reference=job.reference,
             folder=folder,
             limits=_limits(job),
-            now=_sight("now", rig, _pictures(line), parts, line),
-            taught=_sight("taught", rig, self._of_teaching(line, folder, is_same), [taught_part(rig, job)]),
+            now=_pair_view("now", rig, _pictures(line), parts, line),
+            taught=_pair_view(
+                "taught", rig, self._of_teaching(line, folder, is_same), [taught_part(rig, job)]
+            ),
             beside=self._beside(records, line, job),
         )
 
@@ -191,7 +193,7 @@ class Cycles:
             snapshot, _ = recording.load_snapshot(entry.path)
             rig, its_job = rig_and_job(entry.path, snapshot)
             parts = parts_of(snapshot, rig.rig, its_job, str(entry.path))
-            return _sight("good", rig.rig, _pictures(good), parts, good)
+            return _pair_view("good", rig.rig, _pictures(good), parts, good)
         except FileFormatError:
             return None
 
@@ -230,7 +232,7 @@ def _pictures(line: CycleLine) -> PicturePaths | None:
     return PicturePaths.below(f"{PLACE}/{line.number}") if line.has_pictures else None
 
 
-def _sight(
+def _pair_view(
     kind: str,
     rig: StereoRig,
     pictures: PicturePaths | None,

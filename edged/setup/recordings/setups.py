@@ -158,7 +158,7 @@ def _succession(active: Contents, candidate: Contents) -> list[tuple[JobFacts, J
     return pairs
 
 
-def concerned(active: Contents, candidate: Contents) -> set[int] | None:
+def affected_jobs(active: Contents, candidate: Contents) -> set[int] | None:
     """Numbers of the active jobs that a candidate would measure differently; None for all.
 
     Renaming or retiring a job changes no measurement. Another registration to the robot changes no

@@ -13,7 +13,7 @@ from edged.domain.numerals import known
 from edged.robot.errormap import error_map
 from edged.robot.orientations import Brand, transform_of
 from edged.robot.pendant import PENDANTS, READING_CODES, brands_of, mm_per_unit
-from edged.robot.readings import PoseReading
+from edged.robot.readings import PoseFormat
 from edged.setup.documents import DraftHead, DraftSummary, Frozen, Message, PicturePaths, Trouble
 from edged.setup.inuse import RigInUse
 from edged.setup.registration.model import Place, RegistrationState, SkyDocument
@@ -268,7 +268,7 @@ def readings_in(judged: Judged) -> list[ReadingDocument]:
     return [_reading(judged.readings[rank], is_stated=rank == judged.stated) for rank in shown]
 
 
-def _reading(reading: PoseReading, *, is_stated: bool) -> ReadingDocument:
+def _reading(reading: PoseFormat, *, is_stated: bool) -> ReadingDocument:
     return ReadingDocument(
         code=READING_CODES[reading.orientation],
         orientation=reading.orientation,

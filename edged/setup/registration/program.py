@@ -24,7 +24,7 @@ MOST_WAITING = 20
 
 
 class RobotProgram:
-    """The `Witness` of a robot's program: called from any thread, never blocks, writes to a draft."""
+    """`RegistrationListener` of a robot program: called from any thread, never blocks, writes to a draft."""
 
     def __init__(self, registrations: Registrations, cell: CellInUse) -> None:
         self._registrations = registrations

@@ -15,11 +15,11 @@ from edged.domain.robotmap import RobotMap
 from edged.errors import CalibrationError, UserError
 from edged.files.rig import keep_old_rig, load_rig_quality, save_rig
 from edged.robot.covariance import adjoint
-from edged.robot.errormap import MapTrial, error_map, map_of
+from edged.robot.errormap import MapFit, error_map, fit_map
 from edged.robot.golden import motion_of_points
 from edged.robot.handeye import HandEye, Mount, hand_eye
-from edged.robot.orientations import LENGTH_UNITS_MM, READINGS
-from edged.robot.readings import PoseReading, rank_readings
+from edged.robot.orientations import LENGTH_UNITS_MM, POSE_FORMATS
+from edged.robot.readings import PoseFormat, rank_readings
 from edged.robot.touch import PointRegistration, register_points
 from edged.setup.documents import now_text
 from edged.setup.pairs import Pair
@@ -62,7 +62,7 @@ class FromPoints:
     good: bool
     doubt: bool
     registered: RegisteredRig
-    trials: tuple[MapTrial, ...] = ()
+    trials: tuple[MapFit, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -109,7 +109,7 @@ class Readings:
     the first. agrees : the stated reading is one of those; True when none was stated.
     """
 
-    ranked: tuple[PoseReading, ...]
+    ranked: tuple[PoseFormat, ...]
     stands_out: bool
     alike: int
     agrees: bool
@@ -128,9 +128,9 @@ def from_points(
     checked = bool(np.isfinite(found.held_out_mm).any())
     worst_mm = float(np.nanmax(found.held_out_mm)) if checked else found.lengths_mm
     made: RobotMap | None = None
-    trials: tuple[MapTrial, ...] = ()
+    trials: tuple[MapFit, ...] = ()
     if with_map:
-        made, trials = map_of(apply(found.robot_from_rig, rig_mm), robot_mm, found.held_out_mm)
+        made, trials = fit_map(apply(found.robot_from_rig, rig_mm), robot_mm, found.held_out_mm)
         if made is not None:
             worst_mm = float(error_map(made).held_out_mm.max())
     doubt = abs(found.scale - 1) > max(3 * found.sigma_scale, 0.002) if len(rig_mm) > 3 else False
@@ -241,7 +241,7 @@ def which_convention(
 
     views : rig_from_board at each. stated : the poses by the reading that the user stated.
     """
-    ranked = rank_readings(numbers, views, board.points_mm, READINGS, LENGTH_UNITS_MM)
+    ranked = rank_readings(numbers, views, board.points_mm, POSE_FORMATS, LENGTH_UNITS_MM)
     best = ranked[0]
     agrees = True
     if stated is not None:
@@ -257,14 +257,14 @@ def which_convention(
     )
 
 
-def stands_out(ranked: Sequence[PoseReading]) -> bool:
+def stands_out(ranked: Sequence[PoseFormat]) -> bool:
     """Whether the first reading fits so much better than the next that it is the right one."""
     best_mm = ranked[0].rms_mm
     rival_mm = next((reading.rms_mm for reading in ranked[1:] if reading.rms_mm > 1.0001 * best_mm), math.inf)
     return rival_mm > DECIDED * best_mm
 
 
-def in_words(reading: PoseReading) -> str:
+def in_words(reading: PoseFormat) -> str:
     """Sentence on how well the poses agree by a reading."""
     return (
         f"read as {reading.orientation}, lengths in {reading.length_unit}, {reading.mount}, the poses agree "

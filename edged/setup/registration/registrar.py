@@ -22,7 +22,7 @@ if TYPE_CHECKING:  # a cell that measures does not load what calibrates
     from edged.setup.registration.sampling import RegistrationSampling, Step
 
 
-class Witness(Protocol):
+class RegistrationListener(Protocol):
     """Listener to what a robot's program adds; called on any thread, must neither block nor raise."""
 
     def begun(self, mount: Mount, kind: Kind, board: str, limit_mm: float) -> None:
@@ -69,7 +69,7 @@ class CellRegistrar:
         self._base: Loaded | None = None
         self._sampling: RegistrationSampling | None = None
         self._solved: Solved | None = None
-        self.witness: Witness | None = None
+        self.witness: RegistrationListener | None = None
 
     def problem(self, kind: CommandKind) -> str:
         """Why a registration cannot begin with this command; "" when it can."""

@@ -114,7 +114,7 @@ class Registrations:
             if not board:
                 raise CalibrationError("which board does the flange hold? State it")
         about = (author, rig.calibration_id, datetime.now(UTC), mount, kind, brand, board, limit_mm)
-        return self.drafts.tell(await self.drafts.begin(partial(self._folders.create, *about)))
+        return self.drafts.publish(await self.drafts.begin(partial(self._folders.create, *about)))
 
     async def conventions(self, identity: str) -> Conventions:
         """Ways to read its poses, by the latest verdict. Raises as `OpenDrafts.get`."""
@@ -132,7 +132,7 @@ class Registrations:
         if job is None and not opened.draft.state.board:
             raise CalibrationError("which board, or which part? State one of them")
         await self._keep_look(opened, await self._cell.session.capture(token), job)
-        return self.drafts.tell(opened)
+        return self.drafts.publish(opened)
 
     async def touch(self, identity: str, key: str, given: Given, revision: int | None = None) -> DraftHead:
         """Add a touched place of the last pictures. Raises `CalibrationError`, `UserError`, `StaleDraft`."""
@@ -287,7 +287,7 @@ class Registrations:
                 "pose_with_board", draft.folder, name, images, rig, board
             )
             await asyncio.to_thread(draft.add, name, sample, numbers)
-        return self.drafts.tell(opened)
+        return self.drafts.publish(opened)
 
     def _needed_rig(self) -> RigInUse:
         rig = self._cell.rig()
@@ -301,7 +301,7 @@ class Registrations:
         """Open a draft for work."""
         opened = OpenRegistration(draft)
         inputs, compute = partial(self._judged_by, opened), partial(self._judged, opened)
-        opened.judge = Latest(Judged(), inputs, compute, partial(self.drafts.tell, opened))
+        opened.judge = Latest(Judged(), inputs, compute, partial(self.drafts.publish, opened))
         return opened
 
     def _judged_by(self, opened: OpenRegistration) -> tuple[object, ...]:

@@ -15,9 +15,9 @@ from edged.domain.arrays import FloatArray
 from edged.domain.registration import UNKNOWN_6
 from edged.errors import CalibrationError
 from edged.robot.handeye import MIN_POSES, MIN_TURN_RAD, Mount, turns_of
-from edged.robot.orientations import LENGTH_UNITS_MM, READINGS, Brand, transform_of
+from edged.robot.orientations import LENGTH_UNITS_MM, POSE_FORMATS, Brand, transform_of
 from edged.robot.pendant import READING_CODES, brands_of, mm_per_unit
-from edged.robot.readings import PoseReading, rank_readings
+from edged.robot.readings import PoseFormat, rank_readings
 from edged.robot.touch import TWIN_SHARE
 from edged.setup.documents import Trouble
 from edged.setup.registration.model import SkyDocument
@@ -73,7 +73,7 @@ class Judged:
     sigma: tuple[float, ...] = UNKNOWN_6
     sky: Mapping[str, SkyDocument] = field(default_factory=dict)
     missing: str = ""
-    readings: tuple[PoseReading, ...] = ()
+    readings: tuple[PoseFormat, ...] = ()
     stated: int | None = None
     registered: RegisteredRig | None = None
 
@@ -226,7 +226,7 @@ def _ranked(
     board: NominalBoard,
     brand: Brand | None,
     mount: Mount,
-) -> tuple[tuple[PoseReading, ...], int | None]:
+) -> tuple[tuple[PoseFormat, ...], int | None]:
     """All ways to read the poses, best first, and the rank of the stated one."""
     if len(posed) < MIN_POSES:
         return (), None
@@ -234,7 +234,7 @@ def _ranked(
     some = np.linspace(0, len(names) - 1, min(len(names), TRIED)).round().astype(int)
     views, numbers = zip(*(posed[names[k]] for k in some), strict=True)
     try:
-        ranked = rank_readings(numbers, views, board.points_mm, READINGS, LENGTH_UNITS_MM)
+        ranked = rank_readings(numbers, views, board.points_mm, POSE_FORMATS, LENGTH_UNITS_MM)
     except CalibrationError:
         return (), None
     ranks = (
@@ -245,7 +245,7 @@ def _ranked(
     return tuple(ranked), next(ranks, None)
 
 
-def _other_reading(readings: tuple[PoseReading, ...], stated: int | None) -> Trouble | None:
+def _other_reading(readings: tuple[PoseFormat, ...], stated: int | None) -> Trouble | None:
     """Trouble naming a reading that fits so much better than the stated one that it must be right, if any."""
     if not readings:
         return None

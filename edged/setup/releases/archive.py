@@ -104,7 +104,7 @@ def make(config: Path, parts: Parts | None = None) -> Made:
     """
     cell = read_cell(config, elsewhere=True) if parts is None else read_any_cell(config, elsewhere=True)
     if parts is None:
-        taken = _taken(config, cell, parts_at(cell.config.cell.rig, cell.config.cell.jobs))
+        taken = _backup_of(config, cell, parts_at(cell.config.cell.rig, cell.config.cell.jobs))
     else:
         taken = with_parts(config, parts)
     data = pack(taken)
@@ -121,7 +121,7 @@ def parts_at(rig: Path, jobs: Path) -> Parts:
 
 def with_parts(config: Path, parts: Parts) -> Backup:
     """Backup of a configuration's cell with these parts, checked by restoring it once. Raises `UserError`."""
-    taken = _taken(config, read_any_cell(config, elsewhere=True), parts)
+    taken = _backup_of(config, read_any_cell(config, elsewhere=True), parts)
     return replace(taken, fingerprint=restored(taken).fingerprint)
 
 
@@ -134,7 +134,7 @@ def parts_of(taken: Backup) -> Parts:
     return Parts(rig, cameras, connections, jobs_of(taken))
 
 
-def _taken(config: Path, cell: CellFiles | UnfinishedCell, parts: Parts) -> Backup:
+def _backup_of(config: Path, cell: CellFiles | UnfinishedCell, parts: Parts) -> Backup:
     """Backup of a cell with these parts, still with the cell's present fingerprint. Raises `UserError`."""
     files, left_out = _collect(config, cell.config, parts)
     if sum(map(len, files.values())) > MAX_BYTES // 2:

@@ -13,7 +13,7 @@ from edged.config.chosenconnections import connections_file
 from edged.errors import FileFormatError, UserError, translated
 from edged.files.atomic import read_bytes
 from edged.files.replacing import replace_files
-from edged.owners import as_owner, by_name, unlinked
+from edged.owners import as_owner, named_path, resolved
 from edged.setup.releases.archive import REGISTERS, Backup, names_in, wrong_name
 
 
@@ -23,7 +23,7 @@ def restore(taken: Backup, output: Path, *, force: bool) -> Path | None:
     force : replace this cell's files in it; others stay as they are. Raises `UserError`; then nothing has
     changed.
     """
-    output = by_name(output)
+    output = named_path(output)
     with translated(FileFormatError, f"{output}: cannot be written"):
         if output.exists() and not output.is_dir():
             raise UserError(f"{output}: exists and is no folder")
@@ -33,10 +33,10 @@ def restore(taken: Backup, output: Path, *, force: bool) -> Path | None:
                 "not_empty",
             )
         with as_owner(output.parent) as above:
-            place = unlinked(above / output.name)
+            place = resolved(above / output.name)
             keep = _unused(place.with_name(f"{place.name}.before-restore"))
             is_kept = _put(taken, place, output, keep)
-        return unlinked(output).with_name(keep.name) if is_kept else None
+        return resolved(output).with_name(keep.name) if is_kept else None
 
 
 def _put(taken: Backup, place: Path, output: Path, keep: Path) -> bool:

@@ -129,7 +129,7 @@ async def activated(
     await activation.check(call.body.token)
     rig = await solution(call.part("id"))
     release = await noted(call, activation.fingerprint, activation.activate(rig, signed_mandate(call)))
-    await drafts.tell_again(call.part("id"))
+    await drafts.republish(call.part("id"))
     return release
 
 

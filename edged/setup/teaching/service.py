@@ -106,7 +106,7 @@ class Teachings:
 
         opened = await self.drafts.begin(create)
         self.refresh(opened)
-        return self.drafts.tell(opened)
+        return self.drafts.publish(opened)
 
     async def job(self, identity: str) -> Job:
         """The wanted job, once it is learnt. Raises `KeyError`, and `TeachError` with the reason if not."""
@@ -238,7 +238,7 @@ class Teachings:
         opened = await self.drafts.get(identity)
         async with self.drafts.changing(opened):
             await asyncio.to_thread(self._note_job, opened.draft)
-        self.drafts.tell(opened)
+        self.drafts.publish(opened)
 
     def _note_job(self, draft: TeachingDraft) -> None:
         state, line = draft.state, self._line(digest=draft.state.activated)
@@ -300,11 +300,11 @@ class Teachings:
                     if isinstance(error, TaskFailed):
                         raise
                 if opened.seen_of != self._wanted(opened):
-                    self.drafts.tell(opened)
+                    self.drafts.publish(opened)
         finally:
             opened.ended.set()
             # later, when the task has ended and no longer counts as proposing
-            asyncio.get_running_loop().call_soon(self.drafts.tell, opened)
+            asyncio.get_running_loop().call_soon(self.drafts.publish, opened)
 
     async def _propose(self, opened: OpenTeaching) -> None:
         """Propose the initial region, unless one is set already."""
@@ -315,7 +315,7 @@ class Teachings:
             if opened.draft.state.content.shapes is None:
                 shapes: list[JsonValue] = [] if corners is None else [polygon(corners)]
                 await asyncio.to_thread(opened.draft.propose, shapes)
-        self.drafts.tell(opened)
+        self.drafts.publish(opened)
 
     async def _looked(self, opened: OpenTeaching, progress: Progress) -> JobSeen:
         rig, draft = self._cell.needed_rig(), opened.draft

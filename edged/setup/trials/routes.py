@@ -73,7 +73,7 @@ class TrialRoutes:
     )
     async def _hold_still(self, call: Call[HoldingStill]) -> Begun:
         body = call.body
-        asked = self._trials.hold_still(body.token, body.what(), body.pictures, call.visitor.name)
+        asked = self._trials.start_still_test(body.token, body.what(), body.pictures, call.visitor.name)
         call.trail.object = task = await known(asked)
         return Begun(task=task)
 

@@ -31,7 +31,7 @@ from edged.setup.trials.documents import (
     still_document,
 )
 from edged.setup.trials.sigmamap import SigmaMap
-from edged.setup.trials.stilltest import Stand, StillResult
+from edged.setup.trials.stilltest import StillResult, StillSample
 from edged.setup.trials.tried import TriedPair
 from edged.setup.trials.work import TrialSetup
 from edged.vision.part.expected import Scatters
@@ -175,7 +175,7 @@ class Trials:
         assert trial.map is not None
         return map_document(trial.job.name, trial.map, measured=trial.map_measured)
 
-    async def hold_still(self, token: str, what: What, pictures: int, author: str) -> str:
+    async def start_still_test(self, token: str, what: What, pictures: int, author: str) -> str:
         """Start a still test, and return the task. Raises as `turn`."""
         await self._cell.session.renew_setup(token)
         if self._cell.tasks.is_running(self._still):
@@ -260,7 +260,7 @@ class Trials:
     async def _hold_still(
         self, trial: _Trial, token: str, pictures: int, author: str, progress: Progress
     ) -> None:
-        stands: list[Stand | None] = []
+        stands: list[StillSample | None] = []
         for number in range(pictures):
             progress(f"picture {number + 1} of {pictures}", number, pictures)
             pair = await self._cell.session.capture(token)

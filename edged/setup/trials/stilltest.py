@@ -37,7 +37,7 @@ LEAST, MOST = 5, 200
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Stand:
+class StillSample:
     """One measurement of the part. place_mm (3,); by_edges (3, 3) : the edges' share of its covariance.
 
     sightings, scatters : of its features, by name.  pose (4, 4) : rig_from_part; None if not known.
@@ -70,14 +70,14 @@ class StillResult:
     covers: bool | None = None
 
 
-def noises_of(stands: Sequence[Stand]) -> dict[str, tuple[float, float]]:
+def noises_of(stands: Sequence[StillSample]) -> dict[str, tuple[float, float]]:
     """Noise of the edges of each feature that all pictures show, where it can be estimated."""
     names = set.intersection(*(set(stand.sightings) for stand in stands)) if stands else set()
     found = {name: edge_noise([stand.sightings[name] for stand in stands]) for name in sorted(names)}
     return {name: noise for name, noise in found.items() if noise is not None}
 
 
-def judged(stands: Sequence[Stand | None], by_noise: FloatArray | None = None) -> StillResult:
+def judged(stands: Sequence[StillSample | None], by_noise: FloatArray | None = None) -> StillResult:
     """Judge pictures, in the order they were taken; None for one in which the part was not measured.
 
     by_noise (3, 3) : covariance of the place explained by the noise of the edges; None if not known.

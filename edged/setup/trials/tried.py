@@ -26,7 +26,7 @@ from edged.robot.reading import PartReading, frame_name, reading_of
 from edged.setup.documents import Frozen, PlaceMm, SigmaAbc, SigmaXyz
 from edged.setup.recordings.recorded import NOT_FOUND
 from edged.setup.recordings.recordedparts import Points, outline_in
-from edged.setup.trials.stilltest import Stand, StillResult, judged, noises_of
+from edged.setup.trials.stilltest import StillResult, StillSample, judged, noises_of
 from edged.vision.geometry.camera import StereoRig
 from edged.vision.part.expected import Scatters, expected_target, scatters_of
 from edged.vision.part.job import Job
@@ -208,17 +208,17 @@ def terms_of(rig: StereoRig, target: Target) -> Terms | None:
     return Terms(edges=edges, calibration=calibration, registration=registration, doubt=doubt)
 
 
-def stand_of(measured: MeasuredPart) -> Stand | None:
+def stand_of(measured: MeasuredPart) -> StillSample | None:
     """The measurement of a part for a still test; None if the edges' share of its covariance is not known."""
     target = measured.target
     if target.by_edges is None or not _is_finite(target):
         return None
     seen = {fit.name: (fit.points, fit.weights) for fit in measured.fits}
     place, edges = target.position_mm, target.by_edges[:3, :3]
-    return Stand(place, edges, seen, scatters_of(measured.fits), target.rig_from_part)
+    return StillSample(place, edges, seen, scatters_of(measured.fits), target.rig_from_part)
 
 
-def still_part(rig: PreparedRig, job: Job, stands: Sequence[Stand | None]) -> StillResult:
+def still_part(rig: PreparedRig, job: Job, stands: Sequence[StillSample | None]) -> StillResult:
     """Judge the pictures of a part that lay still."""
     seen = [stand for stand in stands if stand is not None]
     noises, expected = noises_of(seen), None

@@ -17,7 +17,7 @@ from edged.setup.jobs.messages import decode_message
 from edged.setup.pairs import Progress
 from edged.setup.trials import tried as trying
 from edged.setup.trials.sigmamap import SigmaMap, sigma_map
-from edged.setup.trials.stilltest import Stand, StillResult
+from edged.setup.trials.stilltest import StillResult, StillSample
 from edged.setup.trials.tried import TriedPair
 from edged.vision.part.expected import Scatters
 from edged.vision.part.job import Job
@@ -55,7 +55,7 @@ def try_pair(setup: TrialSetup, images: tuple[Image, Image]) -> TriedPair:
     return trying.try_pair(rig, _job(setup.job), FramePair.of_images(*images), setup.bounds, setup.convention)
 
 
-def stand(setup: TrialSetup, images: tuple[Image, Image]) -> Stand | None:
+def stand(setup: TrialSetup, images: tuple[Image, Image]) -> StillSample | None:
     """Measurement of the best part in a pair, for a still test; None without one."""
     inspection = inspect(FramePair.of_images(*images), _job(setup.job), _prepared(setup.rig, setup.path))
     best = max(inspection.measured, key=_rank, default=None)
@@ -66,7 +66,7 @@ def _rank(measured: MeasuredPart) -> tuple[bool, float]:
     return not measured.target.reject, measured.target.match.score
 
 
-def still(setup: TrialSetup, stands: Sequence[Stand | None]) -> StillResult:
+def still(setup: TrialSetup, stands: Sequence[StillSample | None]) -> StillResult:
     """Judge the pictures of a still test."""
     return trying.still_part(_prepared(setup.rig, setup.path), _job(setup.job), stands)
 

@@ -59,7 +59,7 @@ class Due:
 
     at_ns: int
     order: int
-    called_off: bool = field(default=False, compare=False)
+    cancelled: bool = field(default=False, compare=False)
 
 
 class TriggerQueue:
@@ -89,7 +89,7 @@ class TriggerQueue:
         with self._changed:
             while True:
                 now_ns = time.monotonic_ns()
-                while self._dues and self._dues[0].called_off:
+                while self._dues and self._dues[0].cancelled:
                     heapq.heappop(self._dues)
                 if self._dues and self._dues[0].at_ns <= now_ns:
                     return heapq.heappop(self._dues).at_ns
@@ -120,7 +120,7 @@ class Debouncer:
                 if counts_ns <= at_ns:
                     self._level = coming
                 elif due is not None:
-                    due.called_off = True
+                    due.cancelled = True
                 self._coming = None
             if level != self._level:
                 counts_ns = at_ns + round(debounce_s * 1e9)

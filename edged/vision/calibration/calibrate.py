@@ -27,17 +27,17 @@ from edged.vision.calibration.estimation import (
     estimate,
     estimate_cleaned,
 )
-from edged.vision.calibration.initial import agree, check_sides, usable_views, zhang
+from edged.vision.calibration.initial import check_sides, resolve_orientation, usable_views, zhang
 from edged.vision.calibration.lenschoice import (
     Choice,
     LensWeight,
     LensWish,
-    averaged,
     basic_freedoms,
     check_determined,
     choose,
     release,
     rig_of,
+    with_averaged_covariance,
 )
 from edged.vision.calibration.params import CALIBRATION
 from edged.vision.geometry.camera import LensModel, StereoRig, calibration_identity
@@ -117,7 +117,7 @@ def calibrate_stereo(
     lens: LensModel = "brown" if model == "auto" else model
     left_camera, left_poses = zhang(usable, "left", left_size, lens)
     right_camera, right_poses = zhang(usable, "right", right_size, lens)
-    usable, right_from_left, scatter = agree(usable, left_poses, right_poses)
+    usable, right_from_left, scatter = resolve_orientation(usable, left_poses, right_poses)
     check_sides(right_from_left, left_poses, scatter)
     state = BundleState(left_camera, right_camera, right_from_left, np.array(left_poses))
     if model == "auto":
@@ -171,7 +171,9 @@ def _summarise(choice: Choice, excluded: list[tuple[str, str]]) -> Calibration:
     problem, result = solution.problem, solution.result
     rig = rig_of(result)
     identity = calibration_identity(rig.left, rig.right, rig.right_from_left)
-    rig = averaged(replace(rig, calibration_id=identity), choice, _places(problem, result.state))
+    rig = with_averaged_covariance(
+        replace(rig, calibration_id=identity), choice, _places(problem, result.state)
+    )
     fits = tuple(
         fit_of_view(view, rig, pose)
         for view, pose in zip(problem.views, result.state.left_from_board, strict=True)

@@ -99,7 +99,7 @@ def _check_tilt(poses: Sequence[FloatArray], side: Side) -> None:
         )
 
 
-def agree(
+def resolve_orientation(
     views: list[StereoView], left: list[FloatArray], right: list[FloatArray]
 ) -> tuple[list[StereoView], FloatArray, float]:
     """Resolve the orientation of symmetric boards; views, right_from_left that most agree on, and scatter.
@@ -149,7 +149,7 @@ def _distance(a: FloatArray, b: FloatArray) -> float:
 def check_sides(right_from_left: FloatArray, left_from_board: Sequence[FloatArray], scatter: float) -> None:
     """Raise `CalibrationError` if the right camera is to the left of, or in the place of, the left one.
 
-    scatter : of the views, from `agree`; if it is large, the position is not known.
+    scatter : of the views, from `resolve_orientation`; if it is large, the position is not known.
     """
     centre = invert(right_from_left)[:3, 3]
     distance = float(np.median([pose[2, 3] for pose in left_from_board]))

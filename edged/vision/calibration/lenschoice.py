@@ -197,7 +197,7 @@ def _criteria(results: Sequence[BundleResult], freedoms: Sequence[Freedoms]) -> 
 # --- model-averaged covariance -------------------------------------------------------------------
 
 
-def averaged(rig: StereoRig, choice: Choice, points_mm: FloatArray) -> StereoRig:
+def with_averaged_covariance(rig: StereoRig, choice: Choice, points_mm: FloatArray) -> StereoRig:
     """The rig with the model-averaged covariance about the chosen model.
 
     points_mm (N, 3) : points spread over the volume. As models have different parameters, another model's

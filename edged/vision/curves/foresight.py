@@ -49,7 +49,7 @@ def scatter_in(light: ExpectedLight, shift_px: float) -> Scatter:
     return Scatter(information, 0.5, np.full(2, shift_px), nowhere, nowhere)
 
 
-def foresee_plane(
+def predict_fit(
     rig: StereoRig,
     face: Face,
     curves: Sequence[Curve],
@@ -86,7 +86,7 @@ def foresee_plane(
         return None
     if not kept.all():
         fewer = np.flatnonzero(kept).tolist()
-        return foresee_plane(
+        return predict_fit(
             rig,
             face,
             [curves[k] for k in fewer],

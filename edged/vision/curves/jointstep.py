@@ -55,7 +55,7 @@ class Shapes(NamedTuple):
     rows: F2
 
 
-class Formed(NamedTuple):
+class StepProblem(NamedTuple):
     """The problem of a step in the form for the solver.
 
     used (V,) : indices of the fit's unknowns that are solved for, which come first.  unknowns : their number
@@ -99,7 +99,7 @@ class Solved(NamedTuple):
     rounds: INT
     delta: F1
     moved_px: F1
-    formed: Formed
+    formed: StepProblem
     solution: JointSolution
     pairs: Pairs
     sums: CurveSums
@@ -208,7 +208,7 @@ def _kinds(polarity: I64) -> I64:
 def form(
     at: CurvesAt, laid: LaidCurves, left: ProjectedOutline, right: ProjectedOutline, pairs: Pairs,
     offset: F64, bias: F64, final: bool,
-) -> Formed:  # fmt: skip
+) -> StepProblem:  # fmt: skip
     """The samples in the form for the solver.
 
     offset (2, N) : NaN where there is no edge; bias (2, K) : as in `CameraEdges`.  final : with systematic
@@ -274,7 +274,7 @@ def form(
         rows_of(pairs, values[0], values[1])[:, 0].copy(), pairs.base, rows_of(pairs, waves[0], waves[1]),
         families, expected, shared, kinds,
     )  # fmt: skip
-    return Formed(samples, used, many + priors, known + priors)
+    return StepProblem(samples, used, many + priors, known + priors)
 
 
 @kernel("f8[::1](ProjectedOutline, ProjectedOutline, i8[::1])", tuples=(ProjectedOutline,))
@@ -363,7 +363,7 @@ def _motion(at: CurvesAt, left: ProjectedOutline, right: ProjectedOutline, start
 @kernel(
     "Solved(CurvesAt, LaidCurves, CameraEdges, CameraEdges, b1)",
     tuples=(
-        *TUPLES, ProjectedOutline, CameraEdges, Pairs, Samples, JointSolution, Formed, CurveSums, Solved
+        *TUPLES, ProjectedOutline, CameraEdges, Pairs, Samples, JointSolution, StepProblem, CurveSums, Solved
     ),
 )  # fmt: skip
 def solve_step(at: CurvesAt, laid: LaidCurves, left: CameraEdges, right: CameraEdges, final: bool) -> Solved:
@@ -415,7 +415,7 @@ def solve_step(at: CurvesAt, laid: LaidCurves, left: CameraEdges, right: CameraE
 @kernel(
     "Solved(CurvesAt, LaidCurves, ProjectedOutline, ProjectedOutline, Pairs, f8[::1], f8[:, ::1], "
     "f8[:, ::1], b1[:, ::1], b1[:, ::1])",
-    tuples=(*TUPLES, ProjectedOutline, Pairs, Samples, JointSolution, Formed, CurveSums, Solved),
+    tuples=(*TUPLES, ProjectedOutline, Pairs, Samples, JointSolution, StepProblem, CurveSums, Solved),
 )
 def solve_known(
     at: CurvesAt, laid: LaidCurves, left: ProjectedOutline, right: ProjectedOutline, pairs: Pairs,

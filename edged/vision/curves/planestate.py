@@ -25,7 +25,7 @@ from edged.vision.curves.flatcurves import (
     lay,
     move,
 )
-from edged.vision.curves.jointstep import CurveSums, Formed, Solved, solve_step
+from edged.vision.curves.jointstep import CurveSums, Solved, StepProblem, solve_step
 from edged.vision.curves.outlines import PLANE_PARAMETERS, Curve, Face, ProjectedOutline, flat_cameras
 from edged.vision.curves.params import FIT, FitParams
 from edged.vision.curves.samples import JointSolution, Samples
@@ -118,7 +118,7 @@ def some_of(curves: FlatCurves, numbers: I64) -> FlatCurves:
 @kernel(
     "Steps(CurvesAt, u1[:, ::1], u1[:, ::1], f8[::1], i8, i8, f8[::1], f8, f8)",
     tuples=(
-        *TUPLES, ProjectedOutline, CameraEdges, Pairs, Samples, JointSolution, Formed, CurveSums, Solved,
+        *TUPLES, ProjectedOutline, CameraEdges, Pairs, Samples, JointSolution, StepProblem, CurveSums, Solved,
         Steps,
     ),
 )  # fmt: skip

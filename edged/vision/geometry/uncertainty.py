@@ -31,7 +31,7 @@ def shift_by_parameters(rig: StereoRig, points_mm: FloatArray) -> FloatArray:
     return -np.linalg.solve(transposed @ by_point, transposed @ by_rig)
 
 
-def levered_covariance(covariance: FloatArray, arm_mm: FloatArray) -> FloatArray:
+def shifted_pose_covariance(covariance: FloatArray, arm_mm: FloatArray) -> FloatArray:
     """Covariance (6, 6) of a pose whose origin lies an arm (3,) away from that of a known pose of the body.
 
     covariance : of (x, y, z in mm, rotation vector in rad), the small rotation applied on the left; arm_mm in

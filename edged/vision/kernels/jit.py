@@ -22,7 +22,7 @@ from numba import types
 from numba.core.dispatcher import Dispatcher
 from numba.core.sigutils import normalize_signature
 
-from edged.vision.kernels.jitcache import QuickCache, load_quickly, say_compiling
+from edged.vision.kernels.jitcache import QuickCache, load_quickly, warn_compiling
 
 F = TypeVar("F", bound=Callable[..., Any])
 WRAPPED = ("__wrapped__", "__func__", "fget", "func")
@@ -102,7 +102,7 @@ class _Deferred:
         with self._lock:
             if not self._dispatcher.signatures:
                 if not isinstance(self._dispatcher._cache, QuickCache):
-                    say_compiling()  # there is no cache to load it from
+                    warn_compiling()  # there is no cache to load it from
                 for signature in self._signatures:
                     self._dispatcher.compile(_parsed(signature, self._tuples))
                 self._dispatcher.disable_compile(True)

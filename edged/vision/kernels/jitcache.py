@@ -36,7 +36,7 @@ COMPILING = "compiling numerical kernels (once, up to three minutes)"
 _said = itertools.count()
 
 
-def say_compiling() -> None:
+def warn_compiling() -> None:
     """Log once per process, before the first kernel is compiled, what the user is waiting for."""
     if next(_said) == 0:  # atomic: the threads of both cameras may come here
         log.warning(COMPILING)
@@ -72,7 +72,7 @@ class QuickCache(FunctionCache):  # type: ignore[misc]  # as above
         rtsys.initialize(target_context)  # kernels get the memory of new arrays from it
         stored = self._load_overload(sig, target_context)
         if stored is None:
-            say_compiling()
+            warn_compiling()
         return stored
 
     def _index_key(self, sig: Any, codegen: Any) -> tuple[Any, ...]:

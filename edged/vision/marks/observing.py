@@ -53,7 +53,7 @@ class ObservedDots:
     common: FloatArray
 
     @classmethod
-    def of(
+    def observe(
         cls,
         taught: TaughtMarks,
         considered: FloatArray,

@@ -191,7 +191,7 @@ class MarksFilter:
         excluded = self._codes(np.setdiff1d(marks, agreeing))
         observed = self._observed(moved, dots, agreeing)
         fit = observed.misfit / observed.count
-        whole = self._as_a_whole(track, dots, agreeing) if len(hit) > 1 else None
+        whole = self._fit_moved_plate(track, dots, agreeing) if len(hit) > 1 else None
         why = _refused(self.taught, moved, whole)
         if why:
             report = self._report(track, MarksState.CONTRADICTED, marks, fit, why)
@@ -205,7 +205,7 @@ class MarksFilter:
         report = self._report(found, MarksState.KNOCKED, agreeing, fit, why)
         return found, replace(report, valid=False, excluded=excluded)
 
-    def _as_a_whole(self, track: MarksTrack, dots: DotsInPair, marks: I64) -> tuple[float, float] | None:
+    def _fit_moved_plate(self, track: MarksTrack, dots: DotsInPair, marks: I64) -> tuple[float, float] | None:
         """Relative growth of the plate, and its sigma, if only the plate changed; None otherwise.
 
         The plate may have moved (as it seems to when the rig was moved) and be of another size.
@@ -239,7 +239,7 @@ class MarksFilter:
     def _observed(
         self, track: MarksTrack, dots: DotsInPair, marks: I64, at: FloatArray | None = None
     ) -> ObservedDots:
-        return ObservedDots.of(self.taught, self.considered, track, dots, marks, at)
+        return ObservedDots.observe(self.taught, self.considered, track, dots, marks, at)
 
     def _waiting(self, track: MarksTrack) -> int:
         return MARKS.consistent if track.knocked else track.wait

@@ -1,4 +1,4 @@
-"""The surface of a part whose CAD model is known, as its job keeps it; for occlusion see `bodysight`."""
+"""The surface of a part whose CAD model is known, kept by its job; for occlusion see `curvevisibility`."""
 
 from __future__ import annotations
 

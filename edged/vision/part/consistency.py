@@ -108,7 +108,7 @@ def doubted(target: Target, share: float, baseline_mm: float) -> Target:
     return replace(_widened(target, share**2, baseline_mm), doubt_mm=doubt_mm)
 
 
-def undoubted(target: Target, baseline_mm: float) -> Target:
+def without_doubt(target: Target, baseline_mm: float) -> Target:
     """The target without the doubt about its distance, for callers that judge the rig by it."""
     share = target.doubt_mm / float(np.linalg.norm(target.position_mm))
     return replace(_widened(target, -(share**2), baseline_mm), doubt_mm=0.0, by_doubt=np.zeros((6, 6)))
@@ -182,7 +182,7 @@ def _measurement(size: Measurement, square: float) -> Measurement:
     return replace(size, sigma=float(np.sqrt(size.sigma**2 + square * size.value**2)))
 
 
-def judged(job: Job, rectification: Rectification, target: Target, evidence: Evidence) -> Target:
+def apply_limits(job: Job, rectification: Rectification, target: Target, evidence: Evidence) -> Target:
     """The target with a reject reason for every failed limit, and with its doubts added to every covariance.
 
     A doubt that by itself makes a result too uncertain has a reason of its own: LEFT_RIGHT_MISMATCH for rows

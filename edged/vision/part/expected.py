@@ -13,7 +13,7 @@ import numpy as np
 
 from edged.domain.arrays import FloatArray
 from edged.domain.measurement import Match, Reject, Target
-from edged.vision.curves.foresight import ExpectedLight, foresee_plane, scatter_in
+from edged.vision.curves.foresight import ExpectedLight, predict_fit, scatter_in
 from edged.vision.curves.outlines import Curve, Face
 from edged.vision.curves.params import FIT
 from edged.vision.curves.planefit import CurveFit, PlaneFit, Scatter
@@ -133,4 +133,4 @@ class _Sight:
         if self.noises is not None:
             middle = tuple(np.median(list(self.noises.values()), axis=0).tolist())
             noises = [self.noises.get(curve.name, middle) for curve in curves]
-        return foresee_plane(self.rectification.rig, face, curves, scatters, rigid_mm=rigid_mm, noises=noises)
+        return predict_fit(self.rectification.rig, face, curves, scatters, rigid_mm=rigid_mm, noises=noises)

@@ -138,15 +138,17 @@ def lifted(face: Face, parameters: FloatArray, point: FloatArray) -> FloatArray:
 
 Size = Callable[[FloatArray], float]
 """A size as a function of the parameters of a `PlaneFit`."""
-APART = ("height", "flatness")
+SEPARATE_KINDS = ("height", "flatness")
 """Kinds of measurement that are taken separately, not from the joint fit of the curves."""
 Place = Callable[[FloatArray], FloatArray]
 
 
 def measure_sizes(job: Job, fit: PlaneFit | None, circles: Sequence[Circle3D]) -> tuple[Measurement, ...]:
-    """All measurements of a job except those `APART`, in its order; NaN where features were not seen."""
+    """All measurements of a job but the `SEPARATE_KINDS`, in its order; NaN where features were not seen."""
     by_name = {circle.name: circle for circle in circles}
-    return tuple(_measured(job, spec, fit, by_name) for spec in job.measurements if spec.kind not in APART)
+    return tuple(
+        _measured(job, spec, fit, by_name) for spec in job.measurements if spec.kind not in SEPARATE_KINDS
+    )
 
 
 def as_measurement(spec: MeasurementSpec, value: float, sigma: float) -> Measurement:

@@ -18,11 +18,11 @@ from edged.vision.curves.outlines import PLANE_PARAMETERS, Curve, Face
 from edged.vision.curves.planefit import PlaneFit, differentiated, fit_plane
 from edged.vision.geometry.rectification import Rectification, StereoImages
 from edged.vision.geometry.rigid import about_z, length_of, transform
-from edged.vision.geometry.uncertainty import levered_covariance
+from edged.vision.geometry.uncertainty import shifted_pose_covariance
 from edged.vision.part.circles import measure
-from edged.vision.part.consistency import distance_share, judged
+from edged.vision.part.consistency import apply_limits, distance_share
 from edged.vision.part.flatness import with_flatness
-from edged.vision.part.frames import APART, lifted, measure_sizes, place, with_features
+from edged.vision.part.frames import SEPARATE_KINDS, lifted, measure_sizes, place, with_features
 from edged.vision.part.heights import with_heights
 from edged.vision.part.initialpose import starts
 from edged.vision.part.job import Job
@@ -97,10 +97,10 @@ def _with_reported(job: Job, target: Target, rig_from_own: FloatArray) -> Target
     if job.part_from_reported is None:
         return target
     pose = rig_from_own @ job.part_from_reported
-    covariance = levered_covariance(target.covariance, pose[:3, 3] - target.position_mm)
+    covariance = shifted_pose_covariance(target.covariance, pose[:3, 3] - target.position_mm)
     by_edges = target.by_edges
     if by_edges is not None:
-        by_edges = levered_covariance(by_edges, pose[:3, 3] - target.position_mm)
+        by_edges = shifted_pose_covariance(by_edges, pose[:3, 3] - target.position_mm)
     vague = not float(np.sqrt(np.diag(covariance)[:3].max())) <= job.limits.max_sigma_mm
     reject = target.reject | (Reject.SIGMA_LIMIT if vague else Reject.NONE)
     return replace(target, reported=ReportedPose(pose, covariance, by_edges), reject=reject)
@@ -139,14 +139,14 @@ def _measured_flat(images: StereoImages, job: Job, match: ShapeMatch) -> Measure
         result = _from_edges(images, job, match)
     if isinstance(result, Reject):
         return result
-    result = with_sizes_apart(result, images, job)
-    target = judged(job, images.rectification, result.target, result.evidence)
+    result = with_separate_sizes(result, images, job)
+    target = apply_limits(job, images.rectification, result.target, result.evidence)
     if target.reject is Reject.NONE and is_contradicted(images, job, match, target):
         target = replace(target, reject=Reject.AMBIGUOUS_ROTATION)
     return replace(result, target=target)
 
 
-def with_sizes_apart(measured: MeasuredPart, images: StereoImages, job: Job) -> MeasuredPart:
+def with_separate_sizes(measured: MeasuredPart, images: StereoImages, job: Job) -> MeasuredPart:
     """The measured part with its heights and its flatness, if the job has them."""
     kinds = {spec.kind for spec in job.measurements}
     if "height" in kinds:
@@ -159,8 +159,8 @@ def _measured_whole(images: StereoImages, job: Job, match: ShapeMatch) -> Measur
     result = measure_solid(images, job, match)
     if isinstance(result, Reject):
         return result
-    result = with_sizes_apart(result, images, job)
-    target = judged(job, images.rectification, with_free_axis(job, result.target), result.evidence)
+    result = with_separate_sizes(result, images, job)
+    target = apply_limits(job, images.rectification, with_free_axis(job, result.target), result.evidence)
     return replace(result, target=target)
 
 
@@ -217,7 +217,7 @@ def _circles_tell_rotation(job: Job, found: set[str]) -> bool:
 def _sizes_need_all(job: Job) -> bool:
     """Whether the job has measurements or a reference that circles alone do not provide."""
     kinds = {spec.kind for spec in job.measurements}
-    return bool(kinds - {"radius", *APART}) or job.kind_of(job.reference) != "circle"
+    return bool(kinds - {"radius", *SEPARATE_KINDS}) or job.kind_of(job.reference) != "circle"
 
 
 def all_curves(job: Job, target: Target, polarity: dict[str, int]) -> tuple[Face, list[Curve]]:

@@ -21,7 +21,7 @@ from edged.vision.geometry.triangulation import triangulate, triangulate_raw, tr
 from edged.vision.part.job import Job
 from edged.vision.part.measured import MeasuredPart
 from edged.vision.part.params import MEASURING
-from edged.vision.stereo.matching import PairingReason, match_ncc
+from edged.vision.stereo.matching import MatchStatus, match_ncc
 
 CONTOUR, FACE = 0, 1  # kinds of points, in files too
 
@@ -110,8 +110,8 @@ def face_points(
     covariance = triangulation_covariance(rectification, grid[good], right_x, variance)
     refused = {
         reason.name: int(np.count_nonzero(matches.reason == reason))
-        for reason in PairingReason
-        if reason is not PairingReason.ACCEPTED and (matches.reason == reason).any()
+        for reason in MatchStatus
+        if reason is not MatchStatus.ACCEPTED and (matches.reason == reason).any()
     }
     return FacePoints(points, np.sqrt(covariance[:, 2, 2]), refused)
 

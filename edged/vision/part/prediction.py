@@ -20,7 +20,7 @@ from edged.vision.geometry.rigid import Plane, apply, transform
 from edged.vision.kernels.robust import middle_of
 from edged.vision.part.job import Job
 from edged.vision.part.params import MEASURING
-from edged.vision.shape.ambiguity import RotationSight, look_at, surroundings, turned, turns
+from edged.vision.shape.ambiguity import EdgeObservation, look_at, surroundings, turned, turns
 from edged.vision.shape.params import ROTATIONS
 from edged.vision.shape.search import ShapeMatch
 
@@ -101,7 +101,9 @@ def is_contradicted(images: StereoImages, job: Job, match: ShapeMatch, target: T
     return False
 
 
-def _look(images: StereoImages, job: Job, face: Plane, pose: FloatArray, points: I64) -> RotationSight | None:
+def _look(
+    images: StereoImages, job: Job, face: Plane, pose: FloatArray, points: I64
+) -> EdgeObservation | None:
     """Evidence of the model's points in the raw right image; None where they are out of view."""
     level = job.shape.levels[0]
     places, normals = level.points[points], level.normals[points]

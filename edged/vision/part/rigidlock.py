@@ -121,7 +121,7 @@ def lock(
     return max(found, tight, key=lambda candidate: candidate.mean)
 
 
-def glance(
+def quick_agreement(
     images: StereoImages,
     curves: Sequence[Curve],
     pose: FloatArray,

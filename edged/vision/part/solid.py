@@ -27,13 +27,12 @@ from edged.vision.geometry.camera import StereoRig
 from edged.vision.geometry.rectification import StereoImages
 from edged.vision.geometry.rigid import about_z, apply, transform, turn_between, wrapped
 from edged.vision.part.body import PartBody
-from edged.vision.part.bodysight import sight_of
 from edged.vision.part.circles import rival_turns
 from edged.vision.part.consistency import distance_share
+from edged.vision.part.curvevisibility import curve_visibility
 from edged.vision.part.frames import circles_in_rig, measure_sizes, with_features
 from edged.vision.part.initialpose import start_pose
 from edged.vision.part.job import Job
-from edged.vision.part.leaning import leaning
 from edged.vision.part.measured import Evidence, MeasuredPart
 from edged.vision.part.params import MEASURING, SOLID
 from edged.vision.part.pose import circle_curve, edge_curve, slot_curve
@@ -41,10 +40,11 @@ from edged.vision.part.prediction import match_in_raw, poses_of_match
 from edged.vision.part.rigidlock import (
     TURN_HELD,
     Lock,
-    glance,
     lock,
+    quick_agreement,
     spread,
 )
+from edged.vision.part.tiltedstarts import tilted_starts
 from edged.vision.shape.search import ShapeMatch
 
 
@@ -135,7 +135,7 @@ def best_lock(images: StereoImages, job: Job, match: ShapeMatch) -> tuple[Lock, 
         best = max(found, key=lambda candidate: candidate.mean)
     for motion in motions:
         turned = best.pose @ motion
-        if glance(images, curves, turned) > best.mean - SOLID.rival_share:
+        if quick_agreement(images, curves, turned) > best.mean - SOLID.rival_share:
             candidate = lock(images, curves, turned, rival_of=best)
             found += [] if candidate is None else [candidate]
     found.sort(key=lambda candidate: -candidate.mean)
@@ -162,14 +162,14 @@ def _leaning(images: StereoImages, job: Job, match: ShapeMatch, tilt_rad: float)
     starts = _by_match(images, job, match, main)[:1] + ([] if by_rows is None else [by_rows])
     if _is_roundish(job):  # first the circles about the axis, then the turn
         axis = _about_axis(job)
-        leant = leaning(images, axis, starts, tilt_rad, TURN_HELD)
+        leant = tilted_starts(images, axis, starts, tilt_rad, TURN_HELD)
         locks = [lock(images, axis, pose, unknowns=TURN_HELD) for pose in leant]
         rims = sorted(
             (candidate for candidate in locks if candidate is not None), key=lambda candidate: -candidate.mean
         )
         poses = _turned(images, curves, job, [candidate.pose for candidate in rims[:1]])
     else:
-        poses = leaning(images, curves, starts, tilt_rad)
+        poses = tilted_starts(images, curves, starts, tilt_rad)
     best = _best_of(images, curves, poses)
     return best if best is not None and best.mean >= SOLID.leant_share else None
 
@@ -225,7 +225,9 @@ def _turned(
     """Starts turned about the part's normal, likely ones first: the match of a round part may be turned."""
     centre = job.place_of(job.reference)
     turned = [pose @ _about(turn, centre, centre) for pose in poses for turn in SOLID.turns_rad]
-    order = np.argsort([-glance(images, curves, pose, SOLID.turn_reach_px) for pose in turned], kind="stable")
+    order = np.argsort(
+        [-quick_agreement(images, curves, pose, SOLID.turn_reach_px) for pose in turned], kind="stable"
+    )
     return [turned[k] for k in order[: SOLID.turned_starts]]
 
 
@@ -366,7 +368,7 @@ def _with_signs(
         away = np.nan_to_num(np.abs(edges.offset_px), nan=np.inf)
         own, rows = away.argmin(axis=1), np.arange(len(away))
         sign = np.where(away[rows, own] < 2 * SOLID.agree_px, np.sign(edges.slope[rows, own]), 0.0)
-        sight = None if body is None else sight_of(body, images.rig, name, pose, outline, seen)
+        sight = None if body is None else curve_visibility(body, images.rig, name, pose, outline, seen)
         if sight is not None:
             sign[sight.hidden] = 0.0
             doubtful = sight.merged | _beside_glare(image, seen.pixels)

@@ -22,7 +22,7 @@ from edged.vision.geometry.rigid import angle_between, rotation_2d, wrapped
 from edged.vision.kernels.jit import kernel
 from edged.vision.kernels.robust import mad_sigma, middle_of
 from edged.vision.shape import refine
-from edged.vision.shape.chance import EVIDENCE, Chance, look_elsewhere
+from edged.vision.shape.chance import EVIDENCE, Chance, sample_face
 from edged.vision.shape.model import ShapeModel
 from edged.vision.shape.params import ROTATIONS
 
@@ -49,7 +49,7 @@ class RivalTurns:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class RotationSight:
+class EdgeObservation:
     """Evidence in the image where a pose expects edges.
 
     placed (N, 4) : x, y, nx, ny of the model's points.  slope (N,) : at the edge there, grey values per px,
@@ -77,11 +77,11 @@ class Surroundings:
     face: tuple[float, float]
     around: tuple[float, float]
 
-    def shows(self, sight: RotationSight) -> Flags:
+    def shows(self, sight: EdgeObservation) -> Flags:
         """Points (N,) with an edge."""
         return np.asarray(np.abs(sight.slope) >= self.strong)
 
-    def denies(self, sight: RotationSight) -> Flags:
+    def denies(self, sight: EdgeObservation) -> Flags:
         """Points (N,) without an edge that show the bare face or, at the rim, the bare table."""
         bare, empty = (
             (np.abs(sight.beside - level) < vary).all(axis=1)  # False for NaN
@@ -105,7 +105,7 @@ class Odds:
 
 def look(
     image: Image, model: ShapeModel, pose: FloatArray, sign: int, points: npt.NDArray[Any] | None = None
-) -> RotationSight:
+) -> EdgeObservation:
     """Look for the model's edges in an image (H, W) uint8 at a pose; sign as in `edges_along_normals`.
 
     points : indices of the model's points that are looked for; None: all.
@@ -130,7 +130,7 @@ def look_at(
     sign: int,
     points: npt.NDArray[Any] | slice,
     scale: float,
-) -> RotationSight:
+) -> EdgeObservation:
     """Look for the model's edges, or those of `points`, where they are placed (N, 4): x, y, nx, ny.
 
     scale : px of the image by px of the model.
@@ -138,12 +138,12 @@ def look_at(
     offsets, slopes = edges_along_normals(image, placed[:, :2], placed[:, 2:], ROTATIONS.reach_px, sign)
     there = np.abs(offsets) < refine.AGREES_PX  # False for NaN
     beside, _ = edge_profiles(image, placed[:, :2], placed[:, 2:], ROTATIONS.beside_px, ROTATIONS.beside_px)
-    return RotationSight(
+    return EdgeObservation(
         placed, np.where(there, slopes, 0.0), beside, _inward(model)[points], scale * gap_px(model)
     )
 
 
-def surroundings(sight: RotationSight, min_contrast: float, by_chance: float = 0.0) -> Surroundings:
+def surroundings(sight: EdgeObservation, min_contrast: float, by_chance: float = 0.0) -> Surroundings:
     """Estimate thresholds for the part's edges and bare surface from the edges that a pose shows.
 
     by_chance : slope of edges that the face occasionally shows where the part has none.
@@ -157,7 +157,7 @@ def surroundings(sight: RotationSight, min_contrast: float, by_chance: float = 0
     return Surroundings(strong, _even(inside, step), _even(outside, step))
 
 
-def _face_greys(sight: RotationSight, strong: float) -> tuple[float, float]:
+def _face_greys(sight: EdgeObservation, strong: float) -> tuple[float, float]:
     """Range of grey values of the face, texture included; unlimited where little is seen."""
     beside = _beside_rim(sight, strong)
     if beside is None:
@@ -167,7 +167,7 @@ def _face_greys(sight: RotationSight, strong: float) -> tuple[float, float]:
     return level - ROTATIONS.textured_share * step, level + ROTATIONS.textured_share * step
 
 
-def _beside_rim(sight: RotationSight, strong: float) -> tuple[FloatArray, FloatArray, float] | None:
+def _beside_rim(sight: EdgeObservation, strong: float) -> tuple[FloatArray, FloatArray, float] | None:
     """Grey values inside and outside of the rim, and the step of a weaker edge; None where little is seen."""
     seen = (np.abs(sight.slope) >= strong) & np.isfinite(sight.beside).all(axis=1)
     rim = (sight.inward != 0) & seen
@@ -198,15 +198,15 @@ def odds_on_face(
 
     slopes (N,) : at the edges where the pose expects them, 0 where there is none.
     """
-    level, sets = model.levels[0], _telling(model)
+    level, sets = model.levels[0], _distinguishing_points(model)
     inward = _inward(model)
     rim = np.flatnonzero(inward)
     placed = np.empty((len(rim), 4))
     refine.place(level.points[rim], level.normals[rim], pose, placed)
     beside, _ = edge_profiles(image, placed[:, :2], placed[:, 2:], ROTATIONS.beside_px, ROTATIONS.beside_px)
     strong = _strong(slopes, min_contrast)
-    greys = _face_greys(RotationSight(placed, slopes[rim], beside, inward[rim], math.nan), strong)
-    chance = look_elsewhere(
+    greys = _face_greys(EdgeObservation(placed, slopes[rim], beside, inward[rim], math.nan), strong)
+    chance = sample_face(
         image, model, pose, sign, sets, (ROTATIONS.reach_px, ROTATIONS.beside_px), greys, strong
     )
     shares, count = chance.shares(sets), len(turns(model).motions)
@@ -217,7 +217,7 @@ def odds_on_face(
 
 
 @lru_cache(maxsize=16)
-def _telling(model: ShapeModel) -> Flags:
+def _distinguishing_points(model: ShapeModel) -> Flags:
     """Sets of points (2 K + 1, N) that distinguish the model from the K rotations that are most like it.
 
     Its own points against each, then theirs; then an empty set for rotations that are less alike and differ
@@ -228,7 +228,7 @@ def _telling(model: ShapeModel) -> Flags:
     return np.concatenate([found.own[: ROTATIONS.telling], found.foreign[: ROTATIONS.telling], nothing])
 
 
-def open_turns(
+def unresolved_rotations(
     image: Image,
     model: ShapeModel,
     pose: FloatArray,
@@ -279,7 +279,7 @@ def open_turns(
 
 def _look_at_each(
     image: Image, model: ShapeModel, poses: list[FloatArray], sign: int, points: list[I64]
-) -> RotationSight:
+) -> EdgeObservation:
     """`look` at several poses of one size, each at points of its own, all of them one after the other.
 
     Forty rotations of a dozen points each, looked at together, take a fifth of the time.

@@ -33,7 +33,7 @@ Flags = B8
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Elsewhere:
+class FacePlaces:
     """Points of a model, turned about its middle to where its face has no edge.
 
     points, normals (C, 2) : as `ShapeLevel`.  of (C,) : index of the model's point.  place (C,) : number of
@@ -127,7 +127,7 @@ def clumping(slope: FloatArray, known: I64, sets: Flags, often: float) -> tuple[
     return max(float(scatter[used].sum()) / float(freedom), 1.0), float(looked[used].mean())
 
 
-def look_elsewhere(
+def sample_face(
     image: Image,
     model: ShapeModel,
     pose: FloatArray,
@@ -172,7 +172,7 @@ def _exceeded(slope: FloatArray) -> FloatArray:
     return np.asarray(np.partition(slope, ranks)[ranks])
 
 
-def _chosen(all_places: Elsewhere, points: Flags) -> I64:
+def _chosen(all_places: FacePlaces, points: Flags) -> I64:
     """Indices of the points to look at: curves as whole as possible, at as many places as time allows."""
     # the model's points come in random order: the first ones are as good as any
     some = points & (np.cumsum(points) <= ROTATIONS.max_points)
@@ -182,7 +182,7 @@ def _chosen(all_places: Elsewhere, points: Flags) -> I64:
 
 
 @lru_cache(maxsize=16)
-def elsewhere(model: ShapeModel) -> Elsewhere:
+def elsewhere(model: ShapeModel) -> FacePlaces:
     """Places on the face, clear of the model's edges, to which its points may be turned."""
     level, centre = model.levels[0], model.centre_px
     points, normals = level.points, level.normals
@@ -202,4 +202,4 @@ def elsewhere(model: ShapeModel) -> Elsewhere:
         there = np.flatnonzero((x >= 0) & (x < width) & (y >= 0) & (y < height))
         there = there[clear[y[there], x[there]]]
         found.append((moved[there], (normals @ turn.T)[there], there, np.full(len(there), place)))
-    return Elsewhere(*(np.ascontiguousarray(np.concatenate(column)) for column in zip(*found, strict=True)))
+    return FacePlaces(*(np.ascontiguousarray(np.concatenate(column)) for column in zip(*found, strict=True)))

@@ -376,7 +376,9 @@ class _Search:
         best = hypothesis
         for _ in range(CLIMB.max_changes):
             slopes = np.zeros(len(self.model.levels[0].points)) if best.slopes is None else best.slopes
-            left = rivals.open_turns(image, self.model, best.pose, self._sign(best), contrast, slopes, odds)
+            left = rivals.unresolved_rotations(
+                image, self.model, best.pose, self._sign(best), contrast, slopes, odds
+            )
             left = [
                 k
                 for k in left

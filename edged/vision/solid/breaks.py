@@ -21,19 +21,19 @@ from edged.vision.solid.bestfit import ProfileFit, best_fit
 from edged.vision.solid.edgemodel import EdgeModel
 from edged.vision.solid.evidence import PoseEvidence, evidence_of, margin_over
 from edged.vision.solid.forms import (
-    LaidPair,
+    PosedPair,
     RefinedForm,
     refined,
     widths_by_profiles,
     with_breaks,
 )
-from edged.vision.solid.leavings import Leavings
 from edged.vision.solid.lock import Pyramids, lay, scale_at
-from edged.vision.solid.params import BREAKS, DECISION, LEAVINGS, PROFILE
+from edged.vision.solid.params import BREAKS, DECISION, PROFILE, PROFILE_RESIDUALS
+from edged.vision.solid.profileresiduals import ProfileResiduals
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class LaidBody:
+class FittedBody:
     """A body fitted to a pair: the model with its breaks, and its fit.
 
     sigma_break_mm : of the widths.  merged_mm : width below which the pair does not show the form of a break.
@@ -47,7 +47,7 @@ class LaidBody:
     evidence: PoseEvidence
 
 
-def lay_with_breaks(images: StereoImages, model: EdgeModel, pose: FloatArray) -> LaidBody | None:
+def lay_with_breaks(images: StereoImages, model: EdgeModel, pose: FloatArray) -> FittedBody | None:
     """Fit a model to a pair from rig_from_part (4, 4), good to a millimetre, and find its edge breaks.
 
     None where the pair does not show it there.
@@ -73,7 +73,7 @@ def lay_with_breaks(images: StereoImages, model: EdgeModel, pose: FloatArray) ->
     # other light moves the two visible ends of a break against each other
     by_light_mm = PROFILE.light_px / scale_at(images.rig, fit.pose, model) if found.sigma_mm else 0.0
     sigma_break_mm = math.hypot(found.sigma_mm, 2 * by_light_mm)
-    return LaidBody(laid_model, fit, sigma_break_mm, merged_mm, evidence)
+    return FittedBody(laid_model, fit, sigma_break_mm, merged_mm, evidence)
 
 
 def _starts(pose: FloatArray, width_mm: float) -> list[FloatArray]:
@@ -87,13 +87,13 @@ def _starts(pose: FloatArray, width_mm: float) -> list[FloatArray]:
 
 def _laid_from(
     starts: Sequence[FloatArray], model: EdgeModel, images: StereoImages, pyramids: Pyramids
-) -> list[LaidPair]:
+) -> list[PosedPair]:
     """The pair at each of the different poses that a model is locked at from several starts."""
-    found: list[LaidPair] = []
+    found: list[PosedPair] = []
     for start in starts:
         laid = lay(model, pyramids, start, BREAKS.steps)
         if laid is not None and not any(_is_same(model, laid.pose, other.pose) for other in found):
-            found.append(LaidPair(images, pyramids, laid.pose))
+            found.append(PosedPair(images, pyramids, laid.pose))
     return found
 
 
@@ -126,19 +126,19 @@ def _explaining_most(forms: Sequence[RefinedForm]) -> RefinedForm:
     must halve the residual, or take a smaller part of it and also reduce the misfit.
     """
     sharp = min(forms, key=lambda form: (form.model.breaks_mm.any(), _cost(form)))
-    leaves = Leavings.of(with_breaks(sharp.model, 0.0), sharp.views)
+    leaves = ProfileResiduals.of(with_breaks(sharp.model, 0.0), sharp.views)
     found, gained = sharp, 0.0
     for form in sorted(forms, key=lambda form: -leaves.roughly(form.model, form.views))[: BREAKS.kept]:
         if form.model.breaks_mm.any():
             own = _each_by_itself(_with_most(form), leaves)
             gain = leaves.gain(own.model, own.views)
-            shifts_less = gain.mean > 0.5 * LEAVINGS.least_gain and _cost(form) < _cost(sharp)
+            shifts_less = gain.mean > 0.5 * PROFILE_RESIDUALS.least_gain and _cost(form) < _cost(sharp)
             if (gain.is_certain or shifts_less) and gain.mean > gained:
                 found, gained = own, gain.mean
     return found
 
 
-def _each_by_itself(found: RefinedForm, leaves: Leavings) -> RefinedForm:
+def _each_by_itself(found: RefinedForm, leaves: ProfileResiduals) -> RefinedForm:
     """Fit the breaks again, each curve's width by itself from a grid, in turn with the poses.
 
     A rounded or glinting curve no longer pulls the others off: the fit weights each by its own scatter.
@@ -154,11 +154,11 @@ def _each_by_itself(found: RefinedForm, leaves: Leavings) -> RefinedForm:
     return found
 
 
-def _likeliest_widths(model: EdgeModel, views: Sequence[LaidPair], leaves: Leavings) -> FloatArray:
+def _likeliest_widths(model: EdgeModel, views: Sequence[PosedPair], leaves: ProfileResiduals) -> FloatArray:
     """(E,) width of the grid with the smallest residuals for each curve; 0 where none is clearly better."""
-    gains = [leaves.gains(with_breaks(model, mm), views, LEAVINGS.blurs_px) for mm in BREAKS.grid_mm]
+    gains = [leaves.gains(with_breaks(model, mm), views, PROFILE_RESIDUALS.blurs_px) for mm in BREAKS.grid_mm]
     by_curve = np.array([leaves.by_curve(np.nan_to_num(gain)) for gain in gains])
-    needed = by_curve.max(axis=0) > by_curve[0] + LEAVINGS.doubt
+    needed = by_curve.max(axis=0) > by_curve[0] + PROFILE_RESIDUALS.doubt
     best = np.where(needed, by_curve.argmax(axis=0), 0)
     return np.array(BREAKS.grid_mm)[best][model.chain]
 

@@ -40,7 +40,7 @@ def eye_of(camera: CameraModel, from_rig: FloatArray) -> Eye:
     return Eye(for_kernel(camera.matrix @ from_rig[:3], np.float64))
 
 
-class Straight(NamedTuple):
+class UndistortedView(NamedTuple):
     """An undistorted picture: its camera, and where its pixels lie in the distorted one.
 
     camera : of the same focal lengths, large enough for all of the distorted picture.
@@ -53,7 +53,7 @@ class Straight(NamedTuple):
 
 
 @lru_cache(maxsize=8)  # two cameras at two levels, of a rig and of the previous one
-def straight(camera: CameraModel) -> Straight:
+def straight(camera: CameraModel) -> UndistortedView:
     """The undistorted picture of a camera."""
     size, focal = np.array([camera.width, camera.height]), np.array([camera.fx, camera.fy])
     reach = border_bounds(camera, np.eye(3)) * focal + (camera.cx, camera.cy)
@@ -63,7 +63,7 @@ def straight(camera: CameraModel) -> Straight:
     cx, cy = camera.cx - float(low[0]), camera.cy - float(low[1])
     plain = replace(camera, model="division", distortion=(0.0,), width=width, height=height, cx=cx, cy=cy)
     maps, valid = lens_maps(camera, np.eye(3), focal, (cx, cy), (width, height))
-    return Straight(plain, maps, np.asarray(valid > 0, np.bool_))
+    return UndistortedView(plain, maps, np.asarray(valid > 0, np.bool_))
 
 
 @kernel("i8(f8, f8)", inline=True)

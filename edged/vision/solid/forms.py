@@ -25,7 +25,7 @@ from edged.vision.solid.profiles import Profiles, pose_by_profiles, profiles_of
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class LaidPair:
+class PosedPair:
     """A pair that shows the part at a pose rig_from_part (4, 4)."""
 
     images: StereoImages
@@ -36,7 +36,7 @@ class LaidPair:
         """Profiles of the pictures along the edges of the model at the pose."""
         return profiles_of(model, self.pyramids, self.images, self.pose, BREAKS.blur_px)
 
-    def fitted(self, model: EdgeModel, held: FloatArray | None = None, *, alike: bool) -> LaidPair | None:
+    def fitted(self, model: EdgeModel, held: FloatArray | None = None, *, alike: bool) -> PosedPair | None:
         """The pair at the pose fitted to the profiles of a model; see `pose_by_profiles`."""
         pose = pose_by_profiles(
             model, self.pyramids, self.images, self.pose, BREAKS.blur_px, held, alike=alike
@@ -55,7 +55,7 @@ class RefinedForm:
     """
 
     model: EdgeModel
-    views: tuple[LaidPair, ...]
+    views: tuple[PosedPair, ...]
     sigma_mm: float
     sigma_common_mm: float
     squares: tuple[FloatArray, ...]
@@ -81,7 +81,7 @@ class RefinedForm:
 
 def refined(
     model: EdgeModel,
-    views: Sequence[LaidPair],
+    views: Sequence[PosedPair],
     held: FloatArray | None = None,
     rounds: int = BREAKS.rounds,
     *,
@@ -92,7 +92,7 @@ def refined(
     held : as in `pose_by_profiles`.  needed : drop the breaks that a sharp edge explains as well.
     """
     sigma = common = 0.0
-    now: list[LaidPair] = list(views)
+    now: list[PosedPair] = list(views)
     for _ in range(rounds if model.breaks_mm.any() else 1):
         after = [view.fitted(model, held, alike=True) for view in now]
         now = [view for view in after if view is not None]
@@ -114,7 +114,7 @@ def refined(
     return RefinedForm(model, tuple(now), sigma, common, squares, contradicts, cost)
 
 
-def contradiction(model: EdgeModel, view: LaidPair) -> float:
+def contradiction(model: EdgeModel, view: PosedPair) -> float:
     """`RefinedForm.contradicts` of a model at its pose, with free places of its edges on arcs of breaks.
 
     0 if no profile shows anything.
@@ -125,7 +125,7 @@ def contradiction(model: EdgeModel, view: LaidPair) -> float:
     return float(np.minimum(left[good] ** 2, 1.0).mean()) if good.any() else 0.0
 
 
-def _misfits(model: EdgeModel, views: Sequence[LaidPair]) -> tuple[I64, FloatArray, B8]:
+def _misfits(model: EdgeModel, views: Sequence[PosedPair]) -> tuple[I64, FloatArray, B8]:
     """Edge, square misfit px², at most 1, of each profile (M,), and whether it shows anything."""
     found = [view.profiles(model) for view in views]
     edge = np.concatenate([profiles.seen.curve for profiles in found])
@@ -135,7 +135,7 @@ def _misfits(model: EdgeModel, views: Sequence[LaidPair]) -> tuple[I64, FloatArr
     return edge, np.where(good, np.minimum(shift**2, 1.0), 1.0), good
 
 
-def _without_needless(model: EdgeModel, views: Sequence[LaidPair]) -> EdgeModel:
+def _without_needless(model: EdgeModel, views: Sequence[PosedPair]) -> EdgeModel:
     """The model without the breaks of curves that a sharp edge explains as well."""
     sharp = with_breaks(model, 0.0)
     with_own, without = (mean_misfits(variant, views) for variant in (model, sharp))
@@ -147,7 +147,7 @@ def are_needed(with_own: FloatArray, without: FloatArray) -> B8:
     return np.asarray(with_own < without * (1 - BREAKS.better))
 
 
-def mean_misfits(model: EdgeModel, views: Sequence[LaidPair]) -> FloatArray:
+def mean_misfits(model: EdgeModel, views: Sequence[PosedPair]) -> FloatArray:
     """(C,) mean square misfit of each curve's profiles, px²; 1 for a curve without any."""
     edge, square, _ = _misfits(model, views)
     curve, count = chains_of(edge), int(model.chain.max()) + 1
@@ -167,7 +167,7 @@ def weights_of(profiles: Profiles) -> FloatArray:
     return np.where(base > BREAKS.min_weight, 1 / (1 / np.maximum(base, 1e-9) + BREAKS.model_px**2), 0.0)
 
 
-def widths_by_profiles(model: EdgeModel, views: Sequence[LaidPair]) -> tuple[FloatArray, float, float]:
+def widths_by_profiles(model: EdgeModel, views: Sequence[PosedPair]) -> tuple[FloatArray, float, float]:
     """Widths (E,) of the breaks by the profiles of pairs, each curve's own; their sigma, and that of all."""
     count = int(model.chain.max()) + 1
     power, pull = np.zeros(count), np.zeros(count)
@@ -217,7 +217,7 @@ class FormChoice:
 
 
 def likeliest_form(
-    models: Sequence[EdgeModel], views: Sequence[LaidPair], held: FloatArray | None = None
+    models: Sequence[EdgeModel], views: Sequence[PosedPair], held: FloatArray | None = None
 ) -> FormChoice | None:
     """Choose the one of a part's models that pairs show, and fit its break widths; None if too little shows.
 
@@ -264,7 +264,7 @@ def likeliest_form(
     return FormChoice(replace(best, model=model), tuple(forms), likely, tuple(between))
 
 
-def _laid(model: EdgeModel, view: LaidPair) -> LaidPair | None:
+def _laid(model: EdgeModel, view: PosedPair) -> PosedPair | None:
     laid = lay(model, view.pyramids, view.pose, FINE_STEPS)
     return None if laid is None else replace(view, pose=laid.pose)
 

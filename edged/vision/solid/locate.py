@@ -18,17 +18,17 @@ from edged.domain.measurement import Match, NotMeasured, Reject, Target
 from edged.vision.geometry.rectification import StereoImages
 from edged.vision.geometry.rigid import apply, skew, transform, turn_between
 from edged.vision.part import measured as parts
-from edged.vision.part.consistency import judged
+from edged.vision.part.consistency import apply_limits
 from edged.vision.part.frames import circles_in_rig, measure_sizes, with_features
 from edged.vision.part.job import Job
-from edged.vision.part.measure import published, with_free_axis, with_sizes_apart
+from edged.vision.part.measure import published, with_free_axis, with_separate_sizes
 from edged.vision.part.solid import fitted
 from edged.vision.solid.bestfit import ProfileFit, best_fit
 from edged.vision.solid.curvemodel import curve_model
 from edged.vision.solid.edgemodel import EdgeModel, model_of
 from edged.vision.solid.evidence import PoseEvidence, apart, evidence_of, margin_over, sigmas_of
-from edged.vision.solid.forms import LaidPair, contradiction, likeliest_form
-from edged.vision.solid.lock import FINE_STEPS, LaidPose, Pyramids, lay
+from edged.vision.solid.forms import PosedPair, contradiction, likeliest_form
+from edged.vision.solid.lock import FINE_STEPS, LockedPose, Pyramids, lay
 from edged.vision.solid.modes import PartPlace, SearchedPart, find_places, pyramids_of
 from edged.vision.solid.params import BREAKS, DECISION
 from edged.vision.solid.symmetry import is_round, like_turns
@@ -44,7 +44,7 @@ class FoundPart:
     forms of its breaks; None where their form is known.  contradicts : as in `RefinedForm`.
     """
 
-    laid: LaidPose
+    laid: LockedPose
     seen: PoseEvidence
     certain: float
     margin: float
@@ -220,14 +220,14 @@ def _of_likeliest_form(
 ) -> FoundPart:
     """Weigh a part with unknown breaks again, with the form of breaks that the pair shows."""
     for _ in range(2):  # again if the right form moves the pose
-        view = LaidPair(images, pyramids, found.laid.pose)
+        view = PosedPair(images, pyramids, found.laid.pose)
         choice = likeliest_form(models_of(job), [view], _held(job, found.laid.model))
         if choice is None:
             return found
         model, is_doubtful = choice.form.model, choice.form.contradicts > BREAKS.most_misfit
         poses = [choice.form.views[0].pose, *(mode.pose for mode in place.modes)]
         if is_doubtful:
-            poses += _leant(model, poses[0])
+            poses += _tilted_poses(model, poses[0])
         laid = [lay(model, pyramids, pose, FINE_STEPS[-DECISION.rival_steps :]) for pose in poses]
         modes = tuple(mode for mode in laid if mode is not None)
         if not modes:
@@ -240,7 +240,7 @@ def _of_likeliest_form(
     return found
 
 
-def _leant(model: EdgeModel, pose: FloatArray) -> list[FloatArray]:
+def _tilted_poses(model: EdgeModel, pose: FloatArray) -> list[FloatArray]:
     """Poses tilted a little to each side of one that may be caught askew between the edges of its breaks."""
     twists = 0.5 * DECISION.same_turn_rad * np.eye(6)[:2]  # about the part's x and y
     return [moved(model, pose, way * twist) for twist in twists for way in (1.0, -1.0)]
@@ -278,7 +278,7 @@ def _not_of(found: FoundPart, others: Sequence[FoundPart], shapes: list[tuple[in
     return chosen
 
 
-def _match(images: StereoImages, job: Job, laid: LaidPose) -> Match:
+def _match(images: StereoImages, job: Job, laid: LockedPose) -> Match:
     """A pose as a match of the left picture: where its reference is, its turn against the taught one."""
     reference = apply(laid.pose, job.place_of(job.reference))
     x, y = images.rig.left.project(reference[None])[0]
@@ -303,7 +303,7 @@ def measure_found(
     reject = Reject.NONE if found.margin > DECISION.certain else Reject.AMBIGUOUS_ROTATION
     contradicts = found.contradicts
     if job.body is not None:  # edges that its teaching pair showed sharp, and this one shows broken
-        contradicts = contradiction(model, LaidPair(images, pyramids, fit.pose))
+        contradicts = contradiction(model, PosedPair(images, pyramids, fit.pose))
     if contradicts > BREAKS.most_misfit:
         reject |= Reject.RESIDUAL
     # fit each curve freely, as far as no other is near: sizes come from these fits
@@ -324,8 +324,8 @@ def measure_found(
         break_mm=float(model.breaks_mm.max()) if job.body is None else 0.0,
     )
     result = parts.MeasuredPart(target, evidence, () if whole is None else whole.fit.fits)
-    result = with_sizes_apart(result, images, job)
-    target = judged(job, images.rectification, with_free_axis(job, result.target), evidence)
+    result = with_separate_sizes(result, images, job)
+    target = apply_limits(job, images.rectification, with_free_axis(job, result.target), evidence)
     return replace(result, target=published(job, target))
 
 

@@ -63,7 +63,7 @@ def _slopes(image: F32) -> tuple[F32, F32]:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class LaidPose:
+class LockedPose:
     """A part locked at pose rig_from_part (4, 4), and the share (2,) of its predicted edges that agree.
 
     model : the edges that it was locked by.  agreeing : for each camera.
@@ -107,7 +107,9 @@ def edges_beside(
     return found
 
 
-def lay(model: EdgeModel, pyramids: Pyramids, pose: FloatArray, steps: Sequence[LockStep]) -> LaidPose | None:
+def lay(
+    model: EdgeModel, pyramids: Pyramids, pose: FloatArray, steps: Sequence[LockStep]
+) -> LockedPose | None:
     """Lock a model in several steps from a pose; None if too little of the part is seen on the way.
 
     Hidden samples are found again only when samples or level change: the pose moves by little.
@@ -129,7 +131,7 @@ def lay(model: EdgeModel, pyramids: Pyramids, pose: FloatArray, steps: Sequence[
             together, how.cap_px, pose, agreeing,
         ):  # fmt: skip
             return None
-    return LaidPose(model, pose, agreeing)
+    return LockedPose(model, pose, agreeing)
 
 
 def schedule(top: int) -> tuple[tuple[LockStep, ...], tuple[LockStep, ...]]:

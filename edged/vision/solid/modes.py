@@ -11,7 +11,7 @@ from edged.domain.arrays import FloatArray
 from edged.vision.geometry.rectification import StereoImages
 from edged.vision.geometry.rigid import apply, turn_between
 from edged.vision.solid.edgemodel import EdgeModel
-from edged.vision.solid.lock import FINE_STEPS, LaidPose, Pyramids, lay, schedule
+from edged.vision.solid.lock import FINE_STEPS, LockedPose, Pyramids, lay, schedule
 from edged.vision.solid.params import DECISION, MODES, LockStep
 from edged.vision.solid.scan import starts_of, top_level
 
@@ -20,10 +20,10 @@ from edged.vision.solid.scan import starts_of, top_level
 class PartPlace:
     """Poses that were locked at one place of the scene, by falling agreement."""
 
-    modes: tuple[LaidPose, ...]
+    modes: tuple[LockedPose, ...]
 
     @property
-    def best(self) -> LaidPose:
+    def best(self) -> LockedPose:
         """The pose with the highest agreement."""
         return self.modes[0]
 
@@ -60,7 +60,7 @@ def find_places(wanted: SearchedPart, pyramids: Pyramids) -> list[PartPlace]:
         laid = _laid(model, pyramids, [candidate.pose for candidate in laid], between, wanted)
         laid = _unlike(model, laid, MODES.kept_fine, MODES.fine_at_place)
     poses = [candidate.pose for candidate in _worth(model, laid)]
-    places: list[list[LaidPose]] = []
+    places: list[list[LockedPose]] = []
     for form in wanted.models:
         laid = _laid(form, pyramids, poses, FINE_STEPS, wanted)
         for candidate in _unlike(model, laid, MODES.kept_fine, MODES.fine_at_place):
@@ -83,7 +83,7 @@ def _laid(
     poses: Sequence[FloatArray],
     steps: Sequence[LockStep],
     wanted: SearchedPart,
-) -> list[LaidPose]:
+) -> list[LockedPose]:
     """Lock poses by some steps; by falling agreement, without those that left the range of distances."""
     found = [lay(model, pyramids, pose, steps) for pose in poses]
     near, far = wanted.distances_mm
@@ -97,9 +97,9 @@ def _laid(
     return sorted(kept, key=lambda candidate: -candidate.mean)
 
 
-def _unlike(model: EdgeModel, laid: Sequence[LaidPose], most: int, at_place: int) -> list[LaidPose]:
+def _unlike(model: EdgeModel, laid: Sequence[LockedPose], most: int, at_place: int) -> list[LockedPose]:
     """The first poses that differ from each other, with not too many at one place."""
-    kept: list[LaidPose] = []
+    kept: list[LockedPose] = []
     for candidate in laid:
         near = [other for other in kept if _apart(model, candidate, other) < MODES.same_place * model.size_mm]
         alike = any(
@@ -115,7 +115,7 @@ def _unlike(model: EdgeModel, laid: Sequence[LaidPose], most: int, at_place: int
     return kept
 
 
-def _worth(model: EdgeModel, laid: Sequence[LaidPose]) -> list[LaidPose]:
+def _worth(model: EdgeModel, laid: Sequence[LockedPose]) -> list[LockedPose]:
     """Poses that are not far behind the best of their place: only these are worth a fine lock."""
     return [
         candidate
@@ -128,5 +128,5 @@ def _worth(model: EdgeModel, laid: Sequence[LaidPose]) -> list[LaidPose]:
     ]
 
 
-def _apart(model: EdgeModel, candidate: LaidPose, other: LaidPose) -> float:
+def _apart(model: EdgeModel, candidate: LockedPose, other: LockedPose) -> float:
     return float(np.linalg.norm(apply(candidate.pose, model.centre) - apply(other.pose, model.centre)))

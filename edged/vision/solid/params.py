@@ -356,10 +356,10 @@ BREAKS = BreaksParams()
 
 
 @dataclass(frozen=True, slots=True)
-class LeavingsParams:
+class ProfileResidualsParams:
     """Residuals of profiles by forms of a part's edge breaks.
 
-    Where a line names no source, `tools/bench ablate --only LeavingsParams` shows what the number earns.
+    Where a line names no source, `tools/bench ablate --only ProfileResidualsParams` shows what it earns.
     """
 
     half_px: float = 8.0  # half of a profile's length: holds both edges of a break of half a millimetre
@@ -371,7 +371,7 @@ class LeavingsParams:
     least_sigmas: float = 2.0  # of the gain, by its scatter over curves and cameras
 
 
-LEAVINGS = LeavingsParams()
+PROFILE_RESIDUALS = ProfileResidualsParams()
 
 
 @dataclass(frozen=True, slots=True)

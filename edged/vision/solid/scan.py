@@ -20,7 +20,7 @@ from edged.domain.arrays import F32, F64, I64, U8, FloatArray
 from edged.vision.geometry.camera import CameraModel, StereoRig
 from edged.vision.geometry.rigid import invert, rotation_matrix, transform, unit
 from edged.vision.kernels.jit import for_both, kernel
-from edged.vision.solid.climb import FULL, Eye, Straight, climb, eye_of, seek, straight
+from edged.vision.solid.climb import FULL, Eye, UndistortedView, climb, eye_of, seek, straight
 from edged.vision.solid.edgemodel import EdgeModel
 from edged.vision.solid.params import CLIMB, EVIDENCE, SCAN, VISIBILITY
 from edged.vision.solid.visible import Cameras, at_level, samples_at, see, view_of
@@ -251,7 +251,7 @@ def _best(views: ViewSet, allowed: I64, scales: FloatArray, maps: U8) -> tuple[I
     chosen = np.array([view for view, _ in pairs], np.int64)
     sizes = np.array([scale for _, scale in pairs])
     peaks = np.empty((len(pairs), SCAN.peaks, 3))
-    glance(
+    coarse_peaks(
         phases, width, height, views.offsets, views.bins, chosen, sizes, reach // 2, SCAN.glance_points, peaks
     )  # fmt: skip
     flat = peaks.reshape(-1, 3)
@@ -264,7 +264,7 @@ def _best(views: ViewSet, allowed: I64, scales: FloatArray, maps: U8) -> tuple[I
 
 
 @kernel("void(u1[:, :, :, ::1], i8, i8, f8[:, :, ::1], i8[:, ::1], i8[::1], f8[::1], i8, i8, f8[:, :, ::1])")
-def glance(
+def coarse_peaks(
     phases: U8, width: int, height: int, offsets: F64, bins: I64, chosen: I64, sizes: F64, pad: int,
     points: int, peaks: F64,
 ) -> None:  # fmt: skip
@@ -395,7 +395,7 @@ class _Seen:
         )
 
 
-def _responses_of(view: Straight, grey: F32) -> U8:
+def _responses_of(view: UndistortedView, grey: F32) -> U8:
     """`responses` of a picture after undistortion, 0 beyond it."""
     seen = cv2.remap(grey, *view.maps, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     maps = responses(np.asarray(seen, np.float32))

@@ -47,7 +47,7 @@ SLOPES = np.array(PAIRING.slopes)
 SURE_SCORE = PAIRING.sure_score
 
 
-class PairingReason(enum.IntEnum):
+class MatchStatus(enum.IntEnum):
     """Why a point has no disparity."""
 
     ACCEPTED = 0  # it has a disparity
@@ -90,7 +90,7 @@ class NccMatches:
     sigma_px (N,) : its standard deviation. slope (N, 2) : its derivative by x and y of the left image.
     score (N,) : best NCC in [-1, 1], NaN where there was no search.
     ambiguity (N,) : second peak over best. curvature (N,) : -d² score / d disparity² at the peak, per px².
-    reason (N,) : `PairingReason` values, int64.
+    reason (N,) : `MatchStatus` values, int64.
     """
 
     disparity_px: FloatArray
@@ -104,7 +104,7 @@ class NccMatches:
     @property
     def accepted(self) -> B8:
         """(N,) whether points have a disparity."""
-        return np.asarray(self.reason == PairingReason.ACCEPTED)
+        return np.asarray(self.reason == MatchStatus.ACCEPTED)
 
 
 def match_ncc(
@@ -190,7 +190,7 @@ class _Point(NamedTuple):
 
 # plain numbers for the kernels
 ACCEPTED, OUTSIDE, TEXTURELESS, EDGE_PARALLEL, LOW_SCORE, AMBIGUOUS, LEFT_RIGHT, DIVERGED = map(
-    int, PairingReason
+    int, MatchStatus
 )
 WHOLE, FRACTION, START_SLOPE_X, START_SLOPE_Y = range(4)
 """Entries of the start of a fit: integer part of the disparity, its fraction, slopes."""
@@ -237,7 +237,7 @@ def _best_along_row(image: Image, y: int, start: int, count: int, s: _Search) ->
 def _search(
     left: Image, right: Image, point: _Point, limits: F64, s: _Search, result: F64, start: F64
 ) -> int:
-    """Find the whole-pixel match of a point, there and back; a `PairingReason`. Fills result and start."""
+    """Find the whole-pixel match of a point, there and back; a `MatchStatus`. Fills result and start."""
     half, width = s.window.shape[0] // 2, left.shape[1]
     # one more at both ends, so that a peak at the end of the range still has two neighbours
     lowest, highest = math.floor(point.lowest) - 1, math.ceil(point.highest) + 1
@@ -280,7 +280,7 @@ def _search(
 
 @kernel()
 def _refine(right: Image, point: _Point, start: F64, row_sigma_px: float, p: Patches, result: F64) -> int:
-    """Least-squares matching from a whole-pixel match; fills `result`. A `PairingReason`."""
+    """Least-squares matching from a whole-pixel match; fills `result`. A `MatchStatus`."""
     half = p.left.shape[0] // 2
     x_right = point.x - int(start[WHOLE])
     cut_out(right, x_right, point.y, p.spline)
@@ -306,7 +306,7 @@ def _refine(right: Image, point: _Point, start: F64, row_sigma_px: float, p: Pat
 def _match_point(
     left: Image, right: Image, point: _Point, limits: F64, s: _Search, p: Patches, result: F64
 ) -> int:
-    """Match one point: texture, search and refinement; a `PairingReason`."""
+    """Match one point: texture, search and refinement; a `MatchStatus`."""
     half = s.window.shape[0] // 2
     height, width = left.shape
     if not (half <= point.x < width - half and half <= point.y < height - half):

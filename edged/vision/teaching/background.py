@@ -86,7 +86,9 @@ def _usual_ratio(view: TeachingView) -> float:
     return float(usual) if is_plain else 1.0
 
 
-def tells_apart(view: TeachingView, face: Plane, other: Plane, contours: Sequence[Contour]) -> bool:
+def fits_significantly_better(
+    view: TeachingView, face: Plane, other: Plane, contours: Sequence[Contour]
+) -> bool:
     """Whether contours agree significantly better with one face than with another (McNemar's test).
 
     Source: Q. McNemar, "Note on the sampling error of the difference between correlated proportions or

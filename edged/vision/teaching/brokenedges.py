@@ -24,10 +24,10 @@ from edged.vision.kernels.robust import mad_sigma, tukey_weights
 from edged.vision.part.job import CircleFeature, EdgeFeature, Job, SlotFeature, known_radius
 from edged.vision.solid.curvemodel import UP, curve_model, curve_points
 from edged.vision.solid.edgemodel import EdgeModel, chains_of
-from edged.vision.solid.forms import LaidPair, weights_of, with_breaks
-from edged.vision.solid.leavings import Gain, Leavings
+from edged.vision.solid.forms import PosedPair, weights_of, with_breaks
 from edged.vision.solid.lock import scale_at
-from edged.vision.solid.params import BREAKS, CURVES, DECISION, LEAVINGS, PROFILE
+from edged.vision.solid.params import BREAKS, CURVES, DECISION, PROFILE, PROFILE_RESIDUALS
+from edged.vision.solid.profileresiduals import Gain, ProfileResiduals
 from edged.vision.solid.profiles import Profiles, profiles_of
 from edged.vision.solid.visible import moved, samples_at
 from edged.vision.teaching.params import BROKEN
@@ -71,7 +71,7 @@ class _Form:
     model: EdgeModel
     taught: EdgeModel
     faces: I64
-    views: tuple[LaidPair, ...]
+    views: tuple[PosedPair, ...]
     blur_px: float = BREAKS.blur_px
 
     def uneven(self) -> FloatArray:
@@ -86,7 +86,7 @@ class _Form:
         return np.nan_to_num(height - usual)
 
 
-def broken_edges(job: Job, views: Sequence[LaidPair]) -> BrokenEdges | None:
+def broken_edges(job: Job, views: Sequence[PosedPair]) -> BrokenEdges | None:
     """Find the form of a job's rims that the pairs show best; None if only sharp edges explain them.
 
     views : the pair that it was taught from, then others, at their rig_from_part, good to a pixel or two.
@@ -95,7 +95,7 @@ def broken_edges(job: Job, views: Sequence[LaidPair]) -> BrokenEdges | None:
     sharp = _adjusted(_Form(model, model, _faces(job), tuple(views)), BROKEN.rounds)
     if sharp is None:
         return None
-    leaves = Leavings.of(sharp.model, sharp.views)
+    leaves = ProfileResiduals.of(sharp.model, sharp.views)
     begun = []
     for start in _starts(job, sharp, leaves):
         form = _adjusted(_with_blur(start, leaves), BROKEN.first_rounds)
@@ -112,13 +112,13 @@ def broken_edges(job: Job, views: Sequence[LaidPair]) -> BrokenEdges | None:
     found = [np.nan_to_num(leaves.gains(form.model, form.views)) for form in ended]
     best = max(range(len(ended)), key=lambda k: float(found[k].mean()))
     form = ended[best]
-    shown = leaves.by_curve(found[best]) > LEAVINGS.doubt
+    shown = leaves.by_curve(found[best]) > PROFILE_RESIDUALS.doubt
     # an edge along the other side of a rim may look like its break, one width off the face
     shown &= np.abs(form.uneven()) < BROKEN.in_face * float(np.median(form.model.breaks_mm))
     poses = tuple(view.pose for view in form.views)
     features = len(job.circles) + len(job.slots) + len(job.edges)
     gain = leaves.gain(form.model, form.views)
-    clearly = int(np.count_nonzero((shown & (gain.by_curve > LEAVINGS.least_gain))[:features]))
+    clearly = int(np.count_nonzero((shown & (gain.by_curve > PROFILE_RESIDUALS.least_gain))[:features]))
     return BrokenEdges(_as_its_face(form, shown), poses, features, clearly, gain)
 
 
@@ -134,7 +134,7 @@ def _faces(job: Job) -> I64:
 # --- forms -----------------------------------------------------------------------------------------
 
 
-def _starts(job: Job, sharp: _Form, leaves: Leavings) -> list[_Form]:
+def _starts(job: Job, sharp: _Form, leaves: ProfileResiduals) -> list[_Form]:
     """Starting forms for the adjustment, the one with the largest gain first.
 
     At teaching, the cameras saw the edge of each rim in the face, the one in the wall, or one of them each.
@@ -185,21 +185,21 @@ def _grown(model: EdgeModel, share: float) -> EdgeModel:
     return replace(model, start=start, end=end)
 
 
-def _with_blur(form: _Form, leaves: Leavings) -> _Form:
+def _with_blur(form: _Form, leaves: ProfileResiduals) -> _Form:
     """The form with the blur that explains the pairs' edges best."""
     return replace(form, blur_px=leaves.blur_px(form.model, form.views))
 
 
-def _by_ends(form: _Form, leaves: Leavings) -> _Form:
+def _by_ends(form: _Form, leaves: ProfileResiduals) -> _Form:
     """Move each curve to the end of its break that gains most; not all were taught by the same end."""
     model, taught = form.model, replace(form.taught, breaks_mm=form.model.breaks_mm)
     places = [model, *(_across(taught, way) for way in (0.0, -0.5, -1.0))]
     places += [_across(model, way) for way in (1.0, -1.0)]
     gains = []
     for place in places:
-        gain = leaves.gains(place, form.views, LEAVINGS.blurs_px)
-        gains.append(leaves.by_curve(np.nan_to_num(gain, nan=-LEAVINGS.doubt)))
-    gains[0] = gains[0] + LEAVINGS.doubt
+        gain = leaves.gains(place, form.views, PROFILE_RESIDUALS.blurs_px)
+        gains.append(leaves.by_curve(np.nan_to_num(gain, nan=-PROFILE_RESIDUALS.doubt)))
+    gains[0] = gains[0] + PROFILE_RESIDUALS.doubt
     best = np.argmax(gains, axis=0)[model.chain]
     every = np.arange(len(best))
     start, end = (
@@ -282,7 +282,7 @@ def _adjusted(form: _Form, rounds: int) -> _Form | None:
 
 
 def _rows(
-    model: EdgeModel, view: LaidPair, profiles: Profiles, count: int, own: int, common: int, has_breaks: bool
+    model: EdgeModel, view: PosedPair, profiles: Profiles, count: int, own: int, common: int, has_breaks: bool
 ) -> tuple[FloatArray, FloatArray]:
     """Design (M, count), px by each unknown in the order of `_adjusted`, and weights (M,) of the profiles.
 

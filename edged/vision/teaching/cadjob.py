@@ -21,7 +21,7 @@ from edged.vision.curves.outlines import Curve
 from edged.vision.geometry.camera import StereoRig
 from edged.vision.geometry.rectification import Rectification
 from edged.vision.geometry.rigid import apply, transform
-from edged.vision.part.bodysight import hidden_samples
+from edged.vision.part.curvevisibility import hidden_samples
 from edged.vision.part.job import (
     USUAL_SEARCH,
     CircleFeature,

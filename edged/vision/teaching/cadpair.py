@@ -33,7 +33,15 @@ from edged.vision.teaching.features import TeachingView
 from edged.vision.teaching.pair import WantedJob, taught
 from edged.vision.teaching.params import CAD
 
-OPEN = ("no_feature", "one_sided", "open_turn", "not_shown", "no_fit", "patterned_table", "revision")
+RECOVERABLE_CODES = (
+    "no_feature",
+    "one_sided",
+    "open_turn",
+    "not_shown",
+    "no_fit",
+    "patterned_table",
+    "revision",
+)
 """Codes of errors of teaching from the pair alone after which the model may still be found in it."""
 
 
@@ -46,7 +54,7 @@ def teach_with_model(view: TeachingView, curves: ModelCurves, what: str, wanted:
     try:
         return settle(taught(view, wanted), curves, view.images, what)
     except TeachError as error:
-        if error.code not in OPEN:
+        if error.code not in RECOVERABLE_CODES:
             raise
         pose = _looked_for(view.images, curves, view.mask)
         if pose is None:

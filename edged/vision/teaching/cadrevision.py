@@ -17,10 +17,10 @@ from edged.errors import TeachError
 from edged.vision.geometry.rectification import StereoImages
 from edged.vision.geometry.rigid import apply
 from edged.vision.solid.edgemodel import EdgeModel, chains_of
-from edged.vision.solid.forms import LaidPair
-from edged.vision.solid.leavings import Leavings
+from edged.vision.solid.forms import PosedPair
 from edged.vision.solid.lock import Pyramids, edges_beside, scale_at, seen_by
-from edged.vision.solid.params import DECISION, EVIDENCE, LEAVINGS
+from edged.vision.solid.params import DECISION, EVIDENCE, PROFILE_RESIDUALS
+from edged.vision.solid.profileresiduals import ProfileResiduals
 from edged.vision.solid.visible import VisibleSamples, samples_at
 from edged.vision.teaching.cadmodel import ModelCircle, ModelCurves
 from edged.vision.teaching.params import CAD
@@ -52,7 +52,7 @@ def moved_circle(
     """
     px_per_mm = scale_at(images.rig, rig_from_part, model)
     pyramids = Pyramids(images.rig, images.raw, 1)
-    view = LaidPair(images, pyramids, rig_from_part)
+    view = PosedPair(images, pyramids, rig_from_part)
     samples = samples_at(model, px_per_mm, EVIDENCE.spacing_px)
     both = seen_by(model, pyramids, rig_from_part, EVIDENCE.spacing_px)
     reach_px = CAD.near_mm * px_per_mm
@@ -135,7 +135,7 @@ def _displaced(
 
 
 def explains_more(
-    model: EdgeModel, view: LaidPair, chain: int, inwards: float, centre: FloatArray, found: Displaced
+    model: EdgeModel, view: PosedPair, chain: int, inwards: float, centre: FloatArray, found: Displaced
 ) -> bool:
     """Whether a displaced circle explains the pair's profiles better than in its place, as far as they reach.
 
@@ -150,10 +150,14 @@ def explains_more(
         return np.where(its, points + aside - inwards * found.narrower_mm * level, points)
 
     there = replace(model, start=moved(model.start), end=moved(model.end))
-    leaves = Leavings.of(model, [view])
+    leaves = ProfileResiduals.of(model, [view])
     less = leaves.gains(there, [view])[leaves.curve == chain]
     reached = np.isfinite(less)
-    return bool(reached.mean() < 0.5 or less[reached].mean() > LEAVINGS.least_gain) if len(less) else True
+    return (
+        bool(reached.mean() < 0.5 or less[reached].mean() > PROFILE_RESIDUALS.least_gain)
+        if len(less)
+        else True
+    )
 
 
 def _share(offsets: FloatArray) -> float:

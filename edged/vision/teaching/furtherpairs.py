@@ -21,7 +21,7 @@ from edged.vision.geometry.rigid import invert, turn_between
 from edged.vision.part.job import MAX_TILT_DEG, BreakEnd, Job
 from edged.vision.solid.curvemodel import has_enough_curves
 from edged.vision.solid.edgemodel import EdgeModel
-from edged.vision.solid.forms import FormChoice, LaidPair, likeliest_form
+from edged.vision.solid.forms import FormChoice, PosedPair, likeliest_form
 from edged.vision.solid.locate import forms_of, locate_solid, models_of
 from edged.vision.solid.lock import Pyramids
 from edged.vision.solid.params import BREAKS, DECISION
@@ -63,12 +63,12 @@ def with_breaks_shown(
     choice = likeliest_form(models_of(unknown), views)
     if choice is None:
         raise TeachError("further pairs: together they show too little of the part", "further_little")
-    remarks = tuple(_brought(choice, job, views, k) for k in range(1, len(views)))
+    remarks = tuple(_pair_remark(choice, job, views, k) for k in range(1, len(views)))
     settled, what = _settled(job, choice, forms_of(unknown))
     return settled, (*remarks, what)
 
 
-def _by_both_edges(job: Job, views: Sequence[LaidPair], by: str) -> tuple[Job, tuple[str, ...]]:
+def _by_both_edges(job: Job, views: Sequence[PosedPair], by: str) -> tuple[Job, tuple[str, ...]]:
     """The job with both edges of its breaks and a remark, if the pairs show them with certainty."""
     found = broken_edges(job, views)
     if found is None or not found.is_certain:
@@ -77,11 +77,11 @@ def _by_both_edges(job: Job, views: Sequence[LaidPair], by: str) -> tuple[Job, t
     return with_edges(job, found), (line,)
 
 
-def _view(images: StereoImages, pose: FloatArray) -> LaidPair:
-    return LaidPair(images, Pyramids(images.rig, images.raw, 1), pose)
+def _view(images: StereoImages, pose: FloatArray) -> PosedPair:
+    return PosedPair(images, Pyramids(images.rig, images.raw, 1), pose)
 
 
-def _found(job: Job, images: StereoImages, number: int) -> LaidPair:
+def _found(job: Job, images: StereoImages, number: int) -> PosedPair:
     """Locate the part in a further pair, at any tilt and distance."""
     anywhere = replace(
         job,
@@ -105,7 +105,7 @@ def _found(job: Job, images: StereoImages, number: int) -> LaidPair:
     return _view(images, target.rig_from_part @ job.reference_from_part)
 
 
-def _brought(choice: FormChoice, job: Job, views: Sequence[LaidPair], k: int) -> str:
+def _pair_remark(choice: FormChoice, job: Job, views: Sequence[PosedPair], k: int) -> str:
     """Remark on what one of the pairs contributes."""
     apart = math.degrees(turn_between(views[k].pose, job.rig_from_part))
     behind = [form.sigmas_behind(choice.form, k) for form in choice.others]

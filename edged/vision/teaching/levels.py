@@ -26,7 +26,7 @@ from edged.vision.part.frames import FoundCircle, circle_in_rig, circles_in_rig
 from edged.vision.part.initialplane import find_plane
 from edged.vision.part.job import CircleFeature, CornerFeature, EdgeFeature, SlotFeature
 from edged.vision.part.pose import circle_curve, edge_curve, slot_curve
-from edged.vision.teaching.background import agreeing_with, tells_apart
+from edged.vision.teaching.background import agreeing_with, fits_significantly_better
 from edged.vision.teaching.features import (
     FoundFeatures,
     TeachingView,
@@ -81,7 +81,7 @@ def find_levels(
     normal, heights = _turned(view, found, face)
     if float(np.ptp([*heights, *in_front(beside, found, normal)])) < TEACHING.face_tolerance_mm:
         return None
-    again = [measured_anew(images, measured, normal) for measured in found]
+    again = [remeasured(images, measured, normal) for measured in found]
     kept = [measured for measured in again if measured is not None]
     normal, heights = _turned(view, kept, Plane(normal, face.offset))
     return Levels(tuple(kept), normal, heights, in_front(beside, kept, normal))
@@ -92,7 +92,7 @@ def _turned(view: TeachingView, found: Sequence[FoundCircle], face: Plane) -> tu
     normal, heights = turned_alike(found, face.normal)
     largest = max(found, key=lambda measured: measured.circle.radius_mm).circle.centre_mm
     now, before = (Plane.through(largest, each) for each in (normal, face.normal))
-    if tells_apart(view, before, now, strong_contours(view)):
+    if fits_significantly_better(view, before, now, strong_contours(view)):
         return face.normal, _levelled(found, face.normal, TEACHING.level_mm)
     return normal, heights
 
@@ -136,7 +136,7 @@ def circle_on(
     return None if fit is None else circle_in_rig(fit, "circle")
 
 
-def measured_anew(images: StereoImages, measured: FoundCircle, normal: FloatArray) -> FoundCircle | None:
+def remeasured(images: StereoImages, measured: FoundCircle, normal: FloatArray) -> FoundCircle | None:
     """Measure a circle again with a better normal; None if it is not seen."""
     circle = measured.circle
     guess = CircleGuess(circle.centre_mm, normal, circle.radius_mm, measured.fit.curve.polarity)
@@ -295,7 +295,7 @@ def fitted_as_contours_lie(
     if fit is None:
         return None
     before, now = (Plane.through(each.origin, each.normal) for each in (face, fit.face))
-    if tells_apart(view, before, now, strong_contours(view)):
+    if fits_significantly_better(view, before, now, strong_contours(view)):
         return fit_plane(images.rig, images.raw, face, curves, params, fixed_normal=True)
     return fit
 

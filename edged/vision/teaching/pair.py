@@ -36,7 +36,7 @@ from edged.vision.part.pose import circle_curve
 from edged.vision.shape.learning import create_model
 from edged.vision.shape.params import ModelParams
 from edged.vision.solid.curvemodel import curve_points
-from edged.vision.teaching.background import tells_apart, with_ratio, without_background
+from edged.vision.teaching.background import fits_significantly_better, with_ratio, without_background
 from edged.vision.teaching.features import (
     FoundFeatures,
     TeachingView,
@@ -423,7 +423,7 @@ def _as_contours_lie(
     """
     contours = strong_contours(view)
     plane = plane_of(view, contours, depths_mm)
-    if plane is None or not tells_apart(view, plane, face, contours):
+    if plane is None or not fits_significantly_better(view, plane, face, contours):
         return None
     lean = math.acos(min(float(plane.normal @ face.normal), 1.0))
     return plane if lean < 0.5 * TEACHING.break_mm / largest.circle.radius_mm else None

@@ -16,12 +16,12 @@ from edged.setup.calibration.guidance import (
     FIRST_SHARE,
     IN_PLACE_S,
     Ghost,
-    Patience,
+    GhostSelector,
     first_ghosts,
     held_share,
     nearness,
     outlines_of,
-    waits_for,
+    wait_reason,
 )
 from edged.setup.calibration.shown import (
     GAP_S,
@@ -109,7 +109,7 @@ def test_why_there_is_none() -> None:
         assert expected == found.left.missing
         assert found.left.reason
         assert not found.is_seen
-        assert "no_board_left" == waits_for(found, still=True, ghost=None, others=[])
+        assert "no_board_left" == wait_reason(found, still=True, ghost=None, others=[])
 
 
 def test_glare_on_the_board_is_told() -> None:
@@ -180,7 +180,7 @@ def test_a_pair_is_taken_in_the_ghost_or_where_none_was() -> None:
 
     def waits(**changed: object) -> str:
         wanted: dict = {"still": True, "ghost": ghost(TRUE), "others": [beside], **changed}
-        return waits_for(watched(), **wanted)
+        return wait_reason(watched(), **wanted)
 
     assert nearness(watched(beside), ghost(TRUE)) > IN_GHOST
     assert "" == waits()
@@ -197,7 +197,7 @@ def test_a_ghost_beside_a_view_is_no_trap() -> None:
     wanted, nearer = ghost(TRUE + step), watched(TRUE + 0.55 * step)
 
     def waits(share: float, offered: Ghost = wanted) -> str:
-        return waits_for(watched(TRUE + share * step), still=True, ghost=offered, others=[TRUE])
+        return wait_reason(watched(TRUE + share * step), still=True, ghost=offered, others=[TRUE])
 
     assert not is_same(wanted.outlines, [TRUE])
     assert is_same(nearer.outlines, [TRUE])
@@ -221,7 +221,7 @@ def test_another_ghost_is_offered_where_no_view_comes_of_one(
     never while it moves.
 
     Ghosts come in turn, and the best one first once others are known."""
-    patience, ghosts = Patience(), [ghost(TRUE), ghost(TRUE + 1.0)]
+    patience, ghosts = GhostSelector(), [ghost(TRUE), ghost(TRUE + 1.0)]
     look = watched() if seen is None else watched(seen)
     if seen is None:
         look = replace(look, right=Seen(None, "not_found", "", clipped=False))

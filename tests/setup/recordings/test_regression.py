@@ -37,7 +37,7 @@ from edged.setup.recordings.comparing import (
     try_on,
 )
 from edged.setup.recordings.regression import compare as differences
-from edged.setup.recordings.setups import Contents, concerned, digest_of, measured_by, successors
+from edged.setup.recordings.setups import Contents, affected_jobs, digest_of, measured_by, successors
 from edged.setup.releases.jobsfolder import renamed
 from edged.vision.geometry.rigid import apply, rotation_matrix, transform
 
@@ -125,7 +125,7 @@ def test_a_job_of_another_name_and_number_has_the_same_cycles(
     for name, number in (("flange", 9), ("cover", 1)):
         active = called(contents, name, number)
         strict = called(contents, name, number, max_rms_px=1e-6)
-        assert {number} == concerned(active, strict)
+        assert {number} == affected_jobs(active, strict)
         measured.clear()
         result = tried(cell, strict, of_rig=False, active=active)
         assert (CYCLES, CYCLES) == (len(measured), len(result.compared))
@@ -144,23 +144,23 @@ def test_what_changes_no_measurement_concerns_no_cycle(cell: Cell) -> None:
         (copied, contents),
         (copied, called(contents, "cover", 2)),
     ):
-        assert set() == concerned(active, candidate)
+        assert set() == affected_jobs(active, candidate)
     assert {1: 9} == successors(contents, called(contents, "cover", 9))
     assert {2: 2} == successors(copied, called(contents, "cover", 2))
     remarked = {**contents, TEXT: contents[TEXT] + b"# Anna's own words\n"}
-    assert set() == concerned(contents, remarked)
+    assert set() == affected_jobs(contents, remarked)
     assert digest_of(contents) == digest_of(remarked) == digest_of(called(contents, "cover", 9))
 
     shape = bytearray(contents[SHAPE])
     shape[len(shape) // 2] ^= 1
     for changed in ({**contents, SHAPE: bytes(shape)}, called(contents, "flange", 1, max_rms_px=0.4)):
         assert digest_of(contents) != digest_of(changed)
-        assert {1} == concerned(contents, changed)
+        assert {1} == affected_jobs(contents, changed)
         # the copy is unchanged: what it measures is not affected
-        assert {1} == concerned(copied, {**copied, **changed})
+        assert {1} == affected_jobs(copied, {**copied, **changed})
     # a replacement under another name and number is not exempt by either alone
     for name, number in (("cover", 1), ("flange", 9)):
-        assert {1} == concerned(contents, called(contents, name, number, max_rms_px=0.4))
+        assert {1} == affected_jobs(contents, called(contents, name, number, max_rms_px=0.4))
     assert {1: 9} == successors(contents, called(contents, "flange", 9, max_rms_px=0.4))
 
 

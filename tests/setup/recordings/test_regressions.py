@@ -18,7 +18,7 @@ from edged.files.rig import rig_text
 from edged.setup.calibration.drafts import Drafts, Solution
 from edged.setup.cellfiles import CellFiles, read_cell
 from edged.setup.recordings import regressions
-from edged.setup.recordings.setups import concerned
+from edged.setup.recordings.setups import affected_jobs
 from edged.vision.geometry.camera import StereoRig
 
 CYCLES = 6
@@ -244,19 +244,19 @@ async def test_what_jobs_are_called_is_not_measured(recorded: Recorded, tmp_path
 def test_a_robot_that_stands_elsewhere_changes_no_measurement(recorded: Recorded) -> None:
     """A registration concerns only jobs with bounds on the robot."""
     contents = dict(recorded.files.contents)
-    assert set() == concerned(contents, contents)
+    assert set() == affected_jobs(contents, contents)
     rig = json.loads(contents["rig.json"])
     moved = {**contents, "rig.json": json.dumps({**rig, "robot_from_rig": [[1.0]]}).encode()}
-    assert set() == concerned(contents, moved)
+    assert set() == affected_jobs(contents, moved)
     box = b'\n[[limits.box]]\nname = "bin"\nmin_mm = [0, 0, 0]\nmax_mm = [9, 9, 9]\n'
     number = recorded.files.jobs[0].number
     job = contents["jobs/flange/job.toml"]
     bounded = {**contents, "jobs/flange/job.toml": job + box}
-    assert {number} == concerned(bounded, {**bounded, "rig.json": moved["rig.json"]})
-    assert {number} == concerned(contents, bounded)
+    assert {number} == affected_jobs(bounded, {**bounded, "rig.json": moved["rig.json"]})
+    assert {number} == affected_jobs(contents, bounded)
     config = {**contents, "cell.toml": contents["cell.toml"] + box}
-    assert {number} == concerned(config, {**config, "rig.json": moved["rig.json"]})
-    assert None is concerned(contents, {**contents, "rig.json": rig_text(wider(recorded.files.rig, 1.1))})
+    assert {number} == affected_jobs(config, {**config, "rig.json": moved["rig.json"]})
+    assert None is affected_jobs(contents, {**contents, "rig.json": rig_text(wider(recorded.files.rig, 1.1))})
     for name, data in (("rig.json", b"[]"), ("jobs/flange/job.toml", b"number = 'x'")):
         with pytest.raises(FileFormatError, match=name):
-            concerned({**contents, name: data}, contents)
+            affected_jobs({**contents, name: data}, contents)

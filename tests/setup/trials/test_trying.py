@@ -13,7 +13,7 @@ from edged.domain.picking import Bounds, Box
 from edged.pipeline import PreparedRig, inspect, prepare
 from edged.robot.orientations import Convention
 from edged.setup.trials.sigmamap import ACROSS, DEEP, DOWN, sigma_map
-from edged.setup.trials.stilltest import LEAST, Stand, StillResult, interval, judged
+from edged.setup.trials.stilltest import LEAST, StillResult, StillSample, interval, judged
 from edged.setup.trials.tried import MOST_WHISKERS, TriedPair, stand_of, still_part, try_pair
 from edged.vision.part.job import Job
 from edged.vision.teaching.pair import teach
@@ -35,9 +35,9 @@ def tried(left: Image, right: Image, bounds: Bounds | None = None) -> TriedPair:
     return try_pair(rig, job, cells.frame_pair(left, right), bounds or Bounds(), Convention.FIXED_XYZ)
 
 
-def stands(places: FloatArray, stated_mm: FloatArray = SIGMA_MM) -> list[Stand | None]:
+def stands(places: FloatArray, stated_mm: FloatArray = SIGMA_MM) -> list[StillSample | None]:
     """Stands of a part with the given sigma of its edges."""
-    return [Stand(one, np.diag(stated_mm**2)) for one in places]
+    return [StillSample(one, np.diag(stated_mm**2)) for one in places]
 
 
 def drawn(seed: int, count: int = 30) -> FloatArray:
@@ -72,7 +72,7 @@ def test_a_part_that_moves_or_goes_is_no_verdict() -> None:
     pushed[13:] += 10 * SIGMA_MM
     sinking = drawn(5) + np.linspace(0, 1, 30)[:, None] * 12 * SIGMA_MM
     seen = stands(drawn(6))
-    seen[20] = Stand(drawn(6)[20] + 15 * SIGMA_MM, np.diag(SIGMA_MM**2))
+    seen[20] = StillSample(drawn(6)[20] + 15 * SIGMA_MM, np.diag(SIGMA_MM**2))
     for one in (stands(pushed), stands(sinking), seen):
         assert ("moving", None, None) == (judged(one).verdict, judged(one).chi2, judged(one).covers)
     gone = [*stands(drawn(7))[:29], None]

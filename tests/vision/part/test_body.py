@@ -19,7 +19,7 @@ from edged.domain.arrays import FloatArray
 from edged.files.step import read_step
 from edged.vision.curves.outlines import Curve, CurveOutline, Face, project_outline
 from edged.vision.part.body import MAX_TRIANGLES, PartBody
-from edged.vision.part.bodysight import hidden_samples, sight_of
+from edged.vision.part.curvevisibility import curve_visibility, hidden_samples
 from edged.vision.part.zbuffer import hidden_points
 from edged.vision.teaching.cadbody import body_of
 from edged.vision.teaching.cadmodel import CadModel, curves_towards, welded
@@ -129,7 +129,7 @@ def test_the_lower_edge_of_a_chamfer_is_seen_with_the_upper_one(
     pose = lying(small_rig(), 0.0, 0.0, 0.0)
     _, outline = rim(10.0, 0.0)
     seen = project_outline(small_rig(), "left", Face(pose[:3, 3], pose[:3, :3].T), outline)
-    sight = sight_of(one, small_rig(), "left", pose, outline, seen)
+    sight = curve_visibility(one, small_rig(), "left", pose, outline, seen)
     assert low <= sight.merged.mean() <= high
     assert not sight.hidden.any()
 

@@ -15,7 +15,7 @@ from helpers.flatparts import HONEST, cell, chi2, only
 from edged.domain.arrays import FloatArray, Image
 from edged.domain.measurement import Outcome, Reject, Status, Target
 from edged.pipeline import locate
-from edged.vision.part.consistency import doubted, scale_deviation, undoubted
+from edged.vision.part.consistency import doubted, scale_deviation, without_doubt
 from edged.vision.part.job import usual_tolerance_mm
 
 PLACE = pose((7.5, 1.0, 204.0), turn_deg=12.0, tilt_deg=3.0)
@@ -152,7 +152,7 @@ def test_a_doubt_is_in_every_length_and_can_be_taken_out_again(name: str) -> Non
         assert added == pytest.approx(0.001 * one.radius_mm)
     for before, after in zip(target.corners, vague.corners, strict=True):
         assert np.trace(after.covariance) > np.trace(before.covariance)
-    again = undoubted(vague, 60.0)
+    again = without_doubt(vague, 60.0)
     assert again.doubt_mm == 0.0
     np.testing.assert_allclose(again.covariance, target.covariance, atol=1e-12)
     for edge, same in zip(target.edges, again.edges, strict=True):

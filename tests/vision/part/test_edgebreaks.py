@@ -17,7 +17,7 @@ from edged.domain.measurement import Reject, Target
 from edged.pipeline import PreparedRig, inspect, locate, prepare
 from edged.vision.curves.params import BREAKS
 from edged.vision.geometry.rigid import invert
-from edged.vision.part.consistency import judged, vaguest_mm
+from edged.vision.part.consistency import apply_limits, vaguest_mm
 from edged.vision.part.job import Job
 from edged.vision.teaching.pair import teach
 
@@ -122,10 +122,10 @@ def test_a_normal_that_is_not_held_is_refused() -> None:
     here = cell("disc")
     (measured,) = inspect(frame_pair(*here.see(pose())), here.job, here.rig).measured
     job = replace(here.job, limits=replace(here.job.limits, max_sigma_mm=0.1))
-    good = judged(job, here.rig.rectification, measured.target, measured.evidence)
+    good = apply_limits(job, here.rig.rectification, measured.target, measured.evidence)
     assert good.reject is Reject.NONE
     assert vaguest_mm(job, good) < 0.01
     covariance = good.covariance + np.diag([0.0, 0.0, 0.0, 1.0, 1.0, 0.0]) * math.radians(0.5) ** 2
     vague = replace(good, covariance=covariance)
     assert vaguest_mm(job, vague) == pytest.approx(13.0 * math.radians(0.5), rel=0.05)
-    assert Reject.SIGMA_LIMIT == judged(job, here.rig.rectification, vague, measured.evidence).reject
+    assert Reject.SIGMA_LIMIT == apply_limits(job, here.rig.rectification, vague, measured.evidence).reject

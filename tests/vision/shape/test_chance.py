@@ -127,7 +127,7 @@ def test_the_parts_own_holes_are_evidence_on_a_textured_face(lay: str) -> None:
     for seed in range(4):
         image = scratched(seed, 0.15, lay)
         slopes = rivals.look(image, model(), POSE, 0).slope
-        assert rivals.open_turns(image, model(), POSE, 0, 2.0, slopes, odds(image)) == []
+        assert rivals.unresolved_rotations(image, model(), POSE, 0, 2.0, slopes, odds(image)) == []
         wrong = rivals.turned(POSE, turns.motions[0])
         slopes = rivals.look(image, model(), wrong, 0).slope
-        assert rivals.open_turns(image, model(), wrong, 0, 2.0, slopes, odds(image, wrong)) != []
+        assert rivals.unresolved_rotations(image, model(), wrong, 0, 2.0, slopes, odds(image, wrong)) != []

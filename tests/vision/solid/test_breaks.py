@@ -17,12 +17,12 @@ from edged.files.step import read_step
 from edged.vision.geometry.rectification import StereoImages
 from edged.vision.geometry.rigid import invert, transform
 from edged.vision.solid.bestfit import best_fit
-from edged.vision.solid.breaks import LaidBody, lay_with_breaks
+from edged.vision.solid.breaks import FittedBody, lay_with_breaks
 from edged.vision.solid.edgemodel import EdgeModel, model_of
-from edged.vision.solid.forms import LaidPair, contradiction, with_breaks
-from edged.vision.solid.leavings import Leavings
+from edged.vision.solid.forms import PosedPair, contradiction, with_breaks
 from edged.vision.solid.lock import Pyramids
 from edged.vision.solid.params import BREAKS
+from edged.vision.solid.profileresiduals import ProfileResiduals
 from edged.vision.teaching.cadbody import body_of
 from edged.vision.teaching.cadrevision import Displaced, explains_more
 
@@ -43,7 +43,7 @@ def drawing_of(folder: Path, design: int) -> EdgeModel:
     return model_of(body)
 
 
-def laid_from(folder: Path, design: int, seed: int, deeper_mm: float) -> tuple[LaidBody, FloatArray]:
+def laid_from(folder: Path, design: int, seed: int, deeper_mm: float) -> tuple[FittedBody, FloatArray]:
     """The body laid from this far below its place, and the error of its pose."""
     start = place(0.0) @ transform(np.eye(3), np.array([0.0, 0.0, deeper_mm]))
     laid = lay_with_breaks(images_of(design, seed), drawing_of(folder, design), start)
@@ -51,7 +51,7 @@ def laid_from(folder: Path, design: int, seed: int, deeper_mm: float) -> tuple[L
     return laid, invert(place(0.0)) @ laid.fit.pose
 
 
-def width_mm(laid: LaidBody) -> float:
+def width_mm(laid: FittedBody) -> float:
     """The median width of the breaks."""
     return float(np.median(laid.model.breaks_mm[laid.model.breaks_mm > 0]))
 
@@ -102,7 +102,7 @@ def test_breaks_that_show_contradict_a_sharp_edge(tmp_path: Path, seed: int) -> 
     for model in (sharp, with_breaks(sharp, 0.175)):
         fit = best_fit(model, pyramids, images, at)
         assert fit is not None
-        found.append(contradiction(model, LaidPair(images, pyramids, fit.pose)))
+        found.append(contradiction(model, PosedPair(images, pyramids, fit.pose)))
     assert found[0] > BREAKS.most_misfit > found[1]
 
 
@@ -111,8 +111,8 @@ def test_both_edges_of_breaks_leave_half_of_what_one_leaves(tmp_path: Path) -> N
     """With both edges of the breaks the profiles leave least; a width too narrow leaves more, and so does
     a place aside."""
     model, images = drawing_of(tmp_path, 4), images_of(4, 5)
-    view = LaidPair(images, Pyramids(images.rig, images.raw, 1), place(0.0))
-    leaves = Leavings.of(with_breaks(model, 0.0), [view])
+    view = PosedPair(images, Pyramids(images.rig, images.raw, 1), place(0.0))
+    leaves = ProfileResiduals.of(with_breaks(model, 0.0), [view])
     right, narrow, none = (leaves.gain(with_breaks(model, mm), [view]) for mm in (0.394, 0.2, 0.0))
     assert right.is_certain
     assert right.mean > narrow.mean > none.mean == pytest.approx(0.0, abs=1e-9)
@@ -125,7 +125,7 @@ def test_a_hole_is_moved_only_where_that_leaves_less_of_the_pair(tmp_path: Path)
     """A hole that is 0.3 mm aside in the file is moved back, one at its place is not moved."""
     drawn_model, images = drawing_of(tmp_path, 4), images_of(4, 5)
     model = with_breaks(drawn_model, 0.394)
-    view = LaidPair(images, Pyramids(images.rig, images.raw, 1), place(0.0))
+    view = PosedPair(images, Pyramids(images.rig, images.raw, 1), place(0.0))
     wall = next(wall for wall in random_design(4).walls if wall.name == "hole0")
     middle = np.append(np.mean(wall.outline.corners, axis=0), wall.top)
     on = np.linalg.norm((model.start - middle)[:, :2], axis=1) < 4.0

@@ -19,7 +19,7 @@ from edged.sim.render.scene import Surface
 from edged.vision.geometry.rectification import make_rectification
 from edged.vision.geometry.triangulation import triangulate
 from edged.vision.stereo import leastsquares, ncc
-from edged.vision.stereo.matching import NccMatches, NccParams, PairingReason, match_ncc
+from edged.vision.stereo.matching import MatchStatus, NccMatches, NccParams, match_ncc
 
 Texture = Callable[[FloatArray, FloatArray], FloatArray]
 
@@ -218,12 +218,12 @@ def test_grain_along_the_rows_widens_sigma() -> None:
 # --- refusals ----------------------------------------------------------------------------------------
 
 
-def only(matches: NccMatches) -> PairingReason:
+def only(matches: NccMatches) -> MatchStatus:
     """The only reason of all points; refused points have no number."""
     (reason,) = set(matches.reason.tolist())
     for values in (matches.disparity_px, matches.sigma_px, matches.slope):
-        assert np.isnan(values).all() == (reason != PairingReason.ACCEPTED)
-    return PairingReason(reason)
+        assert np.isnan(values).all() == (reason != MatchStatus.ACCEPTED)
+    return MatchStatus(reason)
 
 
 def noisy(view: FloatArray) -> tuple[Image, Image]:
@@ -233,13 +233,13 @@ def noisy(view: FloatArray) -> tuple[Image, Image]:
 
 def test_nothing_to_see_is_refused() -> None:
     """Noise on an even face is refused as textureless."""
-    assert only(match_ncc(*noisy(np.full(SHAPE, 120.0)), POINTS, (-20, 20))) is PairingReason.TEXTURELESS
+    assert only(match_ncc(*noisy(np.full(SHAPE, 120.0)), POINTS, (-20, 20))) is MatchStatus.TEXTURELESS
 
 
 def test_stripes_along_the_row_are_refused() -> None:
     """Edges parallel to the row are refused."""
     stripes = 120 + 40 * np.sin(0.6 * np.mgrid[: SHAPE[0], : SHAPE[1]][0])
-    assert only(match_ncc(*noisy(stripes), POINTS, (-20, 20))) is PairingReason.EDGE_PARALLEL
+    assert only(match_ncc(*noisy(stripes), POINTS, (-20, 20))) is MatchStatus.EDGE_PARALLEL
 
 
 @pytest.mark.slow
@@ -250,7 +250,7 @@ def test_unrelated_images_do_not_match() -> None:
     matches = match_ncc(
         exposed(left, np.random.default_rng(1)), exposed(other, np.random.default_rng(2)), POINTS, (-40, 40)
     )
-    assert only(matches) is PairingReason.LOW_SCORE
+    assert only(matches) is MatchStatus.LOW_SCORE
     assert matches.score.max() < 0.6
 
 
@@ -259,10 +259,10 @@ def test_a_repeated_pattern_is_ambiguous() -> None:
     y, x = np.mgrid[: SHAPE[0], : SHAPE[1]].astype(float)
     pattern = 120 + 20 * np.sin(2 * np.pi * x / 12) + 20 * np.sin(2 * np.pi * y / 15)
     matches = match_ncc(*noisy(pattern), POINTS, (-20, 20))
-    assert only(matches) is PairingReason.AMBIGUOUS
+    assert only(matches) is MatchStatus.AMBIGUOUS
     assert matches.ambiguity.min() > 0.9
     # within less than a period there is one place only
-    assert only(match_ncc(*noisy(pattern), POINTS, (-4, 4))) is PairingReason.ACCEPTED
+    assert only(match_ncc(*noisy(pattern), POINTS, (-4, 4))) is MatchStatus.ACCEPTED
 
 
 @pytest.mark.slow
@@ -277,7 +277,7 @@ def test_the_way_back_must_agree() -> None:
     right[40:81, 110:151] = patch
     points = np.array([[100.0, 60.0], [150.0, 60.0]])
     matches = match_ncc(exposed(left, rng, 1), exposed(right, rng, 1), points, (-45, 45))
-    assert list(matches.reason) == [PairingReason.LEFT_RIGHT, PairingReason.ACCEPTED]
+    assert list(matches.reason) == [MatchStatus.LEFT_RIGHT, MatchStatus.ACCEPTED]
     assert matches.disparity_px[1] == pytest.approx(20.0, abs=0.05)
 
 
@@ -303,7 +303,7 @@ def test_what_leaves_image_or_range_is_refused(
     rng = np.random.default_rng(8)
     assert (
         only(match_ncc(exposed(left, rng), exposed(right, rng), np.array([point]), search))
-        is PairingReason.OUTSIDE
+        is MatchStatus.OUTSIDE
     )
 
 

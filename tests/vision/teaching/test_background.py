@@ -14,7 +14,12 @@ from edged.sim.render.scene import Surface
 from edged.vision.geometry.rectification import Rectification, StereoImages, make_rectification
 from edged.vision.geometry.rigid import Plane, rotation_matrix
 from edged.vision.shape.search import find_shapes
-from edged.vision.teaching.background import agreeing_with, tells_apart, with_ratio, without_background
+from edged.vision.teaching.background import (
+    agreeing_with,
+    fits_significantly_better,
+    with_ratio,
+    without_background,
+)
 from edged.vision.teaching.features import TeachingView, plane_of, strong_contours
 from edged.vision.teaching.pair import teach
 
@@ -89,9 +94,9 @@ def test_contours_tell_the_face_from_one_that_leans(flat: Flange, rectification:
     contours, middle = strong_contours(view), pose()[:3, 3]
     leant = pose()[:3, :3] @ rotation_matrix(np.array([0.0, math.radians(1.5), 0.0]))
     face, leaning = (Plane.through(middle, normal) for normal in (pose()[:3, 2], leant[:, 2]))
-    assert tells_apart(view, face, leaning, contours)
-    assert not tells_apart(view, leaning, face, contours)
-    assert not tells_apart(view, face, face, contours)
+    assert fits_significantly_better(view, face, leaning, contours)
+    assert not fits_significantly_better(view, leaning, face, contours)
+    assert not fits_significantly_better(view, face, face, contours)
     found = plane_of(view, contours, (150.0, 260.0))
     assert found is not None
     assert math.degrees(math.acos(min(abs(float(found.normal @ face.normal)), 1.0))) < 0.3

@@ -15,7 +15,7 @@ from edged.errors import TeachError
 from edged.files.jobs import load_job, save_job
 from edged.vision.geometry.rectification import StereoImages
 from edged.vision.part.job import Job
-from edged.vision.solid.forms import LaidPair, likeliest_form
+from edged.vision.solid.forms import PosedPair, likeliest_form
 from edged.vision.solid.locate import forms_of, models_of
 from edged.vision.solid.lock import Pyramids
 from edged.vision.solid.params import BREAKS, DECISION
@@ -32,9 +32,9 @@ def taught() -> Job:
     return teach(*pair(DESIGN, 0.0), rig().rectification, None, "part")
 
 
-def view(images: StereoImages, pose: FloatArray) -> LaidPair:
+def view(images: StereoImages, pose: FloatArray) -> PosedPair:
     """A pair that shows the part at a pose."""
-    return LaidPair(images, Pyramids(images.rig, images.raw, 1), pose)
+    return PosedPair(images, Pyramids(images.rig, images.raw, 1), pose)
 
 
 @pytest.mark.long

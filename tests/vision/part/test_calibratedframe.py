@@ -18,8 +18,8 @@ from edged.sim.cell import VirtualCell, demo_part, demo_rig
 from edged.sim.render.scene import RenderedView
 from edged.vision.geometry.correction import RigCorrection
 from edged.vision.geometry.rigid import rotation_matrix, transform
+from edged.vision.part.calibratedframe import in_calibrated_frame, moved
 from edged.vision.part.job import Job
-from edged.vision.part.trued import moved, trued
 from edged.vision.teaching.pair import teach
 
 DRIFT = np.array([3e-4, -2e-4, 1e-4, 0.03, -0.02, 0.04, 8e-5, -1e-4, 3e-4, 2e-4, -0.05, 0.02, 0.01, -6e-5])
@@ -96,7 +96,7 @@ def test_what_the_correction_does_not_know_is_in_every_sigma() -> None:
             known, displacement=DRIFT + sigmas * rng.standard_normal(14), covariance=np.zeros((14, 14))
         )
         measured = inspect(seen(True), job, corrected(prepared, drawn)).measured[0].target
-        found = trued(job, measured, prepared.rig, drawn)
+        found = in_calibrated_frame(job, measured, prepared.rig, drawn)
         poses.append(found.position_mm)
         radii.append(found.circles[0].radius_mm)
     assert target.by_marks is not None

@@ -18,7 +18,7 @@ from edged.domain.measurement import Circle3D, Corner3D, Edge3D, Measurement, Re
 from edged.vision.geometry.camera import StereoRig
 from edged.vision.geometry.correction import RigCorrection, shift_by_displacement
 from edged.vision.geometry.rigid import apply, skew
-from edged.vision.geometry.uncertainty import levered_covariance
+from edged.vision.geometry.uncertainty import shifted_pose_covariance
 from edged.vision.part.consistency import vaguest_mm
 from edged.vision.part.job import Job
 from edged.vision.part.points import points_of, rim_of
@@ -26,7 +26,7 @@ from edged.vision.part.points import points_of, rim_of
 Feature = TypeVar("Feature", Circle3D, Slot3D, Corner3D)
 
 
-def trued(job: Job, target: Target, rig: StereoRig, correction: RigCorrection) -> Target:
+def in_calibrated_frame(job: Job, target: Target, rig: StereoRig, correction: RigCorrection) -> Target:
     """The target in the calibrated rig's frame; rejected where the correction leaves it too uncertain.
 
     target : in the frame of the left camera as it is now. rig : as calibrated.
@@ -109,7 +109,7 @@ def _widened(target: Target, rig: StereoRig, correction: RigCorrection) -> Targe
     reported = target.reported
     if reported is not None:
         arm = reported.rig_from_part[:3, 3] - place
-        added = levered_covariance(by_marks, arm)
+        added = shifted_pose_covariance(by_marks, arm)
         reported = replace(reported, covariance=reported.covariance + added)
     rims, ends = shifts[: 8 * len(target.circles)], shifts[8 * len(target.circles) : len(points)]
     of_edges, of_slots = ends[: 2 * len(target.edges)], ends[2 * len(target.edges) :]

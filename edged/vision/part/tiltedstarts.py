@@ -17,11 +17,11 @@ from edged.vision.curves.outlines import Curve
 from edged.vision.geometry.rectification import StereoImages
 from edged.vision.geometry.rigid import rotation_matrix, transform
 from edged.vision.part.params import SOLID
-from edged.vision.part.rigidlock import ALL, glance
+from edged.vision.part.rigidlock import ALL, quick_agreement
 from edged.vision.part.tilt import bisector
 
 
-def leaning(
+def tilted_starts(
     images: StereoImages,
     curves: Sequence[Curve],
     starts: Sequence[FloatArray],
@@ -37,7 +37,8 @@ def leaning(
         leant for pose in starts for leant in _about(images, pose, middle, tilt_rad + SOLID.lean_margin_rad)
     ]
     order = np.argsort(
-        [-glance(images, curves, pose, SOLID.lean_reach_px, unknowns) for pose in poses], kind="stable"
+        [-quick_agreement(images, curves, pose, SOLID.lean_reach_px, unknowns) for pose in poses],
+        kind="stable",
     )
     return [poses[k] for k in order[: SOLID.likely]]
 

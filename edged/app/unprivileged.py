@@ -1,6 +1,6 @@
 """Runs a program that serves people beside a cell with lower priority and without privileges.
 
-`python -m edged.app.lesserprocess PROGRAM ...` becomes that program. Its capabilities come from the ambient
+`python -m edged.app.unprivileged PROGRAM ...` becomes that program. Its capabilities come from the ambient
 set, so they are dropped by the exec; the system call filter of the systemd units forbids capset(2).
 """
 
@@ -14,7 +14,7 @@ from pathlib import Path
 
 from edged.setup.jobs.workerprocess import gain_no_more_rights, python_environment
 
-LESSER = (sys.executable, "-m", "edged.app.lesserprocess")
+UNPRIVILEGED_PREFIX = (sys.executable, "-m", "edged.app.unprivileged")
 """Command prefix for a program that is to run with less priority and privilege."""
 NICER = 10
 OOM_SCORE = 500

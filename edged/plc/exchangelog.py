@@ -21,7 +21,7 @@ FARTHEST_MM = 20_000.0
 
 
 @dataclass(frozen=True, slots=True)
-class Rung:
+class ExchangeStep:
     """One step of an exchange. after_s : time since the command. what : a code. detail : text, may be "".
 
     what : by the PLC "command", "acknowledged", "taken_down"; by the cell "exposure", "result" (detail: its
@@ -49,7 +49,7 @@ class Exchange:
     job: int
     hint: str = ""
     times: int = 1
-    rungs: list[Rung] = field(default_factory=list)
+    rungs: list[ExchangeStep] = field(default_factory=list)
 
     @property
     def command(self) -> str:
@@ -57,7 +57,7 @@ class Exchange:
         return CommandKind(self.code).name if self.code in set(CommandKind) else ""
 
 
-class Ladder:
+class ExchangeLog:
     """Records the last exchanges from the steps of the handshake.
 
     addresses : addresses of the clients, where known, by client number.
@@ -94,7 +94,7 @@ class Ladder:
                     self._begin(event.client, after.ticket, now_s)
                 elif event.sequence == 0 != before.command_sequence:
                     self._add(before.ticket, now_s, "taken_down")
-            case ev.Barred(client):
+            case ev.WriteRejected(client):
                 self._bar(client, before.ticket)
             case ev.AckWritten(sequence):
                 shown = before.result
@@ -102,7 +102,7 @@ class Ladder:
                     self._add(before.ticket, now_s, "acknowledged")
             case ev.Exposed() if after.exposure_done and not before.exposure_done:
                 self._add(after.ticket, now_s, "exposure")
-            case ev.Exchanged() | ev.OtherJob() if (
+            case ev.Exchanged() | ev.JobChangedElsewhere() if (
                 after.result is not before.result and before.command_sequence
             ):
                 self._add(before.ticket, now_s, "reloaded")
@@ -122,7 +122,7 @@ class Ladder:
         self._by_ticket[ticket] = exchange, now_s
         while len(self._by_ticket) > KEPT:
             del self._by_ticket[next(iter(self._by_ticket))]
-        exchange.rungs.append(Rung(0.0, "command"))
+        exchange.rungs.append(ExchangeStep(0.0, "command"))
 
     def _bar(self, client: int, ticket: int) -> None:
         name = self._addresses.get(client, "")
@@ -130,7 +130,7 @@ class Ladder:
         if last is not None and last.client == name and last.rungs[-1].what == "barred":
             last.times += 1  # it goes on writing
             return
-        self._keep(client, ticket & hs.SEQUENCE_MASK, 0, 0).rungs.append(Rung(0.0, "barred"))
+        self._keep(client, ticket & hs.SEQUENCE_MASK, 0, 0).rungs.append(ExchangeStep(0.0, "barred"))
 
     def _show(self, state: hs.Handshake[RegisterResult], now_s: float) -> None:
         assert state.result is not None
@@ -148,7 +148,7 @@ class Ladder:
     def _add(self, ticket: int, now_s: float, what: str, detail: str = "", *, valid: bool = False) -> None:
         exchange, began_s = self._by_ticket.get(ticket, (None, 0.0))
         if exchange is not None and len(exchange.rungs) < MOST_RUNGS:
-            exchange.rungs.append(Rung(max(0.0, now_s - began_s), what, detail, valid))
+            exchange.rungs.append(ExchangeStep(max(0.0, now_s - began_s), what, detail, valid))
 
 
 def _hint(code: int, flange_mm: tuple[float, ...]) -> str:

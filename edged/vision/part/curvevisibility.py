@@ -30,7 +30,7 @@ by less than a twentieth of their distance. Blur: that of a focused lens, seen t
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class BodySight:
+class CurveVisibility:
     """Visibility, in one camera, of a part's curves at a pose.
 
     hidden (N,) : samples that the part itself covers.  merged (N,) : samples beside which another edge runs
@@ -47,9 +47,9 @@ def hidden_samples(body: PartBody, rig: StereoRig, pose: FloatArray, points_mm: 
     return np.stack([hidden_points(body.points_mm, body.triangles, points_mm, eye) for eye in eyes])
 
 
-def sight_of(
+def curve_visibility(
     body: PartBody, rig: StereoRig, side: str, pose: FloatArray, outline: CurveOutline, seen: ProjectedOutline
-) -> BodySight:
+) -> CurveVisibility:
     """Visibility in one camera of curve samples.
 
     pose (4, 4) : rig_from_part.  outline : the samples, part frame.  seen : their places in the image.
@@ -66,7 +66,7 @@ def sight_of(
     beside = np.full(len(points_mm), np.nan)
     limits = np.array([APART_PX, SOLID.line_px, SOLID.own_mm])
     find_beside(np.ascontiguousarray(pixels), lines, seen, outline, limits, beside)
-    return BodySight(hidden[: len(points_mm)], np.abs(beside) > SOLID.together_px)
+    return CurveVisibility(hidden[: len(points_mm)], np.abs(beside) > SOLID.together_px)
 
 
 def _eye(camera_from_part: FloatArray) -> FloatArray:

@@ -18,9 +18,9 @@ from edged.vision.edges.subpixel import edge_profiles
 from edged.vision.geometry.rigid import apply
 from edged.vision.kernels.jit import kernel
 from edged.vision.solid.edgemodel import EdgeModel, chains_of
-from edged.vision.solid.forms import LaidPair, with_breaks
+from edged.vision.solid.forms import PosedPair, with_breaks
 from edged.vision.solid.lock import scale_at
-from edged.vision.solid.params import LEAVINGS, PROFILE
+from edged.vision.solid.params import PROFILE, PROFILE_RESIDUALS
 from edged.vision.solid.profiles import seen_with_neighbours
 from edged.vision.solid.shifts import STEP_PX, fill_steps, misfit
 from edged.vision.solid.visible import samples_at
@@ -62,11 +62,11 @@ class Gain:
     @property
     def is_certain(self) -> bool:
         """Whether the form halves the residuals of the other one, and not by chance."""
-        return self.mean > LEAVINGS.least_gain and self.sigmas > LEAVINGS.least_sigmas
+        return self.mean > PROFILE_RESIDUALS.least_gain and self.sigmas > PROFILE_RESIDUALS.least_sigmas
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Leavings:
+class ProfileResiduals:
     """Residuals of one form in all windows, to compare others with.
 
     left (M,) : logarithm of the square sum of each profile.  curve (M,) : its number.  block (M,) : number of
@@ -74,14 +74,14 @@ class Leavings:
     """
 
     model: EdgeModel
-    views: tuple[LaidPair, ...]
+    views: tuple[PosedPair, ...]
     windows: tuple[_Windows, ...]
     left: FloatArray
     curve: I64
     block: I64
 
     @classmethod
-    def of(cls, model: EdgeModel, views: Sequence[LaidPair]) -> Leavings:
+    def of(cls, model: EdgeModel, views: Sequence[PosedPair]) -> ProfileResiduals:
         """Residuals of a model in pairs, across those of its edges that may have breaks."""
         sharp = with_breaks(model, 0.0)
         windows = [_windows_of(sharp, view, v, k) for v, view in enumerate(views) for k in (0, 1)]
@@ -91,17 +91,17 @@ class Leavings:
         return cls(model, tuple(views), tuple(windows), left, curve, len(windows) * curve + place)
 
     def gains(
-        self, model: EdgeModel, views: Sequence[LaidPair], blurs_px: Sequence[float] = PROFILE.blurs_px
+        self, model: EdgeModel, views: Sequence[PosedPair], blurs_px: Sequence[float] = PROFILE.blurs_px
     ) -> FloatArray:
         """(M,) gain of a form in each profile; NaN where its edges do not lie in the window."""
         return np.asarray(self.left - _left(self.windows, model, views, blurs_px)[0])
 
-    def roughly(self, model: EdgeModel, views: Sequence[LaidPair]) -> float:
+    def roughly(self, model: EdgeModel, views: Sequence[PosedPair]) -> float:
         """Mean gain of a form, with few blurs; profiles whose window does not hold its edges count as 0."""
-        gains = self.gains(model, views, LEAVINGS.blurs_px)
+        gains = self.gains(model, views, PROFILE_RESIDUALS.blurs_px)
         return float(np.nan_to_num(gains).mean()) if len(gains) else 0.0
 
-    def blur_px(self, model: EdgeModel, views: Sequence[LaidPair]) -> float:
+    def blur_px(self, model: EdgeModel, views: Sequence[PosedPair]) -> float:
         """The blur with which a form has the smallest residuals."""
         return _left(self.windows, model, views, PROFILE.blurs_px)[1]
 
@@ -111,7 +111,7 @@ class Leavings:
         many = np.bincount(self.curve, minlength=count)
         return np.asarray(np.bincount(self.curve, gains, minlength=count) / np.maximum(many, 1))
 
-    def gain(self, model: EdgeModel, views: Sequence[LaidPair]) -> Gain:
+    def gain(self, model: EdgeModel, views: Sequence[PosedPair]) -> Gain:
         """Gain of a form over this one.
 
         Slopes beyond the edges are fitted, too: those of a wall or its shadow are no second edge, but would
@@ -131,9 +131,9 @@ class Leavings:
         return Gain(mean, mean / max(sigma, 1e-9) if number.max() > 0 else 0.0, by_curve)
 
 
-def _windows_of(model: EdgeModel, view: LaidPair, number: int, camera: int) -> _Windows:
+def _windows_of(model: EdgeModel, view: PosedPair, number: int, camera: int) -> _Windows:
     samples = samples_at(model, scale_at(view.images.rig, view.pose, model), PROFILE.drawn_px)
-    reach = LEAVINGS.half_px
+    reach = PROFILE_RESIDUALS.half_px
     dense, near = seen_with_neighbours(model, samples, view.pyramids, view.pose, camera, reach)
     breakable = np.zeros(int(model.chain.max()) + 1, bool)
     breakable[model.chain[model.breakable]] = True
@@ -160,7 +160,7 @@ def _places(model: EdgeModel, curve: I64, points: FloatArray) -> tuple[I64, Floa
 
 
 def _left(
-    windows: Sequence[_Windows], model: EdgeModel, views: Sequence[LaidPair], blurs_px: Sequence[float],
+    windows: Sequence[_Windows], model: EdgeModel, views: Sequence[PosedPair], blurs_px: Sequence[float],
     *, slopes: bool = False,
 ) -> tuple[FloatArray, float]:  # fmt: skip
     """Logarithms (M,) of the residual square sums of a form in all windows, by the best blur; and the blur.
@@ -172,14 +172,14 @@ def _left(
     for blur in blurs_px:
         left = [np.full(len(window.curve), np.nan) for window in windows]
         for window, both, logs in zip(windows, edges, left, strict=True):
-            reach = LEAVINGS.half_px - 1
+            reach = PROFILE_RESIDUALS.half_px - 1
             find_left(window.grey, window.curve, both, blur, PROFILE.together, reach, slopes, logs)
         found.append((np.concatenate(left), blur))
     means = [float(left[np.isfinite(left)].mean()) if np.isfinite(left).any() else 0.0 for left, _ in found]
     return found[int(np.argmin(means))]
 
 
-def _edges_in(window: _Windows, model: EdgeModel, view: LaidPair) -> FloatArray:
+def _edges_in(window: _Windows, model: EdgeModel, view: PosedPair) -> FloatArray:
     """(M, 2) px along the normals to both edges of each break; the second NaN for a sharp edge."""
     first = np.full(int(max(model.chain.max(), window.curve.max(initial=0))) + 1, -1)
     numbers, starts = np.unique(model.chain, return_index=True)

@@ -7,8 +7,8 @@ import math
 import numpy as np
 import pytest
 
-from edged.vision.solid.leavings import DIGIT, find_left
 from edged.vision.solid.params import PROFILE
+from edged.vision.solid.profileresiduals import DIGIT, find_left
 
 
 def test_what_steps_leave_is_that_of_least_squares() -> None:

@@ -12,7 +12,7 @@ from edged.adapters.modbus.pdu import RequestRefused
 from edged.adapters.modbus.settings import ModbusSettings
 from edged.domain.events import Basis, Command, CommandFailed, CommandKind, ExposureDone
 from edged.plc import registers as reg
-from edged.plc.ladder import KEPT, MOST_RUNGS, Exchange
+from edged.plc.exchangelog import KEPT, MOST_RUNGS, Exchange
 
 
 class Queue:
