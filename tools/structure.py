@@ -101,6 +101,7 @@ def numbers(trees: dict[Path, ast.Module], texts: dict[Path, str]) -> tuple[int,
         for owner in ast.walk(tree):
             if not isinstance(owner, ast.Module | ast.ClassDef):
                 continue
+            described = (ast.get_docstring(owner) or "").replace(",", " ").split()
             for node, after in zip(owner.body, [*owner.body[1:], None], strict=True):
                 value = getattr(node, "value", None)
                 is_number = value is not None and any(
@@ -111,7 +112,8 @@ def numbers(trees: dict[Path, ast.Module], texts: dict[Path, str]) -> tuple[int,
                     every += 1
                     held += isinstance(owner, ast.ClassDef)
                     said = isinstance(after, ast.Expr) or "#" in lines[(node.end_lineno or 0) - 1]
-                    bare += not said
+                    name = ast.unparse(node.target if isinstance(node, ast.AnnAssign) else node.targets[0])
+                    bare += not said and name not in described
     return every, held, bare
 
 

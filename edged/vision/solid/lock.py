@@ -52,7 +52,7 @@ def _halved(image: F32) -> F32:
     )
 
 
-_CENTRAL = np.array([[-0.5, 0.0, 0.5]], np.float32)
+_CENTRAL = np.array([[-0.5, 0.0, 0.5]], np.float32)  # central difference
 
 
 def _slopes(image: F32) -> tuple[F32, F32]:
