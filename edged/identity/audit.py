@@ -24,7 +24,7 @@ from typing import Any, BinaryIO
 
 from edged.errors import FileFormatError
 from edged.files.atomic import copy_owner, make_folders, open_folder, write_atomically
-from edged.identity.auditchain import START, AuditChain, AuditHead, end_of, head_in, line_of
+from edged.identity.auditchain import START, AuditChain, AuditHead, end_of, head_in, line_of, start_of
 from edged.owners import open_plain
 
 LINES, HEAD = "audit.jsonl", "audit.head"
@@ -93,7 +93,7 @@ class AuditFile:
         make_folders(self._folder)
         while True:
             with open_folder(self._folder) as folder, _locked(folder) as file:
-                number, digest, torn_bytes = self._end(file)
+                number, digest, torn_bytes = self._end(folder, file)
                 if torn_bytes:
                     end = file.seek(0, os.SEEK_END) - torn_bytes
                     file.truncate(end)
@@ -101,6 +101,8 @@ class AuditFile:
                         "", "", "", "mend", LINES, "ok", reason=f"a line of {torn_bytes} bytes was torn"
                     )
                     number, digest = self._write(file, torn, number, digest)
+                if number > 1 and self._head() is None:  # the first record is on the disc before the head
+                    number, digest = self._mend_head(folder, file, number, digest)
                 if file.seek(0, os.SEEK_END) >= FULL_BYTES:
                     self._note_end(number, digest)  # first: after a crash nothing else would know the end
                     turn_over(folder, number)
@@ -129,6 +131,15 @@ class AuditFile:
                 file.truncate(start)
             raise
         return number + 1, digest
+
+    def _mend_head(self, folder: int, file: BinaryIO, number: int, digest: str) -> tuple[int, str]:
+        """Replace a lost head, and record that it was lost: nothing knows any more where the chain ended."""
+        reason = "it was missing or damaged: the newest records before this one may be missing, too"
+        lost = AuditEntry("", "", "", "mend", HEAD, "ok", reason=reason)
+        first, previous = _start(folder, file)
+        number, digest = self._write(file, lost, number, digest)
+        self._put_head(AuditHead(number, digest, first, previous))
+        return number, digest
 
     def _note_end(self, number: int, digest: str) -> None:
         """Note the end of the chain in its head."""
@@ -165,19 +176,21 @@ class AuditFile:
                 os.unlink(name, dir_fd=folder)
 
     def _head(self) -> AuditHead | None:
-        try:
-            with open_folder(self._folder) as folder:
-                data = _read_head(folder)
-        except OSError:
-            return None
+        """Head of the chain; None if it is missing or damaged. Raises `OSError`."""
+        with open_folder(self._folder) as folder:
+            data = _read_head(folder)
         return None if data is None else head_in(data)
 
-    def _end(self, file: BinaryIO) -> tuple[int, str, int]:
+    def _end(self, folder: int, file: BinaryIO) -> tuple[int, str, int]:
         """Number and hash that the next line follows, and length of a torn line.
 
         Taken from the last line or the head, whichever is later: verifying then shows if lines are missing.
         """
         last, torn_bytes = _tail(file)
+        full = _full(folder)
+        if last is None and full:
+            with os.fdopen(open_plain(full[-1][1], os.O_RDONLY, folder), "rb") as newest:
+                last = _tail(newest)[0]
         head = self._head()
         ends = [(0, START) if last is None else last]
         if head is not None:
@@ -296,6 +309,18 @@ def _tail(file: BinaryIO) -> tuple[tuple[int, str] | None, int]:
     file.seek(max(0, size - TAIL_BYTES))
     whole, newline, torn = file.read().rpartition(b"\n")
     return end_of(whole.rpartition(b"\n")[2]) if newline else None, len(torn)
+
+
+def _start(folder: int, file: BinaryIO) -> tuple[int, str]:
+    """Number of the oldest record kept, and the hash that it follows; file : the current one."""
+    full = _full(folder)
+    if full:
+        with os.fdopen(open_plain(full[0][1], os.O_RDONLY, folder), "rb") as oldest:
+            line = oldest.readline(TAIL_BYTES)
+    else:
+        file.seek(0)
+        line = file.readline(TAIL_BYTES)
+    return start_of(line) or (1, START)
 
 
 def _short(text: str | None) -> str | None:

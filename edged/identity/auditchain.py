@@ -56,6 +56,14 @@ def end_of(line: bytes) -> tuple[int, str] | None:
     return record["number"], str(record.get("hash"))
 
 
+def start_of(line: bytes) -> tuple[int, str] | None:
+    """Number that a line states, and the hash that it follows, unchecked; None if it is not a record."""
+    record = _record(line)
+    if record is None or not isinstance(record.get("number"), int):
+        return None
+    return record["number"], str(record.get("previous"))
+
+
 class AuditChain:
     """Checks lines in turn. number, digest : of the last valid record.  problem : of the first invalid."""
 

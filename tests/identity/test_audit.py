@@ -202,6 +202,44 @@ def test_some_of_the_records_are_asked_for_and_all_are_verified(tmp_path: Path) 
 
 
 @pytest.mark.usefixtures("small")
+@pytest.mark.parametrize("count", [3, 40])
+@pytest.mark.parametrize("head", [None, b"{}"], ids=["missing", "damaged"])
+def test_a_lost_head_stays_on_record(
+    head: bytes | None, count: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The next record follows one that says so, also after old files were deleted; the chain holds again."""
+    monkeypatch.setattr(audit_module, "KEPT", 2)
+    audit = kept(tmp_path, count)
+    before = audit.verify()
+    (tmp_path / HEAD).unlink() if head is None else (tmp_path / HEAD).write_bytes(head)
+    assert audit.verify().problem
+    audit.add(DEED)
+    after = audit.verify()
+    assert "" == after.problem
+    lost = next(record for record in after.records if record["number"] == before.count + 1)
+    assert ("mend", HEAD) == (lost["verb"], lost["object"])
+
+
+@pytest.mark.usefixtures("small")
+def test_a_head_that_cannot_be_read_is_an_error_and_stays(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A disc that fails while the head is read adds nothing, and later records follow as before."""
+    audit = kept(tmp_path, 12)
+
+    def failing(_folder: int) -> bytes:
+        """A bad sector."""
+        raise OSError("input/output error")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(audit_module, "_read_head", failing)
+        with pytest.raises(OSError, match="input/output"):
+            audit.add(DEED)
+    audit.add(DEED)
+    assert ("", 13) == ((verdict := audit.verify()).problem, verdict.count)
+
+
+@pytest.mark.usefixtures("small")
 def test_a_crash_while_the_next_file_is_begun_loses_nothing(tmp_path: Path) -> None:
     """A crash between the full file's new name and the next file's first line loses nothing, also with an
     older head."""
