@@ -59,7 +59,7 @@ COUNTED_BYTES = 1024
 REST_S = 0.05
 """Pause before a page that has exceeded its rate is read again."""
 WRITE_S = 15.0
-"""Time without reading after which a page loses the link; one that starts on a busy PC imports meanwhile."""
+"""Time without reading after which a page loses the link: a page that starts on a busy PC first imports."""
 BEAT_S = 1.0
 """Longest interval between summaries: a page that gets none knows that the cell's event loop hangs."""
 GREET_S = 60.0
