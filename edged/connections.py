@@ -73,7 +73,7 @@ class TcpClient:
         self.busy = busy
 
     def limit(self, bytes_per_s: float, burst_bytes: float) -> None:
-        """Limit the rate at which it may send; beyond it is closed."""
+        """Limit the rate at which it may send; a client that exceeds it is closed."""
         self._inflow = Rate(bytes_per_s, burst=burst_bytes)
 
     def may_send(self, size: int) -> bool:

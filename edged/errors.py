@@ -19,7 +19,7 @@
     │   ├── FrameIncomplete       packets lost, short or scrambled data
     │   └── PairingError          two frames that are not one exposure
     │       ├── FrameRepeated     the number of an earlier frame
-    │       ├── FrameFrozen       a new number, but a picture identical in every pixel
+    │       ├── FrameFrozen       a new number, but the previous picture in every pixel
     │       ├── FrameUnpaired     one camera exposed, the other did not
     │       └── ExposuresDiffer   two exposures of one cycle that do not show the same
     ├── CommandRefused            a command that cannot be carried out (queue full, unknown job, ...)
@@ -182,7 +182,7 @@ class FrameRepeated(PairingError):
 
 
 class FrameFrozen(PairingError):
-    """A frame with a new number, but a picture identical in every pixel."""
+    """A frame with a new number, but the previous picture in every pixel."""
 
     code = 110
 

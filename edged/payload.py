@@ -322,7 +322,7 @@ def _pose(pose: FloatArray, covariance: FloatArray) -> Json:
 
 
 def _offset(offset: Offset) -> Json:
-    """Offset of a part from the golden one; sigmas are those of the part's place by the offset."""
+    """Offset of a part from the golden one; sigmas are of the golden part's point as moved by the offset."""
     return {**_pose(offset.robot, offset.covariance), "part": _pose(offset.part, offset.part_covariance)}
 
 

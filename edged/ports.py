@@ -111,7 +111,7 @@ class Commissioner(Protocol):
     """Receiver of people's requests for SETUP. Every method raises `SetupRefused` when refused."""
 
     async def enter_setup(self, name: str, *, take_over: bool = False) -> str:
-        """Take the cell after the running cycle (take_over : even from its holder); return its token."""
+        """Take the cell after the running cycle (take_over : even from its holder); return a lease token."""
 
     async def renew_setup(self, token: str) -> None:
         """Extend the lease, at least once a minute."""

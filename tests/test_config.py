@@ -361,7 +361,9 @@ PLC = '[plc]\nhost = "10.0.0.1"\n'
     ],
 )
 def test_a_plc_has_one_family_and_every_key_its_range(tmp_path: Path, section: str, expected: str) -> None:
-    """A setting that the PLC's family cannot have is refused."""
+    """A PLC without exactly one family, an unknown or impossible key, and a server whose Modbus is off are
+    refused.
+    """
     found = problems(tmp_path, GOOD + section)
 
     assert any(problem.startswith(expected) for problem in found), found

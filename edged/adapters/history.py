@@ -1,4 +1,4 @@
-"""Records each cycle as a row (`edged.files.history`), and has the rows packed by a low-priority process.
+"""Records each cycle as a row (`edged.files.history`), and has the rows packed by an unprivileged process.
 
 A cycle only adds an entry to a queue. A separate thread writes the queued rows every `WRITE_S`; a row counts
 as written when it is on disk. If the disk is full or broken the cell goes on measuring, rows are left out,

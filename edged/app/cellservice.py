@@ -163,7 +163,10 @@ class CellService:
         log.info("%s has let the cell run by other files: %s", request.author, request.note)
 
     async def _keep_beside(self, request: ask.KeepBeside, memory: int) -> None:
-        """Write marks or acceptance beside the rig and reload; restored if refused. Raises `EdgedError`."""
+        """Write marks or acceptance beside the rig and reload; if refused, restore the old file and raise.
+
+        Raises `EdgedError`.
+        """
         await self._running.session.renew_setup(request.token)
         if self._running.session.is_locked:
             raise SetupRefused(LOCKED)

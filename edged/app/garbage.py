@@ -14,4 +14,4 @@ def freeze_garbage() -> None:
     """
     gc.collect()
     gc.freeze()
-    gc.enable()  # a process with many imports disables it until now
+    gc.enable()  # a process with many imports has disabled it until now

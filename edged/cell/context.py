@@ -32,7 +32,7 @@ NO_EXPOSURE = "no exposure yet"
 IDLE_S = 1.0
 """Longest wait for something to do; after it the cameras are checked, or a heartbeat is sent."""
 QUEUE_LENGTH = 8
-"""Limit of waiting commands, one for the PLC and one for all other clients; more are refused (OVERRUN)."""
+"""Largest number of waiting commands, for the PLC and for all other clients each; more are OVERRUN."""
 
 
 class CommandQueue:

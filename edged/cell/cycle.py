@@ -353,7 +353,7 @@ class Cycle:
             setup = await self._keeper.keep(snapshot)
         except EdgedError as error:
             return CommandFailed(command, str(error))
-        if cell.pending is not None:  # a reload arrived meanwhile; its setup lacks the new part
+        if cell.pending is not None:  # a reload that changed nothing else arrived meanwhile, without the part
             cell.pending = (setup, cell.pending[1])
         cell.use(setup)
         log.info("GOLDEN of job %d (%s) was kept", snapshot.job_number, snapshot.job)

@@ -26,8 +26,8 @@ from edged.ports import Camera
 CHANGE_S = 8.0
 """Limit for changing the exposure: some registers, a discarded exposure, and at worst reopening a camera."""
 MOST_MOVED_PX = 1.0
-"""Largest motion between the exposures; 0.5 to 1 px is reasonable. Less blurs a picture no more than a lens
-does; a part that is being conveyed moves by many pixels."""
+"""Limit of the approximate motion between the exposures; truly half a pixel to one. Less blurs a picture no
+more than a lens does; a part that is being conveyed moves by many pixels."""
 MOST_FLICKER = 0.25
 """Largest relative error of the measured exposure ratio.
 

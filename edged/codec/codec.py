@@ -166,7 +166,7 @@ class Codec:
                 return {self._value(key, images): self._value(item, images) for key, item in parts}
             case "nearest", [bool(is_known), written]:
                 answer = self._value(written, images)
-                # an unknown answer is left to the receiver; a known one is asked for now, at no cost
+                # a known answer is set now, which costs nothing; an unknown one stays open at the receiver
                 nearest = Nearest(lambda: answer)
                 if is_known:
                     nearest.ask()

@@ -172,7 +172,7 @@ class Grab:
         return None
 
     async def _captured(self, head: GrabHead) -> FramePair:
-        """Return a pair, retrying after a few faults. Raises the last `CaptureError`."""
+        """Return a pair, after at most `MAX_FAULTS` tries. Raises the last `CaptureError`."""
         for _ in range(MAX_FAULTS - 1):
             try:
                 return await head.capture()

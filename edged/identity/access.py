@@ -27,7 +27,7 @@ from edged.identity.visitors import Role, Visitor
 PAGE, METRICS = "page", "metrics"
 """Accounts with a shared password, that belong to no user."""
 INVITATION = ""
-"""Account of invitation codes: none that can be locked, since 59 bits cannot be guessed."""
+"""Account of invitation codes, never locked: nobody guesses 59 bits, and nobody may keep others out."""
 
 
 class Access:
@@ -183,7 +183,10 @@ class Access:
     # --- passwords ---------------------------------------------------------------------------
 
     async def hash(self, address: str, password: str) -> str:
-        """Hash a password, at the turn of an address, as it is slow. Raises `TooManyAttempts`."""
+        """Hash a password, which waits its turn among the checks, as it is slow. Raises `TooManyAttempts`.
+
+        address : of the request, by which the turn is given.
+        """
         return await self._attempts.run(address, partial(hash_password, password))
 
     async def _is_shared(self, account: str, address: str, password: str) -> bool:

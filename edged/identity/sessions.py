@@ -15,7 +15,8 @@ SESSION_S = 12 * 3600.0
 IDLE_S = 600.0
 """Time without activity after which an engineer may only view: the panel stands beside the cell."""
 CONFIRMED_S = 300.0
-"""Time after entering the password in which a session may change users and the cell's configuration."""
+"""Time after entering the password in which a session may change users, and what the cell runs with:
+settings, releases, backups."""
 OF_A_PERSON = 8
 OF_THE_PAGE, OF_AN_ADDRESS = 64, 8
 """Maximum number of sessions with the page's password: in all, and per address. Users' count separately."""

@@ -55,11 +55,11 @@ REQUESTS_PER_S, REQUESTS_AT_ONCE = 200.0, 400.0
 EXPENSIVE_REQUESTS, EXPENSIVE_COST = (AskExchanges, AskMetrics, AskRegisters), 20
 """Requests that take milliseconds of the event loop, and the number of others that each counts for."""
 COUNTED_BYTES = 1024
-"""A message counts once more for each this many bytes: to check 15 kB of numbers takes 3 ms of the loop."""
+"""Bytes of a message that count as one further request: to check 15 kB of numbers takes 3 ms of the loop."""
 REST_S = 0.05
 """Pause before a page that has exceeded its rate is read again."""
 WRITE_S = 15.0
-"""Time without reading after which a page loses the link; one that starts on a busy PC imports meanwhile."""
+"""Time without reading after which a page loses the link: a page that starts on a busy PC first imports."""
 BEAT_S = 1.0
 """Longest interval between summaries: a page that gets none knows that the cell's event loop hangs."""
 GREET_S = 60.0
@@ -168,7 +168,7 @@ class CellEnd:
         self._wake.set()
 
     def _drop_pairs(self) -> None:
-        """Drop the pictures of all queued exposures but the newest."""
+        """Drop the pictures of all queued exposures but the newest `PAIRS`."""
         kept = 0
         for index in range(len(self._events) - 1, -1, -1):
             event = self._events[index]
@@ -289,7 +289,7 @@ class CellEnd:
         self._hear()
 
     def _beat(self) -> None:
-        """Send the summary now, and again after each `BEAT_S`."""
+        """Mark the summary as due now, and again after each `BEAT_S`."""
         self._is_summary_due = True
         self._wake.set()
         self._beats = asyncio.get_running_loop().call_later(BEAT_S, self._beat)

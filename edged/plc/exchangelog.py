@@ -15,7 +15,7 @@ from edged.plc.registers import UINT16_MAX, RegisterResult
 
 KEPT = 50
 MOST_RUNGS = 16
-"""Maximum number of rungs kept per command."""
+"""Maximum number of steps (`Exchange.rungs`) kept per command."""
 FARTHEST_MM = 20_000.0
 """Upper bound of the distance of any robot's flange from its base."""
 
@@ -167,7 +167,7 @@ def _hint(code: int, flange_mm: tuple[float, ...]) -> str:
 
 
 def _turned(mm: float) -> float:
-    """Value after swapping the two words of its register (µm)."""
+    """Value in mm after swapping the two words of its register, which holds µm."""
     value = round(mm * 1000) & 0xFFFFFFFF
     other = (value & UINT16_MAX) << 16 | value >> 16
     return (other - (1 << 32) if other >> 31 else other) / 1000

@@ -22,7 +22,7 @@ VERSION = 1
 FLANGE, ALL_JOBS = 1, 2
 """Flags of a request: FLANGE is given; try every job."""
 BOX_SHIFT = 4
-"""Shift of the upper half of FLAGS: number of the only box that applies, 0 for all."""
+"""Shift of the upper half of FLAGS: number of the only box that applies, 0: as the register BOX says."""
 POSE_SIZE = 7
 """Count of numbers in the longest pose, ABB's."""
 REQUEST_ROWS = (

@@ -24,12 +24,12 @@ WRITTEN = {
     "sequence": [name for name in NAMES if name != "CONTROL"],
     "start-bit": NAMES[NAMES.index("CLIENT_HEARTBEAT") :],
 }
-"""Registers of the command block to write, by kind of handshake: without CONTROL, or without CMD_SEQ and the
-registers before it."""
+"""Registers of the command block to write, by kind of handshake: all but CONTROL, or all but COMMAND, JOB,
+CMD_SEQ and ACK_SEQ."""
 
 
 class ImageClient:
-    """Sends the current image from the cell, and takes the newest one to the cell.
+    """Sends the current image from the cell, and writes the newest one to the cell into its registers.
 
     registers : those served now, None during a reload. show : receives each image from the cell; both are
     called on the event loop. handshake : key of `WRITTEN`. first : number of its first client, so high that

@@ -31,7 +31,7 @@ _FOUND, _FIRST = "#23d96c", "#ff8f3a"
 
 
 def lengths(held: Sequence[HeldOutView]) -> Markup:
-    """Length error over true length, for every single distance."""
+    """Chart of the length error (measured - true) of every single distance against its true length."""
     values = np.concatenate([view.lengths_mm for view in held])
     errors_um = 1000 * (values[:, 1] - values[:, 0])
     limit = symmetric_limit(errors_um)

@@ -34,8 +34,8 @@ GROWN = 0.05
 """Share of its length by which the hull is enlarged: parts may lie in the plane of the touched points."""
 SHAKEN = 1e-6  # jitter, as a share of the places' length
 THIN = 1e-4
-"""Triangles smaller than this share of the squared length of the places are left out, and the planes of their
-neighbours bound the hull there: jitter tilts the planes of thin triangles."""
+"""Triangles whose doubled area is below this share of the squared length of the places are left out, and the
+planes of their neighbours bound the hull there: jitter tilts the planes of thin triangles."""
 FLAT = 0.05
 """Least thickness of the touched places, as a share of their length: a thinner set says nothing across."""
 

@@ -71,7 +71,7 @@ def alternatives(
 
 
 def lever_covariance(target: Target, rig_from_tcp: FloatArray, *, is_any: bool) -> FloatArray:
-    """Covariance (6, 6) of the tool's pose: a rotation w of the part moves a point at r by w x r.
+    """Covariance (6, 6) of the tool's pose: a rotation w moves a point at r from the part's origin by w x r.
 
     is_any : the part may be taken in any rotation about its z, so that an error about z moves nothing.
     """

@@ -47,7 +47,8 @@ class HandEye:
     covariance (6, 6) : of a small motion (shift mm, rotation rad) applied after `rig`, from the scatter
     of the poses.
     used (N,) bool : poses that were not rejected as outliers.
-    held_out_mm, held_out_rad (N,) : error of each pose by a fit of all others; NaN if these are too few.
+    held_out_mm, held_out_rad (N,) : error of each pose by a fit of the other used ones; NaN if these are too
+    few, or if it was not asked for (`hold_out`).
     """
 
     mount: Mount
@@ -126,7 +127,7 @@ def turns_of(poses: Sequence[FloatArray]) -> FlangeTurns:
 
 
 def _check_motion(A: FloatArray) -> None:
-    """Raise `Undetermined` unless it turned about two axes; a shift alone leaves the board's place open."""
+    """Raise `Undetermined` unless the flange turned about two axes: shifts leave the board's place open."""
     turns = turns_of(list(A))
     if turns.largest_rad < MIN_TURN_RAD:
         raise Undetermined(

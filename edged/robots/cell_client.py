@@ -1,4 +1,6 @@
-"""Client of an edged cell over Modbus/TCP, with the whole handshake. Python 3.10, pymodbus 3.8 to 3.16.
+"""Client of an edged cell over Modbus/TCP, for PCs: the whole handshake.
+
+Needs Python 3.10 or later and pymodbus 3.8 to 3.16.
 
     with EdgedCell("192.168.10.20") as cell:
         result = cell.locate()

@@ -143,8 +143,9 @@ CHANGES: dict[str, tuple[Callable[[Path], None], GoldenState, str]] = {
 
 @pytest.mark.parametrize("what", CHANGES)
 def test_a_golden_part_holds_as_long_as_what_it_was_kept_with(cell: Path, what: str) -> None:
-    """A golden part whose basis has changed is named by `edged check`, `edged doctor` and the log; the
-    cell measures on."""
+    """After each change the golden part has the expected state, and a warning gives the reason if it does not
+    hold.
+    """
     change, state, why = CHANGES[what]
     loaded = load_cell(cell)
     with_golden(loaded, seen(loaded))

@@ -82,7 +82,7 @@ def test_a_cell_with_real_cameras_starts_without_the_simulation() -> None:
 
 @pytest.mark.slow
 def test_a_cell_loads_no_server_that_it_does_not_run() -> None:
-    """Page, Zenoh and client certificates are imported only if the configuration has them."""
+    """Importing the daemon loads neither aiohttp, jinja2, zenoh, cryptography nor rich."""
     loaded = _modules_after("edged.commands.run")
 
     assert "edged.adapters.modbus.tcp" in loaded

@@ -194,7 +194,7 @@ def test_zenoh_depends_on_the_shared_key(tmp_path: Path) -> None:
 
 
 def test_opcua_depends_on_its_files_the_cells_name_and_who_triggers(tmp_path: Path) -> None:
-    """Another trusted client certificate, or another name of the cell, changes the OPC UA server."""
+    """Another trusted client certificate, cell name or cycle mode changes the OPC UA server."""
     make_certificates(tmp_path)
     trusted = tmp_path / "trusted"
     trusted.mkdir()

@@ -73,7 +73,9 @@ async def test_a_glint_and_a_dark_table_are_seen_in_one_pair(quirks: tuple[Quirk
     ],
 )
 def test_what_two_exposures_cannot_be_taken_with_is_a_mistake(cameras: dict[str, Any], expected: str) -> None:
-    """Two exposures with an external trigger, or without a stated exposure, are refused."""
+    """Two exposures without a stated exposure, with an external trigger, a ratio below 2 or a replay are
+    refused.
+    """
     with pytest.raises(ValidationError, match=expected):
         section(**cameras)
 
@@ -92,7 +94,7 @@ def test_what_two_exposures_cannot_be_taken_with_is_a_mistake(cameras: dict[str,
 def test_exposures_that_others_make_are_neither_doubled_nor_wasted(
     document: dict[str, Any], expected: str
 ) -> None:
-    """Two exposures are refused in a configuration whose exposures others trigger."""
+    """idle_s is refused in free mode and with an external trigger, two exposures with an external cycle."""
     cameras = {name: value for name, value in document.items() if name != "cycle"}
     with pytest.raises(ValidationError, match=expected):
         Config.model_validate(

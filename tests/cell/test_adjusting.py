@@ -102,8 +102,7 @@ async def test_a_camera_that_has_no_exposure_says_so() -> None:
 
 
 async def test_cameras_that_cannot_be_opened_leave_those_from_before() -> None:
-    """If trial cameras cannot be opened, the earlier ones are used, and adjustments for the trial are
-    undone."""
+    """If trial cameras cannot be opened, the earlier ones are used again, with all adjustments undone."""
     film = Film()
     head, _ = head_with(film)
     broken, (left, _) = head_with(Film())

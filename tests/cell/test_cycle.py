@@ -47,7 +47,7 @@ async def driven(setup: Setup, head: Head | None = None) -> AsyncIterator[tuple[
 
 
 async def test_every_accepted_command_gets_exactly_one_answer() -> None:
-    """LOCATE, GRAB and CHANGE_JOB are each answered once, in order."""
+    """LOCATE, GRAB and CHANGE_JOB are each answered once, and a LOCATE after it uses the new job."""
     commands = [
         locate_command(1),
         Command(CommandKind.GRAB, "test", 2),
@@ -67,8 +67,7 @@ async def test_every_accepted_command_gets_exactly_one_answer() -> None:
 
 
 async def test_parts_come_in_the_order_of_their_job_and_in_the_frame_of_the_robot() -> None:
-    """Order TOPMOST sorts by height in the robot's frame, whose z is against the camera's, with bad parts
-    last."""
+    """TOPMOST sorts by height in the robot's frame, or by depth without one; bad parts come last."""
     targets = [
         dataclasses.replace(make_target(), rig_from_part=make_transform((0, 0, 0), (0, 0, z)))
         for z in (210.0, 190.0, 200.0)
@@ -134,7 +133,7 @@ async def tried(
 
 
 async def test_a_command_for_all_jobs_gives_the_part_that_agrees_best() -> None:
-    """One exposure is measured with every job, the active one first, and a good part beats a bad one."""
+    """Every job is tried, the active one first: the best good part wins, then a bad part, then nothing."""
     nothing = Outcome(Status.NO_TARGET)
     snapshot, order = await tried({1: score(0.8), 2: score(0.7), 3: score(0.9)})
     assert (3, Status.OK, [2, 1, 3]) == (snapshot.job_number, snapshot.status, order)
@@ -206,7 +205,7 @@ async def test_what_results_stand_on_is_told_at_once_and_has_another_number_afte
 
 
 async def test_a_reload_of_files_that_are_as_they_were_disturbs_nobody() -> None:
-    """After a reload of unchanged files, a waiting command is still measured."""
+    """A reload of unchanged files announces no new basis, and a waiting command is still measured."""
     release, slow = held()
     async with driven(make_setup(locate=slow)) as (cycle, ear, _):
         cycle.submit(locate_command(1))
@@ -253,7 +252,7 @@ async def test_commands_beyond_the_queue_are_refused_and_the_rest_is_served() ->
 
 
 async def test_the_plc_has_places_of_its_own_and_goes_first() -> None:
-    """With all other places taken, the PLC's eight commands are still accepted, and served first."""
+    """With all other places taken, eight commands of the PLC are still accepted and served first."""
     release, slow = held()
     async with driven(make_setup(locate=slow)) as (cycle, ear, _):
         cycle.submit(locate_command(0))
@@ -309,7 +308,7 @@ async def test_a_command_that_makes_no_sense_is_refused_with_the_reason(
 
 
 async def test_a_missing_part_is_logged_once_and_counted(caplog: pytest.LogCaptureFixture) -> None:
-    """Consecutive misses give one log line, and the next part another; a grab does not count as a miss."""
+    """Each kind of miss is logged once, then a good part with all counts; a grab is no miss."""
     seen: list[Outcome] = []
 
     def locate(_pair: FramePair, _lap: Callable[[str], None]) -> Outcome:
@@ -458,7 +457,7 @@ async def test_a_bug_in_the_pipeline_is_not_swallowed() -> None:
 
 
 async def test_a_new_setup_is_taken_between_two_cycles() -> None:
-    """Results after an exchange have the new fingerprint, and a vanished job is replaced by the default."""
+    """After an exchange the new setup and cameras are used, and a vanished job is replaced by the default."""
     new = Setup(make_setup(numbers=(2,)).jobs, 2, 0.005, "cal2", "beef", simulated=True, robot_from_rig=None)
     second_head = Head()
     async with driven(make_setup(period_s=0.005)) as (cycle, ear, head):

@@ -98,7 +98,9 @@ def truth(cell: VirtualCell, snapshot: Snapshot) -> np.ndarray:
 
 @pytest.mark.long
 def test_without_marks_every_digit_is_what_the_pipeline_says(tmp_path: Path) -> None:
-    """The result equals the pipeline's to the last digit, and nothing published mentions marks."""
+    """Without marks results equal the pipeline's exactly and mention no marks; only a marks file changes the
+    fingerprint.
+    """
     files = prepared(tmp_path)
     before = load_cell(files.config)
     _, pairs = drifted()
@@ -119,7 +121,10 @@ def test_without_marks_every_digit_is_what_the_pipeline_says(tmp_path: Path) -> 
 
 @pytest.mark.slow
 def test_a_cold_cell_measures_as_on_the_day_of_its_teaching(tmp_path: Path) -> None:
-    """The error is within its sigma of micrometres; without marks it is tens of micrometres."""
+    """With marks the error is below 12 µm and 4 sigma, without them more than twice that.
+
+    The published message fits the schema.
+    """
     files = prepared(tmp_path)
     plain = load_cell(files.config)
     teach(files)
@@ -143,7 +148,10 @@ def test_a_cold_cell_measures_as_on_the_day_of_its_teaching(tmp_path: Path) -> N
 
 @pytest.mark.long
 def test_a_knocked_cell_gives_no_result_until_its_marks_agree_and_replays_to_the_bit(tmp_path: Path) -> None:
-    """Replaying the recording gives bit-identical exposures, and an edited record is detected."""
+    """After a knock three results are refused, then they are within 4 sigma.
+
+    A replay is bit-identical, and an edited recording is detected.
+    """
     files = prepared(tmp_path / "cell")
     teach(files)
     loaded = load_cell(files.config)
@@ -218,7 +226,7 @@ def test_the_registers_say_what_the_marks_say(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_marks_of_another_calibration_correct_nothing_and_say_so(tmp_path: Path) -> None:
-    """Marks of another calibration correct nothing; a damaged file or a rig on the flange is an error."""
+    """Marks of another calibration correct nothing, and the results stay valid."""
     files = prepared(tmp_path)
     teach(files)
     document = json.loads(marks_file(files.rig).read_bytes())
@@ -268,7 +276,7 @@ def test_a_knock_in_setup_is_found_by_the_first_exposure_after_it(tmp_path: Path
 @pytest.mark.slow
 @pytest.mark.parametrize("hit", ["left", "right", "rig"])
 def test_a_knock_between_two_exposures_of_one_cycle_is_no_picture(hit: str) -> None:
-    """The two exposures differ, which is a fault, instead of marks seen twice."""
+    """A knock between the two exposures counts as motion beyond the limit; without one there is none."""
     rig = demo_rig()
     lies = replace(inside(DEMO_MARKS), shift_mm=(0.0, 0.0), depth_mm=0.0, tilt_rad=0.0, turn_rad=0.0)
     weather = Weather(rig, STILL, (Knock(1.5, hit, (0.2, 0.0, 0.0)),), 3)

@@ -217,7 +217,7 @@ async def test_setup_that_cannot_be_noted_is_refused(tmp_path: Path) -> None:
 
 
 async def test_the_plant_refuses_setup_and_ends_it() -> None:
-    """AUTO_LOCK refuses SETUP and ends it after the current picture; further requests fail."""
+    """AUTO_LOCK ends SETUP after the current picture and refuses it until it is taken back."""
     async with driven(make_setup()) as (cycle, ear, head):
         token = await cycle.session.enter_setup("Anna")
         head.capture_s = 0.05
@@ -237,7 +237,7 @@ async def test_the_plant_refuses_setup_and_ends_it() -> None:
 
 
 async def test_a_stopping_daemon_answers_who_has_the_cell() -> None:
-    """Pending requests fail with the reason, and the cameras are closed."""
+    """The running request is finished, a waiting one fails with the reason, and the cameras are closed."""
     head = Head()
     cycle = Cycle(head, make_setup())
     task = asyncio.create_task(cycle.run())

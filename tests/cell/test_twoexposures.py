@@ -91,7 +91,7 @@ async def test_a_camera_that_takes_values_late_has_an_exposure_between_that_is_t
 
 
 async def test_the_time_of_a_pair_is_between_both_exposures_and_its_bound_reaches_to_each() -> None:
-    """The pair's time lies between both exposures, and its bound covers both."""
+    """The pair's time lies between both exposures; it has no bound if the cameras know none."""
     metal = Metal()
     head, _ = heads(metal)
     (pair,) = await _captured(head, 1)
@@ -104,7 +104,7 @@ async def test_the_time_of_a_pair_is_between_both_exposures_and_its_bound_reache
 
 @pytest.mark.parametrize("moved_px", [3.0, 30.0])
 async def test_a_part_that_moves_between_the_two_is_a_fault(moved_px: float) -> None:
-    """The fault has code 113."""
+    """Motion between the two exposures is a fault with code 113."""
     metal = Metal()
     metal.moved_px = moved_px
     head, _ = heads(metal)

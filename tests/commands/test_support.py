@@ -203,7 +203,7 @@ def test_a_changed_bundle_is_refused_as_a_whole(
 
 @pytest.mark.long
 def test_a_bomb_is_not_unpacked() -> None:
-    """Many members of allowed size are limited in total, and a member may not understate its size."""
+    """Many members, each of an allowed size, are refused if they are too large in total."""
     buffer = io.BytesIO()
     with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
         for number in range(6):

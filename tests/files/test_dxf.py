@@ -102,7 +102,7 @@ def test_units_are_converted(tmp_path: Path) -> None:
 
 
 def test_blocks_splines_and_ellipses_are_shapes(tmp_path: Path) -> None:
-    """A block is drawn at its place, scaled and turned; text draws nothing."""
+    """Scaled blocks, an ellipse and a spline have the right area; text draws nothing."""
     document = ezdxf.new(units=MM)
     block = document.blocks.new("bolt")
     block.add_circle((0, 0), 1)
@@ -119,7 +119,9 @@ def test_blocks_splines_and_ellipses_are_shapes(tmp_path: Path) -> None:
 
 
 def test_layers_choose(tmp_path: Path) -> None:
-    """Only the chosen layers are read; an unknown layer is refused with the existing ones."""
+    """Only the chosen layers are read, and none that is off; an unknown layer is refused with the existing
+    ones.
+    """
     document = plate()
     document.layers.add("construction")
     document.modelspace().add_line((-50, 0), (50, 0), dxfattribs={"layer": "construction"})

@@ -104,7 +104,9 @@ def test_a_rejected_result_is_red_and_says_why() -> None:
 
 @pytest.mark.slow
 def test_a_picture_without_a_part_says_what_was_looked_for() -> None:
-    """Without a part there are only the title and the images."""
+    """Without a part there are only the title and the images; the title has the best score, if known, and the
+    needed one.
+    """
     _, job = taught()
     picture = drawn(job, PairInspection((), ()))
     assert picture.shape == (TITLE_HEIGHT_PX + 960, 2 * WIDTH_PX, 3)

@@ -129,7 +129,7 @@ def test_the_turn_errs_with_the_rig_by_what_its_term_says(job: Job) -> None:
 
 
 def test_a_doubt_is_a_term_of_its_own_and_can_be_taken_back(job: Job) -> None:
-    """A doubt is a term of its own, along the ray and half a baseline of it across; the others stay."""
+    """A doubt is a term of its own, along the ray; the edges' term stays, and the doubt can be removed."""
     target = located(job, None)
     before, wide = budget_of(target, None, None), doubted(target, 1e-3, 60.0)
     after = budget_of(wide, None, None)

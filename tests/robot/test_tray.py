@@ -29,8 +29,9 @@ def lying_at(robot_mm: np.ndarray, name: str = "p") -> Target:
 
 
 def test_pockets_are_numbered_along_the_row_then_the_rows_then_the_layers() -> None:
-    """In a tray of 5 by 4 pockets number 1 is the first, 2 beside it, 6 above it, and 20 the opposite
-    corner; layers follow."""
+    """In a tray of 5 by 4 pockets 2 is beside 1 in its row, 6 begins the next row, and 20 is the opposite
+    corner; layers follow.
+    """
     for number, place_mm in (
         (1, (400, 50, 700)),
         (2, (440, 50, 700)),

@@ -62,7 +62,8 @@ async def stage(folder: Path, ports: tuple[int, int, int]) -> AsyncIterator[Stag
 @pytest.mark.long
 async def test_what_was_answered_is_there_after_each_kill(tmp_path: Path) -> None:
     """Views, draft and activated calibration survive kills while views are taken, while it is solved and
-    afterwards; SETUP stays until a person ends it."""
+    afterwards; the cell stays in SETUP, unattended.
+    """
     kept: dict[str, Any] = {}
 
     async def taking(cell: Stage) -> None:

@@ -152,8 +152,7 @@ PAGE = "edged-page"
 
 
 def page_has_less() -> str:
-    """The page has a user of its own without any capability, a lower priority than the cell, and is first
-    to be killed."""
+    """The page has its own user, no capability, less memory and priority, and a higher OOM score."""
     until(lambda: page("/ready") == 200, "an answer of the page")
     pid = main_pid(PAGE)
     status = dict(line.split(":\t", 1) for line in Path(f"/proc/{pid}/status").read_text().splitlines())
@@ -181,7 +180,7 @@ def as_page(*words: str) -> int:
 
 
 def page_writes_its_own_alone() -> str:
-    """The page can read what the cell writes, and cannot change the cell's files."""
+    """The page reads what the cell writes, but writes in its own folder alone and cannot signal the cell."""
     recording = str(until(lambda: list(Path("/var/lib/edged/recordings").rglob("*.zip")), "a recording")[0])
     for file in (recording, str(CELL), "/etc/edged/rig.json"):
         assert as_page("cat", file) == 0, file
@@ -338,8 +337,7 @@ def logs_in_fields() -> str:
 
 
 def stops_cleanly() -> str:
-    """`systemctl stop` takes at most 2 s and a second's grace, with exit code 0, a free port and no
-    process left."""
+    """After a stop the exit code is 0, the port is free, no process is left, and the page is stopped, too."""
     start_s = time.monotonic()
     command("systemctl", "stop", "edged")
     took_s = time.monotonic() - start_s

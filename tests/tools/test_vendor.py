@@ -52,7 +52,7 @@ def test_the_same_versions_make_the_same_bytes() -> None:
 
 
 def test_each_package_comes_with_its_licence() -> None:
-    """The installed package has the name, version and licence of each vendored package."""
+    """LICENCES.txt has the name, version and licence of each vendored package."""
     text = (STATIC / "vendor" / "LICENCES.txt").read_text()
     table = (ROOT / "tools" / "vendor-js").read_text().partition('PACKAGES="\n')[2].partition('"\n')[0]
     packages = [line.split() for line in table.splitlines()]

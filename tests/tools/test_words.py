@@ -87,7 +87,7 @@ def test_names_are_words_of_the_field() -> None:
 
 @pytest.mark.slow
 def test_a_docstring_is_a_sentence_of_its_own() -> None:
-    """Functions, classes and constants have a docstring, and no more than today only continue the name."""
+    """No more docstrings than the limit only continue the name that they describe."""
     found = [
         f"{path.relative_to(ROOT)}:{node.lineno}"
         for path, tree in _trees().items()

@@ -217,7 +217,9 @@ def test_a_part_lies_where_it_truly_was_at_the_count_that_is_told(
 def test_with_a_cameras_count_a_part_lies_there_to_its_sigma_and_is_one_however_often_it_is_seen(
     running: tuple[BeltCell, ModbusTcpClient],
 ) -> None:
-    """With exact hardware trigger times, poses are true within sigma, and one part keeps one number."""
+    """With a camera's count, poses are true within 4 sigma, and each part keeps its own number over its
+    pictures.
+    """
     cell, client = running
     head = cell.head
     head.has_count = True
@@ -244,7 +246,10 @@ def test_with_a_cameras_count_a_part_lies_there_to_its_sigma_and_is_one_however_
 def test_a_robot_that_talks_in_lines_says_the_count_and_hears_where_the_part_lies_on_the_belt(
     running: tuple[BeltCell, ModbusTcpClient], brand: Brand
 ) -> None:
-    """Line robots of every brand get the same belt pose as Modbus, and a PLC's BELT_COUNT stays unchanged."""
+    """Line robots of every brand get true belt pose, count and speed, and a repeated line runs once.
+
+    A PLC's BELT_COUNT stays; LOCATE without a count is refused, and BELT and COUNT fail after ACK.
+    """
     cell, client = running
     unit = 1e-3 if brand is Brand.UR else 1.0
     assert not client.write_registers(reg.ADDRESS["BELT_COUNT"], [0, 77, 0, 88]).isError()
@@ -360,8 +365,9 @@ def lines_of(listing: str) -> list[str]:
 
 
 def test_fanucs_program_goes_with_the_part(running: tuple[BeltCell, ModbusTcpClient]) -> None:
-    """The count comes before the picture, the trigger after it, and each move in the frame of the schedule
-    that the header names is above the part's current place."""
+    """The count is read before the picture and the trigger set after it, and each move in the frame of the
+    schedule that the header names is above the part's current place. A count below 0 is not understood.
+    """
     cell, _ = running
     belt = cell.head.belt
     files = written("karel")
@@ -512,8 +518,9 @@ class Kept:
 def test_a_recorded_cycle_gives_the_same_on_its_belt_when_it_is_measured_again(
     running: tuple[BeltCell, ModbusTcpClient], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Replay gives bit-identical belt poses, added sigma and blur; another count gives another pose, and a
-    recording without a belt is rejected."""
+    """Replay on a belt is bit-identical, also for BLUR and without a count; at another count the pose moves
+    by exactly the counts between. A recording with invalid belt data is rejected.
+    """
     cell, client = running
     kept = Kept()
     cell.call(lambda: cell.cycle.set_publishers([cell.server, kept]))

@@ -105,7 +105,7 @@ def test_the_python_client_drives_every_command(client_module: ModuleType, setti
 
 
 def test_the_python_client_gives_part_after_part(client_module: ModuleType) -> None:
-    """parts() gives the good parts of one picture, then NO_LIST, and each call starts with a new picture."""
+    """parts() gives the good parts of one picture; then, or after VERIFY, NEXT_PART is NO_LIST."""
     targets = [make_target(x_mm=x_mm) for x_mm in (10.0, 20.0, 30.0)]
     targets.insert(1, make_target(reject=Reject.TOLERANCE, x_mm=40.0))
     with LiveCell() as cell, client_module.EdgedCell("127.0.0.1", cell.port) as client:
@@ -237,7 +237,9 @@ def test_structured_text_tries_all_jobs() -> None:
 
 
 def test_the_python_client_says_where_the_tool_takes_the_part(client_module: ModuleType) -> None:
-    """grasp is in um and 0.001 degrees, and None without grasps or for a part that is not ok."""
+    """grasp is in um and 0.001 degrees, and None without grasps or after the acknowledgement. next_grasp
+    gives another way of the same picture, or NO_LIST.
+    """
     with LiveCell() as cell, client_module.EdgedCell("127.0.0.1", cell.port) as client:
         wait_until(lambda: "READY" in client.status()["bits"])
         assert client.locate().grasp is None

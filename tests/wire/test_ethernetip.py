@@ -60,7 +60,9 @@ def modbus_values(cell: LiveCell) -> dict[str, float]:
 
 
 def test_four_steps_over_class_1_give_what_modbus_shows() -> None:
-    """START, BUSY, DONE with OK and START down work for several jobs, and the image equals the registers."""
+    """START, BUSY, DONE with OK and START down work for two jobs and the next part; the image equals the
+    registers. An unknown job is NOK with REFUSED.
+    """
     host, cell = own_address(), LiveCell()
     cell.slow_s = 0.1
     with cell, adapter_of(cell, host) as adapter, scanner_at(host) as scanner:

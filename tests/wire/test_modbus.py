@@ -405,7 +405,9 @@ async def test_unit_ids() -> None:
 
 
 async def test_a_peer_cannot_flood_the_log(caplog: pytest.LogCaptureFixture) -> None:
-    """200 refused commands or 50 strangers give one log line, and a later line says how many were dropped."""
+    """200 refused commands and 50 strangers give one log line each, and a later line says how many were held
+    back.
+    """
 
     async with served() as rig:
         rig.cell.refuses = True

@@ -199,7 +199,7 @@ def test_the_table_has_every_type_of_the_specification_and_each_number_once() ->
 
 @pytest.mark.slow
 async def test_every_mandatory_part_of_the_vision_system_is_there(open_cell: OpcUaCell) -> None:
-    """Names, types and method arguments are as in the specification's tables."""
+    """Each node has the specification's type and all mandatory children of that type."""
     model = read_model()
     expected = {
         SYSTEM: 1003,
@@ -441,8 +441,9 @@ async def test_verify_gives_no_coordinates_also_not_in_the_content(
 async def test_a_recipe_is_prepared_by_the_handshakes_job_change(
     cell: OpcUaCell, secure: OpcUaSettings, monkeypatch: pytest.MonkeyPatch, is_seldom_shown: bool
 ) -> None:
-    """IsCompleted is false and the state not Ready until RecipePrepared; a loaded recipe needs no
-    preparation."""
+    """Preparing leaves Ready, is not completed at once, and ends with RecipePrepared and Ready; a loaded
+    recipe needs none. An unknown one is refused.
+    """
     if is_seldom_shown:  # the job changes between two pictures
         post, last_s = ServerThread.post, time.monotonic()
 
@@ -545,7 +546,7 @@ async def test_who_hangs_up_gives_up_its_right_to_write(cell: OpcUaCell, secure:
 
 @pytest.mark.slow
 async def test_what_a_cell_cannot_do_is_said(cell: OpcUaCell, secure: OpcUaSettings) -> None:
-    """Unsupported methods answer BadNotSupported, and the cell continues."""
+    """Unsupported methods answer BadNotSupported; missing and invalid arguments are errors, too."""
     cause = (ua.Variant(0, I32), ua.Variant("", ua.VariantType.String))
     async with connected(cell, secure) as client:
         for path, name in (

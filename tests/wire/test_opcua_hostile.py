@@ -128,7 +128,7 @@ async def test_a_full_house_of_strangers_leaves_room_for_others(cell: OpcUaCell)
 
 @pytest.mark.slow
 async def test_a_request_is_bounded(cell: OpcUaCell) -> None:
-    """Reads accept the stated number of nodes and no more, and calls one method per request."""
+    """A read accepts the stated number of nodes and no more, and a request calls one method only."""
     async with client_of(cell.url) as client:
         said = client.get_node(ua.ObjectIds.Server_ServerCapabilities_OperationLimits_MaxNodesPerRead)
         assert MAX_NODES == await said.read_value()
@@ -143,7 +143,7 @@ async def test_a_request_is_bounded(cell: OpcUaCell) -> None:
 
 @pytest.mark.long
 async def test_a_session_holds_a_share_and_no_more(cell: OpcUaCell) -> None:
-    """A session has a limited number of subscriptions, which end with it."""
+    """A session has a limited number of subscriptions and monitored items, which end with it."""
 
     class Notes:
         def datachange_notification(self, node: object, value: object, data: object) -> None:

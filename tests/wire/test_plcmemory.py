@@ -469,7 +469,7 @@ def test_the_second_image_is_32_devices_behind_the_first(device: str, expected: 
 
 
 def test_devices_that_a_cpu_does_not_have_are_named() -> None:
-    """The error names the missing devices of an FX5U, and nothing is written."""
+    """The error names the first device of a range that the CPU does not have."""
     controller = MelsecController()
     try:
         melsec = controller.section.melsec

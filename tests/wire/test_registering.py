@@ -61,7 +61,9 @@ def test_ten_poses_register_the_rig_and_the_robot_measures_at_once(cell: WalkedC
 
 @pytest.mark.long
 def test_what_adds_nothing_says_so(cell: WalkedCell) -> None:
-    """Wrong order, too few poses, a repeated pose, no board and no pose each have a status of their own."""
+    """Wrong order, a missing, repeated or unseen pose, too few poses and turns about one axis only each have
+    their own status.
+    """
     walk = cell.arm.walk()
     with cell.robot() as robot:
         for request in ("REGISTER_ADD,0", "REGISTER_SOLVE"):
@@ -124,7 +126,10 @@ def test_another_makers_convention_is_found_out(cell: WalkedCell, caplog: pytest
 
 @pytest.mark.slow
 def test_touched_points_register_it_and_mirrored_ones_do_not(cell: WalkedCell) -> None:
-    """Five touched points register the rig, and points with one axis mirrored are refused."""
+    """Five touched points register the rig, and points with one axis mirrored are refused.
+
+    A point close to the last one, and one without a part, have their own status.
+    """
     places = TAUGHT_MM + np.array([[-10, -5, -5], [10, -5, 5], [8, 5, -6], [-8, 5, 6], [0.0, 0, 0]])
     cell.arm.shows = "part"
     for mirror, expected in ((-1.0, NackReason.NOT_GOOD), (1.0, 0)):

@@ -48,8 +48,7 @@ async def on_the_page(
 
 
 async def test_somebody_takes_the_cell_and_gives_it_back() -> None:
-    """The state is shown in words, a reload and the back button keep cell and step, and leaving asks
-    first."""
+    """The state is shown in words, a reload keeps cell and step, and giving the cell back asks first."""
     async with on_the_page() as (page, cell):
         await page.until(f'{STATE} === "READY"')
         await take(page)
@@ -189,7 +188,7 @@ async def test_who_was_away_says_the_password_again() -> None:
 
 @pytest.mark.long
 async def test_an_engineer_says_who_may_come_in() -> None:
-    """Users are added with name, role and password, one's own role is fixed, and the audit shows it."""
+    """Users are added and removed on the page and can log in accordingly; one's own role is fixed."""
     people = '[...document.querySelectorAll(".people strong")].map((e) => e.textContent)'
     async with on_the_page() as (page, cell):
         await page.click('header nav a[href="#/system"]')

@@ -54,7 +54,7 @@ async def downloaded(page: Browser, label: str, count: int) -> tuple[str, bytes]
 @pytest.mark.long
 @pytest.mark.parametrize("opened", BROWSERS)
 def test_findings_are_mended_by_a_button(tmp_path: Path, opened: Opener) -> None:
-    """A file readable by others and one changed by hand are found and mended; each finding has advice.
+    """A file readable by others and one changed by hand are found, and mended by buttons.
 
     A backup of the cell can be downloaded, too.
     """
@@ -97,8 +97,10 @@ def test_findings_are_mended_by_a_button(tmp_path: Path, opened: Opener) -> None
 @pytest.mark.long
 @needs("chromium")
 def test_a_backup_is_downloaded_and_another_one_restored(tmp_path: Path) -> None:
-    """The download is a valid archive, a restore is shown before it is done, and the support file
-    downloads."""
+    """The backup is a valid archive, the support file has no secrets, and a wrong archive is refused.
+
+    Another backup is shown before it is restored.
+    """
     cell = complete(tmp_path)
     rig = rig_text(replace(load_rig(cell.rig), calibration_id="cal-of-before"))
     other = tmp_path / "before.tar.gz"

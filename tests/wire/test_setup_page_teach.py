@@ -230,8 +230,10 @@ async def test_keys_alone_tap_and_move_points_as_finely_as_one_likes(stand: Stan
 
 @pytest.mark.long
 async def test_reference_grip_and_sizes_are_picked_on_the_part(stand: Stand) -> None:
-    """A tap near a hole makes its centre the reference, and a size is judged at once against its true
-    value."""
+    """A tap near a hole makes its centre the reference, and a size is judged at once against its true value.
+
+    Grip, tray and name are entered and taken back.
+    """
     page = stand.page
     await stand.open()
     await press(page, "Tap it in the picture")
@@ -275,7 +277,7 @@ async def test_reference_grip_and_sizes_are_picked_on_the_part(stand: Stand) -> 
 
 @pytest.mark.long
 async def test_a_further_pair_is_added_shown_and_removed(stand: Stand) -> None:
-    """Both its pictures are shown with the finding that edges are sharp, and axe finds nothing."""
+    """Both its pictures are shown with the finding that edges are sharp; removing it takes both back."""
     page = stand.page
     await stand.open()
     await stand.take()
@@ -443,7 +445,10 @@ async def test_every_page_fits_a_phone_in_every_language(stand: Stand, language:
 
 @pytest.mark.long
 async def test_a_draft_is_tried_where_the_part_lies_and_the_map_says_what_is_to_come(stand: Stand) -> None:
-    """Every outline is drawn and each place kept, and leaving the page ends the trial."""
+    """Every outline is drawn and each place kept, and leaving the page ends the trial.
+
+    The figures of a still test are shown.
+    """
     placed = 'document.querySelectorAll(".covered").length'
     page = stand.page
     await stand.open(

@@ -1002,7 +1002,7 @@ async def test_who_leaves_in_the_middle_of_a_form_leaves_no_trace(caplog: pytest
 async def test_no_form_makes_an_internal_error(
     header: str, body: bytes, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """Any body or header posted to the log-in gets a client status, and logs no traceback."""
+    """Any body or header posted to the log-in gets a redirect or a client error, and logs no traceback."""
     async with served(WebSettings(port=0, password_hash=HASH)) as (web, _):
         reader, writer = await connect(web)
         head = (

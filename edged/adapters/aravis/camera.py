@@ -63,8 +63,8 @@ FRAME_S = 10.0
 """Longest wait for an image, whatever the caller's own deadline."""
 
 STAMP_NS = 1_000_000
-"""Tolerance of time stamps: some firmware stamps an exposure this long before the command left, or after the
-first packet."""
+"""Tolerance of time stamps: some firmware stamps an exposure up to this long before the command left, or
+after the first packet arrived."""
 
 DELIVERY_NS = 100_000_000
 """With an external trigger, the first packet arrives no later than this after the end of the exposure."""

@@ -123,7 +123,7 @@ class ClockMap:
         return None if mapped is None else to_utc(mapped)
 
     def _step(self) -> int:
-        return min(self._step_ns or COARSEST_STEP_NS, COARSEST_STEP_NS)  # 0 while all readings are 0
+        return min(self._step_ns or COARSEST_STEP_NS, COARSEST_STEP_NS)  # 0: not known
 
 
 def _meets(expected: Mapped, reading: ClockReading, step_ns: int) -> bool:

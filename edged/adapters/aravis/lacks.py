@@ -19,7 +19,10 @@ OFFERED = 8
 
 @dataclass(frozen=True, slots=True)
 class MissingFeature:
-    """A feature that a camera lacks. code : of a text in the page's languages. menu : offered instead."""
+    """A feature that a camera lacks. code : of a text in the page's languages.
+
+    menu : what the camera's menu offers instead; "" if nothing.
+    """
 
     code: str
     text: str

@@ -37,7 +37,7 @@ def packet_delay_s(packet_bytes: int, camera_bps: float, host_bps: float, camera
 
 
 def cameras_on_link(device: str, neighbour: str) -> int:
-    """Number of cameras (IP address or serial number) on the host's link to the first one: 0, 1 or 2.
+    """Number of these two cameras (IP address or serial number) on the host's link to the first: 0, 1 or 2.
 
     0: there is no cable (loopback). A neighbour whose address is unknown is assumed to be on the same link.
     """

@@ -1,8 +1,9 @@
 """Switching off a camera's own image processing: measuring needs the sensor's raw values.
 
-Another program, or the maker, may have left on processing for viewing. A filter moves edges, a look-up table
-distorts grey values, a test pattern is no picture at all; and none of it is obvious in the pictures. Settings
-under `features` in the configuration are kept. Gamma is only read: the calibration measures it.
+Another program, or the maker, may have switched on processing that is meant for viewing. A filter moves
+edges, a look-up table distorts grey values, a test pattern is no picture at all; and none of it is obvious in
+the pictures. Settings under `features` in the configuration are kept. Gamma is only read: the calibration
+measures it.
 """
 
 from __future__ import annotations

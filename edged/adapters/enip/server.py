@@ -132,7 +132,7 @@ class EnipServer:
         return transport
 
     def _admit(self, client: TcpClient) -> bool:
-        """Whether a client may connect; for one with many, its longest idle session is closed."""
+        """Whether a client may connect; at an address with many sessions the longest idle one is closed."""
         clients = () if self._listener is None else self._listener.clients
         if not contains(self.settings.scanners, client.peer):
             self.log.warning("ethernetip: %s is not in ethernetip.scanners, closed", client.peer)

@@ -386,7 +386,7 @@ class Robot:
         return self._answer(request, values, numbers, f"{place}_SIGMA")
 
     def _place(self, request: LineRequest) -> LineAnswer:
-        """Answer with the factor for a taught place, applied from the right, of a part held by the gripper.
+        """Answer with the correction of a taught place (a factor from the right) for a part in the gripper.
 
         The request states the pose of the tool at this LOCATE and at GOLDEN.
         """

@@ -49,7 +49,7 @@ from edged.ports import Commissioner
 log = logging.getLogger(__name__)
 
 READ_S = 5.0
-"""Time for a body of a few bytes to arrive; large bodies get more, by `SLOW_BYTES_PER_S`."""
+"""Time for a body of a few bytes to arrive; routes with a larger limit get more, by `SLOW_BYTES_PER_S`."""
 SLOW_BYTES_PER_S = 250_000.0
 STATUSES: tuple[tuple[type[EdgedError], int, str], ...] = (
     (SetupRefused, 409, "setup_refused"),

@@ -40,7 +40,10 @@ KEPT = 16
 MESSAGE_BYTES = 1024
 """Largest message of a tab."""
 MESSAGES_PER_S, MESSAGES_AT_ONCE = 60.0, 120.0
-"""Limits of a tab's messages, pings included; it sends one per live pair, 20 a second (`live.PERIOD_S`)."""
+"""Limits of a tab's messages, pings included; it sends one per live pair, 20 a second.
+
+The period of live pairs is `edged.cell.lease.live.PERIOD_S`.
+"""
 PERIOD_S = 0.2
 """Shortest time between two states of the cell that are sent."""
 PING_S = 15.0

@@ -91,7 +91,7 @@ class Viewers:
         return response
 
     def _make_room(self) -> None:
-        """When all places are taken, drop the viewer at the address with most; its page reconnects."""
+        """When all places are taken, drop the longest idle viewer of the address with most; it reconnects."""
         if len(self._viewers) < MAX_VIEWERS:
             return
         clients = [viewer.client for viewer in self._viewers]

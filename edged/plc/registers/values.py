@@ -86,8 +86,8 @@ class Pose:
     """One target in the units of the registers.
 
     exact : mm and degrees, X Y Z A B C. sigma : in the same units. integers : µm and 0.001°.
-    rotation_vector : µrad. radius, depth and their sigmas in mm; the radius is NaN when there is no circle.
-    place : block place, µm and 0.001°; () if unknown.
+    rotation_vector : µrad. radius, depth and their sigmas in mm; without a circle the radius and its sigma
+    are NaN. place : block place, µm and 0.001°; () if unknown.
     """
 
     exact: tuple[float, ...]

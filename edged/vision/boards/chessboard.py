@@ -256,7 +256,7 @@ def _between_pixels(image: Image, start: FloatArray) -> FloatArray:
         np.clip(ends, 0, size) for ends, size in zip(((top, bottom), (left, right)), image.shape, strict=True)
     )
     lost = total[bottom, right] - total[top, right] - total[bottom, left] + total[top, left]
-    lines = np.minimum(lost / (4 * start[:, 4]), 2.0)  # clipped pixels along each of the four edges
+    lines = np.minimum(lost / (4 * start[:, 4]), 2.0)  # of clipped pixels along the edges, one on either side
     return np.asarray(
         np.sqrt(alike.mean(axis=1) * (DETECTION.sampling_px**2 + lines * DETECTION.clipped_px**2))
     )

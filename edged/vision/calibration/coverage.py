@@ -21,7 +21,8 @@ _PARTS = tuple(
     for row, rows in (("upper", slice(0, 2)), ("middle", slice(2, 4)), ("lower", slice(4, 6)))
     for column, columns in (("left", slice(0, 2)), ("middle", slice(2, 6)), ("right", slice(6, 8)))
 )
-"""Name, rows and columns of the nine image parts named in messages; the middle is about half of each side."""
+"""Name, rows and columns of the nine image parts named in messages; the middle has half of the width and a
+third of the height."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -57,7 +57,8 @@ class Imaging:
     gamma : grey value ~ light ** gamma; 1 unless displacement and profiles of the edges agree on another.
     shift_px, sigma_shift_px : displacement of edges towards the dark side in the pictures as they are.
     blur_px : sigma of the edge spread; also least and largest of nine places.
-    asymmetry_px : difference of the spread between the dark and the bright side, largest of the places.
+    asymmetry_px : difference of the spread between the two sides of an edge in the picture, whichever of them
+    is dark; largest of the places.
     saturated : share of edges whose bright side is clipped.  falloff : share of the light missing at the
     darkest place, relative to the brightest.  halo : overshoot beside an edge as a share of its step; caused
     by sharpening, never by a lens.

@@ -309,7 +309,10 @@ def project_circle(
 
 
 def circle_axes(normal: FloatArray) -> FloatArray:
-    """Two unit vectors (2, 3) that span the plane with this normal; the first lies across rig x."""
+    """Two unit vectors (2, 3) that span the plane with this normal.
+
+    The first is perpendicular to rig x, or to rig y where the normal lies near rig x.
+    """
     x, y, z = (float(value) for value in normal)
     # normal x (1, 0, 0), or normal x (0, 1, 0) where that is short
     across = (0.0, z, -y) if abs(x) < 0.9 else (-z, 0.0, x)

@@ -129,8 +129,9 @@ def take_steps(
     """Coarse steps, one for each of the first reaches, then fine ones within the last; fewer once still.
 
     coarse, fine : largest number of each, together at least one.  spacings_px (2,) : sample spacing of
-    coarse and fine steps. The first step takes an edge of either sign, as one edge dominates from far away;
-    from the second step on each curve has its sign. In a fine step each curve gets its operator width,
+    coarse and fine steps. A curve of unknown polarity takes edges of either sign in a first coarse step, as
+    one edge dominates from far away; from the next step on it has the sign of most of its contrast. In a fine
+    step each curve gets its operator width,
     systematic shifts are modelled, and curves that the images do not show are left out, so that they do not
     pull the others.
     """

@@ -97,8 +97,8 @@ def ramer(points: FloatArray, tolerance_px: float) -> I64:
     """Ramer's algorithm: indices of those points (N, 2) of an open chain that approximate it as a polygon.
 
     OpenCV's `approxPolyDP` is no substitute: it finally removes corners that look superfluous, after which
-    points may deviate by a third more than the tolerance; it starts loops elsewhere; it returns points in
-    single precision, and finding their indices takes several times as long as all of this
+    points may deviate by up to a third more than the tolerance; it starts loops elsewhere; it returns points
+    in single precision, and finding their indices takes several times as long as all of this
     (`tools/bench kernels`).
     """
     keep = _ramer(np.ascontiguousarray(points, dtype=np.float64), float(tolerance_px))

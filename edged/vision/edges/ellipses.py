@@ -15,7 +15,7 @@ from edged.vision.geometry.rigid import rotation_2d
 
 @dataclass(frozen=True, slots=True)
 class ImageEllipse:
-    """An ellipse: centre (x, y) and semi-axes in px, angle of the first axis in rad; +1: brighter outside."""
+    """Ellipse: centre (x, y), semi-axes, px; angle of the first axis, rad; polarity +1: brighter outside."""
 
     x: float
     y: float
@@ -44,7 +44,7 @@ class ImageEllipse:
 def find_ellipses(image: Image, mask: Image, thresholds: EdgeThresholds | None = None) -> list[ImageEllipse]:
     """Find ellipses among the strong edges inside a mask, largest first; lists both edges of a chamfer.
 
-    thresholds : of the edges; what they leave open follows from the region.
+    thresholds : of the edges; those not given are derived from the region.
     """
     edges = strong_edges(image, mask, thresholds)
     if edges is None:

@@ -114,8 +114,8 @@ def _thresholds(
 ) -> tuple[float, float]:
     """Hysteresis thresholds (low, high), as shares of the slope that the part's outline reaches.
 
-    That is the slope exceeded by the strongest edges of the outline's length, not by a percentage of all
-    edges: on a textured table the part's own edges may be one in a hundred.
+    That slope is reached by as many of the strongest edge pixels as the outline is long, not by a percentage
+    of all: on a textured table the part's own edges may be one in a hundred.
     """
     outline = max(1, round(min(OUTLINES.outline_share * width_px, OUTLINES.strongest_share * len(slopes))))
     reached = float(np.partition(slopes, len(slopes) - outline)[len(slopes) - outline])

@@ -115,8 +115,9 @@ def _looks(
 def teach_marks(
     pairs: Iterable[tuple[Image, Image]], rig: StereoRig, exposed_ns: int, *, least: int = MARKS.min_exposures
 ) -> TaughtMarks:
-    """Teach the marks seen in at least `least` exposures of a still cell.
+    """Teach the marks from at least `least` exposures of a still cell.
 
+    A mark must show in both pictures of a share `MARKS.min_share` of them.
     pairs : raw left and right images (H, W) uint8.
     Raises `CalibrationError` that says what is wrong with the marks or the pictures.
     """

@@ -1,7 +1,7 @@
 """Tracking of both cameras from exposure to exposure: a small Kalman filter on the reference marks.
 
 The state is the displacement of both cameras since the marks were taught (14, see `geometry.correction`). It
-is a random walk as fast as temperature changes cause; each exposure updates it with the dots seen. Errors
+follows a random walk at the rate of temperature effects; each exposure updates it with the dots seen. Errors
 common to all exposures do not average out, and the filter takes this into account: the taught positions of
 the dots in the pictures (2, N, 2) with the plate's expansion, and their biases from the pixel grid (as many),
 are never updated, but their correlation with the state is propagated (S. F. Schmidt, "Application of
@@ -51,7 +51,7 @@ class MarksSettings:
     """
 
     material: str = "steel"
-    range_k: float = 10.0  # a hall by day and night; more makes sigma larger, less makes it too small
+    range_k: float = 10.0  # chosen: a hall by day and night; more makes sigma larger, less too small
     heals: bool = True
 
 

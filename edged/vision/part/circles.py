@@ -75,7 +75,7 @@ def measure(images: StereoImages, job: Job, match: ShapeMatch) -> MeasuredPart |
 
 
 def placed(job: Job, match: Match, fit: PlaneFit, start: FloatArray) -> tuple[list[FoundCircle], Target]:
-    """The target of a fit, and the other circles of the fit that agree with the reference.
+    """The circles of a fit, besides the reference, that agree with the part's rotation; and the target.
 
     start (3, 3) : rig_from_part's rotation, but for its turn about the normal.  Raises ValueError for a fit
     without the reference circle.
@@ -253,8 +253,9 @@ def _other_end_mm(images: StereoImages, job: Job, fit: PlaneFit) -> float:
     """Largest difference of a radius from its taught one if edges are broken; 0 for sharp edges.
 
     A larger difference than light can cause means that an edge is seen at the other end of its break than it
-    was taught at. A common growth of all sizes is a doubt about the distance and is removed; a reference
-    beyond the tolerance of the job is no edge of this part.
+    was taught at. A common growth of all sizes is a doubt about the distance, so a smaller difference counts
+    only where it remains without that growth. A reference beyond the tolerance of the job is no edge of this
+    part.
     """
     taught = {circle.name: circle.radius_mm for circle in job.circles}
     found = [circle.circle for circle in circles_in_rig(by_edges_alone(fit))]
@@ -340,7 +341,7 @@ def _frame(normal: FloatArray, along_x: FloatArray, along_y: FloatArray) -> Floa
 
 
 class _Turned(NamedTuple):
-    """rotation (3, 3) rig_from_part; sigma about the normal, rad, and its share that comes from the edges.
+    """rotation (3, 3) rig_from_part; sigma about the normal, rad, and the sigma from the edges alone.
 
     agreeing : indices of the circles that agree.
     """

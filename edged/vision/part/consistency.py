@@ -254,7 +254,7 @@ def _reasons(job: Job, target: Target, evidence: Evidence) -> Reject:
 
 
 def _out_of_tolerance(job: Job, target: Target, evidence: Evidence) -> Reject:
-    """TOLERANCE if the reference circle's size, or the form of a part without circles, is off."""
+    """TOLERANCE if the reference circle's size, or the form of a part without circles, exceeds its limit."""
     allowed = job.limits.radius_tolerance_mm
     if job.circles and allowed is not None:
         taught = job.reference_circle

@@ -1,8 +1,8 @@
 """Height of one circle of a part above another: each is measured by itself, at its own distance.
 
 The pose of a part is fitted with the heights that were taught. A height to be measured must not come from
-there: each of both circles is fitted alone, free to lie nearer or farther, in the direction that the part is
-known to face.
+there: each of the two circles is fitted alone, free to lie nearer or farther, in the direction that the part
+is known to face.
 """
 
 from __future__ import annotations

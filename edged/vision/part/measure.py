@@ -126,7 +126,7 @@ def _with_teaching_uncertainty(job: Job, target: Target) -> Target:
 
 
 def _measured_flat(images: StereoImages, job: Job, match: ShapeMatch) -> MeasuredPart | Reject:
-    """Measure a part of one face, each curve with its own position; judged."""
+    """Measure a part of one face, each curve with its own position, and apply the limits of the job."""
     result: MeasuredPart | Reject
     if job.circles:
         first = job.reference_circle.name
@@ -155,7 +155,7 @@ def with_separate_sizes(measured: MeasuredPart, images: StereoImages, job: Job) 
 
 
 def _measured_whole(images: StereoImages, job: Job, match: ShapeMatch) -> MeasuredPart | Reject:
-    """Measure a part as one rigid whole; judged."""
+    """Measure a part as one rigid whole, and apply the limits of the job."""
     result = measure_solid(images, job, match)
     if isinstance(result, Reject):
         return result

@@ -56,7 +56,7 @@ class MeasuringParams:
     outline_reach_px: float = 4.0  # search range along its normals, to either side
     place_tolerance: float = 0.02  # of the reference radius: a circle farther from its place is another edge
     place_margin_mm: float = 0.1  # added to it
-    max_rivals: int = 12  # most turns of the part onto itself that are tried
+    max_rivals: int = 12  # most turns that are tried of those that put one circle in another's place
     min_support: float = 0.15
     """Share of the reference circle that each camera must show for a start to count; a job asks for more."""
     enough_support: float = 0.8  # with this support in both cameras no better start is looked for
@@ -200,7 +200,7 @@ class SolidParams:
     turns_rad: tuple[float, ...] = tuple(math.radians(15.0) * np.arange(1, 24))  # turns that are tried
     turn_reach_px: float = 12.0  # search range at a first glance at them
     turned_starts: int = 3  # the number of them that are locked
-    poor_share: float = 0.35  # agreement of the worse camera below which no rival is tried and none is found
+    poor_share: float = 0.35  # agreement of the worse camera below which no rival is tried: there is no pose
     fit: FitParams = FitParams(reach_px=(1.5,), min_support=0.15)  # fit of all curves from the locked pose
     known_fit: FitParams = FitParams(reach_px=(1.5,), min_support=0.08)
     """That fit where the part's surface is known, which tells which stretches are good."""

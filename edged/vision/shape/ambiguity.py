@@ -119,7 +119,7 @@ def look(
 
 
 def _scale(pose: FloatArray) -> float:
-    """Magnification of a pose: px of the image by px of the model."""
+    """Magnification of a pose: px of the image per px of the model."""
     return float(np.sqrt(abs(pose[2] * pose[5] - pose[3] * pose[4])))
 
 
@@ -133,7 +133,7 @@ def look_at(
 ) -> EdgeObservation:
     """Look for the model's edges, or those of `points`, where they are placed (N, 4): x, y, nx, ny.
 
-    scale : px of the image by px of the model.
+    scale : px of the image per px of the model.
     """
     offsets, slopes = edges_along_normals(image, placed[:, :2], placed[:, 2:], ROTATIONS.reach_px, sign)
     there = np.abs(offsets) < refine.AGREES_PX  # False for NaN
@@ -465,7 +465,7 @@ def meet(
         edges[n, 0], edges[n, 1] = np.nan, 0.0
         nearest = np.inf
         m, end = 0, outline.shape[0]
-        while m < end:  # binary search: the first one that is within reach along x
+        while m < end:  # binary search: the first one that is not farther left than reach
             middle = (m + end) // 2
             if outline[middle, 0] < x - reach:
                 m = middle + 1

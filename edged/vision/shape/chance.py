@@ -27,7 +27,8 @@ from edged.vision.shape.params import ROTATIONS
 EVIDENCE = -math.log(ROTATIONS.mistakes)
 """Nats of evidence that decide for a rotation: chance shows as much in a share `mistakes` of pictures."""
 PLACES = 23
-"""Number of rotations at which points are looked at elsewhere: prime, so that none is a part's symmetry."""
+"""Steps of a full turn by which points are turned to places elsewhere: prime, so that none is a part's
+symmetry."""
 Array = npt.NDArray[Any]
 Flags = B8
 

@@ -35,8 +35,8 @@ def best_nearby(
 ) -> FloatArray:
     """The pose vector (8,) near `pose` at which the model agrees best with a gradient image.
 
-    points, normals (N, 2) : of the model on this level.  stretched : keep separate sizes along x and y, as
-    the search looks for them.
+    points, normals (N, 2) : of the model on this level.  stretched : keep separate sizes along x and y, if
+    the search looks for these.
     Only place and size are tried; shear, tilt and, unless `stretched`, a stretch are undone: a fit to halves
     of two outlines produces them. view (6,) : linear part and tilt, px of this level, of the view that was
     found, which is restored; None: as taught.

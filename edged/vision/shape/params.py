@@ -162,7 +162,7 @@ class ClimbParams:
     max_stretch: float = 1.25  # derivation: 1 / cos 35°
     stretches: int = 4  # local polarity has one sign within cells of the radius over this
     first_points: int = 128  # of the first step on the finest level: they are in random order
-    clipped_px: float = 0.5  # sigma of an edge beside clipped pixels
+    clipped_px: float = 0.5  # least sigma of a fit that uses edges beside clipped pixels
     max_clipped: float = 0.7  # share of all edges that may be left out for it
     decided_share: float = 0.5
     """Share of the expected difference of two nearly symmetric poses below which the image is undecided."""

@@ -208,7 +208,7 @@ def collect_peaks(
     threshold: int,
     peaks: Array,
 ) -> int:
-    """Write local maxima (3x3) of the best scores as rows (value, sign, sector, row, column); their number.
+    """Fill peaks with local maxima (3x3) of best: value, sign, sector, row, column; return their number.
 
     When there are more than `peaks` holds, the highest are kept, of equal ones the first.
     """

@@ -3,7 +3,8 @@
 The share of edges found does not show which width is right: without breaks, a model of a broken part agreed
 by 0.93, half a millimetre off. The profiles do, since they show both edges of a break apart or together: the
 pose and the widths of all curves are fitted from several common widths, and the fit with the smallest
-residuals of the same profiles is taken. Breaks are accepted if they leave half of what sharp edges do.
+residuals of the same profiles is taken. Breaks are accepted if they leave at most half of what sharp edges
+do, or somewhat more with a smaller misfit.
 """
 
 from __future__ import annotations
@@ -111,7 +112,8 @@ def _cost(form: RefinedForm) -> float:
 def _with_most(form: RefinedForm) -> RefinedForm:
     """Give all curves of a form the median width of its breaks, if that explains more.
 
-    Breaks of a part are mostly alike; breaks at only half of the curves explain less, and hold the pose.
+    Breaks of a part are mostly alike; breaks at only half of the curves explain less, and the curves without
+    them keep the pose from moving to the right one.
     """
     width = float(np.median(form.model.breaks_mm[form.model.breaks_mm > 0]))
     again = refined(with_breaks(form.model, width), form.views)

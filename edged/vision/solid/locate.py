@@ -39,9 +39,9 @@ from edged.vision.solid.visible import moved
 class FoundPart:
     """A part at a place: its locked pose and model, and the evidence for it.
 
-    certain : sigmas by which each picture shows the part rather than chance.  margin : sigmas by which both
-    show it rather than the nearest rival; inf without one.  between (6, 6) : covariance of the twist by other
-    forms of its breaks; None where their form is known.  contradicts : as in `RefinedForm`.
+    certain : sigmas by which the less certain picture shows the part rather than chance.  margin : sigmas by
+    which both show it rather than the nearest rival; inf without one.  between (6, 6) : covariance of the
+    twist by other forms of its breaks; None where their form is known.  contradicts : as in `RefinedForm`.
     """
 
     laid: LockedPose

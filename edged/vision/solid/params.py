@@ -18,7 +18,7 @@ class EdgeModelParams:
     flat: float = 1.0 - 1e-7  # cosine: flat up to rounding errors
     smooth: float = 0.8  # cosine between two sides of one curve: arcs have at least ten chords
     convex: float = -0.2  # cosine between the normal of a face and the direction into the other one
-    steep: float = 0.5  # cosine between two faces: with more the edge is one of a chamfer's two
+    steep: float = 0.5  # cosine between two faces: with more the edge is one of the two of a 45° chamfer
     tiny_mm: float = 1e-9  # against a division by 0
 
 

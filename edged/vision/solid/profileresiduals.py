@@ -51,7 +51,8 @@ class _Windows:
 class Gain:
     """Reduction of the residuals by a form against another one.
 
-    mean : of the logarithm of their ratio.  sigmas : of the mean, by its scatter over curves and cameras.
+    mean : of log(the other's square sum / its own).  sigmas : of the mean, by its scatter over curves and
+    cameras.
     by_curve (C,) : mean of each curve.
     """
 

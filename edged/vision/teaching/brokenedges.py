@@ -233,7 +233,10 @@ def _across(model: EdgeModel, way: float) -> EdgeModel:
 
 
 def _adjusted(form: _Form, rounds: int) -> _Form | None:
-    """Fit poses, size, and each curve's place and break width to all pairs' profiles; None if too few."""
+    """Fit poses, size, and each curve's place and break width to the profiles of all pairs.
+
+    None if a pair shows too few profiles, or they do not determine the unknowns.
+    """
     so_far: FloatArray | None = None
     level, has_breaks = form.uneven(), bool(form.model.breaks_mm.any())
     for number in range(rounds):

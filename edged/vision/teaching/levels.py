@@ -170,7 +170,8 @@ def turned_alike(found: Sequence[FoundCircle], normal: FloatArray) -> tuple[Floa
     """Common normal (3,) of all faces, and the height of each circle's face along it.
 
     normal : of the largest circle. Circles of one face are made level, unless that tilts the largest one's
-    rim by more than faces are flat to: then different ends of their breaks are seen, and the rim is better.
+    rim, or leaves a circle off its face, by more than faces are flat to: then different ends of their breaks
+    are seen, this normal is kept, and only circles within `level_mm` of each other form one face.
     """
     centres = np.array([measured.circle.centre_mm for measured in found])
     sizes = np.array([measured.circle.radius_mm for measured in found])

@@ -432,7 +432,7 @@ def _as_contours_lie(
 def _turned_as(
     images: StereoImages, plane: Plane, ellipses: Sequence[ImageEllipse], depths_mm: tuple[float, float]
 ) -> tuple[Plane, FoundCircle] | None:
-    """Find the largest circle that is seen in a plane's direction, and its face; None if there is none."""
+    """Find the largest circle that both images show parallel to a plane, and its face; None without one."""
     for ellipse in ellipses:
         found = at_own_depth(images, ellipse, plane.normal, depths_mm)
         if found is not None and _is_clear(found.fit):

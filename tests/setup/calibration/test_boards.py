@@ -73,7 +73,7 @@ def test_another_board_is_told_after_a_few_pictures(monkeypatch: pytest.MonkeyPa
 
 @pytest.mark.slow
 def test_a_few_pictures_of_another_board_do_not_stop_many_of_the_stated_one() -> None:
-    """A few pictures of another board do not stop a calibration, in any order, and each is looked at once."""
+    """A few pictures of another board do not stop a calibration, whatever their order."""
     pictures = drawn(STATED, 4) + drawn(OTHER, 1)
     for order in (pictures, pictures[::-1]):
         views = Views([STATED])

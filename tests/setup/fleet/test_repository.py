@@ -113,7 +113,7 @@ def test_what_is_not_as_it_was_signed_is_refused_and_its_place_named(
     attack: Callable[[Releases], None], expected: str, releases: Releases, cell: Path,
     capsys: pytest.CaptureFixture[str],
 ) -> None:  # fmt: skip
-    """Nothing is fetched, and the error names the invalid metadata."""
+    """Nothing is fetched, and the error names the invalid file."""
     attack(releases)
     assert 2 == exit_code("release", "pull", cell)
     assert f"{releases.repository}: {expected}" in printed(capsys)

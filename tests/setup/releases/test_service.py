@@ -259,7 +259,7 @@ def test_a_job_becomes_active_as_a_release_and_the_way_back_restores_the_fingerp
 
 @pytest.mark.long
 def test_jobs_that_do_not_go_together_change_nothing(cell: RunningCell) -> None:
-    """Jobs with the same number, an unreadable one, and a missing initial one are refused."""
+    """Jobs with the same number, a missing initial job and a refused reload change nothing."""
     files = cell.files()
     with pytest.raises(UserError, match="both have the number 1"):
         activate_job(cell, "ring", 1)

@@ -92,8 +92,7 @@ def test_every_feature_is_measured_also_where_circles_say_everything(tmp_path: P
 
 @pytest.mark.slow
 def test_a_part_of_edges_alone_has_corners_for_a_reference(tmp_path: Path) -> None:
-    """Corners can be the reference, and disappear with their edge, which makes the part's place less
-    certain."""
+    """Corners can be the reference; they go with their edge, and another corner becomes the reference."""
     draft = drafted(tmp_path, PLATE)
     first = seen(draft)
     kinds = [one.kind for one in first.features]

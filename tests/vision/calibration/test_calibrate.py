@@ -178,7 +178,7 @@ def test_marks_seen_by_one_camera_only_still_count() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("upside_down", [False, True])
 def test_a_symmetric_board_numbered_from_either_end(upside_down: bool) -> None:
-    """The first end of a symmetric board is decided by the other views, for any roll."""
+    """Views of a symmetric board that are numbered from either end still give the true baseline."""
     board = Chessboard(9, 7, 4.0)
     rig = make_rig()
     rng = np.random.default_rng(0)

@@ -80,8 +80,7 @@ def test_a_copy_alone_elsewhere_is_no_weather() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("size", [0.98, 1.02, 1.1])
 def test_a_plate_of_another_size_is_no_result(size: float) -> None:
-    """A plate with the taught codes that is 2 % or more larger or smaller gives no result in three
-    exposures."""
+    """A plate with the taught codes, but 2 % or more larger or smaller, gives no result in four exposures."""
     tracker = MarksFilter(taught())
     track, _ = tracker.step(tracker.begin(), *pair(AT, 20), S)
     plate = marks_plate(parse_frame("60x52:8:2:40"), size)

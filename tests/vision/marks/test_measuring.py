@@ -64,7 +64,9 @@ def test_a_covered_dot_and_a_foreign_code_are_not_seen() -> None:
 
 @pytest.mark.long
 def test_pictures_without_marks_cannot_be_taught() -> None:
-    """Pictures with no marks, mirrored marks, two plates or a moved plate are refused with that reason."""
+    """No marks, mirrored marks, two plates, a moved plate, exchanged images and too few exposures are refused
+    with that reason.
+    """
     rig = demo_rig()
     empty = np.full((960, 1280), 100, np.uint8)
     with pytest.raises(CalibrationError, match="0 reference marks are in both pictures"):

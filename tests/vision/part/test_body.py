@@ -187,7 +187,7 @@ def test_a_part_of_too_many_triangles_has_no_body() -> None:
 
 
 def test_edge_breaks_are_kept_and_checked() -> None:
-    """The breaks that a pair has shown are kept in the arrays."""
+    """The breaks that a pair has shown are kept in the arrays, and wrong ones are refused."""
     plain = body("D3")
     widths = np.linspace(0.0, 0.5, len(plain.lines))
     broken = replace(plain, breaks_mm=widths, sigma_break_mm=0.01, merged_mm=0.3)

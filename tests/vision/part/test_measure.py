@@ -90,7 +90,9 @@ def test_curves_of_a_plane_are_recovered_from_a_poor_start() -> None:
 
 
 def test_curves_that_are_not_there_are_left_out() -> None:
-    """A circle that is not there is left out and does not harm the real one; alone it gives None."""
+    """A slot that is not there is left out beside a real circle; alone, or with a face behind the cameras,
+    nothing is measured.
+    """
     rig, part, where = small_rig(), Part("d", Disc(0, 0, 12), METAL), pose()
     images = pictures(rig, scene((part, where)))
     face = Face(where[:3, 3], where[:3, :3].T)

@@ -554,7 +554,8 @@ def test_a_saturated_half_does_not_move_a_part(bracket: ShapeModel, side: float)
 @pytest.mark.parametrize("grey", [170, 200, 230])
 def test_a_cover_nearly_as_bright_as_the_part_is_not_its_surface(grey: float) -> None:
     """With one hole in the dark and the place of the missing one under a bright cover, the match is
-    ambiguous."""
+    ambiguous, or right if the cover has the part's own grey.
+    """
     angle, hidden = 0.4, 0.4 + 2 * math.pi / 3
     image = draw(flange(odd=True), (200, 160, angle, 1, 1)).astype(np.float64)
     for turn, cover in ((hidden, 30.0), (angle, grey)):

@@ -528,7 +528,7 @@ def test_slope_of_smoothed_noise() -> None:
 
 
 def test_a_fit_without_a_solution_says_so() -> None:
-    """Unrelated patches and a far match diverge, and never give a number."""
+    """Among fits to unrelated patches some diverge, and a fit to patches of one grey does."""
     p = leastsquares.make_patches(6)
     outcomes = set()
     for seed in range(20):

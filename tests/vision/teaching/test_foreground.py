@@ -88,7 +88,7 @@ def test_tapped_in_its_hole_a_part_comes_before_the_hole() -> None:
 
 
 def test_nothing_is_found_where_nothing_is() -> None:
-    """A table's texture is no part, with or without a tap; a part that the picture cuts is none either."""
+    """A table's texture, with or without a tap, and a picture of one grey show no part."""
     bare = np.clip(table(90.0, 0.2), 0, 255).astype(np.uint8)
     assert None is likely_part(bare)
     with pytest.raises(TeachError, match="nothing with a clear outline was tapped at 300, 200 px"):

@@ -256,7 +256,7 @@ def test_holes_of_a_perforated_table_are_none_of_the_part() -> None:
 
 @pytest.mark.slow
 def test_faint_holes_tell_how_a_dark_part_with_a_bright_insert_lies() -> None:
-    """By strong edges the cover shows circles about one axis only; its holes' are a tenth as strong."""
+    """Holes of a dark part, with edges a tenth as strong as those of its bright bore, are taught, too."""
     rig = prepare(small_rig())
     face = lying(rig.rig, 0.0, 0.0, 0.0)
     table = face.copy()
@@ -275,7 +275,7 @@ def test_faint_holes_tell_how_a_dark_part_with_a_bright_insert_lies() -> None:
 
 @pytest.mark.slow
 def test_a_circle_a_little_off_the_face_of_the_largest_is_a_feature_too() -> None:
-    """A boss 0.22 mm high, between what one flat face and what two faces were once taken to be."""
+    """A boss 0.22 mm above the largest face is taught as a circle at its own height, to 0.03 mm."""
     rig = prepare(small_rig())
     face = lying(rig.rig, 0.0, 0.0, 0.0)
     raised = face.copy()
