@@ -98,7 +98,8 @@ def read_dxf(
     """Read the closed outlines of a DXF drawing, in mm.
 
     layers : only these; empty: all that are switched on.  units : key of `UNITS`; None: as the drawing says.
-    most_points : limit for all curves together; a drawing that exceeds it is refused before it is flattened.
+    most_points : limit for all curves together; a drawing is refused as soon as it is known to exceed it,
+    before it takes more memory.
     Raises `FileFormatError` for a file that is not a DXF drawing, has no unit, is not flat or closed, or is
     empty.
     """
@@ -325,7 +326,7 @@ def _as_points(vertices: Iterable[Vec3], most: int) -> FloatArray:
 def _bulged(
     corners: FloatArray, closed: bool, height: float, ocs: OCS, distance: float, most: int
 ) -> Iterable[Vec3]:
-    """Vertices of a polyline. corners (N, 3) : x, y, bulge (tangent of a quarter of the arc's angle)."""
+    """Vertices of a polyline. corners (N, 3) : x, y, bulge (tangent of a quarter of the arc to the next)."""
     following = np.roll(corners, -1, axis=0)
     sides = len(corners) if closed else len(corners) - 1
     places, drawn = [corners[:1, :2]], 0

@@ -7,7 +7,7 @@ import zipfile
 from typing import BinaryIO
 
 MAX_DIRECTORY_BYTES = 64 * 1024
-"""Largest central directory: room for some hundred members, where edged's files have thirty. In memory it
+"""Largest central directory: room for several hundred members; edged's files have thirty. In memory it
 takes ten times as much."""
 _END, _END_BYTES = b"PK\5\6", 22
 _END64, _END64_BYTES = b"PK\6\7", 20

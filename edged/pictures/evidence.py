@@ -253,9 +253,10 @@ def keep_free(view: PictureView, line: FloatArray) -> None:
 def draw_name(
     view: PictureView, text: str, outline: FloatArray, colour: Colour, away_from: FloatArray
 ) -> None:
-    """Write a feature's name beside its outline (N, 2, canvas px) where it covers nothing, or else no name.
+    """Write a feature's name beside its outline (N, 2, canvas px), over nothing, or at least over no name.
 
-    away_from (2,) : middle of the part; positions on the side away from it are preferred.
+    away_from (2,) : middle of the part; positions on the side away from it are preferred. Without a free
+    position nothing is written.
     """
     boxes = _boxes_beside(view, outline, width_of(text, NAME_PX), away_from)
     for obstacles in (view.names + view.taken, view.names):

@@ -58,9 +58,9 @@ NOT_HERE: Mapping[str, str] = {
 class Setting(Answer):
     """A setting that can be chosen. value : in force. configured : in the file, or default; null if unset.
 
-    chosen : it is chosen on the page, in the draft if there is one. wanted : its value then. low,
-    high : known bounds. can_be_left_out : null is allowed. modes : trigger modes that it belongs to; empty
-    for all. help : in English, as in the manual.
+    chosen : it is chosen on the page, in the draft if there is one. wanted : the chosen value, else the
+    configured one. low, high : known bounds. can_be_left_out : null is allowed. modes : trigger modes that it
+    belongs to; empty for all. help : in English, as in the manual.
     """
 
     name: str

@@ -149,7 +149,7 @@ class SettingsDraft:
         self._cell.notices.publish("settings", {"id": "settings"})
 
     async def activate(self, by: Mandate) -> None:
-        """Activate the draft as a release. Raises `UserError` if it is invalid, otherwise as `Activation`."""
+        """Activate the draft as a release. Raises `UserError` if invalid, and as `Activation.activate`."""
         async with self._turn:
             found = await asyncio.to_thread(self.document)
             if found is None:

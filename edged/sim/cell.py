@@ -148,7 +148,7 @@ class VirtualCell:
     def exposure(self, camera: str, other: RenderedView | None = None) -> Callable[[ExposureRequest], Image]:
         """Image function for a virtual camera, "left" or "right".
 
-        other : view of another camera on that side; None: the rig's own.
+        other : view of another camera on that side; None: the side's present one.
         """
         _load_kernels()
 

@@ -23,7 +23,7 @@ from edged.files.atomic import write_atomically
 
 SCHEME = "s3://"
 SENT = ".sent"
-"""File beside a day's file that records the address, size and time of the last upload."""
+"""File beside a day's file with the address that it was last sent to, and its size and mtime then."""
 CONNECT_S, REQUEST_S, ATTEMPTS = 5.0, 60.0, 3
 OPTIONS = {"region", "endpoint_override", "scheme"}
 PLACE = re.compile(r"[a-z0-9][a-z0-9.-]{1,61}[a-z0-9](/[A-Za-z0-9_.=-]+)*/?")
@@ -55,7 +55,7 @@ def checked(address: str) -> tuple[str, dict[str, Any]]:
 
 
 def is_sent(file: Path, address: str) -> bool:
-    """Whether the day's file was uploaded in its present state."""
+    """Whether the day's file was uploaded to this address in its present state."""
     note = file.with_name(SENT)
     return note.is_file() and note.read_text() == _state(file, address)
 

@@ -48,7 +48,7 @@ class CompareParams:
     size_share: float = 0.5
 
     def least_spread(self, figure: str, values: list[float], noise: list[float]) -> float:
-        """Spread of a figure that is ignored. noise : cycle counts for OK rates, sigmas for sizes."""
+        """Largest spread of a figure that is ignored. noise : cycle counts for OK rates, sigmas for sizes."""
         middle, typical = float(np.median(values)), float(np.median(noise))
         match figure:
             case "OK rate":

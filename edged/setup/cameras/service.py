@@ -97,9 +97,10 @@ class CameraService:
         return [_described(info, heard, _side_of(info, devices)) for info, heard in cameras]
 
     async def give_address(self, token: str, serial: str, address: str = "") -> tuple[str, bool]:
-        """Give a camera an address in this machine's network, "" for a free one; return it and if it is kept.
+        """Give a camera an address in this machine's network; "" for a free one.
 
-        Raises `SetupRefused`, and `CaptureError` if the camera is missing, is controlled, or refuses.
+        Returns the address, and whether the camera keeps it without power. Raises `SetupRefused`, and
+        `CaptureError` if the camera is missing, is controlled, or refuses.
         """
         await self._cell.session.renew_setup(token)
         return await asyncio.to_thread(give_address, serial, address)

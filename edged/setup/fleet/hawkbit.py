@@ -154,7 +154,7 @@ def _below(link: Any) -> str:
 
 
 def _assigned(found: Mapping[str, Any], offers: Mapping[str, Offer], digest: Callable[[str], str]) -> str:
-    """Path of the release that is signed with name and hash of an assigned file; "" if none is."""
+    """Path of the release that is signed with name and hash of an assigned file; "" unless exactly one is."""
     files = {
         (artifact["filename"], artifact.get("hashes", {}).get("sha256"))
         for chunk in found["deployment"]["chunks"]

@@ -2,8 +2,8 @@
 
 Both measure the same pictures, so all differences come from the new one. Differences of places are in units
 of their combined sigma. A new rig moves all places a little, by rotation and translation of its frame: this
-is one motion for all cycles, which the robot's registration makes up for, and it is subtracted before places
-are compared. What remains are differences of scale and shape, which nothing makes up for.
+is one motion for all cycles, which the robot's registration absorbs, and it is subtracted before places are
+compared. What remains are differences of scale and shape, which nothing absorbs.
 """
 
 from __future__ import annotations

@@ -14,7 +14,7 @@ from edged.setup.documents import Frozen, Message, PicturePaths
 from edged.setup.recordings.comparing import Compared, CycleComparison, FrameShift, TriedCycle
 
 MOST_LISTED = 200
-"""Most cycles of each kind that are listed, worst first."""
+"""Most cycles of each kind that are listed."""
 PLACE = "/api/v1/cycles"
 
 
@@ -98,8 +98,9 @@ class RegressionLine(Frozen):
 
 
 class RegressionDocument(RegressionLine):
-    """A whole regression. Lists are worst first, and limited to `MOST_LISTED`; see `counts` for the totals.
+    """A whole regression. Lists are limited to `MOST_LISTED`; see `counts` for the totals.
 
+    apart : worst first; the other lists are in the order in which cycles were tried, newest first.
     motion : of a new rig's frame, null for a job, or with too few places. digest : of the candidate.
     digest_active : of the active setup.
     """

@@ -238,7 +238,7 @@ def _tries(job: Job, seen: PairInspection) -> Iterator[Remedy]:
 
 
 def _leaving_out(job: Job, seen: PairInspection) -> Iterator[Remedy]:
-    """Leave out each feature that may be; those not found come first."""
+    """Changes that leave out one feature that the job can do without; features not found come first."""
     known = {fit.name for part in seen.measured for fit in part.fits}
     for name in sorted(_names(job), key=lambda name: name in known):
         change = Change(features={name: False})

@@ -238,7 +238,7 @@ def _words_of_points(solved: FromPoints) -> str:
 
 
 def sigma_at(covariance: FloatArray, place_mm: FloatArray) -> tuple[float, ...]:
-    """One sigma of a point's X, Y, Z (mm), with place_mm (3,), and of the rotation (degrees).
+    """One sigma of X, Y, Z (mm) of a point place_mm (3,), and of the rotation (degrees).
 
     covariance (6, 6) : of a small motion about the frame's origin.
     """

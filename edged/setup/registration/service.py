@@ -331,7 +331,7 @@ class Registrations:
 
 @lru_cache(maxsize=4)
 def _solved(folder: Path, digest: str) -> StereoRig | None:
-    """The rig that a draft was solved to; None if its file has a wrong format."""
+    """The rig that a draft was solved to; None if its file was changed since, or cannot be read."""
     with suppress(FileFormatError):
         return rig_of(solved_rig(folder, digest, "samples"), folder)
     return None

@@ -106,7 +106,7 @@ def difference_of(before: Cell, after: Cell) -> ReleaseDifference:
 
 
 def changed_options(before: Mapping[str, Any], after: Mapping[str, Any]) -> list[Difference]:
-    """Options that differ between two configurations, by dotted name; values of secrets are blank."""
+    """Options that differ between two configurations, by dotted name; a changed secret is not among them."""
     old, new = _options(before), _options(after)
     return [
         Difference(code="option", name=name, before=old.get(name), after=new.get(name))

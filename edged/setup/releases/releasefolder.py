@@ -4,7 +4,7 @@
     0007.json       written after the archive: an archive without it is not a release
 pictures/       pairs that jobs were taught from, by their SHA-256: many releases share them
 
-Releases that were ever active are kept; of the others, only the newest.
+Releases that were ever active are kept; of the others, only the newest `KEPT`.
 """
 
 from __future__ import annotations

@@ -39,9 +39,9 @@ class StillDocument(Frozen):
     """A still test. edges_um : the edges' share of the stated sigma. noise_um : its part due to noise.
 
     chi2 : variance of the scatter relative to that explained by noise, or to the stated one if the noise is
-    not known. expected : interval where it should lie. verdict : larger, smaller : the scatter is larger or
-    smaller than explained or stated; moving, vanished : the part moved, or was not found. covers : the stated
-    sigma covers the scatter; null if not judged.
+    not known. expected : interval where it should lie. verdict : "larger", "smaller": the scatter is larger
+    or smaller than explained or stated; "moving": the part moved; "vanished": it was not found. covers : the
+    stated sigma covers the scatter; null if not judged.
     """
 
     at: str

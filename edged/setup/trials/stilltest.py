@@ -56,8 +56,8 @@ class StillResult:
 
     edges_mm : stated sigma of the edges. noise_mm : sigma explained by the noise of single edges, None if not
     known. chi2 : variance of the scatter relative to that explained by noise, or else to the stated one, mean
-    of all axes. expected : 95 % interval of honest ones. covers : the stated sigma covers the scatter; None
-    if not judged.
+    of all axes. expected : interval that holds chi2 of 95 % of honest tests. covers : the stated sigma covers
+    the scatter; None if not judged.
     """
 
     verdict: StillVerdict

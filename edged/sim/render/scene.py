@@ -6,7 +6,7 @@ accurate to 0.003 px; textures are fixed to their surfaces, so that both views o
 agree. Not modelled: height of edges, shadows, highlights.
 
 Lengths in mm. A part's frame has z away from the cameras, x and y in its face; a
-`rig_from_part` is (4, 4). It has its own projection on purpose: see `edged.sim.render.lens`.
+`rig_from_part` is (4, 4). The renderer has its own projection on purpose: see `edged.sim.render.lens`.
 """
 
 from __future__ import annotations
