@@ -78,8 +78,8 @@ def objection(found: RegressionDocument, may_move_mm: float) -> str:
     """Objection to a release from its regression; "" for none."""
     counts = found.counts
     if counts.good_to_bad:
-        worst = found.good_to_bad[0]
-        return f"{counts.good_to_bad} good recorded cycles become bad, as cycle {worst.number}: {worst.after}"
+        cycle = found.good_to_bad[0]
+        return f"{counts.good_to_bad} good recorded cycles become bad, as cycle {cycle.number}: {cycle.after}"
     if counts.lost:
         return f"{counts.lost} good parts of recorded cycles are not found any more"
     moved = [cycle for cycle in found.apart if _moves(cycle, may_move_mm)]

@@ -20,7 +20,7 @@ from edged.setup.registration.service import Given, Registrations
 log = logging.getLogger(__name__)
 
 MOST_WAITING = 20
-"""Steps in the queue; while it is full, new ones are dropped."""
+"""Steps in the queue; while it is full, new ones are dropped, but for one that begins a registration."""
 
 
 class RobotProgram:
@@ -45,7 +45,7 @@ class RobotProgram:
             self._draft = None
             self._draft = await self._registrations.adopt(mount, kind, self._cell.brand, board, limit_mm)
 
-        self._tell(work)
+        self._tell(work, begins=True)
 
     def posed(self, pair: FramePair, robot_from_flange: FloatArray) -> None:
         """The program has added a pose of the flange."""
@@ -78,10 +78,13 @@ class RobotProgram:
     def _shown(self, pose: FloatArray) -> Given:
         return Given(pose_of(self._cell.brand, pose))
 
-    def _tell(self, work: Callable[[], Awaitable[None]]) -> None:
-        self._loop.call_soon_threadsafe(self._put, work)
+    def _tell(self, work: Callable[[], Awaitable[None]], *, begins: bool = False) -> None:
+        self._loop.call_soon_threadsafe(self._put, work, begins)
 
-    def _put(self, work: Callable[[], Awaitable[None]]) -> None:
+    def _put(self, work: Callable[[], Awaitable[None]], begins: bool) -> None:
+        if begins and self._heard.qsize() >= MOST_WAITING:
+            while not self._heard.empty():  # else the new registration's steps would go to the former draft
+                self._heard.get_nowait()
         if self._heard.qsize() < MOST_WAITING:
             self._heard.put_nowait(work)
 

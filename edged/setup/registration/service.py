@@ -329,12 +329,16 @@ class Registrations:
         return document_of(opened.draft.state, judge.value, rig, opened.solved, judging=judge.is_running)
 
 
-@lru_cache(maxsize=4)
 def _solved(folder: Path, digest: str) -> StereoRig | None:
     """The rig that a draft was solved to; None if its file was changed since, or cannot be read."""
     with suppress(FileFormatError):
-        return rig_of(solved_rig(folder, digest, "samples"), folder)
+        return _read_solved(folder, digest)
     return None
+
+
+@lru_cache(maxsize=4)
+def _read_solved(folder: Path, digest: str) -> StereoRig:
+    return rig_of(solved_rig(folder, digest, "samples"), folder)
 
 
 def _read(state: RegistrationState, given: Given, count: int | None = None) -> tuple[float, ...]:
