@@ -217,7 +217,7 @@ def test_the_run_page_has_a_text_for_each_fact() -> None:
     names = {*filter(None, groups), *re.findall(r"\"([^\"]+)\": ", "".join(sources))}
     names |= set(re.findall(r"\]\[\"([^\"]+)\"\] = ", "".join(sources)))
     told = "".join([*sources, inspect.getsource(camera_facts)])
-    codes = set(re.findall(r"said\(\s*\"([^\"]+)\"", told)) - {"own-words"}
+    codes = set(re.findall(r"translatable\(\s*\"([^\"]+)\"", told)) - {"own-words"}
     codes |= {"holds", "drifts", "invalid"} | {f"clock-{kind}" for kind in ("ptp", "free-running")}
     codes |= {f"clock-{kind}-within" for kind in ("ptp", "free-running")}
 
