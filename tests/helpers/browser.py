@@ -101,6 +101,8 @@ class Browser:
 
     async def value(self, expression: str) -> Any:
         """Evaluate an expression in the page; promises are awaited."""
+        if expression.startswith("import("):  # or its promise may be collected before the module has loaded
+            expression = f"globalThis.awaited = {expression}"
         answer = await self.ask(
             "Runtime.evaluate", expression=expression, awaitPromise=True, returnByValue=True
         )

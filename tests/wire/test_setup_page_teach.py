@@ -336,10 +336,19 @@ async def test_a_job_is_learnt_from_a_drawing_instead(stand: Stand, tmp_path: Pa
     assert before["features"] == back["features"]
 
 
+async def with_older_revision(stand: Stand) -> dict[str, Any]:
+    """The draft, once an older revision of it exists."""
+    draft: dict[str, Any] = await stand.until(lambda now: now["proposing"] is None)
+    for name in (f"{draft['name']}-", draft["name"]):
+        named = {"revision": draft["revision"], "name": name}
+        draft = await stand.newcomer.ask("PUT", f"teachings/{stand.draft}", named)
+    return draft
+
+
 async def test_who_was_slower_is_told_and_sees_what_the_other_did(stand: Stand) -> None:
     """A change based on an old revision is refused, and the page shows the newer draft and says so."""
     page = stand.page
-    await stand.until(lambda now: now["proposing"] is None)
+    await with_older_revision(stand)
     await stand.open()
     await page.value(
         "import('/static/setup/teaching/teaching.js').then(({teaching}) => "
@@ -357,10 +366,7 @@ async def test_a_tap_on_the_part_holds_whatever_the_cell_has_found_meanwhile(sta
     """A tap based on an old revision is sent again automatically, as its place in the picture is
     unchanged."""
     page = stand.page
-    before = await stand.until(lambda now: now["proposing"] is None)
-    for name in (f"{before['name']}-", before["name"]):  # so that an older revision exists
-        named = {"revision": before["revision"], "name": name}
-        before = await stand.newcomer.ask("PUT", f"teachings/{stand.draft}", named)
+    before = await with_older_revision(stand)
     await stand.open()
     x, y = np.mean(before["features"][0]["outline"]["left"], axis=0).tolist()
     await page.value(
