@@ -3,9 +3,9 @@
     python tools/structure.py [ROOT]
 
 An import between folders is one folder of edged that imports from another; those of `edged.vision` count
-one by one, and tools
-too. Lines are of code: without blank ones, comments and docstrings. The number of files that a pair, a
-request and a click enter is in tests/tools/test_structure.py, which prints it with `pytest -s`.
+one by one, and tools too. Lines are of code: without blank ones, comments and docstrings. The number of
+files that a pair, a request and a click enter is in tests/tools/test_structure.py, which prints it with
+`pytest -s`.
 """
 
 from __future__ import annotations

@@ -93,7 +93,8 @@ class AuditFile:
         make_folders(self._folder)
         while True:
             with open_folder(self._folder) as folder, _locked(folder) as file:
-                number, digest, torn_bytes = self._end(folder, file)
+                head = self._head()
+                number, digest, torn_bytes = _end(folder, file, head)
                 if torn_bytes:
                     end = file.seek(0, os.SEEK_END) - torn_bytes
                     file.truncate(end)
@@ -101,7 +102,7 @@ class AuditFile:
                         "", "", "", "mend", LINES, "ok", reason=f"a line of {torn_bytes} bytes was torn"
                     )
                     number, digest = self._write(file, torn, number, digest)
-                if number > 1 and self._head() is None:  # the first record is on the disc before the head
+                if number > 1 and head is None:  # the first record is on the disc before the head
                     number, digest = self._mend_head(folder, file, number, digest)
                 if file.seek(0, os.SEEK_END) >= FULL_BYTES:
                     self._note_end(number, digest)  # first: after a crash nothing else would know the end
@@ -157,7 +158,7 @@ class AuditFile:
         old = full[: max(len(full) - KEPT, 0)]
         if old and old[-1][0] >= head.first:
             last, name = old[-1]
-            with os.fdopen(open_plain(name, os.O_RDONLY, folder), "rb") as oldest:
+            with _reading(folder, name) as oldest:
                 found = _tail(oldest)[0]
             entry = AuditEntry(
                 "",
@@ -180,23 +181,6 @@ class AuditFile:
         with open_folder(self._folder) as folder:
             data = _read_head(folder)
         return None if data is None else head_in(data)
-
-    def _end(self, folder: int, file: BinaryIO) -> tuple[int, str, int]:
-        """Number and hash that the next line follows, and length of a torn line.
-
-        Taken from the last line or the head, whichever is later: verifying then shows if lines are missing.
-        """
-        last, torn_bytes = _tail(file)
-        full = _full(folder)
-        if last is None and full:
-            with os.fdopen(open_plain(full[-1][1], os.O_RDONLY, folder), "rb") as newest:
-                last = _tail(newest)[0]
-        head = self._head()
-        ends = [(0, START) if last is None else last]
-        if head is not None:
-            ends.append((head.number, head.hash))
-        number, digest = max(ends, key=lambda end: end[0])
-        return number, digest, torn_bytes
 
     def verify(self, wanted: Wanted = lambda _record: True, last: int | None = None) -> AuditVerdict:
         """Verify the whole chain. Raises `FileFormatError`.
@@ -244,8 +228,7 @@ class AuditFile:
                 data = None
             full: list[tuple[int, BinaryIO]] = []
             for number, name in _full(folder):
-                file = os.fdopen(open_plain(name, os.O_RDONLY, folder), "rb")
-                full.append((number, opened.enter_context(file)))
+                full.append((number, opened.enter_context(_reading(folder, name))))
             return data, full, _read_head(folder)
 
     def _lines(
@@ -285,10 +268,15 @@ def turn_over(folder: int, number: int) -> None:
     os.fsync(folder)
 
 
+def _reading(folder: int, name: str) -> BinaryIO:
+    """Open a file of the folder for reading. Raises `OSError`."""
+    return os.fdopen(open_plain(name, os.O_RDONLY, folder), "rb")
+
+
 def _read_head(folder: int) -> bytes | None:
     """Content of the head file; None if there is none. Raises `OSError`."""
     try:
-        with os.fdopen(open_plain(HEAD, os.O_RDONLY, folder), "rb") as file:
+        with _reading(folder, HEAD) as file:
             return _content(file)
     except FileNotFoundError:
         return None
@@ -311,11 +299,27 @@ def _tail(file: BinaryIO) -> tuple[tuple[int, str] | None, int]:
     return end_of(whole.rpartition(b"\n")[2]) if newline else None, len(torn)
 
 
+def _end(folder: int, file: BinaryIO, head: AuditHead | None) -> tuple[int, str, int]:
+    """Number and hash that the next line follows, and length of a torn line; file : the current one.
+
+    Taken from the last line or the head, whichever is later: verifying then shows if lines are missing.
+    """
+    last, torn_bytes = _tail(file)
+    if last is None and (full := _full(folder)):
+        with _reading(folder, full[-1][1]) as newest:
+            last = _tail(newest)[0]
+    ends = [(0, START) if last is None else last]
+    if head is not None:
+        ends.append((head.number, head.hash))
+    number, digest = max(ends, key=lambda end: end[0])
+    return number, digest, torn_bytes
+
+
 def _start(folder: int, file: BinaryIO) -> tuple[int, str]:
     """Number of the oldest record kept, and the hash that it follows; file : the current one."""
     full = _full(folder)
     if full:
-        with os.fdopen(open_plain(full[0][1], os.O_RDONLY, folder), "rb") as oldest:
+        with _reading(folder, full[0][1]) as oldest:
             line = oldest.readline(TAIL_BYTES)
     else:
         file.seek(0)

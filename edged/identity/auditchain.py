@@ -50,18 +50,19 @@ def line_of(body: dict[str, Any]) -> tuple[bytes, str]:
 
 def end_of(line: bytes) -> tuple[int, str] | None:
     """Number and hash that a line states, unchecked; None if it is not a record."""
-    record = _record(line)
-    if record is None or not isinstance(record.get("number"), int):
-        return None
-    return record["number"], str(record.get("hash"))
+    return _stated(line, "hash")
 
 
 def start_of(line: bytes) -> tuple[int, str] | None:
     """Number that a line states, and the hash that it follows, unchecked; None if it is not a record."""
+    return _stated(line, "previous")
+
+
+def _stated(line: bytes, name: str) -> tuple[int, str] | None:
     record = _record(line)
     if record is None or not isinstance(record.get("number"), int):
         return None
-    return record["number"], str(record.get("previous"))
+    return record["number"], str(record.get(name))
 
 
 class AuditChain:
