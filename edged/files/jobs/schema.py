@@ -427,8 +427,8 @@ class JobFile(_Section):
         None,
         ge=0,
         le=2,
-        description="width of the part's edge breaks, of a job taught from pictures alone; 0: sharp edges, "
-        "not given: not known",
+        description="width of the part's edge breaks, where neither its CAD model nor a pair shows them; "
+        "0: sharp edges, not given: not known",
     )
     break_end: BreakEnd | None = Field(
         None,

@@ -92,7 +92,7 @@ def to_toml(job: Job) -> str:
 
 
 def _break_to_toml(job: Job) -> list[str]:
-    if job.body is not None:
+    if job.body is not None and job.body.breaks_mm is not None:
         return []
     what = "width of the part's edge breaks (chamfers, roundings); 0: sharp. Your drawing knows better."
     width = "# break_mm = 0.2" if job.break_mm is None else f"break_mm = {job.break_mm!r}"
@@ -114,11 +114,7 @@ def _model_to_toml(job: Job) -> list[str]:
         *(f"    {_numbers(row)}," for row in job.part_from_model),
         "]",
         f'report = "{job.report}"   # whose pose is published: reference, model, or a [[point]] of its frame',
-        *(
-            [f"sigma_mm = {job.sigma_mm!r}   # of the features: a real part has edge breaks"]
-            if job.sigma_mm
-            else []
-        ),
+        *([f"sigma_mm = {job.sigma_mm!r}   # of the features"] if job.sigma_mm else []),
     ]
 
 

@@ -128,10 +128,12 @@ def propose_from_model(
     job, picture = teach_model(
         model, shown.curves, rectification, depth_mm, wanted.name, wanted.number, wanted.params
     )
-    remarks = (
-        f"{shown.name}: no pair has shown the part's edges: results state {job.sigma_mm:g} mm in its face "
-        f"and {MEASURING.across * job.sigma_mm:g} mm across",
+    stated = (
+        f"results state {job.sigma_mm:g} mm in its face and {MEASURING.across * job.sigma_mm:g} mm across"
     )
+    if job.body is not None:
+        stated = "each picture has to show its edge breaks, or break_mm in job.toml"
+    remarks = (f"{shown.name}: no pair has shown the part's edges: {stated}",)
     return _proposal(job, Taught(picture, None, (), remarks), wanted)
 
 

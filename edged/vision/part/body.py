@@ -25,7 +25,8 @@ class PartBody:
 
     points_mm (N, 3).  triangles (M, 3) : counter-clockwise seen from outside.
     lines (L, 4) : the sharp edges: indices of both end points, and of the triangles on both sides.
-    breaks_mm (L,) : width of the edge break that the real part has there and the surface lacks; None: none.
+    breaks_mm (L,) : width of the edge break that the real part has there and the surface lacks, 0 for none;
+    None: not known, so that each pair must show it.
     sigma_break_mm : sigma of these widths.
     merged_mm : breaks narrower than this show no form: a chamfer and a rounding look alike.
     """

@@ -181,8 +181,9 @@ class Job:
     points : named points in that frame.  report : the frame whose pose is published: "reference", "model" or
     the name of a point.
     body : the part's surface, if its CAD model is known; None: self-occlusion is unknown.
-    sigma_mm : common sigma of all features of a job taught from a model alone, whose edge breaks are unknown.
-    break_mm : width of the edge breaks of a job taught from pictures alone; None: not known.
+    sigma_mm : common sigma of all features of a job taught from a model alone: of its chords, and of unknown
+    edge breaks if it has no body.
+    break_mm : width of the edge breaks where neither a body nor a pair shows them; None: not known.
     break_end : which edge of each break was taught, the one in the face or in the wall; None: not known.
     traced : outlines of a job taught from pictures that are no features, but serve to find the part.
     """
@@ -232,6 +233,11 @@ class Job:
             return None
         places = {"model": np.zeros(3), **{point.name: point.position_mm for point in self.points}}
         return np.asarray(self.part_from_model @ transform(np.eye(3), places[self.report]))
+
+    @property
+    def has_open_breaks(self) -> bool:
+        """Whether the form of its edge breaks is unknown, so that each pair must show it."""
+        return self.break_mm is None and (self.body is None or self.body.breaks_mm is None)
 
     @property
     def solid(self) -> bool:

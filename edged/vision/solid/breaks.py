@@ -4,7 +4,8 @@ The share of edges found does not show which width is right: without breaks, a m
 by 0.93, half a millimetre off. The profiles do, since they show both edges of a break apart or together: the
 pose and the widths of all curves are fitted from several common widths, and the fit with the smallest
 residuals of the same profiles is taken. Breaks are accepted if they leave at most half of what sharp edges
-do, or somewhat more with a smaller misfit.
+do, or somewhat more with a smaller misfit. Breaks as bright as the faces hide: the part then lies higher than
+its edges say, by up to their width, and the sigma contains by how much.
 """
 
 from __future__ import annotations
@@ -25,6 +26,7 @@ from edged.vision.solid.forms import (
     PosedPair,
     RefinedForm,
     refined,
+    twist_between,
     widths_by_profiles,
     with_breaks,
 )
@@ -38,7 +40,9 @@ class FittedBody:
     """A body fitted to a pair: the model with its breaks, and its fit.
 
     sigma_break_mm : of the widths.  merged_mm : width below which the pair does not show the form of a break.
-    evidence : of the pair for it.
+    evidence : of the pair for it.  hidden (6, 6) : covariance of the twist by breaks that the pair may hide,
+    as in `ProfileFit`; 0 if it certainly shows breaks, which `is_certain` says.  contradicts : as in
+    `RefinedForm`.
     """
 
     model: EdgeModel
@@ -46,6 +50,14 @@ class FittedBody:
     sigma_break_mm: float
     merged_mm: float
     evidence: PoseEvidence
+    hidden: FloatArray
+    is_certain: bool
+    contradicts: float
+
+    @property
+    def sigma_hidden_mm(self) -> float:
+        """Sigma of the place by breaks that the pair may hide."""
+        return math.sqrt(float(np.trace(self.hidden[3:, 3:])))
 
 
 def lay_with_breaks(images: StereoImages, model: EdgeModel, pose: FloatArray) -> FittedBody | None:
@@ -63,7 +75,8 @@ def lay_with_breaks(images: StereoImages, model: EdgeModel, pose: FloatArray) ->
         forms += [form for form in tried if form is not None]
     if not forms:
         return None
-    found = _explaining_most(forms)
+    shown = _explaining_most(forms)
+    found = shown.form
     pose = found.views[0].pose
     merged_mm = BREAKS.form_px / scale_at(images.rig, pose, model)
     laid_model = replace(found.model, merged_mm=merged_mm)
@@ -74,7 +87,16 @@ def lay_with_breaks(images: StereoImages, model: EdgeModel, pose: FloatArray) ->
     # other light moves the two visible ends of a break against each other
     by_light_mm = PROFILE.light_px / scale_at(images.rig, fit.pose, model) if found.sigma_mm else 0.0
     sigma_break_mm = math.hypot(found.sigma_mm, 2 * by_light_mm)
-    return FittedBody(laid_model, fit, sigma_break_mm, merged_mm, evidence)
+    return FittedBody(
+        laid_model,
+        fit,
+        sigma_break_mm,
+        merged_mm,
+        evidence,
+        shown.hidden,
+        shown.is_certain,
+        found.contradicts,
+    )
 
 
 def _starts(pose: FloatArray, width_mm: float) -> list[FloatArray]:
@@ -120,24 +142,39 @@ def _with_most(form: RefinedForm) -> RefinedForm:
     return form if again is None else min(form, again, key=_cost)
 
 
-def _explaining_most(forms: Sequence[RefinedForm]) -> RefinedForm:
+@dataclass(frozen=True, slots=True, eq=False)
+class _ShownBreaks:
+    """The form that explains most; `hidden` and `is_certain` as in `FittedBody`."""
+
+    form: RefinedForm
+    hidden: FloatArray
+    is_certain: bool
+
+
+def _explaining_most(forms: Sequence[RefinedForm]) -> _ShownBreaks:
     """The form with the smallest residuals of the profiles, with each curve's own break width.
 
     A form without breaks fits one edge of each well, and its own profiles do not show the other edge: so all
     forms are compared on the same profiles. But two steps explain more of any profile than one, so breaks
-    must halve the residual, or take a smaller part of it and also reduce the misfit.
+    must halve the residual, or take a smaller part of it and also reduce the misfit. Where they take less
+    than half, but not by chance, breaks or none may be there: by how much they take, at most as likely.
     """
     sharp = min(forms, key=lambda form: (form.model.breaks_mm.any(), _cost(form)))
     leaves = ProfileResiduals.of(with_breaks(sharp.model, 0.0), sharp.views)
-    found, gained = sharp, 0.0
+    found, gained, is_certain, open_ones = sharp, 0.0, False, [np.zeros((6, 6))]
     for form in sorted(forms, key=lambda form: -leaves.roughly(form.model, form.views))[: BREAKS.kept]:
         if form.model.breaks_mm.any():
             own = _each_by_itself(_with_most(form), leaves)
             gain = leaves.gain(own.model, own.views)
             shifts_less = gain.mean > 0.5 * PROFILE_RESIDUALS.least_gain and _cost(form) < _cost(sharp)
             if (gain.is_certain or shifts_less) and gain.mean > gained:
-                found, gained = own, gain.mean
-    return found
+                found, gained, is_certain = own, gain.mean, gain.is_certain
+            if gain.sigmas > PROFILE_RESIDUALS.least_sigmas:
+                likely = 0.5 * min(max(gain.mean / PROFILE_RESIDUALS.least_gain, 0.0), 1.0)
+                twist = twist_between(sharp.model, sharp.views[0].pose, own.views[0].pose)
+                open_ones.append(likely * np.outer(twist, twist))
+    hidden = np.zeros((6, 6)) if is_certain else max(open_ones, key=np.trace)
+    return _ShownBreaks(found, hidden, is_certain)
 
 
 def _each_by_itself(found: RefinedForm, leaves: ProfileResiduals) -> RefinedForm:

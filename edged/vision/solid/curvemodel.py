@@ -87,9 +87,15 @@ def curve_model(job: Job, break_mm: float = 0.0, is_lower: bool = False) -> Edge
         np.zeros((count, 2), np.int64), start, end, np.stack([up, outwards], axis=1),
         np.repeat(kept, pieces), np.ones(count, bool), np.ones(count, bool), by_break,
         np.full(count, break_mm), np.zeros((0, 3)), np.zeros((0, 3), np.int64), 0.5 * (low + high),
-        float(np.linalg.norm(high - low)), CURVES.taught_px, _unevenness_mm(rims),
-        *((BREAKS.unknown_sigma_mm,) * 2 if job.break_mm is None else (BREAKS.taught_sigma_mm, 0.0)),
+        float(np.linalg.norm(high - low)), CURVES.taught_px, _unevenness_mm(rims), *sigmas_of_breaks(job),
     )  # fmt: skip
+
+
+def sigmas_of_breaks(job: Job) -> tuple[float, float]:
+    """Sigmas of an `EdgeModel` for breaks that are unknown or stated: of all together, and each one's own."""
+    if job.break_mm is None:
+        return BREAKS.unknown_sigma_mm, BREAKS.unknown_sigma_mm
+    return BREAKS.taught_sigma_mm, 0.0
 
 
 def _unevenness_mm(rims: list[_Rim]) -> float:

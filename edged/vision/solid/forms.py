@@ -246,7 +246,7 @@ def likeliest_form(
     for k, view in enumerate(best.views):
         twists = np.array(
             [
-                np.zeros(6) if form is None else _twist(best.model, view.pose, form.views[k].pose)
+                np.zeros(6) if form is None else twist_between(best.model, view.pose, form.views[k].pose)
                 for form in forms
             ]
         )
@@ -269,7 +269,7 @@ def _laid(model: EdgeModel, view: PosedPair) -> PosedPair | None:
     return None if laid is None else replace(view, pose=laid.pose)
 
 
-def _twist(model: EdgeModel, pose: FloatArray, other: FloatArray) -> FloatArray:
+def twist_between(model: EdgeModel, pose: FloatArray, other: FloatArray) -> FloatArray:
     """Twist (6,) from one pose to another, as `moved` takes it."""
     inward = pose[:3, :3].T
     shift = inward @ (apply(other, model.centre) - apply(pose, model.centre))

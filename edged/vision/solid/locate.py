@@ -22,12 +22,14 @@ from edged.vision.part.consistency import apply_limits
 from edged.vision.part.frames import circles_in_rig, measure_sizes, with_features
 from edged.vision.part.job import Job
 from edged.vision.part.measure import published, with_free_axis, with_separate_sizes
+from edged.vision.part.params import MEASURING
 from edged.vision.part.solid import fitted
 from edged.vision.solid.bestfit import ProfileFit, best_fit
-from edged.vision.solid.curvemodel import curve_model
+from edged.vision.solid.breaks import lay_with_breaks
+from edged.vision.solid.curvemodel import curve_model, sigmas_of_breaks
 from edged.vision.solid.edgemodel import EdgeModel, model_of
 from edged.vision.solid.evidence import PoseEvidence, apart, evidence_of, margin_over, sigmas_of
-from edged.vision.solid.forms import PosedPair, contradiction, likeliest_form
+from edged.vision.solid.forms import PosedPair, contradiction, likeliest_form, with_breaks
 from edged.vision.solid.lock import FINE_STEPS, LockedPose, Pyramids, lay
 from edged.vision.solid.modes import PartPlace, SearchedPart, find_places, pyramids_of
 from edged.vision.solid.params import BREAKS, DECISION
@@ -42,6 +44,7 @@ class FoundPart:
     certain : sigmas by which the less certain picture shows the part rather than chance.  margin : sigmas by
     which both show it rather than the nearest rival; inf without one.  between (6, 6) : covariance of the
     twist by other forms of its breaks; None where their form is known.  contradicts : as in `RefinedForm`.
+    hides : whether breaks may be there that neither the job nor the pair shows.
     """
 
     laid: LockedPose
@@ -50,6 +53,7 @@ class FoundPart:
     margin: float
     between: FloatArray | None = None
     contradicts: float = 0.0
+    hides: bool = False
 
 
 def locate_solid(
@@ -57,11 +61,11 @@ def locate_solid(
 ) -> tuple[list[parts.MeasuredPart], list[NotMeasured], list[Match]]:
     """Find all parts of a job in a pair; also those that could not be measured, and near misses.
 
-    A job without a body is looked for by its taught curves alone: if its breaks are not known, with narrow
-    ones, and if these find nothing, with wide ones.
+    A job without a body is looked for by its taught curves alone. If its breaks are not known, the part is
+    looked for with narrow ones, and if these find nothing, with wide ones.
     """
     measured, dismissed, missed = _located(images, job, wanted_of(job))
-    if _has_open_breaks(job) and not (measured or dismissed):
+    if job.has_open_breaks and not (measured or dismissed):
         measured, dismissed, missed_again = _located(images, job, wanted_of(job, BREAKS.looked_wide_mm))
         missed += missed_again
     return measured, dismissed, missed
@@ -81,8 +85,11 @@ def _located(
         if len(measured) + len(dismissed) == job.search.max_matches:
             break
         found = weighed(pyramids, place, lambda model: _turns(job, model))
-        if job.body is None and found.certain > DECISION.worth_forms:
-            found = _of_likeliest_form(images, job, found, place, pyramids)
+        if found.certain > DECISION.worth_forms:
+            if job.body is None:
+                found = _of_likeliest_form(images, job, found, place, pyramids)
+            elif job.has_open_breaks:
+                found = _with_own_breaks(images, job, found, place, pyramids)
         match = _match(images, job, found.laid)
         alone = _certain(found.seen, _not_of(found, taken, shapes))  # without the edges of other parts
         if min(found.certain, alone) < DECISION.certain or not _is_whole(job, found):
@@ -126,7 +133,7 @@ def _agrees(job: Job, models: Sequence[EdgeModel], pyramids: Pyramids, target: T
 def wanted_of(job: Job, looked_mm: float = BREAKS.looked_mm) -> SearchedPart:
     """The part of a job to look for; if its breaks are not known, sharp and with breaks of one width."""
     models = models_of(job)
-    if _has_open_breaks(job):  # to come near; its form is determined there
+    if job.has_open_breaks:  # to come near; its form is determined there
         widths = {0.0, looked_mm}
         models = tuple(model for model, form in zip(models, forms_of(job), strict=True) if form[0] in widths)
     model = models[0]
@@ -140,26 +147,28 @@ def wanted_of(job: Job, looked_mm: float = BREAKS.looked_mm) -> SearchedPart:
     return SearchedPart(models, tilt + DECISION.tilt_margin_rad, (near, far), place)
 
 
-def _has_open_breaks(job: Job) -> bool:
-    """Whether the form of a job's edge breaks is unknown, so that each pair must show it."""
-    return job.body is None and job.break_mm is None
-
-
 @lru_cache(maxsize=16)
 def models_of(job: Job) -> tuple[EdgeModel, ...]:
     """The edges of a job's part, made once: one model, or one for each width that its breaks may have."""
-    if job.body is not None:
-        return (model_of(job.body),)
-    return tuple(curve_model(job, *form) for form in forms_of(job))
+    if job.body is None:
+        return tuple(curve_model(job, *form) for form in forms_of(job))
+    model = model_of(job.body)
+    if job.body.breaks_mm is not None:
+        return (model,)
+    common_mm, own_mm = sigmas_of_breaks(job)
+    model = replace(model, sigma_break_mm=common_mm, sigma_own_mm=own_mm)
+    return tuple(with_breaks(model, width) for width, _ in forms_of(job))
 
 
 def forms_of(job: Job) -> list[tuple[float, bool]]:
-    """Forms that the breaks of a job without a body may have: width, and whether the lower edge was taught.
+    """Forms that unknown breaks of a job may have: width, and whether the lower edge was taught.
 
-    Light and view of the teaching pair decided which end of a break was taught.
+    Light and view of the teaching pair decided which end of a break was taught; a body has both.
     """
     widths = BREAKS.unknown_mm if job.break_mm is None else (job.break_mm,)
     ends = (False, True) if job.break_end is None else (job.break_end == "wall",)
+    if job.body is not None:
+        ends = (False,)
     forms = [(width, is_lower) for is_lower in ends for width in widths if width > 0 or not is_lower]
     if job.break_mm is None:
         forms.sort(key=lambda form: form != (BREAKS.looked_mm, False))
@@ -240,6 +249,27 @@ def _of_likeliest_form(
     return found
 
 
+def _with_own_breaks(
+    images: StereoImages, job: Job, found: FoundPart, place: PartPlace, pyramids: Pyramids
+) -> FoundPart:
+    """Weigh a part with a body again, with the breaks that the pair shows at each of its edges."""
+    fitted_body = lay_with_breaks(images, with_breaks(found.laid.model, 0.0), found.laid.pose)
+    if fitted_body is None:
+        return found
+    model = replace(fitted_body.model, sigma_break_mm=fitted_body.sigma_break_mm, sigma_own_mm=0.0)
+    poses = [fitted_body.fit.pose, *(mode.pose for mode in place.modes)]
+    laid = [lay(model, pyramids, pose, FINE_STEPS[-DECISION.rival_steps :]) for pose in poses]
+    modes = tuple(mode for mode in laid if mode is not None)
+    if not modes:
+        return found
+    again = weighed(pyramids, PartPlace(modes), lambda model: _turns(job, model))
+    contradicts = contradiction(model, PosedPair(images, pyramids, again.laid.pose))
+    unseen_mm = MEASURING.across * BREAKS.hidden_mm  # of a part that shows nothing of its breaks
+    between = fitted_body.hidden if fitted_body.sigma_hidden_mm > unseen_mm else None
+    hides = not fitted_body.is_certain and between is None
+    return replace(again, between=between, contradicts=contradicts, hides=hides)
+
+
 def _tilted_poses(model: EdgeModel, pose: FloatArray) -> list[FloatArray]:
     """Poses tilted a little to each side of one that may be caught askew between the edges of its breaks."""
     twists = 0.5 * DECISION.same_turn_rad * np.eye(6)[:2]  # about the part's x and y
@@ -302,7 +332,7 @@ def measure_found(
     target = _target(job, model, fit, match)
     reject = Reject.NONE if found.margin > DECISION.certain else Reject.AMBIGUOUS_ROTATION
     contradicts = found.contradicts
-    if job.body is not None:  # edges that its teaching pair showed sharp, and this one shows broken
+    if job.body is not None and not job.has_open_breaks:  # edges taught sharp, and shown broken here
         contradicts = contradiction(model, PosedPair(images, pyramids, fit.pose))
     if contradicts > BREAKS.most_misfit:
         reject |= Reject.RESIDUAL
@@ -321,12 +351,13 @@ def measure_found(
         fit.row_sigma_px,
         fit.growth,
         fit.growth_sigma,
-        break_mm=float(model.breaks_mm.max()) if job.body is None else 0.0,
+        break_mm=float(model.breaks_mm.max()) if job.body is None or job.has_open_breaks else 0.0,
     )
     result = parts.MeasuredPart(target, evidence, () if whole is None else whole.fit.fits)
     result = with_separate_sizes(result, images, job)
     target = apply_limits(job, images.rectification, with_free_axis(job, result.target), evidence)
-    return replace(result, target=published(job, target))
+    sigma_mm = math.hypot(job.sigma_mm, BREAKS.hidden_mm) if found.hides else job.sigma_mm
+    return replace(result, target=published(replace(job, sigma_mm=sigma_mm), target))
 
 
 def _held(job: Job, model: EdgeModel) -> FloatArray | None:

@@ -315,6 +315,9 @@ class BreaksParams:
     grid_mm: tuple[float, ...] = (0.0, 0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.4, 0.5, 0.7)
     """Widths at which the profiles of each curve are compared: a profile finds edges within two pixels."""
     usual_mm: float = 0.15  # to look for a part by: midway between sharp edges and breaks of 0.3
+    hidden_mm: float = 0.1
+    """Sigma of all edges where a file has no breaks and a pair shows none: usual ones are 0.1 to 0.5 mm (ISO
+    13715), and those as bright as the faces hide."""
     most_mm: float = 1.0  # of a break
     least_mm: float = 0.02  # less is a sharp edge for any camera
     levels: int = 3  # of the pyramids

@@ -85,7 +85,12 @@ def teach_model(
     mask = mask_along(rectification, flat, rig_from_part)
     shape = create_model(image, mask, params=params)
     sizes, witness = known_radius(circles, reference)
-    sigma_mm = math.hypot(CAD.sigma_mm, max((circle.sigma_mm for circle in curves.circles), default=0.0))
+    chords_mm = max((circle.sigma_mm for circle in curves.circles), default=0.0)
+    unseen_mm = math.hypot(CAD.sigma_mm, chords_mm)  # with breaks that no pair has shown
+    limits = replace(
+        usual_limits(depth_mm, 1 / scale, shape, circles, reference, unseen_mm),
+        max_sigma_mm=CAD.max_sigma_mm * unseen_mm / CAD.sigma_mm,
+    )
     job = Job(
         name=name,
         number=number,
@@ -95,16 +100,13 @@ def teach_model(
         witness=witness,
         reference=reference,
         rig_from_part=rig_from_part,
-        limits=replace(
-            usual_limits(depth_mm, 1 / scale, shape, circles, reference, sigma_mm),
-            max_sigma_mm=CAD.max_sigma_mm * sigma_mm / CAD.sigma_mm,
-        ),
+        limits=limits,
         search=USUAL_SEARCH,
         edges=tuple(edges),
         corners=tuple(corners),
         part_from_model=part_from_model,
         body=body,
-        sigma_mm=sigma_mm,
+        sigma_mm=unseen_mm if body is None else chords_mm,  # with a body, each pair has to show its breaks
     )
     return for_solid(job) if job.solid else job, image
 

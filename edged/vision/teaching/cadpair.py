@@ -18,7 +18,7 @@ from edged.vision.geometry.rigid import apply, invert, transform, unit
 from edged.vision.part.job import usual_limits
 from edged.vision.solid.edgemodel import model_of
 from edged.vision.solid.forms import with_breaks
-from edged.vision.solid.locate import weighed
+from edged.vision.solid.locate import FoundPart, weighed
 from edged.vision.solid.lock import Pyramids
 from edged.vision.solid.modes import SearchedPart, find_places, pyramids_of
 from edged.vision.solid.params import BREAKS, DECISION
@@ -74,31 +74,32 @@ def _looked_for(images: StereoImages, curves: ModelCurves, mask: Image) -> Float
     distances = distance / CAD.taught_range, distance * CAD.taught_range
     wanted = SearchedPart((sharp,), CAD.taught_tilt_rad, distances, place)
     pyramids = pyramids_of(images, wanted)
-    # first with usual breaks, then with any width: of wide breaks either edge may show
-    for widths in ((BREAKS.usual_mm,), BREAKS.unknown_mm):
-        models = tuple(with_breaks(sharp, width) for width in widths)
-        pose = _laid_by(images, replace(wanted, models=models), pyramids, mask)
-        if pose is not None:
-            return np.asarray(pose @ level)
-    return None
+    # first with usual breaks; then with all widths, each from a scan of its own: of wide breaks either edge
+    # may show, and views of a model without them lead to a pose between the two
+    found = _laid_by(images, replace(wanted, models=(with_breaks(sharp, BREAKS.usual_mm),)), pyramids, mask)
+    if found is None:
+        tried = [
+            _laid_by(images, replace(wanted, models=(with_breaks(sharp, width),)), pyramids, mask)
+            for width in BREAKS.unknown_mm
+        ]
+        shown = [part for part in tried if part is not None]
+        found = max(shown, key=lambda part: part.certain, default=None)
+    return None if found is None else np.asarray(found.laid.pose @ level)
 
 
-def _laid_by(
-    images: StereoImages, wanted: SearchedPart, pyramids: Pyramids, mask: Image
-) -> FloatArray | None:
-    """rig_from_part (4, 4) of the part within a mask, by the best of some models; None if none is certain."""
+def _laid_by(images: StereoImages, wanted: SearchedPart, pyramids: Pyramids, mask: Image) -> FoundPart | None:
+    """The part within a mask, by one model; None if it is not certain, or fits as well otherwise."""
     model = wanted.models[0]
     turns = like_turns(model, (float(model.centre[0]), float(model.centre[1])))
-    for found in find_places(wanted, pyramids):
-        centre = images.rig.left.project(apply(found.best.pose, model.centre)[None])
+    for place in find_places(wanted, pyramids):
+        centre = images.rig.left.project(apply(place.best.pose, model.centre)[None])
         x, y = np.rint(images.rectification.rectify_points("left", centre)[0]).astype(int)
         if not (0 <= y < mask.shape[0] and 0 <= x < mask.shape[1] and mask[y, x] > 0):
             continue
-        best = weighed(pyramids, found, lambda _: turns)
+        found = weighed(pyramids, place, lambda _: turns)
         # little certainty is needed here: `laid_on_pair` tests it again with the breaks of the part
-        if best.certain < DECISION.worth_forms or best.margin < DECISION.certain:
-            return None
-        return best.laid.pose
+        is_shown = found.certain >= DECISION.worth_forms and found.margin >= DECISION.certain
+        return found if is_shown else None
     return None
 
 

@@ -21,7 +21,7 @@ from edged.vision.part.params import MEASURING
 from edged.vision.solid.breaks import lay_with_breaks, likeliest
 from edged.vision.solid.edgemodel import model_of, widths_of
 from edged.vision.solid.evidence import sigmas_of
-from edged.vision.solid.params import DECISION
+from edged.vision.solid.params import BREAKS, DECISION
 from edged.vision.teaching.cadbody import body_of
 from edged.vision.teaching.cadmatch import ModelRegistration, Partner, register
 from edged.vision.teaching.cadmodel import ModelCircle, ModelCurves
@@ -113,13 +113,19 @@ def laid_on_pair(job: Job, images: StereoImages, what: str) -> tuple[Job, list[s
             "the model of this part, and a pair that shows it whole",
             "not_shown",
         )
-    widths = widths_of(job.body.lines[:, :2], laid.model.sides, laid.model.breaks_mm)
-    body = replace(job.body, breaks_mm=widths, sigma_break_mm=laid.sigma_break_mm, merged_mm=laid.merged_mm)
-    limits, widest = job.limits, float(widths.max(initial=0.0))
+    limits, body, hidden_mm = job.limits, job.body, laid.sigma_hidden_mm
+    # edges that do not fit say that it may lie otherwise, by more than a model alone is good to
+    if laid.contradicts > 0.5 * BREAKS.most_misfit and hidden_mm > CAD.sigma_mm:
+        limits, widest = replace(limits, max_sigma_mm=CAD.max_sigma_mm), 3 * CAD.sigma_mm
+        remarks = [f"edge breaks: this pair may hide some ({hidden_mm:.2f} mm): each picture is to show them"]
+    else:
+        widths = widths_of(body.lines[:, :2], laid.model.sides, laid.model.breaks_mm)
+        sigma_mm, merged_mm = laid.sigma_break_mm, laid.merged_mm
+        body = replace(body, breaks_mm=widths, sigma_break_mm=sigma_mm, merged_mm=merged_mm)
+        widest, remarks = float(widths.max(initial=0.0)), _said(widths)
     if limits.radius_tolerance_mm is not None:  # other light may show the other edge of a rim's break
         limits = replace(limits, radius_tolerance_mm=round(limits.radius_tolerance_mm + widest, 4))
-    taken = replace(job, body=body, break_mm=None, rig_from_part=laid.fit.pose, limits=limits)
-    return taken, _said(widths)
+    return replace(job, body=body, break_mm=None, rig_from_part=laid.fit.pose, limits=limits), remarks
 
 
 def _said(widths_mm: FloatArray) -> list[str]:

@@ -23,7 +23,7 @@ def carry_over(former: Job, taught: Job) -> tuple[Job, tuple[str, ...]]:
     if taught.tilt_rad is None and former.tilt_rad is not None:
         taught = replace(taught, tilt_rad=former.tilt_rad)
         remarks.append(f"kept: search.tilt_deg = {math.degrees(former.tilt_rad):.6g}")
-    if taught.body is None and taught.break_mm is None and former.break_mm is not None:
+    if taught.has_open_breaks and former.break_mm is not None:
         taught = replace(taught, break_mm=former.break_mm)  # which end was taught depends on this pair
         remarks.append(f"kept: break_mm = {former.break_mm:g}")
     if taught.part_from_model is not None and (former.report != taught.report or former.points):
@@ -54,11 +54,16 @@ def _limits(former: Job, taught: Job, remarks: list[str]) -> ResultLimits:
         remarks.append(_kept("limits.depth_mm", was.depth_mm, taught.limits.depth_mm))
     for name in (field.name for field in fields(ResultLimits) if field.name != "depth_mm"):
         before, after = getattr(was, name), getattr(now, name)
-        by_teaching = name == "max_sigma_mm" and former.sigma_mm != taught.sigma_mm
+        by_teaching = name == "max_sigma_mm" and _vagueness(former) != _vagueness(taught)
         if _differ(before, after) and not by_teaching:
             now = replace(now, **{name: before})
             remarks.append(_kept(f"limits.{name}", before, after))
     return now
+
+
+def _vagueness(job: Job) -> tuple[float, bool]:
+    """What sets the limit of a job's sigma at teaching: what its model leaves open."""
+    return job.sigma_mm, job.part_from_model is not None and job.has_open_breaks
 
 
 def _search(former: Job, taught: Job, remarks: list[str]) -> SearchParams:
