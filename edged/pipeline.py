@@ -13,6 +13,7 @@ from edged.domain.arrays import Image
 from edged.domain.frames import FramePair
 from edged.domain.marks import MarksReport, MarksTrack
 from edged.domain.measurement import Nearest, NearMiss, NotMeasured, Outcome, Reject, Status
+from edged.domain.stopwatch import no_lap
 from edged.vision.geometry.camera import StereoRig
 from edged.vision.geometry.correction import RigCorrection
 from edged.vision.geometry.rectification import Rectification, StereoImages, make_rectification
@@ -75,11 +76,7 @@ def corrected(prepared: PreparedRig, correction: RigCorrection) -> PreparedRig:
     )
 
 
-def _no_lap(stage: str) -> None:
-    pass
-
-
-def locate(pair: FramePair, job: Job, rig: PreparedRig, lap: Callable[[str], None] = _no_lap) -> Outcome:
+def locate(pair: FramePair, job: Job, rig: PreparedRig, lap: Callable[[str], None] = no_lap) -> Outcome:
     """Locate the job's part in one stereo exposure (paper, sections 3.2 to 5.2).
 
     lap : called with the name of each stage as it ends, for timing.
@@ -98,7 +95,7 @@ class PairInspection:
 
 
 def inspect(
-    pair: FramePair, job: Job, rig: PreparedRig, lap: Callable[[str], None] = _no_lap
+    pair: FramePair, job: Job, rig: PreparedRig, lap: Callable[[str], None] = no_lap
 ) -> PairInspection:
     """Locate parts with the evidence: every part found, with its edges."""
     images = _rectified(pair, rig)
@@ -131,9 +128,7 @@ def inspect(
 
 def _inspect_solid(images: StereoImages, job: Job, lap: Callable[[str], None]) -> PairInspection:
     """Inspect with all edges of a part, those of its body or the taught ones, in both pictures."""
-    measured, dismissed, missed = locate_solid(images, job)
-    lap("find")
-    lap("measure")
+    measured, dismissed, missed = locate_solid(images, job, lap)
     nearest = None
     if not measured and not dismissed:
         miss = NearMiss(missed[0], job.search.min_score) if missed else None

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import functools
 import logging
 import math
 from collections import deque
@@ -21,6 +22,7 @@ from edged.domain.cell import CellPhase, CellState, SetupSource
 from edged.domain.events import PLC_SOURCE, Basis, Command, CommandFailed, Idle
 from edged.domain.frames import FramePair
 from edged.domain.marks import MarksReport, MarksState, MarksTrack
+from edged.domain.stopwatch import Stopwatch
 from edged.errors import CaptureError, CommandRefused
 from edged.logs import fields
 from edged.ports import Head
@@ -163,9 +165,24 @@ class CellContext:
             return True
         return False
 
-    async def on_vision_thread(self, work: Callable[..., T], *arguments: object) -> T:
-        """Run work on the single thread that measures jobs. Raises what the work raises."""
-        return await asyncio.get_running_loop().run_in_executor(self.vision, work, *arguments)
+    async def on_vision_thread(
+        self, work: Callable[..., T], *arguments: object, lap: Stopwatch | None = None
+    ) -> T:
+        """Run work on the single thread that measures jobs. Raises what the work raises.
+
+        lap : its last argument, if given. While that counts on, heartbeats are announced: a picture of many
+        parts may take longer than a watchdog waits, but work that stands still must look like it.
+        """
+        loop = asyncio.get_running_loop()
+        if lap is None:
+            return await loop.run_in_executor(self.vision, work, *arguments)
+        done = loop.run_in_executor(self.vision, functools.partial(work, *arguments, lap))
+        counted = lap.count
+        while not (await asyncio.wait({done}, timeout=IDLE_S))[0]:
+            if lap.count != counted:
+                counted = lap.count
+                self.announce(Idle())
+        return done.result()
 
     async def setup_picture(self) -> FramePair:
         """Return one exposure of the cameras in use in SETUP. Raises `CaptureError`."""

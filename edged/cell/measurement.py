@@ -80,8 +80,8 @@ class CycleRun:
     async def _located(self, job: LoadedJob, pair: FramePair) -> Outcome:
         marks, track = self.cell.setup.marks, self.cell.track
         if marks is None or track is None:
-            return await self.cell.on_vision_thread(job.locate, pair, self.lap)
-        return await self.cell.on_vision_thread(marks.locate, job.number, pair, track, self.lap)
+            return await self.cell.on_vision_thread(job.locate, pair, lap=self.lap)
+        return await self.cell.on_vision_thread(marks.locate, job.number, pair, track, lap=self.lap)
 
     async def followed(self, pair: FramePair) -> MarksTrack | None:
         """Add this exposure to the track of the reference marks; return the track before it."""

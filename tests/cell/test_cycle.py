@@ -6,6 +6,7 @@ import asyncio
 import dataclasses
 import functools
 import logging
+import threading
 import time
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
@@ -93,6 +94,31 @@ async def test_parts_come_in_the_order_of_their_job_and_in_the_frame_of_the_robo
     assert [190.0, 200.0, 210.0] == await places(Order.TOPMOST, looks_down)
     assert [210.0, 200.0, 190.0] == await places(Order.TOPMOST, np.eye(4))
     assert [190.0, 200.0, 210.0] == await places(Order.TOPMOST, None)
+
+
+@pytest.mark.parametrize("advances", [True, False])
+async def test_long_work_announces_heartbeats_while_it_advances(
+    advances: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The watchdog is fed while part after part of a picture is measured, and not while work stands still."""
+    monkeypatch.setattr("edged.cell.context.IDLE_S", 0.02)
+    fed = threading.Event()
+
+    def found(_pair: FramePair, lap: Callable[[str], None]) -> Outcome:
+        for _ in range(10):
+            fed.wait(0.05)
+            if advances:
+                lap("find")
+        return Outcome(Status.NO_TARGET)
+
+    setup = dataclasses.replace(make_setup(), jobs={1: LoadedJob("job1", 1, found)})
+    async with driven(setup) as (cycle, ear, _):
+        cycle.submit(locate_command(1))
+        await until(lambda: any(isinstance(event, ExposureDone) for event in ear.events))
+        first = len(ear.events)
+        await until(ear.snapshots)
+        during = [event for event in ear.events[first:] if isinstance(event, Idle)]
+    assert bool(during) is advances
 
 
 def score(value: float, reject: Reject = Reject.NONE, x_mm: float = 10.0) -> Outcome:

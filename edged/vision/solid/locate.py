@@ -15,6 +15,7 @@ import numpy as np
 
 from edged.domain.arrays import B8, FloatArray
 from edged.domain.measurement import Match, NotMeasured, Reject, Target
+from edged.domain.stopwatch import no_lap
 from edged.vision.geometry.rectification import StereoImages
 from edged.vision.geometry.rigid import apply, skew, transform, turn_between
 from edged.vision.part import measured as parts
@@ -57,22 +58,25 @@ class FoundPart:
 
 
 def locate_solid(
-    images: StereoImages, job: Job
+    images: StereoImages, job: Job, lap: Callable[[str], None] = no_lap
 ) -> tuple[list[parts.MeasuredPart], list[NotMeasured], list[Match]]:
     """Find all parts of a job in a pair; also those that could not be measured, and near misses.
 
     A job without a body is looked for by its taught curves alone. If its breaks are not known, the part is
     looked for with narrow ones, and if these find nothing, with wide ones.
+
+    lap : called with "find" and "measure" as these end at each place.
     """
-    measured, dismissed, missed = _located(images, job, wanted_of(job))
+    measured, dismissed, missed = _located(images, job, wanted_of(job), lap)
     if job.has_open_breaks and not (measured or dismissed):
-        measured, dismissed, missed_again = _located(images, job, wanted_of(job, BREAKS.looked_wide_mm))
+        wide = wanted_of(job, BREAKS.looked_wide_mm)
+        measured, dismissed, missed_again = _located(images, job, wide, lap)
         missed += missed_again
     return measured, dismissed, missed
 
 
 def _located(
-    images: StereoImages, job: Job, wanted: SearchedPart
+    images: StereoImages, job: Job, wanted: SearchedPart, lap: Callable[[str], None]
 ) -> tuple[list[parts.MeasuredPart], list[NotMeasured], list[Match]]:
     """`locate_solid` with some forms of the breaks."""
     pyramids = pyramids_of(images, wanted)
@@ -90,6 +94,7 @@ def _located(
                 found = _of_likeliest_form(images, job, found, place, pyramids)
             elif job.has_open_breaks:
                 found = _with_own_breaks(images, job, found, place, pyramids)
+        lap("find")
         match = _match(images, job, found.laid)
         alone = _certain(found.seen, _not_of(found, taken, shapes))  # without the edges of other parts
         if min(found.certain, alone) < DECISION.certain or not _is_whole(job, found):
@@ -97,10 +102,12 @@ def _located(
             continue
         taken.append(found)
         result = measure_found(images, job, found, pyramids, match)
+        lap("measure")
         if isinstance(result, parts.MeasuredPart):
             measured.append(result)
         else:
             dismissed.append(NotMeasured(match, result))
+    lap("find")
     return measured, dismissed, missed
 
 
