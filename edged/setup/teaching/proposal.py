@@ -82,9 +82,9 @@ def propose_from_pair(
     if further or (model is None and (job.solid or wanted.tilt_deg is not None)):
         job, shown = with_breaks_shown(job, (left, right), further, rectification)
         settled = (*settled, *shown)
-        if job.solid and not shown:
+        if model is None and job.solid and not shown:
             settled = (_of_one_pair(job, rectification.rig),)
-        if job.solid and (uneven_mm := unevenness_mm(job)):
+        if model is None and job.solid and (uneven_mm := unevenness_mm(job)):
             settled = (*settled, _of_uneven(uneven_mm))
     picture, mask = rectification.left_image(left), taught_mask(region, (), rectification)
     cuts = cut_edges(job, picture, mask, rectification)

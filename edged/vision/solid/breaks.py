@@ -70,7 +70,8 @@ def lay_with_breaks(images: StereoImages, model: EdgeModel, pose: FloatArray) ->
     for width in BREAKS.tried_mm:
         broken = with_breaks(model, width)
         tried = [
-            refined(broken, [view]) for view in _laid_from(_starts(pose, width), broken, images, pyramids)
+            refined(broken, [view])
+            for view in _laid_from(starts_of_breaks(pose, width), broken, images, pyramids)
         ]
         forms += [form for form in tried if form is not None]
     if not forms:
@@ -99,7 +100,7 @@ def lay_with_breaks(images: StereoImages, model: EdgeModel, pose: FloatArray) ->
     )
 
 
-def _starts(pose: FloatArray, width_mm: float) -> list[FloatArray]:
+def starts_of_breaks(pose: FloatArray, width_mm: float) -> list[FloatArray]:
     """Possible poses of a model with breaks of one width: as given, and higher by that width.
 
     The lower edges of breaks have the model's radii: curves that were taught by them lie a width below where

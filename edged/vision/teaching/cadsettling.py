@@ -16,9 +16,9 @@ from edged.domain.arrays import FloatArray
 from edged.errors import TeachError
 from edged.vision.geometry.rectification import StereoImages
 from edged.vision.geometry.rigid import apply, unit
-from edged.vision.part.job import CircleFeature, EdgeFeature, Job
+from edged.vision.part.job import CircleFeature, EdgeFeature, Job, ResultLimits
 from edged.vision.part.params import MEASURING
-from edged.vision.solid.breaks import lay_with_breaks, likeliest
+from edged.vision.solid.breaks import FittedBody, lay_with_breaks, likeliest
 from edged.vision.solid.edgemodel import model_of, widths_of
 from edged.vision.solid.evidence import sigmas_of
 from edged.vision.solid.params import BREAKS, DECISION
@@ -113,19 +113,31 @@ def laid_on_pair(job: Job, images: StereoImages, what: str) -> tuple[Job, list[s
             "the model of this part, and a pair that shows it whole",
             "not_shown",
         )
-    limits, body, hidden_mm = job.limits, job.body, laid.sigma_hidden_mm
+    hidden_mm = laid.sigma_hidden_mm
     # edges that do not fit say that it may lie otherwise, by more than a model alone is good to
     if laid.contradicts > 0.5 * BREAKS.most_misfit and hidden_mm > CAD.sigma_mm:
-        limits, widest = replace(limits, max_sigma_mm=CAD.max_sigma_mm), 3 * CAD.sigma_mm
-        remarks = [f"edge breaks: this pair may hide some ({hidden_mm:.2f} mm): each picture is to show them"]
-    else:
-        widths = widths_of(body.lines[:, :2], laid.model.sides, laid.model.breaks_mm)
-        sigma_mm, merged_mm = laid.sigma_break_mm, laid.merged_mm
-        body = replace(body, breaks_mm=widths, sigma_break_mm=sigma_mm, merged_mm=merged_mm)
-        widest, remarks = float(widths.max(initial=0.0)), _said(widths)
-    if limits.radius_tolerance_mm is not None:  # other light may show the other edge of a rim's break
-        limits = replace(limits, radius_tolerance_mm=round(limits.radius_tolerance_mm + widest, 4))
-    return replace(job, body=body, break_mm=None, rig_from_part=laid.fit.pose, limits=limits), remarks
+        limits = _wider(replace(job.limits, max_sigma_mm=CAD.max_sigma_mm), 3 * CAD.sigma_mm)
+        hidden = f"edge breaks: this pair may hide some ({hidden_mm:.2f} mm): each picture is to show them"
+        return replace(job, break_mm=None, rig_from_part=laid.fit.pose, limits=limits), [hidden]
+    taken, remarks = with_own_breaks(job, laid)
+    return replace(taken, rig_from_part=laid.fit.pose), remarks
+
+
+def with_own_breaks(job: Job, laid: FittedBody) -> tuple[Job, list[str]]:
+    """The job with the edge breaks of its body as fitted to a pair; also a remark, if there are any."""
+    assert job.body is not None
+    widths = widths_of(job.body.lines[:, :2], laid.model.sides, laid.model.breaks_mm)
+    sigma_mm, merged_mm = laid.sigma_break_mm, laid.merged_mm
+    body = replace(job.body, breaks_mm=widths, sigma_break_mm=sigma_mm, merged_mm=merged_mm)
+    limits = _wider(job.limits, float(widths.max(initial=0.0)))
+    return replace(job, body=body, break_mm=None, limits=limits), _said(widths)
+
+
+def _wider(limits: ResultLimits, by_mm: float) -> ResultLimits:
+    """Limits with a wider tolerance of radii: other light may show the other edge of a rim's break."""
+    if limits.radius_tolerance_mm is None:
+        return limits
+    return replace(limits, radius_tolerance_mm=round(limits.radius_tolerance_mm + by_mm, 4))
 
 
 def _said(widths_mm: FloatArray) -> list[str]:

@@ -19,13 +19,16 @@ from edged.errors import TeachError
 from edged.vision.geometry.rectification import Rectification, StereoImages
 from edged.vision.geometry.rigid import invert, turn_between
 from edged.vision.part.job import MAX_TILT_DEG, BreakEnd, Job
+from edged.vision.solid.bestfit import best_fit
+from edged.vision.solid.breaks import lay_with_breaks, starts_of_breaks
 from edged.vision.solid.curvemodel import has_enough_curves
-from edged.vision.solid.edgemodel import EdgeModel
+from edged.vision.solid.edgemodel import EdgeModel, model_of
 from edged.vision.solid.forms import FormChoice, PosedPair, likeliest_form
 from edged.vision.solid.locate import forms_of, locate_solid, models_of
-from edged.vision.solid.lock import Pyramids
+from edged.vision.solid.lock import Pyramids, lay
 from edged.vision.solid.params import BREAKS, DECISION
 from edged.vision.teaching.brokenedges import broken_edges, with_edges
+from edged.vision.teaching.cadsettling import with_own_breaks
 
 Pair = tuple[Image, Image]
 
@@ -39,10 +42,12 @@ def with_breaks_shown(
     Raises `TeachError` naming a further pair that does not show the part, `ImageError` for pairs of other
     cameras.
     """
+    if job.body is not None and job.has_open_breaks:
+        return _with_body_shown(job, pair, further, rectification)
     if job.body is not None or not has_enough_curves(job):
         if not further:
             return job, ()
-        what = "a CAD model" if job.body is not None else "that few curves"
+        what = "edge breaks that are settled" if job.body is not None else "that few curves"
         raise TeachError(
             f"further pairs: a part with {what} has nothing to learn from them", "further_needless"
         )
@@ -66,6 +71,37 @@ def with_breaks_shown(
     remarks = tuple(_pair_remark(choice, job, views, k) for k in range(1, len(views)))
     settled, what = _settled(job, choice, forms_of(unknown))
     return settled, (*remarks, what)
+
+
+def _with_body_shown(
+    job: Job, pair: Pair, further: Sequence[Pair], rectification: Rectification
+) -> tuple[Job, tuple[str, ...]]:
+    """The job of a body with the breaks that the first further pair certainly shows."""
+    assert job.body is not None
+    remarks: list[str] = []
+    for k, raw in enumerate(further, 2):
+        images = StereoImages.of(rectification, *raw)
+        laid = lay_with_breaks(images, model_of(job.body), _found(job, images, k).pose)
+        if laid is None or not laid.is_certain:
+            remarks.append(f"pair {k}: its edge breaks may hide, too")
+            continue
+        taken, what = with_own_breaks(job, laid)
+        first = StereoImages.of(rectification, *pair)
+        pose = _laid_again(laid.model, first, job.rig_from_part)
+        return replace(taken, rig_from_part=pose), (*remarks, f"pair {k}: shows them", *what)
+    return job, tuple(remarks)
+
+
+def _laid_again(model: EdgeModel, images: StereoImages, pose: FloatArray) -> FloatArray:
+    """Pose of a model with breaks in a pair that hides them, from one that was found without them."""
+    pyramids = Pyramids(images.rig, images.raw, BREAKS.levels)
+    starts = starts_of_breaks(pose, float(model.breaks_mm.max(initial=0.0)))
+    found = [lay(model, pyramids, start, BREAKS.steps) for start in starts]
+    best = max((laid for laid in found if laid is not None), key=lambda laid: laid.mean, default=None)
+    if best is None:
+        return pose
+    fit = best_fit(model, pyramids, images, best.pose)
+    return best.pose if fit is None else fit.pose
 
 
 def _by_both_edges(job: Job, views: Sequence[PosedPair], by: str) -> tuple[Job, tuple[str, ...]]:

@@ -23,6 +23,7 @@ from edged.vision.solid.locate import locate_solid, models_of
 from edged.vision.teaching import cadpair
 from edged.vision.teaching.cadjob import teach_model
 from edged.vision.teaching.cadsettling import Settled
+from edged.vision.teaching.furtherpairs import with_breaks_shown
 from edged.vision.teaching.pair import WantedJob, view_of
 
 DEPTH_MM = 205.0
@@ -136,6 +137,11 @@ def test_a_pair_that_hides_breaks_leaves_them_open(tmp_path: Path) -> None:
     assert settled.job.body is not None
     assert settled.job.body.breaks_mm is None
     assert [line for line in settled.remarks if "may hide" in line]
+    further = images_of(11, 1, 20.0)
+    job, said = with_breaks_shown(settled.job, hiding(11, 1).raw, [further.raw], rig().rectification)
+    assert not job.has_open_breaks
+    assert "pair 2: shows them" in said
+    assert np.linalg.norm(job.rig_from_part[:3, 3] - settled.job.rig_from_part[:3, 3]) > 0.02
     target = only(images_of(11, 1, 20.0), settled.job)
     assert Reject.NONE is target.reject
     assert off_mm(target, 20.0) < 0.04
