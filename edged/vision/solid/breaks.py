@@ -32,7 +32,7 @@ from edged.vision.solid.forms import (
 )
 from edged.vision.solid.lock import Pyramids, lay, scale_at
 from edged.vision.solid.params import BREAKS, DECISION, PROFILE, PROFILE_RESIDUALS
-from edged.vision.solid.profileresiduals import ProfileResiduals
+from edged.vision.solid.profileresiduals import Gain, ProfileResiduals
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -40,8 +40,8 @@ class FittedBody:
     """A body fitted to a pair: the model with its breaks, and its fit.
 
     sigma_break_mm : of the widths.  merged_mm : width below which the pair does not show the form of a break.
-    evidence : of the pair for it.  hidden (6, 6) : covariance of the twist by breaks that the pair may hide,
-    as in `ProfileFit`; 0 if it certainly shows breaks, which `is_certain` says.  contradicts : as in
+    evidence : of the pair for it.  hidden (6, 6) : covariance of the twist, as in `ProfileFit`, by other
+    breaks, or ones that the pair may hide.  is_certain : whether it shows breaks.  contradicts : as in
     `RefinedForm`.
     """
 
@@ -157,25 +157,43 @@ def _explaining_most(forms: Sequence[RefinedForm]) -> _ShownBreaks:
 
     A form without breaks fits one edge of each well, and its own profiles do not show the other edge: so all
     forms are compared on the same profiles. But two steps explain more of any profile than one, so breaks
-    must halve the residual, or take a smaller part of it and also reduce the misfit. Where they take less
-    than half, but not by chance, breaks or none may be there: by how much they take, at most as likely.
+    must halve the residual, or take a smaller part of it and also reduce the misfit. What else may be there
+    is in `hidden`: other breaks that take about as much, and breaks or none where they take less than half.
     """
     sharp = min(forms, key=lambda form: (form.model.breaks_mm.any(), _cost(form)))
     leaves = ProfileResiduals.of(with_breaks(sharp.model, 0.0), sharp.views)
-    found, gained, is_certain, open_ones = sharp, 0.0, False, [np.zeros((6, 6))]
+    found, best = sharp, Gain(0.0, 0.0, np.zeros(0))
+    tried: list[tuple[RefinedForm, Gain]] = []
     for form in sorted(forms, key=lambda form: -leaves.roughly(form.model, form.views))[: BREAKS.kept]:
         if form.model.breaks_mm.any():
             own = _each_by_itself(_with_most(form), leaves)
             gain = leaves.gain(own.model, own.views)
+            tried.append((own, gain))
             shifts_less = gain.mean > 0.5 * PROFILE_RESIDUALS.least_gain and _cost(form) < _cost(sharp)
-            if (gain.is_certain or shifts_less) and gain.mean > gained:
-                found, gained, is_certain = own, gain.mean, gain.is_certain
-            if gain.sigmas > PROFILE_RESIDUALS.least_sigmas:
-                likely = 0.5 * min(max(gain.mean / PROFILE_RESIDUALS.least_gain, 0.0), 1.0)
-                twist = twist_between(sharp.model, sharp.views[0].pose, own.views[0].pose)
-                open_ones.append(likely * np.outer(twist, twist))
-    hidden = np.zeros((6, 6)) if is_certain else max(open_ones, key=np.trace)
-    return _ShownBreaks(found, hidden, is_certain)
+            if (gain.is_certain or shifts_less) and gain.mean > best.mean:
+                found, best = own, gain
+    if found is sharp:
+        others = [(form, _likely(gain)) for form, gain in tried]
+    else:
+        others = [(form, _as_likely(gain, best)) for form, gain in tried]
+        others += [] if best.is_certain else [(sharp, _likely(best))]
+    hidden = [np.zeros((6, 6))]
+    for form, likely in others:
+        twist = twist_between(found.model, found.views[0].pose, form.views[0].pose)
+        hidden.append(likely * np.outer(twist, twist))
+    return _ShownBreaks(found, max(hidden, key=np.trace), best.is_certain)
+
+
+def _likely(gain: Gain) -> float:
+    """Probability of breaks that are not believed: by how much they take, at most as likely as none."""
+    if gain.sigmas < PROFILE_RESIDUALS.least_sigmas:
+        return 0.0
+    return 0.5 * min(max(gain.mean / PROFILE_RESIDUALS.least_gain, 0.0), 1.0)
+
+
+def _as_likely(gain: Gain, best: Gain) -> float:
+    """Probability that breaks of less gain are the right ones, by the scatter of the gain over curves."""
+    return 0.5 * math.exp(-0.5 * (best.sigmas * (1.0 - gain.mean / best.mean)) ** 2)
 
 
 def _each_by_itself(found: RefinedForm, leaves: ProfileResiduals) -> RefinedForm:

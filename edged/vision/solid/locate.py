@@ -102,6 +102,9 @@ def _located(
             continue
         taken.append(found)
         result = measure_found(images, job, found, pyramids, match)
+        if job.body is not None and not job.has_open_breaks and _contradicts(result):
+            found = _with_own_breaks(images, job, found, place, pyramids)
+            result = measure_found(images, job, found, pyramids, match)
         lap("measure")
         if isinstance(result, parts.MeasuredPart):
             measured.append(result)
@@ -109,6 +112,11 @@ def _located(
             dismissed.append(NotMeasured(match, result))
     lap("find")
     return measured, dismissed, missed
+
+
+def _contradicts(result: parts.MeasuredPart | Reject) -> bool:
+    """Whether a part was refused because its breaks are not as its teaching pair showed them."""
+    return isinstance(result, parts.MeasuredPart) and bool(result.target.reject & Reject.RESIDUAL)
 
 
 def all_edges_agree(images: StereoImages, job: Job, targets: Sequence[Target]) -> bool:
@@ -272,8 +280,8 @@ def _with_own_breaks(
     again = weighed(pyramids, PartPlace(modes), lambda model: _turns(job, model))
     contradicts = contradiction(model, PosedPair(images, pyramids, again.laid.pose))
     unseen_mm = MEASURING.across * BREAKS.hidden_mm  # of a part that shows nothing of its breaks
-    between = fitted_body.hidden if fitted_body.sigma_hidden_mm > unseen_mm else None
-    hides = not fitted_body.is_certain and between is None
+    hides = not (fitted_body.is_certain or fitted_body.sigma_hidden_mm > unseen_mm)
+    between = None if hides else fitted_body.hidden
     return replace(again, between=between, contradicts=contradicts, hides=hides)
 
 

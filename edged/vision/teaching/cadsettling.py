@@ -114,8 +114,9 @@ def laid_on_pair(job: Job, images: StereoImages, what: str) -> tuple[Job, list[s
             "not_shown",
         )
     hidden_mm = laid.sigma_hidden_mm
-    # edges that do not fit say that it may lie otherwise, by more than a model alone is good to
-    if laid.contradicts > 0.5 * BREAKS.most_misfit and hidden_mm > CAD.sigma_mm:
+    # by more than a model alone is good to; of a part that looks sharp, edges that do not fit have to say so
+    is_in_doubt = laid.is_certain or laid.contradicts > 0.5 * BREAKS.most_misfit
+    if is_in_doubt and hidden_mm > CAD.sigma_mm:
         limits = _wider(replace(job.limits, max_sigma_mm=CAD.max_sigma_mm), 3 * CAD.sigma_mm)
         hidden = f"edge breaks: this pair may hide some ({hidden_mm:.2f} mm): each picture is to show them"
         return replace(job, break_mm=None, rig_from_part=laid.fit.pose, limits=limits), [hidden]

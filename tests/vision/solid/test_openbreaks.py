@@ -145,3 +145,14 @@ def test_a_pair_that_hides_breaks_leaves_them_open(tmp_path: Path) -> None:
     target = only(images_of(11, 1, 20.0), settled.job)
     assert Reject.NONE is target.reject
     assert off_mm(target, 20.0) < 0.04
+
+
+@pytest.mark.long
+def test_breaks_that_contradict_teaching_are_laid_anew(tmp_path: Path) -> None:
+    """A part taught as sharp, whose breaks a picture shows, is measured by them; it was refused before."""
+    job = from_file(tmp_path, 202)
+    assert job.body is not None
+    sharp = replace(job, body=replace(job.body, breaks_mm=np.zeros(len(job.body.lines))))
+    target = only(images_of(202, 1, 10.0), sharp)
+    assert Reject.NONE is target.reject
+    assert off_mm(target, 10.0) < 0.04
