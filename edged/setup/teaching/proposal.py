@@ -82,9 +82,10 @@ def propose_from_pair(
     if further or (model is None and (job.solid or wanted.tilt_deg is not None)):
         job, shown = with_breaks_shown(job, (left, right), further, rectification)
         settled = (*settled, *shown)
-        if model is None and job.solid and not shown:
+        by_pictures = model is None and job.solid
+        if by_pictures and not shown:
             settled = (_of_one_pair(job, rectification.rig),)
-        if model is None and job.solid and (uneven_mm := unevenness_mm(job)):
+        if by_pictures and (uneven_mm := unevenness_mm(job)):
             settled = (*settled, _of_uneven(uneven_mm))
     picture, mask = rectification.left_image(left), taught_mask(region, (), rectification)
     cuts = cut_edges(job, picture, mask, rectification)
@@ -128,11 +129,11 @@ def propose_from_model(
     job, picture = teach_model(
         model, shown.curves, rectification, depth_mm, wanted.name, wanted.number, wanted.params
     )
-    stated = (
-        f"results state {job.sigma_mm:g} mm in its face and {MEASURING.across * job.sigma_mm:g} mm across"
-    )
     if job.body is not None:
         stated = "each picture has to show its edge breaks, or break_mm in job.toml"
+    else:
+        sigma_mm = job.sigma_mm
+        stated = f"results state {sigma_mm:g} mm in its face and {MEASURING.across * sigma_mm:g} mm across"
     remarks = (f"{shown.name}: no pair has shown the part's edges: {stated}",)
     return _proposal(job, Taught(picture, None, (), remarks), wanted)
 

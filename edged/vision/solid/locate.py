@@ -252,11 +252,9 @@ def _of_likeliest_form(
         poses = [choice.form.views[0].pose, *(mode.pose for mode in place.modes)]
         if is_doubtful:
             poses += _tilted_poses(model, poses[0])
-        laid = [lay(model, pyramids, pose, FINE_STEPS[-DECISION.rival_steps :]) for pose in poses]
-        modes = tuple(mode for mode in laid if mode is not None)
-        if not modes:
+        again = _weighed_from(job, model, poses, pyramids)
+        if again is None:
             return found
-        again = weighed(pyramids, PartPlace(modes), lambda model: _turns(job, model))
         before = found.laid.pose
         found = replace(again, between=choice.between[0], contradicts=choice.form.contradicts)
         if not is_doubtful and turn_between(before, found.laid.pose) < DECISION.same_turn_rad:
@@ -273,16 +271,23 @@ def _with_own_breaks(
         return found
     model = replace(fitted_body.model, sigma_break_mm=fitted_body.sigma_break_mm, sigma_own_mm=0.0)
     poses = [fitted_body.fit.pose, *(mode.pose for mode in place.modes)]
-    laid = [lay(model, pyramids, pose, FINE_STEPS[-DECISION.rival_steps :]) for pose in poses]
-    modes = tuple(mode for mode in laid if mode is not None)
-    if not modes:
+    again = _weighed_from(job, model, poses, pyramids)
+    if again is None:
         return found
-    again = weighed(pyramids, PartPlace(modes), lambda model: _turns(job, model))
     contradicts = contradiction(model, PosedPair(images, pyramids, again.laid.pose))
     unseen_mm = MEASURING.across * BREAKS.hidden_mm  # of a part that shows nothing of its breaks
     hides = not (fitted_body.is_certain or fitted_body.sigma_hidden_mm > unseen_mm)
     between = None if hides else fitted_body.hidden
     return replace(again, between=between, contradicts=contradicts, hides=hides)
+
+
+def _weighed_from(
+    job: Job, model: EdgeModel, poses: Sequence[FloatArray], pyramids: Pyramids
+) -> FoundPart | None:
+    """Lock a model anew from some poses of one place, and weigh the result; None if none holds."""
+    laid = [lay(model, pyramids, pose, FINE_STEPS[-DECISION.rival_steps :]) for pose in poses]
+    modes = tuple(mode for mode in laid if mode is not None)
+    return weighed(pyramids, PartPlace(modes), lambda model: _turns(job, model)) if modes else None
 
 
 def _tilted_poses(model: EdgeModel, pose: FloatArray) -> list[FloatArray]:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from edged.vision.curves.params import FitParams
+from edged.vision.solid.params import BREAKS
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,7 +110,7 @@ class CadParams:
     Where a line names no source, `tools/bench ablate --only CadParams` shows what the number earns.
     """
 
-    sigma_mm: float = 0.1
+    sigma_mm: float = BREAKS.hidden_mm
     """Accuracy with which a model alone predicts a real part's edges: edge breaks are
     0.1-0.5 mm (ISO 13715)."""
     max_sigma_mm: float = 0.3  # a job's limit; twice the above, across the face, is in every result

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import functools
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers.drawnparts import place, rig
+from helpers.drawnparts import images_of, place, rig
 from solids import random_design
 from solidworld import drawn, write_drawing
 
@@ -25,14 +24,6 @@ from edged.vision.solid.params import BREAKS
 from edged.vision.solid.profileresiduals import ProfileResiduals
 from edged.vision.teaching.cadbody import body_of
 from edged.vision.teaching.cadrevision import Displaced, explains_more
-
-
-@functools.cache
-def images_of(design: int, seed: int) -> StereoImages:
-    """A teaching pair of a drawn part."""
-    rng = np.random.default_rng((seed, design, 0))
-    left, right = drawn(random_design(design), place(0.0), rng, teaching=True)[0]
-    return StereoImages.of(rig().rectification, left, right)
 
 
 def drawing_of(folder: Path, design: int) -> EdgeModel:

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import functools
 import math
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers.drawnparts import place, rig
+from helpers.drawnparts import images_of, place, rig
 from solids import random_design
-from solidworld import Look, World, drawn, pictures, world_rig, write_drawing
+from solidworld import Look, World, pictures, world_rig, write_drawing
 
 from edged.commands.teach import read_model
 from edged.domain.measurement import Reject, Target
@@ -27,14 +26,6 @@ from edged.vision.teaching.furtherpairs import with_breaks_shown
 from edged.vision.teaching.pair import WantedJob, view_of
 
 DEPTH_MM = 205.0
-
-
-@functools.cache
-def images_of(design: int, seed: int, tilt_deg: float = 0.0) -> StereoImages:
-    """A pair of a drawn part; a tilt of 0 is the pose it is taught in."""
-    rng = np.random.default_rng((seed, design, round(tilt_deg)))
-    pair, _ = drawn(random_design(design), place(tilt_deg), rng, teaching=tilt_deg == 0.0)
-    return StereoImages.of(rig().rectification, *pair)
 
 
 def from_file(folder: Path, design: int) -> Job:
