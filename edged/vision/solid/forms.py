@@ -21,7 +21,7 @@ from edged.vision.solid.arcs import arc_shifts
 from edged.vision.solid.edgemodel import EdgeModel, are_unbroken, chains_of
 from edged.vision.solid.lock import FINE_STEPS, Pyramids, lay, scale_at
 from edged.vision.solid.params import BREAKS, DECISION, PROFILE
-from edged.vision.solid.profiles import Profiles, pose_by_profiles, profiles_of
+from edged.vision.solid.profiles import Profiles, adjusted_to, pose_by_profiles, profiles_of
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -42,6 +42,29 @@ class PosedPair:
             model, self.pyramids, self.images, self.pose, BREAKS.blur_px, held, alike=alike
         )
         return None if pose is None else replace(self, pose=pose)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Fit:
+    """A pair at a fitted pose, the profiles of that fit, and what it leaves (M,) px of their shifts."""
+
+    view: PosedPair
+    profiles: Profiles
+    left_px: FloatArray
+
+    @classmethod
+    def of(
+        cls, model: EdgeModel, view: PosedPair, number: int, held: FloatArray | None, *, alike: bool
+    ) -> _Fit | None:
+        """The fit of one round, counted from 0, to profiles at a view's pose; None if too little shows."""
+        profiles = view.profiles(model)
+        first_sigma_px = PROFILE.first_sigmas_px[min(number, 1)]
+        fit = adjusted_to(model, view.pose, profiles, first_sigma_px, held, alike)
+        if fit is None:
+            return None
+        twist = twist_between(model, view.pose, fit.pose)
+        left_px = profiles.shift_px - profiles.seen.design @ twist
+        return cls(replace(view, pose=fit.pose), profiles, left_px)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -92,14 +115,14 @@ def refined(
     held : as in `pose_by_profiles`.  needed : drop the breaks that a sharp edge explains as well.
     """
     sigma = common = 0.0
-    now: list[PosedPair] = list(views)
-    for _ in range(rounds if model.breaks_mm.any() else 1):
-        after = [view.fitted(model, held, alike=True) for view in now]
-        now = [view for view in after if view is not None]
-        if not now:
+    now: Sequence[PosedPair] = views
+    for number in range(1 + (rounds if model.breaks_mm.any() else 1)):
+        fits = [fit for view in now if (fit := _Fit.of(model, view, number, held, alike=True)) is not None]
+        if not fits:
             return None
-        if model.breaks_mm.any():
-            widths, sigma, common = widths_by_profiles(model, now)
+        now = [fit.view for fit in fits]
+        if number and model.breaks_mm.any():  # the first motion is of a pixel or two, and no width's
+            widths, sigma, common = _widths_by(model, fits)
             model = with_breaks(model, widths)
     if needed and model.breaks_mm.any():
         model = _without_needless(model, now)
@@ -167,14 +190,36 @@ def weights_of(profiles: Profiles) -> FloatArray:
     return np.where(base > BREAKS.min_weight, 1 / (1 / np.maximum(base, 1e-9) + BREAKS.model_px**2), 0.0)
 
 
+def as_shown(
+    model: EdgeModel, view: PosedPair, held: FloatArray | None = None
+) -> tuple[EdgeModel, PosedPair]:
+    """Fit the widths of known breaks to a pair, in turn with its pose.
+
+    Light and view decide where on a break an edge shows: with the widths of another pair, each curve is off
+    by its own amount, and shifts and tilts the part.
+    held : as in `pose_by_profiles`.
+    """
+    for number in range(BREAKS.rounds if model.breaks_mm.any() else 0):
+        fit = _Fit.of(model, view, number, held, alike=False)
+        if fit is None:
+            break
+        model, view = with_breaks(model, _widths_by(model, [fit])[0]), fit.view
+    return model, view
+
+
 def widths_by_profiles(model: EdgeModel, views: Sequence[PosedPair]) -> tuple[FloatArray, float, float]:
     """Widths (E,) of the breaks by the profiles of pairs, each curve's own; their sigma, and that of all."""
+    found = [(view, view.profiles(model)) for view in views]
+    return _widths_by(model, [_Fit(view, profiles, profiles.shift_px) for view, profiles in found])
+
+
+def _widths_by(model: EdgeModel, fits: Sequence[_Fit]) -> tuple[FloatArray, float, float]:
+    """`widths_by_profiles` from what fits leave of the shifts of their profiles."""
     count = int(model.chain.max()) + 1
     power, pull = np.zeros(count), np.zeros(count)
-    for view in views:
-        profiles = view.profiles(model)
+    for fit in fits:
+        profiles, shift = fit.profiles, fit.left_px
         curve, by_break = chains_of(profiles.seen.curve), profiles.by_width
-        shift = profiles.shift_px
         weight = np.where(np.abs(by_break) > 0, weights_of(profiles), 0.0)
         used = weight > 0
         if used.any():

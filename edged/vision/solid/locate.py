@@ -30,7 +30,7 @@ from edged.vision.solid.breaks import lay_with_breaks
 from edged.vision.solid.curvemodel import curve_model, sigmas_of_breaks
 from edged.vision.solid.edgemodel import EdgeModel, model_of
 from edged.vision.solid.evidence import PoseEvidence, apart, evidence_of, margin_over, sigmas_of
-from edged.vision.solid.forms import PosedPair, contradiction, likeliest_form, with_breaks
+from edged.vision.solid.forms import PosedPair, as_shown, contradiction, likeliest_form, with_breaks
 from edged.vision.solid.lock import FINE_STEPS, LockedPose, Pyramids, lay
 from edged.vision.solid.modes import PartPlace, SearchedPart, find_places, pyramids_of
 from edged.vision.solid.params import BREAKS, DECISION
@@ -93,7 +93,8 @@ def _located(
             if job.body is None:
                 found = _of_likeliest_form(images, job, found, place, pyramids)
             elif job.has_open_breaks:
-                found = _with_own_breaks(images, job, found, place, pyramids)
+                alike = weighed_with_breaks_of(taken[0], images, job, place, pyramids) if taken else None
+                found = alike or weighed_with_own_breaks(images, job, found, place, pyramids)
         lap("find")
         match = _match(images, job, found.laid)
         alone = _certain(found.seen, _not_of(found, taken, shapes))  # without the edges of other parts
@@ -103,7 +104,7 @@ def _located(
         taken.append(found)
         result = measure_found(images, job, found, pyramids, match)
         if job.body is not None and not job.has_open_breaks and _contradicts(result):
-            found = _with_own_breaks(images, job, found, place, pyramids)
+            found = weighed_with_own_breaks(images, job, found, place, pyramids)
             result = measure_found(images, job, found, pyramids, match)
         lap("measure")
         if isinstance(result, parts.MeasuredPart):
@@ -262,7 +263,7 @@ def _of_likeliest_form(
     return found
 
 
-def _with_own_breaks(
+def weighed_with_own_breaks(
     images: StereoImages, job: Job, found: FoundPart, place: PartPlace, pyramids: Pyramids
 ) -> FoundPart:
     """Weigh a part with a body again, with the breaks that the pair shows at each of its edges."""
@@ -279,6 +280,20 @@ def _with_own_breaks(
     hides = not (fitted_body.is_certain or fitted_body.sigma_hidden_mm > unseen_mm)
     between = None if hides else fitted_body.hidden
     return replace(again, between=between, contradicts=contradicts, hides=hides)
+
+
+def weighed_with_breaks_of(
+    first: FoundPart, images: StereoImages, job: Job, place: PartPlace, pyramids: Pyramids
+) -> FoundPart | None:
+    """Weigh a part with the breaks of the first one in the picture; None where these do not explain it."""
+    again = _weighed_from(job, first.laid.model, [mode.pose for mode in place.modes], pyramids)
+    if again is None or again.certain < DECISION.certain:
+        return None
+    view = PosedPair(images, pyramids, again.laid.pose)
+    contradicts = contradiction(*as_shown(first.laid.model, view))
+    if contradicts > 0.5 * BREAKS.most_misfit:
+        return None
+    return replace(again, between=first.between, contradicts=contradicts, hides=first.hides)
 
 
 def _weighed_from(
@@ -343,8 +358,12 @@ def measure_found(
     images: StereoImages, job: Job, found: FoundPart, pyramids: Pyramids, match: Match
 ) -> parts.MeasuredPart | Reject:
     """Measure a found part; the reason if that is not possible."""
-    model = found.laid.model
-    fit = best_fit(model, pyramids, images, found.laid.pose, _held(job, model))
+    model, pose = found.laid.model, found.laid.pose
+    held = _held(job, model)
+    if job.body is not None:
+        model, view = as_shown(model, PosedPair(images, pyramids, pose), held)
+        pose = view.pose
+    fit = best_fit(model, pyramids, images, pose, held)
     if fit is None:
         return Reject.FEW_EDGES
     if found.between is not None:

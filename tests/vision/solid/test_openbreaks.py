@@ -13,12 +13,23 @@ from solids import random_design
 from solidworld import Look, World, pictures, world_rig, write_drawing
 
 from edged.commands.teach import read_model
+from edged.domain.arrays import FloatArray
 from edged.domain.measurement import Reject, Target
 from edged.errors import TeachError
 from edged.files.jobs import load_job, save_job
 from edged.vision.geometry.rectification import StereoImages
 from edged.vision.part.job import Job
-from edged.vision.solid.locate import locate_solid, models_of
+from edged.vision.solid.forms import with_breaks
+from edged.vision.solid.locate import (
+    FoundPart,
+    locate_solid,
+    models_of,
+    wanted_of,
+    weighed,
+    weighed_with_breaks_of,
+    weighed_with_own_breaks,
+)
+from edged.vision.solid.modes import find_places, pyramids_of
 from edged.vision.teaching import cadpair
 from edged.vision.teaching.cadjob import teach_model
 from edged.vision.teaching.cadsettling import Settled
@@ -147,3 +158,32 @@ def test_breaks_that_contradict_teaching_are_laid_anew(tmp_path: Path) -> None:
     target = only(images_of(202, 1, 10.0), sharp)
     assert Reject.NONE is target.reject
     assert off_mm(target, 10.0) < 0.04
+
+
+@pytest.mark.long
+def test_further_parts_of_a_picture_are_weighed_with_the_breaks_of_its_first(tmp_path: Path) -> None:
+    """Breaks as one part shows them explain another one at once; breaks that do not fit are laid anew."""
+    job = from_file(tmp_path, 8)
+
+    def seen(tilt_deg: float, breaks_of: FoundPart | None) -> FoundPart | None:
+        images = images_of(8, 1, tilt_deg)
+        pyramids = pyramids_of(images, wanted_of(job))
+        place = find_places(wanted_of(job), pyramids)[0]
+        if breaks_of is not None:
+            return weighed_with_breaks_of(breaks_of, images, job, place, pyramids)
+        by_any = weighed(pyramids, place, lambda _: ())
+        return weighed_with_own_breaks(images, job, by_any, place, pyramids)
+
+    first = seen(20.0, None)
+    assert first is not None
+    found = seen(30.0, first)
+    assert found is not None
+    assert off_mm_of(found.laid.pose, job, 30.0) < 0.1
+    wrong = replace(first.laid, model=with_breaks(first.laid.model, 0.7))
+    assert seen(30.0, replace(first, laid=wrong)) is None
+
+
+def off_mm_of(pose: FloatArray, job: Job, tilt_deg: float) -> float:
+    """Distance of the model's origin, for a pose of the part, from its true place."""
+    assert job.part_from_model is not None
+    return float(np.linalg.norm((pose @ job.part_from_model)[:3, 3] - place(tilt_deg)[:3, 3]))
