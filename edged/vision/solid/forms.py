@@ -196,15 +196,20 @@ def as_shown(
     """Fit the widths of known breaks to a pair, in turn with its pose.
 
     Light and view decide where on a break an edge shows: with the widths of another pair, each curve is off
-    by its own amount, and shifts and tilts the part.
+    by its own amount, and shifts and tilts the part. By how much curves moved, rms, each may still be wrong.
     held : as in `pose_by_profiles`.
     """
-    for number in range(BREAKS.rounds if model.breaks_mm.any() else 0):
+    known_mm = model.breaks_mm
+    for number in range(BREAKS.rounds if known_mm.any() else 0):
         fit = _Fit.of(model, view, number, held, alike=False)
         if fit is None:
             break
         model, view = with_breaks(model, _widths_by(model, [fit])[0]), fit.view
-    return model, view
+    _, each = np.unique(np.where(known_mm > 0, model.chain, -1), return_index=True)
+    apart_mm = (model.breaks_mm - known_mm)[each][known_mm[each] > 0]
+    return replace(
+        model, sigma_own_mm=float(np.linalg.norm(apart_mm)) / math.sqrt(max(len(apart_mm), 1))
+    ), view
 
 
 def widths_by_profiles(model: EdgeModel, views: Sequence[PosedPair]) -> tuple[FloatArray, float, float]:
