@@ -61,8 +61,9 @@ packages=(python3-venv gir1.2-aravis-0.8 python3-gi)
 [ "$EDGED_FOR" != test ] || packages+=(mbpoll systemd-container aravis-tools-cli aravis-tools nftables iproute2 openssl libfaketime softhsm2)
 if command -v apt-get >/dev/null; then
     apt_install "${packages[@]}" || true
-    # on its own: where a distribution has it as a snap only, the tests in a browser are skipped, and nothing else is
+    # each on its own: where a distribution has it as a snap only, the tests in it are skipped, and nothing else is
     [ "$EDGED_FOR" != test ] || apt_install chromium || true
+    [ "$EDGED_FOR" != test ] || apt_install firefox-esr || true
     if ! find_python >/dev/null; then # Ubuntu 22.04 comes with 3.10; its PyGObject must be built for 3.11
         apt_install python3.11 python3.11-venv python3.11-dev gcc pkg-config libgirepository1.0-dev libcairo2-dev || true
     fi
@@ -120,6 +121,6 @@ grep -qxF "$cache" .venv/bin/activate || printf '%s\n' "$cache" >>.venv/bin/acti
 # shellcheck disable=SC1091
 . .venv/bin/activate
 mkdir -p "$NUMBA_CACHE_DIR"
-[ "$EDGED_FOR" != test ] || versions "${packages[@]:1}" chromium systemd
+[ "$EDGED_FOR" != test ] || versions "${packages[@]:1}" chromium firefox-esr systemd
 tools/manual --if-needed || say "the manual could not be built: the status page will say so"
 [ "$EDGED_FOR" = test ] || edged warm --if-needed
