@@ -51,7 +51,7 @@ def best_fit(
     """Fit profiles with the blur that gives the smallest residuals; None if they show too little."""
     best: AdjustedPose | None = None
     for blur in PROFILE.blurs_px:
-        fit = adjusted(model, pyramids, images, pose, blur, held, alike=False)
+        fit = adjusted(model, pyramids, images, pose, blur, held)
         if fit is None or (best is not None and fit.rms_px > best.rms_px):
             break
         best = fit

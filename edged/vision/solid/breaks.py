@@ -202,7 +202,7 @@ def _each_by_itself(found: RefinedForm, leaves: ProfileResiduals) -> RefinedForm
     A rounded or glinting curve no longer pulls the others off: the fit weights each by its own scatter.
     """
     for _ in range(BREAKS.rounds):
-        after = [view.fitted(found.model, alike=False) for view in found.views]
+        after = [view.fitted(found.model) for view in found.views]
         views = tuple(view for view in after if view is not None)
         if len(views) < len(found.views):
             return found

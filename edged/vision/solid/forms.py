@@ -21,7 +21,7 @@ from edged.vision.solid.arcs import arc_shifts
 from edged.vision.solid.edgemodel import EdgeModel, are_unbroken, chains_of
 from edged.vision.solid.lock import FINE_STEPS, Pyramids, lay, scale_at
 from edged.vision.solid.params import BREAKS, DECISION, PROFILE
-from edged.vision.solid.profiles import Profiles, adjusted_to, pose_by_profiles, profiles_of
+from edged.vision.solid.profiles import Profiles, adjusted, adjusted_to, profiles_of
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -36,12 +36,10 @@ class PosedPair:
         """Profiles of the pictures along the edges of the model at the pose."""
         return profiles_of(model, self.pyramids, self.images, self.pose, BREAKS.blur_px)
 
-    def fitted(self, model: EdgeModel, held: FloatArray | None = None, *, alike: bool) -> PosedPair | None:
-        """The pair at the pose fitted to the profiles of a model; see `pose_by_profiles`."""
-        pose = pose_by_profiles(
-            model, self.pyramids, self.images, self.pose, BREAKS.blur_px, held, alike=alike
-        )
-        return None if pose is None else replace(self, pose=pose)
+    def fitted(self, model: EdgeModel) -> PosedPair | None:
+        """The pair at the pose fitted to the profiles of a model; None if they show too little."""
+        fit = adjusted(model, self.pyramids, self.images, self.pose, BREAKS.blur_px)
+        return None if fit is None else replace(self, pose=fit.pose)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -112,7 +110,7 @@ def refined(
 ) -> RefinedForm | None:
     """Fit poses and breaks in turn, from breaks of one width; None if the pairs show too little.
 
-    held : as in `pose_by_profiles`.  needed : drop the breaks that a sharp edge explains as well.
+    held : as in `adjusted`.  needed : drop the breaks that a sharp edge explains as well.
     """
     sigma = common = 0.0
     now: Sequence[PosedPair] = views
@@ -197,7 +195,7 @@ def as_shown(
 
     Light and view decide where on a break an edge shows: with the widths of another pair, each curve is off
     by its own amount, and shifts and tilts the part. By how much curves moved, rms, each may still be wrong.
-    held : as in `pose_by_profiles`.
+    held : as in `adjusted`.
     """
     known_mm = model.breaks_mm
     for number in range(BREAKS.rounds if known_mm.any() else 0):
@@ -207,9 +205,8 @@ def as_shown(
         model, view = with_breaks(model, _widths_by(model, [fit])[0]), fit.view
     _, each = np.unique(np.where(known_mm > 0, model.chain, -1), return_index=True)
     apart_mm = (model.breaks_mm - known_mm)[each][known_mm[each] > 0]
-    return replace(
-        model, sigma_own_mm=float(np.linalg.norm(apart_mm)) / math.sqrt(max(len(apart_mm), 1))
-    ), view
+    own_mm = math.sqrt(float(np.mean(apart_mm**2))) if len(apart_mm) else 0.0
+    return replace(model, sigma_own_mm=own_mm), view
 
 
 def widths_by_profiles(model: EdgeModel, views: Sequence[PosedPair]) -> tuple[FloatArray, float, float]:
@@ -274,7 +271,7 @@ def likeliest_form(
     Others count by the likelihood that their misfit is worse by chance. Source: J. A. Hoeting et al.,
     "Bayesian model averaging: a tutorial", Statistical Science 14, 1999.
 
-    views : pairs at poses good to a pixel or two.  held : as in `pose_by_profiles`.
+    views : pairs at poses good to a pixel or two.  held : as in `adjusted`.
     """
     forms: list[RefinedForm | None] = []
     for model in models:

@@ -131,31 +131,18 @@ class AdjustedPose:
         return float(np.sqrt(np.sum(self.weights * self.left**2) / self.weights.sum()))
 
 
-def pose_by_profiles(
-    model: EdgeModel, pyramids: Pyramids, images: StereoImages, pose: FloatArray, blur_px: float,
-    held: FloatArray | None = None, *, alike: bool = False,
-) -> FloatArray | None:  # fmt: skip
-    """Fit the pose (4, 4) to profiles from one that is good to a pixel; None if they show too little.
-
-    held (3,) : axis of the part about which its turn is undetermined.  alike : all curves have the same
-    weight, as long as their breaks are not known.
-    """
-    fit = adjusted(model, pyramids, images, pose, blur_px, held, alike)
-    return None if fit is None else fit.pose
-
-
 def adjusted(
     model: EdgeModel, pyramids: Pyramids, images: StereoImages, pose: FloatArray, blur_px: float,
-    held: FloatArray | None, alike: bool,
+    held: FloatArray | None = None,
 ) -> AdjustedPose | None:  # fmt: skip
-    """Fit the motion from a pose good to a pixel, then again with profiles at the new pose; None as above.
+    """Fit the motion from a pose good to a pixel, then again with profiles at the new pose; None as below.
 
-    blur_px, held, alike : as for `pose_by_profiles`.
+    held (3,) : axis of the part about which its turn is undetermined.
     """
     fit: AdjustedPose | None = None
     for first_sigma_px in PROFILE.first_sigmas_px:
         profiles = profiles_of(model, pyramids, images, pose, blur_px)
-        fit = adjusted_to(model, pose, profiles, first_sigma_px, held, alike)
+        fit = adjusted_to(model, pose, profiles, first_sigma_px, held, alike=False)
         if fit is None:
             return None
         pose = fit.pose
@@ -166,7 +153,10 @@ def adjusted_to(
     model: EdgeModel, pose: FloatArray, profiles: Profiles, first_sigma_px: float,
     held: FloatArray | None, alike: bool,
 ) -> AdjustedPose | None:  # fmt: skip
-    """Fit the motion of a pose robustly to given profiles; None if they show too little."""
+    """Fit the motion of a pose robustly to given profiles; None if they show too little.
+
+    held : as in `adjusted`.  alike : all curves have the same weight, as long as their breaks are not known.
+    """
     scale = np.r_[np.full(3, 0.5 * model.size_mm), np.ones(3)]
     known = np.hstack([profiles.seen.design / scale, profiles.unknown])
     heights = model.height_mm * _heights(model, profiles)

@@ -75,7 +75,12 @@ def only(images: StereoImages, job: Job) -> Target:
 def off_mm(target: Target, tilt_deg: float) -> float:
     """Distance of the model's origin from its true place."""
     assert target.rig_from_model is not None
-    return float(np.linalg.norm(target.rig_from_model[:3, 3] - place(tilt_deg)[:3, 3]))
+    return apart_mm(target.rig_from_model, tilt_deg)
+
+
+def apart_mm(rig_from_model: FloatArray, tilt_deg: float) -> float:
+    """Distance of the model's origin, at a pose, from its true place."""
+    return float(np.linalg.norm(rig_from_model[:3, 3] - place(tilt_deg)[:3, 3]))
 
 
 @pytest.mark.long
@@ -178,12 +183,7 @@ def test_further_parts_of_a_picture_are_weighed_with_the_breaks_of_its_first(tmp
     assert first is not None
     found = seen(30.0, first)
     assert found is not None
-    assert off_mm_of(found.laid.pose, job, 30.0) < 0.1
+    assert job.part_from_model is not None
+    assert apart_mm(found.laid.pose @ job.part_from_model, 30.0) < 0.1
     wrong = replace(first.laid, model=with_breaks(first.laid.model, 0.7))
     assert seen(30.0, replace(first, laid=wrong)) is None
-
-
-def off_mm_of(pose: FloatArray, job: Job, tilt_deg: float) -> float:
-    """Distance of the model's origin, for a pose of the part, from its true place."""
-    assert job.part_from_model is not None
-    return float(np.linalg.norm((pose @ job.part_from_model)[:3, 3] - place(tilt_deg)[:3, 3]))
