@@ -92,7 +92,10 @@ def settle(job: Job, model: ModelCurves, images: StereoImages, what: str) -> Set
         circles=circles,
         edges=edges,
         sigma_mm=round(
-            math.hypot(max(used, default=0.0), max(_contradicting(found, settled), default=0.0)), 6
+            math.hypot(
+                laid.sigma_mm, max(used, default=0.0), max(_contradicting(found, settled), default=0.0)
+            ),
+            6,
         ),
     )
     remarks = _summary(settled, found, what), *_breaks(found.partners, settled), *_others(found)
@@ -121,7 +124,14 @@ def laid_on_pair(job: Job, images: StereoImages, what: str) -> tuple[Job, list[s
         hidden = f"edge breaks: this pair may hide some ({hidden_mm:.2f} mm): each picture is to show them"
         return replace(job, break_mm=None, rig_from_part=laid.fit.pose, limits=limits), [hidden]
     taken, remarks = with_own_breaks(job, laid)
-    return replace(taken, rig_from_part=laid.fit.pose), remarks
+    taken = replace(taken, rig_from_part=laid.fit.pose)
+    if laid.is_certain or not laid.model.breaks_mm.any():
+        return taken, remarks
+    # breaks by which the part fits better, and that may be others or none
+    limits = replace(taken.limits, max_sigma_mm=CAD.max_sigma_mm)
+    unsure = f"this pair shows them with little certainty: results state {hidden_mm:.2f} mm more"
+    sigma_mm = round(math.hypot(job.sigma_mm, hidden_mm / MEASURING.across), 6)
+    return replace(taken, limits=limits, sigma_mm=sigma_mm), [*remarks, unsure]
 
 
 def with_own_breaks(job: Job, laid: FittedBody) -> tuple[Job, list[str]]:

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from helpers.drawnparts import images_of, place, rig
 from solids import random_design
-from solidworld import Look, World, pictures, world_rig, write_drawing
+from solidworld import Look, World, drawn, pictures, world_rig, write_drawing
 
 from edged.commands.teach import read_model
 from edged.domain.arrays import FloatArray
@@ -53,6 +53,15 @@ def hiding(design: int, seed: int) -> StereoImages:
     like_face = replace(look.breaks[0], level=0.95, glint=0.0)
     look = replace(look, breaks=(like_face, like_face), wall=1.0, table=0.1, table_contrast=0.05)
     pair = pictures(World(random_design(design), place(0.0), look, seed), world_rig())
+    return StereoImages.of(rig().rectification, *pair)
+
+
+def narrow(design: int, break_mm: float) -> StereoImages:
+    """A teaching pair of a part with all of its breaks of one width."""
+    part = random_design(design)
+    walls = tuple(replace(wall, break_mm=break_mm if wall.break_mm else 0.0) for wall in part.walls)
+    rng = np.random.default_rng((1, design, 0))
+    pair, _ = drawn(replace(part, walls=walls), place(0.0), rng, teaching=True)
     return StereoImages.of(rig().rectification, *pair)
 
 
@@ -152,6 +161,21 @@ def test_a_pair_that_hides_breaks_leaves_them_open(tmp_path: Path) -> None:
     target = only(images_of(11, 1, 20.0), settled.job)
     assert Reject.NONE is target.reject
     assert off_mm(target, 20.0) < 0.04
+
+
+@pytest.mark.long
+def test_breaks_that_are_little_certain_are_in_the_sigma(tmp_path: Path) -> None:
+    """Breaks of 0.12 mm by which a part fits somewhat better are taken, with their sigma."""
+    settled = from_both(tmp_path, 326, narrow(326, 0.12))
+    body = settled.job.body
+    assert body is not None
+    assert body.breaks_mm is not None
+    assert body.breaks_mm.any()
+    assert settled.job.sigma_mm > 0.02
+    assert [line for line in settled.remarks if "little certainty" in line]
+    target = only(narrow(326, 0.12), settled.job)
+    assert Reject.NONE is target.reject
+    assert 0.05 < off_mm(target, 0.0) < 2 * float(target.sigma_mm.max())
 
 
 @pytest.mark.long
