@@ -8,7 +8,7 @@ with most edges; the rest is measured with it, as one rigid part.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import cv2
@@ -62,7 +62,6 @@ def find_levels(
     ellipses: Sequence[ImageEllipse],
     face: Plane,
     depth_mm: tuple[float, float],
-    is_clear: Callable[[CurveFit], bool],
     beside: Plane | None = None,
 ) -> Levels | None:
     """Find circles at several heights; None if all lie in one face.
@@ -70,12 +69,10 @@ def find_levels(
     face : of the largest circle.  depth_mm : range of the rectified depth.  beside : plane of most contours,
     if it is not the face; it counts as a face of the part if it lies in front of all circles.
     """
-    images, found = view.images, list[FoundCircle]()
-    for ellipse in ellipses:
-        measured = at_own_depth(images, ellipse, face.normal, depth_mm)
-        if measured is not None and is_clear(measured.fit):
-            found.append(measured)
-    found = _without_breaks(found, face.normal)
+    images = view.images
+    each = [at_own_depth(images, ellipse, face.normal, depth_mm) for ellipse in ellipses]
+    shown = [measured for measured in each if measured is not None and is_shown(measured.fit)]
+    found = _with_company(shown, face.normal)
     if not found:
         return None
     normal, heights = _turned(view, found, face)
@@ -105,6 +102,16 @@ def in_front(plane: Plane | None, found: Sequence[FoundCircle], normal: FloatArr
     above = plane.offset - centres @ plane.normal
     height = float((centres @ normal + above).mean())
     return (height,) if above.min() > TEACHING.apart_mm else ()
+
+
+def is_clear(fit: CurveFit) -> bool:
+    """Whether both images show this circle, nearly whole and in one place."""
+    return is_shown(fit) and fit.least_support >= TEACHING.min_support
+
+
+def is_shown(fit: CurveFit) -> bool:
+    """Whether both images show most of this circle, in one place."""
+    return fit.least_support >= TEACHING.min_support_beside and fit.rms_px <= TEACHING.max_rms_px
 
 
 def at_own_depth(
@@ -151,6 +158,16 @@ def _without_breaks(found: Sequence[FoundCircle], normal: FloatArray) -> list[Fo
         if not any(_same(measured, other, normal) for other in kept):
             kept.append(measured)
     return kept
+
+
+def _with_company(shown: Sequence[FoundCircle], normal: FloatArray) -> list[FoundCircle]:
+    """The clear circles, and the others that are about as high as another one: texture shows some alone."""
+    clear = _without_breaks([each for each in shown if is_clear(each.fit)], normal)
+    others = [each for each in shown if not any(_same(each, other, normal) for other in clear)]
+    others = _without_breaks([each for each in others if not is_clear(each.fit)], normal)
+    heights = np.array([float(normal @ each.circle.centre_mm) for each in (*clear, *others)])
+    near = (np.abs(heights[:, None] - heights) < TEACHING.break_mm).sum(axis=1)[len(clear) :]
+    return [*clear, *(each for each, count in zip(others, near, strict=True) if count > 1)]
 
 
 def _same(first: FoundCircle, other: FoundCircle, normal: FloatArray) -> bool:

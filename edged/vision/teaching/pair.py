@@ -14,7 +14,6 @@ from edged.domain.measurement import Circle3D
 from edged.errors import TeachError
 from edged.vision.curves.outlines import Curve, Face
 from edged.vision.curves.params import FitParams
-from edged.vision.curves.planefit import CurveFit
 from edged.vision.edges.ellipses import ImageEllipse, find_ellipses
 from edged.vision.edges.hysteresis import EdgeThresholds
 from edged.vision.edges.params import OUTLINES
@@ -56,6 +55,8 @@ from edged.vision.teaching.levels import (
     find_levels,
     fitted_as_contours_lie,
     flat_features,
+    is_clear,
+    is_shown,
     main_face_mask,
     solid_features,
 )
@@ -156,12 +157,12 @@ def _with_circles(view: TeachingView, wanted: WantedJob, thresholds: EdgeThresho
     shown = find_ellipses(view.images.rectified_left, view.mask, thresholds)
     ellipses = without_pattern(view, shown, thresholds)
     try:
-        face, largest = _reference(view.images, ellipses)
+        face, largest = _reference(view, ellipses)
         depths_mm = _near_depths(view.images.rectification, largest)
         beside = _as_contours_lie(view, face, largest, depths_mm)
         if beside is not None:
             face, largest = _turned_as(view.images, beside, ellipses, depths_mm) or (face, largest)
-        levels = find_levels(view, ellipses, face, depths_mm, _is_clear, beside)
+        levels = find_levels(view, ellipses, face, depths_mm, beside)
         if levels is not None:
             solid = solid_features(view, levels)
             if solid is not None:
@@ -233,8 +234,8 @@ def without_pattern(
     if filled < TEACHING.pattern_filled * view.mask.size or not rest:
         return ellipses
     try:
-        table, _ = _reference(images, holes[: TEACHING.pattern_least])
-        _, above = _reference(images, rest)
+        table, _ = _reference(view, holes[: TEACHING.pattern_least])
+        _, above = _reference(view, rest)
     except TeachError:
         return ellipses
     below = table.offset - float(table.normal @ above.circle.centre_mm)
@@ -387,8 +388,12 @@ def taught_mask(region: Area | None, exclude: Sequence[Area], rectification: Rec
     return np.asarray(np.minimum(mask, rectification.valid_left))
 
 
-def _reference(images: StereoImages, ellipses: list[ImageEllipse]) -> tuple[Plane, FoundCircle]:
-    """The largest circle that both cameras see, and the plane it lies in."""
+def _reference(view: TeachingView, ellipses: list[ImageEllipse]) -> tuple[Plane, FoundCircle]:
+    """The largest circle that both cameras see, and the plane it lies in.
+
+    If walls that are seen in them hide how circles lie, it is the largest in the plane of most contours.
+    """
+    images = view.images
     if not ellipses:
         raise TeachError(
             "no circle found, and no face with straight edges: a job needs a feature that both cameras see",
@@ -401,9 +406,14 @@ def _reference(images: StereoImages, ellipses: list[ImageEllipse]) -> tuple[Plan
         if plane is None:
             continue
         found = circle_on(plane, images, ellipse.outline(32)[0], ellipse.polarity, fixed_normal=False)
-        if found is not None and _is_clear(found.fit):
+        if found is not None and is_clear(found.fit):
             circle = found.circle
             return Plane.through(circle.centre_mm, circle.normal), found
+    depths_mm = common_depths(images.rectification)
+    plane = plane_of(view, strong_contours(view), depths_mm)
+    turned = None if plane is None else _turned_as(images, plane, ellipses, depths_mm)
+    if turned is not None:
+        return turned
     raise TeachError(
         f"{len(ellipses)} circle(s) found in the left image, but none of them in the right one; "
         "is the part seen by both cameras, and does the rig belong to these images? Where its face is bright "
@@ -435,14 +445,9 @@ def _turned_as(
     """Find the largest circle that both images show parallel to a plane, and its face; None without one."""
     for ellipse in ellipses:
         found = at_own_depth(images, ellipse, plane.normal, depths_mm)
-        if found is not None and _is_clear(found.fit):
+        if found is not None and is_clear(found.fit):
             return Plane.through(found.circle.centre_mm, plane.normal), found
     return None
-
-
-def _is_clear(fit: CurveFit) -> bool:
-    """Whether both images show this circle, whole and in one place."""
-    return fit.least_support >= TEACHING.min_support and fit.rms_px <= TEACHING.max_rms_px
 
 
 def _others(
@@ -452,15 +457,12 @@ def _others(
     found: list[FoundCircle] = []
     for ellipse in ellipses:
         measured = circle_on(face, images, ellipse.outline(32)[0], ellipse.polarity, fixed_normal=True)
-        if measured is None or not _is_clear(measured.fit):
+        if measured is None or not is_shown(measured.fit):
             continue
         circle = measured.circle
         off_face = abs(float(face.normal @ circle.centre_mm) - face.offset)
         sigma = float(np.sqrt(face.normal @ circle.covariance[:3, :3] @ face.normal))
-        if (
-            off_face > max(TEACHING.face_tolerance_mm, 3 * sigma)
-            or circle.radius_mm > 0.98 * reference.circle.radius_mm
-        ):
+        if off_face > max(TEACHING.face_tolerance_mm, 3 * sigma):
             continue
         # the two edges of a chamfer are one feature: the first, stronger one stays
         if any(_are_duplicates(circle, other.circle) for other in (reference, *found)):

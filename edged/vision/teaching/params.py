@@ -83,6 +83,9 @@ class TeachingParams:
     """Minimum number of points on the coarsest level: with fewer, half of them hidden by walls, a tilted view
     resembles many things."""
     min_support: float = 0.75  # share of a circle that both images show
+    min_support_beside: float = 0.6
+    """The same for one that is about as high as another circle: a lit wall as bright as the face hides up to
+    two fifths of the rim of a hole."""
     height_share: float = 0.12  # of the distance, from the reference circle to another face of the part
     max_rms_px: float = 0.5  # as a job's own limit: edges that scatter more are two different edges
     same_tolerance: float = 0.02  # relative difference of taught tolerances that were not edited

@@ -125,7 +125,7 @@ def test_a_stadium_around_a_hole_is_no_slot() -> None:
     job = taught(DISC)
     stadium = SlotFeature("s0", np.zeros(3), 0.3, 24.0, 14.0, -1)
     for x, grows in ((0.0, True), (40.0, False)):
-        hole = replace(job.circles[0], centre_mm=np.array([x, 0.0, 0.0]))
+        hole = replace(job.circles[-1], centre_mm=np.array([x, 0.0, 0.0]))
         points = sampled(
             curve_model(replace(job, circles=(hole,), slots=(stadium,), edges=(), traced=()), 0.3), 0.2
         )
