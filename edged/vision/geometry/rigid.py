@@ -233,6 +233,10 @@ class Plane:
         """The plane with this normal (3,) through a point (3,)."""
         return cls(normal, float(normal @ point))
 
+    def lean_rad(self, other: Plane) -> float:
+        """Angle between the planes."""
+        return math.acos(min(abs(float(self.normal @ other.normal)), 1.0))
+
     def meet(self, rays: FloatArray) -> FloatArray:
         """Points (..., 3) where rays (..., 3) from the rig's origin meet the plane."""
         return np.asarray(rays * (self.offset / (rays @ self.normal))[..., None])

@@ -12,7 +12,7 @@ import numpy as np
 
 from edged.domain.arrays import FloatArray, Image
 from edged.vision.edges.subpixel import edges_along_normals
-from edged.vision.geometry.rectification import StereoImages
+from edged.vision.geometry.rectification import Rectification, StereoImages
 from edged.vision.geometry.rigid import Plane
 from edged.vision.geometry.triangulation import triangulate
 from edged.vision.kernels.jit import for_kernel, kernel
@@ -48,9 +48,18 @@ def find_plane(
     plane = _vote_and_fit(points, rivals, low, high)
     if plane is None:
         return None
-    a, b, c = plane
     corners = points[[0, len(points) // 3, 2 * len(points) // 3]]
-    space = triangulate(rectification, corners, corners[:, 0] - (corners @ (a, b) + c))
+    return plane_of_disparities(rectification, plane, corners)
+
+
+def plane_of_disparities(
+    rectification: Rectification, disparity: FloatArray, corners: FloatArray
+) -> Plane | None:
+    """The plane of disparities d = a x + b y + c, by three points of it; None where these are in line.
+
+    disparity (3,) : a, b, c.  corners (3, 2) : of the rectified left image.
+    """
+    space = triangulate(rectification, corners, corners[:, 0] - (corners @ disparity[:2] + disparity[2]))
     normal = np.cross(space[1] - space[0], space[2] - space[0])
     length = float(np.linalg.norm(normal))
     if not np.isfinite(length) or length < 1e-9:

@@ -18,7 +18,7 @@ from edged.vision.edges.contours import Contour, find_contours
 from edged.vision.edges.subpixel import edges_along_normals
 from edged.vision.geometry.rigid import Plane, apply
 from edged.vision.teaching.features import TeachingView, common_depths, plane_of, strong_contours
-from edged.vision.teaching.params import TEACHING
+from edged.vision.teaching.params import SURFACES, TEACHING
 
 
 def without_background(view: TeachingView, rig_from_part: FloatArray, mask: Image) -> Image:
@@ -91,9 +91,14 @@ def fits_significantly_better(
 ) -> bool:
     """Whether contours agree significantly better with one face than with another (McNemar's test).
 
+    Where the face shows its plane by texture, the one that leans by clearly less from that is better.
     Source: Q. McNemar, "Note on the sampling error of the difference between correlated proportions or
     percentages", Psychometrika 12, 1947.
     """
+    if view.surface is not None:
+        leans = [plane.lean_rad(view.surface) for plane in (face, other)]
+        if abs(leans[0] - leans[1]) > SURFACES.lean_rad:
+            return leans[0] < leans[1]
     mine, theirs = (
         np.concatenate([agreeing_with(view, plane, contour) for contour in contours])
         for plane in (face, other)

@@ -21,7 +21,7 @@ from edged.vision.geometry.rectification import Rectification, StereoImages
 from edged.vision.geometry.rigid import Plane, transform, wrapped
 from edged.vision.part.initialplane import find_plane
 from edged.vision.part.job import CornerFeature, EdgeFeature, SlotFeature
-from edged.vision.teaching.params import TEACHING
+from edged.vision.teaching.params import SURFACES, TEACHING
 from edged.vision.teaching.slots import fit_slot
 
 
@@ -50,11 +50,13 @@ class TeachingView:
     """A teaching pair, and the region (h, w) in its rectified left image.
 
     ratio : of the slopes of edges in the right image to those in the left one.
+    surface : plane of the face that is taught, by its texture; None where it shows none.
     """
 
     images: StereoImages
     mask: Image
     ratio: float = 1.0
+    surface: Plane | None = None
 
     def ratio_beyond(self, factor: float) -> float:
         """Return the ratio if both pictures differ by more than a factor, else 1."""
@@ -82,7 +84,7 @@ def find_edge_face(view: TeachingView, depth_mm: tuple[float, float]) -> FloatAr
     depth_mm : range of the rectified depth.  x is the rig's x axis projected into the face.
     """
     contours = strong_contours(view)
-    plane = plane_of(view, contours, depth_mm)
+    plane = view.surface or plane_of(view, contours, depth_mm)
     if plane is None:
         return None
     space = plane.meet(view.images.rays("left", np.concatenate([contour.points for contour in contours])))
@@ -161,7 +163,7 @@ def _fitted(view: TeachingView, face: Face, circles: Sequence[Curve]) -> PlaneFi
     for _ in range(4):
         if not candidates:
             return None
-        fit = fit_plane(view.images.rig, view.images.raw, face, [*circles, *candidates], TEACHING.feature_fit)
+        fit = _fit(view, face, [*circles, *candidates])
         if fit is None:
             return None
         good = {fitted.curve.name for fitted in fit.fits if _is_clear(fitted)}
@@ -170,6 +172,19 @@ def _fitted(view: TeachingView, face: Face, circles: Sequence[Curve]) -> PlaneFi
             return fit
         candidates = kept
     return None
+
+
+def _fit(view: TeachingView, face: Face, curves: Sequence[Curve]) -> PlaneFit | None:
+    """Fit curves of a face; its normal is kept if the fit leans away from the surface that the view shows."""
+    rig, raw = view.images.rig, view.images.raw
+    fit = fit_plane(rig, raw, face, curves, TEACHING.feature_fit)
+    if fit is None or view.surface is None:
+        return fit
+    planes = [Plane.through(each.origin, each.normal) for each in (face, fit.face)]
+    before, now = (plane.lean_rad(view.surface) for plane in planes)
+    if now < before + SURFACES.lean_rad:
+        return fit
+    return fit_plane(rig, raw, face, curves, TEACHING.feature_fit, fixed_normal=True)
 
 
 def _is_clear(fit: CurveFit) -> bool:

@@ -60,8 +60,9 @@ from edged.vision.teaching.levels import (
     main_face_mask,
     solid_features,
 )
-from edged.vision.teaching.params import TEACHING
+from edged.vision.teaching.params import SURFACES, TEACHING
 from edged.vision.teaching.region import Area, Region, painted_region
+from edged.vision.teaching.surfaces import is_at, surfaces_of
 from edged.vision.teaching.tracing import trace
 
 FAINT = EdgeThresholds(OUTLINES.faint, 2 * OUTLINES.faint)
@@ -159,6 +160,9 @@ def _with_circles(view: TeachingView, wanted: WantedJob, thresholds: EdgeThresho
     try:
         face, largest = _reference(view, ellipses)
         depths_mm = _near_depths(view.images.rectification, largest)
+        view = _with_surface(view, face, largest, depths_mm)
+        if view.surface is not None and face.lean_rad(view.surface) > SURFACES.lean_rad:
+            face, largest = _turned_as(view.images, view.surface, ellipses, depths_mm) or (face, largest)
         beside = _as_contours_lie(view, face, largest, depths_mm)
         if beside is not None:
             face, largest = _turned_as(view.images, beside, ellipses, depths_mm) or (face, largest)
@@ -169,7 +173,9 @@ def _with_circles(view: TeachingView, wanted: WantedJob, thresholds: EdgeThresho
                 return _solid_job(view, wanted, solid)
         circles = _circles(view, ellipses, face, largest)
     except TeachError:
-        edges = _from_edges(view)
+        depths_mm = common_depths(view.images.rectification)
+        on_surface = [replace(view, surface=surface) for surface in surfaces_of(view, depths_mm)[:1]]
+        edges = next((edges for each in (*on_surface, view) if (edges := _from_edges(each))), None)
         if edges is None:
             raise
         return _job(view, wanted, *edges)
@@ -391,7 +397,8 @@ def taught_mask(region: Area | None, exclude: Sequence[Area], rectification: Rec
 def _reference(view: TeachingView, ellipses: list[ImageEllipse]) -> tuple[Plane, FoundCircle]:
     """The largest circle that both cameras see, and the plane it lies in.
 
-    If walls that are seen in them hide how circles lie, it is the largest in the plane of most contours.
+    If walls that are seen in them hide how circles lie, it is the largest in a plane that texture shows, or
+    else most contours.
     """
     images = view.images
     if not ellipses:
@@ -410,10 +417,12 @@ def _reference(view: TeachingView, ellipses: list[ImageEllipse]) -> tuple[Plane,
             circle = found.circle
             return Plane.through(circle.centre_mm, circle.normal), found
     depths_mm = common_depths(images.rectification)
-    plane = plane_of(view, strong_contours(view), depths_mm)
-    turned = None if plane is None else _turned_as(images, plane, ellipses, depths_mm)
-    if turned is not None:
-        return turned
+    by_contours = plane_of(view, strong_contours(view), depths_mm)
+    for plane in (*surfaces_of(view, depths_mm), *([] if by_contours is None else [by_contours])):
+        for ellipse in ellipses:
+            found = circle_on(plane, images, ellipse.outline(32)[0], ellipse.polarity, fixed_normal=True)
+            if found is not None and is_shown(found.fit) and is_at(plane, found.circle.centre_mm):
+                return Plane.through(found.circle.centre_mm, plane.normal), found
     raise TeachError(
         f"{len(ellipses)} circle(s) found in the left image, but none of them in the right one; "
         "is the part seen by both cameras, and does the rig belong to these images? Where its face is bright "
@@ -421,6 +430,24 @@ def _reference(view: TeachingView, ellipses: list[ImageEllipse]) -> tuple[Plane,
         "one_sided",
         count=len(ellipses),
     )
+
+
+def _with_surface(
+    view: TeachingView, face: Plane, largest: FoundCircle, depths_mm: tuple[float, float]
+) -> TeachingView:
+    """The view with the nearest surface that texture shows; its faces are taken to be parallel to that.
+
+    A surface behind the largest circle may be the table: contours must not contradict it.
+    """
+    surface = next(iter(surfaces_of(view, depths_mm)), None)
+    centre = largest.circle.centre_mm
+    if surface is None:
+        return view
+    is_behind = surface.offset < float(surface.normal @ centre) - SURFACES.at_mm
+    parallel = Plane.through(centre, surface.normal)
+    if is_behind and fits_significantly_better(view, face, parallel, strong_contours(view)):
+        return view
+    return replace(view, surface=surface)
 
 
 def _as_contours_lie(

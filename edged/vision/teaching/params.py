@@ -107,6 +107,36 @@ TEACHING = TeachingParams()
 
 
 @dataclass(frozen=True, slots=True)
+class SurfacesParams:
+    """Plane faces by their texture.
+
+    Where a line names no source, `tools/bench ablate --only SurfacesParams` shows what the number earns.
+    """
+
+    beside_px: int = 10  # around the outlines
+    block_px: int = 7  # with P1 and P2 of OpenCV's documentation for it, for one channel
+    unique: int = 8  # percent by which the best disparity must beat the second; OpenCV advises 5 to 15
+    speckle: int = 100  # pixels of a patch; OpenCV advises 50 to 200
+    window_px: int = 24  # in which matches of whole pixels average to a plane
+    filled: float = 0.6  # of a window
+    same_px: float = 0.5  # about the plane: twice the scatter of matches of one texture, 1/16 px apart
+    other_px: float = 2.0  # from a plane to disparities of another one: matches stick to whole pixels
+    compared: int = 10_000  # disparities by which trial planes are compared
+    rounds: int = 3  # of a plane's fit
+    least: float = 0.015
+    """Share of the picture that a plane must have: of smooth faces, matches between their edges are smeared
+    to planes of up to 0.009 (docs/explanation/accuracy.md)."""
+    most: int = 6  # planes
+    at_mm: float = 0.5  # half of the largest edge break (`break_mm`): a hole may be taught by its lower edge
+    lean_rad: float = math.radians(0.5)
+    """Between a face's plane by its texture and by its edges, beyond which the edges are wrong: planes by
+    texture are right to 0.3 degrees (docs/explanation/accuracy.md)."""
+
+
+SURFACES = SurfacesParams()
+
+
+@dataclass(frozen=True, slots=True)
 class CadParams:
     """A part's edges from STEP files and drawings, and how they are laid on what a pair taught.
 

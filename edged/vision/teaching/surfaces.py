@@ -1,0 +1,128 @@
+"""Plane faces that a teaching pair shows by their texture, whatever their edges look like.
+
+Walls that are seen, edge breaks and glints move the edges of a face by a pixel, each in its own way: a face
+by a few small holes was taught tilted by up to 5 degrees. Grain, machining marks and noise of its paint are
+in the face itself. Source: H. Hirschmüller, "Stereo processing by semiglobal matching and mutual
+information", IEEE TPAMI 30, 2008 (OpenCV's), then planes by RANSAC over small windows.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from functools import lru_cache
+
+import cv2
+import numpy as np
+
+from edged.domain.arrays import FloatArray
+from edged.vision.edges.contours import Contour
+from edged.vision.geometry.rigid import Plane
+from edged.vision.part.initialplane import plane_of_disparities
+from edged.vision.part.params import START
+from edged.vision.teaching.features import TeachingView, strong_contours
+from edged.vision.teaching.params import SURFACES
+
+
+@lru_cache(maxsize=1)  # keyed by identity; each fit of a teaching needs them
+def surfaces_of(view: TeachingView, depth_mm: tuple[float, float]) -> tuple[Plane, ...]:
+    """The planes that the pair shows within its outlines, nearest to the cameras first, in the rig frame.
+
+    depth_mm : range of the rectified depth.
+    """
+    area = _around(strong_contours(view), view.mask.shape)
+    if area is None:
+        return ()
+    disparity = _disparities(view, *area, depth_mm)
+    rows, columns = disparity.shape
+    first = np.array([area[1].start, area[0].start])
+    corners = first + np.array([[0.0, 0.0], [columns, 0.0], [0.0, rows]])
+    found = []
+    for a, b, c in _planes(disparity, round(SURFACES.least * view.mask.size)):
+        of_picture = np.array([a, b, c - first @ (a, b)])
+        plane = plane_of_disparities(view.images.rectification, of_picture, corners)
+        if plane is not None:
+            found.append(plane)
+    return tuple(sorted(found, key=lambda plane: -plane.offset))
+
+
+def is_at(plane: Plane, point: FloatArray) -> bool:
+    """Whether a point (3,) lies on a plane, or half an edge break beside it."""
+    return abs(float(plane.normal @ point) - plane.offset) < SURFACES.at_mm
+
+
+def _around(contours: Sequence[Contour], shape: tuple[int, ...]) -> tuple[slice, slice] | None:
+    """Rows and columns around contours; None without any."""
+    if not contours:
+        return None
+    points = np.concatenate([contour.points for contour in contours])
+    first = np.maximum(np.floor(points.min(axis=0)).astype(int) - SURFACES.beside_px, 0)
+    last = np.minimum(np.ceil(points.max(axis=0)).astype(int) + SURFACES.beside_px, shape[1::-1])
+    return slice(int(first[1]), int(last[1])), slice(int(first[0]), int(last[0]))
+
+
+def _disparities(
+    view: TeachingView, rows: slice, columns: slice, depth_mm: tuple[float, float]
+) -> FloatArray:
+    """(h, w) disparities of an area, NaN where the right picture shows no place or several."""
+    images = view.images
+    high, low = (images.rectification.disparity_px(depth) for depth in depth_mm)
+    low, high = math.floor(low), min(math.ceil(high), columns.stop)
+    count = 16 * math.ceil((high - low) / 16)
+    places = np.arange(columns.start - low - count, columns.stop - low)
+    covered = (places >= 0) & (places < images.rectified_right.shape[1])
+    places = np.where(covered, places, 0)
+    right = np.where(covered, images.rectified_right[rows, places], 0).astype(np.uint8)
+    left = cv2.copyMakeBorder(images.rectified_left[rows, columns], 0, 0, count, 0, cv2.BORDER_CONSTANT)
+    block = SURFACES.block_px
+    matcher = cv2.StereoSGBM.create(
+        minDisparity=0, numDisparities=count, blockSize=block, P1=4 * block**2, P2=32 * block**2,
+        disp12MaxDiff=1, uniquenessRatio=SURFACES.unique, speckleWindowSize=SURFACES.speckle, speckleRange=2,
+    )  # fmt: skip
+    found = np.asarray(matcher.compute(left, right), np.float64)[:, count:] / 16
+    valid = covered & (images.rectification.valid_right[rows, places] > 0)
+    there = np.rint(np.arange(found.shape[1]) + count - found).astype(np.intp)
+    seen = np.take_along_axis(valid, np.clip(there, 0, valid.shape[1] - 1), axis=1)
+    known = (found > 0) & seen & (view.mask[rows, columns] > 0)
+    return np.where(known, found + low, np.nan)
+
+
+def _planes(disparity: FloatArray, least: int) -> list[FloatArray]:
+    """(a, b, c) of d = a x + b y + c of the planes with most disparities, each with at least this many."""
+    rows, columns = np.nonzero(np.isfinite(disparity))
+    points = np.column_stack([columns, rows, np.ones(len(rows))])
+    values, trials = disparity[rows, columns], _of_windows(disparity)
+    some = slice(None, None, max(1, len(values) // SURFACES.compared))
+    left, found = np.ones(len(values), bool), list[FloatArray]()
+    while len(trials) and len(found) < SURFACES.most:
+        there, wanted = points[some][left[some]], values[some][left[some]]
+        agreeing = [np.count_nonzero(np.abs(there @ trial - wanted) < SURFACES.same_px) for trial in trials]
+        best = trials[int(np.argmax(agreeing))]
+        for _ in range(SURFACES.rounds):
+            near = left & (np.abs(points @ best - values) < SURFACES.same_px)
+            if np.count_nonzero(near) < least:
+                return found
+            best = np.linalg.lstsq(points[near], values[near], rcond=None)[0]
+        found.append(best)
+        left &= np.abs(points @ best - values) > SURFACES.other_px
+        if not left[some].any():
+            break
+    return found
+
+
+def _of_windows(disparity: FloatArray) -> FloatArray:
+    """(N, 3) planes through small windows that are mostly matched, and plane."""
+    size, found = SURFACES.window_px, []
+    for top in range(0, disparity.shape[0] - size, size // 2):
+        for first in range(0, disparity.shape[1] - size, size // 2):
+            window = disparity[top : top + size, first : first + size]
+            rows, columns = np.nonzero(np.isfinite(window))
+            if len(rows) < SURFACES.filled * size**2:
+                continue
+            points = np.column_stack([columns + first, rows + top, np.ones(len(rows))])
+            values = window[rows, columns]
+            trial = np.linalg.lstsq(points, values, rcond=None)[0]
+            misfit_px = np.median(np.abs(points @ trial - values))
+            if misfit_px < SURFACES.same_px / 2 and np.abs(trial[:2]).max() < START.max_slope:
+                found.append(trial)
+    return np.array(found).reshape(-1, 3)
