@@ -114,6 +114,7 @@ class SurfacesParams:
     """
 
     beside_px: int = 10  # around the outlines
+    work: float = 3e8  # pixels times disparities, two seconds: with more, the area is halved
     block_px: int = 7  # with P1 and P2 of OpenCV's documentation for it, for one channel
     unique: int = 8  # percent by which the best disparity must beat the second; OpenCV advises 5 to 15
     speckle: int = 100  # pixels of a patch; OpenCV advises 50 to 200
@@ -123,9 +124,9 @@ class SurfacesParams:
     other_px: float = 2.0  # from a plane to disparities of another one: matches stick to whole pixels
     compared: int = 10_000  # disparities by which trial planes are compared
     rounds: int = 3  # of a plane's fit
-    least: float = 0.015
-    """Share of the picture that a plane must have: of smooth faces, matches between their edges are smeared
-    to planes of up to 0.009 (docs/explanation/accuracy.md)."""
+    least: int = 18_000
+    """Disparities that a plane must have: of smooth faces and brushed tables, matches are smeared to planes
+    of up to 11,000 (docs/explanation/accuracy.md)."""
     most: int = 6  # planes
     at_mm: float = 0.5  # half of the largest edge break (`break_mm`): a hole may be taught by its lower edge
     lean_rad: float = math.radians(0.5)

@@ -15,7 +15,7 @@ from functools import lru_cache
 import cv2
 import numpy as np
 
-from edged.domain.arrays import FloatArray
+from edged.domain.arrays import FloatArray, Image
 from edged.vision.edges.contours import Contour
 from edged.vision.geometry.rigid import Plane
 from edged.vision.part.initialplane import plane_of_disparities
@@ -24,7 +24,7 @@ from edged.vision.teaching.features import TeachingView, strong_contours
 from edged.vision.teaching.params import SURFACES
 
 
-@lru_cache(maxsize=1)  # keyed by identity; each fit of a teaching needs them
+@lru_cache(maxsize=4)  # keyed by identity; each fit of a teaching needs them
 def surfaces_of(view: TeachingView, depth_mm: tuple[float, float]) -> tuple[Plane, ...]:
     """The planes that the pair shows within its outlines, nearest to the cameras first, in the rig frame.
 
@@ -33,13 +33,13 @@ def surfaces_of(view: TeachingView, depth_mm: tuple[float, float]) -> tuple[Plan
     area = _around(strong_contours(view), view.mask.shape)
     if area is None:
         return ()
-    disparity = _disparities(view, *area, depth_mm)
-    rows, columns = disparity.shape
-    first = np.array([area[1].start, area[0].start])
-    corners = first + np.array([[0.0, 0.0], [columns, 0.0], [0.0, rows]])
+    disparity, shrunk = _disparities(view, *area, depth_mm)
+    # pixels of the shrunk area are x = (whole x - first) / shrunk
+    first = np.array([area[1].start, area[0].start]) + 0.5 * (shrunk - 1)
+    corners = first + shrunk * np.array([[0, 0], [disparity.shape[1], 0], [0, disparity.shape[0]]])
     found = []
-    for a, b, c in _planes(disparity, round(SURFACES.least * view.mask.size)):
-        of_picture = np.array([a, b, c - first @ (a, b)])
+    for a, b, c in _planes(disparity):
+        of_picture = np.array([a, b, c * shrunk - first @ (a, b)])
         plane = plane_of_disparities(view.images.rectification, of_picture, corners)
         if plane is not None:
             found.append(plane)
@@ -63,32 +63,45 @@ def _around(contours: Sequence[Contour], shape: tuple[int, ...]) -> tuple[slice,
 
 def _disparities(
     view: TeachingView, rows: slice, columns: slice, depth_mm: tuple[float, float]
-) -> FloatArray:
-    """(h, w) disparities of an area, NaN where the right picture shows no place or several."""
+) -> tuple[FloatArray, int]:
+    """(h, w) disparities of an area, NaN where the right picture shows no place or several.
+
+    Both in pixels of an area that is shrunk by a power of two, if it is large; also that power.
+    """
     images = view.images
     high, low = (images.rectification.disparity_px(depth) for depth in depth_mm)
     low, high = math.floor(low), min(math.ceil(high), columns.stop)
-    count = 16 * math.ceil((high - low) / 16)
-    places = np.arange(columns.start - low - count, columns.stop - low)
+    work = (rows.stop - rows.start) * (columns.stop - columns.start) * max(high - low, 1)
+    shrunk = 2 ** max(0, math.ceil(math.log2(work / SURFACES.work) / 3))
+    count = 16 * math.ceil((high - low) / (16 * shrunk))
+    width, height = (shrunk * ((side.stop - side.start) // shrunk) for side in (columns, rows))
+    rows, columns = slice(rows.start, rows.start + height), slice(columns.start, columns.start + width)
+    places = np.arange(columns.start - low - shrunk * count, columns.stop - low)
     covered = (places >= 0) & (places < images.rectified_right.shape[1])
     places = np.where(covered, places, 0)
-    right = np.where(covered, images.rectified_right[rows, places], 0).astype(np.uint8)
-    left = cv2.copyMakeBorder(images.rectified_left[rows, columns], 0, 0, count, 0, cv2.BORDER_CONSTANT)
+
+    def small(image: Image) -> Image:
+        size = image.shape[1] // shrunk, image.shape[0] // shrunk
+        return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)
+
+    right = small(np.where(covered, images.rectified_right[rows, places], 0).astype(np.uint8))
+    left = small(images.rectified_left[rows, columns])
+    valid = small(np.where(covered, images.rectification.valid_right[rows, places], 0).astype(np.uint8))
     block = SURFACES.block_px
     matcher = cv2.StereoSGBM.create(
         minDisparity=0, numDisparities=count, blockSize=block, P1=4 * block**2, P2=32 * block**2,
         disp12MaxDiff=1, uniquenessRatio=SURFACES.unique, speckleWindowSize=SURFACES.speckle, speckleRange=2,
     )  # fmt: skip
-    found = np.asarray(matcher.compute(left, right), np.float64)[:, count:] / 16
-    valid = covered & (images.rectification.valid_right[rows, places] > 0)
+    beside = cv2.copyMakeBorder(left, 0, 0, count, 0, cv2.BORDER_CONSTANT)
+    found = np.asarray(matcher.compute(beside, right), np.float64)[:, count:] / 16
     there = np.rint(np.arange(found.shape[1]) + count - found).astype(np.intp)
-    seen = np.take_along_axis(valid, np.clip(there, 0, valid.shape[1] - 1), axis=1)
-    known = (found > 0) & seen & (view.mask[rows, columns] > 0)
-    return np.where(known, found + low, np.nan)
+    seen = np.take_along_axis(valid, np.clip(there, 0, valid.shape[1] - 1), axis=1) == 255
+    known = (found > 0) & seen & (small(view.mask[rows, columns]) == 255)
+    return np.where(known, found + low / shrunk, np.nan), shrunk
 
 
-def _planes(disparity: FloatArray, least: int) -> list[FloatArray]:
-    """(a, b, c) of d = a x + b y + c of the planes with most disparities, each with at least this many."""
+def _planes(disparity: FloatArray) -> list[FloatArray]:
+    """(a, b, c) of d = a x + b y + c of the planes with most disparities."""
     rows, columns = np.nonzero(np.isfinite(disparity))
     points = np.column_stack([columns, rows, np.ones(len(rows))])
     values, trials = disparity[rows, columns], _of_windows(disparity)
@@ -100,7 +113,7 @@ def _planes(disparity: FloatArray, least: int) -> list[FloatArray]:
         best = trials[int(np.argmax(agreeing))]
         for _ in range(SURFACES.rounds):
             near = left & (np.abs(points @ best - values) < SURFACES.same_px)
-            if np.count_nonzero(near) < least:
+            if np.count_nonzero(near) < SURFACES.least:
                 return found
             best = np.linalg.lstsq(points[near], values[near], rcond=None)[0]
         found.append(best)
