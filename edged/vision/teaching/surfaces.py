@@ -39,7 +39,7 @@ def surfaces_of(view: TeachingView, depth_mm: tuple[float, float]) -> tuple[Plan
     corners = first + shrunk * np.array([[0, 0], [disparity.shape[1], 0], [0, disparity.shape[0]]])
     found = []
     for a, b, c in _planes(disparity):
-        of_picture = np.array([a, b, c * shrunk - first @ (a, b)])
+        of_picture = _refined(view, area, np.array([a, b, c * shrunk - first @ (a, b)]))
         plane = plane_of_disparities(view.images.rectification, of_picture, corners)
         if plane is not None:
             found.append(plane)
@@ -87,17 +87,48 @@ def _disparities(
     right = small(np.where(covered, images.rectified_right[rows, places], 0).astype(np.uint8))
     left = small(images.rectified_left[rows, columns])
     valid = small(np.where(covered, images.rectification.valid_right[rows, places], 0).astype(np.uint8))
+    found = _matched(left, right, count)
+    there = np.rint(np.arange(found.shape[1]) + count - found).astype(np.intp)
+    seen = np.take_along_axis(valid, np.clip(there, 0, valid.shape[1] - 1), axis=1) == 255
+    known = (found > 0) & seen & (small(view.mask[rows, columns]) == 255)
+    return np.where(known, found + low / shrunk, np.nan), shrunk
+
+
+def _matched(left: Image, right: Image, count: int) -> FloatArray:
+    """(h, w) how far each pixel of the left picture has moved left in the right one, of 0 to count pixels.
+
+    left (h, w), right (h, count + w) : in both, the last columns are the same.  Not positive where unknown.
+    """
     block = SURFACES.block_px
     matcher = cv2.StereoSGBM.create(
         minDisparity=0, numDisparities=count, blockSize=block, P1=4 * block**2, P2=32 * block**2,
         disp12MaxDiff=1, uniquenessRatio=SURFACES.unique, speckleWindowSize=SURFACES.speckle, speckleRange=2,
     )  # fmt: skip
     beside = cv2.copyMakeBorder(left, 0, 0, count, 0, cv2.BORDER_CONSTANT)
-    found = np.asarray(matcher.compute(beside, right), np.float64)[:, count:] / 16
-    there = np.rint(np.arange(found.shape[1]) + count - found).astype(np.intp)
-    seen = np.take_along_axis(valid, np.clip(there, 0, valid.shape[1] - 1), axis=1) == 255
-    known = (found > 0) & seen & (small(view.mask[rows, columns]) == 255)
-    return np.where(known, found + low / shrunk, np.nan), shrunk
+    return np.asarray(matcher.compute(beside, right), np.float64)[:, count:] / 16
+
+
+def _refined(view: TeachingView, area: tuple[slice, slice], plane: FloatArray) -> FloatArray:
+    """The plane (a, b, c) again, by what whole pixels leave of it: slanted planes are matched in steps."""
+    count = SURFACES.refined_px
+    rows, columns = (np.arange(side.start, side.stop) for side in area)
+    # the right picture, moved so that a pixel of the plane has moved by half of the range
+    wide = np.arange(columns[0] - count, columns[-1] + 1) + 0.5 * count
+    x, y = np.meshgrid(wide, rows)
+    there = (x - (plane[0] * x + plane[1] * y + plane[2])).astype(np.float32)
+    right = cv2.remap(view.images.rectified_right, there, y.astype(np.float32), cv2.INTER_LINEAR)
+    moved = _matched(view.images.rectified_left[area], np.asarray(right, np.uint8), count)
+    known = (moved > 0) & (view.mask[area] > 0)
+    down, along = np.nonzero(known)
+    points = np.column_stack([along + columns[0], down + rows[0], np.ones(len(down))])
+    rest = (moved[known] - 0.5 * count) * (1.0 - plane[0])
+    change = np.zeros(3)
+    for reach_px in (SURFACES.other_px, *[SURFACES.same_px] * SURFACES.rounds):
+        near = np.abs(rest - points @ change) < reach_px
+        if np.count_nonzero(near) < SURFACES.least:
+            return plane
+        change = np.linalg.lstsq(points[near], rest[near], rcond=None)[0]
+    return np.asarray(plane + change)
 
 
 def _planes(disparity: FloatArray) -> list[FloatArray]:
