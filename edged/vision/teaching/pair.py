@@ -443,9 +443,8 @@ def _with_surface(
     centre = largest.circle.centre_mm
     if surface is None:
         return view
-    is_behind = surface.offset < float(surface.normal @ centre) - SURFACES.at_mm
     parallel = Plane.through(centre, surface.normal)
-    if is_behind and fits_significantly_better(view, face, parallel, strong_contours(view)):
+    if not is_at(surface, centre) and fits_significantly_better(view, face, parallel, strong_contours(view)):
         return view
     return replace(view, surface=surface)
 

@@ -124,6 +124,7 @@ class SurfacesParams:
     other_px: float = 2.0  # from a plane to disparities of another one: matches stick to whole pixels
     compared: int = 10_000  # disparities by which trial planes are compared
     rounds: int = 3  # of a plane's fit
+    refined_half_px: int = 600  # of the area in which a plane is matched again
     refined_px: int = 32  # disparities about a plane, in which it is matched again in whole pixels
     least: int = 18_000
     """Disparities that a plane must have: of smooth faces and brushed tables, matches are smeared to planes

@@ -24,7 +24,7 @@ from edged.vision.teaching.features import TeachingView, strong_contours
 from edged.vision.teaching.params import SURFACES
 
 
-@lru_cache(maxsize=4)  # keyed by identity; each fit of a teaching needs them
+@lru_cache(maxsize=2)  # keyed by identity; each fit of a teaching needs them
 def surfaces_of(view: TeachingView, depth_mm: tuple[float, float]) -> tuple[Plane, ...]:
     """The planes that the pair shows within its outlines, nearest to the cameras first, in the rig frame.
 
@@ -38,8 +38,9 @@ def surfaces_of(view: TeachingView, depth_mm: tuple[float, float]) -> tuple[Plan
     first = np.array([area[1].start, area[0].start]) + 0.5 * (shrunk - 1)
     corners = first + shrunk * np.array([[0, 0], [disparity.shape[1], 0], [0, disparity.shape[0]]])
     found = []
-    for a, b, c in _planes(disparity):
-        of_picture = _refined(view, area, np.array([a, b, c * shrunk - first @ (a, b)]))
+    for (a, b, c), centre in _planes(disparity):
+        near = _part_of(area, first + shrunk * centre)
+        of_picture = _refined(view, near, np.array([a, b, c * shrunk - first @ (a, b)]))
         plane = plane_of_disparities(view.images.rectification, of_picture, corners)
         if plane is not None:
             found.append(plane)
@@ -61,6 +62,16 @@ def _around(contours: Sequence[Contour], shape: tuple[int, ...]) -> tuple[slice,
     return slice(int(first[1]), int(last[1])), slice(int(first[0]), int(last[0]))
 
 
+def _part_of(area: tuple[slice, slice], centre: FloatArray) -> tuple[slice, slice]:
+    """The rows and columns of an area that are near to a point (2,): more pixels would only want memory."""
+    half, (rows, columns) = SURFACES.refined_half_px, area
+    x, y = np.rint(centre).astype(int).tolist()
+    return (
+        slice(max(rows.start, y - half), min(rows.stop, y + half)),
+        slice(max(columns.start, x - half), min(columns.stop, x + half)),
+    )
+
+
 def _disparities(
     view: TeachingView, rows: slice, columns: slice, depth_mm: tuple[float, float]
 ) -> tuple[FloatArray, int]:
@@ -75,6 +86,8 @@ def _disparities(
     shrunk = 2 ** max(0, math.ceil(math.log2(work / SURFACES.work) / 3))
     count = 16 * math.ceil((high - low) / (16 * shrunk))
     width, height = (shrunk * ((side.stop - side.start) // shrunk) for side in (columns, rows))
+    if count <= 0 or min(width, height) < shrunk * SURFACES.window_px:
+        return np.full((1, 1), np.nan), shrunk
     rows, columns = slice(rows.start, rows.start + height), slice(columns.start, columns.start + width)
     places = np.arange(columns.start - low - shrunk * count, columns.stop - low)
     covered = (places >= 0) & (places < images.rectified_right.shape[1])
@@ -131,13 +144,13 @@ def _refined(view: TeachingView, area: tuple[slice, slice], plane: FloatArray) -
     return np.asarray(plane + change)
 
 
-def _planes(disparity: FloatArray) -> list[FloatArray]:
-    """(a, b, c) of d = a x + b y + c of the planes with most disparities."""
+def _planes(disparity: FloatArray) -> list[tuple[FloatArray, FloatArray]]:
+    """(a, b, c) of d = a x + b y + c of the planes with most disparities, and the middle (2,) of these."""
     rows, columns = np.nonzero(np.isfinite(disparity))
     points = np.column_stack([columns, rows, np.ones(len(rows))])
     values, trials = disparity[rows, columns], _of_windows(disparity)
     some = slice(None, None, max(1, len(values) // SURFACES.compared))
-    left, found = np.ones(len(values), bool), list[FloatArray]()
+    left, found = np.ones(len(values), bool), list[tuple[FloatArray, FloatArray]]()
     while len(trials) and len(found) < SURFACES.most:
         there, wanted = points[some][left[some]], values[some][left[some]]
         agreeing = [np.count_nonzero(np.abs(there @ trial - wanted) < SURFACES.same_px) for trial in trials]
@@ -147,7 +160,7 @@ def _planes(disparity: FloatArray) -> list[FloatArray]:
             if np.count_nonzero(near) < SURFACES.least:
                 return found
             best = np.linalg.lstsq(points[near], values[near], rcond=None)[0]
-        found.append(best)
+        found.append((best, np.median(points[near, :2], axis=0)))
         left &= np.abs(points @ best - values) > SURFACES.other_px
         if not left[some].any():
             break

@@ -35,6 +35,21 @@ def test_a_smooth_face_is_no_surface() -> None:
     assert not shown(236)
 
 
+@pytest.mark.parametrize("kind", ["noise", "one grey", "a line at the border"])
+def test_pictures_of_nothing_have_no_surface(kind: str) -> None:
+    """Nor do ranges of depth that the cameras do not have in common."""
+    rectification = rig().rectification
+    shape = rig().rig.left.height, rig().rig.left.width
+    image = np.full(shape, 128, np.uint8)
+    if kind == "noise":
+        image = np.random.default_rng(1).integers(0, 255, shape).astype(np.uint8)
+    elif kind == "a line at the border":
+        image[5] = 255
+    view = view_of(image, image, rectification, None)
+    for depths_mm in (common_depths(rectification), (1.0, 2.0), (1e5, 1e6)):
+        assert not surfaces_of(view, depths_mm)
+
+
 @pytest.mark.long
 @pytest.mark.parametrize("design", [212, 213, 241])
 def test_a_part_whose_edges_lean_is_taught_as_its_texture_lies(design: int) -> None:
