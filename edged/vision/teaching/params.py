@@ -133,7 +133,7 @@ class SurfacesParams:
     at_mm: float = 0.5  # half of the largest edge break (`break_mm`): a hole may be taught by its lower edge
     lean_rad: float = math.radians(0.5)
     """Between a face's plane by its texture and by its edges, beyond which the edges are wrong: planes by
-    texture are right to 0.3 degrees (docs/explanation/accuracy.md)."""
+    texture are right to 0.2 degrees (docs/explanation/accuracy.md)."""
 
 
 SURFACES = SurfacesParams()
