@@ -437,7 +437,7 @@ def _with_surface(
 ) -> TeachingView:
     """The view with the nearest surface that texture shows; its faces are taken to be parallel to that.
 
-    A surface behind the largest circle may be the table: contours must not contradict it.
+    One before or behind the largest circle may be another thing: contours must not contradict it.
     """
     surface = next(iter(surfaces_of(view, depths_mm)), None)
     centre = largest.circle.centre_mm
