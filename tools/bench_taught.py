@@ -18,13 +18,13 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
+from bench_solid import pair_of, pose_of
 from benching import bench_parser, finish, share
 from helpers.drawnparts import pair, place, rig
 from table3 import true_rig
 
 from edged.domain.arrays import FloatArray, Image
 from edged.errors import EdgedError
-from edged.files.images import load_image
 from edged.pipeline import PreparedRig, prepare
 from edged.vision.teaching.pair import teach
 
@@ -35,9 +35,8 @@ def of_set(folder: Path) -> Iterator[Taught]:
     """Name, rig, teaching pair and true normal (3,) of the parts of a data set."""
     prepared = prepare(true_rig(folder / "rig.json"))
     for path in sorted((folder / "teach").glob("*.json")):
-        sides = [load_image(path.with_name(f"{path.stem}_{side}.png")) for side in ("left", "right")]
-        normal = np.array(json.loads(path.read_text())["parts"][0]["R"])[:, 2]
-        yield f"{folder.name} {path.stem}", prepared, (sides[0], sides[1]), normal
+        normal = pose_of(json.loads(path.read_text())["parts"][0])[:3, 2]
+        yield f"{folder.name} {path.stem}", prepared, pair_of(path), normal
 
 
 def main() -> int:

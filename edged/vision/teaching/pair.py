@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -461,8 +460,7 @@ def _as_contours_lie(
     plane = plane_of(view, contours, depths_mm)
     if plane is None or not fits_significantly_better(view, plane, face, contours):
         return None
-    lean = math.acos(min(float(plane.normal @ face.normal), 1.0))
-    return plane if lean < 0.5 * TEACHING.break_mm / largest.circle.radius_mm else None
+    return plane if plane.lean_rad(face) < 0.5 * TEACHING.break_mm / largest.circle.radius_mm else None
 
 
 def _turned_as(
