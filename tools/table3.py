@@ -88,6 +88,8 @@ def main() -> int:
         truth, plain = true_rig(options.dataset / "rig.json"), plain_rig(options.dataset, options.true_rig)
         rig = make_rig(options.dataset, work, options.true_rig)
         teach_from = options.teach or options.dataset
+        if not (teach_from / "teach").is_dir():
+            parser.error(f"{teach_from} has no teach/: --teach names a data set that has")
         teach_rig = rig if teach_from == options.dataset else make_rig(teach_from, work, options.true_rig)
         jobs = {
             path.stem[6:]: teach_part(path, teach_rig, true_rig(teach_from / "rig.json"), work)

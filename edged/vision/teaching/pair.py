@@ -57,6 +57,7 @@ from edged.vision.teaching.levels import (
     is_clear,
     is_shown,
     main_face_mask,
+    remeasured,
     solid_features,
 )
 from edged.vision.teaching.params import SURFACES, TEACHING
@@ -161,7 +162,11 @@ def _with_circles(view: TeachingView, wanted: WantedJob, thresholds: EdgeThresho
         depths_mm = _near_depths(view.images.rectification, largest)
         view = _with_surface(view, face, largest, depths_mm)
         if view.surface is not None and face.lean_rad(view.surface) > SURFACES.lean_rad:
-            face, largest = _turned_as(view.images, view.surface, ellipses, depths_mm) or (face, largest)
+            face, largest = (
+                _turned_as(view.images, view.surface, ellipses, depths_mm)
+                or _measured_on(view.images, view.surface, largest)
+                or (face, largest)
+            )
         beside = _as_contours_lie(view, face, largest, depths_mm)
         if beside is not None:
             face, largest = _turned_as(view.images, beside, ellipses, depths_mm) or (face, largest)
@@ -472,6 +477,14 @@ def _turned_as(
         if found is not None and is_clear(found.fit):
             return Plane.through(found.circle.centre_mm, plane.normal), found
     return None
+
+
+def _measured_on(
+    images: StereoImages, surface: Plane, largest: FoundCircle
+) -> tuple[Plane, FoundCircle] | None:
+    """Measure a circle again, and its face, parallel to a surface; None if it is not seen so."""
+    found = remeasured(images, largest, surface.normal)
+    return None if found is None else (Plane.through(found.circle.centre_mm, surface.normal), found)
 
 
 def _others(

@@ -126,12 +126,17 @@ class SurfacesParams:
     rounds: int = 3  # of a plane's fit
     refined_half_px: int = 600  # of the area in which a plane is matched again
     refined_px: int = 32  # disparities about a plane, in which it is matched again in whole pixels
-    least: int = 18_000
-    """Disparities that a plane must have: of smooth faces and brushed tables, matches are smeared to planes
-    of up to 11,000 (docs/explanation/accuracy.md)."""
+    fewest: int = 4_000  # disparities of a plane that hardly has any beside it
+    beside: float = 3.0  # times `same_px` from a plane, up to which disparities are beside it
+    smeared: float = 0.25
+    """Disparities beside a plane, of those on it: 0.02 to 0.25 with plain texture, 0.3 to 2 where matches are
+    smeared (docs/explanation/accuracy.md)."""
+    many: int = 18_000
+    """Disparities of a plane that may have any beside it: of smooth faces and brushed tables, matches are
+    smeared to planes of up to 11,000 (docs/explanation/accuracy.md)."""
     most: int = 6  # planes
-    at_mm: float = 0.5  # half of the largest edge break (`break_mm`): a hole may be taught by its lower edge
-    lean_rad: float = math.radians(0.5)
+    at_mm: float = 0.5 * TEACHING.break_mm  # a hole may be taught by its lower edge
+    lean_rad: float = math.radians(0.25)
     """Between a face's plane by its texture and by its edges, beyond which the edges are wrong: planes by
     texture are right to 0.2 degrees (docs/explanation/accuracy.md)."""
 

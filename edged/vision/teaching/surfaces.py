@@ -37,8 +37,10 @@ def surfaces_of(view: TeachingView, depth_mm: tuple[float, float]) -> tuple[Plan
     # pixels of the shrunk area are x = (whole x - first) / shrunk
     first = np.array([area[1].start, area[0].start]) + 0.5 * (shrunk - 1)
     corners = first + shrunk * np.array([[0, 0], [disparity.shape[1], 0], [0, disparity.shape[0]]])
+    planes = _planes(disparity)
+    large = [plane for plane in planes if plane[2] >= SURFACES.many]
     found = []
-    for (a, b, c), centre in _planes(disparity):
+    for (a, b, c), centre, _ in large or planes:  # small ones lean by up to 0.5 degrees
         near = _part_of(area, first + shrunk * centre)
         of_picture = _refined(view, near, np.array([a, b, c * shrunk - first @ (a, b)]))
         plane = plane_of_disparities(view.images.rectification, of_picture, corners)
@@ -138,33 +140,45 @@ def _refined(view: TeachingView, area: tuple[slice, slice], plane: FloatArray) -
     change = np.zeros(3)
     for reach_px in (SURFACES.other_px, *[SURFACES.same_px] * SURFACES.rounds):
         near = np.abs(rest - points @ change) < reach_px
-        if np.count_nonzero(near) < SURFACES.least:
+        if np.count_nonzero(near) < SURFACES.fewest:
             return plane
         change = np.linalg.lstsq(points[near], rest[near], rcond=None)[0]
     return np.asarray(plane + change)
 
 
-def _planes(disparity: FloatArray) -> list[tuple[FloatArray, FloatArray]]:
-    """(a, b, c) of d = a x + b y + c of the planes with most disparities, and the middle (2,) of these."""
+def _planes(disparity: FloatArray) -> list[tuple[FloatArray, FloatArray, int]]:
+    """The planes with most disparities: (a, b, c) of d = a x + b y + c, these' middle (2,) and number."""
     rows, columns = np.nonzero(np.isfinite(disparity))
     points = np.column_stack([columns, rows, np.ones(len(rows))])
     values, trials = disparity[rows, columns], _of_windows(disparity)
     some = slice(None, None, max(1, len(values) // SURFACES.compared))
-    left, found = np.ones(len(values), bool), list[tuple[FloatArray, FloatArray]]()
-    while len(trials) and len(found) < SURFACES.most:
+    left, found = np.ones(len(values), bool), list[tuple[FloatArray, FloatArray, int]]()
+    for _ in range(SURFACES.most):
         there, wanted = points[some][left[some]], values[some][left[some]]
+        if not (len(trials) and len(wanted)):
+            break
         agreeing = [np.count_nonzero(np.abs(there @ trial - wanted) < SURFACES.same_px) for trial in trials]
         best = trials[int(np.argmax(agreeing))]
         for _ in range(SURFACES.rounds):
             near = left & (np.abs(points @ best - values) < SURFACES.same_px)
-            if np.count_nonzero(near) < SURFACES.least:
+            if np.count_nonzero(near) < SURFACES.fewest:
                 return found
             best = np.linalg.lstsq(points[near], values[near], rcond=None)[0]
-        found.append((best, np.median(points[near, :2], axis=0)))
-        left &= np.abs(points @ best - values) > SURFACES.other_px
-        if not left[some].any():
-            break
+        away = np.abs(points @ best - values)
+        if _is_shown(away[left]):
+            found.append((best, np.median(points[near, :2], axis=0), int(near.sum())))
+        left &= away > SURFACES.other_px
     return found
+
+
+def _is_shown(away_px: FloatArray) -> bool:
+    """Whether disparities at these distances (N,) from a plane are many, or hardly any lie beside it.
+
+    Smeared matches lie about as densely beside a plane as on it.
+    """
+    on_plane = np.count_nonzero(away_px < SURFACES.same_px)
+    beside = np.count_nonzero(away_px < SURFACES.beside * SURFACES.same_px) - on_plane
+    return bool(on_plane >= SURFACES.many or beside < SURFACES.smeared * on_plane)
 
 
 def _of_windows(disparity: FloatArray) -> FloatArray:

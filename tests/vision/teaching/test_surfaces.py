@@ -22,7 +22,7 @@ def shown(design: int) -> tuple[Plane, ...]:
     return surfaces_of(view_of(*pair(design), rectification, None), common_depths(rectification))
 
 
-@pytest.mark.parametrize("design", [207, 241])
+@pytest.mark.parametrize("design", [207, 223, 241])
 def test_a_textured_face_is_the_nearest_surface(design: int) -> None:
     """The face is found to 0.2 degrees and 0.05 mm, before the table behind it."""
     nearest = shown(design)[0]
@@ -51,7 +51,7 @@ def test_pictures_of_nothing_have_no_surface(kind: str) -> None:
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("design", [212, 213, 241])
+@pytest.mark.parametrize("design", [212, 213, 241, 437])
 def test_a_part_whose_edges_lean_is_taught_as_its_texture_lies(design: int) -> None:
     """Parts that few edges showed turned by 3 to 5 degrees, or not at all, are taught level to 0.3."""
     job = teach(*pair(design), rig().rectification, None, "part")
