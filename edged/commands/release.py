@@ -192,12 +192,12 @@ def pull(config: Path, console: Console, *, place: str | None, name: str | None,
         if not due:
             print_safe(f"{cell}: no release for it yet, of {len(offers)}", console)
             return 1
-        new = [one for one in due.values() if not is_fetched(kept / FOLDER, *one)]
+        new = [(path, offer) for path, offer in due.values() if not is_fetched(kept / FOLDER, path, offer)]
         if not new:
             fetched = ", ".join(sorted(path for path, _ in due.values()))
             print_safe(f"{cell}: {fetched} is fetched already", console)
             return 0
-        path, offer = min(new, key=lambda one: one[1].number)
+        path, offer = min(new, key=lambda release: release[1].number)
         gate = gate_in(kept / FOLDER)
         if gate is not None and gate.step not in DONE and gate.staged.offer.kind != offer.kind:
             print_safe(f"{cell}: {path} comes after {gate.staged.path}, which is {gate.step}", console)

@@ -76,5 +76,5 @@ def requirements(wheels: tuple[Wheel, ...]) -> str:
 
 def _wheel(component: _Component) -> Wheel:
     file = parse_qs(urlsplit(component.purl).query)["file_name"][0]
-    digest = next(one.content for one in component.hashes if one.alg == "SHA-256")
+    digest = next(entry.content for entry in component.hashes if entry.alg == "SHA-256")
     return Wheel(name=component.name, version=component.version, file=file, sha256=digest)
