@@ -79,6 +79,8 @@ def main() -> int:
     parser.add_argument("--overlays", type=Path, help="folder for a picture of each result")
     parser.add_argument("--json", action="store_true")
     options = parser.parse_args()
+    if not ((options.teach or options.dataset) / "teach").is_dir():
+        parser.error(f"{options.teach or options.dataset} has no teach/: --teach names a data set that has")
     rows: list[dict[str, Any]] = []
     problems = 0
     with tempfile.TemporaryDirectory() as folder:
@@ -88,8 +90,6 @@ def main() -> int:
         truth, plain = true_rig(options.dataset / "rig.json"), plain_rig(options.dataset, options.true_rig)
         rig = make_rig(options.dataset, work, options.true_rig)
         teach_from = options.teach or options.dataset
-        if not (teach_from / "teach").is_dir():
-            parser.error(f"{teach_from} has no teach/: --teach names a data set that has")
         teach_rig = rig if teach_from == options.dataset else make_rig(teach_from, work, options.true_rig)
         jobs = {
             path.stem[6:]: teach_part(path, teach_rig, true_rig(teach_from / "rig.json"), work)

@@ -55,10 +55,14 @@ class MainFace:
     """
 
     view: TeachingView
-    face: Plane
     largest: FoundCircle
     depths_mm: tuple[float, float]
     beside: Plane | None
+
+    @property
+    def plane(self) -> Plane:
+        """Its plane: that of the largest circle."""
+        return _plane_of(self.largest)
 
 
 def main_face(view: TeachingView, ellipses: list[ImageEllipse]) -> MainFace:
@@ -66,24 +70,24 @@ def main_face(view: TeachingView, ellipses: list[ImageEllipse]) -> MainFace:
 
     It is turned as texture lies, or else most contours, if its own circle leans from that.
     """
-    face, largest = _reference(view, ellipses)
+    largest = _reference(view, ellipses)
     depths_mm = _near_depths(view.images.rectification, largest)
-    view = _with_surface(view, face, largest, depths_mm)
-    if view.surface is not None and face.lean_rad(view.surface) > SURFACES.lean_rad:
-        face, largest = (
+    view = _with_surface(view, largest, depths_mm)
+    if view.surface is not None and _plane_of(largest).lean_rad(view.surface) > SURFACES.lean_rad:
+        largest = (
             _turned_as(view.images, view.surface, ellipses, depths_mm)
-            or _measured_on(view.images, view.surface, largest)
-            or (face, largest)
+            or remeasured(view.images, largest, view.surface.normal)
+            or largest
         )
-    beside = _as_contours_lie(view, face, largest, depths_mm)
+    beside = _as_contours_lie(view, largest, depths_mm)
     if beside is not None:
-        face, largest = _turned_as(view.images, beside, ellipses, depths_mm) or (face, largest)
-    return MainFace(view, face, largest, depths_mm, beside)
+        largest = _turned_as(view.images, beside, ellipses, depths_mm) or largest
+    return MainFace(view, largest, depths_mm, beside)
 
 
 def circles_of(main: MainFace, ellipses: list[ImageEllipse]) -> list[FoundCircle]:
     """The circles of the face, measured together, largest first."""
-    found = _in_order([main.largest, *_others(main.view.images, ellipses, main.face, main.largest)])
+    found = _in_order([main.largest, *_others(main.view.images, ellipses, main.largest)])
     together = fitted_as_contours_lie(main.view, *_laid_in_face(found), FitParams(reach_px=(2.0,)))
     if together is None or together.fit_of("c0") is None:
         return [
@@ -123,8 +127,8 @@ def without_pattern(
     if filled < TEACHING.pattern_filled * view.mask.size or not rest:
         return ellipses
     try:
-        table, _ = _reference(view, holes[: TEACHING.pattern_least])
-        _, above = _reference(view, rest)
+        table = _plane_of(_reference(view, holes[: TEACHING.pattern_least]))
+        above = _reference(view, rest)
     except TeachError:
         return ellipses
     below = table.offset - float(table.normal @ above.circle.centre_mm)
@@ -146,8 +150,13 @@ def _near_depths(rectification: Rectification, reference: FoundCircle) -> tuple[
     )
 
 
-def _reference(view: TeachingView, ellipses: list[ImageEllipse]) -> tuple[Plane, FoundCircle]:
-    """The largest circle that both cameras see, and the plane it lies in.
+def _plane_of(found: FoundCircle) -> Plane:
+    """The plane that a circle lies in."""
+    return Plane.through(found.circle.centre_mm, found.circle.normal)
+
+
+def _reference(view: TeachingView, ellipses: list[ImageEllipse]) -> FoundCircle:
+    """The largest circle that both cameras see.
 
     If walls that are seen in them hide how circles lie, it is the largest in a plane that texture shows, or
     else most contours.
@@ -158,23 +167,21 @@ def _reference(view: TeachingView, ellipses: list[ImageEllipse]) -> tuple[Plane,
             "no circle found, and no face with straight edges: a job needs a feature that both cameras see",
             "no_feature",
         )
+    depths_mm = common_depths(images.rectification)
     for ellipse in ellipses:
         points, normals = ellipse.outline(240)
-        depths_mm = common_depths(images.rectification)
         plane = find_plane(images, points, normals, ellipse.polarity, depths_mm)
         if plane is None:
             continue
         found = circle_on(plane, images, ellipse.outline(32)[0], ellipse.polarity, fixed_normal=False)
         if found is not None and is_clear(found.fit):
-            circle = found.circle
-            return Plane.through(circle.centre_mm, circle.normal), found
-    depths_mm = common_depths(images.rectification)
+            return found
     by_contours = plane_of(view, strong_contours(view), depths_mm)
     for plane in (*surfaces_of(view, depths_mm), *([] if by_contours is None else [by_contours])):
         for ellipse in ellipses:
             found = circle_on(plane, images, ellipse.outline(32)[0], ellipse.polarity, fixed_normal=True)
             if found is not None and is_shown(found.fit) and is_at(plane, found.circle.centre_mm):
-                return Plane.through(found.circle.centre_mm, plane.normal), found
+                return found
     raise TeachError(
         f"{len(ellipses)} circle(s) found in the left image, but none of them in the right one; "
         "is the part seen by both cameras, and does the rig belong to these images? Where its face is bright "
@@ -184,9 +191,7 @@ def _reference(view: TeachingView, ellipses: list[ImageEllipse]) -> tuple[Plane,
     )
 
 
-def _with_surface(
-    view: TeachingView, face: Plane, largest: FoundCircle, depths_mm: tuple[float, float]
-) -> TeachingView:
+def _with_surface(view: TeachingView, largest: FoundCircle, depths_mm: tuple[float, float]) -> TeachingView:
     """The view with the nearest surface that texture shows; its faces are taken to be parallel to that.
 
     One before or behind the largest circle may be another thing: contours must not contradict it.
@@ -196,20 +201,21 @@ def _with_surface(
     if surface is None:
         return view
     parallel = Plane.through(centre, surface.normal)
-    if not is_at(surface, centre) and fits_significantly_better(view, face, parallel, strong_contours(view)):
+    is_other = not is_at(surface, centre)
+    if is_other and fits_significantly_better(view, _plane_of(largest), parallel, strong_contours(view)):
         return view
     return replace(view, surface=surface)
 
 
 def _as_contours_lie(
-    view: TeachingView, face: Plane, largest: FoundCircle, depths_mm: tuple[float, float]
+    view: TeachingView, largest: FoundCircle, depths_mm: tuple[float, float]
 ) -> Plane | None:
     """The plane that contours agree with better than with the largest circle's face; None if there is none.
 
     A hole seems to tilt if the cameras see different edges of its break: by the distance of these edges over
     its width. A plane that tilts by more is no face of the same part.
     """
-    contours = strong_contours(view)
+    face, contours = _plane_of(largest), strong_contours(view)
     plane = plane_of(view, contours, depths_mm)
     if plane is None or not fits_significantly_better(view, plane, face, contours):
         return None
@@ -218,27 +224,18 @@ def _as_contours_lie(
 
 def _turned_as(
     images: StereoImages, plane: Plane, ellipses: Sequence[ImageEllipse], depths_mm: tuple[float, float]
-) -> tuple[Plane, FoundCircle] | None:
-    """Find the largest circle that both images show parallel to a plane, and its face; None without one."""
+) -> FoundCircle | None:
+    """Find the largest circle that both images show parallel to a plane; None without one."""
     for ellipse in ellipses:
         found = at_own_depth(images, ellipse, plane.normal, depths_mm)
         if found is not None and is_clear(found.fit):
-            return Plane.through(found.circle.centre_mm, plane.normal), found
+            return found
     return None
 
 
-def _measured_on(
-    images: StereoImages, surface: Plane, largest: FoundCircle
-) -> tuple[Plane, FoundCircle] | None:
-    """Measure a circle again, and its face, parallel to a surface; None if it is not seen so."""
-    found = remeasured(images, largest, surface.normal)
-    return None if found is None else (Plane.through(found.circle.centre_mm, surface.normal), found)
-
-
-def _others(
-    images: StereoImages, ellipses: list[ImageEllipse], face: Plane, reference: FoundCircle
-) -> list[FoundCircle]:
-    """The other circles of the face, each verified in both images."""
+def _others(images: StereoImages, ellipses: list[ImageEllipse], reference: FoundCircle) -> list[FoundCircle]:
+    """The other circles of the reference's face, each verified in both images."""
+    face = _plane_of(reference)
     found: list[FoundCircle] = []
     for ellipse in ellipses:
         measured = circle_on(face, images, ellipse.outline(32)[0], ellipse.polarity, fixed_normal=True)

@@ -143,7 +143,7 @@ def _with_circles(view: TeachingView, wanted: WantedJob, thresholds: EdgeThresho
     try:
         main = main_face(view, ellipses)
         view = main.view
-        levels = find_levels(view, ellipses, main.face, main.depths_mm, main.beside)
+        levels = find_levels(view, ellipses, main.plane, main.depths_mm, main.beside)
         if levels is not None:
             solid = solid_features(view, levels)
             if solid is not None:

@@ -165,13 +165,13 @@ def _planes(disparity: FloatArray) -> list[tuple[FloatArray, FloatArray, int]]:
                 return found
             best = np.linalg.lstsq(points[near], values[near], rcond=None)[0]
         away = np.abs(points @ best - values)
-        if _is_shown(away[left]):
+        if _is_textured(away[left]):
             found.append((best, np.median(points[near, :2], axis=0), int(near.sum())))
         left &= away > SURFACES.other_px
     return found
 
 
-def _is_shown(away_px: FloatArray) -> bool:
+def _is_textured(away_px: FloatArray) -> bool:
     """Whether disparities at these distances (N,) from a plane are many, or hardly any lie beside it.
 
     Smeared matches lie about as densely beside a plane as on it.
