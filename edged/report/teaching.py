@@ -42,7 +42,7 @@ class Taught:
 
     rectified_left (h, w) uint8 : the picture, real or rendered from a drawing.
     region (h, w) uint8 : place of the part in it; None: anywhere.  cuts : its edges that the region cuts.
-    settled : findings from its CAD model and further pairs, or what is open without them, a line each.
+    settled : findings from its CAD model and further pairs, a line each.
     """
 
     rectified_left: Image

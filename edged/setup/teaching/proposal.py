@@ -20,6 +20,7 @@ from edged.vision.part.job import MAX_TILT_DEG, Job
 from edged.vision.part.params import MEASURING
 from edged.vision.shape.inspection import ModelInspection, inspect_model
 from edged.vision.solid.curvemodel import unevenness_mm
+from edged.vision.teaching.brightwalls import bright_walls_mm
 from edged.vision.teaching.cadjob import teach_model
 from edged.vision.teaching.cadmodel import CadModel, ModelCurves
 from edged.vision.teaching.cadpair import teach_with_model
@@ -74,8 +75,11 @@ def propose_from_pair(
     """
     view = view_of(left, right, rectification, region, exclude)
     settled: tuple[str, ...] = ()
+    doubts: list[tuple[str, str]] = []
     if model is None:
         job = taught(view, wanted)
+        if walls := bright_walls_mm(view.images, job):
+            doubts.append(("bright_walls", _of_bright_walls(walls)))
     else:
         found = teach_with_model(view, model.curves, model.name, wanted)
         job, settled = found.job, found.remarks
@@ -84,16 +88,16 @@ def propose_from_pair(
         settled = (*settled, *shown)
         by_pictures = model is None and job.solid
         if by_pictures and not shown:
-            settled = (_of_one_pair(job, rectification.rig),)
+            doubts.append(("one_pair", _of_one_pair(job, rectification.rig)))
         if by_pictures and (uneven_mm := unevenness_mm(job)):
-            settled = (*settled, _of_uneven(uneven_mm))
+            doubts.append(("uneven", _of_uneven(uneven_mm)))
     picture, mask = rectification.left_image(left), taught_mask(region, (), rectification)
     cuts = cut_edges(job, picture, mask, rectification)
-    return _proposal(job, Taught(picture, None if region is None else mask, cuts, settled), wanted)
+    return _proposal(job, Taught(picture, None if region is None else mask, cuts, settled), wanted, doubts)
 
 
 def _of_one_pair(job: Job, rig: StereoRig) -> str:
-    """Remark on what one pair cannot show of a part with several heights."""
+    """Warning of what one pair cannot show of a part with several heights."""
     place = job.rig_from_part[:3, 3]
     left, right = (unit(place - eye) for eye in (np.zeros(3), invert(rig.right_from_left)[:3, 3]))
     widths = 0.5 / math.tan(0.5 * math.acos(float(left @ right)))
@@ -104,11 +108,22 @@ def _of_one_pair(job: Job, rig: StereoRig) -> str:
     )
 
 
+def _of_bright_walls(walls_mm: dict[str, float]) -> str:
+    """Warning of circles whose rims show no edge against their walls."""
+    least_mm, most_mm = min(walls_mm.values()), max(walls_mm.values())
+    by = f"{most_mm:.2f}" if most_mm - least_mm < 0.005 else f"{least_mm:.2f} to {most_mm:.2f}"
+    return (
+        f"{', '.join(walls_mm)}: walls are as bright as the face around them. The side of the rim that hides "
+        f"the wall lies {by} mm nearer than the whole, which was taught: results are refused, or off by as "
+        "much. Light the part from above, so that walls are dark, or add its STEP file"
+    )
+
+
 def _of_uneven(uneven_mm: float) -> str:
     return (
         f"edges of one face were seen {uneven_mm:.2f} mm (rms) higher or lower than most of it: walls may be "
         "as bright as the face, and each camera then has an edge at another place. Sigmas of results contain "
-        "that. Light the part from more sides, or add its STEP file"
+        "that. Light the part from above, so that walls are dark, or add its STEP file"
     )
 
 
@@ -207,18 +222,20 @@ def cut_warnings(cuts: Sequence[Cut]) -> list[str]:
     return [*remarks, f"It cuts {more} more edges."] if more > 0 else remarks
 
 
-def _proposal(job: Job, taught: Taught, wanted: WantedJob) -> Proposal:
+def _proposal(
+    job: Job, taught: Taught, wanted: WantedJob, doubts: Sequence[tuple[str, str]] = ()
+) -> Proposal:
+    """The proposal of a job.  doubts : code and text of each about its features, for the warnings."""
     if wanted.tilt_deg is not None:
         job = replace(job, tilt_rad=math.radians(wanted.tilt_deg))
     carried: tuple[str, ...] = ()
     if wanted.former is not None:
         job, carried = carry_over(wanted.former, job)
     inspection = inspect_model(job.shape, job.search)
-    if taught.cuts:
-        cuts = cut_warnings(taught.cuts)
-        inspection = replace(
-            inspection,
-            warnings=(*cuts, *inspection.warnings),
-            codes=(*["cut"] * len(cuts), *inspection.codes),
-        )
+    worded = [*(("cut", text) for text in cut_warnings(taught.cuts)), *doubts]
+    inspection = replace(
+        inspection,
+        warnings=(*(text for _, text in worded), *inspection.warnings),
+        codes=(*(code for code, _ in worded), *inspection.codes),
+    )
     return Proposal(job, taught, inspection, carried)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -46,7 +47,7 @@ from edged.setup.teaching.documents import (
 from edged.setup.teaching.drafts import picture_name
 from edged.setup.teaching.editing import FormerFiles, edited, lying, picking_of, with_tolerances
 from edged.setup.teaching.model import Content, Drawing, Mark, Shapes, region_of
-from edged.setup.teaching.proposal import Proposal, propose_from_drawing, propose_from_pair
+from edged.setup.teaching.proposal import MAX_CUTS, Proposal, propose_from_drawing, propose_from_pair
 from edged.vision.geometry.camera import StereoRig
 from edged.vision.geometry.rigid import apply, invert
 from edged.vision.part.job import BreakEnd, Job, MeasurementKind, MeasurementSpec
@@ -257,8 +258,8 @@ def _asked_for_all(job: Job) -> Job:
 
 def _warnings(proposal: Proposal) -> list[WarningDocument]:
     inspection, cuts = proposal.inspection, proposal.taught.cuts
-    places = [cut.place_px for cut in cuts] + [None] * len(inspection.codes)
-    worded = zip(inspection.codes, inspection.warnings, places, strict=False)
+    places = [cut.place_px for cut in cuts[:MAX_CUTS]]  # those that are named come first
+    worded = itertools.zip_longest(inspection.codes, inspection.warnings, places)
     return [WarningDocument(code=code, text=text, at=at) for code, text, at in worded]
 
 

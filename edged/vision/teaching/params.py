@@ -115,6 +115,9 @@ class SurfacesParams:
 
     beside_px: int = 10  # around the outlines
     work: float = 3e8  # pixels times disparities, two seconds: with more, the area is halved
+    coarser: tuple[int, ...] = (1, 2)
+    """Factors by which it is shrunk more, in turn, until a plane is seen: where faces are dark, noise hides
+    the texture of single pixels."""
     block_px: int = 7  # with P1 and P2 of OpenCV's documentation for it, for one channel
     unique: int = 8  # percent by which the best disparity must beat the second; OpenCV advises 5 to 15
     speckle: int = 100  # pixels of a patch; OpenCV advises 50 to 200
@@ -126,7 +129,9 @@ class SurfacesParams:
     rounds: int = 3  # of a plane's fit
     refined_half_px: int = 600  # of the area in which a plane is matched again
     refined_px: int = 32  # disparities about a plane, in which it is matched again in whole pixels
-    fewest: int = 4_000  # disparities of a plane that hardly has any beside it
+    fewest: int = 4_000
+    """Disparities of a plane that hardly has any beside it, times `coarser`: matches of shrunk pixels are off
+    by as many whole ones."""
     beside: float = 3.0  # times `same_px` from a plane, up to which disparities are beside it
     smeared: float = 0.25
     """Disparities beside a plane, of those on it: 0.02 to 0.25 with plain texture, 0.3 to 2 where matches are
@@ -142,6 +147,29 @@ class SurfacesParams:
 
 
 SURFACES = SurfacesParams()
+
+
+@dataclass(frozen=True, slots=True)
+class WallsParams:
+    """Circles whose walls are as bright as the face.
+
+    Where a line names no source, `tools/bench ablate --only WallsParams` shows what the number earns.
+    """
+
+    stretches: int = 48  # of a rim
+    aside: float = math.sin(math.radians(15.0))
+    """Cosine between the direction to a rim and that to the camera: up to 15° from where walls are seen from
+    the side, blur mixes them with the face."""
+    surer: float = 0.7
+    """Factor of sigma. Half a rim tells a depth at best 1.4 times worse: where it is as much surer, the other
+    half contradicts it."""
+    settled: float = 0.2
+    """Factor of the systematic shifts of edges. Bright walls leave 0.02 to 0.12 of them on the side that
+    hides them, broken rims 0.3 to 0.7: these shift its edges, too (docs/explanation/accuracy.md)."""
+    certain: float = 3.0  # sigmas by which a circle must lie nearer
+
+
+WALLS = WallsParams()
 
 
 @dataclass(frozen=True, slots=True)

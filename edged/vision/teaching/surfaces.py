@@ -33,11 +33,27 @@ def surfaces_of(view: TeachingView, depth_mm: tuple[float, float]) -> tuple[Plan
     area = _around(strong_contours(view), view.mask.shape)
     if area is None:
         return ()
-    disparity, shrunk = _disparities(view, *area, depth_mm)
+    for coarser in SURFACES.coarser:
+        found = _surfaces(view, area, depth_mm, coarser)
+        if found:
+            break
+    return tuple(sorted(found, key=lambda plane: -plane.offset))
+
+
+def is_at(plane: Plane, point: FloatArray) -> bool:
+    """Whether a point (3,) lies on a plane, or half an edge break beside it."""
+    return abs(float(plane.normal @ point) - plane.offset) < SURFACES.at_mm
+
+
+def _surfaces(
+    view: TeachingView, area: tuple[slice, slice], depth_mm: tuple[float, float], coarser: int
+) -> list[Plane]:
+    """The planes of an area in the rig frame, by pictures that are shrunk this many times more."""
+    disparity, shrunk = _disparities(view, *area, depth_mm, coarser)
     # pixels of the shrunk area are x = (whole x - first) / shrunk
     first = np.array([area[1].start, area[0].start]) + 0.5 * (shrunk - 1)
     corners = first + shrunk * np.array([[0, 0], [disparity.shape[1], 0], [0, disparity.shape[0]]])
-    planes = _planes(disparity)
+    planes = _planes(disparity, SURFACES.fewest * coarser)
     large = [plane for plane in planes if plane[2] >= SURFACES.many]
     found = []
     for (a, b, c), centre, _ in large or planes:  # small ones lean by up to 0.5 degrees
@@ -46,12 +62,7 @@ def surfaces_of(view: TeachingView, depth_mm: tuple[float, float]) -> tuple[Plan
         plane = plane_of_disparities(view.images.rectification, of_picture, corners)
         if plane is not None:
             found.append(plane)
-    return tuple(sorted(found, key=lambda plane: -plane.offset))
-
-
-def is_at(plane: Plane, point: FloatArray) -> bool:
-    """Whether a point (3,) lies on a plane, or half an edge break beside it."""
-    return abs(float(plane.normal @ point) - plane.offset) < SURFACES.at_mm
+    return found
 
 
 def _around(contours: Sequence[Contour], shape: tuple[int, ...]) -> tuple[slice, slice] | None:
@@ -75,17 +86,18 @@ def _part_of(area: tuple[slice, slice], centre: FloatArray) -> tuple[slice, slic
 
 
 def _disparities(
-    view: TeachingView, rows: slice, columns: slice, depth_mm: tuple[float, float]
+    view: TeachingView, rows: slice, columns: slice, depth_mm: tuple[float, float], coarser: int
 ) -> tuple[FloatArray, int]:
     """(h, w) disparities of an area, NaN where the right picture shows no place or several.
 
-    Both in pixels of an area that is shrunk by a power of two, if it is large; also that power.
+    Both in pixels of an area that is shrunk by a power of two, if it is large, and by `coarser`; also that
+    factor.
     """
     images = view.images
     high, low = (images.rectification.disparity_px(depth) for depth in depth_mm)
     low, high = math.floor(low), min(math.ceil(high), columns.stop)
     work = (rows.stop - rows.start) * (columns.stop - columns.start) * max(high - low, 1)
-    shrunk = 2 ** max(0, math.ceil(math.log2(work / SURFACES.work) / 3))
+    shrunk = coarser * 2 ** max(0, math.ceil(math.log2(work / SURFACES.work) / 3))
     count = 16 * math.ceil((high - low) / (16 * shrunk))
     width, height = (shrunk * ((side.stop - side.start) // shrunk) for side in (columns, rows))
     if count <= 0 or min(width, height) < shrunk * SURFACES.window_px:
@@ -146,8 +158,11 @@ def _refined(view: TeachingView, area: tuple[slice, slice], plane: FloatArray) -
     return np.asarray(plane + change)
 
 
-def _planes(disparity: FloatArray) -> list[tuple[FloatArray, FloatArray, int]]:
-    """The planes with most disparities: (a, b, c) of d = a x + b y + c, these' middle (2,) and number."""
+def _planes(disparity: FloatArray, fewest: int) -> list[tuple[FloatArray, FloatArray, int]]:
+    """The planes with most disparities: (a, b, c) of d = a x + b y + c, these' middle (2,) and number.
+
+    fewest : disparities of a plane.
+    """
     rows, columns = np.nonzero(np.isfinite(disparity))
     points = np.column_stack([columns, rows, np.ones(len(rows))])
     values, trials = disparity[rows, columns], _of_windows(disparity)
@@ -161,7 +176,7 @@ def _planes(disparity: FloatArray) -> list[tuple[FloatArray, FloatArray, int]]:
         best = trials[int(np.argmax(agreeing))]
         for _ in range(SURFACES.rounds):
             near = left & (np.abs(points @ best - values) < SURFACES.same_px)
-            if np.count_nonzero(near) < SURFACES.fewest:
+            if np.count_nonzero(near) < fewest:
                 return found
             best = np.linalg.lstsq(points[near], values[near], rcond=None)[0]
         away = np.abs(points @ best - values)

@@ -20,7 +20,7 @@ from edged.setup.teaching.drafts import KeptPair, TeachingDraft, TeachingDrafts
 from edged.setup.teaching.model import Content
 from edged.setup.teaching.proposal import WantedJob, propose_from_pair
 from edged.setup.teaching.proposing import JobSeen, LearningOrder, propose_region, see
-from edged.sim.render.scene import Part
+from edged.sim.render.scene import Part, Scene
 from edged.vision.geometry.rectification import make_rectification
 
 NOW = datetime(2026, 3, 4, 5, 6, 7, tzinfo=UTC)
@@ -35,7 +35,12 @@ def rig() -> bytes:
 
 def drafted(folder: Path, part: Part) -> TeachingDraft:
     """A draft of a part with its proposed region."""
-    pair = KeptPair(*pictures(small_rig(), scene((part, WHERE))))
+    return draft_of(folder, scene((part, WHERE)))
+
+
+def draft_of(folder: Path, world: Scene) -> TeachingDraft:
+    """A draft of what a scene shows, with its proposed region."""
+    pair = KeptPair(*pictures(small_rig(), world))
     draft = TeachingDrafts(folder).create("Anna", Content(name="part", number=1), pair, NOW)
     corners = propose_region(draft.folder / "pictures")
     assert corners is not None
@@ -113,10 +118,17 @@ def test_a_part_of_edges_alone_has_corners_for_a_reference(tmp_path: Path) -> No
 def test_what_one_pair_leaves_open_of_a_part_of_several_heights_is_said() -> None:
     """For a part of several heights the ambiguity from the cameras' angle is reported, for a flat one not."""
     images = make_rectification(small_rig())
-    seen = [block(pose()), scene((DISC, WHERE))]
-    said = [
-        propose_from_pair(*pictures(small_rig(), shown), images, WantedJob("p", 1)).taught.settled
-        for shown in seen
-    ]
-    assert "up to 2.0 times their width" in said[0][0]
-    assert said[1] == ()
+    thick, flat = (
+        propose_from_pair(*pictures(small_rig(), shown), images, WantedJob("p", 1)).inspection
+        for shown in (block(pose()), scene((DISC, WHERE)))
+    )
+    said = dict(zip(thick.codes, thick.warnings, strict=True))
+    assert "up to 2.0 times their width" in said["one_pair"]
+    assert "one_pair" not in flat.codes
+
+
+@pytest.mark.long
+def test_the_page_warns_of_what_one_pair_leaves_open(tmp_path: Path) -> None:
+    """The page shows the doubts that the console shows."""
+    warnings = {warning.code: warning.at for warning in seen(draft_of(tmp_path, block(pose()))).warnings}
+    assert warnings["one_pair"] is None
