@@ -102,9 +102,9 @@ def _of_one_pair(job: Job, rig: StereoRig) -> str:
     left, right = (unit(place - eye) for eye in (np.zeros(3), invert(rig.right_from_left)[:3, 3]))
     widths = 0.5 / math.tan(0.5 * math.acos(float(left @ right)))
     return (
-        "edge breaks: this pair does not show them. If there are any, each camera may see another end of "
+        "This pair does not show edge breaks. If there are any, each camera may see another end of "
         f"them, other light another one, and by up to {widths:.1f} times their width across the face. Add a "
-        "pair of the part tilted, or its STEP file"
+        "pair of the part tilted, or its STEP file."
     )
 
 
@@ -115,15 +115,15 @@ def _of_bright_walls(walls_mm: dict[str, float]) -> str:
     return (
         f"{', '.join(walls_mm)}: walls are as bright as the face around them. The side of the rim that hides "
         f"the wall lies {by} mm nearer than the whole, which was taught: results are refused, or off by as "
-        "much. Light the part from above, so that walls are dark, or add its STEP file"
+        "much. Light the part from above, so that walls are dark, or add its STEP file."
     )
 
 
 def _of_uneven(uneven_mm: float) -> str:
     return (
-        f"edges of one face were seen {uneven_mm:.2f} mm (rms) higher or lower than most of it: walls may be "
+        f"Edges of one face were seen {uneven_mm:.2f} mm (rms) higher or lower than most of it: walls may be "
         "as bright as the face, and each camera then has an edge at another place. Sigmas of results contain "
-        "that. Light the part from above, so that walls are dark, or add its STEP file"
+        "that. Light the part from above, so that walls are dark, or add its STEP file."
     )
 
 
