@@ -106,9 +106,9 @@ teach-warning-weak = Wenig Kontrast: mehr Licht, oder von der Seite.
 teach-warning-few-points = Wenige Kanten: ein größerer oder schärferer Ausschnitt hülfe.
 teach-warning-few-levels = Klein im Bild: nähere Kameras hülfen.
 teach-warning-lopsided = Eine Richtung ist viel schlechter bekannt als die andere.
-teach-warning-bright-walls = Wände sind so hell wie die Fläche: Löcher scheinen zu tief. Von oben beleuchten, oder die STEP-Datei dazu.
-teach-warning-uneven = Kanten einer Fläche liegen nicht auf einer Höhe. Von oben beleuchten, oder die STEP-Datei dazu.
-teach-warning-one-pair = Ein Paar zeigt nicht, wie Kanten gebrochen sind: ein Paar mit gekipptem Teil dazu, oder die STEP-Datei.
+teach-warning-bright-walls = Wände so hell wie die Fläche: Löcher scheinen zu tief.
+teach-warning-uneven = Kanten einer Fläche liegen nicht auf einer Höhe.
+teach-warning-one-pair = Ein Paar zeigt nicht, wie Kanten gebrochen sind.
 teach-warning-not-found = Es wurde im eigenen Bild nicht wiedergefunden.
 
 ## Punkte und Maße

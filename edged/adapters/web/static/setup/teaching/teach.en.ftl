@@ -106,9 +106,9 @@ teach-warning-weak = Little contrast: more light, or from the side.
 teach-warning-few-points = Few edges: a larger or a sharper part of it would help.
 teach-warning-few-levels = Small in the picture: closer cameras would help.
 teach-warning-lopsided = One direction is known much worse than the other.
-teach-warning-bright-walls = Walls are as bright as the face: its holes seem too deep.
+teach-warning-bright-walls = Walls as bright as the face: holes seem too deep.
 teach-warning-uneven = Edges of one face do not lie level.
-teach-warning-one-pair = One pair does not show how its edges are broken.
+teach-warning-one-pair = One pair does not show how edges are broken.
 teach-warning-not-found = It was not found again in its own picture.
 
 ## Points and sizes

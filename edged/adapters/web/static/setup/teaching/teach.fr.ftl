@@ -106,9 +106,9 @@ teach-warning-weak = Peu de contraste : plus de lumière, ou de côté.
 teach-warning-few-points = Peu de bords : une partie plus grande ou plus nette aiderait.
 teach-warning-few-levels = Petite dans l’image : des caméras plus proches aideraient.
 teach-warning-lopsided = Une direction est connue bien moins bien que l’autre.
-teach-warning-bright-walls = Les parois sont aussi claires que la face : les trous semblent trop profonds. Éclairer par le dessus, ou ajouter le fichier STEP.
-teach-warning-uneven = Les bords d’une face ne sont pas à la même hauteur. Éclairer par le dessus, ou ajouter le fichier STEP.
-teach-warning-one-pair = Une paire ne montre pas comment les bords sont cassés : ajouter une paire de la pièce inclinée, ou le fichier STEP.
+teach-warning-bright-walls = Parois aussi claires que la face : trous vus trop profonds.
+teach-warning-uneven = Les bords d’une face ne sont pas de niveau.
+teach-warning-one-pair = Une paire ne montre pas comment les bords sont cassés.
 teach-warning-not-found = Elle n’a pas été retrouvée dans sa propre image.
 
 ## Points and sizes

@@ -106,9 +106,9 @@ teach-warning-weak = コントラスト不足：照明を強くするか、横�
 teach-warning-few-points = エッジが少なめです。より大きい、または鮮明な部分を使うと良くなります。
 teach-warning-few-levels = 画像内で小さすぎます。カメラを近づけると良くなります。
 teach-warning-lopsided = 一方の方向の精度が他方よりかなり劣ります。
-teach-warning-bright-walls = 壁が表面と同じ明るさのため、穴が実際より深く見えます。上から照らすか、STEPファイルを追加してください。
-teach-warning-uneven = 同じ面のエッジの高さがそろっていません。上から照らすか、STEPファイルを追加してください。
-teach-warning-one-pair = 一組の画像ではエッジの面取りが分かりません。ワークを傾けた組か、STEPファイルを追加してください。
+teach-warning-bright-walls = 壁が表面と同じ明るさで、穴が深く見えます。
+teach-warning-uneven = 同じ面のエッジの高さがそろいません。
+teach-warning-one-pair = 一組の画像では面取りが分かりません。
 teach-warning-not-found = 自身の画像の中で再検出できませんでした。
 
 ## Points and sizes

@@ -106,9 +106,9 @@ teach-warning-weak = 对比度低：请增加光照，或从侧面打光。
 teach-warning-few-points = 边缘太少：取更大或更清晰的部分会更好。
 teach-warning-few-levels = 在图像中太小：相机靠近一些会更好。
 teach-warning-lopsided = 一个方向的精度远低于另一个方向。
-teach-warning-bright-walls = 侧壁与表面一样亮：孔看起来过深。请从上方照明，或添加 STEP 文件。
-teach-warning-uneven = 同一表面的边缘高度不一致。请从上方照明，或添加 STEP 文件。
-teach-warning-one-pair = 一组图像无法显示边缘倒角：请添加工件倾斜时的一组图像，或添加 STEP 文件。
+teach-warning-bright-walls = 侧壁与表面一样亮：孔看起来过深。
+teach-warning-uneven = 同一表面的边缘高度不一致。
+teach-warning-one-pair = 一组图像无法显示边缘倒角。
 teach-warning-not-found = 在自己的图像中也未能再次找到。
 
 ## Points and sizes
