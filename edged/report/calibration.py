@@ -23,7 +23,7 @@ from edged.vision.calibration.params import GUIDANCE, IMAGING
 from edged.vision.calibration.plainopencv import PlainCalibration
 from edged.vision.geometry.camera import DISTORTION_NAMES, StereoRig
 from edged.vision.geometry.rectification import Rectification, make_rectification
-from edged.vision.geometry.rigid import invert, rotation_vector
+from edged.vision.geometry.rigid import rotation_vector
 from edged.vision.geometry.triangulation import raw_covariance
 from edged.vision.geometry.uncertainty import calibration_covariance, shift_by_parameters
 
@@ -205,7 +205,7 @@ def _external(rig: StereoRig, rectification: Rectification) -> HtmlTable:
         f"{value:.4f} ± {np.degrees(sigma[f'rotation.{axis}']):.4f}"
         for axis, value in zip("xyz", turn, strict=True)
     ]
-    place = [f"{value:.4f}" for value in invert(rig.right_from_left)[:3, 3]]
+    place = [f"{value:.4f}" for value in rig.eyes_mm[1]]
     rows = (
         ("before rectification", *before),
         ("after", f"{-rectification.baseline_mm:.4f}", "0", "0", "0", "0", "0"),

@@ -7,15 +7,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-import numpy as np
-
 from edged.domain.arrays import FloatArray, Image
 from edged.errors import TeachError, UserError
 from edged.files.jobs import job_folders, load_job, save_job
 from edged.report.teaching import Taught
 from edged.vision.geometry.camera import StereoRig
 from edged.vision.geometry.rectification import Rectification
-from edged.vision.geometry.rigid import invert, unit
+from edged.vision.geometry.rigid import unit
 from edged.vision.part.job import MAX_TILT_DEG, Job
 from edged.vision.part.params import MEASURING
 from edged.vision.shape.inspection import ModelInspection, inspect_model
@@ -99,7 +97,7 @@ def propose_from_pair(
 def _of_one_pair(job: Job, rig: StereoRig) -> str:
     """Warning of what one pair cannot show of a part with several heights."""
     place = job.rig_from_part[:3, 3]
-    left, right = (unit(place - eye) for eye in (np.zeros(3), invert(rig.right_from_left)[:3, 3]))
+    left, right = (unit(place - eye) for eye in rig.eyes_mm)
     widths = 0.5 / math.tan(0.5 * math.acos(float(left @ right)))
     return (
         "This pair does not show edge breaks. If there are any, each camera may see another end of "

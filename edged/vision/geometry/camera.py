@@ -19,6 +19,7 @@ import numpy as np
 
 from edged.domain.arrays import FloatArray, Side
 from edged.domain.robotmap import RobotMap
+from edged.vision.geometry.rigid import invert
 
 LensModel = Literal["brown", "division"]
 DISTORTION_NAMES: dict[str, tuple[str, ...]] = {
@@ -125,6 +126,11 @@ class StereoRig:
     def baseline_mm(self) -> float:
         """Distance of both projection centres."""
         return float(np.linalg.norm(self.right_from_left[:3, 3]))
+
+    @property
+    def eyes_mm(self) -> FloatArray:
+        """(2, 3) projection centres of the left and the right camera, rig frame."""
+        return np.stack([np.zeros(3), invert(self.right_from_left)[:3, 3]])
 
     @property
     def parameter_names(self) -> tuple[str, ...]:

@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from edged.domain.arrays import B8, FloatArray, Side
 from edged.vision.geometry.rectification import Rectification
-from edged.vision.geometry.rigid import apply, cross, invert, rotation_2d, rotation_matrix, unit, wrapped
+from edged.vision.geometry.rigid import apply, cross, rotation_2d, rotation_matrix, unit, wrapped
 from edged.vision.part.job import Job
 from edged.vision.part.params import START
 from edged.vision.shape.candidates import ShapeViews
@@ -20,8 +20,8 @@ from edged.vision.shape.model import ShapeModel
 
 def bisector(rectification: Rectification, place_mm: FloatArray) -> FloatArray:
     """Unit vector (3,), rig frame: at a place (3,), the bisector of the directions to both cameras."""
-    right_mm = invert(rectification.rig.right_from_left)[:3, 3]
-    return unit(unit(-place_mm) + unit(right_mm - place_mm))
+    left_mm, right_mm = rectification.rig.eyes_mm
+    return unit(unit(left_mm - place_mm) + unit(right_mm - place_mm))
 
 
 @lru_cache(maxsize=16)  # a job and a rig stay the same from image to image

@@ -14,14 +14,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from edged.domain.arrays import I64, SIDES
-from edged.vision.curves.outlines import Curve, Face, camera_pose
+from edged.domain.arrays import I64
+from edged.vision.curves.outlines import Curve, Face
 from edged.vision.curves.planefit import PlaneFit, fit_plane
 from edged.vision.geometry.camera import StereoRig
 from edged.vision.geometry.rectification import StereoImages
-from edged.vision.geometry.rigid import invert
 from edged.vision.part.job import Job
 from edged.vision.part.pose import circle_curve
+from edged.vision.teaching.levels import is_shown
 from edged.vision.teaching.params import TEACHING, WALLS
 
 
@@ -54,9 +54,7 @@ def _alone(images: StereoImages, face: Face, circle: Curve) -> PlaneFit | None:
     share = 1.0 if circle.signs is None else float((circle.signs != 0).mean(axis=1).min())
     params = replace(TEACHING.level_fit, min_support=share * TEACHING.level_fit.min_support)
     fit = fit_plane(images.rig, images.raw, face, [circle], params, fixed_normal=True)
-    if fit is None or fit.fits[0].rms_px > TEACHING.max_rms_px:
-        return None
-    return fit if fit.fits[0].least_support >= share * TEACHING.min_support_beside else None
+    return fit if fit is not None and is_shown(fit.fits[0], share) else None
 
 
 def _hiding_signs(rig: StereoRig, face: Face, circle: Curve) -> I64:
@@ -65,9 +63,9 @@ def _hiding_signs(rig: StereoRig, face: Face, circle: Curve) -> I64:
     What is brighter is taken for the face.
     """
     outline = circle.outline((np.arange(WALLS.stretches) + 0.5) / WALLS.stretches)
-    signs = np.zeros((len(SIDES), WALLS.stretches), np.int64)
-    for k, side in enumerate(SIDES):
-        eye = face.from_rig(invert(camera_pose(rig, side)[1])[:3, 3])
+    eyes = face.from_rig(rig.eyes_mm)
+    signs = np.zeros((len(eyes), WALLS.stretches), np.int64)
+    for k, eye in enumerate(eyes):
         towards = eye[:2] - outline.points[:, :2]
         cosines = np.sum(towards * outline.normals, axis=1) / np.linalg.norm(towards, axis=1)
         signs[k, circle.polarity * cosines > WALLS.aside] = circle.polarity

@@ -19,7 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from edged.domain.arrays import I64, FloatArray
-from edged.vision.geometry.rigid import apply, invert, transform
+from edged.vision.geometry.rigid import apply, transform
 from edged.vision.kernels.robust import mad_sigma, tukey_weights
 from edged.vision.part.job import CircleFeature, EdgeFeature, Job, SlotFeature, known_radius
 from edged.vision.solid.curvemodel import UP, curve_model, curve_points
@@ -166,7 +166,7 @@ def _nearer(model: EdgeModel, sharp: _Form, width_mm: float) -> _Form:
     views = sharp.views
     rig, pose = views[0].images.rig, views[0].pose
     centre = apply(pose, model.centre)
-    right = invert(rig.right_from_left)[:3, 3]
+    _, right = rig.eyes_mm
     away, beside = centre / np.linalg.norm(centre), (centre - right) / np.linalg.norm(centre - right)
     between = math.acos(min(float(away @ beside), 1.0))
     back = 0.5 * right - centre

@@ -109,9 +109,9 @@ def is_clear(fit: CurveFit) -> bool:
     return is_shown(fit) and fit.least_support >= TEACHING.min_support
 
 
-def is_shown(fit: CurveFit) -> bool:
-    """Whether both images show most of this circle, in one place."""
-    return fit.least_support >= TEACHING.min_support_beside and fit.rms_px <= TEACHING.max_rms_px
+def is_shown(fit: CurveFit, share: float = 1.0) -> bool:
+    """Whether both images show most of a share of this circle, in one place."""
+    return fit.least_support >= share * TEACHING.min_support_beside and fit.rms_px <= TEACHING.max_rms_px
 
 
 def at_own_depth(
