@@ -103,7 +103,7 @@ import gi
 gi.require_version("Aravis", "0.8")
 PY
 
-# of Prometheus and Alertmanager the programs alone: the packages would run servers here
+# of servers the programs alone: the packages would run them here
 if [ "$EDGED_FOR" = test ] && [ ! -x .venv/bin/prometheus-alertmanager ] && command -v apt-get >/dev/null; then
     say "taking Prometheus, promtool and Alertmanager from Debian's packages"
     unpacked=$(mktemp -d)
@@ -112,6 +112,15 @@ if [ "$EDGED_FOR" = test ] && [ ! -x .venv/bin/prometheus-alertmanager ] && comm
         install usr/bin/{promtool,prometheus,prometheus-alertmanager} "$EDGED_ROOT/.venv/bin/" &&
         $([ "$(id -u)" = 0 ] || echo sudo -n) install -Dm 644 -t /usr/share/prometheus/alertmanager usr/share/prometheus/alertmanager/*.tmpl) ||
         say "no Prometheus: what is shipped for it is not judged"
+    rm -rf "$unpacked"
+fi
+if [ "$EDGED_FOR" = test ] && [ ! -x .venv/bin/nginx ] && command -v apt-get >/dev/null; then
+    say "taking nginx from Debian's packages"
+    unpacked=$(mktemp -d)
+    # Ubuntu 22.04 has the program in nginx-core
+    (cd "$unpacked" && { apt-get -qq download nginx && { apt-get -qq download nginx-core || true; }; } 2>/dev/null &&
+        for package in *.deb; do dpkg -x "$package" .; done && install usr/sbin/nginx "$EDGED_ROOT/.venv/bin/") ||
+        say "no nginx: releases are served by Python's server alone"
     rm -rf "$unpacked"
 fi
 

@@ -7,7 +7,6 @@ and the log says so once.
 
 from __future__ import annotations
 
-import asyncio
 import contextlib
 import logging
 import queue
@@ -20,6 +19,7 @@ from dataclasses import dataclass
 
 from edged.config.cell import HistorySection
 from edged.domain.events import Event, Snapshot
+from edged.files.disc import DiscGuard, ended
 from edged.files.history.rows import FULL, OPEN, Spool, row_of, spool_folder
 from edged.payload import Json
 
@@ -58,6 +58,7 @@ class CycleHistory:
         self._started_ns = started_ns()
         self._folder = spool_folder(settings.folder, cell)
         self._packer, self._pack_s = packer, pack_s
+        self._guard = DiscGuard(self.figures, settings.folder, "no history", "history is written again")
         self._waiting: queue.Queue[Snapshot] = queue.Queue(MOST_WAITING)
         self._ends = threading.Event()
         self._thread = threading.Thread(target=self._run, name="history", daemon=True)
@@ -72,6 +73,7 @@ class CycleHistory:
     def announce(self, event: Event) -> None:
         """Queue the result of a cycle."""
         if isinstance(event, Snapshot):
+            self._guard.look()
             try:
                 self._waiting.put_nowait(event)
             except queue.Full:
@@ -80,7 +82,7 @@ class CycleHistory:
     async def close(self) -> None:
         """Write the queued rows, and end the thread."""
         self._ends.set()
-        await asyncio.to_thread(self._thread.join)
+        await ended(self._thread)
 
     # --- in the thread ------------------------------------------------------------------------
 
@@ -100,16 +102,8 @@ class CycleHistory:
             self._packing.wait()
 
     def _guarded(self, action: Callable[[], None]) -> None:
-        problem = ""
-        try:
+        with self._guard.access():
             action()
-        except OSError as error:
-            problem = f"{self._settings.folder}: {error.strerror or error}"
-        if problem and not self.figures.problem:
-            log.error("no history: %s", problem)
-        elif self.figures.problem and not problem:
-            log.info("history is written again")
-        self.figures.problem = problem
 
     def _adopt(self) -> None:
         if self._spool.adopt() or self._settings.bucket:

@@ -17,7 +17,6 @@ import shutil
 import time
 from collections import deque
 from collections.abc import Callable, Mapping
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import NamedTuple
@@ -29,6 +28,7 @@ from edged.domain.measurement import Status
 from edged.errors import ImageError
 from edged.files import recording
 from edged.files.atomic import make_folders
+from edged.files.disc import DiscGuard, DiscThread
 from edged.logs import FaultMemory
 
 log = logging.getLogger(__name__)
@@ -80,7 +80,8 @@ class Recorder:
         self._settings = settings
         self._setup = setup
         self._utc_ns = utc_ns
-        self._writer = ThreadPoolExecutor(1, thread_name_prefix="recorder")
+        self._writer = DiscThread("recorder")
+        self._guard = DiscGuard(self.figures, settings.folder, "no recordings", "recording again")
         self._waiting = 0
         self._exposed: tuple[int, FramePair] | None = None
         self._faults = FaultMemory(monotonic_s)
@@ -102,6 +103,7 @@ class Recorder:
             self._exposed = (event.cycle, event.pair)
         if not isinstance(event, Snapshot):
             return
+        self._guard.look()
         pair = None
         if self._exposed is not None and self._exposed[0] == event.cycle:
             pair = self._exposed[1]
@@ -120,7 +122,7 @@ class Recorder:
 
     async def close(self) -> None:
         """Finish the running write, and drop the queued ones."""
-        await asyncio.to_thread(self._writer.shutdown, wait=True, cancel_futures=True)
+        await self._writer.close(drop=True)
 
     def _written(self, future: asyncio.Future[None]) -> None:
         self._waiting -= 1
@@ -131,20 +133,12 @@ class Recorder:
 
     def _guarded(self, action: Callable[..., None], *arguments: object) -> None:
         """Run an action on the disk; report its failure, and go on."""
-        problem = ""
-        try:
-            action(*arguments)
-        except (OSError, ImageError) as error:
-            self.figures.failed += 1
-            problem = f"{self._settings.folder}: {getattr(error, 'strerror', None) or error}"
-        self._report(problem)
-
-    def _report(self, problem: str) -> None:
-        if problem and not self.figures.problem:
-            log.error("no recordings: %s", problem)
-        elif self.figures.problem and not problem:
-            log.info("recording again")
-        self.figures.problem = problem
+        with self._guard.access():
+            try:
+                action(*arguments)
+            except (OSError, ImageError):
+                self.figures.failed += 1
+                raise
 
     def _take_stock(self) -> None:
         folder = self._settings.folder

@@ -10,6 +10,7 @@ import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import pytest
 from argon2 import PasswordHasher
@@ -102,7 +103,7 @@ def _numbers(engine: Engine, question: str) -> bool:
 
 def test_a_cell_that_dies_is_told_to_the_alertmanager_and_nothing_else_is(plant: Plant) -> None:
     """A killed cell raises `EdgedGone`, with cell and plant, and no other alarm; the rule's 2 minutes are
-    2 seconds here."""
+    2 seconds here. The dashboard shows it gone."""
 
     def alerts() -> set[str]:
         return {alert["labels"]["alertname"] for alert in plant.alertmanager.asked("/api/v2/alerts")}
@@ -116,3 +117,12 @@ def test_a_cell_that_dies_is_told_to_the_alertmanager_and_nothing_else_is(plant:
     instance = f"127.0.0.1:{plant.cell.web_port}"
     assert (instance, "north") == (alert["labels"]["instance"], alert["labels"]["plant"])
     assert f"{instance}: the cell no longer answers" == alert["annotations"]["summary"]
+    ready = json.loads((CONFIG / "grafana-dashboard.json").read_text())["panels"][0]
+    assert (-1.0, "GONE") == _shown(plant.own, ready)
+
+
+def _shown(engine: Engine, panel: dict[str, Any]) -> tuple[float, str]:
+    """The only value of a panel, and the word that stands for it."""
+    (row,) = engine.query(re.sub(r"\$\w+", ".*", panel["targets"][0]["expr"]))
+    value = float(row["value"][1])
+    return value, panel["fieldConfig"]["defaults"]["mappings"][0]["options"][f"{value:g}"]["text"]

@@ -12,6 +12,9 @@ from typing import Any
 import pytest
 import yaml
 from cameras.test_daemon import Cell
+from grafana_foundation_sdk.cog import plugins
+from grafana_foundation_sdk.cog.encoder import JSONEncoder
+from grafana_foundation_sdk.models.dashboard import Dashboard
 from helpers.ports import free_port
 from helpers.waiting import wait_until
 from prometheus_client.parser import text_string_to_metric_families
@@ -52,6 +55,26 @@ def served(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, set[s
         yield wait_until(lambda: found if "edged_sigma_meters" in (found := samples()) else None)
     finally:
         cell.stop()
+
+
+def lost(written: Any, read: Any, place: str) -> list[str]:
+    """The places of what was written and is not read, or otherwise."""
+    if isinstance(written, dict) and isinstance(read, dict):
+        return [found for key in written for found in lost(written[key], read.get(key), f"{place}.{key}")]
+    if isinstance(written, list) and isinstance(read, list) and len(written) == len(read):
+        pairs = enumerate(zip(written, read, strict=True))
+        return [found for k, (was, is_now) in pairs for found in lost(was, is_now, f"{place}.{k}")]
+    return [] if written == read else [place]
+
+
+@pytest.mark.parametrize("board", [DASHBOARD, FLEET], ids=["cell", "fleet"])
+def test_what_the_makers_of_grafana_call_a_dashboard_has_every_field(board: dict[str, Any]) -> None:
+    """Grafana ignores a field that it does not know; its makers' library then loses it, too."""
+    plugins.register_default_plugins()
+    misspelt = {**board, "refesh": "1m"}
+    for source, missing in ((board, []), (misspelt, [".refesh"])):
+        read = json.loads(JSONEncoder().encode(Dashboard.from_json(source)))
+        assert missing == lost(source, read, "")
 
 
 def used(expression: str) -> dict[str, set[str]]:
@@ -102,6 +125,14 @@ def test_the_dashboard_can_be_imported_anywhere(dashboard: dict[str, Any]) -> No
     assert all(panel["description"] and panel["fieldConfig"]["defaults"]["unit"] for panel in panels)
     sources = re.findall(r'"uid": "([^"]*)"', json.dumps(panels))
     assert {"${datasource}"} == set(sources)
+
+
+@pytest.mark.parametrize("dashboard", [DASHBOARD, FLEET], ids=["cells", "fleet"])
+def test_a_figure_of_now_is_of_now(dashboard: dict[str, Any]) -> None:
+    """Of a range, Grafana shows the last value: a cell that is gone, but was ready hours ago, as ready."""
+    now = [panel for panel in dashboard["panels"] if panel["type"] != "timeseries"]
+    assert now
+    assert all(target.get("instant") for panel in now for target in panel["targets"])
 
 
 @pytest.mark.parametrize("rule", RULES, ids=lambda rule: rule["alert"])

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import json
 import shutil
-from collections.abc import Callable
+import threading
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +19,10 @@ from helpers.attacks import (
     tampered_target,
 )
 from helpers.commandline import exit_code, printed
+from helpers.nginx import Nginx
+from helpers.prometheus import program
 from helpers.releases import PASSPHRASE, Releases, served
+from helpers.waiting import LIMIT_S, wait_until
 
 from edged.files.statefolder import page_folder
 from edged.setup.fleet.offers import STAGED, ring_of
@@ -93,6 +97,39 @@ def test_a_release_arrives_from_a_static_https_server_that_the_cell_trusts(
         capsys.readouterr()
     assert 2 == exit_code("release", "pull", cell)
     assert f"{url}: metadata: cannot be read" in printed(capsys)
+
+
+@pytest.fixture
+def nginx(releases: Releases, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Nginx]:
+    """A real web server for the repository, which is killed afterwards; this process trusts it."""
+    server = Nginx(releases.repository, tmp_path / "nginx")
+    monkeypatch.setenv("SSL_CERT_FILE", str(tmp_path / "nginx" / "tls" / "ca.pem"))
+    yield server
+    server.kill()
+
+
+@pytest.mark.long
+@pytest.mark.skipif(not program("nginx"), reason="no nginx")
+def test_a_server_that_is_killed_while_it_sends_leaves_nothing_half(
+    nginx: Nginx, cell: Path, releases: Releases, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A target that ends early is refused by name, and the next pull brings the whole one."""
+    cell.write_text(cell.read_text().replace(str(releases.repository), nginx.url, 1))
+    kept = page_folder(cell) / "fleet"
+    nginx.start(bytes_per_s=1000)
+    codes: list[int] = []
+    pull = threading.Thread(target=lambda: codes.append(exit_code("release", "pull", cell)))
+    pull.start()
+    # the plant's metadata is kept before its target is asked for, which is sent for a minute
+    wait_until(lambda: (kept / "metadata" / "north.json").exists())
+    nginx.kill()
+    pull.join(LIMIT_S)
+    assert [2] == codes
+    assert f"{nginx.url}: targets/north/first.jobs.tar.gz: " in printed(capsys)
+    assert ["metadata"] == [entry.name for entry in kept.iterdir()]
+    nginx.start()
+    assert 0 == exit_code("release", "pull", cell)
+    assert nginx.url == staged(cell)["repository"]
 
 
 # --- what is refused ------------------------------------------------------------------------------
