@@ -369,6 +369,12 @@ def test_a_plc_has_one_family_and_every_key_its_range(tmp_path: Path, section: s
     assert any(problem.startswith(expected) for problem in found), found
 
 
+def test_a_history_keeps_recordings_of_a_recorder(tmp_path: Path) -> None:
+    """Without a recorder there is nothing to keep."""
+    (found,) = problems(tmp_path, GOOD + '[history]\nfolder = "history"\nrecordings_mib = 1\n')
+    assert "(file): history.recordings_mib: needs [recorder], whose recordings are kept" == found
+
+
 def test_opcua_shows_the_registers_of_modbus_and_needs_it(tmp_path: Path) -> None:
     """OPC UA without Modbus is refused."""
     text = GOOD + "[modbus]\nenabled = false\n[opcua]\nanonymous = true\n"

@@ -106,7 +106,7 @@ class CycleHistory:
             action()
 
     def _adopt(self) -> None:
-        if self._spool.adopt() or self._settings.bucket:
+        if self._spool.adopt() or self._settings.bucket or self._settings.recordings_mib:
             self._start_packer()
 
     def _write(self) -> None:
@@ -127,8 +127,8 @@ class CycleHistory:
         self.figures.written += len(rows)
 
     def _pack(self) -> None:
-        # files packed earlier may still have to be sent to the bucket
-        if self._spool.turn_over() or self._settings.bucket:
+        # files packed earlier may still have to be sent to the bucket, and recordings be kept
+        if self._spool.turn_over() or self._settings.bucket or self._settings.recordings_mib:
             self._start_packer()
         self._drop_oldest()
 

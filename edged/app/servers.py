@@ -260,7 +260,7 @@ class Servers:
             case RecorderSection():
                 return partial(Recorder, section, running.recorded)
             case HistorySection():
-                return _history_builder(section, wanted.cell)
+                return _history_builder(section, wanted)
             case OpcUaSection():
                 return self._opcua_builder(wanted, section)
             case PlcSection():
@@ -285,13 +285,15 @@ class Servers:
         return partial(OpcUaPublisher, settings, running.modbus, running.jobs, identity=identity)
 
 
-def _history_builder(section: HistorySection, cell: str) -> Build:
+def _history_builder(section: HistorySection, wanted: WantedServer) -> Build:
     """Return the builder of the history. Raises `ListenError` if the package that packs it is missing."""
     if importlib.util.find_spec("pyarrow") is None:
         raise ListenError("history: needs another package: pip install 'edged[history]'")
-    limits = str(section.max_days), str(section.max_mib), *([section.bucket] if section.bucket else [])
     program = [*UNPRIVILEGED_PREFIX, sys.executable, "-m", "edged.files.history.packing", str(section.folder)]
-    return partial(CycleHistory, section, cell, ([*program, section.plant, cell, *limits], environment()))
+    program += [section.plant, wanted.cell, str(section.max_days), str(section.max_mib), section.bucket]
+    if wanted.recordings is not None:
+        program += [str(wanted.recordings), str(section.every_good), str(section.recordings_mib)]
+    return partial(CycleHistory, section, wanted.cell, (program, environment()))
 
 
 def _show_bug(trying: asyncio.Task[None]) -> None:

@@ -30,6 +30,7 @@ class WantedServer(NamedTuple):
 
     cell : the cell's name if the server publishes it, else "".
     free_running : the cell measures without commands; set only if the server publishes that.
+    recordings : the recorder's folder if the history keeps some of them, else None.
     files : digest of each file that it reads at its start: certificates, authorities, access control.
     """
 
@@ -46,6 +47,7 @@ class WantedServer(NamedTuple):
     cell: str = ""
     files: tuple[tuple[Path, bytes], ...] = ()
     free_running: bool = False
+    recordings: Path | None = None
 
     @property
     def port(self) -> int | None:
@@ -88,7 +90,8 @@ def wanted_servers(config: Config) -> dict[str, WantedServer]:
     if config.recorder is not None:
         wanted["recorder"] = WantedServer(config.recorder)
     if config.history is not None:
-        wanted["history"] = WantedServer(config.history, config.cell.name)
+        recordings = config.recorder.folder if config.recorder and config.history.recordings_mib else None
+        wanted["history"] = WantedServer(config.history, config.cell.name, recordings=recordings)
     if config.web is not None:
         wanted["web"] = WantedServer(config.web, config.cell.name, _digests(files, "web."))
     if config.zenoh.enabled:

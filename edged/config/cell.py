@@ -263,3 +263,9 @@ class HistorySection(Section):
     min_free_mib: int = Field(
         500, ge=0, le=100_000_000, description="of the disk: with less no rows are written"
     )
+    recordings_mib: int = Field(
+        0, ge=0, le=100_000_000, description="of recordings that are kept with the rows; 0: none"
+    )
+    every_good: int = Field(
+        100, ge=1, le=1_000_000, description="which good ones of them; of others all that the recorder has"
+    )

@@ -80,6 +80,12 @@ class Config(Section):
         return self
 
     @model_validator(mode="after")
+    def _recordings_are_there(self) -> Config:
+        if self.history is not None and self.history.recordings_mib and self.recorder is None:
+            raise ValueError("history.recordings_mib: needs [recorder], whose recordings are kept")
+        return self
+
+    @model_validator(mode="after")
     def _registers_are_there(self) -> Config:
         others = {"opcua serves": self.opcua, "plc shows": self.plc, "ethernetip shows": self.ethernetip}
         for who in [who for who, section in others.items() if section is not None]:

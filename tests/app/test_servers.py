@@ -27,7 +27,7 @@ from edged.app.pageserver import PageServer
 from edged.app.pagesource import StartedPage
 from edged.app.running import Running
 from edged.app.servers import Servers
-from edged.app.wantedservers import wanted_servers
+from edged.app.wantedservers import WantedServer, wanted_servers
 from edged.config.configuration import Config
 from edged.config.reading import load
 from edged.config.servers import WebSection
@@ -179,6 +179,17 @@ def test_what_a_server_depends_on(change: str, name: str, expected: set[str], tm
     after = wanted_servers(config(tmp_path, sections + change, name))
 
     assert expected == {one for one in {*before, *after} if before.get(one) != after.get(one)}
+
+
+def test_a_history_depends_on_where_recordings_are_if_it_keeps_some(tmp_path: Path) -> None:
+    """A recorder that moves takes the history along."""
+
+    def wanted(folder: str, mib: int) -> WantedServer:
+        text = f"[recorder]\nfolder = '{folder}'\n[history]\nfolder = 'history'\nrecordings_mib = {mib}\n"
+        return wanted_servers(config(tmp_path, text))["history"]
+
+    assert wanted("here", 1) != wanted("there", 1)
+    assert wanted("here", 0) == wanted("there", 0)
 
 
 def test_zenoh_depends_on_the_shared_key(tmp_path: Path) -> None:

@@ -1,6 +1,7 @@
 """Pack spooled rows into Parquet, one file per plant, day and cell, without losing or duplicating rows.
 
-`python -m edged.files.history.packing FOLDER PLANT CELL MAX_DAYS MAX_MIB [s3://...]` runs as its own process.
+`python -m edged.files.history.packing FOLDER PLANT CELL MAX_DAYS MAX_MIB [BUCKET [RECORDER EVERY_GOOD MIB]]`
+runs as its own process. BUCKET : s3://..., or "". What it keeps of a recorder's folder is in `kept`.
 
 A day's file is rewritten with the rows that it lacks, by their key, and replaced atomically; only then is its
 spool removed. If it is killed at any moment, the next run finds the spool again and skips the rows already
@@ -24,6 +25,7 @@ from pyarrow import parquet
 from edged.errors import UserError
 from edged.files.atomic import make_folders, sync, write_atomically
 from edged.files.history.bucket import is_sent, send
+from edged.files.history.kept import keep_recordings, kept_folder
 from edged.files.history.rows import FULL, spool_folder
 
 SIZE = pa.struct(
@@ -167,9 +169,21 @@ def _bound(folder: Path, plant: str, cell: str, max_days: int, max_mib: int, buc
             oldest.parent.rmdir()
 
 
-if __name__ == "__main__":
-    _folder, _plant, _cell, _days, _mib, *_bucket = sys.argv[1:]
+def main(arguments: list[str]) -> None:
+    """Do what the command line says: pack, and keep recordings whatever comes of that. Raises `UserError`."""
+    folder, (plant, cell, max_days, max_mib, *more) = Path(arguments[0]), arguments[1:]
+    bucket, *of_recorder = more or [""]
     try:
-        pack(Path(_folder), _plant, _cell, int(_days), int(_mib), *_bucket)
+        pack(folder, plant, cell, int(max_days), int(max_mib), bucket)
+    finally:
+        if of_recorder:
+            recorder, every_good, most_mib = of_recorder
+            kept = kept_folder(folder, plant, cell)
+            keep_recordings(Path(recorder), kept, int(every_good), int(most_mib), bucket)
+
+
+if __name__ == "__main__":
+    try:
+        main(sys.argv[1:])
     except UserError as _error:
         sys.exit(f"history: {_error}")
