@@ -3,15 +3,16 @@
 then.
 
     tools/bench newcomer [--goal UM] [--parts N] [--lens MODEL] [--seed N] [--browser | --second [--losses]]
-                         [--firefox] [--json FILE]
+                         [--engine NAME] [--json FILE]
 
 It starts with an empty folder, and a hand that trembles and misses. The hand brings the board to the outline
 that the cell draws, and pictures are taken when it is still; when the goal is reached the calibration is
 solved and activated. Then a job is taught from one pair, and a part is laid at N places: each result beside
 the exact truth. Needs Aravis.
-With --browser all of it is done on the page, in Chromium or Firefox, by clicks and digits alone, and clicks
-are counted (also those of the stage's hands): left and right by a wave, light, the calibration by the drawn
-outline, a check, a job, a trial, the robot by touch, until a PLC reads a VALID result; without Aravis.
+With --browser all of it is done on the page (--engine: chromium, firefox, webkit), by clicks and digits
+alone, and clicks are counted (also those of the stage's hands): left and right by a wave, light, the
+calibration by the drawn outline, a check, a job, a trial, the robot by touch, until a PLC reads a VALID
+result; without Aravis.
 With --second the same page then goes on, on virtual GigE cameras and without a restart: another camera,
 board and part, a robot of another brand by hand-eye, VALID, back to the first release, VALID, and forward
 again; with --losses every second picture of one camera is lost in all of that. Actions and waits are reported
@@ -35,8 +36,8 @@ from typing import Any, get_args
 import aiohttp
 import numpy as np
 from benching import bench_parser, finish
-from helpers.browser import Browser, browser
-from helpers.firefox import firefox
+from helpers.browser import Browser
+from helpers.engines import ENGINES
 from helpers.waiting import bounded
 from newcomerclicks import Clicks, set_up
 from secondclicks import bench, second_pass
@@ -244,7 +245,7 @@ async def newcomer_of(options: argparse.Namespace, folder: Path) -> dict[str, An
                     return await second_pass(page, clicks, beside, port, PASSWORD, options.goal, TRIED)
 
                 then = again if options.second else None
-                opened = firefox if options.firefox else browser
+                opened = ENGINES[options.engine]
                 found = await set_up(newcomer.origin, user, port, options.goal, TRIED, opened, film, then)
             else:
                 found = await calibrate(newcomer, options.goal, options.lens)
@@ -273,7 +274,9 @@ def newcomer_parser() -> argparse.ArgumentParser:
     parser.add_argument("--browser", action="store_true", help="on the page, by clicks")
     parser.add_argument("--second", action="store_true", help="by clicks, and then all of it a second time")
     parser.add_argument("--losses", action="store_true", help="with --second: pictures are lost")
-    parser.add_argument("--firefox", action="store_true", help="the clicks in Firefox instead of Chromium")
+    parser.add_argument(
+        "--engine", choices=ENGINES, default="chromium", help="of the browser that is clicked in"
+    )
     return parser
 
 

@@ -18,7 +18,7 @@ from pymodbus.client import ModbusTcpClient
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests"))
 
 from helpers.browser import Browser, browser
-from helpers.firefox import Opener
+from helpers.engines import Opener
 from helpers.setuppage import DIALOG, STATE, said
 from helpers.setuppage import press as press_now
 
@@ -45,7 +45,7 @@ TROUBLE = (
     """[...document.querySelectorAll(".trouble, .wrong[role=alert]")].find((e) => e.checkVisibility())"""
 )
 """The message beside a button whose work failed."""
-WATCH = """window.spent = {}; new PerformanceObserver((list) => {
+WATCH = """window.spent = {}, new PerformanceObserver((list) => {
   for (const { interactionId, duration } of list.getEntries())
     if (interactionId) spent[interactionId] = Math.max(spent[interactionId] ?? 0, duration);
 }).observe({ type: "event", durationThreshold: 16 })"""

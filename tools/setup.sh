@@ -64,6 +64,7 @@ if command -v apt-get >/dev/null; then
     # each on its own: where a distribution has it as a snap only, the tests in it are skipped, and nothing else is
     [ "$EDGED_FOR" != test ] || apt_install chromium || true
     [ "$EDGED_FOR" != test ] || apt_install firefox-esr || true
+    [ "$EDGED_FOR" != test ] || apt_install webkit2gtk-driver xvfb xauth || true
     if ! find_python >/dev/null; then # Ubuntu 22.04 comes with 3.10; its PyGObject must be built for 3.11
         apt_install python3.11 python3.11-venv python3.11-dev gcc pkg-config libgirepository1.0-dev libcairo2-dev || true
     fi
@@ -130,6 +131,6 @@ grep -qxF "$cache" .venv/bin/activate || printf '%s\n' "$cache" >>.venv/bin/acti
 # shellcheck disable=SC1091
 . .venv/bin/activate
 mkdir -p "$NUMBA_CACHE_DIR"
-[ "$EDGED_FOR" != test ] || versions "${packages[@]:1}" chromium firefox-esr systemd
+[ "$EDGED_FOR" != test ] || versions "${packages[@]:1}" chromium firefox-esr webkit2gtk-driver systemd
 tools/manual --if-needed || say "the manual could not be built: the status page will say so"
 [ "$EDGED_FOR" = test ] || edged warm --if-needed

@@ -6,16 +6,14 @@ import asyncio
 import contextlib
 import json
 import re
-import shutil
 import tempfile
-from collections.abc import AsyncIterator, Callable
-from contextlib import AbstractAsyncContextManager, asynccontextmanager
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
 from typing import Any
 
 import aiohttp
-import pytest
 
-from helpers.browser import Browser, Gone, browser
+from helpers.browser import Browser, Gone
 from helpers.waiting import WHOLE_S
 
 PROGRAM = "firefox-esr"
@@ -135,11 +133,3 @@ async def firefox() -> AsyncIterator[Firefox]:
             with contextlib.suppress(ProcessLookupError):
                 process.kill()
             await process.communicate()
-
-
-Opener = Callable[[], AbstractAsyncContextManager[Browser]]
-BROWSERS = [
-    pytest.param(opened, id=name, marks=pytest.mark.skipif(shutil.which(name) is None, reason=f"no {name}"))
-    for name, opened in (("chromium", browser), (PROGRAM, firefox))
-]
-"""Parameters for tests that must hold in both browsers."""

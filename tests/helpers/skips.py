@@ -18,7 +18,7 @@ ALLOWED = {
     "tests/tools/test_vendor.py::test_the_same_versions_*": "no npm|npm reaches no packages",
     "tests/wire/test_browser.py::*": "no chromium",
     "tests/cameras/test_setup_page_cameras.py::*": "no chromium",
-    "tests/wire/test_setup_page*.py::*": "no chromium|no firefox-esr",
+    "tests/wire/test_setup_page*.py::*": "no chromium|no firefox|no webkit",
     "tests/cameras/test_doctor_networks.py::*": "not root|this kernel",
     "tests/wire/test_robot_examples.py::*yaskawa*": "no C compiler",
     "tests/wire/test_robot_languages.py::*Yaskawa*": "no C compiler",

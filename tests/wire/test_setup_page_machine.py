@@ -11,7 +11,7 @@ import pytest
 from helpers.boardcell import BoardCell
 from helpers.browser import Browser, browser
 from helpers.browsersession import PASSWORD
-from helpers.firefox import BROWSERS, Opener
+from helpers.engines import BROWSERS, Opener
 from helpers.needs import needs
 from helpers.setuppage import DIALOG, SMALL_TARGETS, TOO_WIDE, UNTRANSLATED, go, log_in, press, said, take
 from helpers.smallcell import SmallCell

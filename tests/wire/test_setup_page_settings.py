@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 from helpers.browser import Browser
-from helpers.firefox import BROWSERS, Opener
+from helpers.engines import BROWSERS, Opener
 from helpers.setuppage import (
     SMALL_TARGETS,
     TOO_WIDE,

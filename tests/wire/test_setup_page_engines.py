@@ -1,33 +1,33 @@
-"""The pages in another browser than Chromium."""
+"""The pages in other browsers than Chromium."""
 
 from __future__ import annotations
 
-import shutil
+import contextlib
 from pathlib import Path
 
 import pytest
+from helpers.browser import Gone
 from helpers.browsersession import PASSWORD
-from helpers.firefox import PROGRAM, firefox
+from helpers.engines import BROWSERS, Opener
 from helpers.setuppage import DIALOG, STEPS, TOO_WIDE, log_in, press, said
 from helpers.stagecell import staged
 
 from edged.commands.stage import USER
 
-pytestmark = [
-    pytest.mark.slow,
-    pytest.mark.skipif(shutil.which(PROGRAM) is None, reason=f"no {PROGRAM}"),
-]
+pytestmark = pytest.mark.slow
+OTHERS = pytest.mark.parametrize("opened", BROWSERS[1:])
 OUTLINED = (
     'document.querySelectorAll(".seen polygon").length === 2 && document.querySelector(".ghost polygon")'
 )
 LIVE = 'document.querySelectorAll(".view canvas:not([hidden])").length === 2'
 
 
-async def test_firefox_logs_in_takes_the_cell_and_sees_every_page(tmp_path: Path) -> None:
+@OTHERS
+async def test_a_person_logs_in_takes_the_cell_and_sees_every_page(tmp_path: Path, opened: Opener) -> None:
     """Live pictures come, a view is taken, no page is too wide for a phone, and its console says nothing."""
     async with staged(tmp_path, gige=False) as newcomer:
         await newcomer.ask("PUT", "stage", {"showing": "board", "still": True})
-        async with firefox() as page:
+        async with opened() as page:
             await log_in(page, newcomer.origin, USER, PASSWORD, "/setup", (1280, 900))
             await press(page, "Take over")
             await page.until(DIALOG)
@@ -54,14 +54,16 @@ async def test_firefox_logs_in_takes_the_cell_and_sees_every_page(tmp_path: Path
             assert [] == page.complaints
 
 
-async def test_what_leaving_a_page_breaks_off_is_no_error(tmp_path: Path) -> None:
+@OTHERS
+async def test_what_leaving_a_page_breaks_off_is_no_error(tmp_path: Path, opened: Opener) -> None:
     """Leaving pages while their texts or requests are loading logs no error."""
-    async with staged(tmp_path, gige=False) as newcomer, firefox() as page:
+    async with staged(tmp_path, gige=False) as newcomer, opened() as page:
         await log_in(page, newcomer.origin, USER, PASSWORD, "/setup", (1280, 900))
         for place in ("/setup", "/"):
             for wait_ms in range(0, 200, 10):
                 await page.value(f"location.assign('{place}?{wait_ms}#/welcome'), 0")
-                await page.value(f"new Promise((done) => setTimeout(done, {wait_ms}))")
+                with contextlib.suppress(Gone):  # as WebKit says it of a page that is left
+                    await page.value(f"new Promise((done) => setTimeout(done, {wait_ms}))")
             await page.until(f"location.pathname === '{place}' && document.querySelector('main')")
         # about an event stream not yet open Firefox says that it cannot connect
         assert [] == [one for one in page.complaints if not one.endswith("/events.")]
