@@ -14,6 +14,7 @@ import stat
 import struct
 import subprocess
 import sys
+import time
 from pathlib import Path
 from typing import Protocol
 
@@ -25,11 +26,12 @@ log = logging.getLogger(__name__)
 END_S = 1.0
 """Grace period for the process to end by itself once the link is closed."""
 LEFT_S = 2.0
-"""Grace period for a page of another service, which cannot be killed from here."""
+"""Grace period for a page that was killed, or is of another service and cannot be killed from here."""
 WAITING = 1
 """Listen backlog: pages that may wait for the previous one to end."""
 REFUSED_S = 1.0
 """Pause after refusing a connection, before the next one is accepted."""
+POLL_S = 0.02
 SOCKET = "page"
 """Name of the socket in the runtime directory of the cell's service."""
 
@@ -81,6 +83,8 @@ class StartedPage:
         if process is None:
             return ""
         code = await _ended(process, END_S if is_good else 0.0)
+        if code is None:
+            return "it hangs, and cannot be killed"
         return f"it was ended by {signal.Signals(-code).name}" if code < 0 else f"code {code}"
 
 
@@ -203,18 +207,21 @@ def _started(link: socket.socket) -> subprocess.Popen[bytes]:
     )
 
 
-async def _ended(process: subprocess.Popen[bytes], grace_s: float) -> int:
-    """Wait for the process to end, killing it if it does not; return its exit code."""
+async def _ended(process: subprocess.Popen[bytes], grace_s: float) -> int | None:
+    """Wait for the process to end, killing it if it does not; return its exit code.
 
-    def wait() -> int:
-        with contextlib.suppress(subprocess.TimeoutExpired):
-            return process.wait(grace_s)
-        process.kill()
-        return process.wait()
-
-    waiting = asyncio.ensure_future(asyncio.to_thread(wait))
-    try:
-        return await asyncio.shield(waiting)
-    except asyncio.CancelledError:
-        await waiting
-        raise
+    None for one that cannot even be killed, as its disk hangs: it is left behind. A thread of
+    `asyncio.to_thread` that waited for it would keep this process from ending.
+    """
+    killed_s = time.monotonic() + grace_s
+    while (code := process.poll()) is None and time.monotonic() < killed_s + LEFT_S:
+        if time.monotonic() >= killed_s:
+            process.kill()
+        try:
+            await asyncio.sleep(POLL_S)
+        except asyncio.CancelledError:
+            process.kill()
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                process.wait(LEFT_S)
+            raise
+    return code

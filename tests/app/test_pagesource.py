@@ -6,9 +6,12 @@ import asyncio
 import os
 import pwd
 import socket
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
+from helpers.waiting import LIMIT_S
 
 from edged.app import pagesource
 from edged.app.pagesource import PageService, peer_of
@@ -77,3 +80,29 @@ def test_only_a_socket_makes_room(tmp_path: Path) -> None:
     with pytest.raises(OSError, match="in use"):
         PageService("edged_page", place).open()
     assert not (tmp_path / "elsewhere").exists()
+
+
+HANGS = """
+import asyncio, subprocess, sys
+from edged.app.pagesource import StartedPage
+
+class Unkillable(subprocess.Popen):  # as a process whose disk hangs
+    def poll(self):
+        return None
+
+    def wait(self, timeout=None):
+        if timeout is None:
+            raise SystemExit("waited for without an end")
+        raise subprocess.TimeoutExpired(self.args, timeout)
+
+page = StartedPage()
+page._process = Unkillable([sys.executable, "-c", ""])
+print(asyncio.run(page.ended(is_good=False)))
+"""
+
+
+@pytest.mark.slow
+def test_the_cell_ends_though_its_page_does_not(tmp_path: Path) -> None:
+    """A page that cannot be killed is left behind."""
+    done = subprocess.run([sys.executable, "-c", HANGS], capture_output=True, text=True, timeout=LIMIT_S)
+    assert (0, "it hangs, and cannot be killed\n") == (done.returncode, done.stdout), done.stderr

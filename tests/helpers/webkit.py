@@ -22,7 +22,7 @@ from helpers.ports import answers, free_port
 from helpers.waiting import until
 
 DRIVER, DISPLAY = "WebKitWebDriver", "xvfb-run"
-PAGES = sorted(Path("/usr/lib").glob("*/webkit2gtk-4.1/MiniBrowser"))
+PAGES = sorted(Path("/usr/lib").glob("*/webkit*gtk-*/MiniBrowser"))
 IS_HERE = bool(shutil.which(DRIVER) and shutil.which(DISPLAY) and PAGES)
 LEFT = {"no such frame", "no such window", "stale element reference"}
 """Errors of a command whose page was left meanwhile, among others."""
