@@ -41,6 +41,8 @@ _SOLIDS = re.compile(
     rb"=\s*(?:MANIFOLD_SOLID_BREP|BREP_WITH_VOIDS|FACETED_BREP|SHELL_BASED_SURFACE_MODEL)\s*\("
 )
 _FACES = re.compile(rb"=\s*(?:ADVANCED_FACE|FACE_SURFACE)\s*\(")
+_COLOURED = re.compile(rb"\w*STYLED_ITEM\b")
+"""What gives faces colours. Of a part of several the library describes the faces of one colour only."""
 _WORKER = """
 import os, resource, sys
 for what, most in ((resource.RLIMIT_AS, int(sys.argv[1])), (resource.RLIMIT_CPU, int(sys.argv[2]))):
@@ -100,7 +102,8 @@ def _converted(data: bytes, path: Path) -> bytes:
     limits = MAX_MEMORY_BYTES, MAX_SECONDS, TOLERANCE_MM, TOLERANCE_RAD, MAX_MESH_BYTES
     command = [sys.executable, "-P", "-c", _WORKER, *(str(limit) for limit in limits)]
     try:
-        done = subprocess.run(command, input=data, capture_output=True, timeout=2 * MAX_SECONDS, check=False)
+        plain = _COLOURED.sub(b"NO_ITEM", data)
+        done = subprocess.run(command, input=plain, capture_output=True, timeout=2 * MAX_SECONDS, check=False)
     except subprocess.TimeoutExpired:
         raise FileFormatError(f"{path}: not read within {MAX_SECONDS} s: expected one part") from None
     if done.returncode != 0 or not done.stdout:
@@ -119,17 +122,23 @@ def _model(glb: bytes) -> CadModel:
     (size,) = struct.unpack_from("<I", glb, 12)
     document = json.loads(glb[20 : 20 + size])
     binary = glb[28 + size :]
-    nodes = [node for node in document.get("nodes", []) if "mesh" in node]
-    if len(nodes) != 1 or len(document["meshes"]) != 1 or len(document["meshes"][0]["primitives"]) != 1:
-        raise ValueError(f"{len(nodes)} bodies")
-    primitive = document["meshes"][0]["primitives"][0]
+    bodies = [
+        (number, primitive)
+        for number, node in enumerate(document.get("nodes", []))
+        if "mesh" in node
+        for primitive in document["meshes"][node["mesh"]]["primitives"]
+        if primitive.get("mode", _TRIANGLES) == _TRIANGLES  # sketches are lines
+    ]
+    if len(bodies) != 1:
+        raise ValueError(f"{len(bodies)} bodies")
+    ((number, primitive),) = bodies
     extra = primitive["extensions"]["TM_brep_faces"]
     points = _array(document, binary, primitive["attributes"]["POSITION"]).astype(np.float64)
     triangles = _array(document, binary, primitive["indices"]).astype(np.int64).reshape(-1, 3)
     face_of = _array(document, binary, extra["faceIndices"]).astype(np.int64).reshape(-1)
     if not 0 < len(triangles) <= MAX_TRIANGLES or len(face_of) != len(triangles):
         raise ValueError(f"{len(triangles)} triangles")
-    placed = _placed(document, document["nodes"].index(nodes[0]))
+    placed = _placed(document, number)
     points = METRES * (points @ placed[:3, :3].T + placed[:3, 3])
     if not np.isfinite(points).all() or face_of.max() >= len(extra["faces"]):
         raise ValueError("coordinates that are no numbers")
@@ -137,6 +146,7 @@ def _model(glb: bytes) -> CadModel:
     return CadModel(points, triangles, face_of, surfaces)
 
 
+_TRIANGLES = 4  # of a primitive's modes (glTF 2.0 specification, 5.24.4)
 _TYPES: dict[int, str] = {5121: "<u1", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 """numpy types of glTF component types (glTF 2.0 specification, 3.6.2.2)."""
 

@@ -177,6 +177,45 @@ def test_a_gap_in_the_surface_costs_the_curves_beside_it(tmp_path: Path, lost: i
         assert min(float(np.linalg.norm(gap)) for gap in gaps) < 1e-6
 
 
+COLOURED = """#9001 = COLOUR_RGB('',1.,0.,0.);
+#9002 = FILL_AREA_STYLE_COLOUR('',#9001);
+#9003 = FILL_AREA_STYLE('',(#9002));
+#9004 = SURFACE_STYLE_FILL_AREA(#9003);
+#9005 = SURFACE_SIDE_STYLE('',(#9004));
+#9006 = SURFACE_STYLE_USAGE(.BOTH.,#9005);
+#9007 = PRESENTATION_STYLE_ASSIGNMENT((#9006));
+#9008 = STYLED_ITEM('',(#9007),#17);
+#9009 = MECHANICAL_DESIGN_GEOMETRIC_PRESENTATION_REPRESENTATION('',(#9008),#1487);
+"""
+"""Gives one face a colour, as CAD does with holes that are to be threaded."""
+SKETCH = """#9001 = GEOMETRICALLY_BOUNDED_WIREFRAME_SHAPE_REPRESENTATION('',(#9002),#1487);
+#9002 = GEOMETRIC_CURVE_SET('',(#9003));
+#9003 = TRIMMED_CURVE('',#9004,(PARAMETER_VALUE(0.)),(PARAMETER_VALUE(9.)),.T.,.PARAMETER.);
+#9004 = LINE('',#9005,#9006);
+#9005 = CARTESIAN_POINT('',(40.,0.,0.));
+#9006 = VECTOR('',#9007,1.);
+#9007 = DIRECTION('',(1.,0.,0.));
+#9008 = SHAPE_REPRESENTATION_RELATIONSHIP('','',#10,#9001);
+"""
+"""A sketch that was left visible beside the solid."""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("beside", [COLOURED, SKETCH], ids=["coloured", "sketch"])
+def test_what_cad_leaves_beside_the_shape_changes_nothing(tmp_path: Path, beside: str) -> None:
+    """Of 91 public files of single parts four had one of these, and were refused as damaged."""
+    text = text_of("D2")
+    found, plain = (
+        from_above(saved(tmp_path, written))
+        for written in (text.replace("ENDSEC;\nEND-ISO", f"{beside}ENDSEC;\nEND-ISO"), text)
+    )
+    assert len(plain.circles) == len(found.circles) > 0
+    for one, other in zip(plain.circles, found.circles, strict=True):
+        assert np.array_equal(one.centre_mm, other.centre_mm)
+        assert one.radius_mm == other.radius_mm
+    assert len(plain.edges) == len(found.edges) > 0
+
+
 def test_a_file_that_is_not_there_is_named(tmp_path: Path) -> None:
     """A missing file is named."""
     with pytest.raises(FileFormatError, match=r"none\.step"):
