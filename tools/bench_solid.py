@@ -7,12 +7,12 @@
 DATASET holds rig.json (the true cameras), teach/teach_PART (one pair for each part, with truth) and scenes/.
 Each part is taught from its pair; in a scene, the motion from the taught to the found pose is compared with
 the true one, at the job's reference point. With --step, each part is also taught with its STEP file
-(step/PART.step, -z to the cameras), and rig_from_model is compared with the true pose; with --alone, with its
-STEP file and no pair, its main face DEPTH mm away. With --further, its first N scenes are used for teaching,
-too, and are not measured. Good is a target that is accepted and right; wrong is one that is accepted and off
-by more than 0.1 mm (--alone: by more than three of the sigmas across the face that such a job states), or
-turned by more than 3 degrees. Shares are printed with their 95 % bounds. χ² is that of the position by its
-stated covariance, per degree of freedom: 1 where the covariance is true.
+(step/PART.step, -z or the stated up to the cameras), and rig_from_model is compared with the true pose;
+with --alone, with its STEP file and no pair, its main face DEPTH mm away. With --further, its first N
+scenes are used for teaching, too, and are not measured. Good is a target that is accepted and right; wrong
+is one that is accepted and off by more than 0.1 mm (--alone: by more than three of the sigmas across the
+face that such a job states), or turned by more than 3 degrees. Shares are printed with their 95 % bounds.
+χ² is that of the position by its stated covariance, per degree of freedom: 1 where the covariance is true.
 """
 
 from __future__ import annotations
@@ -43,6 +43,7 @@ from edged.pipeline import PreparedRig, inspect, judge, prepare
 from edged.vision.geometry.rigid import invert, transform
 from edged.vision.part.job import Job
 from edged.vision.part.params import MEASURING
+from edged.vision.solid.symmetry import symmetry_of
 from edged.vision.teaching.cadjob import teach_model
 from edged.vision.teaching.cadpair import teach_with_model
 from edged.vision.teaching.furtherpairs import with_breaks_shown
@@ -126,6 +127,7 @@ def compared(scene: str, part: dict[str, Any], job: Job, taught: FloatArray, out
     true = motion @ job.rig_from_part @ part_from_reference
     if job.part_from_model is not None:
         true = pose_of(part) @ invert(job.part_from_model) @ part_from_reference
+        true = _as_found(job, true, part_from_reference, outcome)
     place = true[:3, 3]
     near = [one for one in outcome.targets if np.linalg.norm(one.position_mm - place) < NEAR_MM]
     if not near:
@@ -156,6 +158,15 @@ def compared(scene: str, part: dict[str, Any], job: Job, taught: FloatArray, out
     )  # fmt: skip
 
 
+def _as_found(job: Job, true: FloatArray, part_from_reference: FloatArray, outcome: Outcome) -> FloatArray:
+    """The true pose; of a part that is the same after a turn the one that is nearest to what was found."""
+    found = [one.rig_from_model for one in outcome.targets if one.rig_from_model is not None]
+    if job.body is None or job.part_from_model is None or not found:
+        return true
+    part = true @ invert(part_from_reference)
+    return symmetry_of(job.body).nearest(part, found[0] @ invert(job.part_from_model)) @ part_from_reference
+
+
 def measure(
     dataset: Path, rig: PreparedRig, design: str, options: argparse.Namespace
 ) -> tuple[list[Part], float]:
@@ -167,7 +178,9 @@ def measure(
     try:
         read = None
         if options.step or options.alone is not None:
-            read = read_model(dataset / "step" / f"{design}.step", "-z")
+            stated = dataset / "step" / f"{design}.json"
+            up = json.loads(stated.read_text()).get("up", "-z") if stated.exists() else "-z"
+            read = read_model(dataset / "step" / f"{design}.step", up)
         if read is not None and options.alone is not None:
             job, _ = teach_model(read[0], read[1].curves, rig.rectification, options.alone, design)
         elif read is not None:

@@ -264,7 +264,7 @@ def textured(u: FloatArray, v: FloatArray, feature_mm: float, seed: int) -> Any:
 class World:
     """A part in its pose; seed: of textures and noise."""
 
-    design: Design
+    design: Design | Mesh
     rig_from_part: FloatArray
     look: Look
     seed: int
@@ -272,7 +272,8 @@ class World:
 
 def pictures(world: World, rig: StereoRig) -> tuple[Image, Image]:
     """Left and right picture (H, W)."""
-    mesh = meshed(world.design, nominal=False, closed_below=True)
+    design = world.design
+    mesh = design if isinstance(design, Mesh) else meshed(design, nominal=False, closed_below=True)
     left, right = (
         _picture(world, mesh, index, camera, camera_from_rig)
         for index, (camera, camera_from_rig) in enumerate(
@@ -405,10 +406,13 @@ def drawn(
     design: Design, where: FloatArray, rng: np.random.Generator, *, teaching: bool
 ) -> tuple[tuple[Image, Image], dict[str, Any]]:
     """Pictures of this world: parts are taught on a plain and dark table; all else is as in any scene."""
-    look = Look.drawn(rng)
-    if teaching:
-        look = replace(look, table=min(look.table, 0.2), table_contrast=0.3 * look.table_contrast)
+    look = teaching_look(Look.drawn(rng)) if teaching else Look.drawn(rng)
     return pictures(World(design, where, look, int(rng.integers(1 << 30))), world_rig()), asdict(look)
+
+
+def teaching_look(look: Look) -> Look:
+    """The look on a table that a person teaches on."""
+    return replace(look, table=min(look.table, 0.2), table_contrast=0.3 * look.table_contrast)
 
 
 def write_set(
@@ -436,7 +440,7 @@ def _write_pair(
     folder: Path, design: Design, rng: np.random.Generator, scene: int, draw: Draw, *, is_decoy: bool = False
 ) -> None:
     """Write a pair with its truth: for scene -1 the teaching pair; for a decoy without a known part."""
-    tilt, side, turn, place = _pose(rng)
+    tilt, side, turn, place = pose_of_scene(rng)
     path = folder / "scenes" / f"{'x' if is_decoy else 's'}{scene:02d}_{design.name}_t{tilt:02.0f}"
     if scene < 0:
         tilt, place, path = 0.0, PLACE_MM, folder / "teach" / f"teach_{design.name}"
@@ -452,7 +456,7 @@ def _write_pair(
     truth.write_text(json.dumps(facts, indent=1))
 
 
-def _pose(rng: np.random.Generator) -> tuple[float, float, float, tuple[float, float, float]]:
+def pose_of_scene(rng: np.random.Generator) -> tuple[float, float, float, tuple[float, float, float]]:
     """Random tilt, its side, turn, degrees, and place, mm: two of five within 15 degrees, two beyond 30."""
     low, high = [(0, 15), (0, 15), (15, 30), (30, 45), (30, 45)][rng.integers(5)]
     x, y, z = (PLACE_MM + rng.uniform(-1, 1, 3) * (6, 5, 10)).tolist()

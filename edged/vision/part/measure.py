@@ -294,8 +294,11 @@ def _with_place(covariance: FloatArray, place: FloatArray) -> FloatArray:
 
 def with_free_axis(job: Job, target: Target) -> Target:
     """The target of a round part with its free axis, and an unknown turn about it; others unchanged."""
-    if not _is_round(job):
-        return target
+    return free_about_z(target) if _is_round(job) else target
+
+
+def free_about_z(target: Target) -> Target:
+    """The target of a part whose turn about its own z means nothing."""
     axis = target.rig_from_part[:3, 2]
     unknown = np.zeros((6, 6))
     unknown[3:, 3:] = UNKNOWN_TURN**2 * np.outer(axis, axis)

@@ -7,7 +7,7 @@ pictures, locked together, tested against chance and against every rival, and me
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
@@ -22,7 +22,7 @@ from edged.vision.part import measured as parts
 from edged.vision.part.consistency import apply_limits
 from edged.vision.part.frames import circles_in_rig, measure_sizes, with_features
 from edged.vision.part.job import Job
-from edged.vision.part.measure import published, with_free_axis, with_separate_sizes
+from edged.vision.part.measure import free_about_z, published, with_free_axis, with_separate_sizes
 from edged.vision.part.params import MEASURING
 from edged.vision.part.solid import fitted
 from edged.vision.solid.bestfit import ProfileFit, best_fit
@@ -34,7 +34,7 @@ from edged.vision.solid.forms import PosedPair, as_shown, contradiction, likelie
 from edged.vision.solid.lock import FINE_STEPS, LockedPose, Pyramids, lay
 from edged.vision.solid.modes import PartPlace, SearchedPart, find_places, pyramids_of
 from edged.vision.solid.params import BREAKS, DECISION
-from edged.vision.solid.symmetry import is_round, like_turns
+from edged.vision.solid.symmetry import Symmetry, is_round, like_turns, symmetry_of
 from edged.vision.solid.visible import moved
 
 
@@ -88,7 +88,7 @@ def _located(
     for place in find_places(wanted, pyramids):
         if len(measured) + len(dismissed) == job.search.max_matches:
             break
-        found = weighed(pyramids, place, lambda model: _turns(job, model))
+        found = weighed(pyramids, place, lambda model: _turns(job, model), _symmetry(job))
         if found.certain > DECISION.worth_forms:
             if job.body is None:
                 found = _of_likeliest_form(images, job, found, place, pyramids)
@@ -96,6 +96,7 @@ def _located(
                 alike = weighed_with_breaks_of(taken[0], images, job, place, pyramids) if taken else None
                 found = alike or weighed_with_own_breaks(images, job, found, place, pyramids)
         lap("find")
+        found = _as_taught(job, found)
         match = _match(images, job, found.laid)
         alone = _certain(found.seen, _not_of(found, taken, shapes))  # without the edges of other parts
         if min(found.certain, alone) < DECISION.certain or not _is_whole(job, found):
@@ -104,7 +105,7 @@ def _located(
         taken.append(found)
         result = measure_found(images, job, found, pyramids, match)
         if job.body is not None and not job.has_open_breaks and _contradicts(result):
-            found = weighed_with_own_breaks(images, job, found, place, pyramids)
+            found = _as_taught(job, weighed_with_own_breaks(images, job, found, place, pyramids))
             result = measure_found(images, job, found, pyramids, match)
         lap("measure")
         if isinstance(result, parts.MeasuredPart):
@@ -199,18 +200,44 @@ def _axis(job: Job) -> tuple[float, float]:
 def _turns(job: Job, model: EdgeModel) -> tuple[FloatArray, ...]:
     """Motions that leave the part like itself, about its reference or its middle; none for a round part."""
     axes = {_axis(job), (float(model.centre[0]), float(model.centre[1]))}
-    if any(is_round(model, axis) for axis in axes):
+    if _is_round(job, model, axes):
         return ()
     return tuple(motion for axis in sorted(axes) for motion in like_turns(model, axis))
 
 
+def _symmetry(job: Job) -> Symmetry | None:
+    """How a part is the same after a turn, if its surface is known."""
+    return None if job.body is None else symmetry_of(job.body)
+
+
+def _is_round(job: Job, model: EdgeModel, axes: Iterable[tuple[float, float]]) -> bool:
+    """Whether any turn about one of some axes leaves a part as it is, as far as is known."""
+    symmetry = _symmetry(job)
+    if symmetry is not None:
+        return symmetry.order == 0
+    return any(is_round(model, axis) for axis in axes)
+
+
+def _as_taught(job: Job, found: FoundPart) -> FoundPart:
+    """A part that is the same after a turn at the pose that is turned least from the taught one."""
+    symmetry = _symmetry(job)
+    if symmetry is None or symmetry.order == 1:
+        return found
+    pose = symmetry.nearest(found.laid.pose, job.rig_from_part)
+    return replace(found, laid=replace(found.laid, pose=pose))
+
+
 def weighed(
-    pyramids: Pyramids, place: PartPlace, turns_of: Callable[[EdgeModel], Sequence[FloatArray]]
+    pyramids: Pyramids,
+    place: PartPlace,
+    turns_of: Callable[[EdgeModel], Sequence[FloatArray]],
+    symmetry: Symmetry | None = None,
 ) -> FoundPart:
     """Choose the best pose at a place, by the best of its models, and weigh it against chance and rivals.
 
-    turns_of : motions that leave a model like itself.
+    turns_of : motions that leave a model like itself. symmetry : after which it is the same, and no rival.
     """
+    turned = turn_between if symmetry is None else symmetry.turn_between
     fine = FINE_STEPS[-DECISION.rival_steps :]
     poses = list(place.modes)
     seen = [evidence_of(mode.model, pyramids, mode.pose) for mode in poses]
@@ -225,7 +252,7 @@ def weighed(
     if max(_certain(view) for view in seen) > 0:  # otherwise no turn makes it a part
         for motion in turns_of(model):
             pose = np.asarray(poses[best].pose @ motion)
-            if any(turn_between(pose, mode.pose) < DECISION.same_turn_rad for mode in poses):
+            if any(turned(pose, mode.pose) < DECISION.same_turn_rad for mode in poses):
                 continue
             laid = lay(model, pyramids, pose, fine)
             if laid is not None and laid.mean > DECISION.worth * poses[best].mean:
@@ -235,7 +262,7 @@ def weighed(
     shapes = [grey.shape for grey in pyramids.grey[0]]
     margin = math.inf
     for k, other in enumerate(seen):
-        if k != best and turn_between(poses[k].pose, poses[best].pose) > DECISION.same_turn_rad:
+        if k != best and turned(poses[k].pose, poses[best].pose) > DECISION.same_turn_rad:
             margin = min(margin, margin_over(seen[best], other, shapes))
     return FoundPart(poses[best], seen[best], _certain(seen[best]), margin)
 
@@ -302,7 +329,9 @@ def _weighed_from(
     """Lock a model anew from some poses of one place, and weigh the result; None if none holds."""
     laid = [lay(model, pyramids, pose, FINE_STEPS[-DECISION.rival_steps :]) for pose in poses]
     modes = tuple(mode for mode in laid if mode is not None)
-    return weighed(pyramids, PartPlace(modes), lambda model: _turns(job, model)) if modes else None
+    if not modes:
+        return None
+    return weighed(pyramids, PartPlace(modes), lambda model: _turns(job, model), _symmetry(job))
 
 
 def _tilted_poses(model: EdgeModel, pose: FloatArray) -> list[FloatArray]:
@@ -394,14 +423,22 @@ def measure_found(
     )
     result = parts.MeasuredPart(target, evidence, () if whole is None else whole.fit.fits)
     result = with_separate_sizes(result, images, job)
-    target = apply_limits(job, images.rectification, with_free_axis(job, result.target), evidence)
+    target = apply_limits(job, images.rectification, _with_free_axis(job, result.target), evidence)
     sigma_mm = math.hypot(job.sigma_mm, BREAKS.hidden_mm) if found.hides else job.sigma_mm
     return replace(result, target=published(replace(job, sigma_mm=sigma_mm), target))
 
 
+def _with_free_axis(job: Job, target: Target) -> Target:
+    """`with_free_axis` by the surface of a part, if it is known."""
+    symmetry = _symmetry(job)
+    return (
+        free_about_z(target) if symmetry is not None and symmetry.order == 0 else with_free_axis(job, target)
+    )
+
+
 def _held(job: Job, model: EdgeModel) -> FloatArray | None:
     """(3,) axis of a part that is round about its reference; None if it is not."""
-    return np.array([0.0, 0.0, 1.0]) if is_round(model, _axis(job)) else None
+    return np.array([0.0, 0.0, 1.0]) if _is_round(job, model, {_axis(job)}) else None
 
 
 def _target(job: Job, model: EdgeModel, fit: ProfileFit, match: Match) -> Target:

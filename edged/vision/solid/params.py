@@ -267,6 +267,15 @@ class SymmetryParams:
     min_share: float = 0.55  # of the edges: rivals with fewer in common differ in half of all samples
     most: int = 12  # turns that are tried
     round_share: float = 0.97  # share of the edges that any turn of a round part leaves where they are
+    exact_mm: float = 0.04
+    """Distance from a turned edge to one of the part that is none: four times what a file's triangles are off
+    (`edged.files.step.TOLERANCE_MM`)."""
+    most_equal: int = 24  # turns that are looked for: a part of more teeth is refused, as before
+    odd_turns: tuple[float, float] = (
+        0.6435,
+        1.7708,
+    )  # rad, no parts of a circle: only a round part is the same
+    least_lines: int = 12  # sharp edges below which nothing is known
 
 
 SYMMETRY = SymmetryParams()

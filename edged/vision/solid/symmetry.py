@@ -1,17 +1,97 @@
-"""Turns after which a part looks like itself, or nearly so: rivals that a pose must be distinguished from."""
+"""Turns after which a part is exactly the same, and those after which it nearly is: rivals of its pose."""
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from functools import lru_cache
 
 import cv2
 import numpy as np
 
 from edged.domain.arrays import FloatArray
-from edged.vision.geometry.rigid import about_z, transform
+from edged.vision.geometry.rigid import about_z, apply, transform, turn_between
+from edged.vision.kernels.jit import kernel
+from edged.vision.part.body import PartBody
 from edged.vision.solid.edgemodel import EdgeModel, sampled
 from edged.vision.solid.params import SYMMETRY
+
+
+@dataclass(frozen=True, slots=True)
+class Symmetry:
+    """Turns about a line along z, through axis (x, y) in mm, after which a part is exactly the same.
+
+    order : how many of them there are, the whole turn among them; 0: any.
+    """
+
+    axis: tuple[float, float]
+    order: int
+
+    def motion(self, turn: float) -> FloatArray:
+        """The motion (4, 4) of a turn."""
+        middle = np.array([*self.axis, 0.0])
+        return transform(about_z(turn), middle - about_z(turn) @ middle)
+
+    def nearest(self, pose: FloatArray, other: FloatArray) -> FloatArray:
+        """The pose (4, 4) at which a part is as at `pose`, turned from `other` as little as can be."""
+        between = pose[:3, :3].T @ other[:3, :3]
+        turn = math.atan2(between[1, 0] - between[0, 1], between[0, 0] + between[1, 1])
+        if self.order:
+            step = math.tau / self.order
+            turn = round(turn / step) * step
+        return np.asarray(pose @ self.motion(turn)) if turn else pose
+
+    def turn_between(self, first: FloatArray, second: FloatArray) -> float:
+        """The least turn, rad, from where a part is the same as at the first pose to the second."""
+        return turn_between(self.nearest(first, second), second)
+
+
+@lru_cache(maxsize=16)  # a body stays the same from image to image
+def symmetry_of(body: PartBody) -> Symmetry:
+    """The symmetry of a part's surface: every sharp edge lies on one after the turn.
+
+    A keyway as deep as `SYMMETRY.exact_mm` tells turns apart.
+    """
+    ends = body.points_mm[body.lines[:, :2]]
+    start, end = np.ascontiguousarray(ends[:, 0]), np.ascontiguousarray(ends[:, 1])
+    if len(start) < SYMMETRY.least_lines:
+        return Symmetry((0.0, 0.0), 1)
+    middle = 0.5 * (start + end)
+    x, y, _ = np.average(middle, axis=0, weights=np.linalg.norm(end - start, axis=1)).tolist()
+    points = np.concatenate([start, middle])
+    order = np.random.default_rng(0).permutation(len(points))  # what differs is met early
+    points = points[order]
+
+    def is_same(turn: float) -> bool:
+        moved = apply(Symmetry((x, y), 0).motion(turn), points)
+        return bool(_lie_on(np.ascontiguousarray(moved), start, end, SYMMETRY.exact_mm))
+
+    if all(is_same(turn) for turn in SYMMETRY.odd_turns):
+        return Symmetry((x, y), 0)
+    turns = (count for count in range(SYMMETRY.most_equal, 1, -1) if is_same(math.tau / count))
+    return Symmetry((x, y), next(turns, 1))
+
+
+@kernel("b1(f8[:, ::1], f8[:, ::1], f8[:, ::1], f8)")
+def _lie_on(points: FloatArray, start: FloatArray, end: FloatArray, reach: float) -> bool:
+    """Whether each of points (N, 3) is within a distance of one of the lines from start to end (L, 3)."""
+    for k in range(points.shape[0]):
+        x, y, z = points[k]
+        is_near = False
+        for i in range(start.shape[0]):
+            if min(start[i, 2], end[i, 2]) - reach > z or max(start[i, 2], end[i, 2]) + reach < z:
+                continue
+            ux, uy, uz = end[i, 0] - start[i, 0], end[i, 1] - start[i, 1], end[i, 2] - start[i, 2]
+            px, py, pz = x - start[i, 0], y - start[i, 1], z - start[i, 2]
+            share = (px * ux + py * uy + pz * uz) / max(ux * ux + uy * uy + uz * uz, 1e-300)
+            share = min(max(share, 0.0), 1.0)
+            px, py, pz = px - share * ux, py - share * uy, pz - share * uz
+            if px * px + py * py + pz * pz <= reach * reach:
+                is_near = True
+                break
+        if not is_near:
+            return False
+    return True
 
 
 def like_turns(model: EdgeModel, axis: tuple[float, float]) -> tuple[FloatArray, ...]:
