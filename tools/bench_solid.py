@@ -43,7 +43,7 @@ from edged.pipeline import PreparedRig, inspect, judge, prepare
 from edged.vision.geometry.rigid import invert, transform
 from edged.vision.part.job import Job
 from edged.vision.part.params import MEASURING
-from edged.vision.solid.symmetry import symmetry_of
+from edged.vision.solid.symmetry import equal_turns
 from edged.vision.teaching.cadjob import teach_model
 from edged.vision.teaching.cadpair import teach_with_model
 from edged.vision.teaching.furtherpairs import with_breaks_shown
@@ -164,7 +164,7 @@ def _as_found(job: Job, true: FloatArray, part_from_reference: FloatArray, outco
     if job.body is None or job.part_from_model is None or not found:
         return true
     part = true @ invert(part_from_reference)
-    return symmetry_of(job.body).nearest(part, found[0] @ invert(job.part_from_model)) @ part_from_reference
+    return equal_turns(job.body).nearest(part, found[0] @ invert(job.part_from_model)) @ part_from_reference
 
 
 def measure(

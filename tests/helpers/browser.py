@@ -43,6 +43,19 @@ MISSED = """(() => {
 })()"""
 
 
+def keys_of(text: str) -> dict[str, Any]:
+    """What WebDriver does to type a text."""
+    keys = [{"type": kind, "value": key} for key in text for kind in ("keyDown", "keyUp")]
+    return {"type": "key", "id": "keys", "actions": keys}
+
+
+def pointer_of(event: dict[str, Any]) -> dict[str, Any]:
+    """What WebDriver does for a mouse event of Chromium's protocol."""
+    at = {"type": "pointerMove", "x": round(event["x"]), "y": round(event["y"])}
+    press = {"mousePressed": "pointerDown", "mouseReleased": "pointerUp"}[event["type"]]
+    return {"type": "pointer", "id": "mouse", "actions": [at, {"type": press, "button": 0}]}
+
+
 class Gone(Exception):
     """The request belonged to a page that has been left meanwhile."""
 

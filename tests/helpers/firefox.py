@@ -13,7 +13,7 @@ from typing import Any
 
 import aiohttp
 
-from helpers.browser import Browser, Gone
+from helpers.browser import Browser, Gone, keys_of, pointer_of
 from helpers.waiting import WHOLE_S
 
 PROGRAM = "firefox-esr"
@@ -52,18 +52,9 @@ class Firefox(Browser):
             case "Runtime.evaluate":
                 return await self._evaluate(parameters["expression"])
             case "Input.insertText":
-                keys = [
-                    {"type": kind, "value": key}
-                    for key in parameters["text"]
-                    for kind in ("keyDown", "keyUp")
-                ]
-                return await self._act({"type": "key", "id": "keys", "actions": keys})
+                return await self._act(keys_of(parameters["text"]))
             case "Input.dispatchMouseEvent":
-                at = {"type": "pointerMove", "x": round(parameters["x"]), "y": round(parameters["y"])}
-                press = {"mousePressed": "pointerDown", "mouseReleased": "pointerUp"}[parameters["type"]]
-                return await self._act(
-                    {"type": "pointer", "id": "mouse", "actions": [at, {"type": press, "button": 0}]}
-                )
+                return await self._act(pointer_of(parameters))
         raise KeyError(method)
 
     async def _act(self, source: dict[str, Any]) -> dict[str, Any]:

@@ -34,7 +34,7 @@ from edged.vision.solid.forms import PosedPair, as_shown, contradiction, likelie
 from edged.vision.solid.lock import FINE_STEPS, LockedPose, Pyramids, lay
 from edged.vision.solid.modes import PartPlace, SearchedPart, find_places, pyramids_of
 from edged.vision.solid.params import BREAKS, DECISION
-from edged.vision.solid.symmetry import Symmetry, is_round, like_turns, symmetry_of
+from edged.vision.solid.symmetry import EqualTurns, equal_turns, is_round, like_turns
 from edged.vision.solid.visible import moved
 
 
@@ -205,9 +205,9 @@ def _turns(job: Job, model: EdgeModel) -> tuple[FloatArray, ...]:
     return tuple(motion for axis in sorted(axes) for motion in like_turns(model, axis))
 
 
-def _symmetry(job: Job) -> Symmetry | None:
+def _symmetry(job: Job) -> EqualTurns | None:
     """How a part is the same after a turn, if its surface is known."""
-    return None if job.body is None else symmetry_of(job.body)
+    return None if job.body is None else equal_turns(job.body)
 
 
 def _is_round(job: Job, model: EdgeModel, axes: Iterable[tuple[float, float]]) -> bool:
@@ -231,7 +231,7 @@ def weighed(
     pyramids: Pyramids,
     place: PartPlace,
     turns_of: Callable[[EdgeModel], Sequence[FloatArray]],
-    symmetry: Symmetry | None = None,
+    symmetry: EqualTurns | None = None,
 ) -> FoundPart:
     """Choose the best pose at a place, by the best of its models, and weigh it against chance and rivals.
 

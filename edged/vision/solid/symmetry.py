@@ -18,7 +18,7 @@ from edged.vision.solid.params import SYMMETRY
 
 
 @dataclass(frozen=True, slots=True)
-class Symmetry:
+class EqualTurns:
     """Turns about a line along z, through axis (x, y) in mm, after which a part is exactly the same.
 
     order : how many of them there are, the whole turn among them; 0: any.
@@ -47,7 +47,7 @@ class Symmetry:
 
 
 @lru_cache(maxsize=16)  # a body stays the same from image to image
-def symmetry_of(body: PartBody) -> Symmetry:
+def equal_turns(body: PartBody) -> EqualTurns:
     """The symmetry of a part's surface: every sharp edge lies on one after the turn.
 
     A keyway as deep as `SYMMETRY.exact_mm` tells turns apart.
@@ -55,7 +55,7 @@ def symmetry_of(body: PartBody) -> Symmetry:
     ends = body.points_mm[body.lines[:, :2]]
     start, end = np.ascontiguousarray(ends[:, 0]), np.ascontiguousarray(ends[:, 1])
     if len(start) < SYMMETRY.least_lines:
-        return Symmetry((0.0, 0.0), 1)
+        return EqualTurns((0.0, 0.0), 1)
     middle = 0.5 * (start + end)
     x, y, _ = np.average(middle, axis=0, weights=np.linalg.norm(end - start, axis=1)).tolist()
     points = np.concatenate([start, middle])
@@ -63,13 +63,13 @@ def symmetry_of(body: PartBody) -> Symmetry:
     points = points[order]
 
     def is_same(turn: float) -> bool:
-        moved = apply(Symmetry((x, y), 0).motion(turn), points)
+        moved = apply(EqualTurns((x, y), 0).motion(turn), points)
         return bool(_lie_on(np.ascontiguousarray(moved), start, end, SYMMETRY.exact_mm))
 
     if all(is_same(turn) for turn in SYMMETRY.odd_turns):
-        return Symmetry((x, y), 0)
+        return EqualTurns((x, y), 0)
     turns = (count for count in range(SYMMETRY.most_equal, 1, -1) if is_same(math.tau / count))
-    return Symmetry((x, y), next(turns, 1))
+    return EqualTurns((x, y), next(turns, 1))
 
 
 @kernel("b1(f8[:, ::1], f8[:, ::1], f8[:, ::1], f8)")

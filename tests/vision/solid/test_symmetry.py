@@ -21,7 +21,7 @@ from edged.vision.geometry.rectification import StereoImages
 from edged.vision.geometry.rigid import about_z, transform
 from edged.vision.part.body import PartBody
 from edged.vision.solid.locate import locate_solid
-from edged.vision.solid.symmetry import Symmetry, symmetry_of
+from edged.vision.solid.symmetry import EqualTurns, equal_turns
 from edged.vision.teaching import cadpair
 from edged.vision.teaching.cadbody import body_of
 from edged.vision.teaching.pair import WantedJob, view_of
@@ -59,7 +59,7 @@ def surface(design: Design) -> PartBody:
 )
 def test_a_part_is_the_same_after_a_turn_if_all_of_its_edges_are(design: Design, order: int) -> None:
     """The smallest detail tells turns apart, whatever share of the edges it has."""
-    found = symmetry_of(surface(design))
+    found = equal_turns(surface(design))
     assert order == found.order
     if order != 1:
         assert np.hypot(*found.axis) < 0.02
@@ -68,7 +68,7 @@ def test_a_part_is_the_same_after_a_turn_if_all_of_its_edges_are(design: Design,
 def test_of_poses_that_are_one_that_nearest_to_the_taught_is_given() -> None:
     """The axis stays where it is; a turn beyond half a step comes back from the other side."""
     taught = transform(np.eye(3), np.array([0.0, 0.0, 200.0]))
-    six = Symmetry((3.0, 4.0), 6)
+    six = EqualTurns((3.0, 4.0), 6)
     for turn_deg, left_deg in ((0.0, 0.0), (20.0, 20.0), (40.0, -20.0), (130.0, 10.0), (-95.0, 25.0)):
         pose = taught @ transform(about_z(math.radians(turn_deg)), np.zeros(3))
         nearest = six.nearest(pose, taught)
@@ -77,7 +77,9 @@ def test_of_poses_that_are_one_that_nearest_to_the_taught_is_given() -> None:
         assert math.isclose(abs(left), six.turn_between(pose, taught), abs_tol=1e-6)
         axis = np.array([3.0, 4.0, 0.0, 1.0])
         assert np.allclose(pose @ axis, nearest @ axis)
-    assert Symmetry((0.0, 0.0), 0).turn_between(taught, taught @ transform(about_z(2.0), np.zeros(3))) < 1e-6
+    assert (
+        EqualTurns((0.0, 0.0), 0).turn_between(taught, taught @ transform(about_z(2.0), np.zeros(3))) < 1e-6
+    )
 
 
 def turned(turn_deg: float) -> FloatArray:
