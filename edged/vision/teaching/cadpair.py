@@ -28,7 +28,7 @@ from edged.vision.teaching.cadjob import teach_model
 from edged.vision.teaching.cadmatch import levelled
 from edged.vision.teaching.cadmodel import ModelCurves
 from edged.vision.teaching.cadrevision import another_revision, moved_circle
-from edged.vision.teaching.cadsettling import Settled, laid_on_pair, settle
+from edged.vision.teaching.cadsettling import Settled, laid_on_pair, same_after_turns, settle
 from edged.vision.teaching.features import TeachingView
 from edged.vision.teaching.pair import WantedJob, taught
 from edged.vision.teaching.params import CAD
@@ -137,4 +137,4 @@ def _from_model(
         if moved:
             raise another_revision(what, moved)
     found = f"{what}: looked for by all its edges, for the pair alone does not tell how it lies"
-    return Settled(taken, (found, *measured))
+    return Settled(taken, (found, *measured, *same_after_turns(taken)))

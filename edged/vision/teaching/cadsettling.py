@@ -22,6 +22,7 @@ from edged.vision.solid.breaks import FittedBody, lay_with_breaks, likeliest
 from edged.vision.solid.edgemodel import model_of, widths_of
 from edged.vision.solid.evidence import sigmas_of
 from edged.vision.solid.params import BREAKS, DECISION
+from edged.vision.solid.symmetry import equal_turns
 from edged.vision.teaching.cadbody import body_of
 from edged.vision.teaching.cadmatch import ModelRegistration, Partner, register
 from edged.vision.teaching.cadmodel import ModelCircle, ModelCurves
@@ -99,7 +100,18 @@ def settle(job: Job, model: ModelCurves, images: StereoImages, what: str) -> Set
         ),
     )
     remarks = _summary(settled, found, what), *_breaks(found.partners, settled), *_others(found)
-    return Settled(taken, (*remarks, *_coarse(faceted), *measured))
+    return Settled(taken, (*remarks, *_coarse(faceted), *measured, *same_after_turns(taken)))
+
+
+def same_after_turns(job: Job) -> tuple[str, ...]:
+    """A remark on a part whose surface is the same after a turn; none on others."""
+    turns = None if job.body is None else equal_turns(job.body)
+    if turns is None or turns.order == 1:
+        return ()
+    if turns.order == 0:
+        return ("round: the same after any turn about its axis, and results leave that open",)
+    step = f"{360 / turns.order:g}°"
+    return (f"the same after each turn of {step}: results have the one nearest to the taught turn",)
 
 
 def laid_on_pair(job: Job, images: StereoImages, what: str) -> tuple[Job, list[str]]:

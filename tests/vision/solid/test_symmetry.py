@@ -87,8 +87,11 @@ def turned(turn_deg: float) -> FloatArray:
     return np.asarray(place(25.0) @ transform(about_z(math.radians(turn_deg)), np.zeros(3)))
 
 
-def seen(design: Design, folder: Path, turn_deg: float) -> Target:
-    """The target of a design that is taught from its file and a pair, and turned and tilted."""
+def seen(design: Design, folder: Path, turn_deg: float, remark: str) -> Target:
+    """The target of a design that is taught from its file and a pair, and turned and tilted.
+
+    remark : what teaching says of its turns.
+    """
     write_drawing(folder, design)
     _, shown = read_model(folder / "P9.step", "-z")
     look = replace(
@@ -96,8 +99,9 @@ def seen(design: Design, folder: Path, turn_deg: float) -> Target:
     )
     left, right = pictures(World(design, place(0.0), look, 1), world_rig())
     view = view_of(left, right, rig().rectification, None)
-    job = cadpair.teach_with_model(view, shown.curves, "P9", WantedJob("P9", 1)).job
-    job = replace(job, tilt_rad=math.radians(45.0))
+    settled = cadpair.teach_with_model(view, shown.curves, "P9", WantedJob("P9", 1))
+    assert settled.remarks[-1].startswith(remark)
+    job = replace(settled.job, tilt_rad=math.radians(45.0))
     pair = pictures(World(design, turned(turn_deg), look, 2), world_rig())
     (part,), dismissed, _ = locate_solid(StereoImages.of(rig().rectification, *pair), job)
     assert not dismissed
@@ -109,7 +113,7 @@ def seen(design: Design, folder: Path, turn_deg: float) -> Target:
 @pytest.mark.long
 def test_a_thick_ring_has_a_free_axis(tmp_path: Path) -> None:
     """No turn of it means anything: it is no reason to refuse it."""
-    target = seen(flange(0), tmp_path, 100.0)
+    target = seen(flange(0), tmp_path, 100.0, "round: ")
     assert Reject.NONE == target.reject
     assert target.free_axis is not None
 
@@ -117,7 +121,7 @@ def test_a_thick_ring_has_a_free_axis(tmp_path: Path) -> None:
 @pytest.mark.long
 def test_equal_holes_are_no_reason_to_refuse_a_part_and_one_odd_detail_is(tmp_path: Path) -> None:
     """Of six turns that are one the nearest to the taught is given; a detail that decides must be seen."""
-    target = seen(flange(6), tmp_path, 100.0)
+    target = seen(flange(6), tmp_path, 100.0, "the same after each turn of 60°")
     assert Reject.NONE == target.reject
     assert target.free_axis is None
     assert target.rig_from_model is not None
@@ -126,4 +130,4 @@ def test_equal_holes_are_no_reason_to_refuse_a_part_and_one_odd_detail_is(tmp_pa
     assert abs(steps - round(steps)) < 0.003
     mark = Wall("pin", circle(7.5, 0.5, 0.3), 0, False, 0.0, 0.2)
     with pytest.raises(TeachError, match="expected a pair that shows what tells its rotation"):
-        seen(flange(6, mark), tmp_path, 100.0)
+        seen(flange(6, mark), tmp_path, 100.0, "")
