@@ -59,11 +59,10 @@ def _keep(entry: recording.Entry, recorder: Path, kept: Path) -> bool:
     target = kept / "cycles" / entry.path.name
     setup = recording.setup_folder(recorder, entry.fingerprint)
     try:
-        files = {
-            str(file.relative_to(setup)): file.read_bytes() for file in setup.rglob("*") if file.is_file()
-        }
-        if files:
-            recording.save_setup(kept, entry.fingerprint, files)
+        if not recording.setup_folder(kept, entry.fingerprint).is_dir() and setup.is_dir():
+            files = [file for file in setup.rglob("*") if file.is_file()]
+            contents = {str(file.relative_to(setup)): file.read_bytes() for file in files}
+            recording.save_setup(kept, entry.fingerprint, contents)
         if target.exists():
             return False
         try:
