@@ -40,7 +40,7 @@ from edged.errors import EdgedError
 from edged.files.images import load_image
 from edged.pictures.overlay import draw_pair
 from edged.pipeline import PreparedRig, inspect, judge, prepare
-from edged.vision.geometry.rigid import invert, transform
+from edged.vision.geometry.rigid import invert, transform, turn_about_z
 from edged.vision.part.job import Job
 from edged.vision.part.params import MEASURING
 from edged.vision.solid.symmetry import equal_turns
@@ -140,7 +140,7 @@ def compared(scene: str, part: dict[str, Any], job: Job, taught: FloatArray, out
     error = found[:3, 3] - place
     between = true[:3, :3].T @ found[:3, :3]
     normal = math.degrees(math.acos(min(1.0, between[2, 2])))
-    turn = math.degrees(math.atan2(between[1, 0] - between[0, 1], between[0, 0] + between[1, 1]))
+    turn = math.degrees(turn_about_z(between))
     if target.free_axis is not None:
         turn = 0.0  # it declares its rotation unknown
     chi2 = float(error @ np.linalg.solve(target.covariance[:3, :3], error)) / 3
@@ -161,7 +161,7 @@ def compared(scene: str, part: dict[str, Any], job: Job, taught: FloatArray, out
 def _as_found(job: Job, true: FloatArray, part_from_reference: FloatArray, outcome: Outcome) -> FloatArray:
     """The true pose; of a part that is the same after a turn the one that is nearest to what was found."""
     found = [one.rig_from_model for one in outcome.targets if one.rig_from_model is not None]
-    if job.body is None or job.part_from_model is None or not found:
+    if job.part_from_model is None or not found:
         return true
     part = true @ invert(part_from_reference)
     return equal_turns(job.body).nearest(part, found[0] @ invert(job.part_from_model)) @ part_from_reference

@@ -17,17 +17,16 @@ import json
 import shutil
 import sys
 from collections.abc import Sequence
-from dataclasses import asdict
 from pathlib import Path
 
-import benching
 import cv2
 import numpy as np
 from solids import Mesh
 from solidtruth import rig_json
-from solidworld import UPRIGHT, Look, World, pictures, pose_of_scene, teaching_look, world_rig
+from solidworld import UPRIGHT, Scene, drawn, world_rig
 
-from edged.domain.arrays import SIDES, FloatArray
+from edged.commands.teach import AXES
+from edged.domain.arrays import FloatArray
 from edged.errors import EdgedError
 from edged.files.step import read_step
 from edged.vision.geometry.rigid import apply, transform
@@ -41,31 +40,17 @@ from edged.vision.teaching.cadmodel import (
     triangle_normals,
 )
 
-sys.path.insert(0, str(benching.TESTS))
-from helpers.cells import PLACE_MM
-from helpers.tilted import lying
-
 WIDE_MM = 15.0, 48.0
 """Diagonal of a part as the cameras see it: smaller ones have few pixels, larger ones do not fit."""
-AXES = "+x", "-x", "+y", "-y", "+z", "-z"
 LEVEL = 0.99
 """Least z component of the normal of a level surface."""
 
 
 def main_axis(model: CadModel) -> str:
     """The axis of a file, as for `edged teach --up`, that shows most curves; circles count twice."""
-    ups = {
-        f"{sign}{name}": value * np.eye(3)[k]
-        for k, name in enumerate("xyz")
-        for sign, value in (("+", 1), ("-", -1))
-    }
-    found = {name: curves_towards(model, up) for name, up in ups.items()}
-    return max(found, key=lambda name: 2 * len(found[name].circles) + len(found[name].edges))
-
-
-def up_of(axis: str) -> FloatArray:
-    """Direction (3,) of an axis such as "+x"."""
-    return np.asarray((1.0 if axis[0] == "+" else -1.0) * np.eye(3)["xyz".index(axis[1])])
+    axes = sorted(AXES, key=lambda axis: (axis[-1], len(axis)))
+    found = {axis: curves_towards(model, AXES[axis]) for axis in axes}
+    return max(found, key=lambda axis: 2 * len(found[axis].circles) + len(found[axis].edges))
 
 
 def part_from_file(model: CadModel, up: FloatArray) -> FloatArray:
@@ -119,29 +104,21 @@ def write(folder: Path, number: int, file: Path, scenes: int, seed: int) -> str:
     """Write the pairs of one file; return its axis. Raises `EdgedError` for a file that cannot be drawn."""
     model = read_step(file)
     axis = main_axis(model)
-    moved = part_from_file(model, up_of(axis))
+    moved = part_from_file(model, AXES[axis])
     wide = float(np.hypot(*np.ptp(apply(moved, model.points_mm), axis=0)[:2]))
     if not WIDE_MM[0] <= wide <= WIDE_MM[1]:
         raise EdgedError(f"{file.name}: {wide:.0f} mm wide, expected {WIDE_MM[0]:.0f} to {WIDE_MM[1]:.0f}")
     name, mesh = f"F{number:02d}", mesh_of(model, moved)
     shutil.copy(file, folder / "step" / f"{name}.step")
     (folder / "step" / f"{name}.json").write_text(json.dumps({"file": file.name, "up": axis}))
-    for scene in range(-1, scenes):
-        rng = np.random.default_rng((26, seed, number, scene + 1))
-        tilt, side, turn, place = pose_of_scene(rng)
-        path = folder / "scenes" / f"s{scene:02d}_{name}_t{tilt:02.0f}"
-        look = Look.drawn(rng)
-        if scene < 0:
-            tilt, place, path, look = 0.0, PLACE_MM, folder / "teach" / f"teach_{name}", teaching_look(look)
-        where = lying(world_rig(), tilt, side, turn, place)
-        pair = pictures(World(mesh, where, look, int(rng.integers(1 << 30))), world_rig())
-        for camera, picture in zip(SIDES, pair, strict=True):
-            cv2.imwrite(f"{path}_{camera}.png", picture)
-        true = where @ moved
+    for number_of_scene in range(-1, scenes):
+        rng = np.random.default_rng((26, seed, number, number_of_scene + 1))
+        scene = Scene.drawn(folder, name, rng, number_of_scene)
+        pair, spec = drawn(mesh, scene.rig_from_part, rng, teaching=number_of_scene < 0)
+        true = scene.rig_from_part @ moved
         part = {"design": name, "break_mm": {}, "R": true[:3, :3].tolist(), "t": true[:3, 3].tolist(),
-                "tilt_bisector_deg": tilt, "circles": [], "lines": []}  # fmt: skip
-        facts = {"scene": path.name, "n_parts": 1, "spec": asdict(look), "parts": [part]}
-        path.with_name(path.name + ".json").write_text(json.dumps(facts, indent=1))
+                "tilt_bisector_deg": scene.tilt_deg, "circles": [], "lines": []}  # fmt: skip
+        scene.save(pair, spec, [part])
     return axis
 
 

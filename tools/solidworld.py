@@ -403,16 +403,13 @@ class Draw(Protocol):
 
 
 def drawn(
-    design: Design, where: FloatArray, rng: np.random.Generator, *, teaching: bool
+    design: Design | Mesh, where: FloatArray, rng: np.random.Generator, *, teaching: bool
 ) -> tuple[tuple[Image, Image], dict[str, Any]]:
     """Pictures of this world: parts are taught on a plain and dark table; all else is as in any scene."""
-    look = teaching_look(Look.drawn(rng)) if teaching else Look.drawn(rng)
+    look = Look.drawn(rng)
+    if teaching:
+        look = replace(look, table=min(look.table, 0.2), table_contrast=0.3 * look.table_contrast)
     return pictures(World(design, where, look, int(rng.integers(1 << 30))), world_rig()), asdict(look)
-
-
-def teaching_look(look: Look) -> Look:
-    """The look on a table that a person teaches on."""
-    return replace(look, table=min(look.table, 0.2), table_contrast=0.3 * look.table_contrast)
 
 
 def write_set(
@@ -436,27 +433,51 @@ def write_set(
         _write_pair(folder, random_design(max(numbers) + 1 + scene), rng, scene, draw, is_decoy=True)
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Scene:
+    """Where a part lies in a scene, and the path of its files without their endings."""
+
+    path: Path
+    tilt_deg: float
+    rig_from_part: FloatArray
+
+    @classmethod
+    def drawn(
+        cls, folder: Path, name: str, rng: np.random.Generator, number: int, *, is_decoy: bool = False
+    ) -> Scene:
+        """A random place; number -1: of the teaching pair, square to the cameras."""
+        tilt, side, turn, place = _pose(rng)
+        path = folder / "scenes" / f"{'x' if is_decoy else 's'}{number:02d}_{name}_t{tilt:02.0f}"
+        if number < 0:
+            tilt, place, path = 0.0, PLACE_MM, folder / "teach" / f"teach_{name}"
+        return cls(path, tilt, lying(world_rig(), tilt, side, turn, place))
+
+    @property
+    def truth(self) -> Path:
+        """File of the truth, written last."""
+        return self.path.with_name(self.path.name + ".json")
+
+    def save(self, pair: tuple[Image, Image], spec: dict[str, Any], parts: list[dict[str, Any]]) -> None:
+        """Write the pictures and the truth."""
+        for camera, picture in zip(SIDES, pair, strict=True):
+            cv2.imwrite(f"{self.path}_{camera}.png", picture)
+        facts = {"scene": self.path.name, "n_parts": len(parts), "spec": spec, "parts": parts}
+        self.truth.write_text(json.dumps(facts, indent=1))
+
+
 def _write_pair(
-    folder: Path, design: Design, rng: np.random.Generator, scene: int, draw: Draw, *, is_decoy: bool = False
+    folder: Path, design: Design, rng: np.random.Generator, number: int, draw: Draw, *, is_decoy: bool = False
 ) -> None:
     """Write a pair with its truth: for scene -1 the teaching pair; for a decoy without a known part."""
-    tilt, side, turn, place = pose_of_scene(rng)
-    path = folder / "scenes" / f"{'x' if is_decoy else 's'}{scene:02d}_{design.name}_t{tilt:02.0f}"
-    if scene < 0:
-        tilt, place, path = 0.0, PLACE_MM, folder / "teach" / f"teach_{design.name}"
-    truth = path.with_name(path.name + ".json")
-    if truth.exists():
+    scene = Scene.drawn(folder, design.name, rng, number, is_decoy=is_decoy)
+    if scene.truth.exists():
         return
-    rig, where = world_rig(), lying(world_rig(), tilt, side, turn, place)
-    pair, spec = draw(design, where, rng, teaching=scene < 0)
-    for camera, picture in zip(SIDES, pair, strict=True):
-        cv2.imwrite(f"{path}_{camera}.png", picture)
-    parts = [] if is_decoy else [part_json(design, where, tilt, rig)]
-    facts = {"scene": path.name, "n_parts": len(parts), "spec": spec, "parts": parts}
-    truth.write_text(json.dumps(facts, indent=1))
+    pair, spec = draw(design, scene.rig_from_part, rng, teaching=number < 0)
+    part = part_json(design, scene.rig_from_part, scene.tilt_deg, world_rig())
+    scene.save(pair, spec, [] if is_decoy else [part])
 
 
-def pose_of_scene(rng: np.random.Generator) -> tuple[float, float, float, tuple[float, float, float]]:
+def _pose(rng: np.random.Generator) -> tuple[float, float, float, tuple[float, float, float]]:
     """Random tilt, its side, turn, degrees, and place, mm: two of five within 15 degrees, two beyond 30."""
     low, high = [(0, 15), (0, 15), (15, 30), (30, 45), (30, 45)][rng.integers(5)]
     x, y, z = (PLACE_MM + rng.uniform(-1, 1, 3) * (6, 5, 10)).tolist()

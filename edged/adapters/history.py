@@ -106,7 +106,7 @@ class CycleHistory:
             action()
 
     def _adopt(self) -> None:
-        if self._spool.adopt() or self._settings.bucket or self._settings.recordings_mib:
+        if self._spool.adopt() or self._has_more:
             self._start_packer()
 
     def _write(self) -> None:
@@ -127,10 +127,14 @@ class CycleHistory:
         self.figures.written += len(rows)
 
     def _pack(self) -> None:
-        # files packed earlier may still have to be sent to the bucket, and recordings be kept
-        if self._spool.turn_over() or self._settings.bucket or self._settings.recordings_mib:
+        if self._spool.turn_over() or self._has_more:
             self._start_packer()
         self._drop_oldest()
+
+    @property
+    def _has_more(self) -> bool:
+        """Whether there is work without rows: files to be sent to the bucket, recordings to be kept."""
+        return bool(self._settings.bucket or self._settings.recordings_mib)
 
     def _start_packer(self) -> None:
         if self._packing is not None:

@@ -8,9 +8,9 @@ from contextlib import AbstractAsyncContextManager
 
 import pytest
 
-from helpers import webkit as of_webkit
 from helpers.browser import Browser, browser
 from helpers.firefox import PROGRAM, firefox
+from helpers.webkit import IS_HERE as HAS_WEBKIT
 from helpers.webkit import webkit
 
 Opener = Callable[[], AbstractAsyncContextManager[Browser]]
@@ -18,7 +18,7 @@ ENGINES: dict[str, Opener] = {"chromium": browser, "firefox": firefox, "webkit":
 IS_HERE = {
     "chromium": shutil.which("chromium") is not None,
     "firefox": shutil.which(PROGRAM) is not None,
-    "webkit": of_webkit.IS_HERE,
+    "webkit": HAS_WEBKIT,
 }
 BROWSERS = [
     pytest.param(opened, id=name, marks=pytest.mark.skipif(not IS_HERE[name], reason=f"no {name}"))

@@ -221,6 +221,21 @@ def about_z(angle_rad: float) -> FloatArray:
     return rotation_matrix(np.array([0.0, 0.0, angle_rad]))
 
 
+def turned_to(turn_rad: float, source: FloatArray, to: FloatArray) -> FloatArray:
+    """The motion (4, 4) that turns about z and moves the point `source` (3,) to `to`."""
+    rotation = about_z(turn_rad)
+    return transform(rotation, to - rotation @ source)
+
+
+def turn_about_z(rotation: FloatArray) -> float:
+    """The turn about z, rad, that is nearest to a rotation (3, 3).
+
+    >>> round(turn_about_z(about_z(0.5)), 9)
+    0.5
+    """
+    return math.atan2(rotation[1, 0] - rotation[0, 1], rotation[0, 0] + rotation[1, 1])
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Plane:
     """Points X of the rig frame with normal . X = offset; the normal points towards the cameras."""

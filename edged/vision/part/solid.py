@@ -25,7 +25,7 @@ from edged.vision.curves.planefit import PlaneFit, fit_plane
 from edged.vision.edges.candidates import candidates
 from edged.vision.geometry.camera import StereoRig
 from edged.vision.geometry.rectification import StereoImages
-from edged.vision.geometry.rigid import about_z, apply, transform, turn_between, wrapped
+from edged.vision.geometry.rigid import apply, transform, turn_about_z, turn_between, turned_to, wrapped
 from edged.vision.part.body import PartBody
 from edged.vision.part.circles import rival_turns
 from edged.vision.part.consistency import distance_share
@@ -224,7 +224,7 @@ def _turned(
 ) -> list[FloatArray]:
     """Starts turned about the part's normal, likely ones first: the match of a round part may be turned."""
     centre = job.place_of(job.reference)
-    turned = [pose @ _about(turn, centre, centre) for pose in poses for turn in SOLID.turns_rad]
+    turned = [pose @ turned_to(turn, centre, centre) for pose in poses for turn in SOLID.turns_rad]
     order = np.argsort(
         [-quick_agreement(images, curves, pose, SOLID.turn_reach_px) for pose in turned], kind="stable"
     )
@@ -242,7 +242,7 @@ def _rival_motions(job: Job) -> list[FloatArray]:
     motions = []
     if job.circles:
         centre = job.place_of(job.reference)
-        motions = [_about(turn, centre, centre) for turn in rival_turns(job)]
+        motions = [turned_to(turn, centre, centre) for turn in rival_turns(job)]
     for edge, other in itertools.product(job.edges, job.edges):
         if abs(edge.length_mm - other.length_mm) > SOLID.like * edge.length_mm:
             continue
@@ -250,15 +250,9 @@ def _rival_motions(job: Job) -> list[FloatArray]:
         middles = 0.5 * (edge.start_mm + edge.end_mm), 0.5 * (other.start_mm + other.end_mm)
         for half in (0.0, math.pi):
             if abs(wrapped(turn + half)) > SOLID.same_turn_rad:
-                motions.append(_about(turn + half, *middles))
+                motions.append(turned_to(turn + half, *middles))
     near = [motion for motion in motions if float(np.linalg.norm(apply(motion, middle) - middle)) <= aside_mm]
     return near[: SOLID.max_rivals]
-
-
-def _about(turn: float, source: FloatArray, to: FloatArray) -> FloatArray:
-    """The motion (4, 4) in the face that turns by an angle and moves source to `to`."""
-    rotation = about_z(turn)
-    return transform(rotation, to - rotation @ source)
 
 
 def _is_turned(images: StereoImages, job: Job, match: ShapeMatch, found: Lock) -> bool:
@@ -268,7 +262,7 @@ def _is_turned(images: StereoImages, job: Job, match: ShapeMatch, found: Lock) -
     turns = []
     for pose in _by_match(images, job, match, _main_face(job)):
         between = pose[:3, :3].T @ found.pose[:3, :3]
-        turns.append(abs(math.atan2(between[1, 0] - between[0, 1], between[0, 0] + between[1, 1])))
+        turns.append(abs(turn_about_z(between)))
     return bool(turns) and min(turns) > SOLID.same_turn_rad
 
 

@@ -17,7 +17,7 @@ from edged.domain.arrays import B8, FloatArray
 from edged.domain.measurement import Match, NotMeasured, Reject, Target
 from edged.domain.stopwatch import no_lap
 from edged.vision.geometry.rectification import StereoImages
-from edged.vision.geometry.rigid import apply, skew, transform, turn_between
+from edged.vision.geometry.rigid import apply, skew, transform, turn_about_z, turn_between
 from edged.vision.part import measured as parts
 from edged.vision.part.consistency import apply_limits
 from edged.vision.part.frames import circles_in_rig, measure_sizes, with_features
@@ -34,7 +34,7 @@ from edged.vision.solid.forms import PosedPair, as_shown, contradiction, likelie
 from edged.vision.solid.lock import FINE_STEPS, LockedPose, Pyramids, lay
 from edged.vision.solid.modes import PartPlace, SearchedPart, find_places, pyramids_of
 from edged.vision.solid.params import BREAKS, DECISION
-from edged.vision.solid.symmetry import EqualTurns, equal_turns, is_round, like_turns
+from edged.vision.solid.symmetry import NO_TURN, EqualTurns, equal_turns, is_round, like_turns
 from edged.vision.solid.visible import moved
 
 
@@ -88,7 +88,7 @@ def _located(
     for place in find_places(wanted, pyramids):
         if len(measured) + len(dismissed) == job.search.max_matches:
             break
-        found = weighed(pyramids, place, lambda model: _turns(job, model), _symmetry(job))
+        found = weighed(pyramids, place, lambda model: _turns(job, model), equal_turns(job.body))
         if found.certain > DECISION.worth_forms:
             if job.body is None:
                 found = _of_likeliest_form(images, job, found, place, pyramids)
@@ -205,25 +205,16 @@ def _turns(job: Job, model: EdgeModel) -> tuple[FloatArray, ...]:
     return tuple(motion for axis in sorted(axes) for motion in like_turns(model, axis))
 
 
-def _symmetry(job: Job) -> EqualTurns | None:
-    """How a part is the same after a turn, if its surface is known."""
-    return None if job.body is None else equal_turns(job.body)
-
-
 def _is_round(job: Job, model: EdgeModel, axes: Iterable[tuple[float, float]]) -> bool:
     """Whether any turn about one of some axes leaves a part as it is, as far as is known."""
-    symmetry = _symmetry(job)
-    if symmetry is not None:
-        return symmetry.order == 0
+    if job.body is not None:
+        return equal_turns(job.body).is_round
     return any(is_round(model, axis) for axis in axes)
 
 
 def _as_taught(job: Job, found: FoundPart) -> FoundPart:
     """A part that is the same after a turn at the pose that is turned least from the taught one."""
-    symmetry = _symmetry(job)
-    if symmetry is None or symmetry.order == 1:
-        return found
-    pose = symmetry.nearest(found.laid.pose, job.rig_from_part)
+    pose = equal_turns(job.body).nearest(found.laid.pose, job.rig_from_part)
     return replace(found, laid=replace(found.laid, pose=pose))
 
 
@@ -231,13 +222,12 @@ def weighed(
     pyramids: Pyramids,
     place: PartPlace,
     turns_of: Callable[[EdgeModel], Sequence[FloatArray]],
-    symmetry: EqualTurns | None = None,
+    same: EqualTurns = NO_TURN,
 ) -> FoundPart:
     """Choose the best pose at a place, by the best of its models, and weigh it against chance and rivals.
 
-    turns_of : motions that leave a model like itself. symmetry : after which it is the same, and no rival.
+    turns_of : motions that leave a model like itself. same : turns after which it is no rival.
     """
-    turned = turn_between if symmetry is None else symmetry.turn_between
     fine = FINE_STEPS[-DECISION.rival_steps :]
     poses = list(place.modes)
     seen = [evidence_of(mode.model, pyramids, mode.pose) for mode in poses]
@@ -252,7 +242,7 @@ def weighed(
     if max(_certain(view) for view in seen) > 0:  # otherwise no turn makes it a part
         for motion in turns_of(model):
             pose = np.asarray(poses[best].pose @ motion)
-            if any(turned(pose, mode.pose) < DECISION.same_turn_rad for mode in poses):
+            if any(same.turn_between(pose, mode.pose) < DECISION.same_turn_rad for mode in poses):
                 continue
             laid = lay(model, pyramids, pose, fine)
             if laid is not None and laid.mean > DECISION.worth * poses[best].mean:
@@ -262,7 +252,7 @@ def weighed(
     shapes = [grey.shape for grey in pyramids.grey[0]]
     margin = math.inf
     for k, other in enumerate(seen):
-        if k != best and turned(poses[k].pose, poses[best].pose) > DECISION.same_turn_rad:
+        if k != best and same.turn_between(poses[k].pose, poses[best].pose) > DECISION.same_turn_rad:
             margin = min(margin, margin_over(seen[best], other, shapes))
     return FoundPart(poses[best], seen[best], _certain(seen[best]), margin)
 
@@ -331,7 +321,7 @@ def _weighed_from(
     modes = tuple(mode for mode in laid if mode is not None)
     if not modes:
         return None
-    return weighed(pyramids, PartPlace(modes), lambda model: _turns(job, model), _symmetry(job))
+    return weighed(pyramids, PartPlace(modes), lambda model: _turns(job, model), equal_turns(job.body))
 
 
 def _tilted_poses(model: EdgeModel, pose: FloatArray) -> list[FloatArray]:
@@ -378,7 +368,7 @@ def _match(images: StereoImages, job: Job, laid: LockedPose) -> Match:
     x, y = images.rig.left.project(reference[None])[0]
     taught = job.rig_from_part[:3, :3]
     between = laid.pose[:3, :3] @ taught.T
-    angle = math.atan2(between[1, 0] - between[0, 1], between[0, 0] + between[1, 1])
+    angle = turn_about_z(between)
     scale = float(apply(job.rig_from_part, job.place_of(job.reference))[2] / reference[2])
     return Match(float(x), float(y), angle, scale, scale, laid.mean)
 
@@ -430,10 +420,7 @@ def measure_found(
 
 def _with_free_axis(job: Job, target: Target) -> Target:
     """`with_free_axis` by the surface of a part, if it is known."""
-    symmetry = _symmetry(job)
-    return (
-        free_about_z(target) if symmetry is not None and symmetry.order == 0 else with_free_axis(job, target)
-    )
+    return free_about_z(target) if equal_turns(job.body).is_round else with_free_axis(job, target)
 
 
 def _held(job: Job, model: EdgeModel) -> FloatArray | None:

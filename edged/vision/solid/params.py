@@ -270,11 +270,9 @@ class SymmetryParams:
     exact_mm: float = 0.04
     """Distance from a turned edge to one of the part that is none: four times what a file's triangles are off
     (`edged.files.step.TOLERANCE_MM`)."""
-    most_equal: int = 24  # turns that are looked for: a part of more teeth is refused, as before
-    odd_turns: tuple[float, float] = (
-        0.6435,
-        1.7708,
-    )  # rad, no parts of a circle: only a round part is the same
+    most_equal: int = 24  # turns that are looked for; those of a part of more teeth stay rivals
+    odd_turns: tuple[float, float] = (0.6435, 1.7708)
+    """Turns, rad, that are no parts of a circle: only a round part is the same after them."""
     least_lines: int = 12  # sharp edges below which nothing is known
 
 

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 
 from edged.domain.arrays import FloatArray
-from edged.vision.geometry.rigid import about_z, apply, transform, turn_between
+from edged.vision.geometry.rigid import apply, turn_about_z, turn_between, turned_to
 from edged.vision.kernels.jit import kernel
 from edged.vision.part.body import PartBody
 from edged.vision.solid.edgemodel import EdgeModel, sampled
@@ -30,12 +30,17 @@ class EqualTurns:
     def motion(self, turn: float) -> FloatArray:
         """The motion (4, 4) of a turn."""
         middle = np.array([*self.axis, 0.0])
-        return transform(about_z(turn), middle - about_z(turn) @ middle)
+        return turned_to(turn, middle, middle)
+
+    @property
+    def is_round(self) -> bool:
+        """Whether no turn means anything."""
+        return self.order == 0
 
     def nearest(self, pose: FloatArray, other: FloatArray) -> FloatArray:
         """The pose (4, 4) at which a part is as at `pose`, turned from `other` as little as can be."""
         between = pose[:3, :3].T @ other[:3, :3]
-        turn = math.atan2(between[1, 0] - between[0, 1], between[0, 0] + between[1, 1])
+        turn = turn_about_z(between)
         if self.order:
             step = math.tau / self.order
             turn = round(turn / step) * step
@@ -46,16 +51,22 @@ class EqualTurns:
         return turn_between(self.nearest(first, second), second)
 
 
+NO_TURN = EqualTurns((0.0, 0.0), 1)
+"""The turns of a part that is the same after a whole one only, as far as is known."""
+
+
 @lru_cache(maxsize=16)  # a body stays the same from image to image
-def equal_turns(body: PartBody) -> EqualTurns:
-    """The symmetry of a part's surface: every sharp edge lies on one after the turn.
+def equal_turns(body: PartBody | None) -> EqualTurns:
+    """The symmetry of a part's surface: every sharp edge lies on one after the turn; none of an unknown one.
 
     A keyway as deep as `SYMMETRY.exact_mm` tells turns apart.
     """
+    if body is None:
+        return NO_TURN
     ends = body.points_mm[body.lines[:, :2]]
     start, end = np.ascontiguousarray(ends[:, 0]), np.ascontiguousarray(ends[:, 1])
     if len(start) < SYMMETRY.least_lines:
-        return EqualTurns((0.0, 0.0), 1)
+        return NO_TURN
     middle = 0.5 * (start + end)
     x, y, _ = np.average(middle, axis=0, weights=np.linalg.norm(end - start, axis=1)).tolist()
     points = np.concatenate([start, middle])
@@ -106,9 +117,7 @@ def like_turns(model: EdgeModel, axis: tuple[float, float]) -> tuple[FloatArray,
     ]
     peaks.sort(key=lambda k: -shares[k])
     middle = np.array([*axis, 0.0])
-    return tuple(
-        transform(about_z(turns[k]), middle - about_z(turns[k]) @ middle) for k in peaks[: SYMMETRY.most]
-    )
+    return tuple(turned_to(turns[k], middle, middle) for k in peaks[: SYMMETRY.most])
 
 
 def is_round(model: EdgeModel, axis: tuple[float, float]) -> bool:

@@ -105,10 +105,10 @@ def settle(job: Job, model: ModelCurves, images: StereoImages, what: str) -> Set
 
 def same_after_turns(job: Job) -> tuple[str, ...]:
     """A remark on a part whose surface is the same after a turn; none on others."""
-    turns = None if job.body is None else equal_turns(job.body)
-    if turns is None or turns.order == 1:
+    turns = equal_turns(job.body)
+    if turns.order == 1:
         return ()
-    if turns.order == 0:
+    if turns.is_round:
         return ("round: the same after any turn about its axis, and results leave that open",)
     step = f"{360 / turns.order:g}°"
     return (f"the same after each turn of {step}: results have the one nearest to the taught turn",)
