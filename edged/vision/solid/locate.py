@@ -62,30 +62,45 @@ def locate_solid(
 ) -> tuple[list[parts.MeasuredPart], list[NotMeasured], list[Match]]:
     """Find all parts of a job in a pair; also those that could not be measured, and near misses.
 
-    A job without a body is looked for by its taught curves alone. If its breaks are not known, the part is
-    looked for with narrow ones, and if these find nothing, with wide ones.
+    A job without a body is looked for by its taught curves alone. Where no part is found, or its turn is in
+    doubt, it is looked for again by the views between those of the first look, beside what that found; a part
+    whose breaks are not known then with wide ones, after narrow ones.
 
     lap : called with "find" and "measure" as these end at each place.
     """
-    measured, dismissed, missed = _located(images, job, wanted_of(job), lap)
-    if job.has_open_breaks and not (measured or dismissed):
-        wide = wanted_of(job, BREAKS.looked_wide_mm)
-        measured, dismissed, missed_again = _located(images, job, wide, lap)
-        missed += missed_again
-    return measured, dismissed, missed
-
-
-def _located(
-    images: StereoImages, job: Job, wanted: SearchedPart, lap: Callable[[str], None]
-) -> tuple[list[parts.MeasuredPart], list[NotMeasured], list[Match]]:
-    """`locate_solid` with some forms of the breaks."""
+    wanted = wanted_of(job)
     pyramids = pyramids_of(images, wanted)
+    places = find_places(wanted, pyramids)
+    first = _measured_at(places, images, job, pyramids, lap)
+    if _is_sure(*first[:2]):
+        return first
+    if job.has_open_breaks:
+        wanted = wanted_of(job, BREAKS.looked_wide_mm)
+    again = _measured_at(find_places(wanted, pyramids, places), images, job, pyramids, lap)
+    measured, dismissed, _ = again if _is_sure(*again[:2]) else first
+    return measured, dismissed, [*first[2], *again[2]]
+
+
+def _is_sure(measured: Sequence[parts.MeasuredPart], dismissed: Sequence[NotMeasured]) -> bool:
+    """Whether a part was found, and the turn of one is not in doubt."""
+    turned = [part for part in measured if not part.target.reject & Reject.AMBIGUOUS_ROTATION]
+    return bool(turned or (dismissed and not measured))
+
+
+def _measured_at(
+    places: Sequence[PartPlace],
+    images: StereoImages,
+    job: Job,
+    pyramids: Pyramids,
+    lap: Callable[[str], None],
+) -> tuple[list[parts.MeasuredPart], list[NotMeasured], list[Match]]:
+    """`locate_solid` at some places."""
     measured: list[parts.MeasuredPart] = []
     dismissed: list[NotMeasured] = []
     missed: list[Match] = []
     taken: list[FoundPart] = []
     shapes = [grey.shape for grey in pyramids.grey[0]]
-    for place in find_places(wanted, pyramids):
+    for place in places:
         if len(measured) + len(dismissed) == job.search.max_matches:
             break
         found = weighed(pyramids, place, lambda model: _turns(job, model), equal_turns(job.body))
@@ -252,7 +267,8 @@ def weighed(
     shapes = [grey.shape for grey in pyramids.grey[0]]
     margin = math.inf
     for k, other in enumerate(seen):
-        if k != best and same.turn_between(poses[k].pose, poses[best].pose) > DECISION.same_turn_rad:
+        is_other = same.turn_between(poses[k].pose, poses[best].pose) > DECISION.same_turn_rad
+        if k != best and is_other and _certain(other) > 0:  # otherwise chance is likelier than that pose
             margin = min(margin, margin_over(seen[best], other, shapes))
     return FoundPart(poses[best], seen[best], _certain(seen[best]), margin)
 

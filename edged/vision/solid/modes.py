@@ -49,21 +49,31 @@ def pyramids_of(images: StereoImages, wanted: SearchedPart) -> Pyramids:
     return Pyramids(images.rig, images.raw, top + 1)
 
 
-def find_places(wanted: SearchedPart, pyramids: Pyramids) -> list[PartPlace]:
-    """Places where the part may lie, by falling agreement."""
+def find_places(
+    wanted: SearchedPart, pyramids: Pyramids, before: Sequence[PartPlace] | None = None
+) -> list[PartPlace]:
+    """Places where the part may lie, by falling agreement.
+
+    before : those of a first look; they are weighed again beside what the views between that look's show.
+    """
     model = wanted.models[0]
-    starts = starts_of(model, pyramids.rig, pyramids.grey, wanted.tilt_rad, wanted.distances_mm, wanted.place)
+    starts = starts_of(
+        model, pyramids.rig, pyramids.grey, wanted.tilt_rad, wanted.distances_mm, wanted.place,
+        before is not None,
+    )  # fmt: skip
     coarse, between = schedule(len(pyramids.cameras) - 1)
     laid = _laid(model, pyramids, starts, coarse, wanted)
     laid = _unlike(model, laid, MODES.kept_fine, MODES.fine_at_place)
     if between:
         laid = _laid(model, pyramids, [candidate.pose for candidate in laid], between, wanted)
         laid = _unlike(model, laid, MODES.kept_fine, MODES.fine_at_place)
-    poses = [candidate.pose for candidate in _worth(model, laid)]
+    poses = [mode.pose for place in before or () for mode in place.modes]
+    poses += [candidate.pose for candidate in _worth(model, laid)]
+    looks = 1 if before is None else 2  # no rival of the first look is lost to one of the second
     places: list[list[LockedPose]] = []
     for form in wanted.models:
         laid = _laid(form, pyramids, poses, FINE_STEPS, wanted)
-        for candidate in _unlike(model, laid, MODES.kept_fine, MODES.fine_at_place):
+        for candidate in _unlike(model, laid, looks * MODES.kept_fine, looks * MODES.fine_at_place):
             near = [
                 place
                 for place in places

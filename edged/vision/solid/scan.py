@@ -63,18 +63,18 @@ def top_level(rig: StereoRig, model: EdgeModel, distance_mm: float) -> int:
 
 @lru_cache(maxsize=16)  # of a few jobs, by either camera
 def view_set(
-    model: EdgeModel, camera: CameraModel, level: int, lean_rad: float, distance_mm: float
+    model: EdgeModel, camera: CameraModel, level: int, lean_rad: float, distance_mm: float, between: bool
 ) -> ViewSet:
-    """Views of a part from all sides, from directions within lean_rad of its -z."""
+    """Views of a part from all sides, from directions within lean_rad of its -z; or those between them."""
     small = at_level(camera, level)
     plain = replace(small, model="division", distortion=(0.0,), cx=0.0, cy=0.0, width=10**6, height=10**6)
     rng = np.random.default_rng(0)
-    turns = np.arange(0.0, 2 * math.pi, SCAN.turn_rad)
+    turns = np.arange(0.0, 2 * math.pi, SCAN.turn_rad) + (0.5 * SCAN.turn_rad if between else 0.0)
     px_per_mm = small.fx / distance_mm
     samples = samples_at(model, px_per_mm, SCAN.spacing_px)
     rotations, offsets, bins = [], [], []
     points, along = [], []
-    for base in _leans(lean_rad):
+    for base in _leans(lean_rad, between):
         pose = transform(base, np.array([0.0, 0.0, distance_mm]) - base @ model.centre)
         view = view_of(plain, pose, model.centre)
         shifted = view._replace(centre=np.full(2, 5e5))
@@ -101,9 +101,11 @@ def view_set(
     )  # fmt: skip
 
 
-def _leans(lean_rad: float) -> list[FloatArray]:
-    """Rotations that lean to all sides by up to lean_rad, a step apart."""
+def _leans(lean_rad: float, between: bool) -> list[FloatArray]:
+    """Rotations that lean to all sides by up to lean_rad, a step apart; or those between them."""
     rings = np.linspace(0.0, lean_rad, max(math.ceil(lean_rad / SCAN.lean_rad), 1) + 1)
+    if between:
+        rings = 0.5 * (rings[:-1] + rings[1:])
     found: list[FloatArray] = []
     for lean in rings:
         count = max(1, math.ceil(2 * math.pi * math.sin(lean) / SCAN.lean_rad))
@@ -141,13 +143,13 @@ def responses(grey: F32) -> U8:
 
 def scan(
     model: EdgeModel, rig: StereoRig, camera: int, both: _Seen, tilt_rad: float,
-    distances_mm: tuple[float, float], place: FloatArray,
+    distances_mm: tuple[float, float], place: FloatArray, between: bool = False,
 ) -> tuple[ViewSet, I64, FloatArray]:  # fmt: skip
     """The best views of a part in one camera's picture: their set, numbers (K,) and rig_from_part (K, 4, 4).
 
     tilt_rad : largest angle of the part's -z to the bisector of both cameras.  distances_mm : nearest and
     farthest of the part's centre from the camera.  place (3,) : rig frame, where parts lie, approximately;
-    the bisector is taken there.
+    the bisector is taken there.  between : by the views between the usual ones.
     """
     cameras = Cameras.of(rig, both.level)
     rig_from_camera = invert(cameras.from_rig[camera])
@@ -159,7 +161,7 @@ def scan(
     middle_mm = math.sqrt(distances_mm[0] * distances_mm[1])
     full = (rig.left, rig.right)[camera]
     lean = min(tilt_rad + vergence, SCAN.max_lean_rad)
-    views = view_set(model, full, both.level, round(lean, 3), round(middle_mm, 1))
+    views = view_set(model, full, both.level, round(lean, 3), round(middle_mm, 1), between)
     # cosine of each view's lean from the bisector, for a part on the line of sight to the place
     to_place = _from_axis_onto(ray[None])[0]
     leaning = (to_place @ views.rotations)[:, :, 2] @ bisector
@@ -326,12 +328,13 @@ def look(
 
 def starts_of(
     model: EdgeModel, rig: StereoRig, pictures: Sequence[Sequence[F32]],
-    tilt_rad: float, distances_mm: tuple[float, float], place: FloatArray,
+    tilt_rad: float, distances_mm: tuple[float, float], place: FloatArray, between: bool = False,
 ) -> list[FloatArray]:  # fmt: skip
     """Poses rig_from_part (4, 4) that both pictures suggest, best first.
 
     pictures : of both cameras at each level of the pyramids.  Poses suggested by each camera's views are
     moved along their lines of sight, then climbed in both pictures at the top level and on the one below.
+    between : by the views between the usual ones.
     """
     top = len(pictures) - 1
     coarse = fine = _Seen.of(rig, top, pictures[top], place)
@@ -346,7 +349,7 @@ def starts_of(
         eye = invert(Cameras.of(rig, 0).from_rig[camera])[:3, 3]
         share = float(np.linalg.norm(place - eye)) / float(np.linalg.norm(place))
         near, far = distances_mm[0] * share, distances_mm[1] * share
-        views, numbers, poses = scan(model, rig, camera, coarse, tilt_rad, (near, far), place)
+        views, numbers, poses = scan(model, rig, camera, coarse, tilt_rad, (near, far), place, between)
         lean, scores = views.lean[numbers], np.empty(len(poses))
         seek(views.points, views.along, lean, poses, *coarse.eyes, *coarse.maps,
              np.tile(eye, (len(poses), 1)), model.centre, shares, scores)  # fmt: skip

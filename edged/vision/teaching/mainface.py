@@ -72,13 +72,17 @@ def main_face(view: TeachingView, ellipses: list[ImageEllipse]) -> MainFace:
     """
     largest = _reference(view, ellipses)
     depths_mm = _near_depths(view.images.rectification, largest)
-    view = _with_surface(view, largest, depths_mm)
-    if view.surface is not None and _plane_of(largest).lean_rad(view.surface) > SURFACES.lean_rad:
-        largest = (
-            _turned_as(view.images, view.surface, ellipses, depths_mm)
-            or remeasured(view.images, largest, view.surface.normal)
-            or largest
-        )
+    surface = next(iter(surfaces_of(view, depths_mm)), None)
+    on_surface = None if surface is None else _circle_in(surface, view.images, ellipses)
+    if surface is not None and (on_surface is not None or _is_level(view, surface, largest)):
+        view = replace(view, surface=surface)
+        if _plane_of(largest).lean_rad(surface) > SURFACES.lean_rad:
+            largest = (
+                _turned_as(view.images, surface, ellipses, depths_mm)
+                or on_surface
+                or remeasured(view.images, largest, surface.normal)
+                or largest
+            )
     beside = _as_contours_lie(view, largest, depths_mm)
     if beside is not None:
         largest = _turned_as(view.images, beside, ellipses, depths_mm) or largest
@@ -178,10 +182,9 @@ def _reference(view: TeachingView, ellipses: list[ImageEllipse]) -> FoundCircle:
             return found
     by_contours = plane_of(view, strong_contours(view), depths_mm)
     for plane in (*surfaces_of(view, depths_mm), *([] if by_contours is None else [by_contours])):
-        for ellipse in ellipses:
-            found = circle_on(plane, images, ellipse.outline(32)[0], ellipse.polarity, fixed_normal=True)
-            if found is not None and is_shown(found.fit) and is_at(plane, found.circle.centre_mm):
-                return found
+        found = _circle_in(plane, images, ellipses)
+        if found is not None:
+            return found
     raise TeachError(
         f"{len(ellipses)} circle(s) found in the left image, but none of them in the right one; "
         "is the part seen by both cameras, and does the rig belong to these images? Where its face is bright "
@@ -191,20 +194,25 @@ def _reference(view: TeachingView, ellipses: list[ImageEllipse]) -> FoundCircle:
     )
 
 
-def _with_surface(view: TeachingView, largest: FoundCircle, depths_mm: tuple[float, float]) -> TeachingView:
-    """The view with the nearest surface that texture shows; its faces are taken to be parallel to that.
+def _circle_in(plane: Plane, images: StereoImages, ellipses: Sequence[ImageEllipse]) -> FoundCircle | None:
+    """The largest circle that both images show in a plane; None without one."""
+    for ellipse in ellipses:
+        found = circle_on(plane, images, ellipse.outline(32)[0], ellipse.polarity, fixed_normal=True)
+        if found is not None and is_shown(found.fit) and is_at(plane, found.circle.centre_mm):
+            return found
+    return None
 
-    One before or behind the largest circle may be another thing: contours must not contradict it.
+
+def _is_level(view: TeachingView, surface: Plane, largest: FoundCircle) -> bool:
+    """Whether the faces of the largest circle's part may be parallel to a surface that texture shows.
+
+    One before or behind the circle may be another thing: contours must not contradict it.
     """
-    surface = next(iter(surfaces_of(view, depths_mm)), None)
     centre = largest.circle.centre_mm
-    if surface is None:
-        return view
+    if is_at(surface, centre):
+        return True
     parallel = Plane.through(centre, surface.normal)
-    is_other = not is_at(surface, centre)
-    if is_other and fits_significantly_better(view, _plane_of(largest), parallel, strong_contours(view)):
-        return view
-    return replace(view, surface=surface)
+    return not fits_significantly_better(view, _plane_of(largest), parallel, strong_contours(view))
 
 
 def _as_contours_lie(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -35,10 +36,12 @@ def test_where_narrow_breaks_lead_nowhere_a_part_is_looked_for_by_wide_ones(
     """A part is searched once with narrow breaks, and again with wide ones if those find nothing."""
     looked: list[float] = []
 
-    def found(wanted: SearchedPart, pyramids: Pyramids) -> list[PartPlace]:
+    def found(
+        wanted: SearchedPart, pyramids: Pyramids, before: Sequence[PartPlace] | None = None
+    ) -> list[PartPlace]:
         widest = max(float(model.breaks_mm.max()) for model in wanted.models)
         looked.append(widest)
-        return find_places(wanted, pyramids) if widest in allowed else []
+        return find_places(wanted, pyramids, before) if widest in allowed else []
 
     monkeypatch.setattr(locate, "find_places", found)
     job = teach(*pair(DESIGN, 0.0), rig().rectification, None, "part")

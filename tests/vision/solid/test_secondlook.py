@@ -1,0 +1,103 @@
+"""A part that a first look does not find, or not without doubt, is looked for between its views."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from helpers.drawnparts import images_of, place, rig
+from solids import random_design
+from solidworld import write_drawing
+
+from edged.commands.teach import read_model
+from edged.domain.arrays import FloatArray
+from edged.domain.measurement import Reject
+from edged.vision.geometry.rigid import rotation_matrix, transform
+from edged.vision.part.job import Job
+from edged.vision.solid import locate
+from edged.vision.solid.lock import LockedPose, Pyramids
+from edged.vision.solid.modes import PartPlace, SearchedPart, find_places, pyramids_of
+from edged.vision.solid.scan import view_set
+from edged.vision.teaching.cadjob import teach_model
+
+DESIGN = 3
+DEPTH_MM = 205.0
+
+
+@pytest.fixture(scope="module")
+def job(tmp_path_factory: pytest.TempPathFactory) -> Job:
+    """The job of a drawn part, taught from its file alone."""
+    folder: Path = tmp_path_factory.mktemp("file")
+    write_drawing(folder, random_design(DESIGN))
+    model, shown = read_model(folder / f"P{DESIGN}.step", "-z")
+    taught, _ = teach_model(model, shown.curves, rig().rectification, DEPTH_MM, f"P{DESIGN}")
+    return replace(taught, tilt_rad=math.radians(45.0))
+
+
+def turned(pose: FloatArray, model_centre: FloatArray, turn: FloatArray) -> FloatArray:
+    """A pose turned about the part's middle by a rotation vector, rad."""
+    about = rotation_matrix(turn)
+    return np.asarray(pose @ transform(about, model_centre - about @ model_centre))
+
+
+def test_the_second_look_has_the_views_between_those_of_the_first(job: Job) -> None:
+    """No view of one look is one of the other's, and both lean about as far."""
+    (model,) = locate.wanted_of(job).models[:1]
+    lean = math.radians(45.0)
+    first, second = (
+        view_set(model, rig().rig.left, 2, lean, DEPTH_MM, between).rotations for between in (False, True)
+    )
+    traces = np.einsum("aij,bij->ab", first, second)
+    assert math.acos(0.5 * (traces.max() - 1.0)) > math.radians(3.0)
+    assert np.arccos(second[:, 2, 2]).max() > lean - math.radians(8.0)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("missed", ["nothing", "leaning"])
+def test_a_part_missed_at_first_is_found(job: Job, missed: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where a first look gives no pose, or only a wrong one, the second one finds the part."""
+    images = images_of(DESIGN, 5, 25.0)
+    asked: list[Sequence[PartPlace] | None] = []
+
+    def found(
+        wanted: SearchedPart, pyramids: Pyramids, before: Sequence[PartPlace] | None = None
+    ) -> list[PartPlace]:
+        asked.append(before)
+        if before is not None:
+            return find_places(wanted, pyramids, before)
+        if missed == "nothing":
+            return []
+        right = find_places(wanted, pyramids)[0].best
+        wrong = turned(right.pose, right.model.centre, np.array([math.radians(12.0), 0.0, 0.0]))
+        return [PartPlace((LockedPose(right.model, wrong, 0.4 * right.agreeing),))]
+
+    monkeypatch.setattr(locate, "find_places", found)
+    (part,), _, _ = locate.locate_solid(images, job)
+    assert part.target.reject is Reject.NONE
+    assert len(asked) == 2
+    assert asked[0] is None
+    assert part.target.rig_from_model is not None
+    assert np.linalg.norm(part.target.rig_from_model[:3, 3] - place(25.0)[:3, 3]) < 0.1
+
+
+@pytest.mark.long
+def test_only_a_pose_that_both_pictures_show_is_a_rival(job: Job) -> None:
+    """A part is not in doubt by a pose that chance explains better; but by one that is taken for likely."""
+    images = images_of(DESIGN, 5, 25.0)
+    wanted = locate.wanted_of(job)
+    pyramids = pyramids_of(images, wanted)
+    right = find_places(wanted, pyramids)[0].best
+    wrong = turned(right.pose, right.model.centre, np.array([0.0, 0.0, math.radians(60.0)]))
+    of_chance = LockedPose(right.model, wrong, 0.7 * right.agreeing)
+    found = locate.weighed(pyramids, PartPlace((right, of_chance)), lambda _: ())
+    assert found.certain > 0
+    assert found.margin == math.inf
+    near = turned(right.pose, right.model.centre, np.array([0.0, 0.0, math.radians(3.5)]))
+    rival = LockedPose(right.model, near, 0.9 * right.agreeing)
+    itself = locate.weighed(pyramids, PartPlace((rival,)), lambda _: ())
+    again = locate.weighed(pyramids, PartPlace((right, rival)), lambda _: ())
+    assert (again.margin < math.inf) == (itself.certain > 0)
