@@ -37,7 +37,7 @@ def without_background(view: TeachingView, rig_from_part: FloatArray, mask: Imag
         return mask
     kept = np.zeros_like(mask)
     for contour, agrees in zip(contours, agreeing, strict=True):
-        chosen = _share(agrees, contour.closed) >= TEACHING.min_agreeing
+        chosen = mostly(agrees, contour.closed)
         pixels = np.rint(contour.points[chosen]).astype(np.intp)
         kept[np.clip(pixels[:, 1], 0, len(kept) - 1), np.clip(pixels[:, 0], 0, kept.shape[1] - 1)] = 255
     if np.count_nonzero(kept) < TEACHING.min_kept:
@@ -134,8 +134,12 @@ def in_right(view: TeachingView, face: Plane, rectified_px: FloatArray) -> Float
     return np.asarray(view.images.rectification.rectify_points("right", seen), np.float64)
 
 
+def mostly(agrees: B8, closed: bool) -> B8:
+    """(N,) whether most points agree in a window along a contour; a shorter contour is a single window."""
+    return np.asarray(_share(agrees, closed) >= TEACHING.min_agreeing)
+
+
 def _share(agrees: B8, closed: bool) -> FloatArray:
-    """(N,) share of agreeing points in a window along a contour; a shorter contour is a single window."""
     if len(agrees) <= TEACHING.window_px:
         return np.full(len(agrees), float(np.mean(agrees)) if len(agrees) else 0.0)
     border = cv2.BORDER_WRAP if closed else cv2.BORDER_REFLECT_101

@@ -50,6 +50,7 @@ from edged.vision.teaching.levels import (
 from edged.vision.teaching.mainface import circles_of, main_face, without_pattern
 from edged.vision.teaching.params import TEACHING
 from edged.vision.teaching.region import Area, Region, painted_region
+from edged.vision.teaching.roundparts import rims_of_round_part
 from edged.vision.teaching.surfaces import surfaces_of
 from edged.vision.teaching.tracing import trace
 
@@ -267,11 +268,16 @@ def _job(
     pixel_mm = depth / rectification.focal_px
     # a radius less certain than light explains is a broken rim's: its other edge must stay out of tolerance
     sigma_mm = min(sigma_mm, LIGHT_PX * pixel_mm)
-    if main_face is not None:
+    place = rectification.rig.left.project(rig_from_part[None, :3, 3])
+    origin = rectification.rectify_points("left", place)[0]
+    only_rims = not (found.edges or found.slots or _off_axis(circles))
+    rims = rims_of_round_part(view, rig_from_part, circles) if circles and only_rims else None
+    if rims is not None:
+        shape = create_model(view.images.rectified_left, rims, origin, wanted.params)
+        shape = replace(shape, round=True, symmetries=np.zeros((0, 4)), centre_px=np.zeros(2))
+    elif main_face is not None:
         shape = create_model(view.images.rectified_left, main_face, params=wanted.params)
     elif circles:
-        place = rectification.rig.left.project(rig_from_part[None, :3, 3])
-        origin = rectification.rectify_points("left", place)[0]
         shape = create_model(view.images.rectified_left, view.mask, origin, wanted.params)
     else:  # origin in the part's middle: at a corner, overlapping matches would seem far apart
         mask = without_background(view, rig_from_part, outline_mask(view))

@@ -73,6 +73,10 @@ class TeachingParams:
     same_line_px: float = 4.0  # between two that are one edge
     level_band_px: int = 15  # around a circle of another face
     outline_points: int = 200  # of a circle that is drawn
+    telling_px: int = 10  # points of edges that tell the turn of a round part: half of what is traced
+    around_sine: float = math.sin(math.radians(15.0))
+    """Sine of the angle to a circle about the axis below which an edge runs around: more than the slant of a
+    camera to the face (12 degrees) turns an edge on a wall."""
     together: FitParams = FitParams(reach_px=(2.0,), min_support=0.5)  # fit of all features together
     rounds: int = 4  # of grouping circles by face and fitting the normal
     face_tolerance_mm: float = 0.15  # from a circle to the face; shading displaces farther ones
