@@ -221,9 +221,11 @@ def measure(
         inspection = inspect(pair, job, rig)
         outcome = judge(inspection)
         seconds += time.process_time() - start
-        rows += [compared(path.stem, one, job, taught, outcome) for one in here]
+        of_parts = [compared(path.stem, one, job, taught, outcome) for one in here]
         accepted = [one for one in outcome.targets if one.reject is Reject.NONE]
-        rows += [missed(path.stem, absent(design), "WRONG: invented") for _ in accepted[len(here) :]]
+        elsewhere = len(accepted) - sum(row.verdict in ("good", "WRONG") for row in of_parts)
+        rows += of_parts
+        rows += [missed(path.stem, absent(design), "WRONG: invented") for _ in range(elsewhere)]
         if not here and not accepted:
             rows.append(missed(path.stem, absent(design), "nothing, as it should be"))
         if options.overlays is not None:

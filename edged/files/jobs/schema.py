@@ -421,7 +421,11 @@ class JobFile(_Section):
         "of one of its points",
     )
     sigma_mm: float = Field(
-        0.0, ge=0, le=1, description="of the taught features themselves, for a job from a model alone"
+        0.0,
+        ge=0,
+        le=1,
+        description="of the taught features themselves, for a job from a model alone, or from a pair in "
+        "which walls are as bright as the face",
     )
     break_mm: float | None = Field(
         None,

@@ -18,7 +18,7 @@ from edged.vision.part.job import MAX_TILT_DEG, Job
 from edged.vision.part.params import MEASURING
 from edged.vision.shape.inspection import ModelInspection, inspect_model
 from edged.vision.solid.curvemodel import unevenness_mm
-from edged.vision.teaching.brightwalls import bright_walls_mm
+from edged.vision.teaching.brightwalls import bright_walls_mm, with_doubt_of
 from edged.vision.teaching.cadjob import teach_model
 from edged.vision.teaching.cadmodel import CadModel, ModelCurves
 from edged.vision.teaching.cadpair import teach_with_model
@@ -78,6 +78,7 @@ def propose_from_pair(
         job = taught(view, wanted)
         if walls := bright_walls_mm(view.images, job):
             doubts.append(("bright_walls", _of_bright_walls(walls)))
+            job = with_doubt_of(walls, job)
     else:
         found = teach_with_model(view, model.curves, model.name, wanted)
         job, settled = found.job, found.remarks
@@ -112,8 +113,8 @@ def _of_bright_walls(walls_mm: dict[str, float]) -> str:
     by = f"{most_mm:.2f}" if most_mm - least_mm < 0.005 else f"{least_mm:.2f} to {most_mm:.2f}"
     return (
         f"{', '.join(walls_mm)}: walls are as bright as the face around them. The side of the rim that hides "
-        f"the wall lies {by} mm nearer than the whole, which was taught: results are refused, or off by as "
-        "much. Light the part from above, so that walls are dark, or add its STEP file."
+        f"the wall lies {by} mm nearer than the whole, which was taught: results may be off by as much, and "
+        "their sigma says so. Light the part from above, so that walls are dark, or add its STEP file."
     )
 
 

@@ -182,7 +182,7 @@ class Job:
     the name of a point.
     body : the part's surface, if its CAD model is known; None: self-occlusion is unknown.
     sigma_mm : common sigma of all features of a job taught from a model alone: of its chords, and of unknown
-    edge breaks if it has no body.
+    edge breaks if it has no body; or from a pair with walls as bright as its faces.
     break_mm : width of the edge breaks where neither a body nor a pair shows them; None: not known.
     break_end : which edge of each break was taught, the one in the face or in the wall; None: not known.
     traced : outlines of a job taught from pictures that are no features, but serve to find the part.
@@ -208,7 +208,7 @@ class Job:
     points: tuple[ModelPoint, ...] = ()
     report: str = "reference"
     body: PartBody | None = None
-    sigma_mm: float = 0.0  # 0: taught from a pair
+    sigma_mm: float = 0.0  # 0: taught from a pair with dark walls
     break_mm: float | None = None
     break_end: BreakEnd | None = None
     traced: tuple[TracedCurve, ...] = ()

@@ -79,13 +79,13 @@ def _in_model(job: Job, result: MeasuredPart | Reject) -> MeasuredPart | Reject:
 
 def published(job: Job, target: Target) -> Target:
     """The target with the pose of the job's CAD model, and with the pose that the job is set to publish."""
+    if job.sigma_mm:
+        target = _with_teaching_uncertainty(job, target)
     if job.part_from_model is None:
         return target
     from_reference = job.reference_from_part
     placed = target.rig_from_part @ from_reference @ job.part_from_model
     target = replace(target, rig_from_model=placed)
-    if job.sigma_mm:
-        target = _with_teaching_uncertainty(job, target)
     return _with_reported(job, target, target.rig_from_part @ from_reference)
 
 
@@ -109,7 +109,8 @@ def _with_reported(job: Job, target: Target, rig_from_own: FloatArray) -> Target
 def _with_teaching_uncertainty(job: Job, target: Target) -> Target:
     """The target with the uncertainty of the taught features (`Job.sigma_mm`) added.
 
-    An edge break moves opposite edges towards each other, and may lower all of them alike.
+    An edge break moves opposite edges towards each other, and may lower all of them alike; so does a wall as
+    bright as the face.
     """
     names = [feature.name for feature in job.circles] + [feature.name for feature in job.edges]
     size_mm = np.linalg.norm(np.ptp(np.array([job.place_of(name)[:2] for name in names]), axis=0))

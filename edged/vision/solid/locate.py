@@ -28,7 +28,7 @@ from edged.vision.part.solid import fitted
 from edged.vision.solid.bestfit import ProfileFit, best_fit
 from edged.vision.solid.breaks import lay_with_breaks
 from edged.vision.solid.curvemodel import curve_model, sigmas_of_breaks
-from edged.vision.solid.edgemodel import EdgeModel, model_of
+from edged.vision.solid.edgemodel import EdgeModel, chains_of, model_of
 from edged.vision.solid.evidence import PoseEvidence, apart, evidence_of, margin_over, sigmas_of
 from edged.vision.solid.forms import PosedPair, as_shown, contradiction, likeliest_form, with_breaks
 from edged.vision.solid.lock import FINE_STEPS, LockedPose, Pyramids, lay
@@ -145,21 +145,27 @@ def all_edges_agree(images: StereoImages, job: Job, targets: Sequence[Target]) -
 
 
 def _agrees(job: Job, models: Sequence[EdgeModel], pyramids: Pyramids, target: Target) -> bool:
-    """Whether the first of some models stays where a target is, and none of the others is likelier there."""
+    """Whether a part lies where a target is, and turned so: by the first of some models, or all of them.
+
+    It stays there, enough of it is shown, and no turn of it and no other model is as likely.
+    """
     pose = target.rig_from_part @ job.reference_from_part
     laid = lay(models[0], pyramids, pose, FINE_STEPS)
     if laid is None or turn_between(laid.pose, pose) > DECISION.same_turn_rad:
         return False
+    alike = any(row[3] >= job.shape.same_score for row in job.shape.symmetries)  # declared, and warned of
+    found = weighed(pyramids, PartPlace((laid,)), lambda model: () if alike else _turns(job, model))
+    if found.laid is not laid or found.margin <= DECISION.certain or not _is_whole(job, found):
+        return False
     if laid.agreeing.min() > DECISION.plain:
         return True
-    certain = _certain(evidence_of(models[0], pyramids, laid.pose))
-    if certain < DECISION.certain:
+    if found.certain < DECISION.certain:
         return False
     others = [
         other for model in models[1:] if (other := lay(model, pyramids, laid.pose, FINE_STEPS)) is not None
     ]
     rival = max((_certain(evidence_of(other.model, pyramids, other.pose)) for other in others), default=0.0)
-    return rival - certain < DECISION.certain
+    return rival - found.certain < DECISION.certain
 
 
 def wanted_of(job: Job, looked_mm: float = BREAKS.looked_mm) -> SearchedPart:
@@ -355,14 +361,20 @@ def _certain(seen: PoseEvidence, chosen: B8 | None = None) -> float:
 def _is_whole(job: Job, found: FoundPart) -> bool:
     """Whether enough is seen of a part that is known by its curves alone; always true with a body.
 
-    A short traced stretch, which is no feature, counts by its length over that of a usual feature.
+    A short traced stretch, which is no feature, counts by its length over that of a usual feature. Each
+    picture by itself must show its features, together, rather than not.
     """
     if job.body is not None:
         return True
+    count = len(job.circles) + len(job.slots) + len(job.edges)
+    of_features = chains_of(found.seen.curve) < count
+    by_camera = [found.seen.log_ratio(of_features & (found.seen.camera == k)).sum() for k in (0, 1)]
+    if min(by_camera) <= 0:
+        return False
     numbers, shown = found.seen.shown()
     model = found.laid.model
     length = np.bincount(model.chain, np.linalg.norm(model.end - model.start, axis=1))[numbers]
-    features = numbers < len(job.circles) + len(job.slots) + len(job.edges)
+    features = numbers < count
     usual = np.median(length[features] if features.any() else length)
     weight = np.where(features, 1.0, np.minimum(length / usual, 1.0))
     circles = shown[numbers < len(job.circles)]

@@ -270,6 +270,9 @@ class SymmetryParams:
     exact_mm: float = 0.04
     """Distance from a turned edge to one of the part that is none: four times what a file's triangles are off
     (`edged.files.step.TOLERANCE_MM`)."""
+    rounding_rad: float = math.radians(40.0)
+    """Bend up to which an edge may be one between the triangles of a rounding: twice that from which it is an
+    edge of the body (`MODEL.sharp`)."""
     most_equal: int = 24  # turns that are looked for; those of a part of more teeth stay rivals
     odd_turns: tuple[float, float] = (0.6435, 1.7708)
     """Turns, rad, that are no parts of a circle: only a round part is the same after them."""

@@ -9,7 +9,7 @@ from functools import lru_cache
 import cv2
 import numpy as np
 
-from edged.domain.arrays import FloatArray
+from edged.domain.arrays import B8, F64, FloatArray
 from edged.vision.geometry.rigid import apply, turn_about_z, turn_between, turned_to
 from edged.vision.kernels.jit import kernel
 from edged.vision.part.body import PartBody
@@ -59,7 +59,8 @@ NO_TURN = EqualTurns((0.0, 0.0), 1)
 def equal_turns(body: PartBody | None) -> EqualTurns:
     """The symmetry of a part's surface: every sharp edge lies on one after the turn; none of an unknown one.
 
-    A keyway as deep as `SYMMETRY.exact_mm` tells turns apart.
+    An edge between the triangles of a rounding may lie anywhere on it: on the surface is enough. A keyway as
+    deep as `SYMMETRY.exact_mm` tells turns apart.
     """
     if body is None:
         return NO_TURN
@@ -67,15 +68,21 @@ def equal_turns(body: PartBody | None) -> EqualTurns:
     start, end = np.ascontiguousarray(ends[:, 0]), np.ascontiguousarray(ends[:, 1])
     if len(start) < SYMMETRY.least_lines:
         return NO_TURN
-    middle = 0.5 * (start + end)
-    x, y, _ = np.average(middle, axis=0, weights=np.linalg.norm(end - start, axis=1)).tolist()
-    points = np.concatenate([start, middle])
+    corners = np.ascontiguousarray(body.points_mm[body.triangles])
+    areas = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    x, y, _ = np.average(corners.mean(axis=1), axis=0, weights=areas).tolist()  # however it is cut
+    beside = body.normals[body.lines[:, 2:]]
+    bends = np.sum(beside[:, 0] * beside[:, 1], axis=1) > math.cos(SYMMETRY.rounding_rad)
+    points, of_rounding = np.concatenate([start, 0.5 * (start + end)]), np.tile(bends, 2)
     order = np.random.default_rng(0).permutation(len(points))  # what differs is met early
-    points = points[order]
+    points, of_rounding = points[order], of_rounding[order]
 
     def is_same(turn: float) -> bool:
-        moved = apply(EqualTurns((x, y), 0).motion(turn), points)
-        return bool(_lie_on(np.ascontiguousarray(moved), start, end, SYMMETRY.exact_mm))
+        moved = np.ascontiguousarray(apply(EqualTurns((x, y), 0).motion(turn), points))
+        lies = np.zeros(len(moved), np.bool_)
+        if not lie_on(moved, start, end, SYMMETRY.exact_mm, ~of_rounding, lies):
+            return False
+        return bool(touch(np.ascontiguousarray(moved[~lies]), corners, SYMMETRY.exact_mm))
 
     if all(is_same(turn) for turn in SYMMETRY.odd_turns):
         return EqualTurns((x, y), 0)
@@ -83,12 +90,14 @@ def equal_turns(body: PartBody | None) -> EqualTurns:
     return EqualTurns((x, y), next(turns, 1))
 
 
-@kernel("b1(f8[:, ::1], f8[:, ::1], f8[:, ::1], f8)")
-def _lie_on(points: FloatArray, start: FloatArray, end: FloatArray, reach: float) -> bool:
-    """Whether each of points (N, 3) is within a distance of one of the lines from start to end (L, 3)."""
+@kernel("b1(f8[:, ::1], f8[:, ::1], f8[:, ::1], f8, b1[::1], b1[::1])")
+def lie_on(points: F64, start: F64, end: F64, reach: float, must: B8, lies: B8) -> bool:
+    """Fill lies (N,): whether each of points (N, 3) is near one of the lines from start to end (L, 3).
+
+    False, and the rest not known, where one is not that must (N,).
+    """
     for k in range(points.shape[0]):
         x, y, z = points[k]
-        is_near = False
         for i in range(start.shape[0]):
             if min(start[i, 2], end[i, 2]) - reach > z or max(start[i, 2], end[i, 2]) + reach < z:
                 continue
@@ -98,9 +107,47 @@ def _lie_on(points: FloatArray, start: FloatArray, end: FloatArray, reach: float
             share = min(max(share, 0.0), 1.0)
             px, py, pz = px - share * ux, py - share * uy, pz - share * uz
             if px * px + py * py + pz * pz <= reach * reach:
-                is_near = True
+                lies[k] = True
                 break
-        if not is_near:
+        if must[k] and not lies[k]:
+            return False
+    return True
+
+
+@kernel("b1(f8[:, ::1], f8[:, :, ::1], f8)")
+def touch(points: F64, corners: F64, reach: float) -> bool:
+    """Whether each of points (N, 3) is within a distance of one of some triangles (M, 3, 3)."""
+    for k in range(points.shape[0]):
+        near = False
+        for i in range(corners.shape[0]):
+            away, outside = 0.0, False
+            for j in range(3):
+                low = min(corners[i, 0, j], corners[i, 1, j], corners[i, 2, j]) - reach
+                high = max(corners[i, 0, j], corners[i, 1, j], corners[i, 2, j]) + reach
+                outside = outside or points[k, j] < low or points[k, j] > high
+            if outside:
+                continue
+            a, b, p = corners[i, 1] - corners[i, 0], corners[i, 2] - corners[i, 0], points[k] - corners[i, 0]
+            nx, ny, nz = (
+                a[1] * b[2] - a[2] * b[1],
+                a[2] * b[0] - a[0] * b[2],
+                a[0] * b[1] - a[1] * b[0],
+            )
+            size = math.sqrt(nx * nx + ny * ny + nz * nz)
+            if size == 0.0:
+                continue
+            away = (nx * p[0] + ny * p[1] + nz * p[2]) / size
+            if abs(away) > reach:
+                continue
+            aa, ab, bb = np.sum(a * a), np.sum(a * b), np.sum(b * b)
+            ap, bp = np.sum(a * p), np.sum(b * p)
+            whole = size * size
+            u, v = (bb * ap - ab * bp) / whole, (aa * bp - ab * ap) / whole
+            slack = reach * math.sqrt(max(aa, bb)) / size
+            if u >= -slack and v >= -slack and u + v <= 1.0 + slack:
+                near = True
+                break
+        if not near:
             return False
     return True
 

@@ -30,6 +30,7 @@ from edged.vision.shape.learning import create_model
 from edged.vision.shape.params import ModelParams
 from edged.vision.solid.curvemodel import curve_points
 from edged.vision.teaching.background import with_ratio, without_background
+from edged.vision.teaching.brightwalls import bright_walls_mm, with_doubt_of
 from edged.vision.teaching.features import (
     FoundFeatures,
     TeachingView,
@@ -92,7 +93,9 @@ def teach(
     Raises `TeachError` when the region shows no usable shape or no feature that both cameras see,
     `ImageError` when the images do not fit the rig.
     """
-    return taught(view_of(left, right, rectification, region, exclude), WantedJob(name, number, params))
+    view = view_of(left, right, rectification, region, exclude)
+    job = taught(view, WantedJob(name, number, params))
+    return with_doubt_of(bright_walls_mm(view.images, job), job)
 
 
 def view_of(

@@ -65,6 +65,26 @@ def test_a_part_is_the_same_after_a_turn_if_all_of_its_edges_are(design: Design,
         assert np.hypot(*found.axis) < 0.02
 
 
+@pytest.mark.parametrize("sharp", [False, True])
+def test_edges_between_the_triangles_of_a_wall_tell_no_turn(sharp: bool) -> None:
+    """Where one side is cut more finely than the others, it is the same part; a scratch is none of it."""
+    body = surface(flange(6))
+    sides, beside = body.sides
+    bend = np.sum(body.normals[beside[:, 0]] * body.normals[beside[:, 1]], axis=1)
+    middles = body.points_mm[sides].mean(axis=1)
+    far = np.hypot(middles[:, 0], middles[:, 1]) > 13.9
+    of_wall = far & (middles[:, 0] > 12.0) & (bend > math.cos(math.radians(30.0))) & (bend < 1.0 - 1e-9)
+    assert np.count_nonzero(of_wall) > 3
+    lines = np.column_stack([sides, beside])[of_wall]
+    if sharp:  # as if the faces beside it stood upright on each other
+        edge = next(line for line in body.lines if abs(np.dot(*body.normals[line[2:]])) < 0.1)
+        lines[:, 2:] = edge[2:]
+    body = replace(body, lines=np.concatenate([body.lines, np.repeat(lines, 40, axis=0)]))
+    found = equal_turns(body)
+    assert found.order == (1 if sharp else 6)
+    assert np.hypot(*found.axis) < 0.02
+
+
 def test_of_poses_that_are_one_that_nearest_to_the_taught_is_given() -> None:
     """The axis stays where it is; a turn beyond half a step comes back from the other side."""
     taught = transform(np.eye(3), np.array([0.0, 0.0, 200.0]))

@@ -6,17 +6,19 @@ import re
 from dataclasses import replace
 
 import pytest
-from helpers.cells import pictures, pose, scene
+from helpers.cells import frame_pair, pictures, pose, scene
 from helpers.flatparts import METAL
 
 from edged.domain.arrays import Image
-from edged.pipeline import prepare
+from edged.domain.measurement import Reject
+from edged.pipeline import locate, prepare
 from edged.setup.teaching.proposal import propose_from_pair
 from edged.sim.cell import demo_rig
 from edged.sim.render.scene import Disc, Hole, Part, Surface
 from edged.vision.geometry.rectification import StereoImages
 from edged.vision.geometry.rigid import apply, invert
 from edged.vision.part.job import Job
+from edged.vision.part.params import MEASURING
 from edged.vision.teaching.brightwalls import bright_walls_mm
 from edged.vision.teaching.pair import WantedJob, teach
 
@@ -53,12 +55,27 @@ def test_holes_with_bright_walls_are_named_with_what_they_are_off_by() -> None:
     assert len(too_deep) == len(HOLES)
     assert min(too_deep.values()) > 0.15
     assert walls == pytest.approx(too_deep, abs=0.07)
+    assert MEASURING.across * job.sigma_mm == pytest.approx(max(walls.values()), abs=1e-3)
+
+
+def test_results_of_such_a_job_are_as_uncertain() -> None:
+    """The sigma across the face contains what the circles may be off by, without and with a page."""
+    seen, rig = pair(0.5), prepare(RIG)
+    taught = propose_from_pair(*seen, rig.rectification, WantedJob("disc", 1)).job
+    job = replace(teach(*seen, rig.rectification, None, "disc"), limits=taught.limits)
+    assert job.sigma_mm == taught.sigma_mm > 0.07
+    for one in (job, replace(job, sigma_mm=0.0)):
+        target = locate(frame_pair(*seen), one, rig).targets[0]
+        assert (target.sigma_mm[2] > MEASURING.across * job.sigma_mm) == bool(one.sigma_mm)
+        assert bool(target.reject & Reject.SIGMA_LIMIT) == bool(one.sigma_mm)
 
 
 @pytest.mark.parametrize("wall", [0.05, 0.3])
 def test_dark_walls_are_not_named(wall: float) -> None:
     """A wall half as bright as the face shows the rim."""
-    assert not walls_of(pair(0.5, wall))[1]
+    job, walls = walls_of(pair(0.5, wall))
+    assert not walls
+    assert job.sigma_mm == 0.0
 
 
 def test_a_proposal_says_so() -> None:
