@@ -11,6 +11,7 @@ import sys
 from collections.abc import Awaitable, Callable
 from pathlib import Path
 
+from edged.app.pagesource import ended
 from edged.app.unprivileged import UNPRIVILEGED_PREFIX, environment
 from edged.codec.plainerrors import error_of
 from edged.errors import LinkError, SetupRefused, UserError
@@ -45,14 +46,21 @@ class Installer:
             raise SetupRefused("another release is being installed")
         async with self._turn:
             process = await asyncio.to_thread(self._started, memory)
+            answers = asyncio.StreamReader(MOST_LINE_BYTES)
+            pipe, _ = await asyncio.get_running_loop().connect_read_pipe(
+                lambda: asyncio.StreamReaderProtocol(answers), process.stdout
+            )
             try:
-                await _heard(process)
+                await _heard(process, answers)
                 if refused := await self._reload():
-                    await _heard(process, UNDO)
+                    await _heard(process, answers, UNDO)
                 else:
                     await asyncio.to_thread(note_installed, state_folder(self._config))
             finally:
-                await asyncio.shield(asyncio.to_thread(_ended, process))
+                pipe.close()
+                if process.stdin is not None:
+                    process.stdin.close()
+                await asyncio.shield(ended(process, 0.0))
         if refused:
             raise UserError(f"the cell cannot run with it, and goes on as before: {refused}")
 
@@ -65,24 +73,21 @@ class Installer:
             pass_fds=[memory],
             env=environment(),
             start_new_session=True,
+            bufsize=0,
         )
 
 
-async def _heard(process: subprocess.Popen[bytes], word: str = "") -> None:
-    """Send the process a word, if any, and wait for its answer. Raises the error it reports, `LinkError`."""
+async def _heard(process: subprocess.Popen[bytes], answers: asyncio.StreamReader, word: str = "") -> None:
+    """Send the process a word, if any, and wait for its answer. Raises the error it reports, `LinkError`.
 
-    def exchange() -> bytes:
-        if process.stdin is None or process.stdout is None:
-            raise ValueError("it has no pipes")
+    No thread waits for it: one that cannot be killed, as its disk hangs, would keep this process from ending.
+    """
+    if word and process.stdin is not None:
         with contextlib.suppress(BrokenPipeError):
-            if word:
-                process.stdin.write(f"{word}\n".encode())
-                process.stdin.flush()
-        return process.stdout.readline(MOST_LINE_BYTES)
-
+            process.stdin.write(f"{word}\n".encode())
     try:
         async with asyncio.timeout(MOST_S):
-            line = await asyncio.to_thread(exchange)
+            line = await answers.readline()
         error = None if (answer := json.loads(line)) is None else error_of(**answer)
     except (TimeoutError, ValueError, KeyError, TypeError):
         error = LinkError(
@@ -90,13 +95,3 @@ async def _heard(process: subprocess.Popen[bytes], word: str = "") -> None:
         )
     if error is not None:
         raise error
-
-
-def _ended(process: subprocess.Popen[bytes]) -> None:
-    """Kill the process and close its pipes: it has reported all it does, or it hangs."""
-    process.kill()
-    process.wait()
-    for pipe in (process.stdin, process.stdout):
-        if pipe is not None:
-            with contextlib.suppress(OSError):
-                pipe.close()

@@ -70,7 +70,7 @@ class StartedPage:
                 self._process = await asyncio.shield(starting)
             except asyncio.CancelledError:
                 ours.close()
-                await _ended(await starting, 0.0)
+                await ended(await starting, 0.0)
                 raise
             except OSError:
                 ours.close()
@@ -82,7 +82,7 @@ class StartedPage:
         process, self._process = self._process, None
         if process is None:
             return ""
-        code = await _ended(process, END_S if is_good else 0.0)
+        code = await ended(process, END_S if is_good else 0.0)
         if code is None:
             return "it hangs, and cannot be killed"
         return f"it was ended by {signal.Signals(-code).name}" if code < 0 else f"code {code}"
@@ -207,7 +207,7 @@ def _started(link: socket.socket) -> subprocess.Popen[bytes]:
     )
 
 
-async def _ended(process: subprocess.Popen[bytes], grace_s: float) -> int | None:
+async def ended(process: subprocess.Popen[bytes], grace_s: float) -> int | None:
     """Wait for the process to end, killing it if it does not; return its exit code.
 
     None for one that cannot even be killed, as its disk hangs: it is left behind. A thread of

@@ -176,6 +176,32 @@ def test_a_process_that_is_killed_leaves_one_of_both(
     assert not (place.state / INSTALLING).exists()
 
 
+def test_a_process_that_cannot_be_killed_is_left_behind(
+    place: Place, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As of a disk that hangs: the cell names it within its limit, goes on, and can end itself."""
+    started: list[subprocess.Popen[bytes]] = []
+    real = subprocess.Popen
+
+    def hung(_command: list[str], **options: object) -> subprocess.Popen[bytes]:
+        process = real(["sleep", "600"], **options)  # type: ignore[call-overload]  (as it was called)
+        monkeypatch.setattr(process, "kill", lambda: None)
+        started.append(process)
+        return process
+
+    monkeypatch.setattr(installers.subprocess, "Popen", hung)
+    monkeypatch.setattr(installers, "MOST_S", 0.3)
+    before = place.files()
+    try:
+        with pytest.raises(LinkError, match="has ended, or hangs"):
+            place.install(pack(place.wider()))
+        assert started[0].poll() is None
+        assert (before, []) == (place.files(), place.reloads)
+    finally:
+        os.kill(started[0].pid, signal.SIGKILL)
+        started[0].wait()
+
+
 @pytest.mark.skipif(os.geteuid() != 0, reason="to be tricked takes root")
 def test_root_installs_through_no_link_of_another_user(place: Place) -> None:
     """Links in the state folder are not followed: root's file is neither read nor changed."""
