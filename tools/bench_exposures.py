@@ -25,7 +25,7 @@ import numpy as np
 from bench_solid import asked, measured, pair_of, report
 from benching import finish
 from photoworld import Setting, finish_of, pictures
-from solids import Design
+from solids import Design, meshed
 from solidworld import exposed, set_parser, world_rig, write_asked
 
 from edged.domain.arrays import FloatArray, Image
@@ -47,7 +47,7 @@ class Film:
         self, design: Design, where: FloatArray, rng: np.random.Generator, *, teaching: bool
     ) -> tuple[tuple[Image, Image], dict[str, Any]]:
         """Expose both pictures, as `solidworld.Draw`."""
-        setting = Setting.drawn(finish_of(design), rng, teaching=teaching)
+        setting = Setting.drawn(finish_of(design.name), rng, teaching=teaching)
         path = self.folder / f"{design.name}_{setting.seed}.npz"
         if not path.exists():
             light: list[FloatArray] = []
@@ -56,7 +56,7 @@ class Film:
                 light.append(radiance.astype(np.float16))
                 return exposed(radiance, noise)
 
-            pictures(design, where, setting, world_rig(), self._options.samples, keep)
+            pictures(meshed(design, nominal=False), where, setting, world_rig(), self._options.samples, keep)
             np.savez_compressed(path, left=light[0], right=light[1])
             print(f"{path.stem}: {setting.finish}, {setting.light}, {setting.table}", flush=True)
         with np.load(path) as both:

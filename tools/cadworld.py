@@ -1,11 +1,12 @@
 #!/usr/bin/env python3
 """Draw stereo pairs of parts that others have designed, with exact truth, as a set like data/rendered.
 
-    tools/cadworld.py FOLDER STEP... [--scenes N] [--seed N]
+    tools/cadworld.py FOLDER STEP... [--scenes N] [--seed N] [--traced SAMPLES]
 
 Each file of one solid is drawn as `tools/solidworld.py` draws its own designs, with the axis of the file
 towards the cameras that shows most curves. Files of several solids, or of parts that the cameras do not see
-whole at 200 mm, are left out, and said. FOLDER gets rig.json, teach/, scenes/ and step/; `tools/bench solid
+whole at 200 mm, are left out, and said. With --traced they are path-traced, as by `tools/photoworld.py` (the
+extra `photoworld`; up to a minute a pair). FOLDER gets rig.json, teach/, scenes/ and step/; `tools/bench solid
 FOLDER` measures it, `--step` with the files. Use it with the CAD files of your own parts before you buy
 cameras.
 """
@@ -21,6 +22,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+from photoworld import traced
 from solids import Mesh
 from solidtruth import rig_json
 from solidworld import UPRIGHT, Scene, drawn, world_rig
@@ -100,8 +102,11 @@ def mesh_of(model: CadModel, moved: FloatArray) -> Mesh:
     return Mesh(placed, tuple(kinds), np.array(holes))
 
 
-def write(folder: Path, number: int, file: Path, scenes: int, seed: int) -> str:
-    """Write the pairs of one file; return its axis. Raises `EdgedError` for a file that cannot be drawn."""
+def write(folder: Path, number: int, file: Path, scenes: int, seed: int, samples: int = 0) -> str:
+    """Write the pairs of one file; return its axis. Raises `EdgedError` for a file that cannot be drawn.
+
+    samples : of its path-traced pictures in each stratum of a pixel; 0: drawn ones.
+    """
     model = read_step(file)
     axis = main_axis(model)
     moved = part_from_file(model, AXES[axis])
@@ -114,22 +119,26 @@ def write(folder: Path, number: int, file: Path, scenes: int, seed: int) -> str:
     for number_of_scene in range(-1, scenes):
         rng = np.random.default_rng((26, seed, number, number_of_scene + 1))
         scene = Scene.drawn(folder, name, rng, number_of_scene)
-        pair, spec = drawn(mesh, scene.rig_from_part, rng, teaching=number_of_scene < 0)
-        true = scene.rig_from_part @ moved
+        where, teaching = scene.rig_from_part, number_of_scene < 0
+        if samples:
+            pair, spec = traced(name, mesh, where, rng, samples, teaching=teaching)
+        else:
+            pair, spec = drawn(mesh, where, rng, teaching=teaching)
+        true = where @ moved
         part = {"design": name, "break_mm": {}, "R": true[:3, :3].tolist(), "t": true[:3, 3].tolist(),
                 "tilt_bisector_deg": scene.tilt_deg, "circles": [], "lines": []}  # fmt: skip
         scene.save(pair, spec, [part])
     return axis
 
 
-def write_files(folder: Path, files: Sequence[Path], scenes: int, seed: int) -> None:
-    """Write a set of some files; say which file is which, and why others are left out."""
+def write_files(folder: Path, files: Sequence[Path], scenes: int, seed: int, samples: int = 0) -> None:
+    """Write a set of some files, as `write`; say which file is which, and why others are left out."""
     for name in ("teach", "scenes", "step"):
         (folder / name).mkdir(parents=True, exist_ok=True)
     (folder / "rig.json").write_text(json.dumps(rig_json(world_rig()), indent=1))
     for number, file in enumerate(files):
         try:
-            axis = write(folder, number, file, scenes, seed)
+            axis = write(folder, number, file, scenes, seed, samples)
         except EdgedError as error:
             print(f"left out: {error}", flush=True)
         else:
@@ -145,9 +154,10 @@ def main() -> int:
     parser.add_argument("files", type=Path, nargs="+", metavar="STEP")
     parser.add_argument("--scenes", type=int, default=2, help="of each file")
     parser.add_argument("--seed", type=int, default=1, help="of poses and looks")
+    parser.add_argument("--traced", type=int, default=0, metavar="SAMPLES", help="in each of 16 strata")
     options = parser.parse_args()
     cv2.setNumThreads(1)
-    write_files(options.folder, options.files, options.scenes, options.seed)
+    write_files(options.folder, options.files, options.scenes, options.seed, options.traced)
     return 0
 
 

@@ -292,11 +292,8 @@ def table_surface(setting: Setting) -> dict[str, Any]:
 # --- scenes ----------------------------------------------------------------------------------------
 
 
-def scene_of(
-    design: Design, where: FloatArray, setting: Setting, rig: StereoRig, folder: Path
-) -> dict[str, Any]:
+def scene_of(mesh: Mesh, where: FloatArray, setting: Setting, rig: StereoRig, folder: Path) -> dict[str, Any]:
     """The scene as Mitsuba's dictionary, in the rig's frame; its triangles go to files in a folder."""
-    mesh = meshed(design, nominal=False)
     corners = apply(where, mesh.model.points_mm)[mesh.model.triangles]
     kinds = np.array(mesh.kind)
     level = mesh.model.points_mm[mesh.model.triangles][..., :2] / SHEET_MM + 0.5
@@ -398,14 +395,14 @@ def strata(window: tuple[int, int, int, int], each: int, rng: np.random.Generato
 
 
 def pictures(
-    design: Design, where: FloatArray, setting: Setting, rig: StereoRig, samples: int,
+    mesh: Mesh, where: FloatArray, setting: Setting, rig: StereoRig, samples: int,
     expose: Callable[[FloatArray, np.random.Generator], Image] = exposed,
 ) -> tuple[Image, Image]:  # fmt: skip
     """Left and right picture with one exposure, as in cells. expose : makes a picture from light."""
     with tempfile.TemporaryDirectory() as folder:
-        tracer = Tracer(scene_of(design, where, setting, rig, Path(folder)))
+        tracer = Tracer(scene_of(mesh, where, setting, rig, Path(folder)))
         views = [(rig.left, np.eye(4)), (rig.right, np.asarray(rig.right_from_left))]
-        rng, mesh = np.random.default_rng((32, setting.seed)), meshed(design, nominal=False)
+        rng = np.random.default_rng((32, setting.seed))
         windows = [_window(view, apply(where, mesh.model.points_mm)) for view in views]
         places = apply(where, face_points(mesh, rng))
         of_faces = [tracer.radiance(*view, project(*view, places)) for view in views]
@@ -462,10 +459,19 @@ def _seen(
     return np.asarray(whole)
 
 
-def finish_of(design: Design) -> str:
-    """Finish of a design's faces: the same in all its scenes."""
-    number = int(design.name[1:])
-    return FINISHES[int(np.random.default_rng((33, number)).integers(len(FINISHES)))]
+def finish_of(name: str) -> str:
+    """Finish of the faces of a part, such as P12: the same in all its scenes."""
+    return FINISHES[int(np.random.default_rng((33, int(name[1:]))).integers(len(FINISHES)))]
+
+
+def traced(
+    name: str, mesh: Mesh, where: FloatArray, rng: np.random.Generator, samples: int, *, teaching: bool
+) -> tuple[tuple[Image, Image], dict[str, Any]]:
+    """A pair of a part in a random setting, and what the setting is."""
+    setting = Setting.drawn(finish_of(name), rng, teaching=teaching)
+    pair = pictures(mesh, where, setting, world_rig(), samples)
+    print(f"{name}: {setting.finish}, {setting.light}, {setting.table}", flush=True)
+    return pair, asdict(setting) | {"samples": samples}
 
 
 def main() -> int:
@@ -477,10 +483,8 @@ def main() -> int:
     def draw(
         design: Design, where: FloatArray, rng: np.random.Generator, *, teaching: bool
     ) -> tuple[tuple[Image, Image], dict[str, Any]]:
-        setting = Setting.drawn(finish_of(design), rng, teaching=teaching)
-        pair = pictures(design, where, setting, world_rig(), options.samples)
-        print(f"{design.name}: {setting.finish}, {setting.light}, {setting.table}", flush=True)
-        return pair, asdict(setting) | {"samples": options.samples}
+        mesh = meshed(design, nominal=False)
+        return traced(design.name, mesh, where, rng, options.samples, teaching=teaching)
 
     write_asked(options, options.folder, draw)
     return 0

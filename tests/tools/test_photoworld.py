@@ -73,11 +73,11 @@ def test_places_on_faces_lie_on_faces() -> None:
 def test_a_scene_has_lamps_table_and_every_kind_of_surface(tmp_path: Path) -> None:
     """A scene has lamps, table and every kind of surface, and a window only if asked for."""
     pytest.importorskip("mitsuba")
-    design, rig = random_design(4), world_rig()
-    scene = photoworld.scene_of(design, lying(rig, 20.0, 0.0, 0.0), SETTING, rig, tmp_path)
+    mesh, rig = meshed(random_design(4), nominal=False), world_rig()
+    scene = photoworld.scene_of(mesh, lying(rig, 20.0, 0.0, 0.0), SETTING, rig, tmp_path)
     assert {"face", "wall", "break", "under", "table", "lamps", "room"} <= set(scene)
     assert "window" not in scene
-    wider = photoworld.scene_of(design, lying(rig, 20.0, 0.0, 0.0), replace(SETTING, window=1), rig, tmp_path)
+    wider = photoworld.scene_of(mesh, lying(rig, 20.0, 0.0, 0.0), replace(SETTING, window=1), rig, tmp_path)
     assert {"window"} == set(wider) - set(scene)
 
 
@@ -90,7 +90,7 @@ def test_a_part_is_seen_where_the_truth_says() -> None:
     rim = apply(where, 9 * np.stack([np.cos(turn), np.sin(turn), 0 * turn], axis=1))
     views = ((rig.left, np.eye(4)), (rig.right, np.asarray(rig.right_from_left)))
     for picture, (camera, from_rig) in zip(
-        photoworld.pictures(design, where, SETTING, rig, 1), views, strict=True
+        photoworld.pictures(meshed(design, nominal=False), where, SETTING, rig, 1), views, strict=True
     ):
         outline = photoworld.project(camera, from_rig, rim)
         y, x = np.nonzero(picture > 0.5 * np.median(picture[picture > 80]))
