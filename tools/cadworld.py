@@ -6,8 +6,8 @@
 Each file of one solid is drawn as `tools/solidworld.py` draws its own designs, with the axis of the file
 towards the cameras that shows most curves. Files of several solids, or of parts that the cameras do not see
 whole at 200 mm, are left out, and said. With --traced they are path-traced, as by `tools/photoworld.py` (the
-extra `photoworld`; up to a minute a pair). FOLDER gets rig.json, teach/, scenes/ and step/; `tools/bench solid
-FOLDER` measures it, `--step` with the files. Use it with the CAD files of your own parts before you buy
+extra `photoworld`; up to a minute a pair). FOLDER gets rig.json, teach/, scenes/ and step/; `tools/bench
+solid FOLDER` measures it, `--step` with the files. Use it with the CAD files of your own parts before you buy
 cameras.
 """
 
