@@ -105,16 +105,17 @@ def _break_to_toml(job: Job) -> list[str]:
 
 
 def _model_to_toml(job: Job) -> list[str]:
-    """The frame of the CAD model; nothing for a job without one."""
+    """The frame of the CAD model, if there is one, and the sigma of the features, if they have one."""
+    sigma = [f"sigma_mm = {job.sigma_mm!r}   # of the features"] if job.sigma_mm else []
     if job.part_from_model is None:
-        return []
+        return sigma
     return [
         "# frame of the CAD model: x_part = part_from_model x_model, mm",
         "part_from_model = [",
         *(f"    {_numbers(row)}," for row in job.part_from_model),
         "]",
         f'report = "{job.report}"   # whose pose is published: reference, model, or a [[point]] of its frame',
-        *([f"sigma_mm = {job.sigma_mm!r}   # of the features"] if job.sigma_mm else []),
+        *sigma,
     ]
 
 

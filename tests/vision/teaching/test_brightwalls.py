@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 from helpers.cells import frame_pair, pictures, pose, scene
@@ -11,6 +12,7 @@ from helpers.flatparts import METAL
 
 from edged.domain.arrays import Image
 from edged.domain.measurement import Reject
+from edged.files.jobs import load_job, save_job
 from edged.pipeline import locate, prepare
 from edged.setup.teaching.proposal import propose_from_pair
 from edged.sim.cell import demo_rig
@@ -58,10 +60,11 @@ def test_holes_with_bright_walls_are_named_with_what_they_are_off_by() -> None:
     assert MEASURING.across * job.sigma_mm == pytest.approx(max(walls.values()), abs=1e-3)
 
 
-def test_results_of_such_a_job_are_as_uncertain() -> None:
-    """The sigma across the face contains what the circles may be off by, without and with a page."""
+def test_results_of_such_a_job_are_as_uncertain(tmp_path: Path) -> None:
+    """The sigma across the face contains what the circles may be off by, also of a job from its files."""
     seen, rig = pair(0.5), prepare(RIG)
-    taught = propose_from_pair(*seen, rig.rectification, WantedJob("disc", 1)).job
+    save_job(tmp_path / "disc", propose_from_pair(*seen, rig.rectification, WantedJob("disc", 1)).job)
+    taught = load_job(tmp_path / "disc")
     job = replace(teach(*seen, rig.rectification, None, "disc"), limits=taught.limits)
     assert job.sigma_mm == taught.sigma_mm > 0.07
     for one in (job, replace(job, sigma_mm=0.0)):
