@@ -22,7 +22,7 @@ from edged.vision.solid.locate import FoundPart, weighed
 from edged.vision.solid.lock import Pyramids
 from edged.vision.solid.modes import SearchedPart, find_places, pyramids_of
 from edged.vision.solid.params import BREAKS, DECISION
-from edged.vision.solid.symmetry import like_turns
+from edged.vision.solid.symmetry import EqualTurns, equal_turns, like_turns
 from edged.vision.teaching.cadbody import body_of
 from edged.vision.teaching.cadjob import teach_model
 from edged.vision.teaching.cadmatch import levelled
@@ -76,10 +76,12 @@ def _looked_for(images: StereoImages, curves: ModelCurves, mask: Image) -> Float
     pyramids = pyramids_of(images, wanted)
     # first with usual breaks; then with all widths, each from a scan of its own: of wide breaks either edge
     # may show, and views of a model without them lead to a pose between the two
-    found = _laid_by(images, replace(wanted, models=(with_breaks(sharp, BREAKS.usual_mm),)), pyramids, mask)
+    same = equal_turns(body)
+    usual = replace(wanted, models=(with_breaks(sharp, BREAKS.usual_mm),))
+    found = _laid_by(images, usual, pyramids, mask, same)
     if found is None:
         tried = [
-            _laid_by(images, replace(wanted, models=(with_breaks(sharp, width),)), pyramids, mask)
+            _laid_by(images, replace(wanted, models=(with_breaks(sharp, width),)), pyramids, mask, same)
             for width in BREAKS.unknown_mm
         ]
         shown = [part for part in tried if part is not None]
@@ -87,8 +89,13 @@ def _looked_for(images: StereoImages, curves: ModelCurves, mask: Image) -> Float
     return None if found is None else np.asarray(found.laid.pose @ level)
 
 
-def _laid_by(images: StereoImages, wanted: SearchedPart, pyramids: Pyramids, mask: Image) -> FoundPart | None:
-    """The part within a mask, by one model; None if it is not certain, or fits as well otherwise."""
+def _laid_by(
+    images: StereoImages, wanted: SearchedPart, pyramids: Pyramids, mask: Image, same: EqualTurns
+) -> FoundPart | None:
+    """The part within a mask, by one model; None if it is not certain, or fits as well otherwise.
+
+    same : turns after which it is no other pose.
+    """
     model = wanted.models[0]
     turns = like_turns(model, (float(model.centre[0]), float(model.centre[1])))
     for place in find_places(wanted, pyramids):
@@ -96,7 +103,7 @@ def _laid_by(images: StereoImages, wanted: SearchedPart, pyramids: Pyramids, mas
         x, y = np.rint(images.rectification.rectify_points("left", centre)[0]).astype(int)
         if not (0 <= y < mask.shape[0] and 0 <= x < mask.shape[1] and mask[y, x] > 0):
             continue
-        found = weighed(pyramids, place, lambda _: turns)
+        found = weighed(pyramids, place, lambda _: turns, same)
         # little certainty is needed here: `laid_on_pair` tests it again with the breaks of the part
         is_shown = found.certain >= DECISION.worth_forms and found.margin >= DECISION.certain
         return found if is_shown else None

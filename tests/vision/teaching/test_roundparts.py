@@ -4,19 +4,23 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 from helpers.cells import frame_pair
 from helpers.drawnparts import place, rig
 from solids import Design, Wall, box, circle
-from solidworld import drawn
+from solidworld import drawn, write_drawing
 
+from edged.commands.teach import read_model
 from edged.domain.arrays import Image
 from edged.domain.frames import FramePair
 from edged.domain.measurement import Reject
+from edged.errors import TeachError
 from edged.pipeline import locate
-from edged.vision.teaching.pair import teach
+from edged.vision.teaching import cadpair
+from edged.vision.teaching.pair import WantedJob, teach, view_of
 
 TUBE = (
     Wall("base", circle(0.0, 0.0, 8.0), -1, True, 0.0, 14.0),
@@ -47,3 +51,21 @@ def test_a_hole_beside_its_axis_tells_how_a_tube_is_turned() -> None:
     """A square hole is no accident of the light."""
     job = teach(*seen(Design("tube", (*TUBE, MARK)), 1), rig().rectification, None, "tube")
     assert not job.shape.round
+
+
+@pytest.mark.long
+def test_a_tube_that_its_pair_does_not_teach_is_found_with_its_file(tmp_path: Path) -> None:
+    """No turn of it is a rival of how it lies, when it is looked for by all its edges."""
+    tube = Design("tube", TUBE)
+    pair = seen(tube, 2)
+    with pytest.raises(TeachError):
+        teach(*pair, rig().rectification, None, "tube")
+    write_drawing(tmp_path, tube)
+    _, shown = read_model(tmp_path / "tube.step", "-z")
+    view = view_of(*pair, rig().rectification, None)
+    settled = cadpair.teach_with_model(view, shown.curves, "tube", WantedJob("tube", 1))
+    assert "looked for by all its edges" in settled.remarks[0]
+    job = settled.job
+    assert job.part_from_model is not None
+    axis = (job.rig_from_part @ job.part_from_model)[:3, 2]
+    assert math.degrees(math.acos(min(abs(float(axis @ place(0.0)[:3, 2])), 1.0))) < 0.2
