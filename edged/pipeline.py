@@ -5,9 +5,12 @@ Pure: no clock, no I/O, bit-identical when replayed.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import itertools
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Protocol
+
+import numpy as np
 
 from edged.domain.arrays import Image
 from edged.domain.frames import FramePair
@@ -34,6 +37,8 @@ from edged.vision.solid.locate import all_edges_agree, locate_solid
 NEAR_SHARE = 0.7
 """Share of min_score that counts as a near miss: at half of it clutter looks like parts, and a search in
 noise takes seconds."""
+ONE_CIRCLE = 0.1
+"""Distance of two circles' centres over their radius from which they are two: stacked washers are."""
 
 
 class RigByMarks(Protocol):
@@ -116,6 +121,7 @@ def inspect(
             measured.append(result)
         else:
             dismissed.append(NotMeasured(match_in_raw(rig.rectification, match), result))
+    measured = doubted_where_shared(measured)
     lap("measure")
     good = [part.target for part in measured if part.target.reject is Reject.NONE]
     if by_all and not (good and all_edges_agree(images, job, good)):
@@ -124,6 +130,28 @@ def inspect(
             return again
     nearest = None if matches else Nearest(lambda: nearest_miss(pair, job, rig))
     return PairInspection(tuple(measured), tuple(dismissed), nearest)
+
+
+def doubted_where_shared(measured: Sequence[MeasuredPart]) -> list[MeasuredPart]:
+    """Measured parts; the turns of those that were accepted with one and the same circle are in doubt.
+
+    A job of two equal holes fits a part twice, turned about their middle.
+    """
+    good = [part for part in measured if part.target.reject is Reject.NONE]
+    doubted = {
+        id(part)
+        for part, other in itertools.permutations(good, 2)
+        if any(
+            float(np.linalg.norm(mine.centre_mm - theirs.centre_mm)) < ONE_CIRCLE * mine.radius_mm
+            for mine, theirs in itertools.product(part.target.circles, other.target.circles)
+        )
+    }
+    return [
+        replace(part, target=replace(part.target, reject=Reject.AMBIGUOUS_ROTATION))
+        if id(part) in doubted
+        else part
+        for part in measured
+    ]
 
 
 def _inspect_solid(images: StereoImages, job: Job, lap: Callable[[str], None]) -> PairInspection:

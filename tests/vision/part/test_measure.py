@@ -18,7 +18,7 @@ from edged.domain.arrays import FloatArray, Image
 from edged.domain.measurement import Outcome, Reject, Status
 from edged.files.ply import VERTEX, encode_ply
 from edged.pictures.overlay import RED, TITLE_HEIGHT_PX, WIDTH_PX, draw_pair
-from edged.pipeline import cloud, inspect, judge, locate
+from edged.pipeline import cloud, doubted_where_shared, inspect, judge, locate
 from edged.sim.render.scene import Disc, Hole, Part, RoundedBox, Slot, Surface
 from edged.vision.curves.outlines import Curve, Face
 from edged.vision.curves.planefit import fit_plane
@@ -193,6 +193,20 @@ def test_a_round_part_states_its_free_axis() -> None:
     about = math.sqrt(target.free_axis @ target.covariance[3:, 3:] @ target.free_axis)
     assert about == pytest.approx(math.pi / math.sqrt(3), rel=0.01)
     assert only(found(cell("disc"), cell("disc").job, ELSEWHERE)).free_axis is None
+
+
+def test_two_parts_cannot_have_one_circle() -> None:
+    """Where a job fits the same circles twice neither is accepted; a disc that lies on another one is."""
+    here = cell("disc")
+    (one,) = inspect(frame_pair(*here.see(ELSEWHERE)), here.job, here.rig).measured
+    below = (0.0, 0.0, 1.5)
+    stacked = tuple(replace(bore, centre_mm=bore.centre_mm + below) for bore in one.target.circles)
+    for other, expected in (
+        (one.target.circles[:1], Reject.AMBIGUOUS_ROTATION),
+        (stacked, Reject.NONE),
+    ):
+        pair = [one, replace(one, target=replace(one.target, circles=other))]
+        assert [expected] * 2 == [part.target.reject for part in doubted_where_shared(pair)]
 
 
 # --- reasons to refuse -------------------------------------------------------------------------------
