@@ -37,7 +37,7 @@ from edged.vision.solid.locate import all_edges_agree, locate_solid
 NEAR_SHARE = 0.7
 """Share of min_score that counts as a near miss: at half of it clutter looks like parts, and a search in
 noise takes seconds."""
-ONE_CIRCLE = 0.1
+SAME_CIRCLE = 0.1
 """Distance of two circles' centres over their radius from which they are two: stacked washers are."""
 
 
@@ -142,7 +142,7 @@ def doubted_where_shared(measured: Sequence[MeasuredPart]) -> list[MeasuredPart]
         id(part)
         for part, other in itertools.permutations(good, 2)
         if any(
-            float(np.linalg.norm(mine.centre_mm - theirs.centre_mm)) < ONE_CIRCLE * mine.radius_mm
+            float(np.linalg.norm(mine.centre_mm - theirs.centre_mm)) < SAME_CIRCLE * mine.radius_mm
             for mine, theirs in itertools.product(part.target.circles, other.target.circles)
         )
     }

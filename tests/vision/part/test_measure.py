@@ -198,14 +198,14 @@ def test_a_round_part_states_its_free_axis() -> None:
 def test_two_parts_cannot_have_one_circle() -> None:
     """Where a job fits the same circles twice neither is accepted; a disc that lies on another one is."""
     here = cell("disc")
-    (one,) = inspect(frame_pair(*here.see(ELSEWHERE)), here.job, here.rig).measured
+    (disc,) = inspect(frame_pair(*here.see(ELSEWHERE)), here.job, here.rig).measured
     below = (0.0, 0.0, 1.5)
-    stacked = tuple(replace(bore, centre_mm=bore.centre_mm + below) for bore in one.target.circles)
+    stacked = tuple(replace(bore, centre_mm=bore.centre_mm + below) for bore in disc.target.circles)
     for other, expected in (
-        (one.target.circles[:1], Reject.AMBIGUOUS_ROTATION),
+        (disc.target.circles[:1], Reject.AMBIGUOUS_ROTATION),
         (stacked, Reject.NONE),
     ):
-        pair = [one, replace(one, target=replace(one.target, circles=other))]
+        pair = [disc, replace(disc, target=replace(disc.target, circles=other))]
         assert [expected] * 2 == [part.target.reject for part in doubted_where_shared(pair)]
 
 

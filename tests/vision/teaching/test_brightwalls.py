@@ -67,10 +67,10 @@ def test_results_of_such_a_job_are_as_uncertain(tmp_path: Path) -> None:
     taught = load_job(tmp_path / "disc")
     job = replace(teach(*seen, rig.rectification, None, "disc"), limits=taught.limits)
     assert job.sigma_mm == taught.sigma_mm > 0.07
-    for one in (job, replace(job, sigma_mm=0.0)):
-        target = locate(frame_pair(*seen), one, rig).targets[0]
-        assert (target.sigma_mm[2] > MEASURING.across * job.sigma_mm) == bool(one.sigma_mm)
-        assert bool(target.reject & Reject.SIGMA_LIMIT) == bool(one.sigma_mm)
+    for other in (job, replace(job, sigma_mm=0.0)):
+        target = locate(frame_pair(*seen), other, rig).targets[0]
+        assert (target.sigma_mm[2] > MEASURING.across * job.sigma_mm) == bool(other.sigma_mm)
+        assert bool(target.reject & Reject.SIGMA_LIMIT) == bool(other.sigma_mm)
 
 
 @pytest.mark.parametrize("wall", [0.05, 0.3])
