@@ -120,7 +120,7 @@ def touch(points: F64, corners: F64, reach: float) -> bool:
     for k in range(points.shape[0]):
         near = False
         for i in range(corners.shape[0]):
-            away, outside = 0.0, False
+            outside = False
             for j in range(3):
                 low = min(corners[i, 0, j], corners[i, 1, j], corners[i, 2, j]) - reach
                 high = max(corners[i, 0, j], corners[i, 1, j], corners[i, 2, j]) + reach
