@@ -46,20 +46,20 @@ class Installer:
             raise SetupRefused("another release is being installed")
         async with self._turn:
             process = await asyncio.to_thread(self._started, memory)
-            answers = asyncio.StreamReader(MOST_LINE_BYTES)
-            pipe, _ = await asyncio.get_running_loop().connect_read_pipe(
-                lambda: asyncio.StreamReaderProtocol(answers), process.stdout
-            )
+            answers, pipe = asyncio.StreamReader(MOST_LINE_BYTES), None
             try:
+                pipe, _ = await asyncio.get_running_loop().connect_read_pipe(
+                    lambda: asyncio.StreamReaderProtocol(answers), process.stdout
+                )
                 await _heard(process, answers)
                 if refused := await self._reload():
                     await _heard(process, answers, UNDO)
                 else:
                     await asyncio.to_thread(note_installed, state_folder(self._config))
             finally:
-                pipe.close()
-                if process.stdin is not None:
-                    process.stdin.close()
+                for end in (pipe, process.stdin):
+                    if end is not None:
+                        end.close()
                 await asyncio.shield(ended(process, 0.0))
         if refused:
             raise UserError(f"the cell cannot run with it, and goes on as before: {refused}")

@@ -3,15 +3,24 @@
 from __future__ import annotations
 
 import functools
+import math
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 from solids import random_design
-from solidworld import drawn, world_rig
+from solidworld import drawn, world_rig, write_drawing
 
+from edged.commands.teach import read_model
 from edged.domain.arrays import FloatArray, Image
 from edged.pipeline import PreparedRig, prepare
 from edged.vision.geometry.rectification import StereoImages
+from edged.vision.part.job import Job
+from edged.vision.teaching.cadjob import teach_model
 from helpers.tilted import lying
+
+DEPTH_MM = 205.0
+"""Distance at which a part is taught from its file alone."""
 
 
 @functools.cache
@@ -38,3 +47,11 @@ def pair(design: int, tilt_deg: float = 0.0) -> tuple[Image, Image]:
     """Pair of a drawn part on a teaching table; a tilt of 0 is the pose it is taught in."""
     rng = np.random.default_rng((5, design, round(tilt_deg)))
     return drawn(random_design(design), place(tilt_deg), rng, teaching=True)[0]
+
+
+def from_file(folder: Path, design: int) -> Job:
+    """The job of a drawn part, taught from its file alone."""
+    write_drawing(folder, random_design(design))
+    model, shown = read_model(folder / f"P{design}.step", "-z")
+    job, _ = teach_model(model, shown.curves, rig().rectification, DEPTH_MM, f"P{design}")
+    return replace(job, tilt_rad=math.radians(45.0))

@@ -39,7 +39,7 @@ def inspect_model(model: ShapeModel, search: SearchParams) -> ModelInspection:
     """Judge a model for a search."""
     order = np.argsort(-model.symmetries[:, 3], kind="stable")
     rivals = model.symmetries[order][:, 2:4]
-    symmetric = bool(len(rivals)) and float(rivals[0, 1]) >= model.same_score
+    symmetric = len(model.equal_motions) > 0
     sigmas = _bounds(model)
     reserve = model.contrast / max(search.min_contrast, 1e-9)
     worded = _warnings(model, rivals, symmetric, reserve, sigmas)

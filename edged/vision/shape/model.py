@@ -49,6 +49,11 @@ class ShapeModel:
         """Similarity from which two rotations cannot be distinguished."""
         return LEARNING.same_score
 
+    @property
+    def equal_motions(self) -> FloatArray:
+        """Those (M, 4) of the symmetries after which the shape cannot be distinguished."""
+        return self.symmetries[self.symmetries[:, 3] >= self.same_score]
+
     def to_arrays(self) -> dict[str, npt.NDArray[Any]]:
         """Plain arrays for a file."""
         arrays: dict[str, npt.NDArray[Any]] = {

@@ -346,7 +346,7 @@ class _Search:
 
     def _equal(self) -> list[FloatArray]:
         """Motions after which the shape looks the same."""
-        return [row for row in self.model.symmetries if row[3] >= self.model.same_score]
+        return list(self.model.equal_motions)
 
     def _with_odds(self, hypothesis: Hypothesis, found: list[Hypothesis]) -> Hypothesis:
         """Add to a hypothesis its odds of chance, from an equally good one at its place, or measured."""

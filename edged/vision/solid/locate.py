@@ -153,8 +153,8 @@ def _agrees(job: Job, models: Sequence[EdgeModel], pyramids: Pyramids, target: T
     laid = lay(models[0], pyramids, pose, FINE_STEPS)
     if laid is None or turn_between(laid.pose, pose) > DECISION.same_turn_rad:
         return False
-    alike = any(row[3] >= job.shape.same_score for row in job.shape.symmetries)  # declared, and warned of
-    found = weighed(pyramids, PartPlace((laid,)), lambda model: () if alike else _turns(job, model))
+    is_declared = len(job.shape.equal_motions) > 0  # at teaching, which warned of it
+    found = weighed(pyramids, PartPlace((laid,)), lambda model: () if is_declared else _turns(job, model))
     if found.laid is not laid or found.margin <= DECISION.certain or not _is_whole(job, found):
         return False
     if laid.agreeing.min() > DECISION.plain:

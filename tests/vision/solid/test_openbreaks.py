@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers.drawnparts import images_of, place, rig
+from helpers.drawnparts import from_file, images_of, place, rig
 from solids import random_design
 from solidworld import Look, World, drawn, pictures, world_rig, write_drawing
 
@@ -31,20 +30,11 @@ from edged.vision.solid.locate import (
 )
 from edged.vision.solid.modes import find_places, pyramids_of
 from edged.vision.teaching import cadpair
-from edged.vision.teaching.cadjob import teach_model
 from edged.vision.teaching.cadsettling import Settled
 from edged.vision.teaching.furtherpairs import with_breaks_shown
 from edged.vision.teaching.pair import WantedJob, view_of
 
 DEPTH_MM = 205.0
-
-
-def from_file(folder: Path, design: int) -> Job:
-    """The job of a drawn part, taught from its file alone."""
-    write_drawing(folder, random_design(design))
-    model, shown = read_model(folder / f"P{design}.step", "-z")
-    job, _ = teach_model(model, shown.curves, rig().rectification, DEPTH_MM, f"P{design}")
-    return replace(job, tilt_rad=math.radians(45.0))
 
 
 def hiding(design: int, seed: int) -> StereoImages:

@@ -4,44 +4,32 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers.drawnparts import images_of, place, rig
-from solids import random_design
-from solidworld import write_drawing
+from helpers.drawnparts import DEPTH_MM, from_file, images_of, place, rig
 
-from edged.commands.teach import read_model
 from edged.domain.arrays import FloatArray
 from edged.domain.measurement import Reject
-from edged.vision.geometry.rigid import rotation_matrix, transform
 from edged.vision.part.job import Job
 from edged.vision.solid import locate
 from edged.vision.solid.lock import LockedPose, Pyramids
 from edged.vision.solid.modes import PartPlace, SearchedPart, find_places, pyramids_of
 from edged.vision.solid.scan import view_set
-from edged.vision.teaching.cadjob import teach_model
+from edged.vision.solid.visible import moved
 
 DESIGN = 3
-DEPTH_MM = 205.0
 
 
 @pytest.fixture(scope="module")
 def job(tmp_path_factory: pytest.TempPathFactory) -> Job:
     """The job of a drawn part, taught from its file alone."""
-    folder: Path = tmp_path_factory.mktemp("file")
-    write_drawing(folder, random_design(DESIGN))
-    model, shown = read_model(folder / f"P{DESIGN}.step", "-z")
-    taught, _ = teach_model(model, shown.curves, rig().rectification, DEPTH_MM, f"P{DESIGN}")
-    return replace(taught, tilt_rad=math.radians(45.0))
+    return from_file(tmp_path_factory.mktemp("file"), DESIGN)
 
 
-def turned(pose: FloatArray, model_centre: FloatArray, turn: FloatArray) -> FloatArray:
-    """A pose turned about the part's middle by a rotation vector, rad."""
-    about = rotation_matrix(turn)
-    return np.asarray(pose @ transform(about, model_centre - about @ model_centre))
+def turned(laid: LockedPose, x_deg: float = 0.0, z_deg: float = 0.0) -> FloatArray:
+    """The pose of a part turned about its own axes, at its middle."""
+    return moved(laid.model, laid.pose, np.radians([x_deg, 0.0, z_deg, 0.0, 0.0, 0.0]))
 
 
 def test_the_second_look_has_the_views_between_those_of_the_first(job: Job) -> None:
@@ -72,7 +60,7 @@ def test_a_part_missed_at_first_is_found(job: Job, missed: str, monkeypatch: pyt
         if missed == "nothing":
             return []
         right = find_places(wanted, pyramids)[0].best
-        wrong = turned(right.pose, right.model.centre, np.array([math.radians(12.0), 0.0, 0.0]))
+        wrong = turned(right, x_deg=12.0)
         return [PartPlace((LockedPose(right.model, wrong, 0.4 * right.agreeing),))]
 
     monkeypatch.setattr(locate, "find_places", found)
@@ -91,12 +79,12 @@ def test_only_a_pose_that_both_pictures_show_is_a_rival(job: Job) -> None:
     wanted = locate.wanted_of(job)
     pyramids = pyramids_of(images, wanted)
     right = find_places(wanted, pyramids)[0].best
-    wrong = turned(right.pose, right.model.centre, np.array([0.0, 0.0, math.radians(60.0)]))
+    wrong = turned(right, z_deg=60.0)
     of_chance = LockedPose(right.model, wrong, 0.7 * right.agreeing)
     found = locate.weighed(pyramids, PartPlace((right, of_chance)), lambda _: ())
     assert found.certain > 0
     assert found.margin == math.inf
-    near = turned(right.pose, right.model.centre, np.array([0.0, 0.0, math.radians(3.5)]))
+    near = turned(right, z_deg=3.5)
     rival = LockedPose(right.model, near, 0.9 * right.agreeing)
     itself = locate.weighed(pyramids, PartPlace((rival,)), lambda _: ())
     again = locate.weighed(pyramids, PartPlace((right, rival)), lambda _: ())
