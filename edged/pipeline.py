@@ -133,15 +133,18 @@ def inspect(
 
 
 def doubted_where_shared(measured: Sequence[MeasuredPart]) -> list[MeasuredPart]:
-    """Measured parts; the turns of those that were accepted with one and the same circle are in doubt.
+    """Measured parts; the turns of those that were accepted with a circle of another are in doubt.
 
-    A job of two equal holes fits a part twice, turned about their middle.
+    A job of two equal holes fits a part twice, turned about their middle or moved by their distance. One that
+    was refused counts where it fits its picture better.
     """
     good = [part for part in measured if part.target.reject is Reject.NONE]
     doubted = {
         id(part)
-        for part, other in itertools.permutations(good, 2)
-        if any(
+        for part, other in itertools.product(good, measured)
+        if part is not other
+        and (other in good or other.target.match.score > part.target.match.score)
+        and any(
             float(np.linalg.norm(mine.centre_mm - theirs.centre_mm)) < SAME_CIRCLE * mine.radius_mm
             for mine, theirs in itertools.product(part.target.circles, other.target.circles)
         )

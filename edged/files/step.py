@@ -21,20 +21,23 @@ import numpy as np
 from edged.domain.arrays import FloatArray
 from edged.errors import FileFormatError
 from edged.files.atomic import read_bytes
+from edged.vision.part.body import MAX_TRIANGLES
 from edged.vision.teaching.cadmodel import CadModel, FlatSurface, RoundSurface, Surface
 
 MAX_FACES = 20_000
 """Most faces of one part; castings with every fillet have a few thousand."""
 MIN_READ = 0.9
 """Smallest share of the faces that must be read: only slivers between others may be lost."""
-MAX_TRIANGLES = 2_000_000
+MAX_CONVERTED = 2_000_000
+"""Most triangles that are read."""
 MAX_SECONDS = 60
 MAX_MEMORY_BYTES = 4 << 30
 """Limit of address space, not of resident pages: the library alone takes 1 GiB of it."""
 MAX_MESH_BYTES = 256 << 20
 """Largest binary glTF accepted from the library."""
-TOLERANCE_MM, TOLERANCE_RAD = 0.01, 0.2
-"""Deviation of the triangles from the surface; they only serve to find where faces meet."""
+FINENESS = (0.01, 0.2), (0.02, 0.25), (0.02, 0.3)
+"""Deviations of the triangles from the surface, mm and rad, of which the next is taken where a job could not
+keep all triangles. From 0.35 rad (`MODEL.sharp`) the sides of the triangles of a fillet count as edges."""
 METRES = 1000.0
 
 _SOLIDS = re.compile(
@@ -85,7 +88,10 @@ def read_step(path: Path) -> CadModel:
     if faces > MAX_FACES:
         raise FileFormatError(f"{path}: {faces} faces: expected the model of one part, at most {MAX_FACES}")
     try:
-        model = _model(_converted(data, path))
+        for fineness in FINENESS:
+            model = _model(_converted(data, path, fineness))
+            if len(model.triangles) <= MAX_TRIANGLES:
+                break
     except (ValueError, LookupError, TypeError, struct.error) as error:
         raise FileFormatError(f"{path}: damaged: its solid cannot be read ({error})") from error
     if len(model.surfaces) < MIN_READ * faces:
@@ -95,11 +101,11 @@ def read_step(path: Path) -> CadModel:
     return model
 
 
-def _converted(data: bytes, path: Path) -> bytes:
-    """Convert the file to binary glTF: triangles and the face that each belongs to."""
+def _converted(data: bytes, path: Path, fineness: tuple[float, float]) -> bytes:
+    """Convert the file to binary glTF: triangles of a fineness, and the face that each belongs to."""
     if importlib.util.find_spec("cascadio") is None:
         raise FileFormatError(f"{path}: to read STEP files, install cascadio: pip install 'edged[cad]'")
-    limits = MAX_MEMORY_BYTES, MAX_SECONDS, TOLERANCE_MM, TOLERANCE_RAD, MAX_MESH_BYTES
+    limits = MAX_MEMORY_BYTES, MAX_SECONDS, *fineness, MAX_MESH_BYTES
     command = [sys.executable, "-P", "-c", _WORKER, *(str(limit) for limit in limits)]
     try:
         plain = _COLOURED.sub(b"NO_ITEM", data)
@@ -136,7 +142,7 @@ def _model(glb: bytes) -> CadModel:
     points = _array(document, binary, primitive["attributes"]["POSITION"]).astype(np.float64)
     triangles = _array(document, binary, primitive["indices"]).astype(np.int64).reshape(-1, 3)
     face_of = _array(document, binary, extra["faceIndices"]).astype(np.int64).reshape(-1)
-    if not 0 < len(triangles) <= MAX_TRIANGLES or len(face_of) != len(triangles):
+    if not 0 < len(triangles) <= MAX_CONVERTED or len(face_of) != len(triangles):
         raise ValueError(f"{len(triangles)} triangles")
     placed = _placed(document, number)
     points = METRES * (points @ placed[:3, :3].T + placed[:3, 3])

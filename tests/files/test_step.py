@@ -216,6 +216,19 @@ def test_what_cad_leaves_beside_the_shape_changes_nothing(tmp_path: Path, beside
     assert len(plain.edges) == len(found.edges) > 0
 
 
+def test_a_surface_that_no_job_could_keep_is_read_with_larger_triangles(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Of a part with more triangles than a job keeps, its edges stay those of the file."""
+    fine = read_step(DATA / "D4.step")
+    monkeypatch.setattr("edged.files.step.MAX_TRIANGLES", len(fine.triangles) - 1)
+    coarse = read_step(DATA / "D4.step")
+    assert len(coarse.triangles) < len(fine.triangles)
+    up = np.array([0.0, 0.0, -1.0])
+    radii = [[circle.radius_mm for circle in curves_towards(model, up).circles] for model in (fine, coarse)]
+    assert radii[1] == pytest.approx(radii[0])
+
+
 def test_a_file_that_is_not_there_is_named(tmp_path: Path) -> None:
     """A missing file is named."""
     with pytest.raises(FileFormatError, match=r"none\.step"):

@@ -11,8 +11,10 @@ import numpy.typing as npt
 
 from edged.domain.arrays import I64, FloatArray
 
-MAX_TRIANGLES = 40_000
-"""Most triangles that a job keeps; a part with more is taught without its surface."""
+MAX_TRIANGLES = 100_000
+"""Most triangles that a job keeps; a part with more is taught without its surface. Of 75 public designs, with
+fillets, letters and threads, the largest has 82,000. Finding takes 1.5 times as long with 45,000 as with
+20,000."""
 MAX_SIZE_MM = 1e4  # largest coordinate in a job file
 MAX_BREAK_MM = 10.0  # largest edge break in a job file
 BREAKS = ("breaks_mm", "sigma_break_mm")

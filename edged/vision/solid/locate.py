@@ -33,8 +33,8 @@ from edged.vision.solid.evidence import PoseEvidence, apart, evidence_of, margin
 from edged.vision.solid.forms import PosedPair, as_shown, contradiction, likeliest_form, with_breaks
 from edged.vision.solid.lock import FINE_STEPS, LockedPose, Pyramids, lay
 from edged.vision.solid.modes import PartPlace, SearchedPart, find_places, pyramids_of
-from edged.vision.solid.params import BREAKS, DECISION
-from edged.vision.solid.symmetry import NO_TURN, EqualTurns, equal_turns, is_round, like_turns
+from edged.vision.solid.params import BREAKS, DECISION, SYMMETRY
+from edged.vision.solid.symmetry import NO_TURN, EqualTurns, equal_turns, is_round, like_turns, turns_of
 from edged.vision.solid.visible import moved
 
 
@@ -103,7 +103,7 @@ def _measured_at(
     for place in places:
         if len(measured) + len(dismissed) == job.search.max_matches:
             break
-        found = weighed(pyramids, place, lambda model: _turns(job, model), equal_turns(job.body))
+        found = weighed(pyramids, place, lambda model: _turns(job, model), turns_of(job))
         if found.certain > DECISION.worth_forms:
             if job.body is None:
                 found = _of_likeliest_form(images, job, found, place, pyramids)
@@ -111,7 +111,7 @@ def _measured_at(
                 alike = weighed_with_breaks_of(taken[0], images, job, place, pyramids) if taken else None
                 found = alike or weighed_with_own_breaks(images, job, found, place, pyramids)
         lap("find")
-        found = _as_taught(job, found)
+        found = _as_taught(job, found, pyramids)
         match = _match(images, job, found.laid)
         alone = _certain(found.seen, _not_of(found, taken, shapes))  # without the edges of other parts
         if min(found.certain, alone) < DECISION.certain or not _is_whole(job, found):
@@ -120,7 +120,7 @@ def _measured_at(
         taken.append(found)
         result = measure_found(images, job, found, pyramids, match)
         if job.body is not None and not job.has_open_breaks and _contradicts(result):
-            found = _as_taught(job, weighed_with_own_breaks(images, job, found, place, pyramids))
+            found = _as_taught(job, weighed_with_own_breaks(images, job, found, place, pyramids), pyramids)
             result = measure_found(images, job, found, pyramids, match)
         lap("measure")
         if isinstance(result, parts.MeasuredPart):
@@ -153,8 +153,7 @@ def _agrees(job: Job, models: Sequence[EdgeModel], pyramids: Pyramids, target: T
     laid = lay(models[0], pyramids, pose, FINE_STEPS)
     if laid is None or turn_between(laid.pose, pose) > DECISION.same_turn_rad:
         return False
-    is_declared = len(job.shape.equal_motions) > 0  # at teaching, which warned of it
-    found = weighed(pyramids, PartPlace((laid,)), lambda model: () if is_declared else _turns(job, model))
+    found = weighed(pyramids, PartPlace((laid,)), lambda model: _turns(job, model), turns_of(job))
     if found.laid is not laid or found.margin <= DECISION.certain or not _is_whole(job, found):
         return False
     if laid.agreeing.min() > DECISION.plain:
@@ -220,10 +219,12 @@ def _axis(job: Job) -> tuple[float, float]:
 
 def _turns(job: Job, model: EdgeModel) -> tuple[FloatArray, ...]:
     """Motions that leave the part like itself, about its reference or its middle; none for a round part."""
-    axes = {_axis(job), (float(model.centre[0]), float(model.centre[1]))}
+    axes = [_axis(job), (float(model.centre[0]), float(model.centre[1]))]
     if _is_round(job, model, axes):
         return ()
-    return tuple(motion for axis in sorted(axes) for motion in like_turns(model, axis))
+    if math.dist(*axes) < SYMMETRY.near * model.size_mm:
+        axes.pop()
+    return tuple(motion for axis in axes for motion in like_turns(model, axis))
 
 
 def _is_round(job: Job, model: EdgeModel, axes: Iterable[tuple[float, float]]) -> bool:
@@ -233,10 +234,14 @@ def _is_round(job: Job, model: EdgeModel, axes: Iterable[tuple[float, float]]) -
     return any(is_round(model, axis) for axis in axes)
 
 
-def _as_taught(job: Job, found: FoundPart) -> FoundPart:
+def _as_taught(job: Job, found: FoundPart, pyramids: Pyramids) -> FoundPart:
     """A part that is the same after a turn at the pose that is turned least from the taught one."""
-    pose = equal_turns(job.body).nearest(found.laid.pose, job.rig_from_part)
-    return replace(found, laid=replace(found.laid, pose=pose))
+    pose = turns_of(job).nearest(found.laid.pose, job.rig_from_part)
+    if pose is found.laid.pose:
+        return found
+    # a pair shows the axis less exactly than a body has it
+    laid = None if job.body is not None else lay(found.laid.model, pyramids, pose, FINE_STEPS)
+    return replace(found, laid=laid or replace(found.laid, pose=pose))
 
 
 def weighed(
@@ -249,7 +254,6 @@ def weighed(
 
     turns_of : motions that leave a model like itself. same : turns after which it is no rival.
     """
-    fine = FINE_STEPS[-DECISION.rival_steps :]
     poses = list(place.modes)
     seen = [evidence_of(mode.model, pyramids, mode.pose) for mode in poses]
     model = poses[max(range(len(poses)), key=lambda k: _certain(seen[k]))].model
@@ -265,7 +269,7 @@ def weighed(
             pose = np.asarray(poses[best].pose @ motion)
             if any(same.turn_between(pose, mode.pose) < DECISION.same_turn_rad for mode in poses):
                 continue
-            laid = lay(model, pyramids, pose, fine)
+            laid = lay(model, pyramids, pose, FINE_STEPS)
             if laid is not None and laid.mean > DECISION.worth * poses[best].mean:
                 poses.append(laid)
                 seen.append(evidence_of(model, pyramids, laid.pose))
@@ -339,11 +343,11 @@ def _weighed_from(
     job: Job, model: EdgeModel, poses: Sequence[FloatArray], pyramids: Pyramids
 ) -> FoundPart | None:
     """Lock a model anew from some poses of one place, and weigh the result; None if none holds."""
-    laid = [lay(model, pyramids, pose, FINE_STEPS[-DECISION.rival_steps :]) for pose in poses]
+    laid = [lay(model, pyramids, pose, FINE_STEPS) for pose in poses]
     modes = tuple(mode for mode in laid if mode is not None)
     if not modes:
         return None
-    return weighed(pyramids, PartPlace(modes), lambda model: _turns(job, model), equal_turns(job.body))
+    return weighed(pyramids, PartPlace(modes), lambda model: _turns(job, model), turns_of(job))
 
 
 def _tilted_poses(model: EdgeModel, pose: FloatArray) -> list[FloatArray]:

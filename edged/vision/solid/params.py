@@ -269,7 +269,7 @@ class SymmetryParams:
     round_share: float = 0.97  # share of the edges that any turn of a round part leaves where they are
     exact_mm: float = 0.04
     """Distance from a turned edge to one of the part that is none: four times what a file's triangles are off
-    (`edged.files.step.TOLERANCE_MM`)."""
+    (`edged.files.step.FINENESS`)."""
     rounding_rad: float = math.radians(40.0)
     """Bend up to which an edge may be one between the triangles of a rounding: twice that from which it is an
     edge of the body (`MODEL.sharp`)."""
@@ -303,7 +303,6 @@ class DecisionParams:
     holes."""
     lying_rad: float = math.radians(8.0)  # largest tilt of parts of a job that allows for none
     tilt_margin_rad: float = math.radians(5.0)  # added to the allowed tilt: views are 13 degrees apart
-    rival_steps: int = 4  # last ones of the fine lock, for a turn that leaves the part like itself
     worth: float = 0.6  # share of the best agreement, from which a turned pose is considered
     plain: float = 0.9
     """Agreement of both cameras from which a pose by some curves is accepted for all of them."""

@@ -13,6 +13,7 @@ from edged.domain.arrays import B8, F64, FloatArray
 from edged.vision.geometry.rigid import apply, turn_about_z, turn_between, turned_to
 from edged.vision.kernels.jit import kernel
 from edged.vision.part.body import PartBody
+from edged.vision.part.job import Job
 from edged.vision.solid.edgemodel import EdgeModel, sampled
 from edged.vision.solid.params import SYMMETRY
 
@@ -90,6 +91,23 @@ def equal_turns(body: PartBody | None) -> EqualTurns:
     return EqualTurns((x, y), next(turns, 1))
 
 
+def turns_of(job: Job) -> EqualTurns:
+    """The symmetry of a job's part: of its surface, or else of its face as its teaching picture shows it."""
+    if job.body is not None:
+        return equal_turns(job.body)
+    angles = np.sort(job.shape.equal_motions[:, 2] % math.tau)
+    order = len(angles) + 1
+    regular = math.tau / order * np.arange(1, order)
+    if order == 1 or np.abs(angles - regular).max() > SYMMETRY.step_rad:
+        return NO_TURN
+    centres = [circle.centre_mm for circle in job.circles]
+    places = centres or [0.5 * (edge.start_mm + edge.end_mm) for edge in job.edges]
+    if not places:
+        return NO_TURN
+    x, y, _ = np.mean(places, axis=0).tolist()  # where all of them are known
+    return EqualTurns((x, y), order)
+
+
 @kernel("b1(f8[:, ::1], f8[:, ::1], f8[:, ::1], f8, b1[::1], b1[::1])")
 def lie_on(points: F64, start: F64, end: F64, reach: float, must: B8, lies: B8) -> bool:
     """Fill lies (N,): whether each of points (N, 3) is near one of the lines from start to end (L, 3).
@@ -155,12 +173,14 @@ def touch(points: F64, corners: F64, reach: float) -> bool:
 def like_turns(model: EdgeModel, axis: tuple[float, float]) -> tuple[FloatArray, ...]:
     """Motions (4, 4) about a line along z at axis (x, y) that map most edges onto edges, best first."""
     turns, shares = _shares(model, axis)
+    # edges are spread by a step to either side, so that the turn itself is amid several as good ones
+    around = np.mean([np.roll(shares, k) for k in range(-2, 3)], axis=0)
     peaks = [
         k
         for k in range(len(turns))
         if SYMMETRY.least_rad < turns[k] < 2 * math.pi - SYMMETRY.least_rad
         and shares[k] >= SYMMETRY.min_share
-        and shares[k] >= max(shares[k - 1], shares[(k + 1) % len(shares)])
+        and around[k] >= max(around[k - 1], around[(k + 1) % len(shares)])
     ]
     peaks.sort(key=lambda k: -shares[k])
     middle = np.array([*axis, 0.0])

@@ -43,6 +43,7 @@ from edged.vision.teaching.drawing import (
     PART,
     px_per_mm,
 )
+from edged.vision.teaching.features import distant_corner
 from edged.vision.teaching.levels import mask_along
 from edged.vision.teaching.pair import for_solid
 from edged.vision.teaching.params import CAD
@@ -66,9 +67,9 @@ def teach_model(
     scale = px_per_mm(rectification, depth_mm)
     level = transform(levelled(curves.up), np.zeros(3))
     circles, edges = _shown(*_features(curves, level, scale), model, level, rectification.rig, depth_mm)
-    main_mm = _main_face(circles, edges)
+    main_mm = _main_face(circles, edges, _level_heights(model, level))
     circles, edges = _in_order(circles, edges, main_mm)
-    corners = _corners(edges)
+    corners = _corners(edges) or [corner for corner in [distant_corner(edges)] if corner is not None]
     reference, origin = _reference(circles, edges, corners, main_mm)
     part_from_model = transform(np.eye(3), -origin) @ level
     circles = [replace(circle, centre_mm=_snapped(circle.centre_mm - origin)) for circle in circles]
@@ -193,12 +194,22 @@ def _falls_from(edge: EdgeFeature, upper: EdgeFeature) -> bool:
     return bool(parallel) and within and aside < CAD.break_mm and CAD.level_mm < float(gap[2]) < CAD.break_mm
 
 
-def _main_face(circles: Sequence[CircleFeature], edges: Sequence[EdgeFeature]) -> float:
-    """Height, along z, of the face with the greatest total length of edges. Raises `TeachError`."""
+def _level_heights(model: CadModel, level: FloatArray) -> FloatArray:
+    """(N,) heights, along z, of the level triangles that face the cameras."""
+    facing = triangle_normals(model)[1] @ level[2, :3] < -CAD.level_sine
+    return np.asarray(apply(level, model.points_mm)[model.triangles[facing]][..., 2].mean(axis=1))
+
+
+def _main_face(circles: Sequence[CircleFeature], edges: Sequence[EdgeFeature], level_mm: FloatArray) -> float:
+    """Height, along z, of the level face with the greatest total length of edges. Raises `TeachError`.
+
+    level_mm (N,) : heights of level triangles. Edges about slanted faces alone bound none.
+    """
     lengths: dict[float, float] = {}
     for curve in _curves(circles, edges):
-        height = round(curve.height_mm / CAD.level_mm) * CAD.level_mm
-        lengths[height] = lengths.get(height, 0.0) + curve.perimeter_mm
+        if (np.abs(level_mm - curve.height_mm) < CAD.level_mm).any():
+            height = round(curve.height_mm / CAD.level_mm) * CAD.level_mm
+            lengths[height] = lengths.get(height, 0.0) + curve.perimeter_mm
     if not lengths:
         raise TeachError(
             "the model shows nothing that the cameras could measure at this distance: expected a circle of "

@@ -71,22 +71,32 @@ def _looked_for(images: StereoImages, curves: ModelCurves, mask: Image) -> Float
     sharp = model_of(body)
     place = _where_axes_meet(images)
     distance = float(np.linalg.norm(place))
-    distances = distance / CAD.taught_range, distance * CAD.taught_range
-    wanted = SearchedPart((sharp,), CAD.taught_tilt_rad, distances, place)
+    for reach in CAD.taught_ranges:
+        wanted = SearchedPart((sharp,), CAD.taught_tilt_rad, (distance / reach, distance * reach), place)
+        found = _laid_with_breaks(images, wanted, mask, equal_turns(body))
+        if found is not None:
+            return np.asarray(found.laid.pose @ level)
+    return None
+
+
+def _laid_with_breaks(
+    images: StereoImages, wanted: SearchedPart, mask: Image, same: EqualTurns
+) -> FoundPart | None:
+    """`_laid_by` with usual breaks; then with all widths, the most certain, each from a scan of its own.
+
+    Of wide breaks either edge may show, and views of a model without them lead to a pose between the two.
+    """
     pyramids = pyramids_of(images, wanted)
-    # first with usual breaks; then with all widths, each from a scan of its own: of wide breaks either edge
-    # may show, and views of a model without them lead to a pose between the two
-    same = equal_turns(body)
-    usual = replace(wanted, models=(with_breaks(sharp, BREAKS.usual_mm),))
-    found = _laid_by(images, usual, pyramids, mask, same)
-    if found is None:
-        tried = [
-            _laid_by(images, replace(wanted, models=(with_breaks(sharp, width),)), pyramids, mask, same)
-            for width in BREAKS.unknown_mm
-        ]
-        shown = [part for part in tried if part is not None]
-        found = max(shown, key=lambda part: part.certain, default=None)
-    return None if found is None else np.asarray(found.laid.pose @ level)
+
+    def laid(width_mm: float) -> FoundPart | None:
+        models = (with_breaks(wanted.models[0], width_mm),)
+        return _laid_by(images, replace(wanted, models=models), pyramids, mask, same)
+
+    usual = laid(BREAKS.usual_mm)
+    if usual is not None:
+        return usual
+    shown = [part for width in BREAKS.unknown_mm if (part := laid(width)) is not None]
+    return max(shown, key=lambda part: part.certain, default=None)
 
 
 def _laid_by(

@@ -31,6 +31,7 @@ from edged.vision.shape.params import ModelParams
 from edged.vision.solid.curvemodel import curve_points
 from edged.vision.teaching.background import with_ratio, without_background
 from edged.vision.teaching.brightwalls import bright_walls_mm, with_doubt_of
+from edged.vision.teaching.equalturns import with_equal_turns
 from edged.vision.teaching.features import (
     FoundFeatures,
     TeachingView,
@@ -280,11 +281,11 @@ def _job(
         shape = replace(shape, round=True, symmetries=np.zeros((0, 4)), centre_px=np.zeros(2))
     elif main_face is not None:
         shape = create_model(view.images.rectified_left, main_face, params=wanted.params)
-    elif circles:
-        shape = create_model(view.images.rectified_left, view.mask, origin, wanted.params)
-    else:  # origin in the part's middle: at a corner, overlapping matches would seem far apart
-        mask = without_background(view, rig_from_part, outline_mask(view))
-        shape = create_model(view.images.rectified_left, mask, params=wanted.params)
+    else:
+        # without circles the origin is amid the part: at a corner, overlapping matches would seem far apart
+        mask = view.mask if circles else without_background(view, rig_from_part, outline_mask(view))
+        shape = create_model(view.images.rectified_left, mask, origin if circles else None, wanted.params)
+        shape = with_equal_turns(shape, view, mask, rig_from_part, wanted.params)
     sizes, witness = known_radius(circles, reference)
     return Job(
         name=wanted.name,

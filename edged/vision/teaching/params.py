@@ -202,7 +202,9 @@ class CadParams:
     by two pixels keeps half of them, and a wall as grey as the face hides half of a rim."""
     break_mm: float = 1.0  # the largest edge break
     taught_tilt_rad: float = math.radians(20.0)  # greatest tilt of a part at teaching
-    taught_range: float = 1.6  # factor by which its distance may differ from where the optical axes meet
+    taught_ranges: tuple[float, ...] = (1.6, 1.25)
+    """Factors by which its distance may differ from where the optical axes meet. On a textured table a faint
+    part is among the best views only of a narrow range."""
     min_arm_mm: float = 1.0  # between two circles that determine a turn
     same_turn_rad: float = math.radians(1.5)  # between two turns that are one
     turn_bin_rad: float = math.radians(0.5)  # of the histogram of turns

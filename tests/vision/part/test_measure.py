@@ -207,6 +207,14 @@ def test_two_parts_cannot_have_one_circle() -> None:
     ):
         pair = [disc, replace(disc, target=replace(disc.target, circles=other))]
         assert [expected] * 2 == [part.target.reject for part in doubted_where_shared(pair)]
+    match = disc.target.match
+    for score, expected in (
+        (0.99 * match.score, Reject.NONE),
+        (1.01 * match.score, Reject.AMBIGUOUS_ROTATION),
+    ):
+        refused = replace(disc.target, reject=Reject.AMBIGUOUS_EDGE, match=replace(match, score=score))
+        first, second = doubted_where_shared([disc, replace(disc, target=refused)])
+        assert (first.target.reject, second.target.reject) == (expected, Reject.AMBIGUOUS_EDGE)
 
 
 # --- reasons to refuse -------------------------------------------------------------------------------

@@ -1,0 +1,67 @@
+"""Faces that are the same after a turn, taught while they lean."""
+
+from __future__ import annotations
+
+import functools
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from helpers.cells import frame_pair, pictures, small_rig
+from helpers.flatparts import METAL
+from helpers.tilted import lying, thin
+
+from edged.domain.measurement import Reject
+from edged.pipeline import PreparedRig, locate, prepare
+from edged.sim.render.scene import Disc, Hole, Part, PolygonShape
+from edged.vision.geometry.rigid import apply, turn_about_z
+from edged.vision.part.job import Job
+from edged.vision.teaching.pair import teach
+
+CORNERS = ((-13, -9), (13, -9), (13, 9), (-13, 9))
+PLACES = ((-8.0, 5.0), (8.0, -5.0), (8.0, 5.0), (-8.0, -5.0))
+
+
+def plate(odd_mm: float = 0.0) -> Part:
+    """A plate with four holes, one of which may be wider."""
+    holes = (Hole(f"h{k}", Disc(x, y, 1.8 + (odd_mm if k == 0 else 0.0))) for k, (x, y) in enumerate(PLACES))
+    return Part("plate", PolygonShape(CORNERS), METAL, tuple(holes))
+
+
+@functools.cache
+def prepared() -> PreparedRig:
+    """The rig."""
+    return prepare(small_rig())
+
+
+def taught(part: Part) -> Job:
+    """The job of a part that leans at teaching."""
+    rig = prepared()
+    where = lying(rig.rig, 15.0, 30.0, 20.0)
+    return teach(*pictures(rig.rig, thin(part, where)), rig.rectification, None, "plate")
+
+
+@pytest.mark.slow
+def test_a_leaning_face_that_is_the_same_after_half_a_turn_is_known_as_such() -> None:
+    """Perspective makes its picture another one after the turn; the face is the same."""
+    assert [abs(angle) for angle in taught(plate()).shape.equal_motions[:, 2]] == [
+        pytest.approx(math.pi, abs=0.02)
+    ]
+    assert not len(taught(plate(0.3)).shape.equal_motions)
+
+
+@pytest.mark.long
+def test_it_is_found_as_it_was_taught() -> None:
+    """Looked for by all edges, it is accepted, turned as little as can be."""
+    job, rig = replace(taught(plate()), tilt_rad=math.radians(30.0)), prepared()
+    start = lying(rig.rig, 15.0, 30.0, 20.0)
+    for turn_deg in (40.0, 205.0):
+        there = lying(rig.rig, 24.0, -50.0, turn_deg)
+        (target,) = locate(frame_pair(*pictures(rig.rig, thin(plate(), there))), job, rig).targets
+        assert target.reject is Reject.NONE
+        assert abs(turn_about_z(job.rig_from_part[:3, :3].T @ target.rig_from_part[:3, :3])) < 0.5 * math.pi
+        nearest = lying(rig.rig, 24.0, -50.0, turn_deg - 180.0 * round((turn_deg - 20.0) / 180.0))
+        true = nearest @ np.linalg.inv(start) @ job.rig_from_part
+        place = apply(true, job.place_of(job.reference))
+        assert np.linalg.norm(target.position_mm - place) < 0.03
