@@ -23,7 +23,7 @@ import math
 import re
 import sys
 import time
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -43,8 +43,11 @@ from edged.pipeline import PreparedRig, inspect, judge, prepare
 from edged.vision.geometry.rigid import invert, transform, turn_about_z
 from edged.vision.part.job import Job
 from edged.vision.part.params import MEASURING
-from edged.vision.solid.symmetry import equal_turns
+from edged.vision.solid.symmetry import NO_TURN, EqualTurns, equal_turns
+from edged.vision.teaching.cadbody import body_of
 from edged.vision.teaching.cadjob import teach_model
+from edged.vision.teaching.cadmatch import levelled
+from edged.vision.teaching.cadmodel import ModelCurves
 from edged.vision.teaching.cadpair import teach_with_model
 from edged.vision.teaching.furtherpairs import with_breaks_shown
 from edged.vision.teaching.pair import WantedJob, teach, view_of
@@ -120,14 +123,46 @@ def missed(scene: str, part: dict[str, Any], why: str) -> Part:
     return Part(scene, part["design"], break_of(part), tilt_deg, why, nothing, *[math.nan] * 3, 0)
 
 
-def compared(scene: str, part: dict[str, Any], job: Job, taught: FloatArray, outcome: Outcome) -> Part:
-    """Result for one true part."""
-    motion = pose_of(part) @ invert(taught)
+@dataclass(frozen=True)
+class Sameness:
+    """Turns after which a part is the same, and the frame (4, 4) of its model with z along their axis."""
+
+    turns: EqualTurns = NO_TURN
+    level_from_model: FloatArray = field(default_factory=lambda: np.eye(4))
+
+    @staticmethod
+    def of(model: ModelCurves) -> Sameness:
+        """That of a model, seen from where its up points."""
+        level = transform(levelled(model.up), np.zeros(3))
+        return Sameness(equal_turns(body_of(model.model, level)), level)
+
+    def as_found(self, true: FloatArray, reference_from_model: FloatArray, outcome: Outcome) -> FloatArray:
+        """The true pose of the reference (4, 4), or an equal one where that is nearer to a target."""
+        level = reference_from_model @ invert(self.level_from_model)
+        alike = [
+            self.turns.nearest(true @ level, target.rig_from_part @ level) @ invert(level)
+            for target in outcome.targets
+        ]
+        off = [
+            float(np.linalg.norm(target.position_mm - pose[:3, 3]))
+            for target, pose in zip(outcome.targets, alike, strict=True)
+        ]
+        return np.asarray(alike[int(np.argmin(off))]) if off else true
+
+
+def compared(
+    scene: str, part: dict[str, Any], job: Job, taught: FloatArray, outcome: Outcome, same: Sameness
+) -> Part:
+    """Result for one true part.
+
+    taught (4, 4) : where its model was at teaching.  same : turns after which it is the same.
+    """
     part_from_reference = transform(np.eye(3), job.place_of(job.reference))
-    true = motion @ job.rig_from_part @ part_from_reference
+    part_from_model = invert(job.rig_from_part) @ taught
     if job.part_from_model is not None:
-        true = pose_of(part) @ invert(job.part_from_model) @ part_from_reference
-        true = _as_found(job, true, part_from_reference, outcome)
+        part_from_model = job.part_from_model
+    reference_from_model = invert(part_from_reference) @ part_from_model
+    true = same.as_found(pose_of(part) @ invert(reference_from_model), reference_from_model, outcome)
     place = true[:3, 3]
     near = [one for one in outcome.targets if np.linalg.norm(one.position_mm - place) < NEAR_MM]
     if not near:
@@ -158,15 +193,6 @@ def compared(scene: str, part: dict[str, Any], job: Job, taught: FloatArray, out
     )  # fmt: skip
 
 
-def _as_found(job: Job, true: FloatArray, part_from_reference: FloatArray, outcome: Outcome) -> FloatArray:
-    """The true pose; of a part that is the same after a turn the one that is nearest to what was found."""
-    found = [one.rig_from_model for one in outcome.targets if one.rig_from_model is not None]
-    if job.part_from_model is None or not found:
-        return true
-    part = true @ invert(part_from_reference)
-    return equal_turns(job.body).nearest(part, found[0] @ invert(job.part_from_model)) @ part_from_reference
-
-
 def measure(
     dataset: Path, rig: PreparedRig, design: str, options: argparse.Namespace
 ) -> tuple[list[Part], float]:
@@ -176,14 +202,15 @@ def measure(
     scenes = [path for path in sorted((dataset / "scenes").glob("*.json")) if options.only in path.stem]
     truths = {path: json.loads(path.read_text())["parts"] for path in scenes}
     try:
-        read = None
-        if options.step or options.alone is not None:
+        read, same = None, Sameness()
+        if (dataset / "step" / f"{design}.step").exists():
             stated = dataset / "step" / f"{design}.json"
             up = json.loads(stated.read_text()).get("up", "-z") if stated.exists() else "-z"
             read = read_model(dataset / "step" / f"{design}.step", up)
-        if read is not None and options.alone is not None:
+            same = Sameness.of(read[1].curves)
+        if options.alone is not None and read is not None:
             job, _ = teach_model(read[0], read[1].curves, rig.rectification, options.alone, design)
-        elif read is not None:
+        elif options.step and read is not None:
             view = view_of(*pair_of(pictured), rig.rectification, None)
             settled = teach_with_model(view, read[1].curves, design, WantedJob(design, 1))
             job = settled.job
@@ -192,7 +219,7 @@ def measure(
             job = teach(*pair_of(pictured), rig.rectification, None, design)
         taught_too = [p for p, parts in truths.items() if [one["design"] for one in parts] == [design]]
         taught_too = taught_too[: options.further]
-        if read is None or taught_too:
+        if not (options.step or options.alone is not None) or taught_too:
             pairs = [pair_of(path) for path in taught_too]
             job, said = with_breaks_shown(job, pair_of(pictured), pairs, rig.rectification)
             print("\n".join(said))
@@ -221,7 +248,7 @@ def measure(
         inspection = inspect(pair, job, rig)
         outcome = judge(inspection)
         seconds += time.process_time() - start
-        of_parts = [compared(path.stem, one, job, taught, outcome) for one in here]
+        of_parts = [compared(path.stem, one, job, taught, outcome, same) for one in here]
         accepted = [one for one in outcome.targets if one.reject is Reject.NONE]
         elsewhere = len(accepted) - sum(row.verdict in ("good", "WRONG") for row in of_parts)
         rows += of_parts

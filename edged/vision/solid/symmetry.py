@@ -100,12 +100,16 @@ def turns_of(job: Job) -> EqualTurns:
     regular = math.tau / order * np.arange(1, order)
     if order == 1 or np.abs(angles - regular).max() > SYMMETRY.step_rad:
         return NO_TURN
-    centres = [circle.centre_mm for circle in job.circles]
-    places = centres or [0.5 * (edge.start_mm + edge.end_mm) for edge in job.edges]
-    if not places:
+    centres = [*(circle.centre_mm for circle in job.circles), *(slot.centre_mm for slot in job.slots)]
+    places = np.array(centres or [0.5 * (edge.start_mm + edge.end_mm) for edge in job.edges])
+    if not len(places):
         return NO_TURN
-    x, y, _ = np.mean(places, axis=0).tolist()  # where all of them are known
-    return EqualTurns((x, y), order)
+    x, y, _ = places.mean(axis=0).tolist()
+    turns = EqualTurns((x, y), order)
+    moved = apply(turns.motion(math.tau / order), places)
+    apart = np.linalg.norm(moved[:, None] - places, axis=2).min(axis=1).max()
+    near = SYMMETRY.near * float(np.ptp(places, axis=0).max())
+    return turns if apart <= near else NO_TURN  # not all of them were taught
 
 
 @kernel("b1(f8[:, ::1], f8[:, ::1], f8[:, ::1], f8, b1[::1], b1[::1])")

@@ -85,16 +85,36 @@ def find_edge_face(view: TeachingView, depth_mm: tuple[float, float]) -> FloatAr
     """
     contours = strong_contours(view)
     plane = view.surface or plane_of(view, contours, depth_mm)
-    if plane is None:
+    if plane is not None:
+        fit = _fitted_in(view, plane, contours)
+    else:  # no plane holds most contours: that of one of them in which most other curves lie, too
+        alone = [plane_of(view, [contour], depth_mm) for contour in contours[: TEACHING.lone_contours]]
+        fits = [fit for plane in alone if plane and (fit := _fitted_in(view, plane, contours))]
+        fit = max(fits, key=_witnesses, default=None)
+        if fit is not None and _witnesses(fit) < TEACHING.lone_witnesses:
+            return None
+    if fit is None:
         return None
+    corners = np.concatenate([fitted.curve.outline(np.linspace(0, 1, 16)).points for fitted in fit.fits])
+    return part_frame(-fit.face.normal, fit.face.to_rig(corners.mean(axis=0, keepdims=True))[0])
+
+
+def _witnesses(fit: PlaneFit) -> int:
+    """How many distances the curves of a face tell: three by a slot, one by an edge that crosses the rows."""
+    edges = [one.curve.parameters[2] for one in fit.fits if one.curve.kind == "edge"]
+    across = sum(abs(math.sin(angle)) > 0.5 for angle in edges)
+    return across + 3 * (len(fit.fits) - len(edges))
+
+
+def _fitted_in(view: TeachingView, plane: Plane, contours: Sequence[Contour]) -> PlaneFit | None:
+    """The curves of a plane as both images show them; None where they do not tell how it lies."""
     space = plane.meet(view.images.rays("left", np.concatenate([contour.points for contour in contours])))
     centre = np.median(space[np.isfinite(space).all(axis=1)], axis=0)
     start = part_frame(plane.normal, centre)
     fit = _fitted(view, Face(centre, start[:3, :3].T), ())
     if fit is None or sum(1 if fitted.curve.kind == "edge" else 3 for fitted in fit.fits) < 3:
         return None
-    corners = np.concatenate([fitted.curve.outline(np.linspace(0, 1, 16)).points for fitted in fit.fits])
-    return part_frame(-fit.face.normal, fit.face.to_rig(corners.mean(axis=0, keepdims=True))[0])
+    return fit
 
 
 def distant_corner(edges: Sequence[EdgeFeature]) -> CornerFeature | None:

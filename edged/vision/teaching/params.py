@@ -26,6 +26,9 @@ class TeachingParams:
     clean_share: float = 0.7
     """Share of the region's edges in the face from which the rest belongs to the part: chamfers, bottoms of
     holes."""
+    lone_contours: int = 12  # whose planes are tried where no plane holds most of them, longest first
+    lone_witnesses: int = 5
+    """Distances that curves must tell of such a plane: it has three unknowns, and two more have to agree."""
     min_kept: int = 100  # edge pixels; with fewer there is no shape, and the region is used as given
     band_px: int = 3  # to both sides of an edge that is kept
     cut_margin_px: int = 24  # around the region, in which edges are looked for
