@@ -101,7 +101,7 @@ def find_edge_face(view: TeachingView, depth_mm: tuple[float, float]) -> FloatAr
 
 def _witnesses(fit: PlaneFit) -> int:
     """How many distances the curves of a face tell: three by a slot, one by an edge that crosses the rows."""
-    edges = [one.curve.parameters[2] for one in fit.fits if one.curve.kind == "edge"]
+    edges = [fitted.curve.parameters[2] for fitted in fit.fits if fitted.curve.kind == "edge"]
     across = sum(abs(math.sin(angle)) > 0.5 for angle in edges)
     return across + 3 * (len(fit.fits) - len(edges))
 

@@ -18,9 +18,7 @@ from edged.vision.teaching.pair import TeachingView, teach, view_of
 
 BASE = Wall("base", box(0.0, 0.0, 36.0, 26.0, 3.0), -1, True, 0.0, 6.0)
 BOSSES = tuple(
-    Wall(
-        f"b{k}", polygon(((x - 3, y - 4), (x + 3, y - 4), (x + 2, y + 4), (x - 3, y + 3))), 0, True, top, 0.0
-    )
+    Wall(f"b{k}", polygon(((x - 3, y - 4), (x + 3, y - 4), (x + 2, y + 4), (x - 3, y + 3))), 0, True, z, 0.0)
     for k, (x, y, z) in enumerate(
         ((-8, -7, -4.0), (0, -7, -9.0), (8, -7, -2.5), (-8, 6, -12.0), (0, 6, -6.5), (8, 6, -10.5))
     )
