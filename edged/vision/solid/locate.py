@@ -34,7 +34,7 @@ from edged.vision.solid.forms import PosedPair, as_shown, contradiction, likelie
 from edged.vision.solid.lock import FINE_STEPS, LockedPose, Pyramids, lay
 from edged.vision.solid.modes import PartPlace, SearchedPart, find_places, pyramids_of
 from edged.vision.solid.params import BREAKS, DECISION, SYMMETRY
-from edged.vision.solid.symmetry import NO_TURN, EqualTurns, equal_turns, is_round, like_turns, turns_of
+from edged.vision.solid.symmetry import NO_TURN, EqualTurns, equal_turns, is_round, like_turns, taught_turns
 from edged.vision.solid.visible import moved
 
 
@@ -103,7 +103,7 @@ def _measured_at(
     for place in places:
         if len(measured) + len(dismissed) == job.search.max_matches:
             break
-        found = weighed(pyramids, place, lambda model: _turns(job, model), turns_of(job))
+        found = weighed(pyramids, place, lambda model: _turns(job, model), _same_turns(job))
         if found.certain > DECISION.worth_forms:
             if job.body is None:
                 found = _of_likeliest_form(images, job, found, place, pyramids)
@@ -153,7 +153,8 @@ def _agrees(job: Job, models: Sequence[EdgeModel], pyramids: Pyramids, target: T
     laid = lay(models[0], pyramids, pose, FINE_STEPS)
     if laid is None or turn_between(laid.pose, pose) > DECISION.same_turn_rad:
         return False
-    found = weighed(pyramids, PartPlace((laid,)), lambda model: _turns(job, model), turns_of(job))
+    is_declared = len(job.shape.equal_motions) > 0  # at teaching, which warned of it
+    found = weighed(pyramids, PartPlace((laid,)), lambda model: () if is_declared else _turns(job, model))
     if found.laid is not laid or found.margin <= DECISION.certain or not _is_whole(job, found):
         return False
     if laid.agreeing.min() > DECISION.plain:
@@ -227,6 +228,11 @@ def _turns(job: Job, model: EdgeModel) -> tuple[FloatArray, ...]:
     return tuple(motion for axis in axes for motion in like_turns(model, axis))
 
 
+def _same_turns(job: Job) -> EqualTurns:
+    """Turns after which a job's part is the same, by its surface, or else as far as its pair showed it."""
+    return taught_turns(job, models_of(job)[0]) if job.body is None else equal_turns(job.body)
+
+
 def _is_round(job: Job, model: EdgeModel, axes: Iterable[tuple[float, float]]) -> bool:
     """Whether any turn about one of some axes leaves a part as it is, as far as is known."""
     if job.body is not None:
@@ -236,7 +242,7 @@ def _is_round(job: Job, model: EdgeModel, axes: Iterable[tuple[float, float]]) -
 
 def _as_taught(job: Job, found: FoundPart, pyramids: Pyramids) -> FoundPart:
     """A part that is the same after a turn at the pose that is turned least from the taught one."""
-    pose = turns_of(job).nearest(found.laid.pose, job.rig_from_part)
+    pose = _same_turns(job).nearest(found.laid.pose, job.rig_from_part)
     if pose is found.laid.pose:
         return found
     # a pair shows the axis less exactly than a body has it
@@ -347,7 +353,7 @@ def _weighed_from(
     modes = tuple(mode for mode in laid if mode is not None)
     if not modes:
         return None
-    return weighed(pyramids, PartPlace(modes), lambda model: _turns(job, model), turns_of(job))
+    return weighed(pyramids, PartPlace(modes), lambda model: _turns(job, model), _same_turns(job))
 
 
 def _tilted_poses(model: EdgeModel, pose: FloatArray) -> list[FloatArray]:

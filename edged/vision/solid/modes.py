@@ -57,10 +57,11 @@ def find_places(
     before : those of a first look; they are weighed again beside what the views between that look's show.
     """
     model = wanted.models[0]
+    # edges of thin parts run into each other at the size that is enough for most: look again at twice that
+    pictures = pyramids.grey if before is None or len(pyramids.grey) == 1 else pyramids.grey[:-1]
     starts = starts_of(
-        model, pyramids.rig, pyramids.grey, wanted.tilt_rad, wanted.distances_mm, wanted.place,
-        before is not None,
-    )  # fmt: skip
+        model, pyramids.rig, pictures, wanted.tilt_rad, wanted.distances_mm, wanted.place, before is not None
+    )
     coarse, between = schedule(len(pyramids.cameras) - 1)
     laid = _laid(model, pyramids, starts, coarse, wanted)
     laid = _unlike(model, laid, MODES.kept_fine, MODES.fine_at_place)

@@ -91,18 +91,23 @@ def equal_turns(body: PartBody | None) -> EqualTurns:
     return EqualTurns((x, y), next(turns, 1))
 
 
-def turns_of(job: Job) -> EqualTurns:
-    """The symmetry of a job's part: of its surface, or else of its face as its teaching picture shows it."""
-    if job.body is not None:
-        return equal_turns(job.body)
+def taught_turns(job: Job, model: EdgeModel) -> EqualTurns:
+    """The symmetry of a part known by its curves: of its shape, features and all edges of its model."""
     angles = np.sort(job.shape.equal_motions[:, 2] % math.tau)
     order = len(angles) + 1
     regular = math.tau / order * np.arange(1, order)
     if order == 1 or np.abs(angles - regular).max() > SYMMETRY.step_rad:
         return NO_TURN
+    turns = turns_of_features(job, order)
+    step = round(math.tau / order / SYMMETRY.step_rad)
+    return turns if _shares(model, turns.axis)[1][step - 1] > SYMMETRY.round_share else NO_TURN
+
+
+def turns_of_features(job: Job, order: int) -> EqualTurns:
+    """Turns, so many of them, after which a job's circles and slots lie on others, or else its edges."""
     centres = [*(circle.centre_mm for circle in job.circles), *(slot.centre_mm for slot in job.slots)]
     places = np.array(centres or [0.5 * (edge.start_mm + edge.end_mm) for edge in job.edges])
-    if not len(places):
+    if len(places) < 2:
         return NO_TURN
     x, y, _ = places.mean(axis=0).tolist()
     turns = EqualTurns((x, y), order)

@@ -110,7 +110,7 @@ def view_of(
 def taught(view: TeachingView, wanted: WantedJob) -> Job:
     """Learn the part that a view shows. Raises `TeachError` as `teach`."""
     view = with_ratio(view)
-    job = _untraced(view, wanted)
+    job = with_equal_turns(_untraced(view, wanted), view)
     return replace(job, traced=trace(view, job.rig_from_part, curve_points(job)))
 
 
@@ -285,7 +285,6 @@ def _job(
         # without circles the origin is amid the part: at a corner, overlapping matches would seem far apart
         mask = view.mask if circles else without_background(view, rig_from_part, outline_mask(view))
         shape = create_model(view.images.rectified_left, mask, origin if circles else None, wanted.params)
-        shape = with_equal_turns(shape, view, mask, rig_from_part, wanted.params)
     sizes, witness = known_radius(circles, reference)
     return Job(
         name=wanted.name,
