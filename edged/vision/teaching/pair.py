@@ -281,10 +281,11 @@ def _job(
         shape = replace(shape, round=True, symmetries=np.zeros((0, 4)), centre_px=np.zeros(2))
     elif main_face is not None:
         shape = create_model(view.images.rectified_left, main_face, params=wanted.params)
-    else:
-        # without circles the origin is amid the part: at a corner, overlapping matches would seem far apart
-        mask = view.mask if circles else without_background(view, rig_from_part, outline_mask(view))
-        shape = create_model(view.images.rectified_left, mask, origin if circles else None, wanted.params)
+    elif circles:
+        shape = create_model(view.images.rectified_left, view.mask, origin, wanted.params)
+    else:  # origin in the part's middle: at a corner, overlapping matches would seem far apart
+        mask = without_background(view, rig_from_part, outline_mask(view))
+        shape = create_model(view.images.rectified_left, mask, params=wanted.params)
     sizes, witness = known_radius(circles, reference)
     return Job(
         name=wanted.name,

@@ -9,10 +9,12 @@ import numpy as np
 import pytest
 from helpers.drawnparts import DEPTH_MM, from_file, images_of, place, rig
 
-from edged.domain.arrays import FloatArray
+from edged.domain.arrays import F32, FloatArray
 from edged.domain.measurement import Reject
+from edged.vision.geometry.camera import StereoRig
 from edged.vision.part.job import Job
-from edged.vision.solid import locate
+from edged.vision.solid import locate, modes
+from edged.vision.solid.edgemodel import EdgeModel
 from edged.vision.solid.lock import LockedPose, Pyramids
 from edged.vision.solid.modes import PartPlace, SearchedPart, find_places, pyramids_of
 from edged.vision.solid.scan import view_set
@@ -42,6 +44,25 @@ def test_the_second_look_has_the_views_between_those_of_the_first(job: Job) -> N
     traces = np.einsum("aij,bij->ab", first, second)
     assert math.acos(0.5 * (traces.max() - 1.0)) > math.radians(3.0)
     assert np.arccos(second[:, 2, 2]).max() > lean - math.radians(8.0)
+
+
+@pytest.mark.slow
+def test_the_second_look_compares_at_twice_the_size(job: Job, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Edges of thin parts that run into each other in the smallest pictures are apart in the next ones."""
+    wanted = locate.wanted_of(job)
+    pyramids = pyramids_of(images_of(DESIGN, 5, 25.0), wanted)
+    smallest: list[int] = []
+
+    def no_starts(
+        _: EdgeModel, __: StereoRig, pictures: Sequence[Sequence[F32]], *___: object
+    ) -> list[FloatArray]:
+        smallest.append(pictures[-1][0].shape[1])
+        return []
+
+    monkeypatch.setattr(modes, "starts_of", no_starts)
+    for before in (None, []):
+        find_places(wanted, pyramids, before)
+    assert smallest[1] == pytest.approx(2 * smallest[0], abs=1)
 
 
 @pytest.mark.long
