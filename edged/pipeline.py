@@ -143,7 +143,7 @@ def doubted_where_shared(measured: Sequence[MeasuredPart]) -> list[MeasuredPart]
         id(part)
         for part, other in itertools.product(good, measured)
         if part is not other
-        and (other in good or other.target.match.score > part.target.match.score)
+        and (other.target.reject is Reject.NONE or other.target.match.score > part.target.match.score)
         and any(
             float(np.linalg.norm(mine.centre_mm - theirs.centre_mm)) < SAME_CIRCLE * mine.radius_mm
             for mine, theirs in itertools.product(part.target.circles, other.target.circles)

@@ -202,24 +202,25 @@ def measure(
     scenes = [path for path in sorted((dataset / "scenes").glob("*.json")) if options.only in path.stem]
     truths = {path: json.loads(path.read_text())["parts"] for path in scenes}
     try:
-        read, same = None, Sameness()
-        if (dataset / "step" / f"{design}.step").exists():
-            stated = dataset / "step" / f"{design}.json"
+        step, same = dataset / "step" / f"{design}.step", Sameness()
+        by_file = options.step or options.alone is not None
+        if by_file or step.exists():
+            stated = step.with_suffix(".json")
             up = json.loads(stated.read_text()).get("up", "-z") if stated.exists() else "-z"
-            read = read_model(dataset / "step" / f"{design}.step", up)
-            same = Sameness.of(read[1].curves)
-        if options.alone is not None and read is not None:
-            job, _ = teach_model(read[0], read[1].curves, rig.rectification, options.alone, design)
-        elif options.step and read is not None:
+            model, shown = read_model(step, up)
+            same = Sameness.of(shown.curves)
+        if options.alone is not None:
+            job, _ = teach_model(model, shown.curves, rig.rectification, options.alone, design)
+        elif options.step:
             view = view_of(*pair_of(pictured), rig.rectification, None)
-            settled = teach_with_model(view, read[1].curves, design, WantedJob(design, 1))
+            settled = teach_with_model(view, shown.curves, design, WantedJob(design, 1))
             job = settled.job
             print("\n".join(settled.remarks))
         else:
             job = teach(*pair_of(pictured), rig.rectification, None, design)
         taught_too = [p for p, parts in truths.items() if [one["design"] for one in parts] == [design]]
         taught_too = taught_too[: options.further]
-        if not (options.step or options.alone is not None) or taught_too:
+        if not by_file or taught_too:
             pairs = [pair_of(path) for path in taught_too]
             job, said = with_breaks_shown(job, pair_of(pictured), pairs, rig.rectification)
             print("\n".join(said))

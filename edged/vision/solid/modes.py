@@ -58,7 +58,7 @@ def find_places(
     """
     model = wanted.models[0]
     # edges of thin parts run into each other at the size that is enough for most: look again at twice that
-    pictures = pyramids.grey if before is None or len(pyramids.grey) == 1 else pyramids.grey[:-1]
+    pictures = pyramids.grey if before is None else pyramids.grey[:-1] or pyramids.grey
     starts = starts_of(
         model, pyramids.rig, pictures, wanted.tilt_rad, wanted.distances_mm, wanted.place, before is not None
     )

@@ -51,7 +51,12 @@ def without_background(view: TeachingView, rig_from_part: FloatArray, mask: Imag
 def agreeing_with(view: TeachingView, face: Plane, contour: Contour) -> B8:
     """(N,) whether the right image shows the same edge where the face predicts each point of a contour."""
     offsets, slopes, _ = edges_in_right(view, face, contour.points, contour.normals, 2.0)
-    ratio = slopes / np.maximum(view.ratio_beyond(TEACHING.max_slope_ratio) * contour.slopes, 1e-9)
+    return are_alike(offsets, slopes, view.ratio_beyond(TEACHING.max_slope_ratio) * contour.slopes)
+
+
+def are_alike(offsets: FloatArray, slopes: FloatArray, expected: FloatArray) -> B8:
+    """(N,) whether edges, px off where they were expected, and their slopes are like expected ones (N,)."""
+    ratio = slopes / np.maximum(expected, 1e-9)
     with np.errstate(invalid="ignore"):
         alike = (ratio < TEACHING.max_slope_ratio) & (ratio > 1 / TEACHING.max_slope_ratio)
         return np.asarray((np.abs(offsets) <= TEACHING.max_mismatch_px) & alike)

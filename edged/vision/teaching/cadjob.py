@@ -69,7 +69,9 @@ def teach_model(
     circles, edges = _shown(*_features(curves, level, scale), model, level, rectification.rig, depth_mm)
     main_mm = _main_face(circles, edges, _level_heights(model, level))
     circles, edges = _in_order(circles, edges, main_mm)
-    corners = _corners(edges) or [corner for corner in [distant_corner(edges)] if corner is not None]
+    corners = _corners(edges)
+    if not (circles or corners) and (corner := distant_corner(edges)) is not None:
+        corners = [corner]
     reference, origin = _reference(circles, edges, corners, main_mm)
     part_from_model = transform(np.eye(3), -origin) @ level
     circles = [replace(circle, centre_mm=_snapped(circle.centre_mm - origin)) for circle in circles]

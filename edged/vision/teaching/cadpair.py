@@ -71,22 +71,23 @@ def _looked_for(images: StereoImages, curves: ModelCurves, mask: Image) -> Float
     sharp = model_of(body)
     place = _where_axes_meet(images)
     distance = float(np.linalg.norm(place))
+    wanted = SearchedPart((sharp,), CAD.taught_tilt_rad, (distance, distance), place)
+    pyramids = pyramids_of(images, wanted)
     for reach in CAD.taught_ranges:
-        wanted = SearchedPart((sharp,), CAD.taught_tilt_rad, (distance / reach, distance * reach), place)
-        found = _laid_with_breaks(images, wanted, mask, equal_turns(body))
+        within = replace(wanted, distances_mm=(distance / reach, distance * reach))
+        found = _laid_with_breaks(images, within, pyramids, mask, equal_turns(body))
         if found is not None:
             return np.asarray(found.laid.pose @ level)
     return None
 
 
 def _laid_with_breaks(
-    images: StereoImages, wanted: SearchedPart, mask: Image, same: EqualTurns
+    images: StereoImages, wanted: SearchedPart, pyramids: Pyramids, mask: Image, same: EqualTurns
 ) -> FoundPart | None:
     """`_laid_by` with usual breaks; then with all widths, the most certain, each from a scan of its own.
 
     Of wide breaks either edge may show, and views of a model without them lead to a pose between the two.
     """
-    pyramids = pyramids_of(images, wanted)
 
     def laid(width_mm: float) -> FoundPart | None:
         models = (with_breaks(wanted.models[0], width_mm),)

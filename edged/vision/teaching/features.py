@@ -90,9 +90,8 @@ def find_edge_face(view: TeachingView, depth_mm: tuple[float, float]) -> FloatAr
     else:  # no plane holds most contours: that of one of them in which most other curves lie, too
         alone = [plane_of(view, [contour], depth_mm) for contour in contours[: TEACHING.lone_contours]]
         fits = [fit for plane in alone if plane and (fit := _fitted_in(view, plane, contours))]
-        fit = max(fits, key=_witnesses, default=None)
-        if fit is not None and _witnesses(fit) < TEACHING.lone_witnesses:
-            return None
+        sure = [fit for fit in fits if _witnesses(fit) >= TEACHING.lone_witnesses]
+        fit = max(sure, key=_witnesses, default=None)
     if fit is None:
         return None
     corners = np.concatenate([fitted.curve.outline(np.linspace(0, 1, 16)).points for fitted in fit.fits])
