@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import cv2
@@ -67,9 +68,53 @@ def strong_edges(
     Texture is weak and machining marks are narrow; the outline of a part is strong and connected.
     """
     thresholds = thresholds or EdgeThresholds()
+    found = _all_edges(image, mask, thresholds, smoothing_px)
+    if found is None:
+        return None
+    linked = np.zeros_like(mask)
+    linked[found.at] = found.slopes > found.low
+    _, labels, stats, _ = cv2.connectedComponentsWithStats(linked, connectivity=8)
+    strong = np.bincount(labels[found.at][found.slopes > found.high], minlength=len(stats))
+    shortest = thresholds.min_component_px or OUTLINES.component_share * _width_px(mask)
+    keep = (stats[:, cv2.CC_STAT_AREA] >= shortest) & (strong >= OUTLINES.min_strong)
+    keep[0] = False
+    return StrongEdges(keep[labels].astype(np.uint8), found.gx, found.gy)
+
+
+def fainter(image: Image, mask: Image) -> Iterator[EdgeThresholds]:
+    """Thresholds below those that a region derives, each half of the former, down to noise or texture.
+
+    image, mask : (H, W) uint8.  A few glints raise the derived ones above the contrast of all else.
+    """
+    found = _all_edges(image, mask, EdgeThresholds(), OUTLINES.smoothing_px)
+    if found is None:
+        return
+    low, high, most = found.low, found.high, OUTLINES.texture_widths * _width_px(mask)
+    while high > 2 * OUTLINES.faint:
+        low, high = max(0.5 * low, OUTLINES.faint), max(0.5 * high, 2 * OUTLINES.faint)
+        if np.count_nonzero(found.slopes > low) > most:
+            return
+        yield EdgeThresholds(low, high)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _AllEdges:
+    """Thin edges above the noise: at, their pixels (y, x), and slopes (N,); thresholds of the strong ones."""
+
+    gx: npt.NDArray[np.int16]
+    gy: npt.NDArray[np.int16]
+    at: tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]
+    slopes: npt.NDArray[np.float64]
+    low: float
+    high: float
+
+
+def _all_edges(
+    image: Image, mask: Image, thresholds: EdgeThresholds, smoothing_px: float
+) -> _AllEdges | None:
     if np.count_nonzero(mask) < OUTLINES.min_points:
         return None
-    width_px = float(np.sqrt(np.count_nonzero(mask)))
+    width_px = _width_px(mask)
     smoothing = min(smoothing_px, max(OUTLINES.narrow_px, width_px / OUTLINES.fine_detail))
     smooth = cv2.GaussianBlur(image.astype(np.float32), (0, 0), smoothing)
     gx, gy = (cv2.Sobel(smooth, cv2.CV_32F, *axis, ksize=3, scale=FINE).astype(np.int16) for axis in AXES)
@@ -86,14 +131,11 @@ def strong_edges(
         return None
     whole = slopes[room_px[room_px >= OUTLINES.nearest_px] >= OUTLINES.border_px]
     low, high = _thresholds(whole if len(whole) >= OUTLINES.min_points else slopes, width_px, thresholds)
-    linked = np.zeros_like(thin)
-    linked[at] = slopes > low
-    _, labels, stats, _ = cv2.connectedComponentsWithStats(linked, connectivity=8)
-    strong = np.bincount(labels[at][slopes > high], minlength=len(stats))
-    shortest = thresholds.min_component_px or OUTLINES.component_share * width_px
-    keep = (stats[:, cv2.CC_STAT_AREA] >= shortest) & (strong >= OUTLINES.min_strong)
-    keep[0] = False
-    return StrongEdges(keep[labels].astype(np.uint8), gx, gy)
+    return _AllEdges(gx, gy, at, slopes, low, high)
+
+
+def _width_px(mask: Image) -> float:
+    return float(np.sqrt(np.count_nonzero(mask)))
 
 
 def _room(

@@ -53,6 +53,9 @@ class OutlineParams:
     outline_share: float = 0.5  # length of a part's strong outline in widths of the region
     strongest_share: float = 0.05  # the same as a share of all edges, if there are few others
     component_share: float = 0.08  # shortest connected edge that counts, in widths of the region
+    texture_widths: float = 30.0
+    """Length of all edges, in widths of the region, beyond which most are texture: parts of many designs show
+    2 to 26 (docs/explanation/accuracy.md)."""
     nearest_px: float = 1.0  # smallest distance across an edge to the border of a tightly cut template
     border_px: float = 3.0  # distance to the border needed to know an edge's slope
     min_strong: int = 4  # fewest strong pixels of a connected edge: a single one is noise

@@ -262,10 +262,7 @@ class _Search:
         else:
             fits = low * p.scale_min <= math.sqrt(determinant) <= high * p.scale_max
             fits = fits and max(size_x, size_y) < CLIMB.max_stretch * min(size_x, size_y)
-        if p.angle_extent_rad < 2 * math.pi - 1e-9:
-            turn = math.atan2(c - b, a + d) - p.angle_start_rad + slack
-            fits = fits and turn % (2 * math.pi) <= p.angle_extent_rad + 2 * slack
-        return fits
+        return fits and p.allows_turn(math.atan2(c - b, a + d), slack)
 
     # --- rivals ------------------------------------------------------------------------------------
 
@@ -430,14 +427,15 @@ class _Search:
         return None if coarse is None else self._finest(coarse, climbed=True)
 
     def _canonical(self, hypothesis: Hypothesis) -> Hypothesis:
-        """Turn a hypothesis to the angle nearest to the taught one at which the shape looks the same."""
+        """Turn a hypothesis to where the shape looks the same, nearest to the middle of the wanted range."""
+        middle = self.params.middle_turn_rad
         if self.model.round:
-            back = rivals.about(self.model.centre_px, -hypothesis.angle)
+            back = rivals.about(self.model.centre_px, middle - hypothesis.angle)
             return hypothesis.at(rivals.turned(hypothesis.pose, back))
         best = hypothesis
         for motion in self._equal():
             other = hypothesis.at(rivals.turned(hypothesis.pose, motion))
-            if abs(other.angle) < abs(best.angle) - 1e-6:
+            if angle_between(other.angle, middle) < angle_between(best.angle, middle) - 1e-6:
                 best = other
         return best
 

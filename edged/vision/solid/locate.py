@@ -103,7 +103,7 @@ def _measured_at(
     for place in places:
         if len(measured) + len(dismissed) == job.search.max_matches:
             break
-        found = weighed(pyramids, place, lambda model: _turns(job, model), _same_turns(job))
+        found = _weighed(job, pyramids, place)
         if found.certain > DECISION.worth_forms:
             if job.body is None:
                 found = _of_likeliest_form(images, job, found, place, pyramids)
@@ -153,8 +153,13 @@ def _agrees(job: Job, models: Sequence[EdgeModel], pyramids: Pyramids, target: T
     laid = lay(models[0], pyramids, pose, FINE_STEPS)
     if laid is None or turn_between(laid.pose, pose) > DECISION.same_turn_rad:
         return False
-    is_declared = len(job.shape.equal_motions) > 0  # at teaching, which warned of it
-    found = weighed(pyramids, PartPlace((laid,)), lambda model: () if is_declared else _turns(job, model))
+
+    def rivals(model: EdgeModel) -> Sequence[FloatArray]:
+        if len(job.shape.equal_motions):  # declared at teaching, which warned of it
+            return ()
+        return [motion for motion in _turns(job, model) if _is_in_range(job, laid.pose @ motion)]
+
+    found = weighed(pyramids, PartPlace((laid,)), rivals)
     if found.laid is not laid or found.margin <= DECISION.certain or not _is_whole(job, found):
         return False
     if laid.agreeing.min() > DECISION.plain:
@@ -241,8 +246,8 @@ def _is_round(job: Job, model: EdgeModel, axes: Iterable[tuple[float, float]]) -
 
 
 def _as_taught(job: Job, found: FoundPart, pyramids: Pyramids) -> FoundPart:
-    """A part that is the same after a turn at the pose that is turned least from the taught one."""
-    pose = _same_turns(job).nearest(found.laid.pose, job.rig_from_part)
+    """A part that is the same after a turn at the pose that is turned least from the middle of its range."""
+    pose = _in_range(job, found.laid.pose)
     if pose is found.laid.pose:
         return found
     # a pair shows the axis less exactly than a body has it
@@ -250,15 +255,45 @@ def _as_taught(job: Job, found: FoundPart, pyramids: Pyramids) -> FoundPart:
     return replace(found, laid=laid or replace(found.laid, pose=pose))
 
 
+def _in_range(job: Job, pose: FloatArray) -> FloatArray:
+    """The pose (4, 4) at which a part is the same that is turned least from the middle of its range."""
+    same = _same_turns(job)
+    return same.nearest(pose, job.rig_from_part @ same.motion(_away(job) * job.search.middle_turn_rad))
+
+
+def _is_in_range(job: Job, pose: FloatArray) -> bool:
+    """Whether a part at a pose (4, 4), or where it is the same, is turned as its job allows."""
+    turn = turn_about_z(job.rig_from_part[:3, :3].T @ _in_range(job, pose)[:3, :3])
+    return job.search.allows_turn(_away(job) * turn, DECISION.same_turn_rad)
+
+
+def _away(job: Job) -> float:
+    """1 where the part's z axis points away from the cameras, so that turns in the picture are about it."""
+    return math.copysign(1.0, job.rig_from_part[2, 2])
+
+
+def _weighed(job: Job, pyramids: Pyramids, place: PartPlace) -> FoundPart:
+    """`weighed` with what a job knows of its part."""
+    return weighed(
+        pyramids,
+        place,
+        lambda model: _turns(job, model),
+        _same_turns(job),
+        lambda pose: _is_in_range(job, pose),
+    )
+
+
 def weighed(
     pyramids: Pyramids,
     place: PartPlace,
     turns_of: Callable[[EdgeModel], Sequence[FloatArray]],
     same: EqualTurns = NO_TURN,
+    is_wanted: Callable[[FloatArray], bool] = lambda _: True,
 ) -> FoundPart:
     """Choose the best pose at a place, by the best of its models, and weigh it against chance and rivals.
 
     turns_of : motions that leave a model like itself. same : turns after which it is no rival.
+    is_wanted : whether the part may lie so; with other poses, nothing is certain.
     """
     poses = list(place.modes)
     seen = [evidence_of(mode.model, pyramids, mode.pose) for mode in poses]
@@ -279,6 +314,10 @@ def weighed(
             if laid is not None and laid.mean > DECISION.worth * poses[best].mean:
                 poses.append(laid)
                 seen.append(evidence_of(model, pyramids, laid.pose))
+    wanted = [k for k, mode in enumerate(poses) if is_wanted(mode.pose)]
+    if not any(poses[k].model is model for k in wanted):
+        return FoundPart(poses[best], seen[best], -math.inf, math.inf)
+    poses, seen = [poses[k] for k in wanted], [seen[k] for k in wanted]
     best = likeliest()
     shapes = [grey.shape for grey in pyramids.grey[0]]
     margin = math.inf
@@ -353,7 +392,7 @@ def _weighed_from(
     modes = tuple(mode for mode in laid if mode is not None)
     if not modes:
         return None
-    return weighed(pyramids, PartPlace(modes), lambda model: _turns(job, model), _same_turns(job))
+    return _weighed(job, pyramids, PartPlace(modes))
 
 
 def _tilted_poses(model: EdgeModel, pose: FloatArray) -> list[FloatArray]:
@@ -404,9 +443,7 @@ def _match(images: StereoImages, job: Job, laid: LockedPose) -> Match:
     """A pose as a match of the left picture: where its reference is, its turn against the taught one."""
     reference = apply(laid.pose, job.place_of(job.reference))
     x, y = images.rig.left.project(reference[None])[0]
-    taught = job.rig_from_part[:3, :3]
-    between = laid.pose[:3, :3] @ taught.T
-    angle = turn_about_z(between)
+    angle = turn_about_z(laid.pose[:3, :3] @ job.rig_from_part[:3, :3].T)
     scale = float(apply(job.rig_from_part, job.place_of(job.reference))[2] / reference[2])
     return Match(float(x), float(y), angle, scale, scale, laid.mean)
 

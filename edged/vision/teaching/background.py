@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 
 from edged.domain.arrays import B8, FloatArray, Image
-from edged.vision.edges.contours import Contour, find_contours
+from edged.vision.edges.contours import Contour
 from edged.vision.edges.subpixel import edges_along_normals
 from edged.vision.geometry.rigid import Plane, apply
 from edged.vision.teaching.features import TeachingView, common_depths, plane_of, strong_contours
@@ -30,7 +30,7 @@ def without_background(view: TeachingView, rig_from_part: FloatArray, mask: Imag
     """
     normal = rig_from_part[:3, 2]
     face = Plane.through(rig_from_part[:3, 3], normal)
-    contours = find_contours(view.images.rectified_left, mask)
+    contours = view.contours_in(mask)
     agreeing = [agreeing_with(view, face, contour) for contour in contours]
     total = sum(len(flags) for flags in agreeing)
     if not total or sum(np.count_nonzero(flags) for flags in agreeing) >= TEACHING.clean_share * total:

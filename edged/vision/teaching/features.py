@@ -16,6 +16,7 @@ from edged.domain.arrays import FloatArray, Image
 from edged.vision.curves.outlines import Curve, Face
 from edged.vision.curves.planefit import CurveFit, PlaneFit, fit_plane
 from edged.vision.edges.contours import Contour, find_contours, pieces
+from edged.vision.edges.hysteresis import EdgeThresholds
 from edged.vision.edges.subpixel import edges_along_normals
 from edged.vision.geometry.rectification import Rectification, StereoImages
 from edged.vision.geometry.rigid import Plane, transform, wrapped
@@ -51,12 +52,18 @@ class TeachingView:
 
     ratio : of the slopes of edges in the right image to those in the left one.
     surface : plane of the face that is taught, by its texture; None where it shows none.
+    thresholds : that edges of the left image are found with; None: derived from the region.
     """
 
     images: StereoImages
     mask: Image
     ratio: float = 1.0
     surface: Plane | None = None
+    thresholds: EdgeThresholds | None = None
+
+    def contours_in(self, mask: Image) -> list[Contour]:
+        """Contours of a region (h, w) uint8 of the rectified left image, longest first."""
+        return find_contours(self.images.rectified_left, mask, self.thresholds)
 
     def ratio_beyond(self, factor: float) -> float:
         """Return the ratio if both pictures differ by more than a factor, else 1."""
@@ -173,9 +180,8 @@ def part_frame(normal: FloatArray, origin: FloatArray) -> FloatArray:
 
 def _fitted(view: TeachingView, face: Face, circles: Sequence[Curve]) -> PlaneFit | None:
     """Fit the circles and all candidate curves that both images agree on together; None if there are none."""
-    left = view.images.rectified_left
-    everything = find_contours(left, view.mask)
-    contours = _strong(view, find_contours(left, _without(view, face, circles)), everything)
+    everything = view.contours_in(view.mask)
+    contours = _strong(view, view.contours_in(_without(view, face, circles)), everything)
     candidates = _slots(view, face, contours)
     beside = [contour for contour in contours if not _within(view, face, contour, candidates)]
     candidates += _edges(view, face, beside)
@@ -217,7 +223,7 @@ def _is_clear(fit: CurveFit) -> bool:
 @lru_cache(maxsize=1)  # keyed by identity; each fit of a teaching needs them
 def strong_contours(view: TeachingView) -> list[Contour]:
     """The contours of the region that outline something, longest first."""
-    contours = find_contours(view.images.rectified_left, view.mask)
+    contours = view.contours_in(view.mask)
     return _strong(view, contours, contours)
 
 

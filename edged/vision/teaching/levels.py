@@ -18,7 +18,6 @@ from edged.domain.arrays import I64, FloatArray, Image
 from edged.vision.curves.outlines import Curve, Face
 from edged.vision.curves.params import FitParams
 from edged.vision.curves.planefit import CircleGuess, CurveFit, PlaneFit, fit_circle, fit_plane
-from edged.vision.edges.contours import find_contours
 from edged.vision.edges.ellipses import ImageEllipse
 from edged.vision.geometry.rectification import Rectification, StereoImages
 from edged.vision.geometry.rigid import Plane, apply, invert, transform, unit
@@ -346,7 +345,7 @@ def mask_along(rectification: Rectification, curves: Sequence[Curve], rig_from_p
 
 def dominant_face(view: TeachingView, levels: Levels) -> float:
     """Height of the face with most edges seen by both cameras; if about even, that of the largest circle."""
-    contours = find_contours(view.images.rectified_left, view.mask)
+    contours = view.contours_in(view.mask)
     seen = {}
     for face_mm in levels.faces_mm:
         plane = Plane(levels.normal, face_mm)

@@ -14,7 +14,6 @@ from edged.errors import TeachError
 from edged.vision.curves.outlines import Curve, Face
 from edged.vision.curves.params import FitParams
 from edged.vision.edges.ellipses import ImageEllipse, find_ellipses
-from edged.vision.edges.hysteresis import EdgeThresholds
 from edged.vision.geometry.rectification import Rectification, StereoImages
 from edged.vision.geometry.rigid import Plane
 from edged.vision.part.frames import FoundCircle, circles_in_rig
@@ -101,9 +100,7 @@ def circles_of(main: MainFace, ellipses: list[ImageEllipse]) -> list[FoundCircle
     return circles_in_rig(together)
 
 
-def without_pattern(
-    view: TeachingView, ellipses: list[ImageEllipse], thresholds: EdgeThresholds | None = None
-) -> list[ImageEllipse]:
+def without_pattern(view: TeachingView, ellipses: list[ImageEllipse]) -> list[ImageEllipse]:
     """Drop the holes of a perforated table from the ellipses of a region.
 
     Such holes are many, of one size, spread over the picture, and lie below the other circles, since the
@@ -114,7 +111,7 @@ def without_pattern(
     if not len(ellipses) or alike.sum(axis=1).max() < TEACHING.pattern_inside:
         return ellipses
     images = view.images
-    everywhere = find_ellipses(images.rectified_left, images.rectification.valid_left, thresholds)
+    everywhere = find_ellipses(images.rectified_left, images.rectification.valid_left, view.thresholds)
     drawn = _size_rows(everywhere)
     law = np.array([0.0, 0.0, rows[alike.sum(axis=1).argmax(), 3]])  # log of the size over x, y, 1
     of_pattern = np.zeros(0, bool)
@@ -220,12 +217,17 @@ def _as_contours_lie(
 ) -> Plane | None:
     """The plane that contours agree with better than with the largest circle's face; None if there is none.
 
+    Also one that they agree with about as well, if the circle lies in it: they reach farther than the circle.
     A hole seems to tilt if the cameras see different edges of its break: by the distance of these edges over
     its width. A plane that tilts by more is no face of the same part.
     """
     face, contours = _plane_of(largest), strong_contours(view)
     plane = plane_of(view, contours, depths_mm)
-    if plane is None or not fits_significantly_better(view, plane, face, contours):
+    if plane is None or fits_significantly_better(view, face, plane, contours):
+        return None
+    above_mm = float(plane.normal @ largest.circle.centre_mm) - plane.offset
+    holds = abs(above_mm) < TEACHING.face_tolerance_mm
+    if not (holds or fits_significantly_better(view, plane, face, contours)):
         return None
     return plane if plane.lean_rad(face) < 0.5 * TEACHING.break_mm / largest.circle.radius_mm else None
 

@@ -10,8 +10,7 @@ import numpy as np
 from edged.domain.arrays import FloatArray, Image
 from edged.errors import TeachError
 from edged.vision.edges.ellipses import find_ellipses
-from edged.vision.edges.hysteresis import EdgeThresholds
-from edged.vision.edges.params import OUTLINES
+from edged.vision.edges.hysteresis import fainter
 from edged.vision.geometry.rectification import Rectification, StereoImages
 from edged.vision.geometry.rigid import apply, invert, transform
 from edged.vision.part.edgeidentity import is_double
@@ -55,9 +54,6 @@ from edged.vision.teaching.region import Area, Region, painted_region
 from edged.vision.teaching.roundparts import rims_of_round_part
 from edged.vision.teaching.surfaces import surfaces_of
 from edged.vision.teaching.tracing import trace
-
-FAINT = EdgeThresholds(OUTLINES.faint, 2 * OUTLINES.faint)
-"""Thresholds for circles that both pictures must confirm: four sigma of the noise of a noisy picture."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -109,42 +105,51 @@ def view_of(
 
 def taught(view: TeachingView, wanted: WantedJob) -> Job:
     """Learn the part that a view shows. Raises `TeachError` as `teach`."""
-    view = with_ratio(view)
-    job = with_equal_turns(_untraced(view, wanted), view)
+    job, view = _untraced(with_ratio(view), wanted)
+    job = with_equal_turns(job, view)
     return replace(job, traced=trace(view, job.rig_from_part, curve_points(job)))
 
 
-def _untraced(view: TeachingView, wanted: WantedJob) -> Job:
-    """Job made from strong circles, or from faint ones too where strong ones show no part or no rotation.
+def _untraced(view: TeachingView, wanted: WantedJob) -> tuple[Job, TeachingView]:
+    """Job made from strong edges, or from fainter ones too where strong ones hardly tell how the part lies.
 
-    A bright table or insert raises the threshold for strong edges above the contrast of holes in a dark part.
+    Returns it, and the view with the thresholds of its edges. A bright table, insert or glint raises the
+    threshold for strong edges above the contrast of a part.
     """
-    try:
-        job = _with_circles(view, wanted)
-    except TeachError:
-        faint = _with_faint_circles(view, wanted)
-        if faint is None:
-            raise
-        return faint
-    if job.edges or job.slots or _off_axis(job.circles):
-        return job
-    faint = _with_faint_circles(view, wanted)
-    # one circle off the axis may be a stain
-    return job if faint is None or len(_off_axis(faint.circles)) < 2 else faint
+    left, best, refusal = view.images.rectified_left, None, None
+    for thresholds in (None, *fainter(left, view.mask)):
+        shown, asked = view, wanted
+        if thresholds is not None:
+            shown = with_ratio(replace(view, thresholds=thresholds))
+            asked = replace(wanted, params=wanted.params or ModelParams(thresholds))
+        try:
+            job = _with_circles(shown, asked)
+        except TeachError as error:
+            refusal = refusal or error
+            continue
+        if best is None or (_told(job) > _told(best[0]) and _tells_turn(job)):
+            best = job, shown
+        if _told(best[0]) >= TEACHING.lone_witnesses and _tells_turn(best[0]):
+            break
+    if best is None:
+        raise refusal or AssertionError("no thresholds were tried")
+    return best
 
 
-def _with_faint_circles(view: TeachingView, wanted: WantedJob) -> Job | None:
-    """Job made from faint circles as well, or None if these show no part either."""
-    try:
-        return _with_circles(view, wanted, FAINT)
-    except TeachError:
-        return None
+def _told(job: Job) -> int:
+    """How many distances a job's features tell: three by a circle or slot, one by an edge."""
+    return 3 * (len(job.circles) + len(job.slots)) + len(job.edges)
 
 
-def _with_circles(view: TeachingView, wanted: WantedJob, thresholds: EdgeThresholds | None = None) -> Job:
-    """Job made from a view, with the circles found among the edges above the thresholds."""
-    shown = find_ellipses(view.images.rectified_left, view.mask, thresholds)
-    ellipses = without_pattern(view, shown, thresholds)
+def _tells_turn(job: Job) -> bool:
+    """Whether features tell the turn; one circle off the axis may be a stain."""
+    return bool(job.edges or job.slots or len(_off_axis(job.circles)) > 1)
+
+
+def _with_circles(view: TeachingView, wanted: WantedJob) -> Job:
+    """Job made from a view, with the circles found among its edges."""
+    shown = find_ellipses(view.images.rectified_left, view.mask, view.thresholds)
+    ellipses = without_pattern(view, shown)
     try:
         main = main_face(view, ellipses)
         view = main.view

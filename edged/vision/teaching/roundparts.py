@@ -11,7 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from edged.domain.arrays import B8, FloatArray, Image
-from edged.vision.edges.contours import Contour, find_contours
+from edged.vision.edges.contours import Contour
 from edged.vision.geometry.rigid import Plane, apply, invert
 from edged.vision.part.job import CircleFeature
 from edged.vision.part.pose import circle_curve
@@ -36,7 +36,7 @@ def rims_of_round_part(
     normal, origin = rig_from_part[:3, 2], rig_from_part[:3, 3]
     faces = [Plane(normal, float(normal @ origin) + height) for height in heights]
     telling = 0
-    for contour in find_contours(view.images.rectified_left, view.mask):
+    for contour in view.contours_in(view.mask):
         in_faces = [mostly(agreeing_with(view, face, contour), contour.closed) for face in faces]
         tells = np.any(in_faces, axis=0) & ~_runs_around(view, rig_from_part, contour)
         telling += int(np.count_nonzero(tells & ~_is_in(rims, contour)))
