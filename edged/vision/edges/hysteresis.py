@@ -89,7 +89,7 @@ def fainter(image: Image, mask: Image) -> Iterator[EdgeThresholds]:
     found = _all_edges(image, mask, EdgeThresholds(), OUTLINES.smoothing_px)
     if found is None:
         return
-    low, high, most = found.low, found.high, OUTLINES.texture_widths * _width_px(mask)
+    low, high, most = found.low, found.high, np.count_nonzero(mask) / OUTLINES.texture_px
     while high > 2 * OUTLINES.faint:
         low, high = max(0.5 * low, OUTLINES.faint), max(0.5 * high, 2 * OUTLINES.faint)
         if np.count_nonzero(found.slopes > low) > most:

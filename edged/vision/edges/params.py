@@ -53,9 +53,10 @@ class OutlineParams:
     outline_share: float = 0.5  # length of a part's strong outline in widths of the region
     strongest_share: float = 0.05  # the same as a share of all edges, if there are few others
     component_share: float = 0.08  # shortest connected edge that counts, in widths of the region
-    texture_widths: float = 30.0
-    """Length of all edges, in widths of the region, beyond which most are texture: parts of many designs show
-    2 to 26 (docs/explanation/accuracy.md)."""
+    texture_px: float = 10.0
+    """Mean distance of edges below which most are texture. Derivation: those of noise smoothed by 2 px are
+    pi * 2 / sqrt(2.5) = 4 px apart (S. O. Rice, "Mathematical analysis of random noise", 1945), and twice as
+    far if half of them exceed a threshold."""
     nearest_px: float = 1.0  # smallest distance across an edge to the border of a tightly cut template
     border_px: float = 3.0  # distance to the border needed to know an edge's slope
     min_strong: int = 4  # fewest strong pixels of a connected edge: a single one is noise

@@ -384,7 +384,8 @@ def target_from(
     """The target of a part without circles, from the fit of its face and the motion of its features in it."""
     face = fit.face
     reference = job.place_of(job.reference)[:2]
-    point = place(job, fit, job.reference)
+    # a corner is where two edges would meet: all edges together tell that better than these two
+    point = None if job.kind_of(job.reference) == "corner" else place(job, fit, job.reference)
 
     def pose(parameters: FloatArray) -> FloatArray:
         in_face = motion.apply(reference) if point is None else point(parameters)
@@ -395,7 +396,7 @@ def target_from(
     values, jacobian = differentiated(fit, pose)
     covariance = jacobian @ fit.covariance @ jacobian.T
     by_edges = jacobian @ fit.edge_covariance @ jacobian.T
-    if point is None:  # the reference is hidden: its position follows from the other features
+    if point is None:  # its position follows from the other features, as if it is hidden
         arm = np.array([[1.0, 0.0, -reference[1]], [0.0, 1.0, reference[0]]])
         in_rig = face.axes[:2].T @ arm
         covariance[:3, :3] += in_rig @ motion.covariance @ in_rig.T

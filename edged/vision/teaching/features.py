@@ -17,6 +17,7 @@ from edged.vision.curves.outlines import Curve, Face
 from edged.vision.curves.planefit import CurveFit, PlaneFit, fit_plane
 from edged.vision.edges.contours import Contour, find_contours, pieces
 from edged.vision.edges.hysteresis import EdgeThresholds
+from edged.vision.edges.params import OUTLINES
 from edged.vision.edges.subpixel import edges_along_normals
 from edged.vision.geometry.rectification import Rectification, StereoImages
 from edged.vision.geometry.rigid import Plane, transform, wrapped
@@ -231,9 +232,10 @@ def _strong(view: TeachingView, contours: list[Contour], everything: list[Contou
     """The contours that outline something: a step between two plateaus, as strong as most in the region."""
     if not everything:
         return []
-    needed = TEACHING.min_step_share * float(
-        np.percentile(np.concatenate([_steps(view, c) for c in everything]), 90)
-    )
+    usual = float(np.percentile(np.concatenate([_steps(view, c) for c in everything]), 90))
+    if view.thresholds is not None and view.thresholds.contrast_high is not None:
+        usual = min(usual, view.thresholds.contrast_high / OUTLINES.edge_share)  # glints are stronger
+    needed = TEACHING.min_step_share * usual
     return [contour for contour in contours if float(np.median(_steps(view, contour))) >= needed]
 
 

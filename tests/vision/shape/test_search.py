@@ -217,6 +217,18 @@ def test_symmetric_part_has_one_canonical_angle() -> None:
         assert abs(math.sin(3 * (match.angle_rad - angle))) < 0.01
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("start_deg", [-10.0, 45.0, 200.0])
+def test_a_symmetric_part_is_reported_within_the_range_of_turns(start_deg: float) -> None:
+    """Six equal holes, and a range of 60 degrees anywhere: however the part lies, it is found, turned so."""
+    model = _teach(flange(odd=False))
+    wanted = replace(RIGID, angle_start_rad=math.radians(start_deg), angle_extent_rad=math.radians(60.0))
+    for angle in (-2.9, -1.0, 0.1, 1.7, 3.0):
+        match = _one(find_shapes(draw(flange(odd=False), (200, 160, angle, 1, 1)), model, wanted))
+        assert angle_between(match.angle_rad, math.radians(start_deg + 30.0)) <= math.pi / 6 + 0.01
+        assert abs(math.sin(3 * (match.angle_rad - angle))) < 0.01
+
+
 def test_round_part_has_no_rotation() -> None:
     """A disc is found with angle zero, marked as symmetric."""
     model = _teach(((disc(0, 0, 50), 200.0), (disc(0, 0, 20), 60.0)))

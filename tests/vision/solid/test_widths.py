@@ -45,10 +45,10 @@ def test_where_narrow_breaks_lead_nowhere_a_part_is_looked_for_by_wide_ones(
 
     monkeypatch.setattr(locate, "find_places", found)
     job = teach(*pair(DESIGN, 0.0), rig().rectification, None, "part")
-    images = StereoImages.of(rig().rectification, *pair(DESIGN, 25.0))
+    images = StereoImages.of(rig().rectification, *pair(DESIGN, 10.0))
     allowed = {BREAKS.looked_mm}
     (part,), _, _ = locate.locate_solid(images, job)
-    moved = place(25.0) @ np.linalg.inv(place(0.0)) @ job.rig_from_part
+    moved = place(10.0) @ np.linalg.inv(place(0.0)) @ job.rig_from_part
     assert np.linalg.norm(part.target.rig_from_part[:3, 3] - apply(moved, job.place_of(job.reference))) < 0.1
     assert looked == [BREAKS.looked_mm]
     allowed = {BREAKS.looked_wide_mm}

@@ -15,7 +15,7 @@ from helpers.tilted import lying, thin
 from edged.domain.measurement import Reject
 from edged.pipeline import PreparedRig, locate, prepare
 from edged.sim.render.scene import Disc, Hole, Part, PolygonShape, Slot
-from edged.vision.geometry.rigid import apply, invert
+from edged.vision.geometry.rigid import apply, invert, turn_about_z
 from edged.vision.part.job import Job
 from edged.vision.teaching.pair import teach
 
@@ -70,3 +70,30 @@ def test_it_is_accepted_where_it_lies(part: Part) -> None:
         alike = [lying(rig.rig, 24.0, -50.0, turn_deg + half) @ part_from_job for half in (0.0, 180.0)]
         places = [apply(true, job.place_of(job.reference)) for true in alike]
         assert min(float(np.linalg.norm(target.position_mm - place)) for place in places) < 0.03
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("start_deg", [-90.0, 60.0, None])
+def test_a_range_of_turns_tells_those_apart_that_nothing_shown_does(start_deg: float | None) -> None:
+    """A plate that may differ on its back is in doubt after half a turn, unless its job allows only half.
+
+    It is reported turned within that range, where it lies or turned by half.
+    """
+    rig, job = prepared(), taught(plate())
+    job = replace(
+        job,
+        tilt_rad=math.radians(30.0),
+        shape=replace(
+            job.shape, symmetries=np.zeros((0, 4))
+        ),  # as if a mark told the turns apart at teaching
+    )
+    start = math.radians(-180.0 if start_deg is None else start_deg)
+    extent = math.tau if start_deg is None else math.pi
+    job = replace(job, search=replace(job.search, angle_start_rad=start, angle_extent_rad=extent))
+    for turn_deg in (40.0, 205.0):
+        there = lying(rig.rig, 24.0, -50.0, turn_deg)
+        (target,) = locate(frame_pair(*pictures(rig.rig, thin(plate(), there))), job, rig).targets
+        assert target.reject is (Reject.AMBIGUOUS_ROTATION if start_deg is None else Reject.NONE)
+        if start_deg is not None:
+            turn = turn_about_z(job.rig_from_part[:3, :3].T @ target.rig_from_part[:3, :3])
+            assert job.search.allows_turn(turn, math.radians(1.0))

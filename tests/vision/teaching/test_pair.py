@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+import cv2
 import numpy as np
 import pytest
 from helpers.brokenparts import half_disc
@@ -12,7 +13,7 @@ from helpers.tilted import lying
 
 from edged.errors import ImageError, TeachError
 from edged.pipeline import prepare
-from edged.sim.render.scene import Disc, Hole, PaintedMark, Part, RoundedBox, Slot, Surface
+from edged.sim.render.scene import Disc, Hole, PaintedMark, Part, PolygonShape, RoundedBox, Slot, Surface
 from edged.vision.geometry.rectification import Rectification, make_rectification
 from edged.vision.geometry.rigid import apply, invert
 from edged.vision.part.job import Job
@@ -298,3 +299,23 @@ def test_a_plate_without_circles_and_corners_is_taught_by_where_its_edges_would_
     assert (0, 4, 1) == (len(job.circles), len(job.edges), len(job.corners))
     corner = np.abs((invert(where) @ job.rig_from_part)[:2, 3])
     np.testing.assert_allclose(corner, (12.0, 9.0), atol=0.02)
+
+
+@pytest.mark.slow
+def test_a_few_glints_do_not_hide_a_part() -> None:
+    """Each camera sees glints elsewhere, stronger than any edge of the part, which is taught by its own."""
+    rig = prepare(small_rig())
+    where = lying(rig.rig, 0.0, 0.0, 0.0)
+    corners = ((-12.0, -9.0), (12.0, -9.0), (12.0, 9.0), (-12.0, 9.0))
+    plate = Part("plate", PolygonShape(corners), Surface(albedo=0.2))
+    left, right = pictures(rig.rig, scene((plate, where), table=Surface(albedo=0.1)))
+    outline = rig.rig.left.project(apply(where, np.array([(*corner, 0.0) for corner in corners])))
+    low, high = outline.min(axis=0) - 15.0, outline.max(axis=0) + 15.0
+    for picture, middle, down in ((left, outline.mean(axis=0), 25), (right, [480, 240], -20)):
+        for k in range(-1, 2):
+            place = (int(middle[0]) + 30 * k, int(middle[1]) + down)
+            cv2.circle(picture, place, 8, 255, -1, cv2.LINE_AA)
+    region = Region(*(float(value) for value in (*low, *(high - low))))
+    job = teach(left, right, rig.rectification, region, "plate")
+    assert len(job.edges) == 4
+    assert float(job.rig_from_part[:3, 2] @ where[:3, 2]) > math.cos(math.radians(0.2))
