@@ -1,14 +1,16 @@
 #!/usr/bin/env python3
 """Measure how thick parts of several heights are found and measured, on rendered scenes with exact truth.
 
-    tools/bench solid DATASET [--step | --alone DEPTH] [--further N] [--tilt DEGREES] [--only NAME]
-        [--overlays DIR]
+    tools/bench solid DATASET [--step | --alone DEPTH] [--operator] [--further N] [--tilt DEGREES]
+        [--only NAME] [--overlays DIR]
 
 DATASET holds rig.json (the true cameras), teach/teach_PART (one pair for each part, with truth) and scenes/.
 Each part is taught from its pair; in a scene, the motion from the taught to the found pose is compared with
 the true one, at the job's reference point. With --step, each part is also taught with its STEP file
 (step/PART.step, -z or the stated up to the cameras), and rig_from_model is compared with the true pose;
-with --alone, with its STEP file and no pair, its main face DEPTH mm away. With --further, its first N
+with --alone, with its STEP file and no pair, its main face DEPTH mm away. With --operator, as one who knows
+the part does: in a region around it, and a job for a part that is the same after half a turn allows no more
+than that. With --further, its first N
 scenes are used for teaching, too, and are not measured. Good is a target that is accepted and right; wrong
 is one that is accepted and off by more than 0.1 mm (--alone: by more than three of the sigmas across the
 face that such a job states), or turned by more than 3 degrees. Shares are printed with their 95 % bounds.
@@ -40,7 +42,7 @@ from edged.errors import EdgedError
 from edged.files.images import load_image
 from edged.pictures.overlay import draw_pair
 from edged.pipeline import PreparedRig, inspect, judge, prepare
-from edged.vision.geometry.rigid import invert, transform, turn_about_z
+from edged.vision.geometry.rigid import apply, invert, transform, turn_about_z
 from edged.vision.part.job import Job
 from edged.vision.part.params import MEASURING
 from edged.vision.solid.symmetry import NO_TURN, EqualTurns, equal_turns
@@ -51,10 +53,12 @@ from edged.vision.teaching.cadmodel import ModelCurves
 from edged.vision.teaching.cadpair import teach_with_model
 from edged.vision.teaching.furtherpairs import with_breaks_shown
 from edged.vision.teaching.pair import WantedJob, teach, view_of
+from edged.vision.teaching.region import PolygonRegion
 
 DEPTH_SHARE = 0.22
 """Range of depth in these scenes, as a share nearer and farther than at teaching, as a person sets it."""
 WRONG_MM, WRONG_DEG = 0.1, 3.0
+MARGIN_PX = 15  # that a person leaves around a part
 NEAR_MM = 5.0
 """Distance from a true part within which a target counts as that part."""
 
@@ -193,6 +197,18 @@ def compared(
     )  # fmt: skip
 
 
+def region_around(points_mm: FloatArray, rig_from_model: FloatArray, rig: PreparedRig) -> PolygonRegion:
+    """The hull of a part (N, 3) in the left picture, with a margin, as a person draws it."""
+    left = rig.rig.left
+    seen = np.rint(left.project(apply(rig_from_model, points_mm))).astype(np.int32)
+    inside = np.zeros((left.height, left.width), np.uint8)
+    cv2.fillConvexPoly(inside, cv2.convexHull(seen), 255)
+    around = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * MARGIN_PX + 1,) * 2)
+    (border,) = cv2.findContours(cv2.dilate(inside, around), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)[0]
+    corners = cv2.approxPolyDP(cv2.convexHull(border), 2.0, True)
+    return PolygonRegion(np.asarray(corners[:, 0], np.float64))
+
+
 def measure(
     dataset: Path, rig: PreparedRig, design: str, options: argparse.Namespace
 ) -> tuple[list[Part], float]:
@@ -202,22 +218,24 @@ def measure(
     scenes = [path for path in sorted((dataset / "scenes").glob("*.json")) if options.only in path.stem]
     truths = {path: json.loads(path.read_text())["parts"] for path in scenes}
     try:
-        step, same = dataset / "step" / f"{design}.step", Sameness()
+        step, same, region = dataset / "step" / f"{design}.step", Sameness(), None
         by_file = options.step or options.alone is not None
         if by_file or step.exists():
             stated = step.with_suffix(".json")
             up = json.loads(stated.read_text()).get("up", "-z") if stated.exists() else "-z"
             model, shown = read_model(step, up)
             same = Sameness.of(shown.curves)
+            if options.operator:
+                region = region_around(model.points_mm, taught, rig)
         if options.alone is not None:
             job, _ = teach_model(model, shown.curves, rig.rectification, options.alone, design)
         elif options.step:
-            view = view_of(*pair_of(pictured), rig.rectification, None)
+            view = view_of(*pair_of(pictured), rig.rectification, region)
             settled = teach_with_model(view, shown.curves, design, WantedJob(design, 1))
             job = settled.job
             print("\n".join(settled.remarks))
         else:
-            job = teach(*pair_of(pictured), rig.rectification, None, design)
+            job = teach(*pair_of(pictured), rig.rectification, region, design)
         taught_too = [p for p, parts in truths.items() if [one["design"] for one in parts] == [design]]
         taught_too = taught_too[: options.further]
         if not by_file or taught_too:
@@ -234,6 +252,9 @@ def measure(
         search=replace(job.search, scale_min=1 - DEPTH_SHARE, scale_max=1 + DEPTH_SHARE),
         limits=replace(job.limits, depth_mm=(0.0, 1e4)),
     )
+    if options.operator and same.turns.order > 1:
+        extent = math.tau / same.turns.order
+        job = replace(job, search=replace(job.search, angle_start_rad=-0.5 * extent, angle_extent_rad=extent))
     print(
         f"{design}: reference {job.reference}, {len(job.circles)} circles, {len(job.edges)} edges, "
         f"{len(job.slots)} slots",
@@ -330,6 +351,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--alone", type=float, metavar="DEPTH", help="teach with the STEP files and no pair")
     parser.add_argument("--further", type=int, default=0, metavar="N", help="scenes to teach with besides")
     parser.add_argument("--step", action="store_true", help="teach with the STEP files of DATASET")
+    parser.add_argument("--operator", action="store_true", help="teach in a region, with the range of turns")
     return parser
 
 

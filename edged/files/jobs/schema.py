@@ -95,7 +95,13 @@ class _Search(_Section):
     angle_start_deg: float = Field(
         -180.0, ge=-360, le=360, description="rotation against the teaching, from here"
     )
-    angle_extent_deg: float = Field(360.0, gt=0, le=360, description="how far the range reaches from there")
+    angle_extent_deg: float = Field(
+        360.0,
+        gt=0,
+        le=360,
+        description="how far the range reaches from there; a part that looks the same after a part of a turn "
+        "is reported within a range of that size, and not in doubt",
+    )
     scale: Annotated[list[float], Field(min_length=2, max_length=2)] = Field(
         description="smallest and largest apparent size against the teaching, within 0.2 to 5"
     )

@@ -68,7 +68,7 @@ def to_toml(job: Job) -> str:
         "",
         "[search]",
         f"angle_start_deg = {math.degrees(search.angle_start_rad):.6g}",
-        f"angle_extent_deg = {math.degrees(search.angle_extent_rad):.6g}",
+        f"angle_extent_deg = {math.degrees(search.angle_extent_rad):.6g}   # a nut looks the same after 60",
         f"scale = {_numbers((search.scale_min, search.scale_max))}   # apparent size against the teaching",
         scale_y_line + "   # the same across, where it differs",
         f"min_score = {search.min_score!r}   # share of the shape that must be seen",

@@ -236,6 +236,26 @@ def turn_about_z(rotation: FloatArray) -> float:
     return math.atan2(rotation[1, 0] - rotation[0, 1], rotation[0, 0] + rotation[1, 1])
 
 
+def is_turn_within(turn_rad: float, start_rad: float, extent_rad: float, slack_rad: float) -> bool:
+    """Whether a turn is in the range that reaches so far from a start, with slack at both ends.
+
+    >>> is_turn_within(math.radians(350), math.radians(-20), math.radians(40), 0.0)
+    True
+    """
+    if extent_rad >= math.tau - 1e-9:
+        return True
+    return (turn_rad - start_rad + slack_rad) % math.tau <= extent_rad + 2 * slack_rad
+
+
+def middle_turn(start_rad: float, extent_rad: float) -> float:
+    """The middle of a range of turns, -pi to pi; 0 of a whole turn.
+
+    >>> round(math.degrees(middle_turn(math.radians(200), math.radians(60))), 9)
+    -130.0
+    """
+    return 0.0 if extent_rad >= math.tau - 1e-9 else math.remainder(start_rad + 0.5 * extent_rad, math.tau)
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Plane:
     """Points X of the rig frame with normal . X = offset; the normal points towards the cameras."""

@@ -280,7 +280,7 @@ def pose_grid(
 ) -> tuple[FloatArray, FloatArray]:
     """Poses (P, 3): angle, scale x, scale y, and the half steps (3,) between them (see `scan.polish`)."""
     step = step_px / max(radius, 1.0)
-    full = params.allows_any_turn
+    full = params.angle_extent_rad >= 2 * np.pi - 1e-9
     number = max(1, int(np.ceil(params.angle_extent_rad / step)) + (0 if full else 1))
     angles = params.angle_start_rad + np.linspace(0, params.angle_extent_rad, number, endpoint=not full)
     half_angle = 0.5 * params.angle_extent_rad / max(number, 1)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, field, fields
 from typing import Literal, get_args
 
@@ -96,25 +95,6 @@ class SearchParams:
         ):
             if given not in modes:
                 raise UserError(f"search.{name}: expected one of {modes}, got {given!r}")
-
-    @property
-    def middle_turn_rad(self) -> float:
-        """The middle of the range of the rotation, -pi to pi; 0 where any is allowed: as taught."""
-        if self.allows_any_turn:
-            return 0.0
-        return math.remainder(self.angle_start_rad + 0.5 * self.angle_extent_rad, math.tau)
-
-    @property
-    def allows_any_turn(self) -> bool:
-        """Whether the range of the rotation is all of it."""
-        return self.angle_extent_rad >= math.tau - 1e-9
-
-    def allows_turn(self, turn_rad: float, slack_rad: float) -> bool:
-        """Whether a rotation against the teaching is within the range, with slack at both ends."""
-        if self.allows_any_turn:
-            return True
-        beyond_rad = (turn_rad - self.angle_start_rad + slack_rad) % math.tau
-        return beyond_rad <= self.angle_extent_rad + 2 * slack_rad
 
 
 def _in_range(name: str, value: float, low: float, high: float) -> None:

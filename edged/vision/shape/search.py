@@ -17,7 +17,7 @@ from edged.domain.arrays import FloatArray, Image
 from edged.errors import ImageError
 from edged.vision.edges.params import EDGE
 from edged.vision.edges.subpixel import edges_at_widths
-from edged.vision.geometry.rigid import angle_between
+from edged.vision.geometry.rigid import angle_between, is_turn_within, middle_turn
 from edged.vision.shape import ambiguity as rivals
 from edged.vision.shape import localsearch as nearby
 from edged.vision.shape import refine
@@ -262,7 +262,8 @@ class _Search:
         else:
             fits = low * p.scale_min <= math.sqrt(determinant) <= high * p.scale_max
             fits = fits and max(size_x, size_y) < CLIMB.max_stretch * min(size_x, size_y)
-        return fits and p.allows_turn(math.atan2(c - b, a + d), slack)
+        turn = math.atan2(c - b, a + d)
+        return fits and is_turn_within(turn, p.angle_start_rad, p.angle_extent_rad, slack)
 
     # --- rivals ------------------------------------------------------------------------------------
 
@@ -428,7 +429,7 @@ class _Search:
 
     def _canonical(self, hypothesis: Hypothesis) -> Hypothesis:
         """Turn a hypothesis to where the shape looks the same, nearest to the middle of the wanted range."""
-        middle = self.params.middle_turn_rad
+        middle = middle_turn(self.params.angle_start_rad, self.params.angle_extent_rad)
         if self.model.round:
             back = rivals.about(self.model.centre_px, middle - hypothesis.angle)
             return hypothesis.at(rivals.turned(hypothesis.pose, back))

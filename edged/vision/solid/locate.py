@@ -17,7 +17,15 @@ from edged.domain.arrays import B8, FloatArray
 from edged.domain.measurement import Match, NotMeasured, Reject, Target
 from edged.domain.stopwatch import no_lap
 from edged.vision.geometry.rectification import StereoImages
-from edged.vision.geometry.rigid import apply, skew, transform, turn_about_z, turn_between
+from edged.vision.geometry.rigid import (
+    apply,
+    is_turn_within,
+    middle_turn,
+    skew,
+    transform,
+    turn_about_z,
+    turn_between,
+)
 from edged.vision.part import measured as parts
 from edged.vision.part.consistency import apply_limits
 from edged.vision.part.frames import circles_in_rig, measure_sizes, with_features
@@ -258,13 +266,15 @@ def _as_taught(job: Job, found: FoundPart, pyramids: Pyramids) -> FoundPart:
 def _in_range(job: Job, pose: FloatArray) -> FloatArray:
     """The pose (4, 4) at which a part is the same that is turned least from the middle of its range."""
     same = _same_turns(job)
-    return same.nearest(pose, job.rig_from_part @ same.motion(_away(job) * job.search.middle_turn_rad))
+    middle = middle_turn(job.search.angle_start_rad, job.search.angle_extent_rad)
+    return same.nearest(pose, job.rig_from_part @ same.motion(_away(job) * middle))
 
 
 def _is_in_range(job: Job, pose: FloatArray) -> bool:
     """Whether a part at a pose (4, 4), or where it is the same, is turned as its job allows."""
-    turn = turn_about_z(job.rig_from_part[:3, :3].T @ _in_range(job, pose)[:3, :3])
-    return job.search.allows_turn(_away(job) * turn, DECISION.same_turn_rad)
+    turn = _away(job) * turn_about_z(job.rig_from_part[:3, :3].T @ _in_range(job, pose)[:3, :3])
+    wanted = job.search
+    return is_turn_within(turn, wanted.angle_start_rad, wanted.angle_extent_rad, DECISION.same_turn_rad)
 
 
 def _away(job: Job) -> float:

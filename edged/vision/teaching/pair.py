@@ -127,16 +127,16 @@ def _untraced(view: TeachingView, wanted: WantedJob) -> tuple[Job, TeachingView]
         except TeachError as error:
             refusal = refusal or error
             continue
-        if best is None or (_told(job) > _told(best[0]) and _tells_turn(job)):
+        if best is None or (_distances(job) > _distances(best[0]) and _tells_turn(job)):
             best = job, shown
-        if _told(best[0]) >= TEACHING.lone_witnesses and _tells_turn(best[0]):
+        if _distances(best[0]) >= TEACHING.lone_witnesses and _tells_turn(best[0]):
             break
     if best is None:
         raise refusal or AssertionError("no thresholds were tried")
     return best
 
 
-def _told(job: Job) -> int:
+def _distances(job: Job) -> int:
     """How many distances a job's features tell: three by a circle or slot, one by an edge."""
     return 3 * (len(job.circles) + len(job.slots)) + len(job.edges)
 

@@ -15,7 +15,7 @@ from helpers.tilted import lying, thin
 from edged.domain.measurement import Reject
 from edged.pipeline import PreparedRig, locate, prepare
 from edged.sim.render.scene import Disc, Hole, Part, PolygonShape, Slot
-from edged.vision.geometry.rigid import apply, invert, turn_about_z
+from edged.vision.geometry.rigid import apply, invert, is_turn_within, turn_about_z
 from edged.vision.part.job import Job
 from edged.vision.teaching.pair import teach
 
@@ -83,9 +83,8 @@ def test_a_range_of_turns_tells_those_apart_that_nothing_shown_does(start_deg: f
     job = replace(
         job,
         tilt_rad=math.radians(30.0),
-        shape=replace(
-            job.shape, symmetries=np.zeros((0, 4))
-        ),  # as if a mark told the turns apart at teaching
+        # as if a mark told the turns apart at teaching
+        shape=replace(job.shape, symmetries=np.zeros((0, 4))),
     )
     start = math.radians(-180.0 if start_deg is None else start_deg)
     extent = math.tau if start_deg is None else math.pi
@@ -96,4 +95,4 @@ def test_a_range_of_turns_tells_those_apart_that_nothing_shown_does(start_deg: f
         assert target.reject is (Reject.AMBIGUOUS_ROTATION if start_deg is None else Reject.NONE)
         if start_deg is not None:
             turn = turn_about_z(job.rig_from_part[:3, :3].T @ target.rig_from_part[:3, :3])
-            assert job.search.allows_turn(turn, math.radians(1.0))
+            assert is_turn_within(turn, start, extent, math.radians(1.0))
