@@ -18,11 +18,11 @@ from edged.vision.geometry.rigid import apply, invert, transform, unit
 from edged.vision.part.job import usual_limits
 from edged.vision.solid.edgemodel import model_of
 from edged.vision.solid.forms import with_breaks
-from edged.vision.solid.locate import FoundPart, weighed
 from edged.vision.solid.lock import Pyramids
 from edged.vision.solid.modes import SearchedPart, find_places, pyramids_of
 from edged.vision.solid.params import BREAKS, DECISION
 from edged.vision.solid.symmetry import EqualTurns, equal_turns, like_turns
+from edged.vision.solid.weighing import FoundPart, weighed
 from edged.vision.teaching.cadbody import body_of
 from edged.vision.teaching.cadjob import teach_model
 from edged.vision.teaching.cadmatch import levelled

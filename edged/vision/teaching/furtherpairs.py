@@ -24,7 +24,8 @@ from edged.vision.solid.breaks import lay_with_breaks, starts_of_breaks
 from edged.vision.solid.curvemodel import has_enough_curves
 from edged.vision.solid.edgemodel import EdgeModel, model_of
 from edged.vision.solid.forms import FormChoice, PosedPair, likeliest_form
-from edged.vision.solid.locate import forms_of, locate_solid, models_of
+from edged.vision.solid.jobmodels import forms_of, models_of
+from edged.vision.solid.locate import locate_solid
 from edged.vision.solid.lock import Pyramids, lay
 from edged.vision.solid.params import BREAKS, DECISION
 from edged.vision.teaching.brokenedges import broken_edges, with_edges

@@ -19,16 +19,15 @@ from edged.files.jobs import load_job, save_job
 from edged.vision.geometry.rectification import StereoImages
 from edged.vision.part.job import Job
 from edged.vision.solid.forms import with_breaks
-from edged.vision.solid.locate import (
+from edged.vision.solid.jobmodels import models_of, wanted_of
+from edged.vision.solid.locate import locate_solid
+from edged.vision.solid.modes import find_places, pyramids_of
+from edged.vision.solid.weighing import (
     FoundPart,
-    locate_solid,
-    models_of,
-    wanted_of,
     weighed,
     weighed_with_breaks_of,
     weighed_with_own_breaks,
 )
-from edged.vision.solid.modes import find_places, pyramids_of
 from edged.vision.teaching import cadpair
 from edged.vision.teaching.cadsettling import Settled
 from edged.vision.teaching.furtherpairs import with_breaks_shown

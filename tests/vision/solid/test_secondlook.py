@@ -15,10 +15,12 @@ from edged.vision.geometry.camera import StereoRig
 from edged.vision.part.job import Job
 from edged.vision.solid import locate, modes
 from edged.vision.solid.edgemodel import EdgeModel
+from edged.vision.solid.jobmodels import wanted_of
 from edged.vision.solid.lock import LockedPose, Pyramids
 from edged.vision.solid.modes import PartPlace, SearchedPart, find_places, pyramids_of
 from edged.vision.solid.scan import view_set
 from edged.vision.solid.visible import moved
+from edged.vision.solid.weighing import weighed
 
 DESIGN = 3
 
@@ -36,7 +38,7 @@ def turned(laid: LockedPose, x_deg: float = 0.0, z_deg: float = 0.0) -> FloatArr
 
 def test_the_second_look_has_the_views_between_those_of_the_first(job: Job) -> None:
     """No view of one look is one of the other's, and both lean about as far."""
-    (model,) = locate.wanted_of(job).models[:1]
+    (model,) = wanted_of(job).models[:1]
     lean = math.radians(45.0)
     first, second = (
         view_set(model, rig().rig.left, 2, lean, DEPTH_MM, between).rotations for between in (False, True)
@@ -49,7 +51,7 @@ def test_the_second_look_has_the_views_between_those_of_the_first(job: Job) -> N
 @pytest.mark.slow
 def test_the_second_look_compares_at_twice_the_size(job: Job, monkeypatch: pytest.MonkeyPatch) -> None:
     """Edges of thin parts that run into each other in the smallest pictures are apart in the next ones."""
-    wanted = locate.wanted_of(job)
+    wanted = wanted_of(job)
     pyramids = pyramids_of(images_of(DESIGN, 5, 25.0), wanted)
     smallest: list[int] = []
 
@@ -97,16 +99,16 @@ def test_a_part_missed_at_first_is_found(job: Job, missed: str, monkeypatch: pyt
 def test_only_a_pose_that_both_pictures_show_is_a_rival(job: Job) -> None:
     """A part is not in doubt by a pose that chance explains better; but by one that is taken for likely."""
     images = images_of(DESIGN, 5, 25.0)
-    wanted = locate.wanted_of(job)
+    wanted = wanted_of(job)
     pyramids = pyramids_of(images, wanted)
     right = find_places(wanted, pyramids)[0].best
     wrong = turned(right, z_deg=60.0)
     of_chance = LockedPose(right.model, wrong, 0.7 * right.agreeing)
-    found = locate.weighed(pyramids, PartPlace((right, of_chance)), lambda _: ())
+    found = weighed(pyramids, PartPlace((right, of_chance)), lambda _: ())
     assert found.certain > 0
     assert found.margin == math.inf
     near = turned(right, z_deg=3.5)
     rival = LockedPose(right.model, near, 0.9 * right.agreeing)
-    itself = locate.weighed(pyramids, PartPlace((rival,)), lambda _: ())
-    again = locate.weighed(pyramids, PartPlace((right, rival)), lambda _: ())
+    itself = weighed(pyramids, PartPlace((rival,)), lambda _: ())
+    again = weighed(pyramids, PartPlace((right, rival)), lambda _: ())
     assert (again.margin < math.inf) == (itself.certain > 0)

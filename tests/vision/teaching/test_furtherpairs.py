@@ -16,7 +16,7 @@ from edged.files.jobs import load_job, save_job
 from edged.vision.geometry.rectification import StereoImages
 from edged.vision.part.job import Job
 from edged.vision.solid.forms import PosedPair, likeliest_form
-from edged.vision.solid.locate import forms_of, models_of
+from edged.vision.solid.jobmodels import forms_of, models_of
 from edged.vision.solid.lock import Pyramids
 from edged.vision.solid.params import BREAKS, DECISION
 from edged.vision.teaching.furtherpairs import with_breaks_shown
