@@ -320,13 +320,16 @@ def fitted_as_contours_lie(
 def main_face_mask(view: TeachingView, circles: Sequence[CircleFeature], solid: SolidFeatures) -> Image:
     """Mask (h, w) uint8 of the rectified left image around the features of the face that is searched for.
 
-    circles : of the part, as features. Edges at other heights are left out: they shift by parallax when the
-    part moves.
+    If it has none, around those of the reference's face.  circles : of the part, as features, that first.
+    Edges at other heights are left out: they shift by parallax when the part moves.
     """
     curves = [circle_curve(circle, True) for circle in circles]
     curves += [edge_curve(edge, True) for edge in solid.found.edges]
     curves += [slot_curve(slot, True) for slot in solid.found.slots]
     flat = [curve for curve in curves if abs(curve.height_mm) <= TEACHING.apart_mm]
+    flat = flat or [
+        curve for curve in curves if abs(curve.height_mm - curves[0].height_mm) <= TEACHING.apart_mm
+    ]
     return np.asarray(np.minimum(mask_along(view.images.rectification, flat, solid.rig_from_part), view.mask))
 
 

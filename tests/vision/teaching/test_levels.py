@@ -7,12 +7,16 @@ from typing import cast
 
 import numpy as np
 import pytest
+from helpers.cells import PLACE_MM, pose, small_rig
 
 from edged.domain.measurement import Circle3D
 from edged.vision.curves.planefit import CurveFit
+from edged.vision.geometry.rectification import StereoImages, make_rectification
 from edged.vision.geometry.rigid import Plane
 from edged.vision.part.frames import FoundCircle
-from edged.vision.teaching.levels import in_front, turned_alike
+from edged.vision.part.job import CircleFeature
+from edged.vision.teaching.features import FoundFeatures, TeachingView
+from edged.vision.teaching.levels import SolidFeatures, in_front, main_face_mask, turned_alike
 
 UP = np.array([0.0, 0.0, -1.0])
 
@@ -54,3 +58,15 @@ def test_what_contours_lie_in_is_a_face_where_no_circle_is_nearer() -> None:
     assert in_front(Plane(UP, -198.3), found, UP) == pytest.approx((-198.3,))
     assert in_front(Plane(UP, -205.0), found, UP) == ()
     assert in_front(None, found, UP) == ()
+
+
+def test_a_face_without_features_is_searched_for_by_those_of_the_reference() -> None:
+    """All circles lie a millimetre and a half below the face that most edges are in."""
+    rectification = make_rectification(small_rig())
+    images = StereoImages.of(rectification, *(np.zeros((480, 640), np.uint8),) * 2)
+    view = TeachingView(images, np.full_like(rectification.valid_left, 255))
+    face = pose(tuple(PLACE_MM))
+    features = [CircleFeature("c0", np.array([0.0, 0.0, 1.5]), 2.0, 1)]
+    found = SolidFeatures(face, (), FoundFeatures((), (), ()))
+    around = main_face_mask(view, features, found)
+    assert 500 < np.count_nonzero(around) < 5000
