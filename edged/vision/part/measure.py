@@ -60,11 +60,14 @@ def measure_part(images: StereoImages, job: Job, match: ShapeMatch) -> MeasuredP
 def _is_beyond_doubt(job: Job, whole: MeasuredPart) -> bool:
     """Whether nothing contradicts a part that was measured as a whole, its rows included.
 
+    A single curve has nothing that could: a long slot of which the ends hardly show slides along itself.
     Glinting broken rims do, if most of them are seen with the opposite of the taught sign: all of them may
     have been measured on the other ends of their breaks.
     """
     taught = {curve.name: curve.polarity for curve in curves_of(job)}
     odd = sum(found.curve.polarity != taught[found.name] for found in whole.fits)
+    if len(whole.fits) < 2:
+        return False
     broken = any(found.scatter.break_mm > 0.0 for found in whole.fits)
     if broken and odd > 0.5 * len(whole.fits):
         return False

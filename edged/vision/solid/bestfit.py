@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -14,9 +14,11 @@ from edged.vision.geometry.rectification import StereoImages
 from edged.vision.geometry.rigid import apply
 from edged.vision.solid.arcs import ArcShifts, deeper
 from edged.vision.solid.edgemodel import EdgeModel, chains_of
-from edged.vision.solid.lock import Pyramids
-from edged.vision.solid.params import PROFILE
+from edged.vision.solid.forms import PosedPair, misfits_of, sigmas_behind, twist_between
+from edged.vision.solid.lock import Pyramids, scale_at
+from edged.vision.solid.params import DECISION, PROFILE
 from edged.vision.solid.profiles import AdjustedPose, Profiles, adjusted, by_curve
+from edged.vision.solid.visible import moved
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -48,14 +50,50 @@ def best_fit(
     pose: FloatArray,
     held: FloatArray | None = None,
 ) -> ProfileFit | None:
-    """Fit profiles with the blur that gives the smallest residuals; None if they show too little."""
+    """Fit profiles with the blur that gives the smallest residuals; None if they show too little.
+
+    The lock is good to a pixel, which turns a bar of a few pixels by degrees: its other edge is then as near.
+    So the fit starts from poses turned so, too; those that explain the pictures as well widen the covariance.
+    """
+    fits = [_fitted(model, pyramids, images, start, held) for start in _starts(model, images, pose)]
+    found = [fit for fit in fits if fit is not None]
+    if not found:
+        return None
+    best = min(found, key=lambda fit: fit.rms_px)
+    result = _with_covariance(model, images, best)
+    if len(found) == 1:
+        return result
+    squares = [misfits_of(model, [PosedPair(images, pyramids, fit.pose)])[1] for fit in found]
+    behind = np.array([sigmas_behind(each, squares[found.index(best)]) for each in squares])
+    likely = np.exp(-0.5 * np.square(np.maximum(behind, 0.0)))
+    twists = np.array([twist_between(model, best.pose, fit.pose) for fit in found])
+    return replace(result, edges=result.edges + (likely / likely.sum() * twists.T) @ twists)
+
+
+def _starts(model: EdgeModel, images: StereoImages, pose: FloatArray) -> list[FloatArray]:
+    """Poses to fit from: the locked one, and, of a narrow part, those a pixel of its rim to either side."""
+    middles = (0.5 * (model.start + model.end) - model.centre)[:, :2]
+    lengths = np.linalg.norm(model.end - model.start, axis=1)
+    along = np.linalg.eigh(middles.T @ (lengths[:, None] * middles))[1][:, 1]
+    half_px = np.abs(middles @ (-along[1], along[0])).max() * scale_at(images.rig, pose, model)
+    turn = 1.0 / max(float(half_px), 1.0)
+    if turn < DECISION.same_turn_rad:
+        return [pose]
+    twist = np.array([*(turn * along), 0.0, 0.0, 0.0, 0.0])
+    return [pose, *(moved(model, pose, way * twist) for way in (1.0, -1.0))]
+
+
+def _fitted(
+    model: EdgeModel, pyramids: Pyramids, images: StereoImages, pose: FloatArray, held: FloatArray | None
+) -> AdjustedPose | None:
+    """The fit from one start, with the blur that gives the smallest residuals."""
     best: AdjustedPose | None = None
     for blur in PROFILE.blurs_px:
         fit = adjusted(model, pyramids, images, pose, blur, held)
         if fit is None or (best is not None and fit.rms_px > best.rms_px):
             break
         best = fit
-    return None if best is None else _with_covariance(model, images, best)
+    return best
 
 
 def _with_covariance(model: EdgeModel, images: StereoImages, fit: AdjustedPose) -> ProfileFit:

@@ -36,8 +36,12 @@ class PoseEvidence:
     camera: I64
     walled: B8
 
-    def log_ratio(self, chosen: B8 | None = None) -> FloatArray:
-        """(K,) log likelihood ratio of the part against chance, of each block of the chosen samples."""
+    def log_ratio(self, chosen: B8 | None = None, *, by_edge: bool = False) -> FloatArray:
+        """(K,) log likelihood ratio of the part against chance, of each block of the chosen samples.
+
+        by_edge : an edge does not show in a picture as a whole, however long it is: its blocks together say
+        no more against the part than that.
+        """
         rows = np.arange(len(self.hit)) if chosen is None else np.flatnonzero(chosen)
         if not len(rows):
             return np.zeros(0)
@@ -51,9 +55,14 @@ class PoseEvidence:
         shows = np.where(are_unbroken(self.curve[rows[first]]), EVIDENCE.shown, EVIDENCE.shown_of_two)
         hit = shows * EVIDENCE.found + (1 - shows) * chance
         whole = counts / EVIDENCE.block
-        return np.asarray(
+        ratios = np.asarray(
             whole * (share * np.log(hit / chance) + (1 - share) * np.log((1 - hit) / (1 - chance)))
         )
+        if by_edge:
+            edge = np.cumsum(new)[first] - 1
+            least, sums = np.log(1 - shows), np.bincount(edge, ratios)[edge]
+            ratios *= np.where(sums < least, least / np.minimum(sums, least), 1.0)
+        return ratios
 
     def shown(self) -> tuple[I64, B8]:
         """Numbers (K,) of the model's curves that have samples, and whether (K,) the evidence is for each.
@@ -122,12 +131,17 @@ def apart(mine: PoseEvidence, other: PoseEvidence, shapes: list[tuple[int, int]]
 
 def margin_over(first: PoseEvidence, other: PoseEvidence, shapes: list[tuple[int, int]]) -> float:
     """Sigmas by which one pose is likelier than another, by the samples that only one of them predicts."""
-    mine = first.log_ratio(apart(first, other, shapes))
-    theirs = other.log_ratio(apart(other, first, shapes))
+    mine = first.log_ratio(apart(first, other, shapes), by_edge=True)
+    theirs = other.log_ratio(apart(other, first, shapes), by_edge=True)
     return sigmas_of(np.concatenate([mine, -theirs]))
 
 
 def sigmas_of(ratios: FloatArray) -> float:
-    """A sum of log ratios divided by its standard deviation, which is taken to be at least 1."""
+    """A sum of log ratios divided by its standard deviation, which is taken to be at least 1.
+
+    But no more sigmas than such a sum says at best, if few ratios scatter little: twice a log likelihood
+    ratio is a square of sigmas (S. S. Wilks, doi:10.1214/aoms/1177732360).
+    """
     spread = math.sqrt(len(ratios)) * float(ratios.std()) if len(ratios) else 0.0
-    return float(ratios.sum()) / max(spread, 1.0)
+    total = float(ratios.sum())
+    return math.copysign(min(abs(total) / max(spread, 1.0), math.sqrt(2.0 * abs(total))), total)

@@ -96,8 +96,13 @@ class RefinedForm:
         mine, others = (
             np.concatenate(form.squares) if k is None else form.squares[k] for form in (self, better)
         )
-        variance = sum(float(each.var()) / (len(each) / BREAKS.correlated) for each in (mine, others))
-        return float(mine.mean() - others.mean()) / max(math.sqrt(variance), 1e-12)
+        return sigmas_behind(mine, others)
+
+
+def sigmas_behind(mine: FloatArray, others: FloatArray) -> float:
+    """Sigmas by which the mean of misfits (N,) exceeds that of others (M,)."""
+    variance = sum(float(each.var()) / (len(each) / BREAKS.correlated) for each in (mine, others))
+    return float(mine.mean() - others.mean()) / max(math.sqrt(variance), 1e-12)
 
 
 def refined(
@@ -124,7 +129,7 @@ def refined(
             model = with_breaks(model, widths)
     if needed and model.breaks_mm.any():
         model = _without_needless(model, now)
-    found = [_misfits(model, [view]) for view in now]
+    found = [misfits_of(model, [view]) for view in now]
     squares = tuple(square for _, square, _ in found)
     shown = [square[good] for _, square, good in found]
     if not all(len(each) for each in shown):
@@ -146,7 +151,7 @@ def contradiction(model: EdgeModel, view: PosedPair) -> float:
     return float(np.minimum(left[good] ** 2, 1.0).mean()) if good.any() else 0.0
 
 
-def _misfits(model: EdgeModel, views: Sequence[PosedPair]) -> tuple[I64, FloatArray, B8]:
+def misfits_of(model: EdgeModel, views: Sequence[PosedPair]) -> tuple[I64, FloatArray, B8]:
     """Edge, square misfit px², at most 1, of each profile (M,), and whether it shows anything."""
     found = [view.profiles(model) for view in views]
     edge = np.concatenate([profiles.seen.curve for profiles in found])
@@ -170,7 +175,7 @@ def are_needed(with_own: FloatArray, without: FloatArray) -> B8:
 
 def mean_misfits(model: EdgeModel, views: Sequence[PosedPair]) -> FloatArray:
     """(C,) mean square misfit of each curve's profiles, px²; 1 for a curve without any."""
-    edge, square, _ = _misfits(model, views)
+    edge, square, _ = misfits_of(model, views)
     curve, count = chains_of(edge), int(model.chain.max()) + 1
     many = np.bincount(curve, minlength=count)
     return np.where(many > 0, np.bincount(curve, square, minlength=count) / np.maximum(many, 1), 1.0)

@@ -37,7 +37,7 @@ from edged.vision.solid.jobmodels import models_of, wanted_of
 from edged.vision.solid.jobturns import held_axis, is_in_range, rivals_of
 from edged.vision.solid.lock import FINE_STEPS, LockedPose, Pyramids, lay
 from edged.vision.solid.modes import PartPlace, find_places, pyramids_of
-from edged.vision.solid.params import BREAKS, DECISION
+from edged.vision.solid.params import BREAKS, DECISION, PROFILE
 from edged.vision.solid.symmetry import equal_turns
 from edged.vision.solid.weighing import (
     FoundPart,
@@ -147,7 +147,7 @@ def _agrees(job: Job, models: Sequence[EdgeModel], pyramids: Pyramids, target: T
     """
     pose = target.rig_from_part @ job.reference_from_part
     laid = lay(models[0], pyramids, pose, FINE_STEPS)
-    if laid is None or turn_between(laid.pose, pose) > DECISION.same_turn_rad:
+    if laid is None or not _stays(models[0], pyramids, pose, laid.pose):
         return False
 
     def rivals(model: EdgeModel) -> Sequence[FloatArray]:
@@ -167,6 +167,14 @@ def _agrees(job: Job, models: Sequence[EdgeModel], pyramids: Pyramids, target: T
     ]
     rival = max((certain_of(evidence_of(other.model, pyramids, other.pose)) for other in others), default=0.0)
     return rival - found.certain < DECISION.certain
+
+
+def _stays(model: EdgeModel, pyramids: Pyramids, pose: FloatArray, other: FloatArray) -> bool:
+    """Whether a part at another pose is turned alike, and in both pictures where a profile still finds it."""
+    rig, centres = pyramids.rig, np.stack([apply(each, model.centre) for each in (pose, other)])
+    seen = rig.left.project(centres), rig.right.project(apply(rig.right_from_left, centres))
+    shifted_px = max(float(np.linalg.norm(places[1] - places[0])) for places in seen)
+    return turn_between(pose, other) < DECISION.same_turn_rad and shifted_px < PROFILE.widest_px
 
 
 def _match(images: StereoImages, job: Job, laid: LockedPose) -> Match:

@@ -217,7 +217,7 @@ def _as_contours_lie(
 ) -> Plane | None:
     """The plane that contours agree with better than with the largest circle's face; None if there is none.
 
-    Also one that they agree with about as well, if the circle lies in it: they reach farther than the circle.
+    Also one that they agree with about as well, if a circle lies in it that they reach far beyond.
     A hole seems to tilt if the cameras see different edges of its break: by the distance of these edges over
     its width. A plane that tilts by more is no face of the same part.
     """
@@ -225,10 +225,13 @@ def _as_contours_lie(
     plane = plane_of(view, contours, depths_mm)
     if plane is None or fits_significantly_better(view, face, plane, contours):
         return None
-    above_mm = float(plane.normal @ largest.circle.centre_mm) - plane.offset
-    holds = abs(above_mm) < TEACHING.face_tolerance_mm
-    if not (holds or fits_significantly_better(view, plane, face, contours)):
-        return None
+    if not fits_significantly_better(view, plane, face, contours):
+        rays = view.images.rays("left", np.concatenate([contour.points for contour in contours]))
+        away_mm = np.linalg.norm(plane.meet(rays) - largest.circle.centre_mm, axis=1)
+        above_mm = float(plane.normal @ largest.circle.centre_mm) - plane.offset
+        reach_mm = TEACHING.beyond_circle * largest.circle.radius_mm
+        if abs(above_mm) > TEACHING.face_tolerance_mm or np.nanmedian(away_mm) < reach_mm:
+            return None
     return plane if plane.lean_rad(face) < 0.5 * TEACHING.break_mm / largest.circle.radius_mm else None
 
 

@@ -68,6 +68,9 @@ class TeachingParams:
     level_mm: float = 0.05  # between heights of circles that are seen by the same ends of their breaks
     break_mm: float = 1.0
     """Two edges of one curve that differ by less in radius and height are a chamfer: one feature."""
+    beyond_circle: float = 3.0
+    """Radii from a circle's centre to most contours, from which a plane through these leans less than the
+    circle does: trial planes agree to a pixel, and a circle's fit to a third of one."""
     dominant: float = 1.2
     """Factor by which another face must show more edges than the reference face to be searched for."""
     certain: float = 3.0  # sigmas by which contours agree with one plane rather than with another one
