@@ -54,9 +54,9 @@ class OutlineParams:
     strongest_share: float = 0.05  # the same as a share of all edges, if there are few others
     component_share: float = 0.08  # shortest connected edge that counts, in widths of the region
     texture_px: float = 10.0
-    """Mean distance of edges below which most are texture. Derivation: those of noise smoothed by 2 px are
-    pi * 2 / sqrt(2.5) = 4 px apart (S. O. Rice, "Mathematical analysis of random noise", 1945), and twice as
-    far if half of them exceed a threshold."""
+    """Mean distance of edges below which most are texture: a little more than that of noise. Derivation:
+    edges of noise smoothed by 2 px are pi * 2 / sqrt(2.5) = 4 px apart (S. O. Rice, "Mathematical analysis of
+    random noise", 1945), and 8 px if half of them exceed a threshold."""
     nearest_px: float = 1.0  # smallest distance across an edge to the border of a tightly cut template
     border_px: float = 3.0  # distance to the border needed to know an edge's slope
     min_strong: int = 4  # fewest strong pixels of a connected edge: a single one is noise

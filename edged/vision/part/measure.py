@@ -64,10 +64,10 @@ def _is_beyond_doubt(job: Job, whole: MeasuredPart) -> bool:
     Glinting broken rims do, if most of them are seen with the opposite of the taught sign: all of them may
     have been measured on the other ends of their breaks.
     """
-    taught = {curve.name: curve.polarity for curve in curves_of(job)}
-    odd = sum(found.curve.polarity != taught[found.name] for found in whole.fits)
     if len(whole.fits) < 2:
         return False
+    taught = {curve.name: curve.polarity for curve in curves_of(job)}
+    odd = sum(found.curve.polarity != taught[found.name] for found in whole.fits)
     broken = any(found.scatter.break_mm > 0.0 for found in whole.fits)
     if broken and odd > 0.5 * len(whole.fits):
         return False
@@ -399,7 +399,7 @@ def target_from(
     values, jacobian = differentiated(fit, pose)
     covariance = jacobian @ fit.covariance @ jacobian.T
     by_edges = jacobian @ fit.edge_covariance @ jacobian.T
-    if point is None:  # its position follows from the other features, as if it is hidden
+    if point is None:  # a corner, or hidden: its position follows from all features that are seen
         arm = np.array([[1.0, 0.0, -reference[1]], [0.0, 1.0, reference[0]]])
         in_rig = face.axes[:2].T @ arm
         covariance[:3, :3] += in_rig @ motion.covariance @ in_rig.T

@@ -14,7 +14,7 @@ from edged.vision.geometry.rectification import StereoImages
 from edged.vision.geometry.rigid import apply
 from edged.vision.solid.arcs import ArcShifts, deeper
 from edged.vision.solid.edgemodel import EdgeModel, chains_of
-from edged.vision.solid.forms import PosedPair, misfits_of, sigmas_behind, twist_between
+from edged.vision.solid.forms import PosedPair, likely_by, misfits_of, sigmas_behind, spread_of, twist_between
 from edged.vision.solid.lock import Pyramids, scale_at
 from edged.vision.solid.params import DECISION, PROFILE
 from edged.vision.solid.profiles import AdjustedPose, Profiles, adjusted, by_curve
@@ -65,9 +65,8 @@ def best_fit(
         return result
     squares = [misfits_of(model, [PosedPair(images, pyramids, fit.pose)])[1] for fit in found]
     behind = np.array([sigmas_behind(each, squares[found.index(best)]) for each in squares])
-    likely = np.exp(-0.5 * np.square(np.maximum(behind, 0.0)))
     twists = np.array([twist_between(model, best.pose, fit.pose) for fit in found])
-    return replace(result, edges=result.edges + (likely / likely.sum() * twists.T) @ twists)
+    return replace(result, edges=result.edges + spread_of(twists, likely_by(behind)))
 
 
 def _starts(model: EdgeModel, images: StereoImages, pose: FloatArray) -> list[FloatArray]:

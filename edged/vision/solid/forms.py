@@ -105,6 +105,17 @@ def sigmas_behind(mine: FloatArray, others: FloatArray) -> float:
     return float(mine.mean() - others.mean()) / max(math.sqrt(variance), 1e-12)
 
 
+def likely_by(behind: FloatArray) -> FloatArray:
+    """(K,) probabilities of forms or poses whose misfits are so many sigmas (K,) behind the chosen one's."""
+    likely = np.exp(-0.5 * np.square(np.maximum(behind, 0.0)))
+    return np.asarray(likely / likely.sum())
+
+
+def spread_of(twists: FloatArray, likely: FloatArray) -> FloatArray:
+    """(6, 6) covariance by others (K) that may be true: their twists (K, 6) from the chosen one, by (K,)."""
+    return np.asarray((likely[:, None] * twists).T @ twists)
+
+
 def refined(
     model: EdgeModel,
     views: Sequence[PosedPair],
@@ -292,8 +303,7 @@ def likeliest_form(
     known = [form for form in forms if form is not None]
     best = min(known, key=lambda form: form.misfit)
     behind = [math.inf if form is None else form.sigmas_behind(best) for form in forms]
-    likely = np.exp(-0.5 * np.square(behind))
-    likely /= likely.sum()
+    likely = likely_by(np.array(behind))
     between: list[FloatArray] = []
     for k, view in enumerate(best.views):
         twists = np.array(
@@ -302,7 +312,7 @@ def likeliest_form(
                 for form in forms
             ]
         )
-        between.append((likely[:, None] * twists).T @ twists)
+        between.append(spread_of(twists, likely))
     by_light_mm = PROFILE.light_px / min(scale_at(v.images.rig, v.pose, best.model) for v in best.views)
     # all breaks get the median width: a curve's own width absorbs whatever else is wrong there
     broken = best.model.breaks_mm[best.model.breaks_mm > 0]

@@ -16,13 +16,7 @@ from edged.domain.arrays import FloatArray
 from edged.domain.measurement import Match, NotMeasured, Reject, Target
 from edged.domain.stopwatch import no_lap
 from edged.vision.geometry.rectification import StereoImages
-from edged.vision.geometry.rigid import (
-    apply,
-    skew,
-    transform,
-    turn_about_z,
-    turn_between,
-)
+from edged.vision.geometry.rigid import apply, skew, transform, turn_about_z, turn_between
 from edged.vision.part import measured as parts
 from edged.vision.part.consistency import apply_limits
 from edged.vision.part.frames import circles_in_rig, measure_sizes, with_features

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -117,7 +118,7 @@ def _untraced(view: TeachingView, wanted: WantedJob) -> tuple[Job, TeachingView]
     threshold for strong edges above the contrast of a part.
     """
     left, best, refusal = view.images.rectified_left, None, None
-    for thresholds in (None, *fainter(left, view.mask)):
+    for thresholds in itertools.chain((None,), fainter(left, view.mask)):  # made only where it is needed
         shown, asked = view, wanted
         if thresholds is not None:
             shown = with_ratio(replace(view, thresholds=thresholds))
