@@ -71,3 +71,13 @@ def test_another_lay_than_the_taught_one_turns_nothing_silently() -> None:
     row = bench_decisions.run_part(index, look, scenes=1, seed=0)
     assert bench_decisions.DRAWS_PER_SCENE == row.draws
     assert [] == row.wrong
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("seed", [0, 4])
+def test_end_of_a_short_slot_is_taught_as_no_circle(seed: int) -> None:
+    """Half a circle that goes on straight is a slot, even if its sides are shorter than its ends."""
+    design = next(one for one in bench_decisions.DESIGNS if one.name == "square slots")
+    job = bench_decisions.teach_design(design, "milled, seen ground", seed).job
+    assert () == job.circles
+    assert 4 == len(job.slots)

@@ -23,7 +23,7 @@ from edged.vision.geometry.rectification import StereoImages
 from edged.vision.part.job import Job
 from edged.vision.part.params import MEASURING
 from edged.vision.part.pose import circle_curve
-from edged.vision.teaching.levels import is_shown
+from edged.vision.teaching.levels import is_shown_by
 from edged.vision.teaching.params import TEACHING, WALLS
 
 
@@ -66,7 +66,7 @@ def _alone(images: StereoImages, face: Face, circle: Curve) -> PlaneFit | None:
     share = 1.0 if circle.signs is None else float((circle.signs != 0).mean(axis=1).min())
     params = replace(TEACHING.level_fit, min_support=share * TEACHING.level_fit.min_support)
     fit = fit_plane(images.rig, images.raw, face, [circle], params, fixed_normal=True)
-    return fit if fit is not None and is_shown(fit.fits[0], share) else None
+    return fit if fit is not None and is_shown_by(fit.fits[0], share) else None
 
 
 def _hiding_signs(rig: StereoRig, face: Face, circle: Curve) -> I64:

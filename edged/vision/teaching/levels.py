@@ -16,7 +16,7 @@ import numpy as np
 
 from edged.domain.arrays import I64, FloatArray, Image
 from edged.vision.curves.outlines import Curve, Face
-from edged.vision.curves.params import FitParams
+from edged.vision.curves.params import FIT, FitParams
 from edged.vision.curves.planefit import CircleGuess, CurveFit, PlaneFit, fit_circle, fit_plane
 from edged.vision.edges.ellipses import ImageEllipse
 from edged.vision.geometry.rectification import Rectification, StereoImages
@@ -108,9 +108,23 @@ def is_clear(fit: CurveFit) -> bool:
     return is_shown(fit) and fit.least_support >= TEACHING.min_support
 
 
-def is_shown(fit: CurveFit, share: float = 1.0) -> bool:
+def is_shown(fit: CurveFit) -> bool:
+    """Whether both images show most of this circle, in one place, and more than the end of a slot."""
+    return is_shown_by(fit, 1.0) and fit.least_support > _of_a_slots_end(fit)
+
+
+def is_shown_by(fit: CurveFit, share: float) -> bool:
     """Whether both images show most of a share of this circle, in one place."""
     return fit.least_support >= share * TEACHING.min_support_beside and fit.rms_px <= TEACHING.max_rms_px
+
+
+def _of_a_slots_end(fit: CurveFit) -> float:
+    """Share of a circle that half of it shows if straight edges go on from both its ends, and two samples.
+
+    A straight edge agrees with the circle until it has left it by `FIT.agree_px`.
+    """
+    radius_px = 0.5 * float((np.nanmax(fit.points, axis=1) - np.nanmin(fit.points, axis=1)).max())
+    return 0.5 + math.acos(radius_px / (radius_px + FIT.agree_px)) / math.pi + 2 / fit.points.shape[1]
 
 
 def at_own_depth(
