@@ -14,7 +14,7 @@ import numpy as np
 from edged.domain.arrays import FloatArray, Image
 from edged.errors import TeachError
 from edged.vision.geometry.rectification import StereoImages
-from edged.vision.geometry.rigid import apply, invert, transform, unit
+from edged.vision.geometry.rigid import apply, invert, transform
 from edged.vision.part.job import usual_limits
 from edged.vision.solid.edgemodel import model_of
 from edged.vision.solid.forms import with_breaks
@@ -29,7 +29,7 @@ from edged.vision.teaching.cadmatch import levelled
 from edged.vision.teaching.cadmodel import ModelCurves
 from edged.vision.teaching.cadrevision import another_revision, moved_circle
 from edged.vision.teaching.cadsettling import Settled, laid_on_pair, same_after_turns, settle
-from edged.vision.teaching.features import TeachingView
+from edged.vision.teaching.features import TeachingView, where_axes_meet
 from edged.vision.teaching.pair import WantedJob, taught
 from edged.vision.teaching.params import CAD
 
@@ -69,7 +69,7 @@ def _looked_for(images: StereoImages, curves: ModelCurves, mask: Image) -> Float
     if body is None:
         return None
     sharp = model_of(body)
-    place = _where_axes_meet(images)
+    place = where_axes_meet(images)
     distance = float(np.linalg.norm(place))
     wanted = SearchedPart((sharp,), CAD.taught_tilt_rad, (distance, distance), place)
     pyramids = pyramids_of(images, wanted)
@@ -119,15 +119,6 @@ def _laid_by(
         is_shown = found.certain >= DECISION.worth_forms and found.margin >= DECISION.certain
         return found if is_shown else None
     return None
-
-
-def _where_axes_meet(images: StereoImages) -> FloatArray:
-    """(3,) rig frame: point of the left optical axis nearest to the right one, 1 to 20 baselines away."""
-    right = invert(np.asarray(images.rig.right_from_left))
-    axes = np.stack([np.array([0.0, 0.0, 1.0]), -unit(right[:3, 2])], axis=1)
-    along, _ = np.linalg.lstsq(axes, right[:3, 3], rcond=None)[0]
-    baseline = images.rig.baseline_mm
-    return np.array([0.0, 0.0, float(np.clip(along, baseline, 20 * baseline))])
 
 
 def _from_model(

@@ -20,10 +20,10 @@ from edged.vision.edges.hysteresis import EdgeThresholds
 from edged.vision.edges.params import OUTLINES
 from edged.vision.edges.subpixel import edges_along_normals
 from edged.vision.geometry.rectification import Rectification, StereoImages
-from edged.vision.geometry.rigid import Plane, transform, wrapped
+from edged.vision.geometry.rigid import Plane, invert, transform, unit, wrapped
 from edged.vision.part.initialplane import find_plane
 from edged.vision.part.job import CornerFeature, EdgeFeature, SlotFeature
-from edged.vision.teaching.params import SURFACES, TEACHING
+from edged.vision.teaching.params import CAD, SURFACES, TEACHING
 from edged.vision.teaching.slots import fit_slot
 
 
@@ -149,7 +149,14 @@ def plane_of(view: TeachingView, contours: Sequence[Contour], depth_mm: tuple[fl
     points = np.concatenate([contour.points for contour in contours])
     normals = np.concatenate([contour.normals for contour in contours])
     chosen = slice(None, None, max(1, len(points) // TEACHING.plane_points))
-    return find_plane(view.images, points[chosen], normals[chosen], 1, depth_mm)
+    low, high = usual_depths(view.images)
+    usual = max(low, depth_mm[0]), min(high, depth_mm[1])
+    for within_mm in (usual, depth_mm):  # a brushed table has many stronger edges than a faint part
+        if within_mm[0] < within_mm[1]:
+            plane = find_plane(view.images, points[chosen], normals[chosen], 1, within_mm)
+            if plane is not None:
+                return plane
+    return None
 
 
 def common_depths(rectification: Rectification) -> tuple[float, float]:
@@ -160,6 +167,23 @@ def common_depths(rectification: Rectification) -> tuple[float, float]:
     nearest = strength / (width + shift) if width + shift > 0 else strength / width
     farthest = strength / max(shift - width, 0.02 * strength / nearest)
     return max(nearest, 1.0), min(farthest, 20 * nearest)
+
+
+def usual_depths(images: StereoImages) -> tuple[float, float]:
+    """Range of rectified depths about where the optical axes meet: where parts usually lie."""
+    nearest, farthest = common_depths(images.rectification)
+    depth = float((images.rectification.rectified_from_left @ where_axes_meet(images))[2])
+    reach = min(CAD.taught_ranges)
+    return max(nearest, depth / reach), min(farthest, depth * reach)
+
+
+def where_axes_meet(images: StereoImages) -> FloatArray:
+    """(3,) rig frame: point of the left optical axis nearest to the right one, 1 to 20 baselines away."""
+    right = invert(np.asarray(images.rig.right_from_left))
+    axes = np.stack([np.array([0.0, 0.0, 1.0]), -unit(right[:3, 2])], axis=1)
+    along, _ = np.linalg.lstsq(axes, right[:3, 3], rcond=None)[0]
+    baseline = images.rig.baseline_mm
+    return np.array([0.0, 0.0, float(np.clip(along, baseline, 20 * baseline))])
 
 
 def outline_mask(view: TeachingView) -> Image:

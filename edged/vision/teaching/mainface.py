@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -25,6 +26,7 @@ from edged.vision.teaching.features import (
     part_frame,
     plane_of,
     strong_contours,
+    usual_depths,
 )
 from edged.vision.teaching.levels import (
     at_own_depth,
@@ -169,9 +171,9 @@ def _reference(view: TeachingView, ellipses: list[ImageEllipse]) -> FoundCircle:
             "no_feature",
         )
     depths_mm = common_depths(images.rectification)
-    for ellipse in ellipses:
+    for ellipse, within_mm in itertools.product(ellipses, (usual_depths(images), depths_mm)):
         points, normals = ellipse.outline(240)
-        plane = find_plane(images, points, normals, ellipse.polarity, depths_mm)
+        plane = find_plane(images, points, normals, ellipse.polarity, within_mm)
         if plane is None:
             continue
         found = circle_on(plane, images, ellipse.outline(32)[0], ellipse.polarity, fixed_normal=False)
