@@ -124,7 +124,7 @@ def _of_a_slots_end(fit: CurveFit) -> float:
     A straight edge agrees with the circle until it has left it by `FIT.agree_px`.
     """
     radius_px = 0.5 * float((np.nanmax(fit.points, axis=1) - np.nanmin(fit.points, axis=1)).max())
-    return 0.5 + math.acos(radius_px / (radius_px + FIT.agree_px)) / math.pi + 2 / fit.points.shape[1]
+    return float(0.5 + math.acos(radius_px / (radius_px + FIT.agree_px)) / math.pi + 2 / fit.points.shape[1])
 
 
 def at_own_depth(
