@@ -122,11 +122,15 @@ def _widths(of_segments: FloatArray | B8, model: EdgeModel, seen: VisibleSamples
     return np.where(are_unbroken(seen.curve), 0.0, by_curve[chains_of(seen.curve)])
 
 
+def facing(ways: FloatArray) -> I64:
+    """(M,) number of the sector of the picture, of `PROFILE.ways`, into which vectors (M, 2) lead."""
+    turns = np.arctan2(ways[:, 1], ways[:, 0]) / (2 * np.pi)
+    return np.asarray(np.round(turns * PROFILE.ways).astype(np.int64) % PROFILE.ways)
+
+
 def arc_shifts(seen: VisibleSamples, camera: I64, across_px: FloatArray) -> ArcShifts:
     """Unknowns of all profiles of a pair: one for each curve, camera and direction of the break there."""
-    way = seen.normals * np.sign(across_px)[:, None]
-    turns = np.arctan2(way[:, 1], way[:, 0]) / (2 * np.pi)
-    sector = np.round(turns * PROFILE.ways).astype(np.int64) % PROFILE.ways
+    sector = facing(seen.normals * np.sign(across_px)[:, None])
     number = (chains_of(seen.curve) * 2 + camera) * PROFILE.ways + sector
     _, group = np.unique(np.where(across_px != 0, number, -1), return_inverse=True)
     return ArcShifts(across_px, np.asarray(group, np.int64))

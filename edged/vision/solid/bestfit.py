@@ -12,7 +12,7 @@ from edged.domain.arrays import I64, FloatArray
 from edged.vision.geometry.projection import shifts_by_calibration
 from edged.vision.geometry.rectification import StereoImages
 from edged.vision.geometry.rigid import apply
-from edged.vision.solid.arcs import ArcShifts, deeper
+from edged.vision.solid.arcs import ArcShifts, deeper, facing
 from edged.vision.solid.edgemodel import EdgeModel, chains_of
 from edged.vision.solid.forms import PosedPair, likely_by, misfits_of, sigmas_behind, spread_of, twist_between
 from edged.vision.solid.lock import Pyramids, scale_at
@@ -103,14 +103,14 @@ def _with_covariance(model: EdgeModel, images: StereoImages, fit: AdjustedPose) 
     response = inverse @ (weights[:, None] * freed).T  # (6, M): motion of the twist by each shift
     by_light = PROFILE.light_px * (response @ np.sign(profiles.height))
     block = _blocks(2 * profiles.seen.curve + profiles.camera, fit.arcs)
-    edges = _jackknife(design, freed, weights, left, fit.inverse, block)[:6, :6] + np.outer(
-        by_light, by_light
-    )
+    edges = jackknife(design, freed, weights, left, fit.inverse, block)[:6, :6] + np.outer(by_light, by_light)
     if model.taught_px:  # light may shift all curves by what single ones are off, as at teaching
         drawn_px = math.hypot(model.taught_px, disagreement_px(profiles, left + fit.aside))
         for camera, axis in itertools.product((0, 1), (0, 1)):
             by_camera = response @ np.where(profiles.camera == camera, profiles.seen.normals[:, axis], 0.0)
             edges += drawn_px**2 * np.outer(by_camera, by_camera)
+    else:  # what faces one way in a picture, light shifts alike, whatever curve it belongs to
+        edges += jackknife(design, freed, weights, left, fit.inverse, blocks_alike(profiles))[:6, :6]
     # how much more the edges scatter than their weights say, by the jackknife
     excess = max(float(np.trace(edges @ np.linalg.inv(inverse[:, :6]))) / 6, 1.0)
     by_breaks = model.sigma_break_mm * profiles.by_width[None]
@@ -173,7 +173,19 @@ def _blocks(curve: I64, arcs: ArcShifts) -> I64:
     return np.asarray(result, np.int64)
 
 
-def _jackknife(
+def blocks_alike(profiles: Profiles) -> I64:
+    """(M,) numbers of other blocks: of what becomes brighter in one direction in a camera.
+
+    Errors are clustered two ways, by curves and so. The sum of both covariances is an upper bound: it has
+    twice what the blocks share.  Source: A. C. Cameron, J. B. Gelbach, D. L. Miller, "Robust inference with
+    multiway clustering", Journal of Business & Economic Statistics 29, 2011.
+    """
+    sector = facing(profiles.seen.normals * np.sign(profiles.height)[:, None])
+    _, number = np.unique(profiles.camera * PROFILE.ways + sector, return_inverse=True)
+    return np.asarray(number, np.int64)
+
+
+def jackknife(
     design: FloatArray,
     freed: FloatArray,
     weights: FloatArray,

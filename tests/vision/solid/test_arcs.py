@@ -14,6 +14,7 @@ from helpers.tilted import lying
 from edged.domain.arrays import I64, FloatArray
 from edged.vision.geometry.rigid import apply, invert, turn_between
 from edged.vision.solid.arcs import across_breaks, arc_shifts, deeper, if_rounded
+from edged.vision.solid.bestfit import blocks_alike, jackknife
 from edged.vision.solid.edgemodel import are_unbroken, chains_of, sampled
 from edged.vision.solid.params import PROFILE
 from edged.vision.solid.profiles import Profiles, adjusted_to
@@ -130,3 +131,28 @@ def test_heights_that_a_pair_had_wrong_cost_the_pose_no_more_than_its_sigma_says
             known = PROFILE.correlated * fit.inverse[3:6, 3:6]
             found.append(float(off_mm @ np.linalg.solve(known, off_mm)) / 3)
     assert np.mean(chi2[0.0]) > 4 > 2 > np.mean(chi2[0.2]), chi2
+
+
+def test_what_faces_one_way_errs_alike() -> None:
+    """Light that shifts all edges of one direction in a camera is in the jackknife by directions, and hardly
+    in that by curves."""
+    rng = np.random.default_rng(3)
+    profiles = shown()
+    sector, design = blocks_alike(profiles), profiles.seen.design
+    _, curve = np.unique(2 * chains_of(profiles.seen.curve) + profiles.camera, return_inverse=True)
+    count = len(sector)
+    weights, inverse = np.ones(count), np.linalg.inv(design.T @ design)
+    ratios = []
+    for _ in range(40):
+        shift = 0.1 * rng.normal(size=sector.max() + 1)[sector] + 0.02 * rng.normal(size=count)
+        twist = inverse @ (design.T @ shift)
+        left = shift - design @ twist
+        ratios.append(
+            [
+                twist @ np.linalg.solve(jackknife(design, design, weights, left, inverse, block), twist) / 6
+                for block in (curve, sector)
+            ]
+        )
+    by_curve, by_direction = np.median(ratios, axis=0)
+    assert by_direction < 3.0
+    assert by_curve > 2 * by_direction
