@@ -97,9 +97,12 @@ class Cycle:
 
     # --- used by app -------------------------------------------------------------------------
 
-    def set_publishers(self, publishers: Iterable[Publisher]) -> None:
-        """Replace the publishers; each new one gets the present state at once."""
-        self._cell.announcements.set_publishers(publishers)
+    def set_publishers(self, first: Iterable[Publisher], others: Iterable[Publisher] = ()) -> None:
+        """Replace the publishers; each new one gets the present state at once.
+
+        first : those that answer PLCs and robots. others : get each event after these answers.
+        """
+        self._cell.announcements.set_publishers(first, others)
 
     async def run(self) -> None:
         """Measure until `stop`; every accepted command has been answered when this returns."""
@@ -128,6 +131,7 @@ class Cycle:
         finally:
             cell.tell_state(CellPhase.STOPPING)
             cell.fail_waiting("the daemon is stopping")
+            cell.announcements.pass_on()
             await self.session.stop()
             cell.vision.shutdown()
 

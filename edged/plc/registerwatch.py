@@ -37,10 +37,14 @@ class RegisterWatch:
         return True
 
     def show_soon(self) -> None:
-        """Show in the next iteration of the loop, when every publisher knows of the event."""
-        if self.loop is not None and not self._is_due and not self.is_closed:
+        """Show when every server of the registers knows of the event, in the next iteration but one.
+
+        In the next one robots are answered whose command has ended, and requests that have come meanwhile.
+        """
+        loop = self.loop
+        if loop is not None and not self._is_due and not self.is_closed:
             self._is_due = True
-            self.loop.call_soon(self._show_now)
+            loop.call_soon(loop.call_soon, self._show_now)
 
     def _show_now(self) -> None:
         self._is_due = False

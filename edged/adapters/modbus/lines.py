@@ -24,6 +24,7 @@ that begins with the first byte of a frame (`edged.plc.frames`) is read and answ
 from __future__ import annotations
 
 import asyncio
+import struct
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -312,7 +313,7 @@ class Robot:
         beside = {"BOX": request.box} if request.box else {}
         if request.belt is not None:
             beside |= dict(zip(("BELT_COUNT", "BELT_SPEED"), request.belt, strict=True))
-        before = self._read(reg.COMMAND)
+        before = self._read(reg.COMMAND) if beside else {}
         self._put(beside)
         try:
             self._view.write(start, self._command(request, sequence), shown=request.shown)
@@ -324,9 +325,9 @@ class Robot:
     async def _end(self, *, at_exposure: bool = False) -> None:
         """Wait for the end of the command, or only until its picture is taken."""
         sequence = self._sequence
-        end_s = asyncio.get_running_loop().time() + TIMEOUT_S + 1.0
-        while asyncio.get_running_loop().time() < end_s:
-            changed = self._view.change()
+        loop = asyncio.get_running_loop()
+        end_s = loop.time() + TIMEOUT_S + 1.0
+        while loop.time() < end_s:
             status = self._read(reg.STATUS)
             if status["CMD_SEQ_ECHO"] != sequence:
                 raise _Refused(LineStatus.TAKEN_OVER)
@@ -338,7 +339,7 @@ class Robot:
                     raise _Refused(int(status["NACK_REASON"]))
                 if bits & reg.StatusBit.ACK:
                     return
-            await asyncio.wait({changed}, timeout=LOOK_S)
+            await self._view.change(LOOK_S)
         raise _Refused(LineStatus.TAKEN_OVER)
 
     def _command(self, request: LineRequest, sequence: int) -> list[int]:
@@ -481,6 +482,8 @@ class Robot:
 
     def _put(self, values: Mapping[str, reg.Number]) -> None:
         """Write those of BOX, and BELT_COUNT with BELT_SPEED, that are in `values`."""
+        if not values:
+            return
         words = self._words(values)
         for name, count in (("BOX", 1), ("BELT_COUNT", 4)):
             at = reg.ADDRESS[name] - reg.COMMAND.address
@@ -490,7 +493,7 @@ class Robot:
     def _words(self, values: Mapping[str, reg.Number]) -> list[int]:
         """Words of the command block, in the configured word order."""
         data = reg.encode(reg.COMMAND, values, self._settings.word_order)
-        return [int.from_bytes(data[i : i + 2], "big") for i in range(0, len(data), 2)]
+        return list(struct.unpack(f">{reg.COMMAND.words}H", data))
 
     def _write(self, name: str, words: list[int]) -> None:
         self._view.write(self._settings.base_address + reg.ADDRESS[name], words)
