@@ -251,7 +251,7 @@ class Robot:
         if request.command in ("LOCATE", "RESULT", "SKIP"):
             if code != reg.ResultCode.OK:
                 raise _Refused(100 + code)
-            return self._part(request, LineStatus.NOT_VALID)
+            return self._part(request, LineStatus.NOT_VALID, result)
         if code != WANTED.get(request.command, code):
             raise _Refused(100 + code)
         return LineAnswer(request.sequence, LineStatus.OK)
@@ -366,9 +366,11 @@ class Robot:
             values |= {f"FLANGE_{axis}": round(number * 1000) for axis, number in pairs}
         return self._words(values)[: reg.ADDRESS["TIMEOUT"] - reg.COMMAND.address + 1]
 
-    def _part(self, request: LineRequest, otherwise: LineStatus) -> LineAnswer:
-        """Answer with the part on display. otherwise : status if it is no longer valid."""
-        result = self._usable(otherwise)
+    def _part(
+        self, request: LineRequest, otherwise: LineStatus, shown: dict[str, reg.Number] | None = None
+    ) -> LineAnswer:
+        """Answer with the part on display. otherwise : status if it is no longer valid. shown : as read."""
+        result = self._usable(otherwise, shown)
         return self._answer(request, result, [result[axis] for axis in "XYZABC"], "SIGMA")
 
     def _tool(self, request: LineRequest) -> LineAnswer:
@@ -443,9 +445,14 @@ class Robot:
         pose = (*numbers, *(0.0,) * (len(POSE_NAMES[request.brand]) - len(numbers)))
         return LineAnswer(request.sequence, LineStatus.OK, int(result["REMAINING"]), pose)
 
-    def _usable(self, otherwise: LineStatus) -> dict[str, reg.Number]:
-        """Values of the result on display, if a robot may move by it. otherwise : status if not valid."""
-        result = self._read(reg.RESULT)
+    def _usable(
+        self, otherwise: LineStatus, shown: dict[str, reg.Number] | None = None
+    ) -> dict[str, reg.Number]:
+        """Values of the result on display, if a robot may move by it. otherwise : status if not valid.
+
+        shown : these values, if they were read in this turn of the loop.
+        """
+        result = self._read(reg.RESULT) if shown is None else shown
         flags = int(result["FLAGS"])
         if self._sequence == 0 or result["SEQ_HEAD"] != self._sequence or not flags & reg.Flag.VALID:
             raise _Refused(otherwise)
