@@ -186,11 +186,12 @@ class CellRegisters:
         self._due[reg.COUNTERS] = lambda: self._counts
         self._accepted_until_s = 0.0  # when the block of the acceptance test is next updated
         self.watchers: list[Callable[[], None]] = []  # called after each write and event
-        self._waiting: list[asyncio.Future[None]] = []  # of those who wait for the next write or event
+        self._waiting: list[asyncio.Future[None]] = []  # of those who wait for a change of the handshake
+        self._told = self._state  # the handshake when they were last told
         self._fresh_until_s = -math.inf  # until then the image need not be refreshed
 
     async def change(self, within_s: float) -> None:
-        """Wait for the next write or event, at most so long.
+        """Wait until a write or event has changed the handshake, at most so long.
 
         Continues in the next turn of the loop, which `asyncio.wait` with a time-out does not.
         """
@@ -208,9 +209,11 @@ class CellRegisters:
     def _tell(self) -> None:
         self._fresh_until_s = -math.inf
         # first who waits for the end of its command: what follows is in the same turn of the loop
-        waiting, self._waiting = self._waiting, []
-        for change in waiting:
-            _settle(change)
+        if self._state is not self._told:
+            self._told = self._state
+            waiting, self._waiting = self._waiting, []
+            for change in waiting:
+                _settle(change)
         for changed in self.watchers:
             changed()
 
@@ -240,6 +243,11 @@ class CellRegisters:
     def valid_until_s(self) -> float:
         """When the coordinates on display expire, by `clock_s`; 0 without valid coordinates."""
         return hs.valid_until_s(self._state, self._clock_s()) or 0.0
+
+    @property
+    def command_sequence(self) -> int:
+        """Register CMD_SEQ_ECHO, which time does not change."""
+        return self._state.command_sequence
 
     @property
     def owner(self) -> int | None:
@@ -650,6 +658,11 @@ class ClientView:
     def write(self, address: int, words: Sequence[int], *, shown: tuple[float, ...] = ()) -> None:
         """Write as this client."""
         self._cell.write(self._client, address, words, shown=shown)
+
+    @property
+    def echo(self) -> int:
+        """Register CMD_SEQ_ECHO."""
+        return self._cell.command_sequence
 
     async def change(self, within_s: float) -> None:
         """See `CellRegisters.change`."""

@@ -258,13 +258,14 @@ class Robot:
 
     async def _locate(self, request: LineRequest) -> None:
         """Carry out any command but those of `NEXT`, under the robot's sequence."""
-        shown = self._read(reg.STATUS)["CMD_SEQ_ECHO"]
+        shown = self._view.echo
         if self._asked != (request.sequence, "") or shown != self._sequence:
             if shown == request.sequence:
                 # the same number from another client, or from NEXT: its answer is not this command's
                 self._write("CMD_SEQ", [0])
             self._begin(request, request.sequence)
             self._located, self._given = request.sequence, {request.sequence}
+            await asyncio.sleep(0)  # the cycle begins before this looks whether it has ended
         await self._end(at_exposure=request.command == "EXPOSE")
 
     async def _next(self, request: LineRequest) -> LineAnswer:
@@ -274,7 +275,7 @@ class Robot:
         repeated.
         """
         at_end = NEXT[request.command]
-        shown = int(self._read(reg.STATUS)["CMD_SEQ_ECHO"])
+        shown = self._view.echo
         if self._sequence == 0 or shown != self._sequence:
             raise _Refused(at_end)  # another client's list of parts must not be used
         if self._asked != (request.sequence, request.command) or request.sequence == self._located:
