@@ -330,8 +330,11 @@ class Cycle:
         else:
             cell.tell_state(CellPhase.READY)
         cycle_number.set(None)
-        # a free-running loop at full speed must still let every other task run
+        # a free-running loop at full speed must still let every other task run, first those that answer, and
+        # every publisher knows the result before the next cycle begins
         await asyncio.sleep(0)
+        await asyncio.sleep(0)
+        cell.announcements.pass_on()
 
     async def _measure(self, command: Command | None, heard: asyncio.Future[FramePair] | None) -> Snapshot:
         """Run one cycle. A miss or a fault is a status; a bug propagates."""

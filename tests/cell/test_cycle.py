@@ -678,3 +678,19 @@ async def test_publishers_that_are_exchanged_know_what_happened_before() -> None
     assert Idle() not in newcomer.events
     cycle.stop()
     await asyncio.wait_for(task, LIMIT_S)
+
+
+async def test_every_publisher_knows_a_result_before_the_next_cycle_begins() -> None:
+    """So who counts to N and stops the cell has N results, even of a free-running one at full speed."""
+    cycle = Cycle(Head(), make_setup(period_s=0.0))
+
+    class Counting(Ear):
+        def announce(self, event: Event) -> None:
+            super().announce(event)
+            if len(self.snapshots()) == 3:
+                cycle.stop()
+
+    other = Counting()
+    cycle.set_publishers([], [other])
+    await asyncio.wait_for(cycle.run(), LIMIT_S)
+    assert [1, 2, 3] == [snapshot.cycle for snapshot in other.snapshots()]
