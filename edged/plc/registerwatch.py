@@ -37,14 +37,14 @@ class RegisterWatch:
         return True
 
     def show_soon(self) -> None:
-        """Show when every server of the registers knows of the event, in the next iteration but one.
+        """Show in the next iteration of the loop, when every server of the registers knows of the event.
 
-        In the next one robots are answered whose command has ended, and requests that have come meanwhile.
+        A robot whose command has ended was woken before, and is answered first. A client that has written is
+        answered after it, and so reads what it wrote.
         """
-        loop = self.loop
-        if loop is not None and not self._is_due and not self.is_closed:
+        if self.loop is not None and not self._is_due and not self.is_closed:
             self._is_due = True
-            loop.call_soon(loop.call_soon, self._show_now)
+            self.loop.call_soon(self._show_now)
 
     def _show_now(self) -> None:
         self._is_due = False
