@@ -187,7 +187,7 @@ class CellRegisters:
         self._accepted_until_s = 0.0  # when the block of the acceptance test is next updated
         self.watchers: list[Callable[[], None]] = []  # called after each write and event
         self._waiting: list[asyncio.Future[None]] = []  # of those who wait for a change of the handshake
-        self._told = self._state  # the handshake when they were last told
+        self._woken_by = self._state  # the handshake when they were last woken
         self._fresh_until_s = -math.inf  # until then the image need not be refreshed
 
     async def change(self, within_s: float) -> None:
@@ -209,8 +209,8 @@ class CellRegisters:
     def _tell(self) -> None:
         self._fresh_until_s = -math.inf
         # first who waits for the end of its command: what follows is in the same turn of the loop
-        if self._state is not self._told:
-            self._told = self._state
+        if self._state is not self._woken_by:
+            self._woken_by = self._state
             waiting, self._waiting = self._waiting, []
             for change in waiting:
                 _settle(change)
