@@ -42,6 +42,8 @@ if TYPE_CHECKING:  # a cell with real cameras starts without the simulation
 
 log = logging.getLogger(__name__)
 
+ANSWERING = ("modbus", "opcua", "ethernetip", "plc")
+"""Servers that answer PLCs and robots, by the names of their sections; the registers are the first one's."""
 STOP_GRACE_S = 1.0
 """Time for the running cycle to finish before it is cancelled, so that a stop takes less than 2 s."""
 
@@ -278,6 +280,9 @@ class Daemon:
         return head_of(cameras, self._world, external=self.loaded.setup.listens, calibrated=sizes)
 
     def _tell_cycle(self) -> None:
-        # the PLC's registers first, before a thread woken by another publisher can take the interpreter lock
-        servers = sorted(self._servers.started.items(), key=lambda server: server[0] != "modbus")
-        self._cycle.set_publishers((*(publisher for _, publisher in servers), *self._observers))
+        # the PLC's registers first, before a thread woken by another publisher can take the interpreter lock;
+        # all who show these registers know an event together, so that none shows half of it
+        started = self._servers.started
+        first = [started[name] for name in ANSWERING if name in started]
+        others = [publisher for name, publisher in started.items() if name not in ANSWERING]
+        self._cycle.set_publishers(first, (*others, *self._observers))

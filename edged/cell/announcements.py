@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import asyncio
 import logging
+from collections import deque
 from collections.abc import Iterable
 
 from edged.domain.cell import CellState, DriftState
@@ -18,6 +20,9 @@ log = logging.getLogger("edged.cell.cycle")
 class Announcements:
     """Passes events to every publisher. Used on the event loop only.
 
+    The first publishers learn of an event at once: the registers, and who shows them to PLCs and robots. The
+    others learn of it, in the order of events, when a robot that waited for it has been answered.
+
     basis : setup that results are based on. state : announced last; None before the first.
     faults : log of camera faults, with a line at the start of each and a count at its end.
     """
@@ -27,21 +32,49 @@ class Announcements:
         self.state: CellState | None = None
         self.faults = FaultLog(log)
         self._misses = FaultLog(log, level=logging.INFO, kind="result")
-        self._publishers: tuple[Publisher, ...] = ()
+        self._first: tuple[Publisher, ...] = ()
+        self._others: tuple[Publisher, ...] = ()
+        self._waiting: deque[Event] = deque()  # events that the others do not know yet
+        self._bug: Exception | None = None  # of another publisher
 
-    def set_publishers(self, publishers: Iterable[Publisher]) -> None:
+    def set_publishers(self, first: Iterable[Publisher], others: Iterable[Publisher] = ()) -> None:
         """Replace the publishers; each new one gets the basis and the state at once."""
-        listening = tuple(publishers)
-        for newcomer in [publisher for publisher in listening if publisher not in self._publishers]:
+        self.pass_on()
+        known = (*self._first, *self._others)
+        self._first, self._others = tuple(first), tuple(others)
+        for newcomer in [candidate for candidate in (*self._first, *self._others) if candidate not in known]:
             newcomer.announce(self.basis)
             if self.state is not None:
                 newcomer.announce(self.state)
-        self._publishers = listening
 
     def announce(self, event: Event) -> None:
-        """Pass an event to every publisher."""
-        for publisher in self._publishers:
+        """Pass an event to the first publishers now, and to the others soon."""
+        for publisher in self._first:
             publisher.announce(event)
+        if self._bug is not None:
+            bug, self._bug = self._bug, None
+            raise bug  # here, where a bug of the first ones ends the loop, too
+        if not self._others:
+            return
+        if not self._waiting:
+            # in the next turn of the loop the robot is answered that an event has woken, and the requests of
+            # PLCs that have come meanwhile: the others' turn is the one after
+            loop = asyncio.get_running_loop()
+            loop.call_soon(loop.call_soon, self._pass_on_soon)
+        self._waiting.append(event)
+
+    def pass_on(self) -> None:
+        """Pass all events on that still wait."""
+        while self._waiting:
+            event = self._waiting.popleft()
+            for publisher in self._others:
+                publisher.announce(event)
+
+    def _pass_on_soon(self) -> None:
+        try:
+            self.pass_on()
+        except Exception as bug:  # noqa: BLE001  (any: raised by the next `announce`, in the measuring loop)
+            self._bug = bug
 
     def tell_exchange(self, calibration_id: str, fingerprint: str) -> None:
         """Announce a new basis."""

@@ -152,6 +152,7 @@ class CellContext:
         self.in_setup = True
         log.warning("SETUP: %s", "" if self.announcements.state is None else self.announcements.state.why)
         self.fail_waiting("the cell is being set up")
+        self.announcements.pass_on()  # before the answer to the person who begins it
 
     def fail_waiting(self, why: str) -> None:
         """End every waiting command with `CommandFailed`."""
@@ -160,9 +161,10 @@ class CellContext:
 
     async def wait(self, timeout_s: float = math.inf) -> bool:
         """Wait until there is something to do; return False after `timeout_s` or `IDLE_S`."""
+        # not `wait_for`, which on Python 3.11 starts a task, and so continues two turns of the loop later
         with contextlib.suppress(TimeoutError):
-            await asyncio.wait_for(self.wake.wait(), min(timeout_s, IDLE_S))
-            return True
+            async with asyncio.timeout(min(timeout_s, IDLE_S)):
+                return await self.wake.wait()
         return False
 
     async def on_vision_thread(

@@ -97,9 +97,12 @@ class Cycle:
 
     # --- used by app -------------------------------------------------------------------------
 
-    def set_publishers(self, publishers: Iterable[Publisher]) -> None:
-        """Replace the publishers; each new one gets the present state at once."""
-        self._cell.announcements.set_publishers(publishers)
+    def set_publishers(self, first: Iterable[Publisher], others: Iterable[Publisher] = ()) -> None:
+        """Replace the publishers; each new one gets the present state at once.
+
+        first : those that answer PLCs and robots. others : get each event after these answers.
+        """
+        self._cell.announcements.set_publishers(first, others)
 
     async def run(self) -> None:
         """Measure until `stop`; every accepted command has been answered when this returns."""
@@ -128,6 +131,7 @@ class Cycle:
         finally:
             cell.tell_state(CellPhase.STOPPING)
             cell.fail_waiting("the daemon is stopping")
+            cell.announcements.pass_on()
             await self.session.stop()
             cell.vision.shutdown()
 
@@ -326,8 +330,11 @@ class Cycle:
         else:
             cell.tell_state(CellPhase.READY)
         cycle_number.set(None)
-        # a free-running loop at full speed must still let every other task run
+        # a free-running loop at full speed must still let every other task run, first those that answer, and
+        # every publisher knows the result before the next cycle begins
         await asyncio.sleep(0)
+        await asyncio.sleep(0)
+        cell.announcements.pass_on()
 
     async def _measure(self, command: Command | None, heard: asyncio.Future[FramePair] | None) -> Snapshot:
         """Run one cycle. A miss or a fault is a status; a bug propagates."""

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import enum
+import functools
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, is_dataclass
+from typing import Any
 
 import numpy as np
 
@@ -190,9 +192,16 @@ def _seal(value: object) -> None:
     elif isinstance(value, tuple):
         for part in value:
             _seal(part)
-    elif is_dataclass(value):
-        for member in fields(value):
-            _seal(getattr(value, member.name))
+    else:
+        kind: Any = type(value)  # mypy takes the hash of `object` itself for that of its class
+        for name in _members(kind):
+            _seal(getattr(value, name))
+
+
+@functools.cache
+def _members(kind: type[object]) -> tuple[str, ...]:
+    """Names of a dataclass's fields; () for any other type. Cached, as every result is sealed."""
+    return tuple(member.name for member in fields(kind)) if is_dataclass(kind) else ()
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,6 +13,7 @@ from edged.plc import handshakeevents as ev
 from edged.plc.answers import AckState
 from edged.plc.registers import UINT16_MAX, RegisterResult
 
+KINDS = frozenset(CommandKind)
 KEPT = 50
 MOST_RUNGS = 16
 """Maximum number of steps (`Exchange.rungs`) kept per command."""
@@ -54,7 +55,7 @@ class Exchange:
     @property
     def command(self) -> str:
         """Name of the command; "" for an unknown code."""
-        return CommandKind(self.code).name if self.code in set(CommandKind) else ""
+        return CommandKind(self.code).name if self.code in KINDS else ""
 
 
 class ExchangeLog:
@@ -157,8 +158,7 @@ def _hint(code: int, flange_mm: tuple[float, ...]) -> str:
     >>> _hint(0x0100, ())
     'bytes'
     """
-    commands = set(CommandKind)
-    if code not in commands and (code >> 8 | (code & 0xFF) << 8) in commands:
+    if code not in KINDS and (code >> 8 | (code & 0xFF) << 8) in KINDS:
         return "bytes"
     place = flange_mm[:3]
     if any(abs(mm) > FARTHEST_MM for mm in place) and all(abs(_turned(mm)) <= FARTHEST_MM for mm in place):

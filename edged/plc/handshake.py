@@ -240,7 +240,7 @@ def _take(
         case ExecutionFailed(ticket):
             return _end(state, ticket, AckState.NACK, NackReason.FAILED)
         case AckWritten(sequence):
-            return replace(state, acknowledged=sequence), ()
+            return (replace(state, acknowledged=sequence) if sequence != state.acknowledged else state), ()
         case HeartbeatWritten(value):
             return _beat(state, value, now_s), ()
         case CycleBegun():
@@ -329,19 +329,27 @@ def _command(
 ) -> tuple[Handshake[Payload], tuple[Effect, ...]]:
     shown = state.result if event.client == state.synchronised and is_valid(state, now_s) else None
     is_baseline = event.client != state.synchronised and not event.once
-    state = replace(state, synchronised=event.client)
     # the answer to another connection's command with the same number does not answer this one
     if event.sequence == state.command_sequence and not (is_baseline and event.sequence):
-        return state, ()
+        return replace(state, synchronised=event.client), ()
     parts = state.parts
-    state = replace(state, command_sequence=event.sequence, result=None, exposure_done=False, parts=None)
     if event.sequence == 0:
-        return state, ()
+        state = replace(state, synchronised=event.client, command_sequence=0, result=None, parts=None)
+        return replace(state, exposure_done=False), ()
     ticket = (state.ticket & ~SEQUENCE_MASK) + event.sequence
     if ticket <= state.ticket:
         ticket += SEQUENCE_MASK + 1
-    # ACK_SEQ may still hold an older acknowledgement of the same number when a sequence is used again
-    state = replace(state, ticket=ticket, acknowledged=0, client_lost=False)
+    state = replace(
+        state,
+        synchronised=event.client,
+        command_sequence=event.sequence,
+        ticket=ticket,
+        result=None,
+        exposure_done=False,
+        parts=None,
+        acknowledged=0,  # ACK_SEQ may still hold an older acknowledgement of a number that is used again
+        client_lost=False,
+    )
     if state.suspended and not (state.registers and event.registers):
         return _refuse(state, NackReason.SETUP)
     if is_baseline:
@@ -356,9 +364,15 @@ def _command(
     if len(state.open) >= state.limits.queue:
         return _refuse(replace(state, overrun=True), NackReason.QUEUE_FULL)
     deadline_s = float("inf") if event.timeout_s is None else now_s + event.timeout_s
-    # the previous command's answer must not be read as this one's
-    state = replace(state, answer=AckState.NONE, reason=NackReason.NONE, done_sequence=0, overrun=False)
-    return replace(state, open=(*state.open, OpenCommand(ticket, deadline_s))), (Submit(ticket),)
+    state = replace(
+        state,
+        answer=AckState.NONE,  # the previous command's must not be read as this one's
+        reason=NackReason.NONE,
+        done_sequence=0,
+        overrun=False,
+        open=(*state.open, OpenCommand(ticket, deadline_s)),
+    )
+    return state, (Submit(ticket),)
 
 
 def _refuse(state: Handshake[Payload], reason: NackReason) -> tuple[Handshake[Payload], tuple[Effect, ...]]:
@@ -409,13 +423,13 @@ def _end(
     still_open = tuple(command for command in state.open if command.ticket != ticket)
     if len(still_open) == len(state.open):
         return state, ()
-    is_newest_open = any(command.ticket == state.ticket for command in state.open)
-    state = replace(state, open=still_open)
-    if is_newest_open:
+    effects = (Answered(ticket, answer, reason),)
+    if not any(command.ticket == state.ticket for command in state.open):
         # an older command that ends later must not overwrite the newest answer: its client may not have read
         # it yet
-        state = replace(state, done_sequence=ticket & SEQUENCE_MASK, answer=answer, reason=reason)
-    return state, (Answered(ticket, answer, reason),)
+        return replace(state, open=still_open), effects
+    done = ticket & SEQUENCE_MASK
+    return replace(state, open=still_open, done_sequence=done, answer=answer, reason=reason), effects
 
 
 def _finish(
@@ -439,12 +453,13 @@ def _finish(
     if effects and is_newest and event.payload is not None:
         sequence = event.ticket & SEQUENCE_MASK
         shown = ShownResult(sequence, event.verdict, event.exposed_s, event.payload)
-        # a result without a fault proves an exposure, even if its `Exposed` was lost
-        state = replace(state, result=shown, exposure_done=state.exposure_done or not is_fault)
+        parts = state.parts
         # no list for a client that has gone meanwhile
         if event.verdict is ResultVerdict.GOOD and event.rest and state.synchronised is not None:
             parts = PartList(state.synchronised, event.job, event.exposed_s, event.rest)
-            state = replace(state, parts=parts)
+        # a result without a fault proves an exposure, even if its `Exposed` was lost
+        is_exposed = state.exposure_done or not is_fault
+        state = replace(state, result=shown, exposure_done=is_exposed, parts=parts)
     return state, effects
 
 
@@ -460,6 +475,8 @@ def _release(state: Handshake[Payload], event: Released) -> Handshake[Payload]:
 
 def _beat(state: Handshake[Payload], value: int, now_s: float) -> Handshake[Payload]:
     if value == 0:
+        if (state.heartbeat, state.heartbeat_due_s, state.client_lost) == (0, None, False):
+            return state
         return replace(state, heartbeat=0, heartbeat_due_s=None, client_lost=False)
     if value == state.heartbeat:
         return state

@@ -37,7 +37,11 @@ class RegisterWatch:
         return True
 
     def show_soon(self) -> None:
-        """Show in the next iteration of the loop, when every publisher knows of the event."""
+        """Show in the next iteration of the loop, when every server of the registers knows of the event.
+
+        A robot whose command has ended was woken before, and is answered first. A client that has written is
+        answered after it, and so reads what it wrote.
+        """
         if self.loop is not None and not self._is_due and not self.is_closed:
             self._is_due = True
             self.loop.call_soon(self._show_now)

@@ -61,11 +61,13 @@ def _error(cell: CellState | None) -> int:
     return (cell.error_code or 1) & reg.UINT16_MAX
 
 
-def _warnings(state: hs.Handshake[reg.RegisterResult]) -> reg.Warn:
-    lost = reg.Warn.CLIENT_LOST if state.client_lost else reg.Warn(0)
-    unknown = reg.Warn.UNSYNCHRONISED if state.synchronised is None else reg.Warn(0)
-    set_up = reg.Warn.SETUP if state.suspended else reg.Warn(0)
-    return lost | set_up | unknown
+def _warnings(state: hs.Handshake[reg.RegisterResult]) -> int:
+    raised = [
+        (reg.Warn.CLIENT_LOST, state.client_lost),
+        (reg.Warn.SETUP, state.suspended),
+        (reg.Warn.UNSYNCHRONISED, state.synchronised is None),
+    ]
+    return sum(bit for bit, is_up in raised if is_up)
 
 
 def _status_bits(
@@ -97,4 +99,4 @@ def _status_bits(
             (reg.StatusBit.CAL_INVALID, cell.calibrated is CalibrationHealth.INVALID),
             (reg.StatusBit.CAM_FAULT, is_fault and not cell.cameras_ok),
         ]
-    return sum(int(bit) for bit, is_up in raised if is_up)
+    return sum(bit for bit, is_up in raised if is_up)

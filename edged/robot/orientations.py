@@ -117,11 +117,8 @@ def sigma_angles_deg(R: FloatArray, covariance: FloatArray, convention: Conventi
     position the sigmas grow without bound, as those angles are then undetermined.
     """
     angles = ANGLES_DEG[convention]
-    step_rad = 1e-6  # central difference: error ~ step² = 1e-12, rounding ~ 1e-16 / step = 1e-10
-    jacobian = np.empty((3, 3))
-    for axis in range(3):
-        ahead, behind = (np.array(angles(about(axis, h) @ R)) for h in (step_rad, -step_rad))
-        jacobian[:, axis] = wrapped(ahead - behind, 360.0) / (2 * step_rad)
+    ahead, behind = (np.array([angles(turn @ R) for turn in turns]) for turns in STEPS)
+    jacobian = np.ascontiguousarray((wrapped(ahead - behind, 360.0) / (2 * STEP_RAD)).T)
     variance = np.einsum("ij,jk,ik->i", jacobian, covariance, jacobian)
     return np.asarray(np.sqrt(np.maximum(variance, 0.0)), np.float64)
 
@@ -134,6 +131,12 @@ def about(axis: int, angle_rad: float) -> FloatArray:
     turn[j, j] = turn[k, k] = c
     turn[j, k], turn[k, j] = -s, s
     return turn
+
+
+STEP_RAD = 1e-6
+"""Step of the central difference: its error is about step² = 1e-12, its rounding 1e-16 / step = 1e-10."""
+STEPS = tuple(tuple(about(axis, step_rad) for axis in range(3)) for step_rad in (STEP_RAD, -STEP_RAD))
+"""A step ahead and one back about each axis."""
 
 
 # --- from the robot to a transform ---------------------------------------------------------------

@@ -27,6 +27,7 @@ from edged.domain.events import (
     Command,
     CommandFailed,
     CommandKind,
+    Event,
     ExposureDone,
     Idle,
     JobChanged,
@@ -617,3 +618,79 @@ async def test_a_fault_while_listening_is_a_result_and_a_dead_camera_no_storm_of
 
     assert [111, 0, 101] == [shot.error_code for shot in ear.snapshots()]
     assert 3 == head.tries
+
+
+async def test_the_first_publishers_know_all_events_of_a_cycle_before_the_others() -> None:
+    """The registers are READY with the result before another publisher learns of either; none misses any."""
+    heard: list[str] = []
+
+    class Named(Ear):
+        def __init__(self, name: str) -> None:
+            super().__init__()
+            self.name = name
+
+        def announce(self, event: Event) -> None:
+            super().announce(event)
+            ready = isinstance(event, CellState) and event.state is CellPhase.READY
+            heard.extend([self.name] if ready or isinstance(event, Snapshot) else [])
+
+    first, other = Named("first"), Named("other")
+    cycle = Cycle(Head(), make_setup())
+    cycle.set_publishers([first], [other])
+    task = asyncio.create_task(cycle.run())
+    await until(lambda: other.state() is CellPhase.READY)
+    heard.clear()
+    cycle.submit(locate_command(1))
+    await until(lambda: len(heard) == 4)
+    assert ["first", "first", "other", "other"] == heard
+    cycle.stop()
+    await asyncio.wait_for(task, LIMIT_S)
+    assert first.events == other.events
+    assert other.state() is CellPhase.STOPPING
+
+
+async def test_a_bug_of_another_publisher_ends_the_loop() -> None:
+    """As a bug of the first ones does: the daemon ends, and is started again."""
+
+    class Buggy(Ear):
+        def announce(self, event: Event) -> None:
+            if isinstance(event, Snapshot):
+                raise ZeroDivisionError
+
+    cycle = Cycle(Head(), make_setup(period_s=0.0))
+    cycle.set_publishers([Ear()], [Buggy()])
+    with pytest.raises(ZeroDivisionError):
+        await asyncio.wait_for(cycle.run(), LIMIT_S)
+
+
+async def test_publishers_that_are_exchanged_know_what_happened_before() -> None:
+    """Events that wait reach the former others; a new one begins with the present state."""
+    former, newcomer = Ear(), Ear()
+    cycle = Cycle(Head(), make_setup())
+    cycle.set_publishers([], [former])
+    task = asyncio.create_task(cycle.run())
+    await until(lambda: former.state() is CellPhase.READY)
+    heard = len(former.events)
+    vars(cycle)["_cell"].announce(Idle())
+    cycle.set_publishers([], [newcomer])
+    assert [Idle()] == former.events[heard:]
+    assert newcomer.state() is CellPhase.READY
+    assert Idle() not in newcomer.events
+    cycle.stop()
+    await asyncio.wait_for(task, LIMIT_S)
+
+
+async def test_every_publisher_knows_a_result_before_the_next_cycle_begins() -> None:
+    """So who counts to N and stops the cell has N results, even of a free-running one at full speed."""
+    cycle = Cycle(Head(), make_setup(period_s=0.0))
+
+    class Counting(Ear):
+        def announce(self, event: Event) -> None:
+            super().announce(event)
+            if len(self.snapshots()) == 3:
+                cycle.stop()
+
+    other = Counting()
+    cycle.set_publishers([], [other])
+    await asyncio.wait_for(cycle.run(), LIMIT_S)
+    assert [1, 2, 3] == [snapshot.cycle for snapshot in other.snapshots()]

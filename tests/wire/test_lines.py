@@ -7,6 +7,7 @@ import contextlib
 import dataclasses
 import itertools
 import socket
+import threading
 import time
 from ipaddress import ip_network
 from typing import Any
@@ -16,6 +17,7 @@ import pytest
 from helpers.goldenkeeper import golden_cell
 from helpers.linerobot import Robot, connected, ready
 from helpers.livecell import GRASPS, PART_FROM_TCP, LiveCell
+from helpers.scriptedhead import LIMIT_S, Ear
 from helpers.snapshots import make_target, make_transform
 from helpers.waiting import wait_until
 from hypothesis import given, settings
@@ -24,6 +26,8 @@ from pymodbus.client import ModbusTcpClient
 
 from edged.adapters.modbus import LineSettings, ModbusSettings, lineserver
 from edged.adapters.modbus.lines import parse
+from edged.domain.cell import CellPhase
+from edged.domain.events import Event, Snapshot
 from edged.domain.frames import FramePair
 from edged.domain.measurement import Outcome, Reject, Status
 from edged.domain.picking import Bounds, Box, Order, Picking, Tray
@@ -97,6 +101,33 @@ def test_a_flange_is_read_as_the_brand_that_was_named_writes_it() -> None:
             assert 0 == status
             given = transform_of(brand, tuple(numbers[: 7 if brand is Brand.ABB else 6]))
             np.testing.assert_allclose(given, flange @ cell.targets[0].rig_from_part, atol=3e-2)
+
+
+class _Diary(Ear):
+    """A publisher that holds the cell up with each result until the robot has its answer."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.answered = threading.Event()
+        self.was_held = False
+
+    def announce(self, event: Event) -> None:
+        super().announce(event)
+        if isinstance(event, Snapshot):
+            self.was_held = self.answered.wait(LIMIT_S / 4)
+
+
+def test_the_robot_is_answered_before_anyone_else_learns_of_its_result() -> None:
+    """Other publishers take as long as they like: the answer is on the wire before."""
+    diary = _Diary()
+    with LiveCell(KUKA) as cell, connected(cell) as robot:
+        ready(cell)
+        cell.call(lambda: cell.cycle.set_publishers([cell.server], [diary]))
+        assert (7, 0) == robot.ask("7,LOCATE,0")[:2]
+        diary.answered.set()
+        wait_until(lambda: diary.state() is CellPhase.READY)
+    assert 1 == len(diary.snapshots())
+    assert diary.was_held
 
 
 def test_a_brand_that_does_not_exist_is_named_as_the_reason() -> None:

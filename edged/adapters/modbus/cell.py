@@ -7,11 +7,13 @@ events back. Not responsible for bytes on the wire (`tcp`, `rtu`, `pdu`).
 from __future__ import annotations
 
 import asyncio
+import functools
 import math
 import secrets
 import struct
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -64,18 +66,23 @@ VERDICTS = {
 }
 """Verdict of the handshake by result code; every other code is BAD."""
 
+
+AT = {register.name: register.address - reg.COMMAND.address for register in reg.COMMAND.registers}
+"""Place of each register's first word in the command block."""
+OPTIONS = sum(reg.Option)
+"""Every bit of the register OPTIONS that has a meaning."""
+KINDS = frozenset(CommandKind)
 COMMAND_WORDS = struct.Struct(f">{reg.COMMAND.words}H")
 UR_STATUS = tuple(
-    (register.name.removeprefix("UR_"), 2 * register.address)
+    (register.name, register.name.removeprefix("UR_"))
     for register in reg.UR.registers
     if register.name.removeprefix("UR_") in reg.ADDRESS
     and register.kind is reg.Kind.U16
     and register.name != "UR_JOB"  # the result's, not the command's
 )
-"""Words of the block UR that repeat the status: name in the status, byte offset in the map."""
+"""Registers of the block UR that repeat the status: name there, and in the status."""
 RESULT_BLOCKS = (
     reg.RESULT,
-    reg.UR,
     reg.UR_GRASP,
     reg.FLOAT,
     reg.GRASP,
@@ -84,16 +91,14 @@ RESULT_BLOCKS = (
     reg.TRAY,
     reg.BELT,
     reg.PLACE,
+    reg.TABLE_END,
 )
-"""Blocks that show the result on display."""
+"""Blocks that show the result on display, except UR, which has the status, too, and the rows of the table."""
 EPOCHS = tuple(f"{block}START_EPOCH" for block in reg.PREFIXES)
 TABLE_START = 2 * reg.TABLE[0].address
 TABLE_CRC = next(
     2 * register.address for register in reg.TABLE_END.registers if register.name == "TABLE_CRC16"
 )
-UR_START = 2 * reg.UR.address
-UR_CRC = next(2 * register.address for register in reg.UR.registers if register.name == "UR_CRC16")
-
 DEFINED = bytes(
     any(block.address <= address < block.address + block.words for block in reg.BLOCKS)
     for address in range(MAP_END)
@@ -103,6 +108,38 @@ DEFINED = bytes(
 
 FRESH_S = 0.0005
 """How long an image is reused, so that consecutive reads are consistent: half its finest time unit, 1 ms."""
+
+Values = Mapping[str, reg.Number]
+
+
+@functools.lru_cache(256)
+def _blocks_in(start: int, count: int) -> tuple[reg.Block, ...]:
+    """Blocks of which a client reads words; for the table's end its rows, too, which its CRC covers."""
+    end = start + count
+    found = [block for block in reg.BLOCKS if block.address < end and block.address + block.words > start]
+    rest = [block for block in reg.TABLE if reg.TABLE_END in found and block not in found]
+    return (*rest, *found)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Moment:
+    """What an image shows. valid, as_published : of the result on display, at this time."""
+
+    now_s: float
+    state: hs.Handshake[reg.RegisterResult]
+    cell: CellState | None
+    valid: bool
+    as_published: bool
+    epoch: int
+
+    def shows_as(self, other: _Moment) -> bool:
+        """Whether the result on display is encoded as at another moment."""
+        return (
+            self.state.result is other.state.result
+            and self.valid is other.valid
+            and hs.remaining(self.state) == hs.remaining(other.state)
+            and self.epoch == other.epoch
+        )
 
 
 class CellRegisters:
@@ -126,8 +163,12 @@ class CellRegisters:
         self._is_simulated = False  # by the last result
         self._command = [0] * reg.COMMAND.words
         self._image = bytearray(2 * MAP_END)
-        self._encoded: tuple[int, bool, int, int] | None = None
-        self._held: hs.ShownResult[reg.RegisterResult] | None = None
+        # blocks whose words in the image are old, with what returns their values: most are never read
+        self._due: dict[reg.Block, Callable[[], Values]] = {}
+        self._moment = _Moment(-math.inf, self._state, None, valid=False, as_published=False, epoch=0)
+        self._shown = self._moment  # when the result on display last changed
+        self._status: Values | None = None  # at _moment; None: not yet computed
+        self._result: Values | None = None  # at _shown, likewise
         self._filled_rows = len(reg.TABLE)  # rows of the table that are not empty
         self._exposures = ExposureClock(clock_s)
         self._submitted: dict[int, Command] = {}  # commands that have not ended, by ticket
@@ -140,25 +181,41 @@ class CellRegisters:
         """Address of each Modbus/TCP client, by its number."""
         self.ladder = ExchangeLog(self.addresses)
         self._place_basis()
-        self._place(reg.REFERENCE_MARKS, reg.marks_values(MarksReport()))
-        self._place(reg.ROBOT_MAP, reg.map_values(MapFigures()))
+        self._due[reg.REFERENCE_MARKS] = functools.partial(reg.marks_values, MarksReport())
+        self._due[reg.ROBOT_MAP] = functools.partial(reg.map_values, MapFigures())
+        self._due[reg.COUNTERS] = lambda: self._counts
         self._accepted_until_s = 0.0  # when the block of the acceptance test is next updated
         self.watchers: list[Callable[[], None]] = []  # called after each write and event
-        self._change: asyncio.Future[None] | None = None
+        self._waiting: list[asyncio.Future[None]] = []  # of those who wait for a change of the handshake
+        self._woken_by = self._state  # the handshake when they were last woken
         self._fresh_until_s = -math.inf  # until then the image need not be refreshed
 
-    def change(self) -> asyncio.Future[None]:
-        """Return a future that is done at the next write or event; it is shared and must not be cancelled."""
-        if self._change is None or self._change.done():
-            self._change = asyncio.get_running_loop().create_future()
-        return self._change
+    async def change(self, within_s: float) -> None:
+        """Wait until a write or event has changed the handshake, at most so long.
+
+        Continues in the next turn of the loop, which `asyncio.wait` with a time-out does not.
+        """
+        loop = asyncio.get_running_loop()
+        change: asyncio.Future[None] = loop.create_future()
+        self._waiting.append(change)
+        timer = loop.call_later(within_s, _settle, change)
+        try:
+            await change
+        finally:
+            timer.cancel()
+            if change in self._waiting:
+                self._waiting.remove(change)
 
     def _tell(self) -> None:
         self._fresh_until_s = -math.inf
+        # first who waits for the end of its command: what follows is in the same turn of the loop
+        if self._state is not self._woken_by:
+            self._woken_by = self._state
+            waiting, self._waiting = self._waiting, []
+            for change in waiting:
+                _settle(change)
         for changed in self.watchers:
             changed()
-        if self._change is not None and not self._change.done():
-            self._change.set_result(None)
 
     # --- reading -----------------------------------------------------------------------------
 
@@ -168,12 +225,29 @@ class CellRegisters:
         if start < 0 or start + count > MAP_END or 0 in DEFINED[start : start + count]:
             raise RequestRefused(ILLEGAL_ADDRESS)
         self._refresh()
+        return self._words(start, count)
+
+    def read_blocks(self, blocks: Iterable[reg.Block]) -> list[Sequence[int]]:
+        """Words of each block, all of one moment."""
+        self._refresh()
+        return [self._words(block.address, block.words) for block in blocks]
+
+    def _words(self, start: int, count: int) -> Sequence[int]:
+        for block in _blocks_in(start, count):
+            values = self._due.pop(block, None)
+            if values is not None:
+                self._place(block, values())
         return struct.unpack_from(f">{count}H", self._image, 2 * start)
 
     @property
     def valid_until_s(self) -> float:
         """When the coordinates on display expire, by `clock_s`; 0 without valid coordinates."""
         return hs.valid_until_s(self._state, self._clock_s()) or 0.0
+
+    @property
+    def command_sequence(self) -> int:
+        """Register CMD_SEQ_ECHO, which time does not change."""
+        return self._state.command_sequence
 
     @property
     def owner(self) -> int | None:
@@ -186,94 +260,113 @@ class CellRegisters:
         if now_s < self._fresh_until_s:
             return
         self._step(ev.Tick(), now_s)
-        valid = hs.is_valid(self._state, now_s)
-        status: dict[str, reg.Number] = {
-            **status_values(self._state, self._cell, now_s, valid=valid, simulated=self._is_simulated),
-            "CLIENTS": len(self.addresses),
-            "START_EPOCH": self._epoch,
-            "CONVENTION": self._settings.convention,
-        }
-        self._place(reg.STATUS, status)
+        state, due = self._state, self._due
+        valid, as_published = hs.is_valid(state, now_s), hs.is_as_published(state, now_s)
+        moment = _Moment(now_s, state, self._cell, valid, as_published, self._epoch)
+        self._moment, self._status = moment, None
+        due[reg.STATUS], due[reg.BITS], due[reg.UR] = self._status_values, self._bits, self._ur_values
         COMMAND_WORDS.pack_into(self._image, 2 * reg.COMMAND.address, *self._command)
-        result = self._state.result
-        # _held keeps the result alive, so that its id is not reused
-        shown = (id(result), valid, hs.remaining(self._state), self._epoch)
-        if shown != self._encoded:
-            self._encoded, self._held = shown, result
-            self._place_result(valid, hs.is_as_published(self._state, now_s))
-        self._place(reg.BITS, self._bits(valid, int(status["STATUS_BITS"])))
-        self._place_ur_status(status)
+        if not moment.shows_as(self._shown):
+            self._show(moment)
         if now_s >= self._accepted_until_s:
             self._accepted_until_s = now_s + ACCEPTANCE_S
-            found = Acceptance() if self._cell is None else self._cell.acceptance
-            self._place(reg.ACCEPTANCE, reg.acceptance_values(found, time.time_ns()))
+            due[reg.ACCEPTANCE] = self._acceptance
         if not self._are_jobs_placed:
             self._are_jobs_placed, jobs = True, self._jobs()
             for index, block in enumerate(reg.JOBS):
-                self._place(block, reg.job_values(index, jobs))
-        self._fresh_until_s = min(now_s + FRESH_S, hs.valid_until_s(self._state, now_s) or math.inf)
+                due[block] = functools.partial(reg.job_values, index, jobs)
+        until_s = hs.valid_until_s(state, now_s)
+        self._fresh_until_s = now_s + FRESH_S if until_s is None else min(now_s + FRESH_S, until_s)
 
-    def _place(self, block: reg.Block, values: dict[str, reg.Number]) -> None:
+    def _show(self, moment: _Moment) -> None:
+        """Show another result, or none, from now on."""
+        self._shown, self._result = moment, None
+        self._due.update(dict.fromkeys(RESULT_BLOCKS, self._result_values))
+        result = self._payload()
+        rows = 0 if result is None else len(result.poses)
+        for index, block in enumerate(reg.TABLE[: max(rows, self._filled_rows)]):
+            self._due[block] = functools.partial(self._row, index)
+        self._filled_rows = rows
+
+    def _place(self, block: reg.Block, values: Values) -> None:
         start = 2 * block.address
         data = reg.encode(block, values, self._settings.word_order)
         self._image[start : start + len(data)] = data
+        if block is reg.TABLE_END:  # the encoder of a single block cannot compute the CRC over the rows
+            crc = reg.crc16(self._image[TABLE_START:TABLE_CRC])
+            self._image[TABLE_CRC : TABLE_CRC + 2] = crc.to_bytes(2, "big")
 
-    def _bits(self, valid: bool, status_bits: int) -> dict[str, reg.Number]:
-        """Values of the block BITS. status_bits : register STATUS_BITS."""
-        result = self._state.result
+    # --- values of the blocks, computed when one of their words is read --------------------------
+
+    def _status_values(self) -> Values:
+        if self._status is None:
+            moment = self._moment
+            found = status_values(
+                moment.state, moment.cell, moment.now_s, valid=moment.valid, simulated=self._is_simulated
+            )
+            found["CLIENTS"], found["START_EPOCH"] = len(self.addresses), moment.epoch
+            found["CONVENTION"] = self._settings.convention
+            self._status = found
+        return self._status
+
+    def _bits(self) -> Values:
+        moment = self._moment
+        result = moment.state.result
         flags = result.payload.flags if result is not None else reg.Flag(0)
         bits, reason = cell_bits(
             self._start_bit,
-            self._state,
-            is_ready=bool(status_bits & reg.StatusBit.READY),
-            is_usable=valid and reg.Flag.ROBOT_FRAME in flags,
+            moment.state,
+            is_ready=bool(int(self._status_values()["STATUS_BITS"]) & reg.StatusBit.READY),
+            is_usable=moment.valid and reg.Flag.ROBOT_FRAME in flags,
             is_simulated=reg.Flag.SIMULATED in flags,
         )
         return {"BITS": bits, "BITS_REASON": reason}
 
-    def _place_result(self, valid: bool, as_published: bool) -> None:
-        result = self._state.result
-        values: dict[str, reg.Number] = dict(reg.NOTHING)
-        rows = 0
-        if result is not None:
-            shown = result.payload
-            if result.verdict is ResultVerdict.EXCHANGED:
-                shown = reg.exchanged(shown)
-            rows = len(shown.poses)
-            free = self._state.command_sequence == 0
-            values = reg.result_values(
-                shown,
-                result.sequence,
-                valid=valid,
-                as_published=as_published,
-                free_running=free,
-                remaining=hs.remaining(self._state),
-            )
-            for index, block in enumerate(reg.TABLE[:rows]):
-                self._place(block, reg.row_values(shown, index, result.sequence, valid=valid))
-        values |= dict.fromkeys(EPOCHS, self._epoch)
-        for block in RESULT_BLOCKS:
-            self._place(block, values)
-        for block in reg.TABLE[rows : self._filled_rows]:
-            self._place(block, {})
-        self._filled_rows = rows
-        self._place(reg.TABLE_END, values)
-        self._place_crc(TABLE_START, TABLE_CRC)
+    def _ur_values(self) -> Values:
+        status = self._status_values()
+        return {**self._result_values(), **{name: status[known] for name, known in UR_STATUS}}
+
+    def _payload(self) -> reg.RegisterResult | None:
+        """The result on display, without numbers after its basis was replaced."""
+        result = self._shown.state.result
+        if result is None:
+            return None
+        is_void = result.verdict is ResultVerdict.EXCHANGED
+        return reg.exchanged(result.payload) if is_void else result.payload
+
+    def _result_values(self) -> Values:
+        if self._result is None:
+            shown, payload = self._shown, self._payload()
+            values: dict[str, reg.Number] = dict(reg.NOTHING)
+            if payload is not None and shown.state.result is not None:
+                values = reg.result_values(
+                    payload,
+                    shown.state.result.sequence,
+                    valid=shown.valid,
+                    as_published=shown.as_published,
+                    free_running=shown.state.command_sequence == 0,
+                    remaining=hs.remaining(shown.state),
+                )
+            self._result = values | dict.fromkeys(EPOCHS, shown.epoch)
+        return self._result
+
+    def _row(self, index: int) -> Values:
+        shown, payload = self._shown, self._payload()
+        if payload is None or shown.state.result is None:
+            return {}
+        return reg.row_values(payload, index, shown.state.result.sequence, valid=shown.valid)
+
+    def _acceptance(self) -> Values:
+        cell = self._moment.cell
+        return reg.acceptance_values(Acceptance() if cell is None else cell.acceptance, time.time_ns())
 
     def _place_basis(self) -> None:
         """Encode the blocks that measurements do not change: constants and registration."""
-        self._place(reg.CONSTANTS, reg.constant_values(self._settings.convention, *self._basis))
-        registration = reg.registration_values(self._registration, self._registered_by, self._epoch)
-        self._place(reg.REGISTRATION, registration)
-
-    def _place_ur_status(self, status: dict[str, reg.Number]) -> None:
-        for name, start in UR_STATUS:
-            struct.pack_into(">H", self._image, start, int(status[name]))
-        self._place_crc(UR_START, UR_CRC)
-
-    def _place_crc(self, start: int, end: int) -> None:
-        """Write the CRC over bytes `start` to `end`, which the encoder of a single block cannot compute."""
-        self._image[end : end + 2] = reg.crc16(self._image[start:end]).to_bytes(2, "big")
+        convention, epoch = self._settings.convention, self._epoch
+        self._due[reg.CONSTANTS] = functools.partial(reg.constant_values, convention, *self._basis)
+        self._due[reg.REGISTRATION] = functools.partial(
+            reg.registration_values, self._registration, self._registered_by, epoch
+        )
 
     # --- writing -----------------------------------------------------------------------------
 
@@ -291,30 +384,30 @@ class CellRegisters:
             raise RequestRefused(ILLEGAL_ADDRESS)
         now_s = self._clock_s()
         self._step(ev.Tick(), now_s)
-        given = {start + k: word for k, word in enumerate(words) if word is not None}
+        given = {place: word for place, word in enumerate(words, start) if word is not None}
         if not hs.may_write(self._state, client, now_s):
-            if _offset("CMD_SEQ") in given:
+            if AT["CMD_SEQ"] in given:
                 self._step(ev.WriteRejected(client), now_s)
             raise RequestRefused(DEVICE_BUSY)
         new = list(self._command)
         for offset, word in given.items():
             new[offset] = word
-        options = new[_offset("OPTIONS")]
-        if options & ~sum(reg.Option):
+        options = new[AT["OPTIONS"]]
+        if options & ~OPTIONS:
             raise RequestRefused(ILLEGAL_VALUE)
-        new[_offset("OPTIONS")] = 0
+        new[AT["OPTIONS"]] = 0
         self._command = new
         self._step(ev.ClaimedBy(client), now_s)
-        if _offset("CLIENT_HEARTBEAT") in given:
-            self._step(ev.HeartbeatWritten(new[_offset("CLIENT_HEARTBEAT")]), now_s)
-        if _offset("ACK_SEQ") in given:
-            self._step(ev.AckWritten(new[_offset("ACK_SEQ")]), now_s)
-        if _offset("AUTO_LOCK") in given:
-            self._lock(client if new[_offset("AUTO_LOCK")] else None)
-        if _offset("CMD_SEQ") in given:
+        if AT["CLIENT_HEARTBEAT"] in given:
+            self._step(ev.HeartbeatWritten(new[AT["CLIENT_HEARTBEAT"]]), now_s)
+        if AT["ACK_SEQ"] in given:
+            self._step(ev.AckWritten(new[AT["ACK_SEQ"]]), now_s)
+        if AT["AUTO_LOCK"] in given:
+            self._lock(client if new[AT["AUTO_LOCK"]] else None)
+        if AT["CMD_SEQ"] in given:
             self._trigger(client, now_s, reg.Option(options), shown)
-        if _offset("CONTROL") in given:
-            self._control(client, new[_offset("CONTROL")])
+        if AT["CONTROL"] in given:
+            self._control(client, new[AT["CONTROL"]])
         if options & reg.Option.RELEASE:
             self._step(ev.Released(client), now_s)
         self._tell()
@@ -329,7 +422,7 @@ class CellRegisters:
             self.write(client, base + reg.ADDRESS["CMD_SEQ"], [0])
         elif isinstance(action, StartCommand):
             kind = CommandKind.NEXT_PART if action.gives_next else CommandKind.LOCATE
-            beat = self._command[_offset("CLIENT_HEARTBEAT")]
+            beat = self._command[AT["CLIENT_HEARTBEAT"]]
             words = [int(kind), action.job, action.sequence, 0, beat, reg.Option.ONCE]
             self.write(client, base + reg.COMMAND.address, words)
             self._start_bit = begun(self._start_bit, self._state.ticket)
@@ -346,22 +439,21 @@ class CellRegisters:
     def client_disconnected(self, client: int) -> None:
         """Remove a client whose connection has ended."""
         if self._locked_by == client:
-            self._command[_offset("AUTO_LOCK")] = 0
+            self._command[AT["AUTO_LOCK"]] = 0
             self._lock(None)
         if self._start_bit.client == client:
-            self._start_bit, self._command[_offset("CONTROL")] = StartBit(), 0
+            self._start_bit, self._command[AT["CONTROL"]] = StartBit(), 0
         self._step(ev.Released(client, gone=True), self._clock_s())
         self._tell()
 
     def _trigger(self, client: int, now_s: float, options: reg.Option, shown: tuple[float, ...]) -> None:
-        code, job = self._command[_offset("COMMAND")], self._command[_offset("JOB")]
-        timeout_ms = self._command[_offset("TIMEOUT")]
-        known = code in set(CommandKind)
+        code, job, timeout_ms = (self._command[AT[name]] for name in ("COMMAND", "JOB", "TIMEOUT"))
+        known = code in KINDS
         flange, written = self._taken_flange()
         self.ladder.writes(code, job, written)
         skipped_mm = self._shown_last_mm() if reg.Option.SKIP in options else None
         event = ev.SequenceWritten(
-            self._command[_offset("CMD_SEQ")],
+            self._command[AT["CMD_SEQ"]],
             known,
             timeout_ms / 1000 if timeout_ms else None,
             client,
@@ -369,12 +461,12 @@ class CellRegisters:
             job if code == CommandKind.NEXT_PART else None,
             registers=code in REGISTERING,
             wants_next_grasp=code == CommandKind.NEXT_GRASP,
-            way=self._another_way(job),
+            way=self._another_way(job) if code == CommandKind.NEXT_GRASP else None,
         )
         for effect in self._step(event, now_s):
             if isinstance(effect, ev.Submit):
                 kind, tries_all = CommandKind(code), reg.Option.ALL_JOBS in options
-                box = self._command[_offset("BOX")]
+                box = self._command[AT["BOX"]]
                 pose = shown or written
                 belt = self._belt_reading() if reg.Option.BELT in options else None
                 self._submit(
@@ -415,12 +507,12 @@ class CellRegisters:
         It is cleared as the next command must not measure with an old pose. No robot has its flange at the
         origin of its base, so all zeros mean "not given".
         """
-        start, end = _offset("FLANGE_X"), _offset("TIMEOUT")
+        start, end = AT["FLANGE_X"], AT["TIMEOUT"]
+        if not any(self._command[start:end]):
+            return None, ()
         values = reg.decode(reg.COMMAND, self._command, self._settings.word_order)
         pose = [float(values[f"FLANGE_{axis}"]) / 1000 for axis in "XYZABC"]  # µm, 0.001° to mm, degrees
         self._command[start:end] = [0] * (end - start)
-        if not any(pose):
-            return None, ()
         turned = rotation_of(self._settings.convention, *pose[3:])
         return transform(turned, np.array(pose[:3])), tuple(pose)
 
@@ -466,8 +558,8 @@ class CellRegisters:
                 ):
                     self._step(ev.CycleBegun(), now_s)
                 if self._cell is None or self._cell.marks != event.marks:  # else a snapshot's are newer
-                    self._place(reg.REFERENCE_MARKS, reg.marks_values(event.marks))
-                self._place(reg.ROBOT_MAP, reg.map_values(event.robot_map))
+                    self._due[reg.REFERENCE_MARKS] = functools.partial(reg.marks_values, event.marks)
+                self._due[reg.ROBOT_MAP] = functools.partial(reg.map_values, event.robot_map)
                 self._cell, self._accepted_until_s = event, 0.0
                 if event.state is CellPhase.SETUP:
                     self._step(ev.Suspended(event.setup is SetupSource.ROBOT), now_s)
@@ -507,8 +599,8 @@ class CellRegisters:
         result = reg.measured(snapshot, self._settings.convention)
         self._is_simulated = bool(result.flags & reg.Flag.SIMULATED)
         self._counts = reg.counted(self._counts, snapshot)
-        self._place(reg.COUNTERS, dict(self._counts))
-        self._place(reg.REFERENCE_MARKS, reg.marks_values(snapshot.marks))
+        self._due[reg.COUNTERS] = lambda: self._counts
+        self._due[reg.REFERENCE_MARKS] = functools.partial(reg.marks_values, snapshot.marks)
         verdict = VERDICTS.get(result.code, ResultVerdict.BAD)
         exposed_s = self._exposures.exposed_s(snapshot)
         ticket = self._ticket(snapshot.command)
@@ -543,12 +635,13 @@ class CellRegisters:
         return command.sequence if self._submitted.get(command.sequence) is command else FOREIGN_TICKET
 
 
+def _settle(change: asyncio.Future[None]) -> None:
+    if not change.done():
+        change.set_result(None)
+
+
 def _new_epoch() -> int:
     return 1 + secrets.randbelow(reg.UINT32_MAX)
-
-
-def _offset(name: str) -> int:
-    return reg.ADDRESS[name] - reg.COMMAND.address
 
 
 class ClientView:
@@ -566,9 +659,14 @@ class ClientView:
         """Write as this client."""
         self._cell.write(self._client, address, words, shown=shown)
 
-    def change(self) -> asyncio.Future[None]:
+    @property
+    def echo(self) -> int:
+        """Register CMD_SEQ_ECHO."""
+        return self._cell.command_sequence
+
+    async def change(self, within_s: float) -> None:
         """See `CellRegisters.change`."""
-        return self._cell.change()
+        await self._cell.change(within_s)
 
     def write_bits(self, address: int, bits: Sequence[bool]) -> None:
         """Write bits as this client."""

@@ -24,6 +24,7 @@ that begins with the first byte of a frame (`edged.plc.frames`) is read and answ
 from __future__ import annotations
 
 import asyncio
+import struct
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -250,20 +251,21 @@ class Robot:
         if request.command in ("LOCATE", "RESULT", "SKIP"):
             if code != reg.ResultCode.OK:
                 raise _Refused(100 + code)
-            return self._part(request, LineStatus.NOT_VALID)
+            return self._part(request, LineStatus.NOT_VALID, result)
         if code != WANTED.get(request.command, code):
             raise _Refused(100 + code)
         return LineAnswer(request.sequence, LineStatus.OK)
 
     async def _locate(self, request: LineRequest) -> None:
         """Carry out any command but those of `NEXT`, under the robot's sequence."""
-        shown = self._read(reg.STATUS)["CMD_SEQ_ECHO"]
+        shown = self._view.echo
         if self._asked != (request.sequence, "") or shown != self._sequence:
             if shown == request.sequence:
                 # the same number from another client, or from NEXT: its answer is not this command's
                 self._write("CMD_SEQ", [0])
             self._begin(request, request.sequence)
             self._located, self._given = request.sequence, {request.sequence}
+            await asyncio.sleep(0)  # the cycle begins before this looks whether it has ended
         await self._end(at_exposure=request.command == "EXPOSE")
 
     async def _next(self, request: LineRequest) -> LineAnswer:
@@ -273,7 +275,7 @@ class Robot:
         repeated.
         """
         at_end = NEXT[request.command]
-        shown = int(self._read(reg.STATUS)["CMD_SEQ_ECHO"])
+        shown = self._view.echo
         if self._sequence == 0 or shown != self._sequence:
             raise _Refused(at_end)  # another client's list of parts must not be used
         if self._asked != (request.sequence, request.command) or request.sequence == self._located:
@@ -312,7 +314,7 @@ class Robot:
         beside = {"BOX": request.box} if request.box else {}
         if request.belt is not None:
             beside |= dict(zip(("BELT_COUNT", "BELT_SPEED"), request.belt, strict=True))
-        before = self._read(reg.COMMAND)
+        before = self._read(reg.COMMAND) if beside else {}
         self._put(beside)
         try:
             self._view.write(start, self._command(request, sequence), shown=request.shown)
@@ -324,9 +326,9 @@ class Robot:
     async def _end(self, *, at_exposure: bool = False) -> None:
         """Wait for the end of the command, or only until its picture is taken."""
         sequence = self._sequence
-        end_s = asyncio.get_running_loop().time() + TIMEOUT_S + 1.0
-        while asyncio.get_running_loop().time() < end_s:
-            changed = self._view.change()
+        loop = asyncio.get_running_loop()
+        end_s = loop.time() + TIMEOUT_S + 1.0
+        while loop.time() < end_s:
             status = self._read(reg.STATUS)
             if status["CMD_SEQ_ECHO"] != sequence:
                 raise _Refused(LineStatus.TAKEN_OVER)
@@ -338,7 +340,7 @@ class Robot:
                     raise _Refused(int(status["NACK_REASON"]))
                 if bits & reg.StatusBit.ACK:
                     return
-            await asyncio.wait({changed}, timeout=LOOK_S)
+            await self._view.change(LOOK_S)
         raise _Refused(LineStatus.TAKEN_OVER)
 
     def _command(self, request: LineRequest, sequence: int) -> list[int]:
@@ -365,9 +367,11 @@ class Robot:
             values |= {f"FLANGE_{axis}": round(number * 1000) for axis, number in pairs}
         return self._words(values)[: reg.ADDRESS["TIMEOUT"] - reg.COMMAND.address + 1]
 
-    def _part(self, request: LineRequest, otherwise: LineStatus) -> LineAnswer:
-        """Answer with the part on display. otherwise : status if it is no longer valid."""
-        result = self._usable(otherwise)
+    def _part(
+        self, request: LineRequest, otherwise: LineStatus, shown: dict[str, reg.Number] | None = None
+    ) -> LineAnswer:
+        """Answer with the part on display. otherwise : status if it is no longer valid. shown : as read."""
+        result = self._usable(otherwise, shown)
         return self._answer(request, result, [result[axis] for axis in "XYZABC"], "SIGMA")
 
     def _tool(self, request: LineRequest) -> LineAnswer:
@@ -442,9 +446,14 @@ class Robot:
         pose = (*numbers, *(0.0,) * (len(POSE_NAMES[request.brand]) - len(numbers)))
         return LineAnswer(request.sequence, LineStatus.OK, int(result["REMAINING"]), pose)
 
-    def _usable(self, otherwise: LineStatus) -> dict[str, reg.Number]:
-        """Values of the result on display, if a robot may move by it. otherwise : status if not valid."""
-        result = self._read(reg.RESULT)
+    def _usable(
+        self, otherwise: LineStatus, shown: dict[str, reg.Number] | None = None
+    ) -> dict[str, reg.Number]:
+        """Values of the result on display, if a robot may move by it. otherwise : status if not valid.
+
+        shown : these values, if they were read in this turn of the loop.
+        """
+        result = self._read(reg.RESULT) if shown is None else shown
         flags = int(result["FLAGS"])
         if self._sequence == 0 or result["SEQ_HEAD"] != self._sequence or not flags & reg.Flag.VALID:
             raise _Refused(otherwise)
@@ -481,6 +490,8 @@ class Robot:
 
     def _put(self, values: Mapping[str, reg.Number]) -> None:
         """Write those of BOX, and BELT_COUNT with BELT_SPEED, that are in `values`."""
+        if not values:
+            return
         words = self._words(values)
         for name, count in (("BOX", 1), ("BELT_COUNT", 4)):
             at = reg.ADDRESS[name] - reg.COMMAND.address
@@ -490,7 +501,7 @@ class Robot:
     def _words(self, values: Mapping[str, reg.Number]) -> list[int]:
         """Words of the command block, in the configured word order."""
         data = reg.encode(reg.COMMAND, values, self._settings.word_order)
-        return [int.from_bytes(data[i : i + 2], "big") for i in range(0, len(data), 2)]
+        return list(struct.unpack(f">{reg.COMMAND.words}H", data))
 
     def _write(self, name: str, words: list[int]) -> None:
         self._view.write(self._settings.base_address + reg.ADDRESS[name], words)

@@ -67,8 +67,7 @@ class ModbusPublisher:
     def values(self, blocks: Sequence[Block] = BLOCKS) -> list[tuple[Register, Number]]:
         """Every register with the value that a client would read now, except empty blocks of jobs."""
         settings, found = self._settings, list[tuple[Register, Number]]()
-        for block in blocks:
-            words = self._cell.read(settings.base_address + block.address, block.words)
+        for block, words in zip(blocks, self._cell.read_blocks(blocks), strict=True):
             if block in JOBS and not any(words):
                 continue
             values = decode(block, words, settings.word_order)

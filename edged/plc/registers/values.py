@@ -386,9 +386,9 @@ def result_values(
     tails are 0, so that a client that reads a block in several requests notices the change.
     """
     tail = sequence if as_published else 0
-    flags = (
-        shown.flags | (Flag.VALID if valid else Flag(0)) | (Flag.FREE_RUNNING if free_running else Flag(0))
-    )
+    # as plain numbers: operators of flags are a good part of the time until a robot has its answer
+    blank = int(shown.flags) | (int(Flag.FREE_RUNNING) if free_running else 0)
+    flags = blank | (int(Flag.VALID) if valid else 0)
     pose = shown.poses[shown.index] if shown.poses else None
     values: dict[str, Number] = {
         **NOTHING,
@@ -406,7 +406,7 @@ def result_values(
         **{f"{block}SEQ_TAIL": tail for block in PREFIXES},
         **{f"{block}RESULT": shown.code for block in ("", "UR_", "F_")},
         **{f"{block}FLAGS": flags for block in ("", "UR_", "F_")},
-        **{f"{block}FLAGS": flags & ~Flag.VALID for block in ("G_", "UG_", "O_", "UO_", "B_", "L_")},
+        **{f"{block}FLAGS": blank for block in ("G_", "UG_", "O_", "UO_", "B_", "L_")},
         **{f"{block}STATE": shown.golden for block in ("O_", "UO_")},
         "O_GOLDEN": shown.golden_s,
     }
