@@ -93,7 +93,7 @@ def edge_profiles(
     """Grey values (N, S) across each point, and positions (S,) in px; rows that leave the image are NaN."""
     half = round(half_px / step_px)
     places = np.asarray(np.arange(-half, half + 1) * step_px, dtype=np.float64)
-    return _profiles(_pixels(image), _columns(points_px), _columns(normals), half, step_px), places
+    return profiles_across(_pixels(image), _columns(points_px), _columns(normals), half, step_px), places
 
 
 def _measured(
@@ -239,7 +239,10 @@ def _sample_profiles(
 
 
 @kernel("f8[:, ::1](u1[:, ::1], f8[:, ::1], f8[:, ::1], i8, f8)")
-def _profiles(image: Image, points: FloatArray, normals: FloatArray, half: int, step: float) -> FloatArray:
+def profiles_across(
+    image: Image, points: FloatArray, normals: FloatArray, half: int, step: float
+) -> FloatArray:
+    """`edge_profiles` with 2 half + 1 samples, step px apart."""
     count = points.shape[0]
     found = np.full((count, 2 * half + 1), np.nan)
     profiles, inside = np.empty((2 * half + 1, _TOGETHER), np.float32), np.empty(_TOGETHER, np.bool_)

@@ -85,9 +85,9 @@ def is_contradicted(images: StereoImages, job: Job, match: ShapeMatch, target: T
     if sight is None:
         return False
     light = surroundings(sight, job.search.min_contrast)
-    known = light.shows(sight).astype(np.float64) - light.denies(sight)
+    known = light.verdicts(sight)
     # whole numbers: their sums do not depend on the order
-    count, theirs_count = (flags.sum(axis=1) for flags in (all_turns.own, all_turns.foreign))
+    count, theirs_count = all_turns.counts
     mine = all_turns.own @ known / np.maximum(count, 1)
     open_ = (count >= ROTATIONS.min_apart) & (mine <= MEASURING.clear) & (theirs_count >= ROTATIONS.min_apart)
     for k in open_.nonzero()[0].tolist():
@@ -95,8 +95,7 @@ def is_contradicted(images: StereoImages, job: Job, match: ShapeMatch, target: T
         other = _look(images, job, face, turned(pose, all_turns.motions[k]), others)
         if other is None:
             continue
-        theirs = light.shows(other).astype(np.float64) - light.denies(other)
-        if mine[k] < theirs.mean() - MEASURING.against:
+        if mine[k] < light.verdicts(other).mean() - MEASURING.against:
             return True
     return False
 
