@@ -6,6 +6,7 @@ dozen times, and for a dozen numbers a call of numpy takes longer than the arith
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -16,6 +17,7 @@ from edged.domain.arrays import F64
 from edged.vision.curves.outlines import (
     MIN_RADIUS_MM,
     PLANE_PARAMETERS,
+    SIZES,
     Curve,
     CurveOutline,
     FlatCamera,
@@ -97,12 +99,10 @@ TUPLES = (FlatCamera, CurveOutline, FlatCurves, Freedom, CurvesAt, LaidCurves)
 def flattened(curves: Sequence[Curve]) -> FlatCurves:
     """The curves as arrays for kernels."""
     parameters = np.zeros((len(curves), SIZE_OF_ANY))
-    signs, first = [np.zeros((2, 0), np.int64)], [0]
     for row, curve in zip(parameters, curves, strict=True):
-        row[: len(curve.parameters)] = curve.parameters
-        if curve.signs is not None:
-            signs.append(curve.signs)
-        first.append(first[-1] + (0 if curve.signs is None else curve.signs.shape[1]))
+        row[: SIZES[curve.kind]] = curve.parameters
+    signs = [np.zeros((2, 0), np.int64), *[curve.signs for curve in curves if curve.signs is not None]]
+    lengths = [0 if curve.signs is None else curve.signs.shape[1] for curve in curves]
     return FlatCurves(
         np.array([NUMBERS[curve.kind] for curve in curves], np.int64),
         parameters,
@@ -110,7 +110,7 @@ def flattened(curves: Sequence[Curve]) -> FlatCurves:
         np.array([curve.height_mm for curve in curves], np.float64),
         np.array([curve.polarity for curve in curves], np.int64),
         np.concatenate(signs, axis=1) if len(signs) > 1 else signs[0],
-        np.array(first, np.int64),
+        np.array([0, *itertools.accumulate(lengths)], np.int64),
     )
 
 
