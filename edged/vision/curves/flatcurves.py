@@ -6,7 +6,6 @@ dozen times, and for a dozen numbers a call of numpy takes longer than the arith
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -101,17 +100,14 @@ def flattened(curves: Sequence[Curve]) -> FlatCurves:
     parameters = np.zeros((len(curves), SIZE_OF_ANY))
     for row, curve in zip(parameters, curves, strict=True):
         row[: SIZES[curve.kind]] = curve.parameters
-    signs = [np.zeros((2, 0), np.int64), *[curve.signs for curve in curves if curve.signs is not None]]
-    lengths = [0 if curve.signs is None else curve.signs.shape[1] for curve in curves]
-    return FlatCurves(
-        np.array([NUMBERS[curve.kind] for curve in curves], np.int64),
-        parameters,
-        np.array([curve.length_mm for curve in curves], np.float64),
-        np.array([curve.height_mm for curve in curves], np.float64),
-        np.array([curve.polarity for curve in curves], np.int64),
-        np.concatenate(signs, axis=1) if len(signs) > 1 else signs[0],
-        np.array([0, *itertools.accumulate(lengths)], np.int64),
-    )
+    kinds, polarity = np.array([(NUMBERS[curve.kind], curve.polarity) for curve in curves], np.int64).T.copy()
+    length_mm, height_mm = np.array([(curve.length_mm, curve.height_mm) for curve in curves]).T.copy()
+    parts = [curve.signs for curve in curves if curve.signs is not None]
+    signs, first = np.zeros((2, 0), np.int64), np.zeros(len(curves) + 1, np.int64)
+    if parts:
+        signs = np.concatenate(parts, axis=1)
+        first[1:] = np.cumsum([0 if curve.signs is None else curve.signs.shape[1] for curve in curves])
+    return FlatCurves(kinds, parameters, length_mm, height_mm, polarity, signs, first)
 
 
 @kernel("i8(i8)")

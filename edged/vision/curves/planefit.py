@@ -126,6 +126,8 @@ class PlaneFit:
 
     def by_edges(self) -> PlaneFit:
         """The fit with the edges' covariance alone, for comparison with measurements by the same rig."""
+        if self.covariance is self.edge_covariance and self.rigid is None:
+            return self
         rigid, alone = self.rigid, self.edge_covariance
         if rigid is not None:
             rigid = replace(rigid, covariance=rigid.edge_covariance)

@@ -321,7 +321,7 @@ def unresolved_rotations(
     all_turns, chance = turns(model), odds.chance
     own, (count, _) = all_turns.own, all_turns.counts
     strong = max(strong_slope(slopes, min_contrast), chance.thresholds[0])
-    doubtful = _doubtful(own, chance, np.abs(slopes), strong, odds.own)
+    doubtful = doubtful_turns(own, chance, np.abs(slopes), strong, odds.own)
     if not len(doubtful):
         return []
     sight = look(image, model, pose, sign)
@@ -376,7 +376,7 @@ def _percentile(values: F64, percent: int) -> float:
 
 
 @kernel("i8[::1](b1[:, ::1], Chance, f8[::1], f8, f8[:, ::1])", tuples=(Chance,))
-def _doubtful(own: Flags, chance: Chance, slopes: F64, strong: float, shares: F64) -> I64:
+def doubtful_turns(own: Flags, chance: Chance, slopes: F64, strong: float, shares: F64) -> I64:
     """Indices of the turns of whose points, own (K, N), too few show an edge for certain; slopes (N,)."""
     nats = chance_evidence(chance, own, slopes.reshape((1, len(slopes))), strong, shares)
     for k in range(len(own)):

@@ -127,8 +127,8 @@ class Hypothesis:
         a, b, c, d = self.pose[2:6].tolist()
         return math.atan2(c - b, a + d)
 
-    def at(self, pose: FloatArray, score: float | None = None) -> Hypothesis:
-        """This hypothesis at another pose, with a new score if there is one.
+    def at(self, pose: FloatArray, score: float | None = None, odds: Odds | None = None) -> Hypothesis:
+        """This hypothesis at another pose, with a new score and odds if there are any.
 
         Written out: `replace` reads every field by its name, and a search moves each hypothesis often.
         """
@@ -141,7 +141,7 @@ class Hypothesis:
             self.slopes,
             self.ambiguous,
             self.view,
-            self.odds,
+            self.odds if odds is None else odds,
         )
 
 

@@ -8,7 +8,7 @@ decides.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
@@ -91,11 +91,13 @@ def find_shapes(
 class _Fixed:
     """Quantities of a search that do not depend on the image.
 
-    stretches : sizes along the model's x and y are looked for separately.  finest, finest_inverted : for the
-    taught contrast and the opposite one.
+    stretches : sizes along the model's x and y are looked for separately.  steps : of `refine.settle` on a
+    coarse level, by whether it is the first one, and whether it is above the next to finest.  finest,
+    finest_inverted : for the taught contrast and the opposite one.
     """
 
     stretches: bool
+    steps: Mapping[tuple[bool, bool], FloatArray]
     ranges: refine.Ranges
     finest: refine.Finest
     finest_inverted: refine.Finest
@@ -130,7 +132,14 @@ def _fixed(model: ShapeModel, params: SearchParams, views: ShapeViews | None) ->
         )
         for sign in (1, -1)
     )
-    return _Fixed(stretches, ranges, finest, inverted)
+    limit = freedom or refine.SIMILARITY
+    start, steps = min(limit, refine.STRETCH if stretches else refine.SIMILARITY), {}
+    for coarser in (False, True):
+        # few points do not determine a tilt
+        most = min(limit, refine.AFFINE if coarser else refine.PROJECTIVE)
+        steps[True, coarser] = np.array([(2.0, start), (2.0, most)] if views is None else STEEP_STEPS)
+        steps[False, coarser] = np.array([(2.0, most), (1.5, most)] if views is None else STEEP_STEPS[:2])
+    return _Fixed(stretches, steps, ranges, finest, inverted)
 
 
 @dataclass(frozen=True, slots=True)
@@ -198,18 +207,10 @@ class _Search:
         """Robust steps on the gradient of a coarse level."""
         points, normals = self.model.levels[level].points, self.model.levels[level].normals
         fixed = self.fixed
-        limit = fixed.finest.freedom or refine.SIMILARITY
-        # few points do not determine a tilt
-        coarse = min(limit, refine.AFFINE if level > 1 else refine.PROJECTIVE)
-        start = min(limit, refine.STRETCH if fixed.stretches else refine.SIMILARITY)
-        steps: tuple[tuple[float, int], ...]
-        if self.views is None:
-            steps = ((2.0, start), (2.0, coarse)) if first else ((2.0, coarse), (1.5, coarse))
-        else:
-            steps = STEEP_STEPS if first else STEEP_STEPS[:2]
         pose, result = hypothesis.pose.copy(), self.work.step
         gradient, prior = self._gradient(hypothesis, level), fixed.finest.tilt_prior * 2.0**level
-        if not refine.settle(points, normals, gradient, np.array(steps), prior, pose, result):
+        steps = fixed.steps[first, level > 1]
+        if not refine.settle(points, normals, gradient, steps, prior, pose, result):
             return None
         score = float(result.summary[0])
         share = CLIMB.coarse_share if first or level > 1 else CLIMB.near_finest_share
@@ -355,12 +356,12 @@ class _Search:
         for known in found:
             as_good = known.score > hypothesis.score - CLIMB.rival_margin[0]
             if known.odds is not None and as_good and self._same_place(hypothesis, 0, known):
-                return replace(hypothesis, odds=known.odds)
+                return hypothesis.at(hypothesis.pose, odds=known.odds)
         image, contrast, sign = self.work.images[0], self.params.min_contrast, self._sign(hypothesis)
         odds = rivals.odds_on_face(
             image, self.model, hypothesis.pose, sign, contrast, np.abs(hypothesis.slopes)
         )
-        return replace(hypothesis, odds=odds)
+        return hypothesis.at(hypothesis.pose, odds=odds)
 
     def _decided(self, hypothesis: Hypothesis, climbed: bool) -> Hypothesis:
         """Choose between the rotations that the search could accept; ambiguous if the image does not decide.

@@ -161,6 +161,25 @@ def test_chance_is_that_of_a_table() -> None:
         np.testing.assert_allclose(found.evidence(sets, slopes, 2.0, shares), nats, rtol=1e-12)
 
 
+def test_turns_are_in_doubt_without_enough_edges() -> None:
+    """A turn is in doubt if too few of its points show an edge, or no more than chance may show."""
+    slope, sets = table()
+    of, number = places_of(40)
+    none = np.zeros((len(of), 2))
+    found = chance_of(slope.ravel(), FacePlaces(none, none, of, number), sets, 1.5)
+    shares = found.shares(sets)
+    slopes = np.full(40, 30.0)
+    slopes[sets[0]] = 0.1
+    nats = naive.chance_evidence(found, sets, slopes, 2.0, shares, ROTATIONS)
+    expected = []
+    for k, members in enumerate(sets):
+        count, speaking = members.sum(), (slopes[members] >= 2.0).sum()
+        few = speaking < ROTATIONS.accidents * count + ROTATIONS.accident_spread * math.sqrt(count)
+        if few or nats[k] < EVIDENCE:
+            expected.append(k)
+    assert expected == rivals.doubtful_turns(sets, found, slopes, 2.0, shares).tolist()
+
+
 def test_elsewhere_shows_edges_or_no_face() -> None:
     """Slopes elsewhere are those of edges along the normals; NaN where the grey values are not the face's."""
     image, places = scratched(1, 0.2, "streaks"), elsewhere(model())

@@ -353,6 +353,13 @@ def test_settle_takes_the_steps_one_by_one() -> None:
     )
 
 
+def test_start_poses_are_those_of_each_row() -> None:
+    """Many poses at once equal each for itself, bit by bit."""
+    rows = np.random.default_rng(1).uniform(-2, 2, (20, 5))
+    expected = [refine.start_pose(*row) for row in rows.tolist()]
+    np.testing.assert_array_equal(refine.start_poses(*rows.T), expected)
+
+
 @pytest.mark.parametrize("sizes_y", [None, (0.8, 1.3)])
 @pytest.mark.parametrize("view_stretch", [None, 1.2])
 def test_poses_within_ranges(sizes_y: tuple[float, float] | None, view_stretch: float | None) -> None:
