@@ -15,7 +15,7 @@ import numpy as np
 from edged.domain.arrays import Image
 from edged.domain.frames import FramePair
 from edged.domain.marks import MarksReport, MarksTrack
-from edged.domain.measurement import Nearest, NearMiss, NotMeasured, Outcome, Reject, Status
+from edged.domain.measurement import Nearest, NearMiss, NotMeasured, Outcome, Reject, Status, Target
 from edged.domain.stopwatch import no_lap
 from edged.vision.geometry.camera import StereoRig
 from edged.vision.geometry.correction import RigCorrection
@@ -144,10 +144,7 @@ def doubted_where_shared(measured: Sequence[MeasuredPart]) -> list[MeasuredPart]
         for part, other in itertools.product(good, measured)
         if part is not other
         and (other.target.reject is Reject.NONE or other.target.match.score > part.target.match.score)
-        and any(
-            float(np.linalg.norm(mine.centre_mm - theirs.centre_mm)) < SAME_CIRCLE * mine.radius_mm
-            for mine, theirs in itertools.product(part.target.circles, other.target.circles)
-        )
+        and _shares_a_circle(part.target, other.target)
     }
     return [
         replace(part, target=replace(part.target, reject=Reject.AMBIGUOUS_ROTATION))
@@ -155,6 +152,16 @@ def doubted_where_shared(measured: Sequence[MeasuredPart]) -> list[MeasuredPart]
         else part
         for part in measured
     ]
+
+
+def _shares_a_circle(first: Target, second: Target) -> bool:
+    """Whether a circle of the first lies where one of the second does, all pairs at once."""
+    if not first.circles or not second.circles:
+        return False
+    mine, theirs = (np.array([circle.centre_mm for circle in part.circles]) for part in (first, second))
+    reach_mm = SAME_CIRCLE * np.array([circle.radius_mm for circle in first.circles])
+    gaps_mm = np.linalg.norm(mine[:, None] - theirs, axis=2)
+    return bool((gaps_mm < reach_mm[:, None]).any())
 
 
 def _inspect_solid(images: StereoImages, job: Job, lap: Callable[[str], None]) -> PairInspection:

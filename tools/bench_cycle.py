@@ -380,7 +380,7 @@ def counting() -> Iterator[Counter[str]]:
             result = function(*arguments, **named)
             counts[what] += 1
             if what == "joint fits" and result:
-                counts.update(dict(zip(STEPS, (result[1].coarse, result[1].fine), strict=True)))
+                counts.update(dict(zip(STEPS, (result.coarse, result.fine), strict=True)))
             return result
 
         return wrapper

@@ -7,6 +7,8 @@ import math
 import numpy as np
 
 from edged.domain.arrays import FloatArray
+from edged.vision.shape.chance import Chance
+from edged.vision.shape.params import RotationParams
 
 
 def shape_responses(gx: np.ndarray, gy: np.ndarray, minimum: int, unsigned: bool) -> np.ndarray:
@@ -136,3 +138,135 @@ def tukey_fit(design: np.ndarray, values: np.ndarray, iterations: int, floor: fl
 def repetition(points: FloatArray) -> float:
     """Mean over the points p of the sum over all points q of exp(-2 d^2), where d is their distance."""
     return sum(math.exp(-2 * math.dist(p, q) ** 2) for p in points for q in points) / len(points)
+
+
+def clumping(
+    slope: np.ndarray, known: np.ndarray, sets: np.ndarray, often: float, few_places: int
+) -> tuple[float, float]:
+    """Excess scatter of edges, from slopes (PLACES, U), NaN where no face was seen, of points known (U,)."""
+    scatter, freedom, points = [], 0, []
+    for members in sets:
+        rows = slope[:, members[known]]
+        looked, met = np.isfinite(rows).sum(axis=1), (rows >= often).sum(axis=1)
+        used = looked > 1
+        if used.sum() <= few_places or not met.any():
+            continue
+        share = met.sum() / looked.sum()
+        freedom += used.sum() - 1
+        expected = looked[used] * share
+        scatter += list((met[used] - expected) ** 2 / np.maximum(expected * (1 - share), 1e-9))
+        points += list(looked[used])
+    return (max(sum(scatter) / freedom, 1.0), float(np.mean(points))) if freedom else (1.0, 1.0)
+
+
+def chance_of(
+    slope: np.ndarray, sets: np.ndarray, strong: float, wanted: tuple[float, ...], params: RotationParams
+) -> Chance:
+    """Chance from slopes (PLACES, N) at each place, NaN where no face was seen."""
+    ordered = sorted(slope[np.isfinite(slope)])
+    exceeded = [ordered[math.ceil((1 - share) * len(ordered)) - 1] for share in wanted]
+    known = np.flatnonzero(np.isfinite(slope).any(axis=0))
+    scatter = max(
+        clumping(slope[:, known], known, sets, max(level, params.min_slope), params.few_places)
+        for level in exceeded[:-1]
+    )
+    thresholds = np.maximum(exceeded[1:], strong)
+    looked = np.isfinite(slope[:, known]).sum(axis=0).astype(np.float64)
+    met = np.array([(slope[:, known] >= level).sum(axis=0) for level in thresholds], np.float64)
+    return Chance(known, looked, met, thresholds, *scatter)
+
+
+def chance_shares(chance: Chance, sets: np.ndarray, params: RotationParams) -> np.ndarray:
+    """Shares (T, K) of sets (K, N) that show an edge by chance."""
+    shares = np.empty((len(chance.thresholds), len(sets)))
+    for k, members in enumerate(sets[:, chance.known]):
+        if chance.looked[members].sum() < params.few_looks:
+            members = np.ones(len(members), bool)
+        looked, met = chance.looked[members].sum(), chance.met[:, members].sum(axis=1)
+        shares[:, k] = (met + 0.5) / (looked + 1) if looked else params.unknown
+    return shares
+
+
+def chance_evidence(
+    chance: Chance,
+    sets: np.ndarray,
+    slopes: np.ndarray,
+    strong: float,
+    shares: np.ndarray,
+    params: RotationParams,
+) -> np.ndarray:
+    """Nats (K,) of sets (K, N) by slopes (N,) or (K, N): Chernoff's bound at the best threshold."""
+    nats = []
+    for k, members in enumerate(sets):
+        row = (slopes if slopes.ndim == 1 else slopes[k])[members]
+        count = max(len(row), 1)
+        shared = min((chance.repeated - 1) / max(chance.many - 1, 1), 1)
+        independent = count / (1 + (min(count, params.curve_points) - 1) * shared)
+        found = []
+        for level, share in zip(np.maximum(chance.thresholds, strong), shares[:, k], strict=True):
+            seen = min(max((row >= level).sum() / count, share), 1.0)
+            rest = (1 - seen) * math.log((1 - seen) / (1 - share)) if seen < 1 else 0.0
+            found.append(independent * (seen * math.log(seen / share) + rest))
+        nats.append(max(found) - math.log(len(found)))
+    return np.array(nats)
+
+
+def shape_is_within(
+    pose: np.ndarray,
+    sizes: tuple[float, float],
+    sizes_y: tuple[float, float] | None,
+    view_stretch: float | None,
+    turns: tuple[float, float],
+    slack: float,
+    max_stretch: float,
+) -> bool:
+    """Whether a pose's size, stretch and turn lie in ranges; turns : start and extent."""
+    linear = pose[2:6].reshape(2, 2)
+    if not np.isfinite(pose).all() or not np.linalg.det(linear) > 0:
+        return False
+    along = np.linalg.norm(linear, axis=0)
+    size, ratio = math.sqrt(np.linalg.det(linear)), max(along) / min(along)
+    if view_stretch is not None:
+        scales = np.linalg.svd(linear, compute_uv=False)
+        size, ratio = scales[0], scales[0] / scales[1] / view_stretch
+    elif sizes_y is not None:
+        size, ratio = along[0], 0.0
+        if not (1 - slack) * sizes_y[0] <= along[1] <= (1 + slack) * sizes_y[1]:
+            return False
+    if not (1 - slack) * sizes[0] <= size <= (1 + slack) * sizes[1] or not ratio < max_stretch:
+        return False
+    turn = math.atan2(pose[4] - pose[3], pose[2] + pose[5])
+    return any(
+        turns[0] - slack <= turn + whole <= turns[0] + turns[1] + slack
+        for whole in (-2 * math.pi, 0.0, 2 * math.pi, 4 * math.pi)
+    )
+
+
+def shape_covariance(matrix: np.ndarray, freedom: int, sigma: float, pose: np.ndarray) -> np.ndarray:
+    """Covariance (5, 5) of x, y, angle, scale x, scale y by differences of what a step does."""
+
+    def numbers(step: np.ndarray) -> np.ndarray:
+        moved = shape_step(pose, step, freedom)
+        a, b, c, d = moved[2:6]
+        return np.array([*moved[:2], math.atan2(c - b, a + d), math.hypot(a, c), math.hypot(b, d)])
+
+    unit = 1e-6 * np.eye(freedom)
+    by_step = np.column_stack([(numbers(row) - numbers(-row)) / 2e-6 for row in unit])
+    inner = np.linalg.inv(matrix[:freedom, :freedom] + 1e-9 * np.eye(freedom)) * sigma**2
+    return by_step @ inner @ by_step.T
+
+
+def shape_odd_signs(
+    points: np.ndarray, slopes: np.ndarray, cell_px: float, offsets: np.ndarray
+) -> np.ndarray:
+    """Offsets (N,), NaN where the contrast is opposite to that of the other edges in its cell."""
+    cells: dict[tuple[float, ...], float] = {}
+    cell = [tuple(np.floor((point - points.min(axis=0)) / cell_px)) for point in points]
+    for where, slope, offset in zip(cell, slopes, offsets, strict=True):
+        cells[where] = cells.get(where, 0.0) + (np.sign(slope) if np.isfinite(offset) else 0.0)
+    return np.array(
+        [
+            math.nan if np.sign(slope) * cells[where] < 0 else offset
+            for where, slope, offset in zip(cell, slopes, offsets, strict=True)
+        ]
+    )

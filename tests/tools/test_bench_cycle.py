@@ -22,9 +22,9 @@ MOST = {
     "joint fits": 3.5,
     "coarse steps of the joint fit": 5.0,
     "steps of the joint fit": 2.0,
-    "Python calls": 4600.0,
+    "Python calls": 1500.0,
 }
-"""Most work per cycle, over the demo's flange at six poses; 1, 3, 0, 1, 3, 4, 1 and 4,000 when written
+"""Most work per cycle, over the demo's flange at six poses; 1, 3, 0, 1, 3, 4, 1 and 1,300 when written
 down."""
 
 

@@ -22,21 +22,11 @@ import numpy as np
 from edged.domain.arrays import I64, FloatArray, Image
 from edged.vision.curves.jointstep import shapes_of
 from edged.vision.curves.outlines import ProjectedOutline
-from edged.vision.curves.params import BREAKS, FIT
+from edged.vision.curves.params import BREAKS, EVEN, FIT, HALF, SEEN_SHARE, WAVE_SHARE
 from edged.vision.curves.planestate import FitStep, State
 from edged.vision.edges.subpixel import edge_profiles
 
-EVEN = 1.0 / math.sqrt(12.0)
-"""Sigma of an edge that lies anywhere between both ends, as a share of the width."""
-WAVE_SHARE = EVEN / math.sqrt(2.0 * sum(sigma**2 for sigma in FIT.wave_sigmas))
-"""Factor of the width that gives the sigma of each wave, such that all waves together have the sigma EVEN:
-half of the variance is common to both images, half is opposed, so that each camera sees its own ends."""
-SEEN_SHARE = WAVE_SHARE * math.sqrt(0.5 * (1.0 + BREAKS.against**2))
-"""Factor of the width that gives the sigma that the fit would estimate: in it, opposed waves count half in
-each image."""
 WAVES = len(FIT.wave_sigmas)
-HALF = math.sqrt(0.5)
-"""Half of a shift's variance is the curve's own, half is common to its kind."""
 
 
 def break_widths_mm(state: State, step: FitStep) -> FloatArray:

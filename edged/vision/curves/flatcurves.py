@@ -16,6 +16,7 @@ from edged.domain.arrays import F64
 from edged.vision.curves.outlines import (
     MIN_RADIUS_MM,
     PLANE_PARAMETERS,
+    SIZES,
     Curve,
     CurveOutline,
     FlatCamera,
@@ -97,21 +98,16 @@ TUPLES = (FlatCamera, CurveOutline, FlatCurves, Freedom, CurvesAt, LaidCurves)
 def flattened(curves: Sequence[Curve]) -> FlatCurves:
     """The curves as arrays for kernels."""
     parameters = np.zeros((len(curves), SIZE_OF_ANY))
-    signs, first = [np.zeros((2, 0), np.int64)], [0]
     for row, curve in zip(parameters, curves, strict=True):
-        row[: len(curve.parameters)] = curve.parameters
-        if curve.signs is not None:
-            signs.append(curve.signs)
-        first.append(first[-1] + (0 if curve.signs is None else curve.signs.shape[1]))
-    return FlatCurves(
-        np.array([NUMBERS[curve.kind] for curve in curves], np.int64),
-        parameters,
-        np.array([curve.length_mm for curve in curves], np.float64),
-        np.array([curve.height_mm for curve in curves], np.float64),
-        np.array([curve.polarity for curve in curves], np.int64),
-        np.concatenate(signs, axis=1) if len(signs) > 1 else signs[0],
-        np.array(first, np.int64),
-    )
+        row[: SIZES[curve.kind]] = curve.parameters
+    kinds, polarity = np.array([(NUMBERS[curve.kind], curve.polarity) for curve in curves], np.int64).T.copy()
+    length_mm, height_mm = np.array([(curve.length_mm, curve.height_mm) for curve in curves]).T.copy()
+    parts = [curve.signs for curve in curves if curve.signs is not None]
+    signs, first = np.zeros((2, 0), np.int64), np.zeros(len(curves) + 1, np.int64)
+    if parts:
+        signs = np.concatenate(parts, axis=1)
+        first[1:] = np.cumsum([0 if curve.signs is None else curve.signs.shape[1] for curve in curves])
+    return FlatCurves(kinds, parameters, length_mm, height_mm, polarity, signs, first)
 
 
 @kernel("i8(i8)")

@@ -62,6 +62,12 @@ class Face:
         return Face(self.origin + height * n, np.stack([across, np.cross(normal, across), normal]))
 
 
+SIZES: dict[Kind, int] = {"circle": 3, "edge": 3, "slot": 5}
+"""Number of parameters of each kind of curve."""
+FREE: dict[Kind, int] = {"circle": 3, "edge": 2, "slot": 5}
+"""Number of unknowns of each kind in a fit: that of an edge leaves out its motion along itself."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Curve:
     """One outline in the face.
@@ -93,6 +99,20 @@ class Curve:
         stretch = (np.arange(count) + 0.5) / count * self.signs.shape[1]
         return np.asarray(self.signs[side, stretch.astype(np.int64)])
 
+    def at(self, parameters: FloatArray, polarity: int) -> Curve:
+        """The curve with other parameters, (P,) or more of which the first count, and another polarity."""
+        own = parameters[: SIZES[self.kind]]
+        return Curve(
+            self.name,
+            self.kind,
+            own,
+            polarity,
+            self.length_mm,
+            self.height_mm,
+            self.signs,
+            self.break_mm,
+        )
+
     @property
     def closed(self) -> bool:
         """Whether the curve is closed."""
@@ -121,8 +141,8 @@ class Curve:
 
     @property
     def free(self) -> int:
-        """Number of unknowns in a fit; that of an edge leaves out its motion along itself."""
-        return 2 if self.kind == "edge" else len(self.parameters)
+        """Number of unknowns in a fit."""
+        return FREE[self.kind]
 
     def lift(self) -> FloatArray:
         """(P, free): derivative of the parameters by the unknowns of a fit."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 
@@ -113,6 +114,16 @@ class BreakParams:
 
 
 BREAKS = BreakParams()
+EVEN = 1.0 / math.sqrt(12.0)
+"""Sigma of an edge that lies anywhere between both ends, as a share of the width."""
+WAVE_SHARE = EVEN / math.sqrt(2.0 * sum(sigma**2 for sigma in FIT.wave_sigmas))
+"""Factor of the width that gives the sigma of each wave, such that all waves together have the sigma EVEN:
+half of the variance is common to both images, half is opposed, so that each camera sees its own ends."""
+SEEN_SHARE = WAVE_SHARE * math.sqrt(0.5 * (1.0 + BREAKS.against**2))
+"""Factor of the width that gives the sigma that the fit would estimate: in it, opposed waves count half in
+each image."""
+HALF = math.sqrt(0.5)
+"""Half of a shift's variance is the curve's own, half is common to its kind."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -25,14 +25,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from edged.domain.arrays import FloatArray, Image
+from edged.domain.arrays import I64, FloatArray, Image
 from edged.vision.curves.adjustment import propagate
 from edged.vision.curves.commonmode import PARTS
 from edged.vision.curves.edgebreaks import break_shifts, break_widths_mm
 from edged.vision.curves.flatcurves import RIGID_PARAMETERS
-from edged.vision.curves.outlines import PLANE_PARAMETERS, Curve, Face, circle_axes
+from edged.vision.curves.jointstep import CurveSums
+from edged.vision.curves.outlines import FREE, PLANE_PARAMETERS, Curve, Face, circle_axes
 from edged.vision.curves.params import DEFAULT_PARAMS, FIT, FitParams
-from edged.vision.curves.planestate import FitStep, State, state_of
+from edged.vision.curves.planestate import FitStep, State, shown, state_of
 from edged.vision.curves.systematic import FAMILIES
 from edged.vision.geometry.camera import StereoRig
 from edged.vision.geometry.projection import shifts_by_calibration
@@ -125,8 +126,12 @@ class PlaneFit:
 
     def by_edges(self) -> PlaneFit:
         """The fit with the edges' covariance alone, for comparison with measurements by the same rig."""
-        rigid = self.rigid and replace(self.rigid, covariance=self.rigid.edge_covariance)
-        return replace(self, covariance=self.edge_covariance, rigid=rigid)
+        if self.covariance is self.edge_covariance and self.rigid is None:
+            return self
+        rigid, alone = self.rigid, self.edge_covariance
+        if rigid is not None:
+            rigid = replace(rigid, covariance=rigid.edge_covariance)
+        return PlaneFit(self.face, self.fits, alone, alone, self.row_shift_px, self.row_sigma_px, rigid)
 
     @property
     def parameters(self) -> FloatArray:
@@ -178,7 +183,26 @@ def fit_plane(
         rigid_mm=rigid_mm,
     )
     found = start.fitted()
-    return None if found is None else result_of(*found)
+    if found is None:
+        return None
+    if found.whole is not None:
+        return result_of(*start.last_step(found, found.whole))
+    numbers, polarity = found.numbers.tolist(), found.polarity.tolist()
+    now = [start.curves[k].at(*each) for k, *each in zip(numbers, found.parameters, polarity, strict=True)]
+    row_px = FIT.row_sigma_px * found.row  # NaN after coarse steps alone
+    last = LastStep(
+        found.starts,
+        found.delta,
+        found.sums,
+        found.shifts,
+        found.points,
+        found.weights,
+        row_px,
+        found.fine > 0,
+    )
+    known = Known(found.covariance, found.covariance, FIT.row_sigma_px * math.sqrt(found.row_variance))
+    face = Face(found.face[3], found.face[:3])
+    return _assembled(face, now, last, known, [0.0] * len(now), params.min_support, rigid_mm)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -205,7 +229,8 @@ def fit_circle(
     fixed_radius: bool = False,
 ) -> PlaneFit | None:
     """Measure one circle near an initial guess; other arguments as in `fit_plane`."""
-    axes = np.vstack([circle_axes(-guess.normal), -guess.normal])
+    axes = np.empty((3, 3))
+    axes[:2], axes[2] = circle_axes(-guess.normal), -guess.normal
     circle = Curve(guess.name, "circle", np.array([0.0, 0.0, guess.radius_mm]), guess.polarity)
     face = Face(np.asarray(guess.centre_mm, np.float64), axes)
     return fit_plane(
@@ -215,66 +240,100 @@ def fit_circle(
 
 def result_of(state: State, step: FitStep, known: Known | None = None) -> PlaneFit | None:
     """The result of a fit; None without a supported curve.  known : covariance instead of the step's own."""
-    kept = step.supported(state.params.min_support)
+    count, solved = len(state.curves), step.solved
+    breaks_mm = break_widths_mm(state, step) if step.final else np.zeros(count)
+    whole = known or _known(step, state, breaks_mm)
+    row_px = FIT.row_sigma_px * float(solved.solution.delta[-1]) if step.final else math.nan
+    starts, shifts = step.laid.starts, solved.solution.bias
+    last = LastStep(
+        starts, solved.delta, solved.sums, shifts, solved.points, solved.weights, row_px, step.final
+    )
+    now = [state.curve(k) for k in range(count)]
+    support = state.params.min_support
+    return _assembled(state.face, now, last, whole, breaks_mm.tolist(), support, state.rigid_mm)
+
+
+class LastStep(NamedTuple):
+    """The last step of a fit, as far as its result needs it.
+
+    starts (K + 1,) : first sample of each curve.  delta, sums, points, weights : as in `Solved`.
+    shifts (K, F) : as in `Scatter`.  row_shift_px : as in `PlaneFit`.  final : a fine step, in which scatters
+    are known.
+    """
+
+    starts: I64
+    delta: FloatArray
+    sums: CurveSums
+    shifts: FloatArray
+    points: FloatArray
+    weights: FloatArray
+    row_shift_px: float
+    final: bool
+
+
+def _assembled(
+    face: Face,
+    now: Sequence[Curve],
+    last: LastStep,
+    known: Known,
+    breaks_mm: Sequence[float],
+    min_support: float,
+    rigid_mm: float | None,
+) -> PlaneFit | None:
+    """The result from curves as they are now; None without one that both images show well enough."""
+    sums, starts = last.sums, last.starts.tolist()
+    kept = shown(sums, min_support).tolist()
     if not kept:
         return None
-    solved, starts, sums = step.solved, step.laid.starts, step.solved.sums
-    breaks_mm = break_widths_mm(state, step) if step.final else np.zeros(len(state.curves))
-    whole = known or _known(step, state, breaks_mm)
-    own_mm, free = state.rigid_mm, [curve.free for curve in state.curves]
-    first = list(itertools.accumulate(free, initial=state.shared))
-    borders, (left, right) = starts.tolist(), sums.support.tolist()
+    shared = PLANE_PARAMETERS if rigid_mm is None else PLANE_PARAMETERS + RIGID_PARAMETERS
+    free = [FREE[curve.kind] for curve in now]
+    first = list(itertools.accumulate(free, initial=shared))
+    curves = [now[k] for k in kept]
+    if rigid_mm is not None:
+        steps = [rigid_mm * last.delta[first[k] : first[k + 1]] for k in kept]
+        curves = [curve.moved(step) or curve for curve, step in zip(curves, steps, strict=True)]
     rms, mismatch = sums.rms.tolist(), (sums.mean[0] - sums.mean[1]).tolist()
-    curves, fits = [state.curve(k) for k in kept], []
-    for k, curve, scatter in zip(kept, curves, _scatters_of(step, kept, breaks_mm), strict=True):
-        rows = slice(borders[k], borders[k + 1])
-        if own_mm is not None:
-            curve = curve.moved(own_mm * solved.delta[first[k] : first[k + 1]]) or curve
-        fits.append(
-            CurveFit(
-                curve,
-                np.array([left[k], right[k]]),
-                rms[k],
-                mismatch[k],
-                solved.points[:, rows],
-                solved.weights[:, rows],
-                scatter,
-            )
+    fits = [
+        CurveFit(
+            curve,
+            sums.support[:, k],
+            rms[k],
+            mismatch[k],
+            last.points[:, starts[k] : starts[k + 1]],
+            last.weights[:, starts[k] : starts[k + 1]],
+            scatter,
         )
-    covariance, by_edges = whole.covariance, whole.edge_covariance
+        for k, curve, scatter in zip(kept, curves, _scatters_of(last, kept, breaks_mm), strict=True)
+    ]
+    covariance, by_edges, row_sigma_px = known
     if len(kept) < len(free):
-        unknowns = [*range(state.shared), *(u for k in kept for u in range(first[k], first[k] + free[k]))]
+        unknowns = [*range(shared), *(u for k in kept for u in range(first[k], first[k] + free[k]))]
         covariance, by_edges = (matrix[unknowns][:, unknowns] for matrix in (covariance, by_edges))
-    rigid = None
-    if own_mm is not None:
-        units = np.append(np.ones(state.shared - 1), FIT.growth_sigma)
-        common = slice(state.shared)
+    rigid = lift = None
+    if rigid_mm is not None:
+        units = np.append(np.ones(shared - 1), FIT.growth_sigma)
+        common = slice(shared)
         rigid = RigidMotion(
-            whole.covariance[common, common] * np.outer(units, units),
-            whole.edge_covariance[common, common] * np.outer(units, units),
-            FIT.growth_sigma * float(solved.delta[state.shared - 1]),
+            known.covariance[common, common] * np.outer(units, units),
+            known.edge_covariance[common, common] * np.outer(units, units),
+            FIT.growth_sigma * float(last.delta[shared - 1]),
         )
-    if rigid is not None or any(curve.kind == "edge" for curve in curves):
-        lift = (
-            _rigid_lift(state, curves)
-            if rigid is not None
-            else _block_diagonal([np.eye(PLANE_PARAMETERS), *(curve.lift() for curve in curves)])
-        )
+        lift = _rigid_lift(rigid_mm, curves)
+    elif "edge" in [curve.kind for curve in curves]:
+        lift = _block_diagonal([np.eye(PLANE_PARAMETERS), *(curve.lift() for curve in curves)])
+    if lift is not None:
         covariance, by_edges = lift @ covariance @ lift.T, lift @ by_edges @ lift.T
-    return PlaneFit(
-        state.face, tuple(fits), covariance, by_edges, step.row_shift_px, whole.row_sigma_px, rigid
-    )
+    return PlaneFit(face, tuple(fits), covariance, by_edges, last.row_shift_px, row_sigma_px, rigid)
 
 
-def _scatters_of(step: FitStep, numbers: Sequence[int], breaks_mm: FloatArray) -> list[Scatter]:
+def _scatters_of(last: LastStep, numbers: Sequence[int], breaks_mm: Sequence[float]) -> list[Scatter]:
     """The scatters of some curves of a step."""
-    if not step.final:
+    if not last.final:
         return [UNKNOWN] * len(numbers)
-    sums, bias_px = step.solved.sums, step.solved.solution.bias
-    shares, widths = sums.share.tolist(), breaks_mm.tolist()
+    sums, shares = last.sums, last.sums.share.tolist()
     clipped, soft = (list(zip(*flags.tolist(), strict=True)) for flags in (sums.clipped, sums.soft))
     return [
-        Scatter(sums.information[k], shares[k], bias_px[k].copy(), clipped[k], soft[k], widths[k])
+        Scatter(sums.information[k], shares[k], last.shifts[k], clipped[k], soft[k], breaks_mm[k])
         for k in numbers
     ]
 
@@ -345,10 +404,9 @@ def _poor_light(step: FitStep) -> tuple[FloatArray, FloatArray]:
     )
 
 
-def _rigid_lift(state: State, curves: Sequence[Curve]) -> FloatArray:
+def _rigid_lift(rigid_mm: float, curves: Sequence[Curve]) -> FloatArray:
     """(P, U) : derivative of plane and kept curves' parameters by the unknowns of a rigid fit."""
-    assert state.rigid_mm is not None
-    own = _block_diagonal([state.rigid_mm * curve.lift() for curve in curves])
+    own = _block_diagonal([rigid_mm * curve.lift() for curve in curves])
     rows = []
     for curve in curves:
         x, y = curve.parameters[:2]
@@ -359,10 +417,11 @@ def _rigid_lift(state: State, curves: Sequence[Curve]) -> FloatArray:
         sizes = slice(2, 3) if curve.kind == "circle" else slice(3, None)
         moved[sizes, 3] = FIT.growth_sigma * curve.parameters[sizes]
         rows.append(moved)
-    lift = np.zeros((PLANE_PARAMETERS + len(own), state.shared + own.shape[1]))
+    shared = PLANE_PARAMETERS + RIGID_PARAMETERS
+    lift = np.zeros((PLANE_PARAMETERS + len(own), shared + own.shape[1]))
     lift[:PLANE_PARAMETERS, :PLANE_PARAMETERS] = np.eye(PLANE_PARAMETERS)
-    lift[PLANE_PARAMETERS:, PLANE_PARAMETERS : state.shared] = np.concatenate(rows)
-    lift[PLANE_PARAMETERS:, state.shared :] = own
+    lift[PLANE_PARAMETERS:, PLANE_PARAMETERS:shared] = np.concatenate(rows)
+    lift[PLANE_PARAMETERS:, shared:] = own
     return lift
 
 

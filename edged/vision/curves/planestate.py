@@ -15,7 +15,6 @@ import numpy as np
 from edged.domain.arrays import F64, I64, Image
 from edged.vision.curves.commonmode import Pairs
 from edged.vision.curves.flatcurves import (
-    RIGID_PARAMETERS,
     TUPLES,
     CurvesAt,
     FlatCurves,
@@ -26,15 +25,19 @@ from edged.vision.curves.flatcurves import (
     move,
 )
 from edged.vision.curves.jointstep import CurveSums, Solved, StepProblem, solve_step
-from edged.vision.curves.outlines import PLANE_PARAMETERS, Curve, Face, ProjectedOutline, flat_cameras
-from edged.vision.curves.params import FIT, FitParams
+from edged.vision.curves.outlines import Curve, Face, ProjectedOutline, flat_cameras
+from edged.vision.curves.params import BREAKS, FIT, HALF, SEEN_SHARE, FitParams
 from edged.vision.curves.samples import JointSolution, Samples
 from edged.vision.curves.sighting import CameraEdges, add_contrasts, look
 from edged.vision.geometry.camera import StereoRig
-from edged.vision.kernels.jit import F2, I1, INT, for_kernel, kernel
+from edged.vision.kernels.jit import F1, F2, F3, FLOAT, I1, INT, for_kernel, kernel
 from edged.vision.kernels.robust import MIN_SAMPLES
 
-STILL_PX = FIT.still_px  # numba freezes globals when it compiles: kernels read it by name
+# numba freezes globals when it compiles: kernels read these by name
+STILL_PX = FIT.still_px
+WIDER_PX = BREAKS.wider_px
+SHARP_PX = BREAKS.sharp_px
+USUAL_SHARE_MM = HALF * SEEN_SHARE * BREAKS.usual_mm
 
 
 class Steps(NamedTuple):
@@ -87,7 +90,7 @@ def signs_of(
     return polarity
 
 
-@kernel()
+@kernel("i8[::1](CurveSums, f8)", tuples=(CurveSums,))
 def shown(sums: CurveSums, share: float) -> I64:
     """Indices of the curves of which both images show at least this share."""
     kept, many = np.empty(len(sums.total), np.int64), 0
@@ -171,11 +174,108 @@ def take_steps(
     )  # fmt: skip
 
 
+class Fitted(NamedTuple):
+    """A fit after all of its steps, as far as every fit needs it; each array has a price to leave a kernel.
+
+    coarse, fine, numbers, face, parameters, polarity : as in `Steps`.  starts (K + 1,) : first sample of each
+    curve.  delta, sums, points, weights : of the last step, as in `Solved`; shifts (K, F) : its
+    `JointSolution.bias`.  covariance (U, U) : of all unknowns, 0 for those held or not seen.
+    row, row_variance : of the shift across the rows, in units of its sigma; NaN after coarse steps alone.
+    whole : all of it, where the covariance is not that of the edges alone: for a rig whose calibration is
+    uncertain, clipped or soft edges, and where the samples hint at broken rims.
+    """
+
+    coarse: INT
+    fine: INT
+    numbers: I1
+    face: F2
+    parameters: F2
+    polarity: I1
+    starts: I1
+    delta: F1
+    sums: CurveSums
+    shifts: F2
+    points: F3
+    weights: F2
+    covariance: F2
+    row: FLOAT
+    row_variance: FLOAT
+    whole: Steps | None
+
+
+@kernel()
+def px_per_mm_of(gain: F64, starts: I64) -> F64:
+    """(K,) mean motion of the images along their normals per motion of each curve along its own normal."""
+    scale = np.zeros(len(starts) - 1)
+    for k in range(len(scale)):
+        for n in range(starts[k], starts[k + 1]):
+            scale[k] += 0.5 * (abs(gain[0, n]) + abs(gain[1, n]))
+        scale[k] /= starts[k + 1] - starts[k]
+    return scale
+
+
+@kernel()
+def hints_at_breaks(steps: Steps) -> bool:
+    """Whether a highlight may run beside a curve, or shifts are nearer to those of a break than to none.
+
+    Thresholds as in `edgebreaks`, where the widths are determined.
+    """
+    solved, starts = steps.solved, steps.laid.starts
+    scale = px_per_mm_of(solved.pairs.gain, starts)
+    total, shift, usual = 0, 0.0, 0.0
+    for k in range(len(starts) - 1):
+        if solved.pairs.parts[k + 1] > solved.pairs.parts[k]:
+            if max(solved.bias[0, k], solved.bias[1, k]) >= WIDER_PX:
+                return True
+            count = starts[k + 1] - starts[k]
+            total += count
+            shift += count * solved.solution.bias[k, 0] ** 2
+            usual += count * scale[k]
+    # with a margin for the order of sums: where it is close, the sums of `edgebreaks` decide
+    return total > 0 and shift / total > (1.0 - 1e-9) * SHARP_PX * USUAL_SHARE_MM * usual / total
+
+
+@kernel(
+    "Fitted(CurvesAt, u1[:, ::1], u1[:, ::1], f8[::1], i8, i8, f8[::1], f8, f8, b1)",
+    tuples=(
+        *TUPLES, ProjectedOutline, CameraEdges, Pairs, Samples, JointSolution, StepProblem, CurveSums, Solved,
+        Steps, Fitted,
+    ),
+)  # fmt: skip
+def fit_curves(
+    at: CurvesAt, left: Image, right: Image, reaches: F64, coarse: int, fine: int, spacings_px: F64,
+    min_slope: float, min_support: float, plain: bool,
+) -> Fitted:  # fmt: skip
+    """`take_steps`, with what every fit needs of it, and all of it unless the covariance is known so far.
+
+    plain : neither the rig's calibration nor stated edge breaks add to the covariance.
+    """
+    steps = take_steps(at, left, right, reaches, coarse, fine, spacings_px, min_slope, min_support)
+    solved = steps.solved
+    used, solution, unknowns = solved.formed.used, solved.solution, len(solved.delta)
+    covariance, row, row_variance = np.zeros((unknowns, unknowns)), np.nan, np.nan
+    if steps.coarse + steps.fine > 0:
+        for i in range(len(used)):
+            for j in range(len(used)):
+                covariance[used[i], used[j]] = solution.covariance[i, j]
+    whole = None
+    if steps.fine > 0:
+        last = len(solution.delta) - 1
+        row, row_variance = solution.delta[last], solution.covariance[last, last]
+        if not plain or solved.clipped.any() or solved.soft.any() or hints_at_breaks(steps):
+            whole = steps
+    return Fitted(
+        steps.coarse, steps.fine, steps.numbers, steps.face, steps.parameters, steps.polarity,
+        steps.laid.starts, solved.delta, solved.sums, solution.bias, solved.points, solved.weights,
+        covariance, row, row_variance, whole,
+    )  # fmt: skip
+
+
 class FitStep(NamedTuple):
     """One step of the joint problem, with the curves before it.
 
     sides : the samples in both images.  final : with systematic shifts, and with the shift of the rows as the
-    last unknown of the solver.  coarse, fine : number of steps made so far, including this one.
+    last unknown of the solver.
     """
 
     at: CurvesAt
@@ -183,19 +283,6 @@ class FitStep(NamedTuple):
     sides: tuple[ProjectedOutline, ProjectedOutline]
     solved: Solved
     final: bool
-    coarse: int = 0
-    fine: int = 1
-
-    @property
-    def row_shift_px(self) -> float:
-        """Row shift as in `PlaneFit`; NaN in a coarse step."""
-        return FIT.row_sigma_px * float(self.solved.solution.delta[-1]) if self.final else math.nan
-
-    def supported(self, share: float) -> list[int]:
-        """Indices of the curves of which both images show at least this share."""
-        sums = self.solved.sums
-        seen = (sums.total >= MIN_SAMPLES) & (np.minimum(*sums.support) >= share)
-        return [int(k) for k in seen.nonzero()[0]]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -222,42 +309,29 @@ class State:
         """The plane at present."""
         return Face(self.at.face[3], self.at.face[:3])
 
-    @property
-    def shared(self) -> int:
-        """Number of unknowns that all curves share, which come first."""
-        return PLANE_PARAMETERS if self.rigid_mm is None else PLANE_PARAMETERS + RIGID_PARAMETERS
-
     def curve(self, k: int) -> Curve:
         """Curve k at present."""
-        curve, flat = self.curves[k], self.at.curves
-        return Curve(
-            curve.name,
-            curve.kind,
-            flat.parameters[k, : len(curve.parameters)],
-            int(flat.polarity[k]),
-            curve.length_mm,
-            curve.height_mm,
-            curve.signs,
-            curve.break_mm,
-        )
+        flat = self.at.curves
+        return self.curves[k].at(flat.parameters[k], int(flat.polarity[k]))
 
-    def fitted(self) -> tuple[State, FitStep] | None:
-        """The state after all steps of the fit, and the last step; None if the curves were lost."""
-        params, at = self.params, self.at
+    def fitted(self) -> Fitted | None:
+        """The outcome of all steps of the fit; None if the curves were lost."""
+        params = self.params
         coarse = len(params.reach_px) - (params.repeats > 0)
         spacings_px = np.array([max(params.spacing_px, FIT.coarse_spacing_px), params.spacing_px])
-        found = take_steps(
-            at, *self.images, np.array(params.reach_px, np.float64), coarse, params.repeats, spacings_px,
-            params.min_slope, params.min_support,
+        plain = self.rig.covariance is None and not [curve for curve in self.curves if curve.break_mm]
+        found = fit_curves(
+            self.at, *self.images, np.array(params.reach_px, np.float64), coarse, params.repeats, spacings_px,
+            params.min_slope, params.min_support, plain,
         )  # fmt: skip
-        if not found.coarse + found.fine:
-            return None
+        return found if found.coarse + found.fine else None
+
+    def last_step(self, found: Fitted, steps: Steps) -> tuple[State, FitStep]:
+        """The state after the fit, and its last step.  steps : `found.whole`."""
         state = self if len(found.numbers) == len(self.curves) else self._only(found.numbers)
-        curves = state.at.curves._replace(parameters=found.places, polarity=found.polarity)
-        at = at._replace(face=found.before, curves=curves)
-        step = FitStep(
-            at, found.laid, (found.left, found.right), found.solved, found.fine > 0, found.coarse, found.fine
-        )
+        curves = state.at.curves._replace(parameters=steps.places, polarity=found.polarity)
+        at = self.at._replace(face=steps.before, curves=curves)
+        step = FitStep(at, steps.laid, (steps.left, steps.right), steps.solved, found.fine > 0)
         at = at._replace(face=found.face, curves=curves._replace(parameters=found.parameters))
         return replace(state, at=at), step
 
@@ -282,5 +356,6 @@ def state_of(
     own_mm = math.nan if rigid_mm is None else float(rigid_mm)
     freedom = Freedom(int(not fixed_normal), int(not fixed_radius), own_mm)
     at = CurvesAt(*flat_cameras(rig), face.flat(), flattened(curves), freedom)
-    left, right = (for_kernel(image, np.uint8) for image in images)
-    return State(rig, (left, right), tuple(curves), params, at)
+    left, right = images
+    raw = for_kernel(left, np.uint8), for_kernel(right, np.uint8)
+    return State(rig, raw, tuple(curves), params, at)

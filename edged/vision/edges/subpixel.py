@@ -93,7 +93,8 @@ def edge_profiles(
     """Grey values (N, S) across each point, and positions (S,) in px; rows that leave the image are NaN."""
     half = round(half_px / step_px)
     places = np.asarray(np.arange(-half, half + 1) * step_px, dtype=np.float64)
-    return _profiles(_pixels(image), _columns(points_px), _columns(normals), half, step_px), places
+    points, across = for_kernel(points_px, np.float64), for_kernel(normals, np.float64)
+    return profiles_across(for_kernel(image, np.uint8), points, across, half, step_px), places
 
 
 def _measured(
@@ -105,23 +106,13 @@ def _measured(
     widths_px: Sequence[float],
     step_px: float,
 ) -> EdgeSamples:
-    points = _columns(points_px)
-    signs = np.full(len(points), polarity, dtype=np.int32)
-    widths = np.asarray(widths_px, dtype=np.float64)
-    result = edge_offsets(
-        _pixels(image), points, _columns(normals), float(reach_px), widths, signs, float(step_px)
-    )
+    points, across = for_kernel(points_px, np.float64), for_kernel(normals, np.float64)
+    signs, widths = np.empty(len(points), np.int32), np.array(widths_px, np.float64)
+    signs[:] = polarity
+    pixels = for_kernel(image, np.uint8)  # copied if it is a view or read-only
+    result = edge_offsets(pixels, points, across, float(reach_px), widths, signs, float(step_px))
     count = len(widths)
     return EdgeSamples(result[:count], result[count : 2 * count], result[2 * count] > 0)
-
-
-def _columns(points: FloatArray) -> FloatArray:
-    return for_kernel(points, np.float64)
-
-
-def _pixels(image: Image) -> Image:
-    """The image as the kernels need it: copied if it is a view or read-only."""
-    return for_kernel(image, np.uint8)
 
 
 @kernel(inline=True)
@@ -239,7 +230,10 @@ def _sample_profiles(
 
 
 @kernel("f8[:, ::1](u1[:, ::1], f8[:, ::1], f8[:, ::1], i8, f8)")
-def _profiles(image: Image, points: FloatArray, normals: FloatArray, half: int, step: float) -> FloatArray:
+def profiles_across(
+    image: Image, points: FloatArray, normals: FloatArray, half: int, step: float
+) -> FloatArray:
+    """`edge_profiles` with 2 half + 1 samples, step px apart."""
     count = points.shape[0]
     found = np.full((count, 2 * half + 1), np.nan)
     profiles, inside = np.empty((2 * half + 1, _TOGETHER), np.float32), np.empty(_TOGETHER, np.bool_)

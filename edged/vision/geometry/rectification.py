@@ -18,7 +18,7 @@ import numpy as np
 
 from edged.domain.arrays import F32, FloatArray, Image, Side
 from edged.errors import CalibrationError, ImageError
-from edged.vision.geometry.camera import CameraModel, StereoRig
+from edged.vision.geometry.camera import CameraModel, StereoRig, squares
 from edged.vision.geometry.params import RECTIFICATION
 
 Maps = tuple[F32, F32]
@@ -144,10 +144,10 @@ class Rectification:
         offset = self.centre_left_px[0] - self.centre_right_px[0]
         return self.focal_px * self.baseline_mm / depth_mm + offset
 
-    def _view(self, side: Side) -> tuple[CameraModel, FloatArray, FloatArray]:
+    def _view(self, side: Side) -> tuple[CameraModel, FloatArray, tuple[float, float]]:
         if side == "left":
-            return self.rig.left, self.rectified_from_left, np.array(self.centre_left_px)
-        return self.rig.right, self.rectified_from_right, np.array(self.centre_right_px)
+            return self.rig.left, self.rectified_from_left, self.centre_left_px
+        return self.rig.right, self.rectified_from_right, self.centre_right_px
 
     @staticmethod
     def _remap(
@@ -316,8 +316,7 @@ def _within_lens(camera: CameraModel, normalised: FloatArray) -> FloatArray:
     limit = _fold_radius2(camera)
     if limit == np.inf:
         return normalised
-    inside = np.sum(normalised**2, axis=-1, keepdims=True) < limit
-    return np.where(inside, normalised, np.nan)
+    return np.where(squares(normalised) < limit, normalised, np.nan)
 
 
 @lru_cache(maxsize=16)
@@ -406,8 +405,8 @@ class StereoImages:
 
     def rays(self, side: Side, rectified_px: FloatArray) -> FloatArray:
         """Directions (N, 3), z = 1 in the raw camera's frame, of rectified pixels (N, 2) of one image."""
-        rays = np.ones((len(rectified_px), 3))
-        rays[:, :2] = self.rectification.directions(side, rectified_px)
+        rays = np.empty((len(rectified_px), 3))
+        rays[:, :2], rays[:, 2] = self.rectification.directions(side, rectified_px), 1.0
         return rays
 
 

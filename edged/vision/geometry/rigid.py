@@ -65,7 +65,7 @@ def length_of(vector: FloatArray) -> float:
 
 def unit(vector: FloatArray) -> FloatArray:
     """The unit vector (3,) in the direction of a vector."""
-    return np.asarray(vector / math.sqrt(vector @ vector))
+    return vector / math.sqrt(vector @ vector)
 
 
 def rotation_matrix(vectors_rad: FloatArray) -> FloatArray:
@@ -137,9 +137,10 @@ def nearest_rotation(matrix: FloatArray) -> FloatArray:
 
 def transform(rotation: FloatArray, translation_mm: FloatArray) -> FloatArray:
     """The (4, 4) transform x -> R x + t."""
-    result = np.eye(4)
+    result = np.zeros((4, 4))
     result[:3, :3] = rotation
     result[:3, 3] = translation_mm
+    result[3, 3] = 1.0
     return result
 
 
@@ -218,7 +219,13 @@ def fit_rigid(source_mm: FloatArray, to_mm: FloatArray, *, with_scale: bool = Fa
 
 def about_z(angle_rad: float) -> FloatArray:
     """The rotation (3, 3) about z."""
-    return rotation_matrix(np.array([0.0, 0.0, angle_rad]))
+    # as `rotation_matrix` has it, to the last digit
+    if angle_rad == 0.0:
+        return np.eye(3)
+    whole, half = np.pi * (angle_rad / np.pi), np.pi * (angle_rad / (2 * np.pi))
+    sine = np.sin(whole) / whole * angle_rad
+    versine = 0.5 * (np.sin(half) / half) ** 2 * (angle_rad * angle_rad)
+    return np.array([[1.0 - versine, -sine, 0.0], [sine, 1.0 - versine, 0.0], [0.0, 0.0, 1.0]])
 
 
 def turned_to(turn_rad: float, source: FloatArray, to: FloatArray) -> FloatArray:

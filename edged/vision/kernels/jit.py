@@ -12,7 +12,7 @@ import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from types import CodeType, FunctionType, ModuleType
+from types import CodeType, FunctionType, ModuleType, UnionType
 from typing import Annotated, Any, TypeVar, cast, get_type_hints
 
 import numba
@@ -62,7 +62,7 @@ def kernel(
     image waits. Without a signature it is compiled for the types of each call (helpers called by other
     kernels).
     tuples : `NamedTuple` classes used in the signatures, their fields annotated as `F1`, `I2`, ..., or as a
-    class earlier in this tuple.
+    class earlier in this tuple, or as such a class or None.
     any_order : sums may be vectorised, in an order that is fixed at compilation; four times as fast. No other
     fastmath is used: NaN marks missing values in edged.
     Results are bit-equal on replay.
@@ -173,16 +173,20 @@ def _parsed(signature: str, tuples: Tuples) -> Any:
     known: dict[str, Any] = {}
     for named in tuples:
         hints = get_type_hints(named, include_extras=True)
-        fields = [
-            known[hint.__name__] if isinstance(hint, type) else _type(hint.__metadata__[0])
-            for hint in hints.values()
-        ]
+        fields = [_field(hint, known) for hint in hints.values()]
         alike = len(set(fields)) == 1
         known[named.__name__] = (
             types.NamedUniTuple(fields[0], len(fields), named) if alike else types.NamedTuple(fields, named)
         )
     result, *arguments = (known.get(text) or _type(text) for text in TYPE_NAME.findall(signature))
     return result(*arguments)
+
+
+def _field(hint: Any, known: dict[str, Any]) -> Any:
+    """The numba type of a field of a tuple."""
+    if isinstance(hint, UnionType):
+        return types.Optional(_field(hint.__args__[0], known))
+    return known[hint.__name__] if isinstance(hint, type) else _type(hint.__metadata__[0])
 
 
 def _type(text: str) -> Any:

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from statistics import median
 from typing import NamedTuple
 
@@ -13,7 +14,7 @@ import numpy as np
 
 from edged.domain.arrays import FloatArray
 from edged.domain.measurement import Circle3D, Match, Reject, Target
-from edged.vision.curves.outlines import PLANE_PARAMETERS, Curve, Face
+from edged.vision.curves.outlines import PLANE_PARAMETERS, SIZES, Curve, Face
 from edged.vision.curves.params import BREAKS, FitParams
 from edged.vision.curves.planefit import CircleGuess, CurveFit, PlaneFit, fit_circle, fit_plane
 from edged.vision.edges.subpixel import edges_along_normals
@@ -36,7 +37,7 @@ from edged.vision.part.initialplane import find_plane
 from edged.vision.part.job import LIGHT_PX, CircleFeature, Job
 from edged.vision.part.measured import Evidence, MeasuredPart
 from edged.vision.part.params import MEASURING
-from edged.vision.part.prediction import match_in_raw, poses_of_match, predicted, seen_depth_mm
+from edged.vision.part.prediction import match_in_raw, poses_of_face, predicted, seen_depth_mm, taught_points
 from edged.vision.shape.params import EACH_EDGE_ITSELF
 from edged.vision.shape.search import ShapeMatch
 
@@ -59,11 +60,13 @@ def measure(images: StereoImages, job: Job, match: ShapeMatch) -> MeasuredPart |
     if abs(main.circle.radius_mm - radius_mm) > 0.1 * radius_mm:
         return None
     start = _start_rotation(images, job, match, main.circle)
-    agreeing, target = placed(job, match_in_raw(images.rectification, match), fit, start)
-    reject = Reject.AMBIGUOUS_ROTATION if match.ambiguous else Reject.NONE
+    mismatch_px, reject = _epipolar_rms(images.rectification, main.fit), Reject.NONE
+    if match.ambiguous:
+        reject = Reject.AMBIGUOUS_ROTATION
+    seen_at = match_in_raw(images.rectification, match)
+    agreeing, target = placed(job, seen_at, fit, start, mismatch_px, reject)
     if is_doubtful(images, job, main, agreeing, target.rig_from_part[:3, :3]):
-        reject |= Reject.AMBIGUOUS_EDGE
-    target = replace(target, epipolar_rms_px=_epipolar_rms(images.rectification, main.fit), reject=reject)
+        target = replace(target, reject=reject | Reject.AMBIGUOUS_EDGE)
     evidence = Evidence(
         main.fit.least_support,
         main.fit.rms_px,
@@ -71,13 +74,21 @@ def measure(images: StereoImages, job: Job, match: ShapeMatch) -> MeasuredPart |
         fit.row_sigma_px,
         *_growth(images, job, fit),
     )
-    return MeasuredPart(target, evidence, tuple(circle.fit for circle in (main, *agreeing)))
+    return MeasuredPart(target, evidence, tuple([circle.fit for circle in (main, *agreeing)]))
 
 
-def placed(job: Job, match: Match, fit: PlaneFit, start: FloatArray) -> tuple[list[FoundCircle], Target]:
+def placed(
+    job: Job,
+    match: Match,
+    fit: PlaneFit,
+    start: FloatArray,
+    epipolar_rms_px: float = math.nan,
+    reject: Reject = Reject.NONE,
+) -> tuple[list[FoundCircle], Target]:
     """The circles of a fit, besides the reference, that agree with the part's rotation; and the target.
 
-    start (3, 3) : rig_from_part's rotation, but for its turn about the normal.  Raises ValueError for a fit
+    start (3, 3) : rig_from_part's rotation, but for its turn about the normal.  epipolar_rms_px, reject : of
+    the target.  Raises ValueError for a fit
     without the reference circle.
     """
     found, by_edges = circles_in_rig(fit), circle_in_rig(by_edges_alone(fit), job.reference)
@@ -94,7 +105,8 @@ def placed(job: Job, match: Match, fit: PlaneFit, start: FloatArray) -> tuple[li
         covariance=_pose_covariance(main, turned.sigma),
         by_edges=_pose_covariance(by_edges, turned.sigma_by_edges),
         circles=_in_order(job, [main, *agreeing]),
-        epipolar_rms_px=math.nan,
+        epipolar_rms_px=epipolar_rms_px,
+        reject=reject,
     )
     return agreeing, target
 
@@ -103,8 +115,8 @@ def _growth(images: StereoImages, job: Job, fit: PlaneFit) -> tuple[float, float
     """Relative excess of the circles over the taught ones, and its sigma, including that of the depth."""
     same_rig = job.calibration_id == images.rig.calibration_id
     found = circles_in_rig(by_edges_alone(fit) if same_rig else fit)
-    growth, sigma = scale_deviation(job, tuple(circle.circle for circle in found))
-    main = next(circle for circle in found if circle.circle.name == job.reference)
+    growth, sigma = scale_deviation(job, [circle.circle for circle in found])
+    (main,) = [circle for circle in found if circle.circle.name == job.reference]
     known = distance_share(main.circle.centre_mm, main.pose_covariance[:3, :3])
     return growth, math.hypot(sigma, known)
 
@@ -157,9 +169,8 @@ def _starts(images: StereoImages, job: Job, match: ShapeMatch) -> Iterator[_Star
     if job.search.polarity in EACH_EDGE_ITSELF:
         expected = _seen_polarity(images, job, match)
     polarities = (expected,) if job.search.polarity == "same" else (expected, -expected)
-    flat = _outline(reference, MEASURING.pnp_points)
-    flat[:, 2] = 0.0
-    for pose in poses_of_match(images, job, match, flat):
+    taught = taught_points(images.rectification, job)
+    for pose in poses_of_face(images, taught.flat_mm, match.apply(taught.flat)):
         yield _Start(apply(pose, reference.centre_mm), -pose[:3, 2], expected, MEASURING.lock)
     rays = images.rays("left", predicted(images.rectification, job, match, reference.centre_mm[None]))
     for polarity in polarities:
@@ -185,14 +196,9 @@ def _others(
     A circle that was taught off the face keeps its height.
     """
     face, first = _face_curves(job, main, rotation)
-    wanted = {}
-    for circle in job.circles:
-        if circle.name != job.reference:
-            x, y, height = circle.centre_mm - job.reference_circle.centre_mm
-            # a bright table seen through a hole of a dark part, a lit wall: each contrast may be its own
-            polarity = 0 if job.search.polarity in EACH_EDGE_ITSELF else _polarity(circle, match)
-            parameters = np.array([x, y, circle.radius_mm])
-            wanted[circle.name] = Curve(circle.name, "circle", parameters, polarity, height_mm=float(height))
+    # a bright table seen through a hole of a dark part, a lit wall: each contrast may be its own
+    sign = 0 if job.search.polarity in EACH_EDGE_ITSELF else -1 if match.inverted else 1
+    wanted = taught_beside(job, sign)
     if not wanted:
         return []
     fit = fit_plane(
@@ -204,12 +210,32 @@ def _others(
     rise = float(face.from_rig(fit.face.origin)[2])
     found = []
     for other in fit.fits:
-        if other.name == job.reference:
+        if other.curve.name == job.reference:
             continue
-        x, y, grown = other.curve.parameters - wanted[other.name].parameters
-        if math.hypot(x, y, rise) < limit and abs(grown) < limit:
+        x, y, grown = other.curve.parameters - wanted[other.curve.name].parameters
+        if x * x + y * y + rise * rise < limit * limit and -limit < grown < limit:
             found.append(other)
     return found
+
+
+@lru_cache(maxsize=16)
+def taught_beside(job: Job, sign: int) -> Mapping[str, Curve]:
+    """The circles besides the reference by name, as taught, about the reference circle's centre.
+
+    sign : 1 for the taught contrasts, -1 for opposite ones, 0 for any.
+    """
+    centre = job.reference_circle.centre_mm
+    return {
+        circle.name: Curve(
+            circle.name,
+            "circle",
+            np.append((circle.centre_mm - centre)[:2], circle.radius_mm),
+            sign * circle.polarity,
+            height_mm=float(circle.centre_mm[2] - centre[2]),
+        )
+        for circle in job.circles
+        if circle.name != job.reference
+    }
 
 
 def tolerance_mm(job: Job) -> float:
@@ -237,7 +263,7 @@ def _together(
 ) -> PlaneFit | None:
     """Measure all circles in one common plane, now with free radii.  others : in the axes of the rotation."""
     face, first = _face_curves(job, main, rotation)
-    curves = [first, *(other.curve for other in others)]
+    curves = [first, *[other.curve for other in others]]
     fit = fit_plane(images.rig, images.raw, face, curves, MEASURING.together)
     if (fit is None or fit.fit_of(job.reference) is None) and others:  # one of the others may be at fault
         curves = [first]
@@ -259,30 +285,21 @@ def _other_end_mm(images: StereoImages, job: Job, fit: PlaneFit) -> float:
     """
     taught = {circle.name: circle.radius_mm for circle in job.circles}
     found = [circle.circle for circle in circles_in_rig(by_edges_alone(fit))]
-    apart = {circle.name: circle.radius_mm - taught[circle.name] for circle in found}
-    allowed_mm = job.limits.radius_tolerance_mm
-    if allowed_mm is not None and abs(apart.get(job.reference, 0.0)) > allowed_mm:
-        return 0.0
     sizes = np.array([taught[circle.name] for circle in found])
-    weighted = sizes / np.array([circle.sigma_radius_mm for circle in found]) ** 2
-    growth = float(weighted @ np.array([apart[circle.name] for circle in found]) / (weighted @ sizes))
+    apart = np.array([circle.radius_mm for circle in found]) - sizes
+    allowed_mm = job.limits.radius_tolerance_mm
+    of_reference = [circle.radius_mm for circle in found if circle.name == job.reference]
+    if allowed_mm is not None and [r for r in of_reference if abs(r - taught[job.reference]) > allowed_mm]:
+        return 0.0
+    variances = np.array([circle.covariance[3, 3] for circle in found])
+    sigmas = np.sqrt(variances)
+    weighted = sizes / sigmas**2
+    growth = float(weighted @ apart / (weighted @ sizes))
     pixel_mm = float(fit.face.origin[2]) / images.rectification.focal_px
-    for circle in found:
-        chance_mm, beside_mm = (
-            MEASURING.other_end * circle.sigma_radius_mm,
-            apart[circle.name] - growth * taught[circle.name],
-        )
-        if abs(apart[circle.name]) > max(chance_mm, MEASURING.displaced_px * pixel_mm):
-            return max(map(abs, apart.values()))
-        if abs(beside_mm) > max(chance_mm, LIGHT_PX * pixel_mm):
-            return max(map(abs, apart.values()))
-    return 0.0
-
-
-def _outline(circle: CircleFeature, count: int) -> FloatArray:
-    phase = np.arange(count) * (2 * np.pi / count)
-    ring = np.column_stack([np.cos(phase), np.sin(phase), np.zeros(count)])
-    return np.asarray(circle.centre_mm + circle.radius_mm * ring)
+    chance_mm = MEASURING.other_end * sigmas
+    displaced = np.abs(apart) > np.maximum(chance_mm, MEASURING.displaced_px * pixel_mm)
+    displaced |= np.abs(apart - growth * sizes) > np.maximum(chance_mm, LIGHT_PX * pixel_mm)
+    return float(np.abs(apart).max()) if displaced.any() else 0.0
 
 
 def _face(images: StereoImages, job: Job, match: ShapeMatch, polarity: int) -> Plane | None:
@@ -303,11 +320,12 @@ def _predicted_outline(
     rectification: Rectification, job: Job, match: ShapeMatch
 ) -> tuple[FloatArray, FloatArray]:
     """Points (N, 2) and outward normals of the reference circle in the rectified left image, by the match."""
-    points = predicted(rectification, job, match, _outline(job.reference_circle, MEASURING.outline_points))
-    tangent = _chords(points)
-    normals = np.column_stack([tangent[:, 1], -tangent[:, 0]])
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    outward = np.sum(normals * (points - points.mean(axis=0)), axis=1)
+    points = match.apply(taught_points(rectification, job).outline)
+    chords, normals = _chords(points), np.empty(points.shape)
+    length = np.sqrt(chords[:, 0] ** 2 + chords[:, 1] ** 2)
+    normals[:, 0], normals[:, 1] = chords[:, 1] / length, -chords[:, 0] / length
+    away = points - points.sum(axis=0) / len(points)
+    outward = normals[:, 0] * away[:, 0] + normals[:, 1] * away[:, 1]
     return points, normals * np.where(outward < 0, -1.0, 1.0)[:, None]
 
 
@@ -325,10 +343,8 @@ def _polarity(circle: CircleFeature, match: ShapeMatch) -> int:
 
 def _start_rotation(images: StereoImages, job: Job, match: ShapeMatch, main: Circle3D) -> FloatArray:
     """Rotation of rig_from_part from the match alone: the part's axes projected onto the measured face."""
-    face = Plane.through(main.centre_mm, main.normal)
-    radius = job.reference_circle.radius_mm
-    tips = np.array([[radius, 0.0, 0.0], [-radius, 0.0, 0.0], [0.0, radius, 0.0], [0.0, -radius, 0.0]])
-    space = face.meet(images.rays("left", predicted(images.rectification, job, match, tips)))
+    face, taught = Plane.through(main.centre_mm, main.normal), taught_points(images.rectification, job)
+    space = face.meet(images.rays("left", match.apply(taught.tips)))
     return _frame(main.normal, space[0] - space[1], space[2] - space[3])
 
 
@@ -337,7 +353,9 @@ def _frame(normal: FloatArray, along_x: FloatArray, along_y: FloatArray) -> Floa
     z = -normal
     x = unit(along_x) + cross(unit(along_y), z)
     x = unit(x - (x @ z) * z)
-    return np.column_stack([x, cross(z, x), z])
+    frame = np.empty((3, 3))
+    frame[:, 0], frame[:, 1], frame[:, 2] = x, cross(z, x), z
+    return frame
 
 
 class _Turned(NamedTuple):
@@ -360,40 +378,37 @@ def _rotation(
     A part with one circle, or only concentric ones, keeps the rotation of the match. The edges of each circle
     err independently; an error of the rig turns all of them alike.
     """
-    taught = {circle.name: circle.centre_mm for circle in job.circles}
-    reference = taught[job.reference]
-    angles, by_fit, indices = [], [], []
-    in_face = fit.face.axes[:2] @ start[:, :2]
-    sizes = (len(found.curve.parameters) for found in fit.fits)
-    places = itertools.accumulate(sizes, initial=PLANE_PARAMETERS)
-    firsts = dict(zip((found.curve.name for found in fit.fits), places, strict=False))
-    for index, circle in enumerate(other.circle for other in others):
-        arm = (taught[circle.name] - reference)[:2]
-        lever = math.hypot(*arm.tolist())
-        if lever < 0.15 * job.reference_circle.radius_mm:
-            continue
-        seen = (start.T @ (circle.centre_mm - main.circle.centre_mm))[:2]
-        angles.append(math.atan2(arm[0] * seen[1] - arm[1] * seen[0], arm @ seen))
-        across = in_face @ np.array([-arm[1], arm[0]]) / lever**2
-        by_fit.append(np.zeros(len(fit.covariance)))
-        for name, sign in ((circle.name, 1.0), (job.reference, -1.0)):
-            by_fit[-1][firsts[name] : firsts[name] + 2] += sign * across
-        indices.append(index)
-    concentric = [index for index in range(len(others)) if index not in indices]
-    if not angles:
+    arms = _arms(job)
+    indices = [index for index, other in enumerate(others) if other.circle.name in arms]
+    concentric = [index for index, other in enumerate(others) if other.circle.name not in arms]
+    if not indices:
         # the shape's own precision: a few hundredths of a pixel at the rim
         sigma = 0.05 * job.reference_circle.radius_mm / job.shape.radius_px
         return _Turned(start, sigma, sigma, concentric)
-    values, rows = np.array(angles), np.array(by_fit)
+    in_face = fit.face.axes[:2] @ start[:, :2]
+    sizes = [SIZES[found.curve.kind] for found in fit.fits]
+    places = itertools.accumulate(sizes, initial=PLANE_PARAMETERS)
+    firsts = dict(zip([found.curve.name for found in fit.fits], places, strict=False))
+    values, rows, angles = np.empty(len(indices)), np.zeros((len(indices), len(fit.covariance))), []
+    for row, index in zip(rows, indices, strict=True):
+        circle = others[index].circle
+        arm, across_arm, lever = arms[circle.name]
+        seen = (start.T @ (circle.centre_mm - main.circle.centre_mm))[:2]
+        angles.append(math.atan2(arm[0] * seen[1] - arm[1] * seen[0], arm @ seen))
+        across = in_face @ across_arm / lever**2
+        for name, sign in ((circle.name, 1.0), (job.reference, -1.0)):
+            row[firsts[name] : firsts[name] + 2] += sign * across
     weights = 1 / np.maximum(np.einsum("ij,jk,ik->i", rows, fit.edge_covariance, rows), 1e-10)
+    values[:] = angles
     middle = median(angles)
     spread = max(mad_sigma(values - middle), 2e-4)
     good = np.abs(values - middle) < 4 * spread
-    turn = float(np.sum(values[good] * weights[good]) / np.sum(weights[good]))
-    chi2 = float(np.sum(weights[good] * (values[good] - turn) ** 2)) / max(int(good.sum()) - 1, 1)
-    gain = weights[good] @ rows[good] / np.sum(weights[good])
+    values, weights, total = values[good], weights[good], weights[good].sum()
+    turn = float((values * weights).sum() / total)
+    chi2 = float((weights * (values - turn) ** 2).sum()) / max(len(values) - 1, 1)
+    gain = weights @ rows[good] / total
     # no result is better than the smallest sigma that is assumed for one hole
-    by_edges = max(chi2, 1.0) * max(float(gain @ fit.edge_covariance @ gain), 1 / float(weights[good].sum()))
+    by_edges = max(chi2, 1.0) * max(float(gain @ fit.edge_covariance @ gain), 1 / float(total))
     by_rig = float(gain @ (fit.covariance - fit.edge_covariance) @ gain)
     agreeing = [index for index, use in zip(indices, good, strict=True) if use]
     return _Turned(
@@ -404,10 +419,26 @@ def _rotation(
     )
 
 
+@lru_cache(maxsize=16)
+def _arms(job: Job) -> dict[str, tuple[FloatArray, FloatArray, float]]:
+    """Arm (2,) from the reference circle to each circle, the same turned by 90°, and its length, by name.
+
+    Without those that are too short to tell a rotation.
+    """
+    reference, arms = job.place_of(job.reference), {}
+    for circle in job.circles:
+        arm = (circle.centre_mm - reference)[:2]
+        lever = math.hypot(*arm.tolist())
+        if lever >= MEASURING.short_arm * job.reference_circle.radius_mm:
+            arms[circle.name] = arm, np.array([-arm[1], arm[0]]), lever
+    return arms
+
+
 def _pose_covariance(main: FoundCircle, sigma_turn: float) -> FloatArray:
     """Covariance (6, 6) of position (mm) and rotation vector (rad, rig axes)."""
     covariance = main.pose_covariance.copy()
-    covariance[3:, 3:] += sigma_turn**2 * np.outer(main.circle.normal, main.circle.normal)
+    normal = main.circle.normal
+    covariance[3:, 3:] += sigma_turn**2 * (normal[:, None] * normal)
     return covariance
 
 
@@ -417,18 +448,19 @@ def _epipolar_rms(rectification: Rectification, fit: CurveFit) -> float:
     It is taken over stretches, not single edge points: noise is no mismatch. Both cameras measure the same
     points of the circle only up to a motion along the edge, so edges that run down the image are left out.
     """
-    both = fit.weights.min(axis=0) > 0.1
-    if both.sum() < 8:
+    both = np.minimum(*fit.weights) > 0.1
+    shown = both.nonzero()[0]
+    if len(shown) < 8:
         return float("nan")
     right = rectification.rectify_points("right", fit.points[1])
     rows = rectification.rectify_points("left", fit.points[0][both])[:, 1] - right[both, 1]
-    tangent = _chords(right)[both]
-    tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
-    vague = np.abs(tangent[:, 1]) > 0.7  # the edge runs down the image: its row is not defined by it
+    along, down = _chords(right)[both].T
+    # the edge runs down the image: its row is not defined by it
+    vague = np.abs(down / np.sqrt(along**2 + down**2)) > 0.7
     usable = ~vague & np.isfinite(rows)
-    if usable.sum() < MEASURING.min_rows:
+    stretch = shown[usable] // MEASURING.row_stretch
+    if len(stretch) < MEASURING.min_rows:
         return float("nan")
-    stretch = np.flatnonzero(both)[usable] // MEASURING.row_stretch
     count = np.bincount(stretch)
     many = count[count > 0]
     means = np.bincount(stretch, rows[usable])[count > 0] / many
@@ -445,4 +477,4 @@ def _chords(points: FloatArray) -> FloatArray:
 
 def _in_order(job: Job, found: list[FoundCircle]) -> tuple[Circle3D, ...]:
     by_name = {circle.circle.name: circle.circle for circle in found}
-    return tuple(by_name[circle.name] for circle in job.circles if circle.name in by_name)
+    return tuple([by_name[circle.name] for circle in job.circles if circle.name in by_name])

@@ -20,6 +20,7 @@ error of the distance, by which everything is scaled about the left camera.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import lru_cache
 from typing import TypeVar
@@ -31,14 +32,14 @@ from edged.domain.measurement import Circle3D, Corner3D, Edge3D, Measurement, Re
 from edged.vision.geometry.rectification import Rectification
 from edged.vision.geometry.rigid import length_of
 from edged.vision.kernels.robust import mad_sigma
-from edged.vision.part.job import Job
+from edged.vision.part.job import CircleFeature, Job
 from edged.vision.part.measured import Evidence
 from edged.vision.part.params import MEASURING
 
 Feature = TypeVar("Feature", Circle3D, Edge3D, Slot3D, Corner3D)
 
 
-def scale_deviation(job: Job, circles: tuple[Circle3D, ...]) -> tuple[float, float]:
+def scale_deviation(job: Job, circles: Sequence[Circle3D]) -> tuple[float, float]:
     """Relative excess of circles' sizes and distances over the taught ones, its sigma; NaN for too few.
 
     It is the weighted median: a worn hole, or one drilled elsewhere, is a fault of the part and has no
@@ -46,33 +47,48 @@ def scale_deviation(job: Job, circles: tuple[Circle3D, ...]) -> tuple[float, flo
     correlated, as they are under one light.
     """
     by_name = {circle.name: circle for circle in circles}
-    seen = [(circle, by_name[circle.name]) for circle in job.circles if circle.name in by_name]
-    rows = [(circle.radius_mm, found.radius_mm, found.sigma_radius_mm) for circle, found in seen]
-    middle, hub = job.reference_circle, by_name.get(job.reference_circle.name)
-    for circle, found in seen:
-        arm = length_of(circle.centre_mm - middle.centre_mm)
-        if hub is not None and arm > MEASURING.arm * middle.radius_mm:
-            rows.append((arm, *_distance(hub, found)))
-    if len(rows) < MEASURING.min_sizes:
+    seen = [(arm, by_name[circle.name]) for circle, arm in _arms_mm(job) if circle.name in by_name]
+    radii = {circle.name: circle.radius_mm for circle in job.circles}
+    taught = [radii[found.name] for _, found in seen]
+    sizes = [found.radius_mm for _, found in seen]
+    variances = [found.covariance[3, 3] for _, found in seen]
+    hub = by_name.get(job.reference_circle.name)
+    far = [(arm, found) for arm, found in seen if arm > 0.0]
+    if hub is not None and far:
+        gaps = np.array([found.centre_mm for _, found in far]) - hub.centre_mm
+        lengths = np.sqrt(gaps[:, 0] ** 2 + gaps[:, 1] ** 2 + gaps[:, 2] ** 2)
+        spread = np.array([found.covariance[:3, :3] for _, found in far]) + hub.covariance[:3, :3]
+        along = (gaps / lengths[:, None])[:, None]
+        taught += [arm for arm, _ in far]
+        sizes += lengths.tolist()
+        variances += np.maximum(along @ spread @ along.transpose(0, 2, 1), 0.0)[:, 0, 0].tolist()
+    if len(taught) < MEASURING.min_sizes:
         return math.nan, math.nan
-    taught, sizes, sigmas = np.array(rows).T
+    return _common_growth(np.array(taught), np.array(sizes), np.sqrt(variances))
+
+
+def _common_growth(taught: FloatArray, sizes: FloatArray, sigmas: FloatArray) -> tuple[float, float]:
+    """Weighted median of the relative excess of sizes (N,) over taught ones, and its sigma."""
     shares, errors = sizes / taught - 1, np.maximum(sigmas / taught, MEASURING.min_size_share)
     weights = errors**-2
-    order = np.argsort(shares)
-    half = np.searchsorted(np.cumsum(weights[order]), 0.5 * weights.sum())
+    order = shares.argsort()
+    total = float(weights.sum())
+    half = weights[order].cumsum().searchsorted(0.5 * total)
     growth = float(shares[order][half])
     scatter = mad_sigma((shares - growth) / errors)
-    alike = float(np.sum(weights * errors) / weights.sum())
-    return growth, math.hypot(scatter * math.sqrt(math.pi / 2 / weights.sum()), alike)
+    alike = float((weights * errors).sum()) / total
+    return growth, math.hypot(scatter * math.sqrt(math.pi / 2 / total), alike)
 
 
-def _distance(first: Circle3D, second: Circle3D) -> tuple[float, float]:
-    """Distance of two centres, and its sigma."""
-    gap = second.centre_mm - first.centre_mm
-    length = length_of(gap)
-    along = gap / length
-    spread = first.covariance[:3, :3] + second.covariance[:3, :3]
-    return length, math.sqrt(max(float(along @ spread @ along), 0.0))
+@lru_cache(maxsize=16)
+def _arms_mm(job: Job) -> tuple[tuple[CircleFeature, float], ...]:
+    """The circles of a job with their distances from the reference circle; 0 for too short ones."""
+    middle = job.reference_circle
+    shortest = MEASURING.arm * middle.radius_mm
+    arms = [length_of(circle.centre_mm - middle.centre_mm) for circle in job.circles]
+    return tuple(
+        (circle, arm if arm > shortest else 0.0) for circle, arm in zip(job.circles, arms, strict=True)
+    )
 
 
 def doubt_by_rows(rectification: Rectification, target: Target, shift_px: float, sigma_px: float) -> float:
@@ -189,8 +205,14 @@ def apply_limits(job: Job, rectification: Rectification, target: Target, evidenc
     that do not meet, TOLERANCE for sizes that are all wrong by one factor.
     """
     limits = job.limits
-    reject = target.reject | _reasons(job, target, evidence)
-    reject |= _out_of_tolerance(job, target, evidence) | size_reasons(target.measurements)
+    reject = target.reject
+    for reasons in (
+        _reasons(job, target, evidence),
+        _out_of_tolerance(job, target, evidence),
+        size_reasons(target.measurements),
+    ):
+        if reasons is not Reject.NONE:
+            reject |= reasons
     by_rows = doubt_by_rows(rectification, target, evidence.row_shift_px, evidence.row_sigma_px)
     by_sizes = doubt_by_sizes(evidence.scale, evidence.sigma_scale)
     for share, reason in (
@@ -225,7 +247,7 @@ def vaguest_mm(job: Job, target: Target) -> float:
     lifts[:, :3] = normal
     lifts[:, 3:] = arms[:, (1, 2, 0)] * normal[[2, 0, 1]] - arms[:, (2, 0, 1)] * normal[[1, 2, 0]]
     heights = np.einsum("ki,ij,kj->k", lifts, target.covariance, lifts).tolist()
-    return math.sqrt(max(*np.diag(target.covariance)[:3].tolist(), *heights))
+    return math.sqrt(max(*target.covariance.diagonal()[:3].tolist(), *heights))
 
 
 @lru_cache(maxsize=16)
@@ -259,8 +281,9 @@ def _out_of_tolerance(job: Job, target: Target, evidence: Evidence) -> Reject:
     if job.circles and allowed is not None:
         taught = job.reference_circle
         for circle in target.circles:
-            away = abs(circle.radius_mm - taught.radius_mm) - evidence.break_mm
-            if circle.name == taught.name and away > allowed:
+            if circle.name != taught.name:
+                continue
+            if abs(circle.radius_mm - taught.radius_mm) - evidence.break_mm > allowed:
                 return Reject.TOLERANCE
     form = job.limits.form_tolerance_mm
     if form is not None and evidence.form_mm > form:

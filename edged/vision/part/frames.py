@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -11,7 +12,7 @@ import numpy as np
 
 from edged.domain.arrays import FloatArray
 from edged.domain.measurement import Circle3D, Corner3D, Edge3D, Measurement, Slot3D, Target
-from edged.vision.curves.outlines import PLANE_PARAMETERS, Curve, Face
+from edged.vision.curves.outlines import PLANE_PARAMETERS, SIZES, Curve, Face
 from edged.vision.curves.planefit import CurveFit, PlaneFit, derived
 from edged.vision.part.job import Job, MeasurementSpec, angle_of_lines
 
@@ -49,18 +50,15 @@ def by_edges_alone(fit: PlaneFit) -> PlaneFit:
 
 @lru_cache(maxsize=4)
 def _circles(fit: PlaneFit) -> tuple[FoundCircle, ...]:
-    circles, columns, first = [], [], PLANE_PARAMETERS
-    for found in fit.fits:
-        curve = found.curve
-        if curve.kind == "circle":
-            circles.append(found)
-            columns.append([0, 1, 2, first, first + 1, first + 2])
-        first += len(curve.parameters)
+    circles = [found for found in fit.fits if found.curve.kind == "circle"]
     if not circles:
         return ()
+    sizes = [SIZES[found.curve.kind] for found in fit.fits]
+    places = itertools.accumulate(sizes, initial=PLANE_PARAMETERS)
+    firsts = [first for found, first in zip(fit.fits, places, strict=False) if found.curve.kind == "circle"]
     x, y, radius = np.array([found.curve.parameters for found in circles]).T
     height = np.array([found.curve.height_mm for found in circles])
-    face, where = fit.face, np.array(columns)
+    face, where = fit.face, np.array([[0, 1, 2, first, first + 1, first + 2] for first in firsts])
     u, v, n = face.axes
     # derivatives by the plane's height and slopes, x, y, radius; as it tilts, points above it move sideways
     lift = np.zeros((len(circles), 7, 6))
@@ -71,14 +69,17 @@ def _circles(fit: PlaneFit) -> tuple[FoundCircle, ...]:
     lift[:, 6, 5] = 1.0
     known = fit.covariance[where[:, :, None], where[:, None, :]]
     covariances = lift @ known @ lift.transpose(0, 2, 1)
-    centres = face.to_rig(np.column_stack([x, y, height]))
+    places_mm = np.empty((len(circles), 3))
+    places_mm[:, 0], places_mm[:, 1], places_mm[:, 2] = x, y, height
+    centres = face.to_rig(places_mm)
     normal = n if n[2] < 0 else -n
     own = covariances[(slice(None), *_PLACE_AND_RADIUS)]
+    each = zip(circles, centres, radius.tolist(), own, covariances, strict=True)
     return tuple(
-        FoundCircle(Circle3D(found.curve.name, centre, normal, size, small), whole[:6, :6], found)
-        for found, centre, size, small, whole in zip(
-            circles, centres, radius.tolist(), own, covariances, strict=True
-        )
+        [
+            FoundCircle(Circle3D(found.curve.name, centre, normal, size, small), whole[:6, :6], found)
+            for found, centre, size, small, whole in each
+        ]
     )
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import lru_cache
 from typing import Literal
 
 import numpy as np
@@ -242,10 +243,7 @@ class Job:
     @property
     def solid(self) -> bool:
         """Whether its features lie at several heights, so that it is measured as one rigid whole."""
-        heights = [float(circle.centre_mm[2]) for circle in self.circles]
-        heights += [float(edge.start_mm[2]) for edge in self.edges]
-        heights += [float(slot.centre_mm[2]) for slot in self.slots]
-        return max(heights) - min(heights) > MEASURING.solid_mm
+        return _is_solid(self)
 
     def kind_of(self, name: str) -> str | None:
         """ "circle", "edge", "slot" or "corner"; None for a name that the job does not have."""
@@ -366,3 +364,11 @@ def angle_of_lines(turn: float, nominal: float | None) -> float:
     if nominal is None:
         return min(abs(angle) for angle in meant)
     return min(meant, key=lambda angle: abs(angle - nominal))
+
+
+@lru_cache(maxsize=16)  # asked for in every cycle
+def _is_solid(job: Job) -> bool:
+    heights = [float(circle.centre_mm[2]) for circle in job.circles]
+    heights += [float(edge.start_mm[2]) for edge in job.edges]
+    heights += [float(slot.centre_mm[2]) for slot in job.slots]
+    return max(heights) - min(heights) > MEASURING.solid_mm

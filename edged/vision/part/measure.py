@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from functools import lru_cache
 
 import numpy as np
 
@@ -77,7 +78,10 @@ def _is_beyond_doubt(job: Job, whole: MeasuredPart) -> bool:
 
 def _in_model(job: Job, result: MeasuredPart | Reject) -> MeasuredPart | Reject:
     """The measured part as the job publishes it."""
-    return result if isinstance(result, Reject) else replace(result, target=published(job, result.target))
+    if isinstance(result, Reject):
+        return result
+    target = published(job, result.target)
+    return result if target is result.target else replace(result, target=target)
 
 
 def published(job: Job, target: Target) -> Target:
@@ -133,9 +137,7 @@ def _measured_flat(images: StereoImages, job: Job, match: ShapeMatch) -> Measure
     """Measure a part of one face, each curve with its own position, and apply the limits of the job."""
     result: MeasuredPart | Reject
     if job.circles:
-        first = job.reference_circle.name
-        main = job if job.reference == first else replace(job, reference=first)
-        measured = measure(images, main, match)
+        measured = measure(images, _by_circle(job), match)
         if measured is None:
             return Reject.LEFT_RIGHT_MISMATCH
         result = _completed(images, job, measured)
@@ -147,7 +149,14 @@ def _measured_flat(images: StereoImages, job: Job, match: ShapeMatch) -> Measure
     target = apply_limits(job, images.rectification, result.target, result.evidence)
     if target.reject is Reject.NONE and is_contradicted(images, job, match, target):
         target = replace(target, reject=Reject.AMBIGUOUS_ROTATION)
-    return replace(result, target=target)
+    return result if target is result.target else replace(result, target=target)
+
+
+@lru_cache(maxsize=16)  # one object, for which others keep what is the same in every cycle
+def _by_circle(job: Job) -> Job:
+    """The job with a circle as its reference."""
+    first = job.reference_circle.name
+    return job if job.reference == first else replace(job, reference=first)
 
 
 def with_separate_sizes(measured: MeasuredPart, images: StereoImages, job: Job) -> MeasuredPart:
@@ -179,7 +188,7 @@ def _completed(images: StereoImages, job: Job, measured: MeasuredPart) -> Measur
         face, curves = all_curves(job, measured.target, polarity)
         fit = fit_plane(images.rig, images.raw, face, curves, MEASURING.near)
     beside = () if fit is None else tuple(found for found in fit.fits if found.curve.kind != "circle")
-    return replace(measured, target=completed(job, measured.target, fit), fits=measured.fits + beside)
+    return MeasuredPart(completed(job, measured.target, fit), measured.evidence, measured.fits + beside)
 
 
 def needs_all(job: Job, target: Target) -> bool:
@@ -206,18 +215,25 @@ def _is_turn_known(job: Job, target: Target) -> bool:
 
 
 def _circles_tell_rotation(job: Job, found: set[str]) -> bool:
-    """Whether a found circle lies far enough from the reference to determine the part's rotation.
+    """Whether a found circle lies far enough from the reference to determine the part's rotation."""
+    return not found.isdisjoint(_far_circles(job))
+
+
+@lru_cache(maxsize=16)
+def _far_circles(job: Job) -> frozenset[str]:
+    """Names of the circles that determine the part's rotation.
 
     Holes do that better than outer edges, whose side walls one of the cameras sees.
     """
     reference = job.reference_circle
-    return any(
-        length_of(circle.centre_mm - reference.centre_mm) > MEASURING.concentric * reference.radius_mm
+    return frozenset(
+        circle.name
         for circle in job.circles
-        if circle.name in found
+        if length_of(circle.centre_mm - reference.centre_mm) > MEASURING.concentric * reference.radius_mm
     )
 
 
+@lru_cache(maxsize=16)
 def _sizes_need_all(job: Job) -> bool:
     """Whether the job has measurements or a reference that circles alone do not provide."""
     kinds = {spec.kind for spec in job.measurements}

@@ -60,6 +60,7 @@ class MeasuringParams:
     min_support: float = 0.15
     """Share of the reference circle that each camera must show for a start to count; a job asks for more."""
     enough_support: float = 0.8  # with this support in both cameras no better start is looked for
+    short_arm: float = 0.15  # of the reference's radius: circles nearer to its centre tell no rotation
     pnp_points: int = 16  # points of a circle from which a start is computed
     other_end: float = 4.0  # sigmas beyond which a radius does not differ from the taught one by chance
     row_stretch: int = 8  # successive edge points whose row differences are averaged

@@ -9,6 +9,8 @@ edges that only one of two rotations expects must show in both views.
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
+from functools import lru_cache
 
 import cv2
 import numpy as np
@@ -18,11 +20,13 @@ from edged.domain.measurement import Match, Target
 from edged.vision.geometry.rectification import Rectification, StereoImages
 from edged.vision.geometry.rigid import Plane, apply, transform
 from edged.vision.kernels.robust import middle_of
-from edged.vision.part.job import Job
+from edged.vision.part.job import CircleFeature, Job
 from edged.vision.part.params import MEASURING
 from edged.vision.shape.ambiguity import EdgeObservation, look_at, surroundings, turned, turns
 from edged.vision.shape.params import ROTATIONS
 from edged.vision.shape.search import ShapeMatch
+
+_IDEAL = np.eye(3)  # a camera without focal length or distortion, which sees rays
 
 
 def predicted(rectification: Rectification, job: Job, match: ShapeMatch, points_mm: FloatArray) -> FloatArray:
@@ -31,29 +35,67 @@ def predicted(rectification: Rectification, job: Job, match: ShapeMatch, points_
     return np.asarray(match.apply(taught - job.shape.origin_px))
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class TaughtPoints:
+    """Points of the reference circle as taught, in rectified px of the left image from the model's origin.
+
+    outline (N, 2) : around it.  tips (4, 2) : ends of its radii along x and back, along y and back.
+    flat_mm (M, 3), flat (M, 2) : a few around it, at z = 0 of the part frame.
+    """
+
+    outline: FloatArray
+    tips: FloatArray
+    flat_mm: FloatArray
+    flat: FloatArray
+
+
+@lru_cache(maxsize=8)  # few, as each keeps the maps of its rectification
+def taught_points(rectification: Rectification, job: Job) -> TaughtPoints:
+    """The points of the reference circle, which are the same in every cycle."""
+    circle = job.reference_circle
+    radius, flat_mm = circle.radius_mm, _around(circle, MEASURING.pnp_points)
+    flat_mm[:, 2] = 0.0
+    tips = np.array([[radius, 0.0, 0.0], [-radius, 0.0, 0.0], [0.0, radius, 0.0], [0.0, -radius, 0.0]])
+    outline, at_tips, flat = (
+        rectification.rectified("left", apply(job.rig_from_part, points)) - job.shape.origin_px
+        for points in (_around(circle, MEASURING.outline_points), tips, flat_mm)
+    )
+    return TaughtPoints(outline, at_tips, flat_mm, flat)
+
+
+def _around(circle: CircleFeature, count: int) -> FloatArray:
+    phase = np.arange(count) * (2 * np.pi / count)
+    ring = np.column_stack([np.cos(phase), np.sin(phase), np.zeros(count)])
+    return np.asarray(circle.centre_mm + circle.radius_mm * ring)
+
+
 def poses_of_match(
     images: StereoImages, job: Job, match: ShapeMatch, flat_mm: FloatArray
 ) -> list[FloatArray]:
-    """The rig_from_part (4, 4) under which points (N, 3) of the face, z = 0, look like the match, best first.
+    """The rig_from_part (4, 4), best first, under which points (N, 3), z = 0, look like the match."""
+    return poses_of_face(images, flat_mm, predicted(images.rectification, job, match, flat_mm))
 
+
+def poses_of_face(images: StereoImages, flat_mm: FloatArray, seen_px: FloatArray) -> list[FloatArray]:
+    """The rig_from_part (4, 4) under which points (N, 3) of the face, z = 0, are seen there, best first.
+
+    seen_px (N, 2) : in the rectified left image.
     A perspective view of a known plane has two poses in space (T. Collins and A. Bartoli, "Infinitesimal
     Plane-Based Pose Estimation", IJCV 2014), good to a few hundredths of a mm in depth and some tenths of a
     degree, however the plane is tilted.
     """
-    rays = images.rays("left", predicted(images.rectification, job, match, flat_mm))
+    rays = images.rays("left", seen_px)
     if not np.isfinite(rays).all():
         return []
     count, turns, places, _ = cv2.solvePnPGeneric(
-        flat_mm, np.ascontiguousarray(rays[:, :2]), np.eye(3), None, flags=cv2.SOLVEPNP_IPPE
+        flat_mm, np.ascontiguousarray(rays[:, :2]), _IDEAL, None, flags=cv2.SOLVEPNP_IPPE
     )
-    poses = []
-    for vectors in zip(turns[:count], places[:count], strict=True):
-        turn, place = (np.asarray(vector, dtype=np.float64) for vector in vectors)
-        rotation: FloatArray = np.asarray(cv2.Rodrigues(turn)[0], dtype=np.float64)
-        pose = transform(rotation, place[:, 0])
-        if np.isfinite(pose).all() and pose[2, 3] > 0 and pose[2, 2] > 0:  # not a face turned away
-            poses.append(pose)
-    return poses
+    poses = [
+        transform(np.asarray(cv2.Rodrigues(turn)[0], np.float64), np.asarray(place, np.float64)[:, 0])
+        for turn, place in zip(turns[:count], places[:count], strict=True)
+    ]
+    # not a face turned away
+    return [pose for pose in poses if np.isfinite(pose).all() and pose[2, 3] > 0 and pose[2, 2] > 0]
 
 
 def seen_depth_mm(rectification: Rectification, job: Job, match: ShapeMatch) -> float:
@@ -85,9 +127,9 @@ def is_contradicted(images: StereoImages, job: Job, match: ShapeMatch, target: T
     if sight is None:
         return False
     light = surroundings(sight, job.search.min_contrast)
-    known = light.shows(sight).astype(np.float64) - light.denies(sight)
+    known = light.verdicts(sight)
     # whole numbers: their sums do not depend on the order
-    count, theirs_count = (flags.sum(axis=1) for flags in (all_turns.own, all_turns.foreign))
+    count, theirs_count = all_turns.counts
     mine = all_turns.own @ known / np.maximum(count, 1)
     open_ = (count >= ROTATIONS.min_apart) & (mine <= MEASURING.clear) & (theirs_count >= ROTATIONS.min_apart)
     for k in open_.nonzero()[0].tolist():
@@ -95,8 +137,7 @@ def is_contradicted(images: StereoImages, job: Job, match: ShapeMatch, target: T
         other = _look(images, job, face, turned(pose, all_turns.motions[k]), others)
         if other is None:
             continue
-        theirs = light.shows(other).astype(np.float64) - light.denies(other)
-        if mine[k] < theirs.mean() - MEASURING.against:
+        if mine[k] < light.verdicts(other).mean() - MEASURING.against:
             return True
     return False
 
@@ -106,9 +147,12 @@ def _look(
 ) -> EdgeObservation | None:
     """Evidence of the model's points in the raw right image; None where they are out of view."""
     level = job.shape.levels[0]
-    places, normals = level.points[points], level.normals[points]
-    along = np.column_stack([-normals[:, 1], normals[:, 0]])
-    rig = images.rig
+    places, normals, rig = level.points[points], level.normals[points], images.rig
+    count = len(places)
+    both = np.empty((2 * count, 2))
+    both[:count], both[count:] = places, places
+    both[count:, 0] -= normals[:, 1]
+    both[count:, 1] += normals[:, 0]
 
     def in_right(model_px: FloatArray) -> FloatArray:
         depth = 1.0 + model_px @ pose[6:]
@@ -117,12 +161,14 @@ def _look(
         return rig.right.project(apply(rig.right_from_left, space))
 
     with np.errstate(invalid="ignore", divide="ignore"):
-        seen = in_right(np.concatenate([places, places + along]))
-        middle, step = seen[: len(places)], seen[len(places) :] - seen[: len(places)]
-        length = np.linalg.norm(step, axis=1)
-        across = np.column_stack([step[:, 1], -step[:, 0]]) / length[:, None]  # no image is mirrored
-    if not np.isfinite(across).all():
+        seen = in_right(both)
+        middle, step = seen[:count], seen[count:] - seen[:count]
+        length = np.sqrt(step[:, 0] ** 2 + step[:, 1] ** 2)
+        placed = np.empty((count, 4))
+        placed[:, :2] = middle
+        # no image is mirrored
+        placed[:, 2], placed[:, 3] = step[:, 1] / length, -step[:, 0] / length
+    if not np.isfinite(placed[:, 2:]).all():
         return None
     scale = middle_of(length)
-    placed = np.ascontiguousarray(np.column_stack([middle, across]))
     return look_at(images.right, job.shape, placed, 0, points, scale) if math.isfinite(scale) else None

@@ -9,28 +9,48 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import Any
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
-from edged.domain.arrays import B8, I64, FloatArray, Image
-from edged.vision.edges.subpixel import edge_profiles, edges_along_normals
+from edged.domain.arrays import B8, F64, I64, FloatArray, Image
 from edged.vision.geometry.rigid import angle_between, rotation_2d, wrapped
-from edged.vision.kernels.jit import kernel
-from edged.vision.kernels.robust import mad_sigma, middle_of
+from edged.vision.kernels.jit import for_kernel, kernel
+from edged.vision.kernels.median import median
+from edged.vision.kernels.robust import SIGMA_PER_MEDIAN
 from edged.vision.shape import refine
-from edged.vision.shape.chance import EVIDENCE, Chance, sample_face
+from edged.vision.shape.chance import (
+    EVIDENCE,
+    Chance,
+    FacePlaces,
+    chance_evidence,
+    chance_of,
+    chosen_places,
+    elsewhere,
+    look_elsewhere,
+)
 from edged.vision.shape.model import ShapeModel
 from edged.vision.shape.params import ROTATIONS
 
+# numba freezes globals when it compiles: kernels read these by name
+MIN_APART = ROTATIONS.min_apart
+TEXTURED_SHARE = ROTATIONS.textured_share
+WEAKER_PERCENT = ROTATIONS.weaker_percent
+SURFACE_SHARE = ROTATIONS.surface_share
+SPREADS = ROTATIONS.spreads
+EVEN_SHARE = ROTATIONS.even_share
+STRONG_SHARE = ROTATIONS.strong_share
+SEEN_PERCENT = ROTATIONS.seen_percent
+ACCIDENTS = ROTATIONS.accidents
+ACCIDENT_SPREAD = ROTATIONS.accident_spread
 Array = npt.NDArray[Any]
 Flags = B8
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)  # no slots: cached properties live in the instance's dictionary
 class RivalTurns:
     """Rotations of a shape, most similar first.
 
@@ -41,6 +61,11 @@ class RivalTurns:
     motions: FloatArray
     own: Flags
     foreign: Flags
+
+    @cached_property
+    def counts(self) -> tuple[I64, I64]:
+        """(K,) number of points of each kind, own and foreign."""
+        return self.own.sum(axis=1), self.foreign.sum(axis=1)
 
     @property
     def similarity(self) -> FloatArray:
@@ -77,18 +102,31 @@ class Surroundings:
     face: tuple[float, float]
     around: tuple[float, float]
 
-    def shows(self, sight: EdgeObservation) -> Flags:
-        """Points (N,) with an edge."""
-        return np.asarray(np.abs(sight.slope) >= self.strong)
+    def verdicts(self, sight: EdgeObservation) -> I64:
+        """(N,) 1 for points with an edge, 0 for hidden ones, -1 for those denied.
 
-    def denies(self, sight: EdgeObservation) -> Flags:
-        """Points (N,) without an edge that show the bare face or, at the rim, the bare table."""
-        bare, empty = (
-            (np.abs(sight.beside - level) < vary).all(axis=1)  # False for NaN
-            for level, vary in (self.face, self.around)
-        )
-        bare |= (sight.inward != 0) & empty
-        return np.asarray(bare & (np.abs(sight.slope) < self.strong))
+        Denied are points without an edge that show the bare face or, at the rim, the bare table.
+        """
+        return weigh_points(sight.slope, sight.beside, sight.inward, self.strong, *self.face, *self.around)
+
+
+@kernel("i8[::1](f8[::1], f8[:, ::1], i8[::1], f8, f8, f8, f8, f8)")
+def weigh_points(
+    slope: F64, beside: F64, inward: I64, strong: float, face: float, face_varies: float, around: float,
+    around_varies: float,
+) -> I64:  # fmt: skip
+    """`Surroundings.verdicts`."""
+    verdicts = np.zeros(len(slope), np.int64)
+    for n in range(len(slope)):
+        if abs(slope[n]) >= strong:
+            verdicts[n] = 1
+            continue
+        bare, empty = True, inward[n] != 0
+        for i in range(3):  # False for NaN
+            bare = bare and abs(beside[n, i] - face) < face_varies
+            empty = empty and abs(beside[n, i] - around) < around_varies
+        verdicts[n] = -1 if bare or empty else 0
+    return verdicts
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -135,12 +173,9 @@ def look_at(
 
     scale : px of the image per px of the model.
     """
-    offsets, slopes = edges_along_normals(image, placed[:, :2], placed[:, 2:], ROTATIONS.reach_px, sign)
-    there = np.abs(offsets) < refine.AGREES_PX  # False for NaN
-    beside, _ = edge_profiles(image, placed[:, :2], placed[:, 2:], ROTATIONS.beside_px, ROTATIONS.beside_px)
-    return EdgeObservation(
-        placed, np.where(there, slopes, 0.0), beside, _inward(model)[points], scale * gap_px(model)
-    )
+    slope, beside = np.empty(len(placed)), np.empty((len(placed), 3))
+    refine.look_along(for_kernel(image, np.uint8), placed, sign, slope, beside)
+    return EdgeObservation(placed, slope, beside, _inward(model)[points], scale * gap_px(model))
 
 
 def surroundings(sight: EdgeObservation, min_contrast: float, by_chance: float = 0.0) -> Surroundings:
@@ -148,47 +183,64 @@ def surroundings(sight: EdgeObservation, min_contrast: float, by_chance: float =
 
     by_chance : slope of edges that the face occasionally shows where the part has none.
     """
-    strong = _strong(sight.slope, min_contrast)
-    beside = _beside_rim(sight, strong)
-    strong = max(strong, by_chance)
-    if beside is None:
-        return Surroundings(strong, (math.nan, 0.0), (math.nan, 0.0))
-    inside, outside, step = beside
-    return Surroundings(strong, _even(inside, step), _even(outside, step))
-
-
-def _face_greys(sight: EdgeObservation, strong: float) -> tuple[float, float]:
-    """Range of grey values of the face, texture included; unlimited where little is seen."""
-    beside = _beside_rim(sight, strong)
-    if beside is None:
-        return -math.inf, math.inf
-    inside, _, step = beside
-    level = middle_of(inside)
-    return level - ROTATIONS.textured_share * step, level + ROTATIONS.textured_share * step
-
-
-def _beside_rim(sight: EdgeObservation, strong: float) -> tuple[FloatArray, FloatArray, float] | None:
-    """Grey values inside and outside of the rim, and the step of a weaker edge; None where little is seen."""
-    seen = (np.abs(sight.slope) >= strong) & np.isfinite(sight.beside).all(axis=1)
-    rim = (sight.inward != 0) & seen
-    if rim.sum() < ROTATIONS.min_apart:
-        return None
-    step = _percentile(np.abs(sight.beside[seen, 2] - sight.beside[seen, 0]), ROTATIONS.weaker_percent)
-    inward = sight.inward[rim] > 0
-    inside = np.where(inward, sight.beside[rim, 2], sight.beside[rim, 0])
-    outside = np.where(inward, sight.beside[rim, 0], sight.beside[rim, 2])
-    return inside, outside, step
-
-
-def _even(greys: FloatArray, step: float) -> tuple[float, float]:
-    """The grey value of a surface beside edges of a step, and how much it may vary; NaN if it is not even."""
-    level = middle_of(greys)
-    sigma = mad_sigma(greys - level)
-    if 1.35 * sigma >= ROTATIONS.surface_share * step:
-        return math.nan, 0.0
-    return level, min(
-        max(ROTATIONS.spreads * sigma, ROTATIONS.even_share * step), ROTATIONS.surface_share * step
+    strong, face, face_varies, around, around_varies = light_of(
+        sight.slope, sight.beside, sight.inward, min_contrast, by_chance
     )
+    return Surroundings(strong, (face, face_varies), (around, around_varies))
+
+
+@kernel("UniTuple(f8, 5)(f8[::1], f8[:, ::1], i8[::1], f8, f8)")
+def light_of(
+    slope: F64, beside: F64, inward: I64, min_contrast: float, by_chance: float
+) -> tuple[float, float, float, float, float]:
+    """The numbers of `surroundings`: strong, then level and variation of the face and around it."""
+    strong = strong_slope(slope, min_contrast)
+    inside, outside, step = _beside_rim(slope, beside, inward, strong)
+    strong = max(strong, by_chance)
+    if len(inside) == 0:
+        return strong, np.nan, 0.0, np.nan, 0.0
+    face, face_varies = _even(inside, step)
+    around, around_varies = _even(outside, step)
+    return strong, face, face_varies, around, around_varies
+
+
+@kernel("UniTuple(f8, 2)(f8[::1], f8[:, ::1], i8[::1], f8)")
+def face_greys(slope: F64, beside: F64, inward: I64, strong: float) -> tuple[float, float]:
+    """Range of grey values of the face, texture included; unlimited where little is seen."""
+    inside, _, step = _beside_rim(slope, beside, inward, strong)
+    if len(inside) == 0:
+        return -np.inf, np.inf
+    level = median(inside)
+    return level - TEXTURED_SHARE * step, level + TEXTURED_SHARE * step
+
+
+@kernel()
+def _beside_rim(slope: F64, beside: F64, inward: I64, strong: float) -> tuple[F64, F64, float]:
+    """Grey values inside and outside of the rim, and the step of a weaker edge; none where little is seen."""
+    inside, outside, steps = np.empty(len(slope)), np.empty(len(slope)), np.empty(len(slope))
+    seen = many = 0
+    for n in range(len(slope)):
+        if not (abs(slope[n]) >= strong and np.isfinite(beside[n]).all()):
+            continue
+        steps[seen] = abs(beside[n, 2] - beside[n, 0])
+        seen += 1
+        if inward[n] != 0:
+            ahead = inward[n] > 0
+            inside[many], outside[many] = beside[n, 2 if ahead else 0], beside[n, 0 if ahead else 2]
+            many += 1
+    if many < MIN_APART:
+        return inside[:0], outside[:0], np.nan
+    return inside[:many], outside[:many], _percentile(steps[:seen], WEAKER_PERCENT)
+
+
+@kernel()
+def _even(greys: F64, step: float) -> tuple[float, float]:
+    """The grey value of a surface beside edges of a step, and how much it may vary; NaN if it is not even."""
+    level = median(greys)
+    sigma = SIGMA_PER_MEDIAN * median(np.abs(greys - level))
+    if 1.35 * sigma >= SURFACE_SHARE * step:
+        return np.nan, 0.0
+    return level, min(max(SPREADS * sigma, EVEN_SHARE * step), SURFACE_SHARE * step)
 
 
 def odds_on_face(
@@ -198,25 +250,48 @@ def odds_on_face(
 
     slopes (N,) : at the edges where the pose expects them, 0 where there is none.
     """
-    level, sets = model.levels[0], _distinguishing_points(model)
-    inward = _inward(model)
-    rim = np.flatnonzero(inward)
-    placed = np.empty((len(rim), 4))
-    refine.place(level.points[rim], level.normals[rim], pose, placed)
-    beside, _ = edge_profiles(image, placed[:, :2], placed[:, 2:], ROTATIONS.beside_px, ROTATIONS.beside_px)
-    strong = _strong(slopes, min_contrast)
-    greys = _face_greys(EdgeObservation(placed, slopes[rim], beside, inward[rim], math.nan), strong)
-    chance = sample_face(
-        image, model, pose, sign, sets, (ROTATIONS.reach_px, ROTATIONS.beside_px), greys, strong
-    )
-    shares, count = chance.shares(sets), len(turns(model).motions)
-    near = len(sets) // 2
-    rest = np.full(count - near, 2 * near)
-    own, foreign = (np.append(first + np.arange(near), rest) for first in (0, near))
-    return Odds(chance, shares[:, own], shares[:, foreign])
+    found, pixels = _telling(model), for_kernel(image, np.uint8)
+    placed, beside = np.empty((len(found.rim), 4)), np.empty((len(found.rim), 3))
+    refine.place(found.rim_points, found.rim_normals, pose, placed)
+    refine.look_along(pixels, placed, sign, np.empty(len(placed)), beside)
+    strong = strong_slope(slopes, min_contrast)
+    darkest, brightest = face_greys(slopes[found.rim], beside, found.inward, strong)
+    elsewhere_slopes = np.empty(len(found.places.of))
+    look_elsewhere(pixels, found.places, pose, sign, darkest, brightest, elsewhere_slopes)
+    chance = chance_of(elsewhere_slopes, found.places, found.sets, strong)
+    shares = chance.shares(found.sets)
+    return Odds(chance, shares.take(found.own, axis=1), shares.take(found.foreign, axis=1))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Telling:
+    """Points of a model that tell its rotations apart, and where to look for them by chance.
+
+    sets (S, N) : of points, see `_distinguishing_points`.  own, foreign (K,) : set of each of K `turns`.
+    places : where they are looked at elsewhere.  rim (R,) : points of the part's rim, with their
+    rim_points, rim_normals (R, 2) and inward (R,), see `EdgeObservation`.
+    """
+
+    sets: Flags
+    own: I64
+    foreign: I64
+    places: FacePlaces
+    rim: I64
+    rim_points: FloatArray
+    rim_normals: FloatArray
+    inward: I64
 
 
 @lru_cache(maxsize=16)
+def _telling(model: ShapeModel) -> _Telling:
+    level, sets, inward = model.levels[0], _distinguishing_points(model), _inward(model)
+    near = len(sets) // 2
+    rest = np.full(len(turns(model).motions) - near, 2 * near)
+    own, foreign = (np.append(first + np.arange(near), rest) for first in (0, near))
+    places, rim = chosen_places(elsewhere(model), np.asarray(sets.any(axis=0))), np.flatnonzero(inward)
+    return _Telling(sets, own, foreign, places, rim, level.points[rim], level.normals[rim], inward[rim])
+
+
 def _distinguishing_points(model: ShapeModel) -> Flags:
     """Sets of points (2 K + 1, N) that distinguish the model from the K rotations that are most like it.
 
@@ -243,24 +318,19 @@ def unresolved_rotations(
     First by the edges that only the pose expects: if the image shows enough of them, no other rotation is
     possible. Where some of them are hidden, by the edges that only the other rotation expects, too.
     """
-    all_turns = turns(model)
-    own = all_turns.own
-    count = own.sum(axis=1)
-    chance = odds.chance
-    strong = max(_strong(slopes, min_contrast), chance.thresholds[0])
-    speaking = np.count_nonzero(own & (np.abs(slopes) >= strong), axis=1)
-    is_doubtful = speaking < ROTATIONS.accidents * count + ROTATIONS.accident_spread * np.sqrt(count)
-    is_doubtful |= chance.evidence(own, np.abs(slopes), strong, odds.own) < EVIDENCE
-    doubtful = np.flatnonzero(is_doubtful)
+    all_turns, chance = turns(model), odds.chance
+    own, (count, _) = all_turns.own, all_turns.counts
+    strong = max(strong_slope(slopes, min_contrast), chance.thresholds[0])
+    doubtful = doubtful_turns(own, chance, np.abs(slopes), strong, odds.own)
     if not len(doubtful):
         return []
     sight = look(image, model, pose, sign)
     light = surroundings(sight, min_contrast, chance.thresholds[0])
-    shown, denied = light.shows(sight), light.denies(sight)
+    seen = light.verdicts(sight)
     foreign = [np.flatnonzero(all_turns.foreign[k]) for k in doubtful]
     turned_poses = [turned(pose, all_turns.motions[k]) for k in doubtful]
     others = _look_at_each(image, model, turned_poses, sign, foreign)
-    others_shown, others_denied = light.shows(others), light.denies(others)
+    others_seen = light.verdicts(others)
     ends = np.cumsum([len(points) for points in foreign])
     theirs = np.zeros(all_turns.foreign[doubtful].shape)
     theirs[all_turns.foreign[doubtful]] = np.abs(others.slope)
@@ -270,8 +340,9 @@ def unresolved_rotations(
     left: list[tuple[float, int]] = []
     for k, points, end, nats in zip(doubtful, foreign, ends, credit, strict=True):
         part = slice(end - len(points), end)
-        beyond_chance = shown[own[k]] & (nats >= EVIDENCE)
-        ahead = _lead(beyond_chance, denied[own[k]], others_shown[part], others_denied[part])
+        mine_seen, theirs_seen = seen[own[k]], others_seen[part]
+        beyond_chance = (mine_seen > 0) & (nats >= EVIDENCE)
+        ahead = _lead(beyond_chance, mine_seen < 0, theirs_seen > 0, theirs_seen < 0)
         if ahead < 0 or max(len(points), count[k]) < ROTATIONS.min_apart:
             left.append((ahead, int(k)))
     return [k for _, k in sorted(left)]
@@ -292,15 +363,30 @@ def _look_at_each(
     return look_at(image, model, placed, sign, np.concatenate(points), _scale(poses[0]))
 
 
-def _strong(slopes: FloatArray, min_contrast: float) -> float:
-    """Slope, grey values per px, from which an edge may be the part's."""
-    return max(ROTATIONS.strong_share * _percentile(np.abs(slopes), ROTATIONS.seen_percent), min_contrast)
+@kernel("f8(f8[::1], f8)")
+def strong_slope(slopes: F64, min_contrast: float) -> float:
+    """Slope, grey values per px, from which an edge may be the part's; slopes (N,) at all of its points."""
+    return max(STRONG_SHARE * _percentile(np.abs(slopes), SEEN_PERCENT), min_contrast)
 
 
-def _percentile(values: FloatArray, percent: int) -> float:
-    """The value below which this percentage of values lies, by rank: ten times as quick as numpy's."""
-    rank = len(values) * percent // 100
-    return float(np.partition(values, rank)[rank])
+@kernel()
+def _percentile(values: F64, percent: int) -> float:
+    """The value below which this percentage of values lies, by rank."""
+    return float(np.sort(values)[len(values) * percent // 100])
+
+
+@kernel("i8[::1](b1[:, ::1], Chance, f8[::1], f8, f8[:, ::1])", tuples=(Chance,))
+def doubtful_turns(own: Flags, chance: Chance, slopes: F64, strong: float, shares: F64) -> I64:
+    """Indices of the turns of whose points, own (K, N), too few show an edge for certain; slopes (N,)."""
+    nats = chance_evidence(chance, own, slopes.reshape((1, len(slopes))), strong, shares)
+    for k in range(len(own)):
+        count = speaking = 0
+        for n in range(len(slopes)):
+            count += own[k, n]
+            speaking += own[k, n] and slopes[n] >= strong
+        if speaking < ACCIDENTS * count + ACCIDENT_SPREAD * np.sqrt(count):
+            nats[k] = -np.inf
+    return np.flatnonzero(nats < EVIDENCE)
 
 
 def decides(
@@ -321,15 +407,15 @@ def decides(
     if max(only_first.sum(), only_second.sum()) < ROTATIONS.min_apart:
         return None
     light = surroundings(first, min_contrast, odds.chance.thresholds[0])
-    first_shown, second_shown = light.shows(first), light.shows(second)
+    first_seen, second_seen = light.verdicts(first)[only_first], light.verdicts(second)[only_second]
     slopes = np.abs(np.array([first.slope, second.slope]))
     sets = np.array([only_first, only_second])
     nats = odds.chance.evidence(sets, slopes, light.strong, odds.chance.shares(sets))
     ahead = _lead(
-        first_shown[only_first] & (nats[0] - nats[1] >= EVIDENCE),
-        light.denies(first)[only_first],
-        second_shown[only_second],
-        light.denies(second)[only_second],
+        (first_seen > 0) & (nats[0] - nats[1] >= EVIDENCE),
+        first_seen < 0,
+        second_seen > 0,
+        second_seen < 0,
     )
     return ahead >= 0
 

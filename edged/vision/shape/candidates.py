@@ -6,8 +6,8 @@ One part remains at each place, and each edge belongs to one part.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Iterable
+from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
 import numpy as np
@@ -127,9 +127,42 @@ class Hypothesis:
         a, b, c, d = self.pose[2:6].tolist()
         return math.atan2(c - b, a + d)
 
-    def at(self, pose: FloatArray) -> Hypothesis:
-        """This hypothesis at another pose."""
-        return replace(self, pose=pose)
+    def at(self, pose: FloatArray, score: float | None = None, odds: Odds | None = None) -> Hypothesis:
+        """This hypothesis at another pose, with a new score and odds if there are any.
+
+        Written out: `replace` reads every field by its name, and a search moves each hypothesis often.
+        """
+        return Hypothesis(
+            pose,
+            self.sign,
+            self.score if score is None else score,
+            self.covariance,
+            self.scanned,
+            self.slopes,
+            self.ambiguous,
+            self.view,
+            self.odds if odds is None else odds,
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Candidates:
+    """Poses (N, 8) of the top level that may be the model, best first, each with the sign of its contrast.
+
+    scores, views (N,) : from the scan, and number of the view that was found.
+    """
+
+    poses: FloatArray
+    signs: I64
+    scores: FloatArray
+    views: I64
+
+    def hypothesis(self, number: int) -> Hypothesis:
+        """One of them, to be refined."""
+        score = float(self.scores[number])
+        return Hypothesis(
+            self.poses[number], int(self.signs[number]), score, scanned=score, view=int(self.views[number])
+        )
 
 
 def scan_top(
@@ -139,7 +172,7 @@ def scan_top(
     params: SearchParams,
     valid: Image | None,
     views: ShapeViews | None = None,
-) -> Iterator[Hypothesis]:
+) -> Candidates:
     """Poses of the top level that may be the model, best first; views : how it may look, None: as taught."""
     height, width = work.images[top].shape
     plan = _plan(model, top, params, height, width, views)
@@ -171,7 +204,7 @@ def scan_top(
     ]
     chosen, grid = (np.concatenate(rows) for rows in zip(*each, strict=True))
     values, view = np.zeros(len(chosen)), plan.views[grid]
-    for k in np.unique(view):
+    for k in sorted(set(view.tolist())):
         look, of_view = plan.looks[k], view == k
         rows, reached = chosen[of_view], values[of_view]
         for steps in (plan.steps, 0.5 * plan.steps) if plan.coarse else (plan.steps,):
@@ -179,47 +212,36 @@ def scan_top(
         chosen[of_view], values[of_view] = rows, reached
     order = np.argsort(-values, kind="stable")[: 24 + 2 * params.max_matches]
     good = order[values[order] >= polished_share * params.min_score]
-    return (
-        Hypothesis(
-            plan.looks[view[i]].pose(refine.start_pose(*chosen[i, :5].tolist())),
-            int(chosen[i, 5]),
-            float(values[i]),
-            scanned=float(values[i]),
-            view=int(view[i]),
-        )
-        for i in good
-    )
+    found_view, (x, y, angle, scale_x, scale_y, sign) = view[good], chosen[good].T
+    poses = refine.start_poses(x, y, angle, scale_x, scale_y)
+    if views is not None:
+        poses[:, 2:6] = (poses[:, 2:6].reshape(-1, 2, 2) @ plan.linear[found_view]).reshape(-1, 4)
+        poses[:, 6:] = plan.tilt[found_view]
+    return Candidates(poses, sign.astype(np.int64), values[good], found_view)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Look:
-    """A shape as one view shows it on the top level.
-
-    points (N, 2), directions (N,) rad.  linear (2, 2), tilt (2,) : of the view, px of the level.
-    """
+    """A shape as one view shows it on the top level: points (N, 2), directions (N,) rad."""
 
     points: FloatArray
     directions: FloatArray
-    linear: FloatArray
-    tilt: FloatArray
-
-    def pose(self, similarity: FloatArray) -> FloatArray:
-        """Pose vector of the taught shape where this view of it is seen under a similarity."""
-        linear = similarity[2:6].reshape(2, 2) @ self.linear
-        return np.concatenate([similarity[:2], linear.ravel(), self.tilt])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Plan:
     """The part of a scan that does not depend on the image.
 
-    looks : one of each view, all with the same number of points; poses (P, 3), steps (3,): see `pose_grid`;
+    looks : one of each of V views, all with the same number of points; linear (V, 2, 2), tilt (V, 2) : of the
+    views, px of the level.  poses (P, 3), steps (3,): see `pose_grid`;
     views (P,) : view of each pose; sectors (P,) : numbered separately in each of the `groups` of views;
     offsets (P, N) of the points in the flat maps, whose grids have rows x columns with `pad` px of zeros.
     coarse : with the steps of a large top level.
     """
 
     looks: tuple[_Look, ...]
+    linear: FloatArray
+    tilt: FloatArray
     poses: FloatArray
     steps: FloatArray
     views: I64
@@ -257,7 +279,12 @@ def _plan(
     if views is not None:
         groups = int(views.groups.max()) + 1
         sectors = sectors + views.groups[of_pose] * scan.SECTORS
-    return _Plan(looks, poses, steps, of_pose, sectors, groups, offsets, rows, columns, pad, coarse)
+    linear, tilt = (
+        (np.eye(2)[None], np.zeros((1, 2))) if views is None else (views.linear, views.tilt * 2.0**top)
+    )
+    return _Plan(
+        looks, linear, tilt, poses, steps, of_pose, sectors, groups, offsets, rows, columns, pad, coarse
+    )
 
 
 def _looks(model: ShapeModel, top: int, views: ShapeViews | None) -> tuple[_Look, ...]:
@@ -265,13 +292,13 @@ def _looks(model: ShapeModel, top: int, views: ShapeViews | None) -> tuple[_Look
     count = max(scan.GROUP, min(scan.TOP_POINTS, len(level.points)) // scan.GROUP * scan.GROUP)
     points, normals = level.points[:count], level.normals[:count]
     if views is None:
-        return (_Look(points, np.arctan2(normals[:, 1], normals[:, 0]), np.eye(2), np.zeros(2)),)
+        return (_Look(points, np.arctan2(normals[:, 1], normals[:, 0])),)
     looks = []
     for linear, tilt in zip(views.linear, views.tilt * 2.0**top, strict=True):
         placed = np.empty((count, 4))
         refine.place(points, normals, np.array([0.0, 0.0, *linear.ravel(), *tilt]), placed)
         seen = np.ascontiguousarray(placed[:, :2])
-        looks.append(_Look(seen, np.arctan2(placed[:, 3], placed[:, 2]), linear, tilt))
+        looks.append(_Look(seen, np.arctan2(placed[:, 3], placed[:, 2])))
     return tuple(looks)
 
 
@@ -317,7 +344,8 @@ def _choose(
     order = np.lexsort((peaks[:, 4], peaks[:, 3], peaks[:, 2], peaks[:, 1], -peaks[:, 0]))
     _, sign, sector, y, x = peaks[order].T
     grid = pose[sign, sector, y * columns + x].astype(np.int64)
-    rows = np.ascontiguousarray(np.column_stack([2.0 * x, 2.0 * y, poses[grid], 1.0 - 2.0 * sign]))
+    rows = np.empty((len(grid), 6))
+    rows[:, 0], rows[:, 1], rows[:, 2:5], rows[:, 5] = 2.0 * x, 2.0 * y, poses[grid], 1.0 - 2.0 * sign
     kept = np.empty(limit, np.int64)
     number = scan.best_of_each_place(rows, limit, apart_rad, kept)
     return np.ascontiguousarray(rows[kept[:number]]), grid[kept[:number]]
@@ -376,6 +404,8 @@ def _share(first: PlacedMatch, second: PlacedMatch) -> float:
 
 def _claimed(placed: PlacedMatch, kept: list[PlacedMatch]) -> float:
     """Share of a match's points that lie on the outlines of better matches of the same model."""
+    if not kept:
+        return 0.0
     claimed = np.zeros(len(placed.outline), np.bool_)
     for better in kept:
         reach = placed.model.radius_px * (placed.size + better.size)

@@ -9,46 +9,50 @@ two rotations are turned about the part's middle to where the face has no edge o
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
-from edged.domain.arrays import B8, I64, FloatArray, Image
-from edged.vision.edges.subpixel import edge_profiles, edges_along_normals
+from edged.domain.arrays import B8, F64, I64, FloatArray, Image
 from edged.vision.geometry.rigid import rotation_2d
-from edged.vision.shape import refine
+from edged.vision.kernels.jit import F1, F2, FLOAT, I1, kernel
 from edged.vision.shape.model import ShapeModel
 from edged.vision.shape.params import ROTATIONS
+from edged.vision.shape.refine import look_along, place
 
 EVIDENCE = -math.log(ROTATIONS.mistakes)
 """Nats of evidence that decide for a rotation: chance shows as much in a share `mistakes` of pictures."""
 PLACES = 23
 """Steps of a full turn by which points are turned to places elsewhere: prime, so that none is a part's
 symmetry."""
+# numba freezes globals when it compiles: kernels read these by name
+FEW_LOOKS = ROTATIONS.few_looks
+FEW_PLACES = ROTATIONS.few_places
+CURVE_POINTS = ROTATIONS.curve_points
+MIN_SLOPE = ROTATIONS.min_slope
+UNKNOWN = ROTATIONS.unknown
+EXCEEDED = (ROTATIONS.often, *ROTATIONS.rare)
 Array = npt.NDArray[Any]
 Flags = B8
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class FacePlaces:
+class FacePlaces(NamedTuple):
     """Points of a model, turned about its middle to where its face has no edge.
 
     points, normals (C, 2) : as `ShapeLevel`.  of (C,) : index of the model's point.  place (C,) : number of
     the rotation, below PLACES.
     """
 
-    points: FloatArray
-    normals: FloatArray
-    of: I64
-    place: I64
+    points: F2
+    normals: F2
+    of: I1
+    place: I1
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Chance:
+class Chance(NamedTuple):
     """Edges that the model's points show elsewhere on its face.
 
     known (U,) : indices of the model's points.  looked (U,), met (T, U) : number of places where the bare
@@ -58,27 +62,16 @@ class Chance:
     of points that it was estimated from.
     """
 
-    known: I64
-    looked: FloatArray
-    met: FloatArray
-    thresholds: FloatArray
-    repeated: float = 1.0  # independent points
-    many: float = 1.0  # single points
-
-    @staticmethod
-    def of(known: I64, slope: FloatArray, thresholds: FloatArray, scatter: tuple[float, float]) -> Chance:
-        """From slopes (PLACES, U) of the edges at each place, 0 without one, NaN where no face was seen."""
-        looked = np.count_nonzero(np.isfinite(slope), axis=0).astype(np.float64)
-        met = np.count_nonzero(slope >= thresholds[:, None, None], axis=1).astype(np.float64)  # False for NaN
-        return Chance(known, looked, met, thresholds, *scatter)
+    known: I1
+    looked: F1
+    met: F2
+    thresholds: F1
+    repeated: FLOAT = 1.0  # independent points
+    many: FLOAT = 1.0  # single points
 
     def shares(self, sets: Flags) -> FloatArray:
         """Shares (T, K) of K sets (K, N) of the model's points that show an edge by chance."""
-        members = sets[:, self.known].T.astype(np.float64)
-        looked, met = self.looked @ members, self.met @ members
-        few = looked < ROTATIONS.few_looks
-        looked[few], met[:, few] = self.looked.sum(), self.met.sum(axis=1)[:, None]
-        return np.asarray(np.where(looked > 0, (met + 0.5) / (looked + 1.0), ROTATIONS.unknown))
+        return chance_shares(self, sets)
 
     def evidence(self, sets: Flags, slopes: FloatArray, strong: float, shares: FloatArray) -> FloatArray:
         """Nats (K,) by which chance is unlikely to show as many edges in each of K sets of points.
@@ -89,97 +82,145 @@ class Chance:
         exp(-n KL(s, p)) (H. Chernoff, 1952). The threshold with most evidence decides, less the price of
         having chosen it.
         """
-        count = np.maximum(np.count_nonzero(sets, axis=1), 1)
-        levels = np.maximum(self.thresholds, strong)
-        shown = np.stack([np.count_nonzero(sets & (slopes >= level), axis=1) for level in levels])
-        seen = np.clip(shown / count, shares, 1.0)
-        rest = (1.0 - seen) * np.log(np.maximum(1.0 - seen, 1e-12) / (1.0 - shares))
-        nats = self._independent(count) * (seen * np.log(seen / shares) + rest)
-        return np.asarray(nats.max(axis=0) - math.log(len(levels)))
-
-    def _independent(self, count: Array) -> FloatArray:
-        """The number of independent points equivalent to points on a few curves."""
-        shared = (self.repeated - 1.0) / max(self.many - 1.0, 1.0)
-        return np.asarray(
-            count / (1.0 + (np.minimum(count, ROTATIONS.curve_points) - 1.0) * min(shared, 1.0))
-        )
+        each = slopes if slopes.ndim == 2 else slopes[None]
+        return chance_evidence(self, sets, each, strong, np.ascontiguousarray(shares))
 
 
-def clumping(slope: FloatArray, known: I64, sets: Flags, often: float) -> tuple[float, float]:
+@kernel("f8[:, ::1](Chance, b1[:, ::1])", tuples=(Chance,))
+def chance_shares(chance: Chance, sets: Flags) -> F64:
+    """`Chance.shares`: sets with few looks are judged by the looks of all points."""
+    levels, shares = len(chance.thresholds), np.empty((len(chance.thresholds), len(sets)))
+    met = np.empty(levels)
+    for k in range(len(sets)):
+        for whole in (False, True):
+            looked = 0.0
+            met[:] = 0.0
+            for u in range(len(chance.known)):
+                if whole or sets[k, chance.known[u]]:
+                    looked += chance.looked[u]
+                    for t in range(levels):
+                        met[t] += chance.met[t, u]
+            if looked >= FEW_LOOKS:
+                break
+        for t in range(levels):
+            shares[t, k] = (met[t] + 0.5) / (looked + 1.0) if looked > 0.0 else UNKNOWN
+    return shares
+
+
+@kernel("f8[::1](Chance, b1[:, ::1], f8[:, ::1], f8, f8[:, ::1])", tuples=(Chance,))
+def chance_evidence(chance: Chance, sets: Flags, slopes: F64, strong: float, shares: F64) -> F64:
+    """`Chance.evidence`, with slopes (K, N), or (1, N) for all sets."""
+    levels, nats = len(chance.thresholds), np.empty(len(sets))
+    shared = min((chance.repeated - 1.0) / max(chance.many - 1.0, 1.0), 1.0)
+    for k in range(len(sets)):
+        row, count, best = slopes[k if len(slopes) > 1 else 0], 0, -np.inf
+        for n in range(sets.shape[1]):
+            count += sets[k, n]
+        count = max(count, 1)
+        independent = count / (1.0 + (min(count, CURVE_POINTS) - 1.0) * shared)
+        for t in range(levels):
+            shown, level = 0, max(chance.thresholds[t], strong)
+            for n in range(sets.shape[1]):
+                shown += sets[k, n] and row[n] >= level
+            share = shares[t, k]
+            seen = min(max(shown / count, share), 1.0)
+            rest = (1.0 - seen) * np.log(max(1.0 - seen, 1e-12) / (1.0 - share))
+            best = max(best, independent * (seen * np.log(seen / share) + rest))
+        nats[k] = best - np.log(levels)
+    return nats
+
+
+@kernel("UniTuple(f8, 2)(f8[::1], i8[::1], i8[::1], b1[:, ::1], f8)")
+def clumping(slope: F64, of: I64, place: I64, sets: Flags, often: float) -> tuple[float, float]:
     """Excess scatter of the number of edges of a set over independent points, and its mean number of points.
 
-    slope (PLACES, U), known (U,) : as in `Chance.of`.  sets (K, N) : points that lie on a curve or two.
-    often : slope that chance exceeds often enough for an estimate.
+    slope (C,) : of the edge at each place, 0 without one, NaN where no face was seen.  of, place (C,) : as in
+    `FacePlaces`.  sets (K, N) : points that lie on a curve or two.  often : slope that chance exceeds often
+    enough for an estimate.
     Rings and streaks are met by many points at once, or by none: the number of edges scatters from place to
     place like that of fewer points (beta-binomial).
     """
-    members = sets[:, known].T.astype(np.float32)
-    looked = np.isfinite(slope).astype(np.float32) @ members
-    met = (slope >= often).astype(np.float32) @ members  # False for NaN
-    used = looked > 1
-    places = np.count_nonzero(used, axis=0)
-    judged = (places > ROTATIONS.few_places) & (met.sum(axis=0) > 0)
-    if not judged.any():
+    looked, met = np.zeros((len(sets), PLACES)), np.zeros((len(sets), PLACES))
+    for c in range(len(slope)):
+        for k in range(len(sets) if not np.isnan(slope[c]) else 0):
+            if sets[k, of[c]]:
+                looked[k, place[c]] += 1.0
+                met[k, place[c]] += slope[c] >= often
+    scatter, freedom, points, used = 0.0, 0, 0.0, 0
+    for k in range(len(sets)):
+        places, all_looked, all_met = 0, 0.0, 0.0
+        for p in range(PLACES):
+            places += looked[k, p] > 1.0
+            all_looked += looked[k, p]
+            all_met += met[k, p]
+        if places <= FEW_PLACES or all_met == 0.0:
+            continue
+        share = all_met / all_looked
+        freedom += places - 1
+        for p in range(PLACES):
+            if looked[k, p] > 1.0:
+                wanted = looked[k, p] * share
+                scatter += (met[k, p] - wanted) ** 2 / max(wanted * (1.0 - share), 1e-9)
+                points += looked[k, p]
+                used += 1
+    if freedom == 0:
         return 1.0, 1.0
-    looked, met, used = looked[:, judged], met[:, judged], used[:, judged]
-    share = met.sum(axis=0) / np.maximum(looked.sum(axis=0), 1.0)
-    scatter = (met - looked * share) ** 2 / np.maximum(looked * share * (1.0 - share), 1e-9)
-    freedom = (places[judged] - 1).sum()
-    return max(float(scatter[used].sum()) / float(freedom), 1.0), float(looked[used].mean())
+    return max(scatter / freedom, 1.0), points / used
 
 
-def sample_face(
-    image: Image,
-    model: ShapeModel,
-    pose: FloatArray,
-    sign: int,
-    sets: Flags,
-    reach_px: tuple[float, float],
-    face: tuple[float, float],
-    strong: float,
-) -> Chance:
-    """Look at points of a model elsewhere on the face of the part at a pose, in an image (H, W) uint8.
+@kernel("void(u1[:, ::1], FacePlaces, f8[::1], i8, f8, f8, f8[::1])", tuples=(FacePlaces,))
+def look_elsewhere(
+    image: Image, places: FacePlaces, pose: F64, sign: int, darkest: float, brightest: float, slope: F64
+) -> None:
+    """Fill slope (C,) of the edge at each place of the face of a part at a pose, 0 without one.
 
-    sets (K, N) : which of its points; those of one set lie together.  sign : as in `edges_along_normals`.
-    reach_px : how far from a point its edge is looked for, and grey values beside it are taken.  face :
-    lowest and highest grey value of the face; where it is darker or brighter, there is a hole or something
-    else that is no texture.  strong : slope from which an edge may be the part's.
+    darkest, brightest : grey values of the face; where it is darker or brighter, there is a hole or something
+    else that is no texture, and the slope is NaN.
     """
-    all_places = elsewhere(model)
-    chosen = _chosen(all_places, np.asarray(sets.any(axis=0)))
-    placed = np.empty((len(chosen), 4))
-    refine.place(all_places.points[chosen], all_places.normals[chosen], pose, placed)
-    reach, aside = reach_px
-    beside, _ = edge_profiles(image, placed[:, :2], placed[:, 2:], aside, aside)
-    on_face = ((beside > face[0]) & (beside < face[1])).all(axis=1)  # False for NaN
-    placed, chosen = np.ascontiguousarray(placed[on_face]), chosen[on_face]
-    offsets, slopes = edges_along_normals(image, placed[:, :2], placed[:, 2:], reach, sign)
-    slope = np.where(np.abs(offsets) < refine.AGREES_PX, np.abs(slopes), 0.0)  # False for NaN
-    known, column = np.unique(all_places.of[chosen], return_inverse=True)
-    table = np.full((PLACES, len(known)), np.nan)
-    table[all_places.place[chosen], column] = slope
-    exceeded = _exceeded(slope)
-    levels = np.maximum(exceeded[:-1], ROTATIONS.min_slope)
-    scatter = max(clumping(table, known, sets, float(level)) for level in levels)
-    return Chance.of(known, table, np.maximum(exceeded[1:], strong), scatter)
+    placed, greys = np.empty((len(slope), 4)), np.empty((len(slope), 3))
+    place(places.points, places.normals, pose, placed)
+    look_along(image, placed, sign, slope, greys)
+    for c in range(len(slope)):
+        slope[c] = abs(slope[c])
+        for i in range(3):
+            if not darkest < greys[c, i] < brightest:
+                slope[c] = np.nan
 
 
-def _exceeded(slope: FloatArray) -> FloatArray:
-    """Slopes that the shares `often` and `rare` of slopes (C,) exceed; 0 without any."""
-    wanted = np.array((ROTATIONS.often, *ROTATIONS.rare))
-    if not len(slope):
-        return np.zeros(len(wanted))
-    ranks = np.ceil((1.0 - wanted) * len(slope)).astype(int) - 1
-    return np.asarray(np.partition(slope, ranks)[ranks])
+@kernel("Chance(f8[::1], FacePlaces, b1[:, ::1], f8)", tuples=(FacePlaces, Chance))
+def chance_of(slope: F64, places: FacePlaces, sets: Flags, strong: float) -> Chance:
+    """Chance from slopes (C,) at places elsewhere, see `look_elsewhere`; sets (K, N) as in `clumping`.
+
+    strong : slope from which an edge may be the part's.
+    """
+    ordered = np.sort(slope[~np.isnan(slope)])
+    exceeded, levels = np.zeros(len(EXCEEDED)), len(EXCEEDED) - 1
+    for t in range(len(EXCEEDED) if len(ordered) > 0 else 0):
+        exceeded[t] = ordered[int(np.ceil((1.0 - EXCEEDED[t]) * len(ordered))) - 1]
+    thresholds, repeated, many = np.maximum(exceeded[1:], strong), 0.0, 0.0
+    for t in range(levels):
+        found = clumping(slope, places.of, places.place, sets, max(exceeded[t], MIN_SLOPE))
+        if found[0] > repeated or (found[0] == repeated and found[1] > many):
+            repeated, many = found
+    looked, met = np.zeros(sets.shape[1]), np.zeros((levels, sets.shape[1]))
+    for c in range(len(slope)):
+        if not np.isnan(slope[c]):
+            looked[places.of[c]] += 1.0
+            for t in range(levels):
+                met[t, places.of[c]] += slope[c] >= thresholds[t]
+    known = np.flatnonzero(looked > 0.0)
+    return Chance(known, looked[known], np.ascontiguousarray(met[:, known]), thresholds, repeated, many)
 
 
-def _chosen(all_places: FacePlaces, points: Flags) -> I64:
-    """Indices of the points to look at: curves as whole as possible, at as many places as time allows."""
+def chosen_places(all_places: FacePlaces, points: Flags) -> FacePlaces:
+    """Places to look at points (N,) of a model: curves as whole as possible, as many as time allows."""
     # the model's points come in random order: the first ones are as good as any
     some = points & (np.cumsum(points) <= ROTATIONS.max_points)
     found = np.flatnonzero(some[all_places.of])
     scattered = all_places.place[found] * ROTATIONS.stride % PLACES
-    return np.asarray(found[np.argsort(scattered, kind="stable")][: ROTATIONS.max_looks])
+    chosen = found[np.argsort(scattered, kind="stable")][: ROTATIONS.max_looks]
+    points_px, normals, of, number = all_places
+    return FacePlaces(points_px[chosen], normals[chosen], of[chosen], number[chosen])
 
 
 @lru_cache(maxsize=16)
@@ -196,11 +237,14 @@ def elsewhere(model: ShapeModel) -> FacePlaces:
     cv2.fillConvexPoly(inside, cv2.convexHull(cells), 255)
     clear = (cv2.distanceTransform(canvas, cv2.DIST_L2, 5) > ROTATIONS.clear_px) & (inside > 0)
     found: list[tuple[FloatArray, FloatArray, Array, Array]] = []
-    for place in range(1, PLACES):
-        turn = rotation_2d(2 * math.pi * place / PLACES)
+    for number in range(1, PLACES):
+        turn = rotation_2d(2 * math.pi * number / PLACES)
         moved = (points - centre) @ turn.T + centre
         x, y = np.rint(moved - low).astype(np.int64).T
         there = np.flatnonzero((x >= 0) & (x < width) & (y >= 0) & (y < height))
         there = there[clear[y[there], x[there]]]
-        found.append((moved[there], (normals @ turn.T)[there], there, np.full(len(there), place)))
-    return FacePlaces(*(np.ascontiguousarray(np.concatenate(column)) for column in zip(*found, strict=True)))
+        found.append((moved[there], (normals @ turn.T)[there], there, np.full(len(there), number)))
+    moved_points, moved_normals, of, numbers = (
+        np.ascontiguousarray(np.concatenate(column)) for column in zip(*found, strict=True)
+    )
+    return FacePlaces(moved_points, moved_normals, of, numbers)

@@ -163,6 +163,9 @@ class ClimbParams:
     stretches: int = 4  # local polarity has one sign within cells of the radius over this
     first_points: int = 128  # of the first step on the finest level: they are in random order
     clipped_px: float = 0.5  # least sigma of a fit that uses edges beside clipped pixels
+    coarse_slack: float = 0.06
+    """Share of size, and rad of turn, by which a pose may leave the wanted ranges on coarse levels."""
+    finest_slack: float = 0.03  # the same on the finest level
     max_clipped: float = 0.7  # share of all edges that may be left out for it
     decided_share: float = 0.5
     """Share of the expected difference of two nearly symmetric poses below which the image is undecided."""

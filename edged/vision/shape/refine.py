@@ -6,17 +6,20 @@ A pose maps a model point p to the image: origin + A p / (1 + tilt . p). Its par
 
 from __future__ import annotations
 
+import math
 from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from edged.domain.arrays import FloatArray
+from edged.domain.arrays import FloatArray, Image
+from edged.vision.edges.params import EDGE
+from edged.vision.edges.subpixel import edge_offsets, profiles_across
 from edged.vision.kernels.cholesky import factorise, substitute
 from edged.vision.kernels.jit import F1, F2, FLOAT, INT, S2, kernel
 from edged.vision.kernels.median import median
 from edged.vision.kernels.robust import SIGMA_PER_MEDIAN, TUKEY, biweight
-from edged.vision.shape.params import CLIMB
+from edged.vision.shape.params import CLIMB, ROTATIONS
 
 Array = npt.NDArray[Any]
 
@@ -25,6 +28,15 @@ RIGID, SIMILARITY, STRETCH, AFFINE, PROJECTIVE = 3, 4, 5, 6, 8
 # numba freezes globals when it compiles: kernels read these by name
 AGREES_PX = CLIMB.agrees_px
 SETTLED_PX = CLIMB.settled_px
+REACH_PX = ROTATIONS.reach_px
+BESIDE_PX = ROTATIONS.beside_px
+EDGE_SIGMA_PX = EDGE.sigma_px
+MAX_STRETCH = CLIMB.max_stretch
+FIRST_POINTS = CLIMB.first_points
+CLIPPED_PX = CLIMB.clipped_px
+MAX_CLIPPED = CLIMB.max_clipped
+FINEST_SLACK = CLIMB.finest_slack
+FULL_TURN = 2.0 * math.pi
 
 
 class Gradient(NamedTuple):
@@ -37,6 +49,40 @@ class Gradient(NamedTuple):
     gy: S2
     sign: INT
     minimum: FLOAT
+
+
+class Ranges(NamedTuple):
+    """Sizes, stretches and turns that a search accepts.
+
+    scale_min, scale_max : of the size; scale_y_min, scale_y_max : along the model's y, separately from x, NaN
+    if it has no range of its own.  view_stretch : largest ratio of the scales of a view; NaN without views.
+    angle_start, angle_extent : range of turns, rad.
+    """
+
+    scale_min: FLOAT
+    scale_max: FLOAT
+    scale_y_min: FLOAT
+    scale_y_max: FLOAT
+    view_stretch: FLOAT
+    angle_start: FLOAT
+    angle_extent: FLOAT
+
+
+class Finest(NamedTuple):
+    """How a search measures edges on the finest level. sign : as in `Gradient`.
+
+    min_contrast : slope, grey values per px, below which there is no edge.  cell_px : side of cells within
+    which the contrast has one sign; 0: it has `sign` everywhere.  freedom : unknowns that are refined, 0:
+    none.  tilt_prior : as in `robust_step`.  min_score : below it the pose is given up.
+    """
+
+    sign: INT
+    min_contrast: FLOAT
+    cell_px: FLOAT
+    freedom: INT
+    tilt_prior: FLOAT
+    min_score: FLOAT
+    ranges: Ranges
 
 
 class StepResult(NamedTuple):
@@ -63,6 +109,18 @@ def start_pose(x_px: float, y_px: float, angle_rad: float, scale_x: float, scale
     )
 
 
+def start_poses(
+    x_px: FloatArray, y_px: FloatArray, angle_rad: FloatArray, scale_x: FloatArray, scale_y: FloatArray
+) -> FloatArray:
+    """`start_pose` of each row of arrays (N,): (N, 8)."""
+    cosine, sine = np.cos(angle_rad), np.sin(angle_rad)
+    poses = np.zeros((len(x_px), 8))
+    poses[:, 0], poses[:, 1] = x_px, y_px
+    poses[:, 2], poses[:, 3] = cosine * scale_x, -sine * scale_y
+    poses[:, 4], poses[:, 5] = sine * scale_x, cosine * scale_y
+    return poses
+
+
 def one_level_finer(pose: FloatArray) -> FloatArray:
     """The pose in pixels of half the size, those of the next finer level; centres of pixels are integers."""
     finer = pose.copy()
@@ -71,32 +129,39 @@ def one_level_finer(pose: FloatArray) -> FloatArray:
     return finer
 
 
-def covariance(matrix: FloatArray, freedom: int, sigma: float, pose: FloatArray) -> FloatArray:
-    """Covariance (5, 5) of x, y, angle, scale x, scale y from the normal matrix of the fit."""
-    found = np.full((5, 5), np.nan)
-    if not freedom:
+@kernel("f8[:, ::1](f8[:, ::1], i8, f8, f8[::1])")
+def covariance(matrix: Array, freedom: int, sigma: float, pose: Array) -> Array:
+    """Covariance (5, 5) of x, y, angle, scale x, scale y from the normal matrix of a fit, NaN: not fitted."""
+    found, damped, inner = np.full((5, 5), np.nan), np.empty((8, 8)), np.zeros((8, 8))
+    for i in range(freedom):
+        for j in range(freedom):
+            damped[i, j] = matrix[i, j] + (1e-9 if i == j else 0.0)
+    if freedom == 0 or factorise(damped, freedom) == 0.0:
         return found
-    try:
-        inner = np.linalg.inv(matrix[:freedom, :freedom] + 1e-9 * np.eye(freedom)) * sigma**2
-    except np.linalg.LinAlgError:
-        return found
-    a, b, c, d = pose[2:6]
-    to_scale = np.zeros((5, freedom))
-    to_scale[:3, :3] = np.eye(3)
-    used = 5
-    if freedom == RIGID:
-        used = 3
-    elif freedom == SIMILARITY:
-        to_scale[3, 3], to_scale[4, 3] = np.hypot(a, c), np.hypot(b, d)
+    for i in range(freedom):
+        inner[i, i] = sigma * sigma
+        substitute(damped, inner[i], freedom)
+    a, b, c, d = pose[2], pose[3], pose[4], pose[5]
+    size_x, size_y, used = np.hypot(a, c), np.hypot(b, d), 3 if freedom == RIGID else 5
+    to_scale = np.zeros((5, 8))
+    for i in range(3):
+        to_scale[i, i] = 1.0
+    if freedom == SIMILARITY:
+        to_scale[3, 3], to_scale[4, 3] = size_x, size_y
     elif freedom == STRETCH:
-        to_scale[3, 3], to_scale[4, 4] = np.hypot(a, c), np.hypot(b, d)
-    else:
+        to_scale[3, 3], to_scale[4, 4] = size_x, size_y
+    elif freedom > STRETCH:
         lean = (c - b) ** 2 + (a + d) ** 2
-        to_scale[2, :] = 0
-        to_scale[2, 2:6] = np.array([-(c - b), -(a + d), a + d, -(c - b)]) / lean
-        to_scale[3, [2, 4]] = np.array([a, c]) / np.hypot(a, c)
-        to_scale[4, [3, 5]] = np.array([b, d]) / np.hypot(b, d)
-    found[:used, :used] = (to_scale @ inner @ to_scale.T)[:used, :used]
+        to_scale[2, 2], to_scale[2, 3] = -(c - b) / lean, -(a + d) / lean
+        to_scale[2, 4], to_scale[2, 5] = (a + d) / lean, -(c - b) / lean
+        to_scale[3, 2], to_scale[3, 4] = a / size_x, c / size_x
+        to_scale[4, 3], to_scale[4, 5] = b / size_y, d / size_y
+    for m in range(used):
+        for n in range(used):
+            found[m, n] = 0.0
+            for i in range(freedom):
+                for j in range(freedom):
+                    found[m, n] += to_scale[m, i] * inner[i, j] * to_scale[n, j]
     return found
 
 
@@ -119,6 +184,21 @@ def place(
         v = -b * normals[n, 0] + a * normals[n, 1]
         length = np.sqrt(u * u + v * v)
         placed[n, 2], placed[n, 3] = u / length, v / length
+
+
+@kernel("void(u1[:, ::1], f8[:, ::1], i8, f8[::1], f8[:, ::1])")
+def look_along(image: Image, placed: Array, sign: int, slope: Array, beside: Array) -> None:
+    """Fill what an image shows where edges are expected: placed (N, 4), as from `place`.
+
+    slope (N,) : at the edge there, grey values per px, signed, 0 without one.  beside (N, 3) : grey values
+    before, at and behind the place of the edge, NaN outside the image.  sign : as in `edges_along_normals`.
+    """
+    points, normals = placed[:, :2].copy(), placed[:, 2:].copy()
+    signs = np.full(len(placed), np.int32(sign), np.int32)
+    found = edge_offsets(image, points, normals, REACH_PX, np.full(1, EDGE_SIGMA_PX), signs, 1.0)
+    beside[:] = profiles_across(image, points, normals, 1, BESIDE_PX)
+    for n in range(len(placed)):
+        slope[n] = found[1, n] if abs(found[0, n]) < AGREES_PX else 0.0  # also for NaN
 
 
 @kernel("void(i2[:, ::1], i2[:, ::1], f8[:, ::1], f8, i8, f8, f8[:, ::1])")
@@ -415,3 +495,114 @@ def settle(
         ):
             break
     return True
+
+
+@kernel("b1(f8[::1], Ranges, f8)", tuples=(Ranges,))
+def is_within(pose: Array, ranges: Ranges, slack: float) -> bool:
+    """Whether size, stretch and angle of a pose are within ranges, with slack for the refinement."""
+    for i in range(8):
+        if not np.isfinite(pose[i]):
+            return False
+    a, b, c, d = pose[2], pose[3], pose[4], pose[5]
+    determinant = a * d - b * c
+    if not determinant > 0.0:
+        return False
+    size_x, size_y = np.hypot(a, c), np.hypot(b, d)
+    low, high = 1.0 - slack, 1.0 + slack
+    size, stretch = np.sqrt(determinant), max(size_x, size_y) / min(size_x, size_y)
+    if not np.isnan(ranges.view_stretch):
+        # a tilt only shortens, and not in all directions: the longest one shows the distance
+        power = 0.5 * (a * a + b * b + c * c + d * d)
+        size = np.sqrt(power + np.sqrt(max(power * power - determinant * determinant, 0.0)))
+        stretch = size * size / (ranges.view_stretch * determinant)
+    elif not np.isnan(ranges.scale_y_min):
+        size, stretch = size_x, 0.0
+        if not low * ranges.scale_y_min <= size_y <= high * ranges.scale_y_max:
+            return False
+    if not (low * ranges.scale_min <= size <= high * ranges.scale_max and stretch < MAX_STRETCH):
+        return False
+    turn = np.arctan2(c - b, a + d)
+    whole = ranges.angle_extent >= FULL_TURN - 1e-9
+    return whole or (turn - ranges.angle_start + slack) % FULL_TURN <= ranges.angle_extent + 2.0 * slack
+
+
+@kernel("void(f8[:, ::1], f8[::1], f8, f8[:, ::1])")
+def drop_odd_signs(points: Array, slopes: Array, cell_px: float, edges: Array) -> None:
+    """Remove from edges (N, 2) each edge whose contrast is opposite to that of the edges around it."""
+    count = len(slopes)
+    left, top, right, bottom = np.inf, np.inf, -np.inf, -np.inf
+    for n in range(count):
+        left, top = min(left, points[n, 0]), min(top, points[n, 1])
+        right, bottom = max(right, points[n, 0]), max(bottom, points[n, 1])
+    balance = np.zeros((int((right - left) / cell_px) + 1, int((bottom - top) / cell_px) + 1))
+    for n in range(count):
+        if np.isfinite(edges[n, 0]):
+            cell = int((points[n, 0] - left) / cell_px), int((points[n, 1] - top) / cell_px)
+            balance[cell] += np.sign(slopes[n])
+    for n in range(count):
+        cell = int((points[n, 0] - left) / cell_px), int((points[n, 1] - top) / cell_px)
+        if np.isfinite(edges[n, 0]) and np.sign(slopes[n]) * balance[cell] < 0.0:
+            edges[n, 0] = np.nan
+
+
+@kernel(
+    "f8(u1[:, ::1], f8[:, ::1], f8[:, ::1], Finest, f8[::1], f8[::1], StepResult)",
+    tuples=(Ranges, Finest, StepResult),
+)
+def settle_finest(
+    image: Image,
+    points: Array,
+    normals: Array,
+    finest: Finest,
+    pose: Array,
+    agreeing: Array,
+    result: StepResult,
+) -> float:
+    """Move `pose` by robust steps on edges measured in the image itself; its score, 0 if it is given up.
+
+    points, normals (N, 2) : of the model's finest level; the first step takes the first of them.
+    Fills agreeing (N,) : slopes of the edges that agree with the pose, 0 elsewhere.  result : of the last
+    step; its sigma is that of edges displaced by clipping, if there are any.
+    """
+    score = 0.0
+    for last in range(2):
+        count = len(points) if last else min(FIRST_POINTS, len(points))
+        some, reach = points[:count], 1.5 if last else 2.0
+        placed, edges = np.empty((count, 4)), np.empty((count, 2))
+        place(some, normals[:count], pose, placed)
+        signs = np.full(count, np.int32(finest.sign), np.int32)
+        found = edge_offsets(
+            image, placed[:, :2].copy(), placed[:, 2:].copy(), reach, np.full(1, EDGE_SIGMA_PX), signs, 1.0
+        )
+        slopes, seen, hidden = found[1], 0, 0
+        for n in range(count):
+            edges[n, 0] = found[0, n] if abs(slopes[n]) >= finest.min_contrast else np.nan  # also for NaN
+        if finest.cell_px > 0.0:
+            drop_odd_signs(some, slopes, finest.cell_px, edges)
+        edge_directions(image, placed, finest.sign, edges)
+        trial, freedom = pose.copy(), finest.freedom if finest.freedom else SIMILARITY
+        moved = robust_step(some, placed, edges, trial, freedom, finest.tilt_prior, 8, result)
+        if not moved or result.summary[0] < finest.min_score:
+            return 0.0
+        score, sigma = min(result.summary[0], 1.0), result.summary[2]
+        for n in range(count):
+            agreeing[n] = slopes[n] if abs(edges[n, 0]) < AGREES_PX else 0.0  # also for NaN
+            known = np.isfinite(edges[n, 0])
+            seen += known
+            hidden += known and found[2, n] > 0.0
+        if hidden > 0:
+            sigma = max(sigma, CLIPPED_PX)
+        if last and 0 < hidden <= MAX_CLIPPED * seen:
+            # these edges count for the score, but clipping displaces them: others determine the pose
+            for n in range(count):
+                if found[2, n] > 0.0:
+                    edges[n, 0] = np.nan
+            sure = pose.copy()
+            if robust_step(some, placed, edges, sure, freedom, finest.tilt_prior, 8, result) and is_within(
+                sure, finest.ranges, FINEST_SLACK
+            ):
+                trial, sigma = sure, result.summary[2]
+        result.summary[2] = sigma
+        if finest.freedom:
+            pose[:] = trial
+    return score

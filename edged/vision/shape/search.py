@@ -8,20 +8,21 @@ decides.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import Any
 
 import numpy as np
 
-from edged.domain.arrays import FloatArray, Image
+from edged.domain.arrays import B8, FloatArray, Image
 from edged.errors import ImageError
-from edged.vision.edges.params import EDGE
-from edged.vision.edges.subpixel import edges_at_widths
-from edged.vision.geometry.rigid import angle_between, is_turn_within, middle_turn
+from edged.vision.geometry.rigid import angle_between, middle_turn
 from edged.vision.shape import ambiguity as rivals
 from edged.vision.shape import localsearch as nearby
 from edged.vision.shape import refine
 from edged.vision.shape.candidates import (
+    Candidates,
     Hypothesis,
     PlacedMatch,
     ShapeMatch,
@@ -80,9 +81,65 @@ def find_shapes(
     matches: list[PlacedMatch] = []
     for index, model in enumerate(listed):
         matches += [
-            PlacedMatch(match, model) for match in _Search(work, model, params, views).run(index, valid)
+            PlacedMatch(match, model)
+            for match in _Search(work, model, params, views, _fixed(model, params, views)).run(index, valid)
         ]
     return without_overlap(matches, params)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Fixed:
+    """Quantities of a search that do not depend on the image.
+
+    stretches : sizes along the model's x and y are looked for separately.  steps : of `refine.settle` on a
+    coarse level, by whether it is the first one, and whether it is above the next to finest.  finest,
+    finest_inverted : for the taught contrast and the opposite one.
+    """
+
+    stretches: bool
+    steps: Mapping[tuple[bool, bool], FloatArray]
+    ranges: refine.Ranges
+    finest: refine.Finest
+    finest_inverted: refine.Finest
+
+
+@lru_cache(maxsize=16)  # a job has a few models, which stay the same from image to image
+def _fixed(model: ShapeModel, params: SearchParams, views: ShapeViews | None) -> _Fixed:
+    stretches, free = params.scale_y_min is not None, params.polarity in EACH_EDGE_ITSELF
+    freedom = FREEDOM[params.sub_pixel]  # and the unknowns that the search sampled
+    if freedom and stretches:
+        freedom = max(freedom, refine.STRETCH)
+    elif freedom and params.scale_max > params.scale_min:
+        freedom = max(freedom, refine.SIMILARITY)
+    ranges = refine.Ranges(
+        params.scale_min,
+        params.scale_max,
+        math.nan if params.scale_y_min is None else params.scale_y_min,
+        math.nan if params.scale_y_max is None else params.scale_y_max,
+        math.nan if views is None else views.max_stretch,
+        params.angle_start_rad,
+        params.angle_extent_rad,
+    )
+    finest, inverted = (
+        refine.Finest(
+            sign=0 if free else sign,
+            min_contrast=params.min_contrast,
+            cell_px=model.radius_px / CLIMB.stretches if params.polarity == "local" else 0.0,
+            freedom=freedom,
+            tilt_prior=(CLIMB.tilt_prior if views is None else CLIMB.steep_prior) / model.radius_px,
+            min_score=CLIMB.coarse_share * params.min_score,
+            ranges=ranges,
+        )
+        for sign in (1, -1)
+    )
+    limit = freedom or refine.SIMILARITY
+    start, steps = min(limit, refine.STRETCH if stretches else refine.SIMILARITY), {}
+    for coarser in (False, True):
+        # few points do not determine a tilt
+        most = min(limit, refine.AFFINE if coarser else refine.PROJECTIVE)
+        steps[True, coarser] = np.array([(2.0, start), (2.0, most)] if views is None else STEEP_STEPS)
+        steps[False, coarser] = np.array([(2.0, most), (1.5, most)] if views is None else STEEP_STEPS[:2])
+    return _Fixed(stretches, steps, ranges, finest, inverted)
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,24 +149,29 @@ class _Search:
     work: Workspace
     model: ShapeModel
     params: SearchParams
-    views: ShapeViews | None = None
+    views: ShapeViews | None
+    fixed: _Fixed
 
     def run(self, index: int, valid: Image | None) -> list[ShapeMatch]:
         top = min(len(self.model.levels), len(self.work.images)) - 1
+        candidates = scan_top(self.work, self.model, top, self.params, valid, self.views)
         found: list[Hypothesis] = []
-        for candidate in scan_top(self.work, self.model, top, self.params, valid, self.views):
-            good = sorted((h.score for h in found if h.score >= self.params.min_score), reverse=True)
+        needed = -math.inf
+        settled = np.zeros(len(candidates.scores), np.bool_)
+        for number, score in enumerate(candidates.scores):
             # candidates come in order: even a perfect refinement makes none of the rest better
-            if (
-                len(good) >= self.params.max_matches
-                and candidate.score + CLIMB.refinement_gain < good[self.params.max_matches - 1]
-            ):
+            if score + CLIMB.refinement_gain < needed:
                 break
-            if any(self._settles(better, candidate, top) for better in found):
+            if settled[number]:
                 continue
-            finest = self._climb(candidate, top, found)
+            finest = self._climb(candidates.hypothesis(number), top, found)
             if finest is not None:
-                found.append(self._decided(self._with_odds(finest, found), top > 0))
+                better = self._decided(self._with_odds(finest, found), top > 0)
+                found.append(better)
+                settled |= self._settled(better, candidates, top)
+                good = sorted([h.score for h in found if h.score >= self.params.min_score], reverse=True)
+                if len(good) >= self.params.max_matches:
+                    needed = good[self.params.max_matches - 1]
         matches = [h for h in self._prune(found) if h.score >= self.params.min_score]
         return [match for h in self._one_of_each_place(matches) if (match := self._to_match(h, index))]
 
@@ -144,24 +206,19 @@ class _Search:
     def _on_level(self, hypothesis: Hypothesis, level: int, first: bool) -> Hypothesis | None:
         """Robust steps on the gradient of a coarse level."""
         points, normals = self.model.levels[level].points, self.model.levels[level].normals
-        limit = self._freedom() or refine.SIMILARITY
-        # few points do not determine a tilt
-        coarse = min(limit, refine.AFFINE if level > 1 else refine.PROJECTIVE)
-        start = min(limit, refine.STRETCH if self._stretches() else refine.SIMILARITY)
-        steps: tuple[tuple[float, int], ...]
-        if self.views is None:
-            steps = ((2.0, start), (2.0, coarse)) if first else ((2.0, coarse), (1.5, coarse))
-        else:
-            steps = STEEP_STEPS if first else STEEP_STEPS[:2]
-        pose, result = hypothesis.pose.copy(), refine.no_step()
-        gradient, prior = self._gradient(hypothesis, level), self._tilt_prior() / self._radius(level)
-        if not refine.settle(points, normals, gradient, np.array(steps), prior, pose, result):
+        fixed = self.fixed
+        pose, result = hypothesis.pose.copy(), self.work.step
+        gradient, prior = self._gradient(hypothesis, level), fixed.finest.tilt_prior * 2.0**level
+        steps = fixed.steps[first, level > 1]
+        if not refine.settle(points, normals, gradient, steps, prior, pose, result):
             return None
         score = float(result.summary[0])
         share = CLIMB.coarse_share if first or level > 1 else CLIMB.near_finest_share
-        if score < share * self.params.min_score or not self._plausible(pose, 0.06):
+        if score < share * self.params.min_score or not refine.is_within(
+            pose, self.fixed.ranges, CLIMB.coarse_slack
+        ):
             return None
-        return replace(hypothesis, pose=pose, score=score)
+        return hypothesis.at(pose, score)
 
     def _best_nearby(self, hypothesis: Hypothesis, level: int) -> Hypothesis:
         """Look for a better pose near one that explains a coarse level badly; the better of both."""
@@ -171,7 +228,7 @@ class _Search:
             shape.points,
             shape.normals,
             hypothesis.pose,
-            self._stretches(),
+            self.fixed.stretches,
             None if self.views is None else self.views.on_level(hypothesis.view, level),
         )
         other = self._on_level(hypothesis.at(place), level, first=True)
@@ -179,114 +236,58 @@ class _Search:
 
     def _finest(self, hypothesis: Hypothesis, climbed: bool) -> Hypothesis | None:
         """Robust steps on edges measured in the image itself, with the operator that measured the model."""
-        image = self.work.images[0]
-        level = self.model.levels[0]
-        freedom = self._freedom()
+        level, fixed, result = self.model.levels[0], self.fixed, self.work.step
         pose = refine.one_level_finer(hypothesis.pose) if climbed else hypothesis.pose.copy()
-        result = refine.no_step()
-        sign, score, sigma, agreeing = self._sign(hypothesis), 0.0, 0.0, np.zeros(len(level.points))
-        for last, count, reach in ((False, CLIMB.first_points, 2.0), (True, len(level.points), 1.5)):
-            points, normals = level.points[:count], level.normals[:count]
-            placed, edges = np.empty((len(points), 4)), np.empty((len(points), 2))
-            refine.place(points, normals, pose, placed)
-            seen = edges_at_widths(image, placed[:, :2], placed[:, 2:], reach, sign, (EDGE.sigma_px,), 1.0)
-            offsets, slopes = seen.offset_px[0], seen.slope[0]
-            edges[:, 0] = np.where(np.abs(slopes) >= self.params.min_contrast, offsets, np.nan)
-            if self.params.polarity == "local":
-                _drop_odd_signs(points, slopes, self._radius(0) / CLIMB.stretches, edges)
-            refine.edge_directions(image, placed, sign, edges)
-            trial = pose.copy()
-            prior = self._tilt_prior() / self._radius(0)
-            moved = refine.robust_step(
-                points, placed, edges, trial, freedom or refine.SIMILARITY, prior, 8, result
-            )
-            if not moved or result.summary[0] < CLIMB.coarse_share * self.params.min_score:
-                return None
-            score, sigma = min(float(result.summary[0]), 1.0), float(result.summary[2])
-            agreeing = np.where(np.abs(edges[:, 0]) < refine.AGREES_PX, slopes, 0.0)
-            known = np.isfinite(edges[:, 0])
-            clipped = known & seen.clipped
-            if clipped.any():
-                sigma = max(sigma, CLIMB.clipped_px)
-            if last and 0 < clipped.sum() <= CLIMB.max_clipped * known.sum():
-                # these edges count for the score, but clipping displaces them: others determine the pose
-                edges[clipped, 0] = np.nan
-                sure = pose.copy()
-                if refine.robust_step(
-                    points, placed, edges, sure, freedom or refine.SIMILARITY, prior, 8, result
-                ) and self._plausible(sure, 0.03):
-                    trial, sigma = sure, float(result.summary[2])
-            if freedom:
-                pose = trial
+        finest = fixed.finest if hypothesis.sign > 0 else fixed.finest_inverted
+        agreeing = np.empty(len(level.points))
+        image = self.work.images[0]
+        score = refine.settle_finest(image, level.points, level.normals, finest, pose, agreeing, result)
         # a match stays where the search found it: a far move is a slide along clutter
-        if score < CLIMB.coarse_share * self.params.min_score or not self._plausible(pose, 0.03):
+        if not score or not refine.is_within(pose, fixed.ranges, CLIMB.finest_slack):
             return None
-        covariance = refine.covariance(result.matrix, freedom, sigma * math.sqrt(self.model.repetition), pose)
-        return replace(hypothesis, pose=pose, score=score, covariance=covariance, slopes=agreeing)
-
-    def _tilt_prior(self) -> float:
-        """Expected change of magnification from the origin to the rim."""
-        return CLIMB.tilt_prior if self.views is None else CLIMB.steep_prior
-
-    def _stretches(self) -> bool:
-        return self.params.scale_y_min is not None
-
-    def _freedom(self) -> int:
-        """Degrees of freedom of the refinement, including those that the search sampled."""
-        asked = FREEDOM[self.params.sub_pixel]
-        if asked and self._stretches():
-            return max(asked, refine.STRETCH)
-        if asked and self.params.scale_max > self.params.scale_min:
-            return max(asked, refine.SIMILARITY)
-        return asked
-
-    def _radius(self, level: int) -> float:
-        return float(self.model.radius_px / 2.0**level)
-
-    def _plausible(self, pose: FloatArray, slack: float) -> bool:
-        """Whether size, stretch and angle are within the wanted ranges, with slack for the refinement."""
-        a, b, c, d = pose[2:6].tolist()
-        p, determinant = self.params, a * d - b * c
-        if not (determinant > 0 and np.isfinite(pose).all()):
-            return False
-        size_x, size_y = math.hypot(a, c), math.hypot(b, d)
-        low, high = 1 - slack, 1 + slack
-        if self.views is not None:
-            # a tilt only shortens, and not in all directions: the longest one shows the distance
-            longest = _longest(a, b, c, d)
-            fits = low * p.scale_min <= longest <= high * p.scale_max
-            fits = fits and longest**2 < CLIMB.max_stretch * self.views.max_stretch * determinant
-        elif p.scale_y_min is not None and p.scale_y_max is not None:
-            fits = low * p.scale_min <= size_x <= high * p.scale_max
-            fits = fits and low * p.scale_y_min <= size_y <= high * p.scale_y_max
-        else:
-            fits = low * p.scale_min <= math.sqrt(determinant) <= high * p.scale_max
-            fits = fits and max(size_x, size_y) < CLIMB.max_stretch * min(size_x, size_y)
-        turn = math.atan2(c - b, a + d)
-        return fits and is_turn_within(turn, p.angle_start_rad, p.angle_extent_rad, slack)
+        sigma = float(result.summary[2]) * math.sqrt(self.model.repetition)
+        covariance = refine.covariance(result.matrix, finest.freedom, sigma, pose)
+        return Hypothesis(
+            pose,
+            hypothesis.sign,
+            score,
+            covariance,
+            hypothesis.scanned,
+            agreeing,
+            hypothesis.ambiguous,
+            hypothesis.view,
+            hypothesis.odds,
+        )
 
     # --- rivals ------------------------------------------------------------------------------------
 
-    def _middle(self, h: Hypothesis, level: int) -> tuple[float, float]:
-        """Place of the point about which the shape could be turned, px of the finest level."""
-        shrink, (x, y) = 2.0**level, self.model.centre_px.tolist()
-        u, v, a, b, c, d = h.pose[:6].tolist()
+    def _middle(self, pose: FloatArray, level: int) -> tuple[Any, Any]:
+        """Place of the point about which the shape could be turned, px of the finest level; or (N,) places.
+
+        pose (8,) or (N, 8) : px of a level.
+        """
+        shrink, (x, y) = 2.0**level, self.model.centre_px
+        u, v, a, b, c, d = pose[..., :6].T
         return (u + 0.5) * shrink - 0.5 + a * x + b * y, (v + 0.5) * shrink - 0.5 + c * x + d * y
 
     def _same_place(self, h: Hypothesis, level: int, other: Hypothesis) -> bool:
         """Whether a hypothesis on a level and a finished one belong to one part, at any rotation."""
-        apart = math.dist(self._middle(h, level), self._middle(other, 0))
+        apart = math.dist(self._middle(h.pose, level), self._middle(other.pose, 0))
         return apart < CLIMB.same_place * reach_px(self.model)
 
-    def _settles(self, better: Hypothesis, candidate: Hypothesis, top: int) -> bool:
-        """Whether a finished hypothesis makes a candidate at its place superfluous."""
+    def _settled(self, better: Hypothesis, candidates: Candidates, top: int) -> B8:
+        """(N,) candidates at the place of a finished hypothesis that it makes superfluous."""
         if better.ambiguous or better.score < self.params.min_score:
-            return False
-        clear = better.score >= CLIMB.clear_score or candidate.score < better.scanned - CLIMB.scan_error
-        return clear and self._same_place(candidate, top, better)
+            return np.zeros(len(candidates.scores), np.bool_)
+        (x, y), (u, v) = self._middle(candidates.poses, top), self._middle(better.pose, 0)
+        near = np.hypot(x - u, y - v) < CLIMB.same_place * reach_px(self.model)
+        clear = better.score >= CLIMB.clear_score
+        return np.asarray(near & (clear | (candidates.scores < better.scanned - CLIMB.scan_error)))
 
     def _hopeless(self, h: Hypothesis, level: int, found: list[Hypothesis]) -> bool:
         """Whether a hypothesis repeats a finished one or a variant of it, or is much worse at its place."""
+        if not found:
+            return False
         shrink = 2.0**level
         radius = self.model.radius_px
         origin = [(place + 0.5) * shrink - 0.5 for place in h.origin]
@@ -317,6 +318,8 @@ class _Search:
 
     def _prune(self, hypotheses: list[Hypothesis]) -> list[Hypothesis]:
         """Sort hypotheses, best first, and drop those that a better one at their place makes hopeless."""
+        if len(hypotheses) < 2:
+            return hypotheses
         hypotheses.sort(key=lambda h: (-h.score, h.pose[0], h.pose[1], h.angle, h.sign))
         kept: list[Hypothesis] = []
         for h in hypotheses:
@@ -353,12 +356,12 @@ class _Search:
         for known in found:
             as_good = known.score > hypothesis.score - CLIMB.rival_margin[0]
             if known.odds is not None and as_good and self._same_place(hypothesis, 0, known):
-                return replace(hypothesis, odds=known.odds)
+                return hypothesis.at(hypothesis.pose, odds=known.odds)
         image, contrast, sign = self.work.images[0], self.params.min_contrast, self._sign(hypothesis)
         odds = rivals.odds_on_face(
             image, self.model, hypothesis.pose, sign, contrast, np.abs(hypothesis.slopes)
         )
-        return replace(hypothesis, odds=odds)
+        return hypothesis.at(hypothesis.pose, odds=odds)
 
     def _decided(self, hypothesis: Hypothesis, climbed: bool) -> Hypothesis:
         """Choose between the rotations that the search could accept; ambiguous if the image does not decide.
@@ -392,7 +395,7 @@ class _Search:
                     break
                 doubt = doubt or not self._beats(best, other)
             if winner is None:
-                return replace(best, ambiguous=doubt)
+                return best if best.ambiguous == doubt else replace(best, ambiguous=doubt)
             best = winner
         return replace(best, ambiguous=True)
 
@@ -441,10 +444,12 @@ class _Search:
         return best
 
     def _to_match(self, h: Hypothesis, index: int) -> ShapeMatch | None:
-        if h.score < self.params.min_score or not self._plausible(h.pose, 0.03):
+        if h.score < self.params.min_score or not refine.is_within(
+            h.pose, self.fixed.ranges, CLIMB.finest_slack
+        ):
             return None
         linear = h.pose[2:6].reshape(2, 2).copy()
-        scale_x, scale_y = np.linalg.norm(linear, axis=0)
+        scale_x, scale_y = np.sqrt(linear[0] ** 2 + linear[1] ** 2)
         match = ShapeMatch(
             float(h.pose[0]),
             float(h.pose[1]),
@@ -466,17 +471,3 @@ class _Search:
             if (points < 0).any() or (points > (width - 1, height - 1)).any():
                 return None
         return match
-
-
-def _longest(a: float, b: float, c: float, d: float) -> float:
-    """The largest magnification of a linear map."""
-    power, area = 0.5 * (a * a + b * b + c * c + d * d), a * d - b * c
-    return math.sqrt(power + math.sqrt(max(power * power - area * area, 0.0)))
-
-
-def _drop_odd_signs(points: FloatArray, slopes: FloatArray, cell_px: float, edges: FloatArray) -> None:
-    """Remove from edges (N, 2) each edge whose contrast is opposite to that of the edges around it."""
-    cells = np.floor((points - points.min(axis=0)) / cell_px).astype(np.int64)
-    cell = cells[:, 0] * (cells[:, 1].max() + 1) + cells[:, 1]
-    signs = np.sign(np.where(np.isfinite(edges[:, 0]), slopes, 0.0))
-    edges[signs * np.bincount(cell, weights=signs)[cell] < 0, 0] = np.nan

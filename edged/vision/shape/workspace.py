@@ -12,8 +12,11 @@ import numpy as np
 import numpy.typing as npt
 
 from edged.domain.arrays import Image
+from edged.vision.kernels.jit import for_kernel
 from edged.vision.shape.params import SCAN
+from edged.vision.shape.refine import no_step
 
+_NOTHING = np.empty(0, np.uint8)
 _ALL_VALID = np.ones((1, 1), np.uint8)  # a mask of one pixel stands for no mask
 
 
@@ -21,17 +24,19 @@ class Workspace:
     """The pyramid of one image with gradients, and the buffers of the exhaustive scan.
 
     Reused from image to image; one per thread. Level l has pixel centres at (x + 0.5) / 2**l - 0.5.
+    step : to be filled by a step of `refine`.
     """
 
     def __init__(self) -> None:
         self.images: list[Image] = []
         self._gradients: list[tuple[npt.NDArray[np.int16], npt.NDArray[np.int16]] | None] = []
-        self._pool: dict[tuple[str, int], npt.NDArray[Any]] = {}
+        self._pool: dict[tuple[str, int], tuple[npt.NDArray[Any], npt.NDArray[Any]]] = {}
+        self.step = no_step()
         self._masks: dict[tuple[int, ...], tuple[Image, Image]] = {}
 
     def load(self, image: Image, levels: int) -> None:
         """Build the pyramid (area averages) of an image (H, W) uint8, at most `levels` high."""
-        self.images = [np.ascontiguousarray(image)]
+        self.images = [for_kernel(image, np.uint8)]
         while len(self.images) < levels:
             height, width = self.images[-1].shape
             if min(height, width) < 2 * SCAN.min_level_px:
@@ -79,12 +84,14 @@ class Workspace:
         self, name: str, shape: tuple[int, ...], dtype: npt.DTypeLike, slot: int = 0
     ) -> npt.NDArray[Any]:
         """An array of this shape, not cleared; its memory is kept and reused."""
-        size = math.prod(shape)
-        flat = self._pool.get((name, slot))
-        if flat is None or flat.size < size or flat.dtype != np.dtype(dtype):
-            flat = np.empty(size, dtype)
-            self._pool[(name, slot)] = flat
-        return flat[:size].reshape(shape)
+        flat, shaped = self._pool.get((name, slot)) or (_NOTHING, _NOTHING)
+        if shaped.shape != shape or shaped.dtype != dtype:
+            size = math.prod(shape)
+            if flat.size < size or flat.dtype != dtype:
+                flat = np.empty(size, dtype)
+            shaped = flat[:size].reshape(shape)
+            self._pool[(name, slot)] = flat, shaped
+        return shaped
 
 
 class WorkspacePool:

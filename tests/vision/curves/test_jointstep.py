@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import replace
 
@@ -25,7 +26,17 @@ from edged.vision.curves.outlines import (
     project_outline,
     projected,
 )
-from edged.vision.curves.planestate import laid_at, signs_of, some_of, take_steps
+from edged.vision.curves.params import BREAKS, SEEN_SHARE
+from edged.vision.curves.planestate import (
+    fit_curves,
+    hints_at_breaks,
+    laid_at,
+    px_per_mm_of,
+    shown,
+    signs_of,
+    some_of,
+    take_steps,
+)
 from edged.vision.curves.samples import JointSolution
 from edged.vision.curves.sighting import CameraEdges, add_contrasts, look
 from edged.vision.edges.subpixel import WIDTHS_PX, edges_at_widths
@@ -428,6 +439,66 @@ def test_steps_in_one_kernel_are_those_of_one_after_the_other(
     np.testing.assert_allclose(
         found.parameters[[0, -1], :2], [curve.parameters[:2] for curve in true], atol=0.02
     )
+
+
+@pytest.mark.parametrize(("coarse", "fine"), [(4, 0), (3, 4)])
+@pytest.mark.parametrize("plain", [True, False])
+def test_a_fit_leaves_what_its_result_needs(coarse: int, fine: int, plain: bool) -> None:
+    """A fit has state, sums and covariance of its steps, and the whole only where more is to be added."""
+    rig, true = make_rig(), (CURVES[0], CURVES[3])
+    images, at = discs(rig, true), placed(rig, Freedom(0, 1, math.nan), true)
+    asked = (np.array(FAR), coarse, fine, np.array([3.0, 1.5]), 1.5, 0.4)
+    found, steps = fit_curves(at, *images, *asked, plain), take_steps(at, *images, *asked)
+    for name in ("coarse", "fine", "numbers", "face", "parameters", "polarity"):
+        np.testing.assert_array_equal(getattr(found, name), getattr(steps, name))
+    for name in ("delta", "points", "weights"):
+        np.testing.assert_array_equal(getattr(found, name), getattr(steps.solved, name))
+    for value, expected in zip(found.sums, steps.solved.sums, strict=True):
+        np.testing.assert_array_equal(value, expected)
+    np.testing.assert_array_equal(found.starts, steps.laid.starts)
+    solution, used = steps.solved.solution, steps.solved.formed.used
+    np.testing.assert_array_equal(found.shifts, solution.bias)
+    expected = np.zeros((len(found.delta), len(found.delta)))
+    expected[np.ix_(used, used)] = solution.covariance[: len(used), : len(used)]
+    np.testing.assert_array_equal(found.covariance, expected)
+    assert not expected[1].any()  # a held slope
+    row = (solution.delta[-1], solution.covariance[-1, -1]) if fine else (math.nan, math.nan)
+    np.testing.assert_array_equal((found.row, found.row_variance), row)
+    assert (fine > 0 and not plain) == (found.whole is not None)
+    if found.whole is not None:
+        np.testing.assert_array_equal(found.whole.solved.residuals, steps.solved.residuals)
+
+
+def test_curves_that_show_enough_are_kept() -> None:
+    """A curve is kept with enough samples in all, and enough of it in both images."""
+    support = np.array([[0.9, 0.3, 0.9, 0.5], [0.9, 0.9, 0.9, 0.4]])
+    rig = make_rig()
+    steps = take_steps(
+        placed(rig), *discs(rig, CURVES[:1]), np.array([3.0]), 1, 0, np.array([3.0, 1.5]), 1.5, 0.0
+    )
+    sums = steps.solved.sums._replace(support=support, total=np.array([50.0, 50.0, 5.0, 12.0]))
+    assert [0, 3] == shown(sums, 0.4).tolist()
+
+
+def test_hints_at_breaks() -> None:
+    """A shift of a wide operator, or shifts nearer to those of a usual break, hint; neither does not."""
+    rig, true = make_rig(), (CURVES[0], CURVES[3])
+    asked = (np.array(FAR), 3, 4, np.array([3.0, 1.5]), 1.5, 0.4)
+    steps = take_steps(placed(rig, FREE, true), *discs(rig, true), *asked)
+    starts, gain = steps.laid.starts, steps.solved.pairs.gain
+    scale = [np.abs(gain[:, a:b]).mean() for a, b in itertools.pairwise(starts)]
+    np.testing.assert_allclose(px_per_mm_of(gain, starts), scale)
+    assert not hints_at_breaks(steps)
+    for wide_px, least in ((0.079, False), (0.081, True)):
+        bias = np.zeros((2, 2))
+        bias[1, 0] = wide_px
+        assert least == hints_at_breaks(steps._replace(solved=steps.solved._replace(bias=bias)))
+    usual_px = math.sqrt(0.5) * SEEN_SHARE * BREAKS.usual_mm * np.average(scale, weights=np.diff(starts))
+    for factor in (0.99, 1.01):
+        shifts = np.full((2, 2), factor * math.sqrt(BREAKS.sharp_px * usual_px))
+        solution = steps.solved.solution._replace(bias=shifts)
+        solved = steps.solved._replace(solution=solution, bias=np.zeros((2, 2)))
+        assert (factor > 1) == hints_at_breaks(steps._replace(solved=solved))
 
 
 def test_curves_that_are_left_keep_their_stretches() -> None:

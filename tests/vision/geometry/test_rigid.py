@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from edged.domain.arrays import FloatArray
 from edged.errors import CalibrationError
 from edged.vision.geometry.rigid import (
+    about_z,
     angle_between,
     apply,
     cross,
@@ -178,6 +179,12 @@ def test_fit_rigid_covariance_matches_the_scatter() -> None:
         squares += error @ np.linalg.solve(fit.covariance, error) / 6
     # sigma is estimated from the residuals: Hotelling's T² has the mean freedom / (freedom - 2)
     assert squares / runs == pytest.approx(freedom / (freedom - 2), rel=0.1)
+
+
+@given(st.floats(-10, 10))
+def test_about_z_is_a_rotation_vector_along_z(angle: float) -> None:
+    """It is bit by bit the rotation matrix of that vector."""
+    np.testing.assert_array_equal(about_z(angle), rotation_matrix(np.array([0.0, 0.0, angle])))
 
 
 @pytest.mark.parametrize(

@@ -12,15 +12,46 @@ import threading
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from types import ModuleType
-from typing import Any, cast
+from typing import Any, NamedTuple, cast
 
 import numba
 import numpy as np
 import pytest
 
 from edged.vision.kernels import jit, jitcache
-from edged.vision.kernels.jit import kernel, load_all, load_called
+from edged.vision.kernels.jit import F1, INT, kernel, load_all, load_called
 from edged.vision.kernels.jitcache import StoredIndex, frozen_into, take_over
+
+
+class Ends(NamedTuple):
+    """The first and the last of some values."""
+
+    both: F1
+
+
+class Found(NamedTuple):
+    """How many values there are, and their ends if there are any."""
+
+    count: INT
+    ends: Ends | None
+
+
+@kernel("Found(f8[::1])", tuples=(Ends, Found))
+def found_in(values: Any) -> Found:
+    """A tuple with a field that may be None."""
+    ends = None
+    if len(values) > 0:
+        ends = Ends(np.array([values[0], values[-1]]))
+    return Found(len(values), ends)
+
+
+def test_a_field_of_a_tuple_may_be_none() -> None:
+    """An annotation with None is an optional field: None stays None, and a tuple keeps its arrays."""
+    assert (0, None) == found_in(np.zeros(0))
+    found = found_in(np.arange(3.0))
+    assert (3, Ends) == (found.count, type(found.ends))
+    assert [0.0, 2.0] == found.ends.both.tolist()
+
 
 STORED = """
 import numpy as np

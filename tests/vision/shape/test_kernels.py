@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from naive import shape as naive
 
+from edged.vision.edges.subpixel import edges_at_widths
 from edged.vision.shape import ambiguity as rivals
 from edged.vision.shape import localsearch as nearby
 from edged.vision.shape import refine, scan
@@ -350,6 +351,143 @@ def test_settle_takes_the_steps_one_by_one() -> None:
     assert not refine.settle(
         points, normals, refine.Gradient(nothing, nothing, 1, 5.0), steps, 0.1, settled, result
     )
+
+
+def test_start_poses_are_those_of_each_row() -> None:
+    """Many poses at once equal each for itself, bit by bit."""
+    rows = np.random.default_rng(1).uniform(-2, 2, (20, 5))
+    expected = [refine.start_pose(*row) for row in rows.tolist()]
+    np.testing.assert_array_equal(refine.start_poses(*rows.T), expected)
+
+
+@pytest.mark.parametrize("sizes_y", [None, (0.8, 1.3)])
+@pytest.mark.parametrize("view_stretch", [None, 1.2])
+def test_poses_within_ranges(sizes_y: tuple[float, float] | None, view_stretch: float | None) -> None:
+    """Size, stretch and turn of random poses are judged as by hand, and a pose with NaN is out of range."""
+    rng = np.random.default_rng(3)
+    none = (math.nan, math.nan)
+    for extent in (0.7, 4.0, 2 * math.pi):
+        ranges = refine.Ranges(
+            0.9, 1.2, *(sizes_y or none), math.nan if view_stretch is None else view_stretch, -0.4, extent
+        )
+        verdicts = []
+        for _ in range(100):
+            pose = refine.start_pose(3.0, 4.0, rng.uniform(-np.pi, np.pi), *rng.uniform(0.8, 1.3, 2))
+            pose[2:6] += rng.normal(0, 0.03, 4)
+            wanted = naive.shape_is_within(
+                pose, (0.9, 1.2), sizes_y, view_stretch, (-0.4, extent), 0.05, refine.MAX_STRETCH
+            )
+            verdicts.append(wanted)
+            assert wanted == refine.is_within(pose, ranges, 0.05)
+        assert 0 < sum(verdicts) < 100
+        pose[7] = math.nan
+        assert not refine.is_within(pose, ranges, 0.05)
+
+
+@pytest.mark.parametrize("freedom", [refine.RIGID, refine.SIMILARITY, refine.STRETCH, refine.AFFINE, 8])
+def test_covariance_of_a_pose(freedom: int) -> None:
+    """It is that of the inverse normal matrix, propagated by differences; NaN for what is not fitted."""
+    rng = np.random.default_rng(freedom)
+    design = rng.normal(size=(40, 8))
+    matrix = design.T @ design
+    pose = refine.start_pose(3.0, 4.0, 0.4, 1.1, 0.9)
+    found = refine.covariance(matrix, freedom, 0.3, pose)
+    used = 3 if freedom == refine.RIGID else 5
+    expected = naive.shape_covariance(matrix, freedom, 0.3, pose)[:used, :used]
+    np.testing.assert_allclose(found[:used, :used], expected, rtol=1e-5, atol=1e-9)
+    assert np.isnan(found[used:]).all()
+    assert np.isnan(refine.covariance(matrix, 0, 0.3, pose)).all()
+    assert np.isnan(refine.covariance(-matrix, freedom, 0.3, pose)).all()
+
+
+def test_odd_signs_are_dropped() -> None:
+    """An edge whose contrast is opposite to most of those in its cell is none; ties stay."""
+    rng = np.random.default_rng(8)
+    points, slopes = rng.uniform(-20, 20, (200, 2)), rng.normal(1.0, 2.0, 200)
+    edges = np.zeros((200, 2))
+    edges[:, 0] = np.where(rng.random(200) < 0.2, np.nan, rng.normal(size=200))
+    expected = naive.shape_odd_signs(points, slopes, 7.0, edges[:, 0])
+    assert np.isnan(expected).sum() > np.isnan(edges[:, 0]).sum()
+    refine.drop_odd_signs(points, slopes, 7.0, edges)
+    np.testing.assert_array_equal(edges[:, 0], expected)
+
+
+@pytest.mark.parametrize("clipped", [False, True])
+def test_the_finest_level_is_measured_step_by_step(clipped: bool) -> None:
+    """Pose, score, sigma and agreeing edges are those of both steps by hand; no contrast: score 0."""
+    rows, columns = np.mgrid[:160, :160]
+    image = np.clip(
+        np.rint(120 + 100 * np.tanh((50 - np.hypot(columns - 80, rows - 78)) / 1.5)), 0, 255
+    ).astype(np.uint8)
+    if clipped:
+        image[:60] = np.clip(image[:60].astype(int) * 2, 0, 255)
+    angles = np.random.default_rng(2).uniform(0, 2 * np.pi, 200)
+    normals = np.column_stack([-np.cos(angles), -np.sin(angles)])
+    points = -50.0 * normals
+    ranges = refine.Ranges(0.9, 1.1, math.nan, math.nan, math.nan, 0.0, 2 * math.pi)
+    asked = refine.Finest(1, 3.0, 12.0, refine.SIMILARITY, 0.001, 0.3, ranges)
+    start = refine.start_pose(80.8, 77.4, 0.0, 1.0, 1.0)
+    pose, result, agreeing = start.copy(), refine.no_step(), np.empty(200)
+    score = refine.settle_finest(image, points, normals, asked, pose, agreeing, result)
+    by_hand, wanted = start.copy(), refine.no_step()
+    for count, reach in ((refine.FIRST_POINTS, 2.0), (200, 1.5)):
+        placed, edges = np.empty((count, 4)), np.empty((count, 2))
+        refine.place(points[:count], normals[:count], by_hand, placed)
+        seen = edges_at_widths(image, placed[:, :2], placed[:, 2:], reach, 1, (refine.EDGE_SIGMA_PX,), 1.0)
+        slopes = seen.slope[0]
+        edges[:, 0] = np.where(np.abs(slopes) >= 3.0, seen.offset_px[0], np.nan)
+        edges[:, 0] = naive.shape_odd_signs(points[:count], slopes, 12.0, edges[:, 0])
+        refine.edge_directions(image, placed, 1, edges)
+        before = by_hand.copy()
+        assert refine.robust_step(points[:count], placed, edges, by_hand, 4, 0.001, 8, wanted)
+        expected = min(wanted.summary[0], 1.0)
+        expected_slopes = np.where(np.abs(edges[:, 0]) < refine.AGREES_PX, slopes, 0.0)
+        hidden = np.isfinite(edges[:, 0]) & seen.clipped
+        if count == 200 and hidden.any():
+            edges[seen.clipped, 0] = np.nan
+            by_hand = before
+            assert refine.robust_step(points, placed, edges, by_hand, 4, 0.001, 8, wanted)
+    assert clipped == hidden.any()
+    np.testing.assert_array_equal(pose, by_hand)
+    np.testing.assert_array_equal(agreeing, expected_slopes)
+    assert (score, result.summary[2]) == (expected, wanted.summary[2])
+    np.testing.assert_allclose(pose[:2], [80, 78], atol=0.1)
+    flat = np.full_like(image, 90)
+    assert refine.settle_finest(flat, points, normals, asked, pose, agreeing, result) == 0.0
+
+
+def test_light_beside_a_rim() -> None:
+    """Thresholds and grey values beside a rim are by rank, from strong edges; NaN where it is not even."""
+    rng = np.random.default_rng(4)
+    for scatter in (2.0, 40.0):
+        slope, inward = rng.normal(0, 20, 120), rng.integers(-1, 2, 120)
+        beside = np.column_stack([rng.normal(60, scatter, 120), rng.normal(90, 5, 120)] * 2)[:, :3].copy()
+        beside[:, 2] = rng.normal(150, scatter, 120)
+        swapped = inward < 0
+        beside[swapped] = beside[swapped][:, ::-1]
+        beside[::9, 1] = np.nan
+        strong, *levels = rivals.light_of(slope, beside, inward, 2.0, 0.0)
+        assert strong == max(0.2 * sorted(abs(slope))[84], 2.0)
+        good = (np.abs(slope) >= strong) & np.isfinite(beside).all(axis=1)
+        step = sorted(abs(beside[good, 2] - beside[good, 0]))[good.sum() * 25 // 100]
+        rim = good & (inward != 0)
+        inside = [row[2] if way > 0 else row[0] for row, way in zip(beside[rim], inward[rim], strict=True)]
+        outside = [row[0] if way > 0 else row[2] for row, way in zip(beside[rim], inward[rim], strict=True)]
+        for greys, level, varies in ((inside, *levels[:2]), (outside, *levels[2:])):
+            sigma = 1.4826 * np.median(np.abs(greys - np.median(greys)))
+            if 1.35 * sigma >= 0.35 * step:
+                assert math.isnan(level)
+            else:
+                assert (level, varies) == (np.median(greys), min(max(4 * sigma, 0.1 * step), 0.35 * step))
+        middle = float(np.median(inside))
+        greys = rivals.face_greys(slope, beside, inward, strong)
+        assert greys == (middle - 0.75 * step, middle + 0.75 * step)
+        verdicts = rivals.weigh_points(slope, beside, inward, strong, 100.0, 60.0, 60.0, 20.0)
+        for n, verdict in enumerate(verdicts.tolist()):
+            bare = all(abs(grey - 100.0) < 60.0 for grey in beside[n])
+            empty = all(abs(grey - 60.0) < 20.0 for grey in beside[n]) and inward[n] != 0
+            assert verdict == (1 if abs(slope[n]) >= strong else -1 if bare or empty else 0)
+    assert rivals.face_greys(slope[:5], beside[:5], inward[:5], strong) == (-math.inf, math.inf)
 
 
 def test_points_beside_an_outline_are_found() -> None:
