@@ -220,11 +220,8 @@ def fit_rigid(source_mm: FloatArray, to_mm: FloatArray, *, with_scale: bool = Fa
 def about_z(angle_rad: float) -> FloatArray:
     """The rotation (3, 3) about z."""
     # as `rotation_matrix` has it, to the last digit
-    if angle_rad == 0.0:
-        return np.eye(3)
-    whole, half = np.pi * (angle_rad / np.pi), np.pi * (angle_rad / (2 * np.pi))
-    sine = np.sin(whole) / whole * angle_rad
-    versine = 0.5 * (np.sin(half) / half) ** 2 * (angle_rad * angle_rad)
+    sine = np.sinc(angle_rad / np.pi) * angle_rad
+    versine = 0.5 * np.sinc(angle_rad / (2 * np.pi)) ** 2 * (angle_rad * angle_rad)
     return np.array([[1.0 - versine, -sine, 0.0], [sine, 1.0 - versine, 0.0], [0.0, 0.0, 1.0]])
 
 
