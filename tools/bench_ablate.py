@@ -137,8 +137,9 @@ def draw(folder: Path, poses: int) -> None:
     from helpers.flatparts import DISC, PLATE
     from helpers.tilted import lying
 
-    from edged.sim.cell import calibration_views, demo_part
+    from edged.sim.cell import demo_part
     from edged.sim.render.scene import chessboard_plate, dots_plate
+    from edged.sim.views import calibration_views
 
     rig, rng = small_rig(), np.random.default_rng(1)
     designs: list[Any] = [PLATE, DISC, demo_part()]

@@ -35,7 +35,7 @@ from edged.domain.arrays import SIDES, FloatArray
 from edged.errors import CalibrationError
 from edged.library import load_job, save_job, save_rig, teach
 from edged.setup.acceptance.accepting import StatedTruth
-from edged.sim.cell import calibration_poses, demo_part, demo_rig, stereo_views
+from edged.sim.cell import demo_part, demo_rig
 from edged.sim.render.scene import (
     Disc,
     Hole,
@@ -46,6 +46,7 @@ from edged.sim.render.scene import (
     Table,
     chessboard_plate,
 )
+from edged.sim.views import calibration_poses, stereo_views
 from edged.vision.boards.board import Chessboard, ShapedBoard
 from edged.vision.calibration.calibrate import calibrate_stereo
 from edged.vision.geometry.camera import StereoRig

@@ -63,8 +63,8 @@ from edged.vision.geometry.uncertainty import shift_by_parameters
 from edged.vision.kernels.robust import mad_sigma
 
 Corners = Literal["fit", "edges"]
-NEAREST, FARTHEST, SAMPLES = 0.2, 0.8, 16
-"""Part of a square's side along which edges are measured, from the crossing; samples on each side."""
+NEAREST, FARTHEST = 0.2, 0.8
+"""Part of a square's side along which edges are measured, from the crossing."""
 REACH_SHARE = 0.2
 """Search range for an edge around its expected place, as a share of a square's side in pixels."""
 MIN_SAMPLES = 6

@@ -41,8 +41,9 @@ from edged.commands.demo import region_of_part
 from edged.domain.arrays import Image
 from edged.domain.frames import FramePair
 from edged.pipeline import PreparedRig, inspect, locate, prepare
-from edged.sim.cell import PartMotion, VirtualCell, demo_part, demo_rig, stereo_views
+from edged.sim.cell import PartMotion, VirtualCell, demo_part, demo_rig
 from edged.sim.render.scene import PlacedPart
+from edged.sim.views import stereo_views
 from edged.vision.curves.planestate import State
 from edged.vision.geometry.camera import CameraModel, StereoRig
 from edged.vision.geometry.rectification import StereoImages

@@ -44,7 +44,6 @@ from edged.domain.arrays import FloatArray, Image
 from edged.domain.measurement import Outcome, Reject, Target
 from edged.errors import EdgedError, TeachError
 from edged.pipeline import PreparedRig, locate, prepare
-from edged.sim.cell import stereo_views
 from edged.sim.render.scene import (
     Part,
     PlacedPart,
@@ -55,6 +54,7 @@ from edged.sim.render.scene import (
     Surface,
     Table,
 )
+from edged.sim.views import stereo_views
 from edged.vision.geometry.camera import StereoRig
 from edged.vision.geometry.rigid import apply, invert, rotation_matrix
 from edged.vision.geometry.triangulation import triangulate_raw

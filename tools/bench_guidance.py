@@ -21,9 +21,10 @@ from edged.setup.calibration.guidance import Ghost, first_ghosts, guide, held_sh
 from edged.setup.calibration.shown import Seen, Watched
 from edged.setup.calibration.views import Looked, Views
 from edged.setup.pairs import Pair, Picture
-from edged.sim.cell import VirtualCell, calibration_poses, demo_part, demo_rig
+from edged.sim.cell import VirtualCell, demo_part, demo_rig
 from edged.sim.showing import Thing
 from edged.sim.stage import BOARD, Stage, stage_board
+from edged.sim.views import calibration_poses
 from edged.vision.boards.board import Chessboard, StereoView, outline_mm
 from edged.vision.calibration.calibrate import calibrate_stereo
 from edged.vision.geometry.rigid import apply

@@ -23,8 +23,9 @@ from computedmarks import Compared, compared, views_at
 
 from edged.domain.arrays import FloatArray
 from edged.errors import CalibrationError
-from edged.sim.cell import calibration_poses, demo_rig
+from edged.sim.cell import demo_rig
 from edged.sim.render.scene import chessboard_plate
+from edged.sim.views import calibration_poses
 from edged.vision.boards.board import Chessboard, StereoView
 from edged.vision.calibration.bundle import (
     BundleResult,

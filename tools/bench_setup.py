@@ -41,8 +41,9 @@ from edged.files.statefolder import state_folder
 from edged.identity.passwords import hash_password
 from edged.identity.users import User, UserFile
 from edged.setup.calibration.drafts import Drafts, keep_pair
-from edged.sim.cell import calibration_views, demo_rig
+from edged.sim.cell import demo_rig
 from edged.sim.stage import stage_board
+from edged.sim.views import calibration_views
 
 PARTS = ("shell", "live", "clicks", "plc")
 USER, PASSWORD = "anna", "correct horse"

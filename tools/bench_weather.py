@@ -41,10 +41,11 @@ from edged.robot.picking import frame_of
 from edged.robots.registervalues import SHIFTS_MM, TURNS_DEG
 from edged.setup.registration.registering import from_points
 from edged.sim.arm import ErringArm
-from edged.sim.cell import demo_rig, stereo_views
+from edged.sim.cell import demo_rig
 from edged.sim.dirt import oiled, swarf
 from edged.sim.marksplate import marks_plate
 from edged.sim.render.scene import PlacedPart, Scene, Surface, Table
+from edged.sim.views import stereo_views
 from edged.sim.weather import DAY_S, Knock
 from edged.vision.geometry.correction import shift_by_displacement
 from edged.vision.geometry.rigid import apply, invert, rotation_matrix, skew, transform

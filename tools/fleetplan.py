@@ -31,7 +31,6 @@ PLANT_CELLS = 500
 USD = {"GB a month": 0.023, "1000 GET": 0.0004, "1000 PUT": 0.005, "GB out": 0.09}
 """Example prices, in the order of an object store's list; replace them with your own."""
 DAY_S = 86_400
-MIB = 1 << 20
 
 
 def page_of(port: int, cycles: int, most_s: float = 300.0) -> str:

@@ -21,9 +21,10 @@ import cv2
 import numpy as np
 
 from edged.domain.arrays import SIDES, Image
-from edged.sim.cell import VirtualCell, calibration_views, demo_part, demo_rig
+from edged.sim.cell import VirtualCell, demo_part, demo_rig
 from edged.sim.exposure import ExposureRequest
 from edged.sim.render.scene import chessboard_plate
+from edged.sim.views import calibration_views
 from edged.vision.geometry.rigid import apply
 
 BOARD_PAIRS = 20

@@ -58,7 +58,6 @@ class Page:
     """The page of one cell, from the first message of the link until its end."""
 
     def __init__(self, link: PageEnd, task: PageTask) -> None:
-        self._link = link
         self._task = task
         self.cell = RemoteCell(link, task.path)
         self.notices = Notices()

@@ -171,11 +171,6 @@ class Cycle:
         """Latest report of the reference marks."""
         return self._cell.marks
 
-    @property
-    def in_setup(self) -> bool:
-        """Whether the cell is in SETUP and serves no client."""
-        return self._cell.in_setup
-
     # --- Commander ---------------------------------------------------------------------------
 
     def submit(self, command: Command) -> None:

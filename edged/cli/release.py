@@ -97,13 +97,11 @@ def sign(
     note: Annotated[str | None, typer.Option(help="for people")] = None,
 ) -> None:
     """Sign a release with the plant's key, or assign a signed one to another ring."""
+    from edged.commands.release import ReleaseSource, ReleaseTerms
     from edged.commands.release import sign as command
 
-    code = command(
-        repository, plant, name, key, screen(soft_wrap=True),
-        jobs=jobs, wheels=wheels, other=file, ring=ring, cells=cells, may_move_mm=may_move, note=note,
-    )  # fmt: skip
-    raise typer.Exit(code)
+    source, terms = ReleaseSource(jobs, wheels, file), ReleaseTerms(ring, cells, may_move, note)
+    raise typer.Exit(command(repository, plant, name, key, screen(soft_wrap=True), source, terms))
 
 
 @release.command()

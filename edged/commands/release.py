@@ -9,6 +9,7 @@ import os
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -98,13 +99,37 @@ def delegate(folder: Path, plant: str, plant_key: Path, file: Path, console: Con
     return 0
 
 
+@dataclass(frozen=True, slots=True)
+class ReleaseSource:
+    """What a release is made of, at most one of them: folders of jobs or wheels, or any file."""
+
+    jobs: Path | None
+    wheels: Path | None
+    other: Path | None
+
+
+@dataclass(frozen=True, slots=True)
+class ReleaseTerms:
+    """Which cells take a release, by how much results may move on recorded cycles, and a note for people."""
+
+    ring: str | None
+    cells: Path | None
+    may_move_mm: float | None
+    note: str | None
+
+
 def sign(
-    folder: Path, plant: str, name: str, file: Path, console: Console, *,
-    jobs: Path | None, wheels: Path | None, other: Path | None, ring: str | None, cells: Path | None,
-    may_move_mm: float | None, note: str | None,
-) -> int:  # fmt: skip
-    """Sign a release, or a new ring of a signed one. jobs, wheels : folders; other : any file."""
-    if sum(source is not None for source in (jobs, wheels, other)) > 1:
+    folder: Path,
+    plant: str,
+    name: str,
+    file: Path,
+    console: Console,
+    source: ReleaseSource,
+    terms: ReleaseTerms,
+) -> int:
+    """Sign a release, or a new ring of a signed one."""
+    jobs, wheels, other, ring = source.jobs, source.wheels, source.other, terms.ring
+    if sum(made is not None for made in (jobs, wheels, other)) > 1:
         raise UserError("expected one of --jobs, --wheels and --file")
     if ring is not None and ring not in RINGS:
         raise UserError(f"--ring {ring}: expected one of {', '.join(RINGS)}")
@@ -130,12 +155,12 @@ def sign(
     if data is not None:
         kind = "software" if wheels is not None else "file" if other is not None else "jobs"
         custom |= {"kind": kind, "name": name, "ring": custom.get("ring", 0)}
-    if cells is not None:
-        custom["cells"] = tuple(sorted(read_bytes(cells, "a list of cells").decode().split()))
-    may_move_um = None if may_move_mm is None else round(1000 * may_move_mm)
-    custom |= {
-        key: value for key, value in (("may_move_um", may_move_um), ("note", note)) if value is not None
-    }
+    if terms.cells is not None:
+        custom["cells"] = tuple(sorted(read_bytes(terms.cells, "a list of cells").decode().split()))
+    if terms.may_move_mm is not None:
+        custom["may_move_um"] = round(1000 * terms.may_move_mm)
+    if terms.note is not None:
+        custom["note"] = terms.note
     try:
         offer = repository.sign(plant, _signer(file), path, data, custom, parts)
     except ValidationError as error:

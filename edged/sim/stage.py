@@ -55,7 +55,7 @@ class Stage:
         self.grid = BOARD
         self._plate = cell.board
         self._clock = clock
-        self._seed, self._laid = seed, 0
+        self._laid = 0
         self._plate_from_hand = centre_of(self._plate)
         self.hand = Hand(self._middle(), seed=seed, skill=skill)
         self._rings: dict[Side, float] = dict.fromkeys(SIDES, 0.0)

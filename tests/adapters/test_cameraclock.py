@@ -132,7 +132,6 @@ def test_the_open_span_is_that_of_all_lines_through_all_gates(
 def test_without_a_reading_there_is_no_map() -> None:
     """Without a reading there is no mapped time."""
     assert ClockMap().at(5) is None
-    assert ClockMap().utc(5) is None
 
 
 def test_a_busy_moment_does_no_harm() -> None:

@@ -33,7 +33,6 @@ UNREAD = """(() => { const whole = (window.whole = fetch);
 LEFT_EXPOSURE = "document.querySelector('[name=left-exposure_us]').value"
 RIGHT_EXPOSURE = "document.querySelector('[name=right-exposure_us]').value"
 ADVICE = r"/px wide|Exposure is good|Set \d/.test(document.body.innerText)"  # "Set up" is a tab of the page
-SLIDER = """document.querySelector("[aria-label='Settings of the left camera'] [type=range]")"""
 
 
 @pytest.mark.long

@@ -82,9 +82,6 @@ class Program:
         return next(event for event in reversed(self.ear.events) if isinstance(event, CellState))
 
 
-Script = Callable[[Program, Registrar, Head], Awaitable[None]]
-
-
 @asynccontextmanager
 async def driven(
     setup: Setup | None = None, registrar: Registrar | None = None

@@ -25,7 +25,8 @@ from edged.domain.measurement import Status
 from edged.files.jobs import load_job
 from edged.pipeline import PreparedRig, locate, prepare
 from edged.robot.orientations import zyx
-from edged.sim.cell import VirtualCell, demo_part, stereo_views
+from edged.sim.cell import VirtualCell, demo_part
+from edged.sim.views import stereo_views
 from edged.vision.part.job import Job
 
 Edged = Callable[..., tuple[int, str, str]]

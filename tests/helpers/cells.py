@@ -11,8 +11,9 @@ import numpy as np
 
 from edged.domain.arrays import FloatArray, Image
 from edged.domain.frames import Frame, FramePair
-from edged.sim.cell import demo_part, demo_rig, stereo_views
+from edged.sim.cell import demo_part, demo_rig
 from edged.sim.render.scene import Part, PlacedPart, Scene, Surface, Table
+from edged.sim.views import stereo_views
 from edged.vision.geometry.camera import CameraModel, StereoRig
 from edged.vision.geometry.rigid import rotation_matrix
 from edged.vision.teaching.region import Region

@@ -8,6 +8,7 @@ import os
 import socket
 import struct
 from collections.abc import Iterator
+from contextlib import AbstractContextManager
 from ipaddress import ip_network
 from typing import Any
 
@@ -30,24 +31,12 @@ def own_address() -> str:
     return f"127.{process >> 8 & 0x7F | 0x80}.{process & 0xFF}.{next(_addresses) % 250 + 2}"
 
 
-@contextlib.contextmanager
 def adapter_of(
     cell: LiveCell, host: str, handshake: str = "start-bit", scanners: tuple[Any, ...] = LOOPBACK
-) -> Iterator[EnipPublisher]:
+) -> AbstractContextManager[EnipPublisher]:
     """Serve the running cell as an EtherNet/IP adapter within the context."""
-
-    async def start() -> EnipPublisher:
-        publisher = EnipPublisher(EnipSettings(host, scanners), lambda: cell.server, handshake)
-        await publisher.start()
-        cell.cycle.set_publishers([cell.server, publisher])
-        return publisher
-
-    publisher = cell.run(start())
-    try:
-        yield publisher
-    finally:
-        cell.call(lambda: cell.cycle.set_publishers([cell.server]))
-        cell.run(publisher.close())
+    settings = EnipSettings(host, scanners)
+    return cell.publishing(lambda: EnipPublisher(settings, lambda: cell.server, handshake))
 
 
 class Scanner:

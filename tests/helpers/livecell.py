@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import threading
 import time
-from collections.abc import Callable, Coroutine
+from collections.abc import Callable, Coroutine, Iterator
 from dataclasses import replace
 from types import TracebackType
 from typing import Any, TypeVar
@@ -20,10 +21,12 @@ from edged.domain.frames import Frame, FramePair
 from edged.domain.measurement import Outcome, Status, Target
 from edged.domain.picking import Grasp, Picking
 from edged.errors import FrameTimeout
+from edged.ports import Publisher
 from helpers.snapshots import make_target, make_transform
 from helpers.waiting import LIMIT_S
 
 T = TypeVar("T")
+Beside = TypeVar("Beside", bound=Publisher)
 PART_FROM_TCP = make_transform((0.4, 0.0, -1.0), (30.0, -10.0, 5.0))
 GRASPS = Picking(grasps=(Grasp("rim", PART_FROM_TCP, PART_FROM_TCP, 50.0, 80.0),))
 """A single grasp for the part of `make_target`."""
@@ -108,6 +111,23 @@ class LiveCell:
     def run(self, work: Coroutine[Any, Any, T]) -> T:
         """Await a coroutine on the cell's event loop."""
         return asyncio.run_coroutine_threadsafe(work, self.loop).result(LIMIT_S)
+
+    @contextlib.contextmanager
+    def publishing(self, make: Callable[[], Beside]) -> Iterator[Beside]:
+        """Serve the running cell by one more publisher within the context. make : called on the loop."""
+
+        async def start() -> Beside:
+            publisher = make()
+            await publisher.start()
+            self.cycle.set_publishers([self.server, publisher])
+            return publisher
+
+        publisher = self.run(start())
+        try:
+            yield publisher
+        finally:
+            self.call(lambda: self.cycle.set_publishers([self.server]))
+            self.run(publisher.close())
 
     def reload(self, **changes: object) -> None:
         """Reload with these setup fields changed; returns once the change is in force."""

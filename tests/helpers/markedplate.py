@@ -7,9 +7,10 @@ from functools import cache
 import numpy as np
 
 from edged.domain.arrays import SIDES, FloatArray, Image
-from edged.sim.cell import demo_rig, stereo_views
+from edged.sim.cell import demo_rig
 from edged.sim.marksplate import marks_plate
 from edged.sim.render.scene import PlacedPart, Scene, Surface, Table
+from edged.sim.views import stereo_views
 from edged.vision.geometry.rigid import transform
 from edged.vision.marks.frame import parse_frame
 from edged.vision.marks.taught import TaughtMarks, teach_marks

@@ -17,7 +17,8 @@ import sys
 import threading
 import time
 import xml.etree.ElementTree as ET
-from collections.abc import Callable, Coroutine, Iterator, Sequence
+from collections.abc import Callable, Coroutine, Sequence
+from contextlib import AbstractContextManager
 from typing import Any, Protocol, TypeVar
 
 import pylogix
@@ -127,22 +128,9 @@ class Program:
         return scanned
 
 
-@contextlib.contextmanager
-def memory_of(cell: LiveCell, section: PlcSection) -> Iterator[PlcMemoryPublisher]:
+def memory_of(cell: LiveCell, section: PlcSection) -> AbstractContextManager[PlcMemoryPublisher]:
     """Serve the running cell by writing into a PLC, within the context."""
-
-    async def start() -> PlcMemoryPublisher:
-        publisher = PlcMemoryPublisher(section, lambda: cell.server, make_memory(section))
-        await publisher.start()
-        cell.cycle.set_publishers([cell.server, publisher])
-        return publisher
-
-    publisher = cell.run(start())
-    try:
-        yield publisher
-    finally:
-        cell.call(lambda: cell.cycle.set_publishers([cell.server]))
-        cell.run(publisher.close())
+    return cell.publishing(lambda: PlcMemoryPublisher(section, lambda: cell.server, make_memory(section)))
 
 
 class BadServer:

@@ -22,7 +22,6 @@ from pymodbus.exceptions import ModbusException
 from edged.plc.registers import INT32_MIN, RESULT, STATUS, Flag, StatusBit, crc16, decode
 from helpers.waiting import LIMIT_S
 
-RESULT_CODES = {1: "OK", 2: "NO_TARGET", 3: "LOW_QUALITY", 4: "CAPTURE_FAULT"}
 SLACK_S = 0.25
 """A witness on a busy PC may poll this much later than planned."""
 

@@ -21,10 +21,11 @@ from edged.domain.arrays import FloatArray, Image
 from edged.files.rig import load_rig
 from edged.robot.orientations import Brand, pose_of
 from edged.robots.registervalues import SHIFTS_MM, TURNS_DEG
-from edged.sim.cell import VirtualCell, stereo_views
+from edged.sim.cell import VirtualCell
 from edged.sim.exposure import ExposureRequest
 from edged.sim.inprocess import InProcessCamera
 from edged.sim.render.scene import PlacedPart, Scene, Surface, Table, chessboard_plate
+from edged.sim.views import stereo_views
 from edged.sim.world import VirtualWorld
 from edged.vision.geometry.camera import StereoRig
 from edged.vision.geometry.rigid import apply, invert, rotation_matrix, transform

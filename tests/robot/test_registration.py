@@ -38,8 +38,8 @@ from edged.robot.orientations import (
 )
 from edged.robot.readings import rank_readings
 from edged.robot.touch import register_points
-from edged.sim.cell import calibration_views
 from edged.sim.render.scene import chessboard_plate
+from edged.sim.views import calibration_views
 from edged.vision.geometry.rigid import apply, invert, quaternion, rotation_vector, transform
 
 ROBOT_FROM_RIG = make_transform((2.9, 0.3, -0.2), (420.0, -60.0, 510.0))

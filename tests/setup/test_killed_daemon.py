@@ -17,8 +17,9 @@ from helpers.waiting import WHOLE_S
 
 from edged.commands.stage import USER
 from edged.files.rig import load_rig
-from edged.sim.cell import calibration_poses, demo_rig
+from edged.sim.cell import demo_rig
 from edged.sim.stage import stage_board
+from edged.sim.views import calibration_poses
 
 BOARD = "chessboard:11x8:4"
 POSES = list(calibration_poses(demo_rig(), stage_board(), 5))

@@ -16,8 +16,6 @@ from edged.sim.exposure import ExposureRequest
 from edged.sim.gige.camera import GigeCamera, moving_ramp
 from edged.sim.gige.faults import Faults
 
-PATTERN = SimOptions(pattern="64x48")
-
 
 @pytest.fixture
 def cameras() -> dict[str, GigeCamera]:

@@ -15,16 +15,7 @@ from naive import sim as naive
 
 from edged.domain.arrays import FloatArray
 from edged.errors import ImageError
-from edged.sim.cell import (
-    PAIR_WINDOW_NS,
-    SIDES,
-    PartMotion,
-    VirtualCell,
-    calibration_views,
-    demo_part,
-    demo_rig,
-    stereo_views,
-)
+from edged.sim.cell import PAIR_WINDOW_NS, SIDES, PartMotion, VirtualCell, demo_part, demo_rig
 from edged.sim.exposure import ExposureRequest
 from edged.sim.render import lens, raster
 from edged.sim.render.scene import (
@@ -48,6 +39,7 @@ from edged.sim.render.scene import (
     dots_plate,
     extent_mm,
 )
+from edged.sim.views import calibration_views, stereo_views
 from edged.vision.geometry.camera import CameraModel
 from edged.vision.geometry.rigid import rotation_matrix
 

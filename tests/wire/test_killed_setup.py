@@ -29,8 +29,8 @@ from edged.commands.stage import USER
 from edged.files.rig import load_rig, save_rig
 from edged.link.cellend import CellEnd
 from edged.plc.registers import StatusBit
-from edged.sim.cell import calibration_poses
 from edged.sim.stage import stage_board
+from edged.sim.views import calibration_poses
 
 pytestmark = pytest.mark.slow
 BOARD = "chessboard:11x8:4"

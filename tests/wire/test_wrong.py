@@ -3,7 +3,6 @@ test_modbus."""
 
 from __future__ import annotations
 
-import asyncio
 import itertools
 import json
 import socket
@@ -204,21 +203,20 @@ def test_zenohs_router_goes() -> None:
         probe.bind(("127.0.0.1", 0))
         endpoint = f"tcp/127.0.0.1:{probe.getsockname()[1]}"
     router = zenoh.open(config(mode="router", listen__endpoints=[endpoint]))
-    with LiveCell(PATIENT) as cell, plc_at(cell) as plc:
-        publisher = ZenohPublisher(ZenohSettings("cell1", (), (endpoint,)), None)
-        asyncio.run_coroutine_threadsafe(publisher.start(), cell.loop).result(LIMIT_S)
-        try:
-            cell.call(lambda: cell.cycle.set_publishers([cell.server, publisher]))
-            plc.until(publisher.links, bool)
+    settings = ZenohSettings("cell1", (), (endpoint,))
+    with (
+        LiveCell(PATIENT) as cell,
+        plc_at(cell) as plc,
+        cell.publishing(lambda: ZenohPublisher(settings, None)) as publisher,
+    ):
+        plc.until(publisher.links, bool)
+        bits, _ = plc.answer(plc.trigger())
+        assert StatusBit.RESULT_VALID in bits
+        router.close()
+        plc.until(publisher.links, lambda links: not links)
+        for _ in range(3):
             bits, _ = plc.answer(plc.trigger())
             assert StatusBit.RESULT_VALID in bits
-            router.close()
-            plc.until(publisher.links, lambda links: not links)
-            for _ in range(3):
-                bits, _ = plc.answer(plc.trigger())
-                assert StatusBit.RESULT_VALID in bits
-        finally:
-            asyncio.run_coroutine_threadsafe(publisher.close(), cell.loop).result(LIMIT_S)
 
 
 def test_the_clock_of_the_pc_is_set() -> None:

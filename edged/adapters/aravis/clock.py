@@ -117,11 +117,6 @@ class ClockMap:
         middle = origin_ns + round((earliest + latest) / 2)
         return Mapped(middle, math.ceil((latest - earliest + step_ns) / 2) + 1)
 
-    def utc(self, device_ns: int) -> Mapped | None:
-        """Host UTC of a time of the camera's clock; None without a reading."""
-        mapped = self.at(device_ns)
-        return None if mapped is None else to_utc(mapped)
-
     def _step(self) -> int:
         return min(self._step_ns or COARSEST_STEP_NS, COARSEST_STEP_NS)  # 0: not known
 

@@ -22,7 +22,7 @@ OPEN, LARGE_OPEN = struct.Struct("<BBIIHHIB3xIHIHBB"), struct.Struct("<BBIIHHIB3
 number of the originator, multiplier, interval and parameters O->T and T->O, transport, words of the path that
 follows."""
 CLOSE = struct.Struct("<BBHHIBx")
-POINT_TO_POINT, NULL = 2, 0
+POINT_TO_POINT = 2
 CYCLIC_CLASS_1, CLASS_3, CLASS_MASK = 0x01, 0x03, 0x0F
 """Direction, trigger and class of a transport; for class 3 the trigger does not matter."""
 FIRST_DATA_S = 10.0

@@ -22,10 +22,10 @@ MOST_ITEMS = 8
 REPLY = 0x80
 
 SUCCESS, CONNECTION_FAILURE, PATH_SEGMENT, PATH_UNKNOWN, NO_SERVICE = 0x00, 0x01, 0x04, 0x05, 0x08
-NOT_SETTABLE, NOT_ENOUGH_DATA, NO_ATTRIBUTE, TOO_MUCH_DATA = 0x0E, 0x13, 0x14, 0x15
+NOT_SETTABLE, NO_ATTRIBUTE = 0x0E, 0x14
 """CIP general status codes."""
 
-CLASS, INSTANCE, POINT, ATTRIBUTE, KEY, DATA = "class", "instance", "point", "attribute", "key", "data"
+CLASS, INSTANCE, POINT, ATTRIBUTE = "class", "instance", "point", "attribute"
 LOGICAL = {0: CLASS, 1: INSTANCE, 3: POINT, 4: ATTRIBUTE}
 """Logical segment types, bits 4 to 2; of the others 2 is a member, 5 special, 6 a service."""
 

@@ -18,7 +18,7 @@ from pathlib import Path
 from edged.adapters.enip import messages as msg
 from edged.plc import ethernetip as device
 
-GET_ALL, GET_SINGLE, SET_ALL, SET_SINGLE = 0x01, 0x0E, 0x02, 0x10
+GET_ALL, GET_SINGLE, SET_SINGLE = 0x01, 0x0E, 0x10
 IDENTITY, MESSAGE_ROUTER, ASSEMBLY, CONNECTION_MANAGER, TCP_IP, ETHERNET_LINK = 1, 2, 4, 6, 0xF5, 0xF6
 REVISIONS = {IDENTITY: 1, MESSAGE_ROUTER: 1, ASSEMBLY: 2, CONNECTION_MANAGER: 1, TCP_IP: 4, ETHERNET_LINK: 4}
 """Revision of each class."""

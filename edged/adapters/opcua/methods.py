@@ -12,10 +12,10 @@ from typing import Any, Protocol, TypeAlias, TypeVar
 
 from asyncua import ua
 
-from edged.adapters.opcua.nodes import Nodes, argument, base, in_cell
+from edged.adapters.opcua.nodes import MACHINE, SYSTEM, Nodes, argument, base, in_cell
 from edged.adapters.opcua.picture import RegisterPicture, job_name
 from edged.adapters.opcua.session import OpcUaSession, Server, caller
-from edged.adapters.opcua.space import AUTOMATIC, HANDSHAKE, MACHINE, RECIPES, SYSTEM, Space, own_name
+from edged.adapters.opcua.space import AUTOMATIC, HANDSHAKE, RECIPES, Space, own_name
 from edged.adapters.opcua.state import Top, vision_state
 from edged.adapters.opcua.structures import (
     JobIdDataType,

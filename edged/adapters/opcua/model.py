@@ -62,10 +62,6 @@ class Model:
     children: Mapping[str, tuple[ModelRow, ...]]
     references: tuple[tuple[str, str, str], ...]
 
-    def row(self, number: int) -> ModelRow:
-        """Row of a node by its number."""
-        return next(row for row in self.rows if row.number == number)
-
     def encoding_of(self, number: int) -> ua.NodeId:
         """Id under which structures of a data type are sent in binary; null for other types."""
         for row in self.children.get(f"1:{number}", ()):

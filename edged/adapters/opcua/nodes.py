@@ -14,6 +14,9 @@ CELL, VISION = 3, 2
 """Indices of the namespaces; 0 is OPC UA's own and 1 the application's."""
 VISION_URI = "http://opcfoundation.org/UA/MachineVision"
 CELL_URI = "urn:edged:cell"
+SYSTEM = "VisionSystem"
+MACHINE = f"{SYSTEM}.VisionStateMachine"
+"""Paths of the vision system and its state machine in the cell's namespace."""
 
 HAS_COMPONENT, HAS_PROPERTY = 47, 46
 PROPERTY_TYPE, DATA_VARIABLE_TYPE = 68, 63

@@ -8,23 +8,22 @@ longer be used has no value and the status BadNoData, from the same moment on as
 from __future__ import annotations
 
 import math
-import uuid
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import fields, replace
+from collections.abc import Callable, Iterator
 from datetime import UTC, datetime, timedelta
 from typing import Any
 
 from asyncua import ua
-from asyncua.common.events import Event
 
+from edged.adapters.opcua.events import CellEvents
 from edged.adapters.opcua.model import Instances, Model, add_types, type_node
-from edged.adapters.opcua.nodes import CELL_URI, Nodes, base, in_cell, variable_attributes
-from edged.adapters.opcua.picture import RegisterPicture, ResultRecord, job_name
+from edged.adapters.opcua.nodes import CELL_URI, MACHINE, SYSTEM, Nodes, base, in_cell, variable_attributes
+from edged.adapters.opcua.picture import RegisterPicture, ResultRecord
 from edged.adapters.opcua.session import Server
 from edged.adapters.opcua.settings import OpcUaSettings
 from edged.adapters.opcua.state import Automatic, Top, VisionState, vision_state
 from edged.adapters.opcua.structures import (
     EPOCH,
+    RESULT_KINDS,
     ConfigurationIdDataType,
     JobIdDataType,
     MeasIdDataType,
@@ -38,13 +37,11 @@ from edged.adapters.opcua.structures import (
     structure,
     text_of,
 )
-from edged.domain.events import CommandKind, Snapshot
+from edged.domain.events import Snapshot
 from edged.domain.measurement import Status
-from edged.logs import LogLimit
 from edged.plc import registers as reg
 
-SYSTEM, REGISTERS, HANDSHAKE = "VisionSystem", "Registers", "Handshake"
-MACHINE = f"{SYSTEM}.VisionStateMachine"
+REGISTERS, HANDSHAKE = "Registers", "Handshake"
 AUTOMATIC = f"{MACHINE}.AutomaticModeStateMachine"
 RECIPES = f"{SYSTEM}.RecipeManagement.Recipes"
 LATEST = f"{SYSTEM}.ResultManagement.Results.Latest"
@@ -84,26 +81,11 @@ INACTIVE = ua.StatusCode(ua.StatusCodes.BadStateNotActive)
 GOOD = ua.StatusCode()
 MAX_ASKED = 64
 
-JOB_STARTED, READY, RECIPE_PREPARED, RESULT_READY, ACQUISITION_DONE = 1013, 1023, 1022, 1024, 1025
-STATE_CHANGED, ERROR_EVENT, ERROR_RESOLVED = 1018, 1019, 1020
-SEVERE, USUAL = 800, 100
 COMPLETED, FAILED = 1, 4  # ResultStateDataType, OPC 40100-1, table 153
 
+Written = tuple[ua.NodeId, object, ua.StatusCode, ua.VariantType]
+"""Value, status and type of a variable."""
 Asked = tuple[object, object, object, object]  # MeasId, PartId, RecipeId, ProductId of StartSingleJob
-
-
-class CellEvent(Event):
-    """An event of which clients can select only the declared fields, not other attributes of the object."""
-
-    def to_event_fields(self, select_clauses: list[ua.SimpleAttributeOperand]) -> list[ua.Variant]:
-        """Values of the fields that a client selected by their browse paths; null for unknown ones."""
-        return [self._field(clause) for clause in select_clauses]
-
-    def _field(self, clause: ua.SimpleAttributeOperand) -> ua.Variant:
-        name = "/".join(part.Name or "" for part in clause.BrowsePath or ())
-        kind = self.data_types.get(name)
-        value = getattr(self, name) if kind is not None else None
-        return ua.Variant(None) if value is None else ua.Variant(value, kind)
 
 
 def own_name(name: str) -> ua.QualifiedName:
@@ -128,7 +110,7 @@ class Space:
         self._modified: dict[str, datetime] = {}
         self._asked: dict[str, Asked] = {}
         self._written: tuple[Snapshot, str] | None = None  # cache: its content is formatted once
-        self._log = LogLimit(__name__)
+        self._events = CellEvents(server, settings.cell, model)
         self.picture: RegisterPicture | None = None
         self._expired = True
         self._state = VisionState(Top.PREOPERATIONAL, None)
@@ -223,15 +205,15 @@ class Space:
             await self.expire()  # it expired on the way here
         else:
             await self._write([*self._register_values(picture), *self._other_values(picture)])
-        for event in self._events(before, state, picture):
-            await self._emit(event)
+        for event in self._events.of_change(before, picture, state, self._state, self.result_data):
+            await self._events.emit(event)
 
     async def expire(self) -> None:
         """Hide an expired result without waiting for the next picture."""
         if self._expired or self.picture is None:
             return
         self._expired = True
-        hidden: list[tuple[ua.NodeId, object, ua.StatusCode, ua.VariantType]] = [
+        hidden: list[Written] = [
             (node, None, BAD, VARIANTS[register.kind])
             for register, node, is_result in self._registers.values()
             if is_result or register.name == "STATUS_BITS"
@@ -244,7 +226,7 @@ class Space:
         picture = self.picture
         return not self._expired and picture is not None and 0.0 < picture.valid_until_s <= self._moment_s()
 
-    async def _write(self, values: list[tuple[ua.NodeId, object, ua.StatusCode, ua.VariantType]]) -> None:
+    async def _write(self, values: list[Written]) -> None:
         now = datetime.now(UTC)
         changed = []
         for node, value, status, kind in values:
@@ -261,17 +243,13 @@ class Space:
             for handle, tell in list(attribute.datachange_callbacks.items()):
                 await tell(handle, data)
 
-    def _register_values(
-        self, picture: RegisterPicture
-    ) -> Iterator[tuple[ua.NodeId, object, ua.StatusCode, ua.VariantType]]:
+    def _register_values(self, picture: RegisterPicture) -> Iterator[Written]:
         for address, (register, node, is_result) in self._registers.items():
             value = picture.numbers.get(address, 0)  # empty rows of the job table are left out
             unknown = is_result and is_unknown(register, value)
             yield node, None if unknown else value, BAD if unknown else GOOD, VARIANTS[register.kind]
 
-    def _other_values(
-        self, picture: RegisterPicture
-    ) -> Iterator[tuple[ua.NodeId, object, ua.StatusCode, ua.VariantType]]:
+    def _other_values(self, picture: RegisterPicture) -> Iterator[Written]:
         yield from self._state_values(MACHINE, self._state.top)
         yield from self._state_values(AUTOMATIC, self._state.automatic)
         for number, name in picture.jobs:
@@ -281,9 +259,7 @@ class Space:
             yield variables[f"{place}.IsPrepared"], is_active, GOOD, ua.VariantType.Boolean
         yield from self._result_values(picture.result)
 
-    def _state_values(
-        self, path: str, state: Top | Automatic | None
-    ) -> Iterator[tuple[ua.NodeId, object, ua.StatusCode, ua.VariantType]]:
+    def _state_values(self, path: str, state: Top | Automatic | None) -> Iterator[Written]:
         number, node, name = (0, 0, "") if state is None else state.value
         status = INACTIVE if state is None else GOOD
         place, variables = f"{path}.CurrentState", self.instances.variables
@@ -291,9 +267,7 @@ class Space:
         yield variables[f"{place}.Id"], type_node(node), status, ua.VariantType.NodeId
         yield variables[f"{place}.Number"], number, status, ua.VariantType.UInt32
 
-    def _result_values(
-        self, record: ResultRecord | None
-    ) -> Iterator[tuple[ua.NodeId, object, ua.StatusCode, ua.VariantType]]:
+    def _result_values(self, record: ResultRecord | None) -> Iterator[Written]:
         status = BAD if record is None else GOOD
         data = ResultDataType() if record is None else self.result_data(record)
         variables = self.instances.variables
@@ -390,128 +364,6 @@ class Space:
         if self._written is None or self._written[0] is not record.snapshot:
             self._written = record.snapshot, record.content()
         return "" if record.is_silent else self._written[1]
-
-    # --- events ------------------------------------------------------------------------------
-
-    def _events(
-        self, before: RegisterPicture | None, state: VisionState, picture: RegisterPicture
-    ) -> Iterator[tuple[int, str, int, Mapping[str, tuple[object, ua.VariantType]]]]:
-        now, old = picture.values, before.values if before is not None else None
-        kind = ua.VariantType.ExtensionObject
-        job = JobIdDataType(ua.String(job_name(int(now["START_EPOCH"]), int(now["LAST_SEQ"]))))
-        if old is not None:
-            is_job = now["COMMAND"] != CommandKind.CHANGE_JOB
-            done = now["DONE_SEQ"] == now["LAST_SEQ"] and int(now["STATUS_BITS"]) & reg.StatusBit.ACK
-            is_new = now["LAST_SEQ"] != old["LAST_SEQ"] and bool(now["OPEN_COMMANDS"] or done)
-            if is_job and is_new:
-                yield JOB_STARTED, "The job has started", USUAL, {"JobId": (job, kind)}
-            if is_new and done and state == self._state and state.automatic is Automatic.READY:
-                # begun and done between two pictures: report the states in between all the same
-                passed = Automatic.SINGLE_EXECUTION if is_job else Automatic.INITIALIZED
-                between = replace(state, automatic=passed)
-                yield from self._transition(state, between, job, picture)
-                state = between
-            if int(now["STATUS_BITS"]) & ~int(old["STATUS_BITS"]) & reg.StatusBit.EXPOSURE_DONE:
-                yield ACQUISITION_DONE, "Both images are in memory", USUAL, {"JobId": (job, kind)}
-            if now["ACTIVE_JOB"] != old["ACTIVE_JOB"]:
-                name = next((name for number, name in picture.jobs if number == now["ACTIVE_JOB"]), "")
-                recipe = RecipeIdInternalDataType(Id=ua.String(name))
-                yield RECIPE_PREPARED, f"{name} is loaded", USUAL, {"InternalId": (recipe, kind)}
-        shown = before.result.name if before is not None and before.result is not None else ""
-        if picture.result is not None and picture.result.name != shown:
-            yield RESULT_READY, "The result is ready", USUAL, self._result_fields(picture.result)
-        if state != self._state:
-            yield from self._transition(state, self._state, job, picture)
-
-    def _result_fields(self, record: ResultRecord) -> dict[str, tuple[object, ua.VariantType]]:
-        data = self.result_data(record)
-        return {
-            field.name: (
-                getattr(data, field.name),
-                RESULT_KINDS.get(field.name, ua.VariantType.ExtensionObject),
-            )
-            for field in fields(data)
-            if field.name not in ("Encoding", "HasTransferableDataOnFile")
-        }
-
-    def _transition(
-        self, state: VisionState, new: VisionState, job: JobIdDataType, picture: RegisterPicture
-    ) -> Iterator[tuple[int, str, int, Mapping[str, tuple[object, ua.VariantType]]]]:
-        cause = transition_cause(picture, new.automatic)
-        if new.top is not state.top:
-            kind = STATE_CHANGED
-            if Top.ERROR in (new.top, state.top):
-                kind = ERROR_EVENT if new.top is Top.ERROR else ERROR_RESOLVED
-            said = self._transition_fields(state.top.value[2], new.top.value[2], cause)
-            severity = SEVERE if new.top is Top.ERROR else USUAL
-            yield kind, f"{state.top.value[2]} to {new.top.value[2]}", severity, said
-        elif new.automatic is not None and state.automatic is not None:
-            names = state.automatic.value[2], new.automatic.value[2]
-            yield STATE_CHANGED, " to ".join(names), USUAL, self._transition_fields(*names, cause)
-        if new.automatic is Automatic.READY:
-            yield READY, "Ready for the next job", USUAL, {"JobId": (job, ua.VariantType.ExtensionObject)}
-
-    def _transition_fields(
-        self, source: str, target: str, cause: str
-    ) -> dict[str, tuple[object, ua.VariantType]]:
-        text, node = ua.VariantType.LocalizedText, ua.VariantType.NodeId
-        ids = {state.value[2]: type_node(state.value[1]) for state in (*Top, *Automatic)}
-        rows = {row.name: row for row in self._model.rows}
-        found = rows.get(f"{source}To{target}{cause}", rows.get(f"{source}To{target}Auto"))
-        found_fields: dict[str, tuple[object, ua.VariantType]] = {
-            "FromState": (ua.LocalizedText(source), text),
-            "FromState/Id": (ids[source], node),
-            "ToState": (ua.LocalizedText(target), text),
-            "ToState/Id": (ids[target], node),
-        }
-        if found is not None:
-            found_fields["Transition"] = (ua.LocalizedText(found.name), text)
-            found_fields["Transition/Id"] = (type_node(found.number), node)
-        return found_fields
-
-    async def _emit(self, what: tuple[int, str, int, Mapping[str, tuple[object, ua.VariantType]]]) -> None:
-        """Send an event to subscribers of the server, the vision system, or its state machine."""
-        number, message, severity, own = what
-        now = datetime.now(UTC)
-        event = CellEvent()
-        kinds = ua.VariantType
-        standard: dict[str, tuple[object, ua.VariantType]] = {
-            "EventId": (uuid.uuid4().bytes, kinds.ByteString),
-            "EventType": (type_node(number), kinds.NodeId),
-            "SourceNode": (in_cell(SYSTEM), kinds.NodeId),
-            "SourceName": (self._settings.cell, kinds.String),
-            "Time": (now, kinds.DateTime),
-            "ReceiveTime": (now, kinds.DateTime),
-            "Message": (ua.LocalizedText(message), kinds.LocalizedText),
-            "Severity": (severity, kinds.UInt16),
-        }
-        for name, (value, kind) in {**standard, **own}.items():
-            event.add_property(name, value, kind)
-        for source in (base(ua.ObjectIds.Server), in_cell(SYSTEM), in_cell(MACHINE)):
-            event.emitting_node = source
-            try:
-                await self._server.subscription_service.trigger_event(event)
-            except Exception as error:  # noqa: BLE001  # one client's filter must not silence the others
-                self._log.warning("opcua: an event did not reach all clients: %s", type(error).__name__)
-
-
-RESULT_KINDS: dict[str, ua.VariantType] = {
-    "HasTransferableDataOnFile": ua.VariantType.Boolean,
-    "IsPartial": ua.VariantType.Boolean,
-    "IsSimulated": ua.VariantType.Boolean,
-    "ResultState": ua.VariantType.Int32,
-    "CreationTime": ua.VariantType.DateTime,
-    "ResultContent": ua.VariantType.Variant,
-}
-"""Types of the fields of a result that are not structures."""
-
-
-def transition_cause(picture: RegisterPicture, to: Automatic | None) -> str:
-    """Suffix in the name of the current transition, which the specification names by its cause."""
-    if picture.values["COMMAND"] == CommandKind.CHANGE_JOB:
-        return "Recipe"
-    is_called = to is Automatic.SINGLE_EXECUTION and picture.values["LAST_SEQ"] == picture.called
-    return "" if is_called else "Auto"
 
 
 def is_unknown(register: reg.Register, value: reg.Number) -> bool:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 from edged.domain.cell import CellPhase
 from edged.domain.events import CommandKind
-from edged.plc.registers import Flag, Number, StatusBit
+from edged.plc.registers import Number, StatusBit
 from edged.plc.statuswords import STATES
 
 
@@ -61,8 +61,3 @@ def vision_state(values: Mapping[str, Number], *, free_running: bool) -> VisionS
     else:
         automatic = Automatic.INITIALIZED
     return VisionState(Top.OPERATIONAL, automatic)
-
-
-def is_simulated(values: Mapping[str, Number]) -> bool:
-    """Whether the result on display comes from a virtual cell."""
-    return bool(int(values["FLAGS"]) & Flag.SIMULATED)

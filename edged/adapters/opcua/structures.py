@@ -116,6 +116,16 @@ class ResultDataType:
     ResultContent: list[ua.Variant] | None = None
 
 
+RESULT_KINDS: dict[str, ua.VariantType] = {
+    "HasTransferableDataOnFile": ua.VariantType.Boolean,
+    "IsPartial": ua.VariantType.Boolean,
+    "IsSimulated": ua.VariantType.Boolean,
+    "ResultState": ua.VariantType.Int32,
+    "CreationTime": ua.VariantType.DateTime,
+    "ResultContent": ua.VariantType.Variant,
+}
+"""Types of the fields of a result that are not structures."""
+
 IDS: dict[type, tuple[int, int]] = {
     BinaryIdBaseDataType: (3019, 5027),
     RecipeIdExternalDataType: (3002, 5002),

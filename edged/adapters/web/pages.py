@@ -6,6 +6,7 @@ import asyncio
 from collections import OrderedDict
 from collections.abc import Awaitable, Callable, Mapping, Sequence
 from concurrent.futures import Executor
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
@@ -24,25 +25,34 @@ CACHED_BYTES = 4 * 1024 * 1024
 WIDTHS_PX = {"": None, "/small": THUMBNAIL_PX, "/full": 1_000_000}
 
 
+@dataclass(frozen=True, slots=True)
+class PageFacts:
+    """Facts of a cell that stand on its page.
+
+    protected : there is a password. is_set_up : the set-up page is served. links : text and address, shown
+    below the page.
+    """
+
+    cell: str
+    protected: bool
+    is_set_up: bool
+    links: Mapping[str, str]
+
+
 class PageHandlers:
     """Handlers of everything outside /api/v1 except log-in and viewers.
 
-    drawer : executor that encodes pictures. protected : there is a password. is_set_up : the set-up page is
-    served. metrics : text in Prometheus' format. links : text and address, shown below the page.
+    drawer : executor that encodes pictures. metrics : text in Prometheus' format.
     """
 
     def __init__(
         self,
-        cell: str,
+        facts: PageFacts,
         page: StatusPage,
         drawer: Executor,
         assets: Mapping[str, str],
         manual: Path,
         metrics: Callable[[], Awaitable[bytes]],
-        *,
-        protected: bool,
-        is_set_up: bool,
-        links: Mapping[str, str],
     ) -> None:
         self._page = page
         self._drawer = drawer
@@ -50,10 +60,15 @@ class PageHandlers:
         self._manual_folder = manual
         self._manual: Manual | None = None
         self._metrics = metrics
-        self._protected = protected
+        self._protected = facts.protected
         self._pictures: OrderedDict[tuple[int, str, str], bytes] = OrderedDict()
-        self._no_manual = render("nomanual.html", __package__, cell=cell)
-        named = {"cell": cell, "setup": is_set_up, "modules": run_modules(assets), "links": links}
+        self._no_manual = render("nomanual.html", __package__, cell=facts.cell)
+        named = {
+            "cell": facts.cell,
+            "setup": facts.is_set_up,
+            "modules": run_modules(assets),
+            "links": facts.links,
+        }
         self._run = {
             built: render("index.html", __package__, manual=built, **named) for built in (False, True)
         }

@@ -34,7 +34,7 @@ from edged.adapters.web.login import (
 from edged.adapters.web.manualfiles import FOLDER, is_built
 from edged.adapters.web.overview import OverviewRoutes
 from edged.adapters.web.page import PageSources, StatusPage
-from edged.adapters.web.pages import PageHandlers, html
+from edged.adapters.web.pages import PageFacts, PageHandlers, html
 from edged.adapters.web.people import People
 from edged.adapters.web.places import CLIENT, displaced_by
 from edged.adapters.web.routes import BASE, RouteTable
@@ -173,16 +173,9 @@ class WebPublisher:
         self._names = ServedNames(settings)
         self._drawer = ThreadPoolExecutor(1, thread_name_prefix="web")
         self._assets = read_assets()
+        facts = PageFacts(cell, not self._access.is_open, is_set_up, settings.links)
         self._handlers = PageHandlers(
-            cell,
-            self._page,
-            self._drawer,
-            self._assets,
-            manual,
-            metrics or _no_metrics,
-            protected=not self._access.is_open,
-            is_set_up=is_set_up,
-            links=settings.links,
+            facts, self._page, self._drawer, self._assets, manual, metrics or _no_metrics
         )
         self._viewers = Viewers(self._handlers.status, self._page.history)
         self._runner: web.AppRunner | None = None

@@ -48,7 +48,7 @@ class Leaving(Body):
     name: Name | None = None
 
     @model_validator(mode="after")
-    def _one_of_both(self) -> Leaving:
+    def _is_consistent(self) -> Leaving:
         if self.token is not None and self.name is not None:
             raise ValueError("expected the token or a name, not both")
         return self

@@ -6,11 +6,20 @@ import math
 from typing import Annotated, Literal, get_args
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 
 from edged.config.cell import Zones
 from edged.domain.arrays import FloatArray
 from edged.domain.picking import Bounds, Grasp, Order, Picking, Tray
+from edged.files.jobs.features import (
+    CircleSection,
+    CornerSection,
+    EdgeSection,
+    JobSection,
+    MeasurementSection,
+    Name,
+    SlotSection,
+)
 from edged.robot.orientations import matrix_fixed_xyz
 from edged.robot.tray import step_mm
 from edged.vision.geometry.rigid import transform
@@ -18,36 +27,22 @@ from edged.vision.part.job import (
     MAX_TILT_DEG,
     MEASURES,
     BreakEnd,
-    CircleFeature,
-    CornerFeature,
-    EdgeFeature,
     Job,
-    MeasurementKind,
-    MeasurementSpec,
     ModelPoint,
     Report,
     ResultLimits,
-    SlotFeature,
     crossing,
 )
 from edged.vision.shape.model import ShapeModel
 from edged.vision.shape.params import Polarity, SearchParams, SubPixel
 
-MIN_LENGTH_MM = 1e-3
 MAX_PARTS = 64
 """Most parts in one picture, and so the most pockets of a tray."""
 MAX_FEATURES = 256
 """Most features of each kind; far more than people or teaching create."""
 
-Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9_.-]{1,64}$")]
-Vector = Annotated[list[float], Field(min_length=3, max_length=3)]
 
-
-class _Section(BaseModel):
-    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
-
-
-class _Limits(_Section):
+class _Limits(JobSection):
     """Limits; a result beyond one is published as not good, with the reason."""
 
     box: Zones = Field(
@@ -89,7 +84,7 @@ class _Limits(_Section):
         return (Bounds(boxes, keep_out),) if boxes or keep_out else ()
 
 
-class _Search(_Section):
+class _Search(JobSection):
     """The search for the shape in the rectified left image."""
 
     angle_start_deg: float = Field(
@@ -165,118 +160,11 @@ class _Search(_Section):
         )
 
 
-class _Circle(_Section):
-    """A circle: the edge of a hole or disc."""
-
-    name: Name = Field(description="name of the feature")
-    centre_mm: Vector = Field(description="part frame")
-    radius_mm: float = Field(gt=0, description="as taught")
-    polarity: Literal[-1, 1] = Field(description="1: brighter outside than inside, as a hole; -1: darker")
-    double: bool = Field(
-        False, description="a second edge runs beside it, as of a chamfer: only its radius tells which it is"
-    )
-
-    def feature(self) -> CircleFeature:
-        return CircleFeature(self.name, np.array(self.centre_mm), self.radius_mm, self.polarity, self.double)
-
-
-class _Edge(_Section):
-    """A straight edge, at one height of the part frame."""
-
-    name: Name = Field(description="name of the feature")
-    start_mm: Vector = Field(description="part frame")
-    end_mm: Vector = Field(description="part frame")
-    polarity: Literal[-1, 1] = Field(
-        description="1: brighter at 90° from its direction, turned from x to y; -1: darker"
-    )
-
-    @model_validator(mode="after")
-    def _has_length(self) -> _Edge:
-        if math.dist(self.start_mm, self.end_mm) < MIN_LENGTH_MM:
-            raise ValueError(f"start_mm and end_mm must be at least {MIN_LENGTH_MM} mm apart")
-        if abs(self.start_mm[2] - self.end_mm[2]) > MIN_LENGTH_MM:
-            raise ValueError("start_mm and end_mm must be at one height (z): an edge lies in a face")
-        return self
-
-    def feature(self) -> EdgeFeature:
-        return EdgeFeature(self.name, np.array(self.start_mm), np.array(self.end_mm), self.polarity)
-
-
-class _Slot(_Section):
-    """A slot: two half circles joined by straight edges."""
-
-    name: Name = Field(description="name of the feature")
-    centre_mm: Vector = Field(description="part frame")
-    angle_deg: float = Field(ge=-360, le=360, description="of its long axis, from x to y")
-    length_mm: float = Field(gt=0, description="over all; more than its width")
-    width_mm: float = Field(gt=0, description="across")
-    polarity: Literal[-1, 1] = Field(description="1: brighter outside than inside, as a hole; -1: darker")
-
-    @model_validator(mode="after")
-    def _is_long(self) -> _Slot:
-        if self.length_mm <= self.width_mm:
-            raise ValueError(f"length_mm {self.length_mm} must exceed width_mm {self.width_mm}")
-        return self
-
-    def feature(self) -> SlotFeature:
-        angle_rad = math.radians(self.angle_deg)
-        return SlotFeature(
-            self.name, np.array(self.centre_mm), angle_rad, self.length_mm, self.width_mm, self.polarity
-        )
-
-
-class _Corner(_Section):
-    """The point where two straight edges meet."""
-
-    name: Name = Field(description="name of the feature")
-    edges: Annotated[list[str], Field(min_length=2, max_length=2)] = Field(
-        description="names of two edges that are not parallel"
-    )
-
-    def feature(self) -> CornerFeature:
-        return CornerFeature(self.name, (self.edges[0], self.edges[1]))
-
-
-class _Measurement(_Section):
-    """A dimension to measure; a part out of tolerance is not good."""
-
-    name: Name = Field(description="name of the measurement")
-    kind: MeasurementKind = Field(description="what is measured")
-    of: Annotated[list[str], Field(max_length=2)] = Field(
-        default_factory=list, description="names of the features it needs, as many as the kind takes"
-    )
-    nominal_mm: float | None = Field(None, description="what it should be")
-    tolerance_mm: float | None = Field(
-        None, gt=0, description="largest deviation from it; of a flatness the largest value"
-    )
-    nominal_deg: float | None = Field(None, description="of an angle: what it should be")
-    tolerance_deg: float | None = Field(None, gt=0, description="of an angle: largest deviation from it")
-
-    @model_validator(mode="after")
-    def _in_its_unit(self) -> _Measurement:
-        lengths, angles = (self.nominal_mm, self.tolerance_mm), (self.nominal_deg, self.tolerance_deg)
-        used, foreign, unit = (angles, lengths, "deg") if self.kind == "angle" else (lengths, angles, "mm")
-        if any(value is not None for value in foreign):
-            raise ValueError(f"a measurement of kind {self.kind!r} takes nominal_{unit} and tolerance_{unit}")
-        if used[1] is not None and used[0] is None and self.kind != "flatness":
-            raise ValueError(f"tolerance_{unit} needs nominal_{unit}")
-        return self
-
-    def spec(self) -> MeasurementSpec:
-        nominal, tolerance = self.nominal_mm, self.tolerance_mm
-        if self.kind == "angle":
-            nominal, tolerance = (
-                None if value is None else math.radians(value)
-                for value in (self.nominal_deg, self.tolerance_deg)
-            )
-        return MeasurementSpec(self.name, self.kind, tuple(self.of), nominal, tolerance)
-
-
 Millimetres = Annotated[float, Field(ge=-10_000, le=10_000)]
 Place = Annotated[list[Millimetres], Field(min_length=3, max_length=3)]
 
 
-class TraySection(_Section):
+class TraySection(JobSection):
     """Pockets of a tray or pallet at equal spacing, numbered along the row, then by row, then by layer.
 
     Places are positions of the reported point of a part that lies there, in the frame of the coordinates.
@@ -331,7 +219,7 @@ class TraySection(_Section):
         return Tray(first, tuple(ends), (self.columns, self.rows, self.layers), self.tolerance_mm)
 
 
-class _Picking(_Section):
+class _Picking(JobSection):
     """Which of several parts in one picture a robot gets first."""
 
     order: Literal["score", "nearest", "topmost", "leftmost", "least_sigma", "pocket"] = Field(
@@ -353,7 +241,7 @@ class _Picking(_Section):
         return Picking(Order(self.order), bounds, grasps, tray=tray)
 
 
-class _Grasp(_Section):
+class _Grasp(JobSection):
     """A grasp of the part. Its z axis is the approach direction."""
 
     name: Name = Field(description="for people")
@@ -384,7 +272,7 @@ class _Grasp(_Section):
         return Grasp(self.name, part_from_tcp, taught, self.approach_mm, retreat_mm, self.symmetry)
 
 
-class _Point(_Section):
+class _Point(JobSection):
     """A point in the CAD model's frame whose pose may be published, with the model's axes."""
 
     name: Name = Field(description="what `report` may name")
@@ -401,7 +289,7 @@ def _is_rigid(pose: FloatArray) -> bool:
     return bool(turned) and np.array_equal(pose[3], [0, 0, 0, 1])
 
 
-class JobFile(_Section):
+class JobFile(JobSection):
     """The whole file; a `ValidationError` says what is wrong in it."""
 
     format: Literal["edged-job"] = Field(description="what this file is")
@@ -455,11 +343,13 @@ class JobFile(_Section):
         None, max_length=200, description="calibration of the rig that measured the sizes; none: a drawing's"
     )
     point: Annotated[list[_Point], Field(max_length=MAX_FEATURES)] = Field(default_factory=list)
-    circle: Annotated[list[_Circle], Field(max_length=MAX_FEATURES)] = Field(default_factory=list)
-    edge: Annotated[list[_Edge], Field(max_length=MAX_FEATURES)] = Field(default_factory=list)
-    slot: Annotated[list[_Slot], Field(max_length=MAX_FEATURES)] = Field(default_factory=list)
-    corner: Annotated[list[_Corner], Field(max_length=MAX_FEATURES)] = Field(default_factory=list)
-    measurement: Annotated[list[_Measurement], Field(max_length=MAX_FEATURES)] = Field(default_factory=list)
+    circle: Annotated[list[CircleSection], Field(max_length=MAX_FEATURES)] = Field(default_factory=list)
+    edge: Annotated[list[EdgeSection], Field(max_length=MAX_FEATURES)] = Field(default_factory=list)
+    slot: Annotated[list[SlotSection], Field(max_length=MAX_FEATURES)] = Field(default_factory=list)
+    corner: Annotated[list[CornerSection], Field(max_length=MAX_FEATURES)] = Field(default_factory=list)
+    measurement: Annotated[list[MeasurementSection], Field(max_length=MAX_FEATURES)] = Field(
+        default_factory=list
+    )
     grasp: Annotated[list[_Grasp], Field(max_length=32)] = Field(default_factory=list)
 
     @model_validator(mode="after")

@@ -219,11 +219,10 @@ def _pose(target: Target, snapshot: Snapshot, convention: Convention) -> Pose | 
     robot = snapshot.robot_from_rig
     reading = reading_of(target, robot, snapshot.registration_covariance, convention)
     frame_from_part = target.rig_from_part if robot is None else robot @ target.rig_from_part
-    R = frame_from_part[:3, :3]
     exact = (*reading.position_mm.tolist(), *reading.angles_deg.tolist())
     sigma = (*reading.sigma_mm.tolist(), *reading.sigma_deg.tolist())
     integers = tuple(round(value * 1000) for value in exact)
-    if any(not -INT32_MAX <= number <= INT32_MAX for number in integers):
+    if not _fit(integers):
         return None
     circle = max(target.circles, key=lambda circle: circle.radius_mm, default=None)
     radius_mm = circle.radius_mm if circle is not None else math.nan
@@ -234,7 +233,7 @@ def _pose(target: Target, snapshot: Snapshot, convention: Convention) -> Pose | 
         exact=exact,
         sigma=sigma,
         integers=integers,
-        rotation_vector=tuple(round(value * 1e6) for value in rotation_vector_rad(R)),
+        rotation_vector=_microradians(frame_from_part),
         radius_mm=radius_mm,
         sigma_radius_mm=circle.sigma_radius_mm if circle is not None else math.nan,
         depth_mm=depth_mm,
@@ -262,9 +261,8 @@ def _place(offset: Offset | None, command: Command | None, convention: Conventio
     place = place_correction(offset.robot, command.robot_from_flange)
     if not _is_sane(place):
         return ()
-    exact = (*place[:3, 3].tolist(), *ANGLES_DEG[convention](place[:3, :3]))
-    numbers = tuple(round(value * 1000) for value in exact)
-    return numbers if all(abs(number) <= INT32_MAX for number in numbers) else ()
+    numbers = _thousandths(place, convention)
+    return numbers if _fit(numbers) else ()
 
 
 def _belt_figures(moment: BeltMoment | None) -> tuple[int, int]:
@@ -277,14 +275,10 @@ def _belt_pose(part: OnBelt | None, convention: Convention) -> BeltPose | None:
     """Pose on the belt in register units; None without one, or when a number does not fit its register."""
     if part is None or not (_is_sane(part.belt_from_part) and _is_sane(part.belt_covariance)):
         return None
-    R = part.belt_from_part[:3, :3]
-    exact = (*part.belt_from_part[:3, 3].tolist(), *ANGLES_DEG[convention](R))
-    numbers = tuple(round(value * 1000) for value in exact)
-    if any(not -INT32_MAX <= number <= INT32_MAX for number in numbers):
+    numbers = _thousandths(part.belt_from_part, convention)
+    if not _fit(numbers):
         return None
-    sigma_mm = np.sqrt(np.maximum(np.diag(part.belt_covariance)[:3], 0.0))
-    sigma_deg = sigma_angles_deg(R, part.belt_covariance[3:, 3:], convention)
-    return BeltPose(part.number, numbers, (*sigma_mm.tolist(), *sigma_deg.tolist()))
+    return BeltPose(part.number, numbers, _sigma(part.belt_from_part, part.belt_covariance, convention))
 
 
 def _shift(offset: Offset | None, convention: Convention) -> Shift | None:
@@ -293,19 +287,16 @@ def _shift(offset: Offset | None, convention: Convention) -> Shift | None:
         return None
     found, sigmas = list[tuple[int, ...]](), list[tuple[float, ...]]()
     for pose, covariance in ((offset.robot, offset.covariance), (offset.part, offset.part_covariance)):
-        R, place = pose[:3, :3], pose[:3, 3]
         found.append(
             (
-                *(round(value * 1000) for value in place.tolist()),
-                *(round(angle * 10_000) for angle in ANGLES_DEG[convention](R)),
+                *(round(value * 1000) for value in pose[:3, 3].tolist()),
+                *(round(angle * 10_000) for angle in ANGLES_DEG[convention](pose[:3, :3])),
             )
         )
-        sigma_mm = np.sqrt(np.maximum(np.diag(covariance)[:3], 0.0))
-        sigmas.append((*sigma_mm.tolist(), *sigma_angles_deg(R, covariance[3:, 3:], convention).tolist()))
-    if any(not -INT32_MAX <= number <= INT32_MAX for number in (*found[0], *found[1])):
+        sigmas.append(_sigma(pose, covariance, convention))
+    if not _fit((*found[0], *found[1])):
         return None
-    vector = tuple(round(value * 1e6) for value in rotation_vector_rad(offset.robot[:3, :3]))
-    return Shift(found[0], found[1], vector, sigmas[0], sigmas[1])
+    return Shift(found[0], found[1], _microradians(offset.robot), sigmas[0], sigmas[1])
 
 
 def _tool(target: Target, grasp: GraspPose | None, snapshot: Snapshot, convention: Convention) -> Tool | None:
@@ -320,19 +311,39 @@ def _tool(target: Target, grasp: GraspPose | None, snapshot: Snapshot, conventio
         approach_mm = approach_mm + grasp.robot_shift.shift_mm
     pose = (*reading.position_mm.tolist(), *reading.angles_deg.tolist())
     numbers = [round(value * 1000) for value in (*pose, *approach_mm.tolist())]
-    if any(not -INT32_MAX <= number <= INT32_MAX for number in numbers):
+    if not _fit(numbers):
         return None
     return Tool(
         number=grasp.number,
         pose=tuple(numbers[:6]),
         approach=tuple(numbers[6:]),
-        rotation_vector=tuple(
-            round(value * 1e6) for value in rotation_vector_rad((frame_from_rig @ grasp.rig_from_tcp)[:3, :3])
-        ),
+        rotation_vector=_microradians(frame_from_rig @ grasp.rig_from_tcp),
         turn=round(math.degrees(grasp.turn_rad) * 1000),
         retreat=round(grasp.retreat_mm * 1000),
         sigma=(*reading.sigma_mm.tolist(), *reading.sigma_deg.tolist()),
     )
+
+
+def _thousandths(pose: FloatArray, convention: Convention) -> tuple[int, ...]:
+    """X Y Z A B C of a pose (4, 4), in µm and 0.001°."""
+    exact = (*pose[:3, 3].tolist(), *ANGLES_DEG[convention](pose[:3, :3]))
+    return tuple(round(value * 1000) for value in exact)
+
+
+def _microradians(pose: FloatArray) -> tuple[int, ...]:
+    """Rotation vector of a pose (4, 4), in µrad."""
+    return tuple(round(value * 1e6) for value in rotation_vector_rad(pose[:3, :3]))
+
+
+def _sigma(pose: FloatArray, covariance: FloatArray, convention: Convention) -> tuple[float, ...]:
+    """Sigmas of X Y Z A B C of a pose (4, 4) with this covariance (6, 6), in mm and degrees."""
+    sigma_mm = np.sqrt(np.maximum(np.diag(covariance)[:3], 0.0))
+    return (*sigma_mm.tolist(), *sigma_angles_deg(pose[:3, :3], covariance[3:, 3:], convention).tolist())
+
+
+def _fit(numbers: Iterable[int]) -> bool:
+    """Whether each number fits a register; INT32_MIN means unknown."""
+    return all(-INT32_MAX <= number <= INT32_MAX for number in numbers)
 
 
 def _is_sane(matrix: FloatArray) -> bool:

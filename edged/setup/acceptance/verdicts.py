@@ -30,7 +30,6 @@ places.
 """
 LENGTH_UM, LENGTH_PER = 5.0, 20_000.0
 """Largest error of a length L: LENGTH_UM + L / LENGTH_PER."""
-ROUNDS = 5
 
 
 @dataclass(frozen=True, slots=True)

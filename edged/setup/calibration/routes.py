@@ -37,7 +37,7 @@ class CalibrationBeginning(Body):
     lens: LensWish = "auto"
 
     @model_validator(mode="after")
-    def _one_of_both(self) -> CalibrationBeginning:
+    def _is_consistent(self) -> CalibrationBeginning:
         if self.recognise == bool(self.boards) or self.recognise != (self.mm is not None):
             raise ValueError('expected either boards, or "recognise": true with mm')
         return self
@@ -149,7 +149,7 @@ class Checking(Leased):
     lengths: Annotated[dict[Name, Millimetres], Field(max_length=20)] = Field(default_factory=dict)
 
     @model_validator(mode="after")
-    def _one_of_both(self) -> Checking:
+    def _is_consistent(self) -> Checking:
         if (self.board is None) == (self.job is None) or (self.job is None) == bool(self.lengths):
             raise ValueError("expected either board, or job with lengths")
         return self

@@ -122,7 +122,7 @@ class Adjusting(Leased):
     serial: str | None = Field(None, min_length=1, max_length=64, description="of the camera for this side")
 
     @model_validator(mode="after")
-    def _something(self) -> Adjusting:
+    def _is_consistent(self) -> Adjusting:
         if self.exposure_us is None and self.gain_db is None and self.serial is None:
             raise ValueError("expected exposure_us, gain_db or serial")
         return self

@@ -133,7 +133,7 @@ class Testing(Body):
     change: ChangedJob | None = None
 
     @model_validator(mode="after")
-    def _one_of_them(self) -> Testing:
+    def _is_consistent(self) -> Testing:
         if sum(value is not None for _, value in self) != 1:
             raise ValueError(f"expected one of {', '.join(type(self).model_fields)}")
         return self

@@ -62,7 +62,7 @@ class Shown(Revised):
     text: Pasted | None = None
 
     @model_validator(mode="after")
-    def _one_of_both(self) -> Shown:
+    def _is_consistent(self) -> Shown:
         if (self.numbers is None) == (self.text is None):
             raise ValueError("expected either numbers or text")
         return self

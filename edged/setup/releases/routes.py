@@ -178,7 +178,7 @@ class Changing(Body):
     signed: Reason | None = None
 
     @model_validator(mode="after")
-    def _one_thing(self) -> Changing:
+    def _is_consistent(self) -> Changing:
         is_change = self.new_name is not None or (self.number is not None and self.retired is None)
         if is_change == (self.retired is not None):
             raise ValueError("expected new_name or number, or retired: true, or false with another number")

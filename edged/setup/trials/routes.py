@@ -23,7 +23,7 @@ class TrialSubject(Body):
     teaching: Draft | None = None
 
     @model_validator(mode="after")
-    def _one_at_most(self) -> TrialSubject:
+    def _is_consistent(self) -> TrialSubject:
         if self.job is not None and self.teaching is not None:
             raise ValueError("expected job or teaching, not both")
         return self

@@ -1,9 +1,9 @@
 // An acceptance: pictures of each test are taken, then the cell is judged by them.
 import { html, useState } from "../../vendor/ui.js";
-import { ask, attempt, glance, sentence } from "../shared/api.js";
+import { ask, attempt, glance } from "../shared/api.js";
 import { cell, holds, sign, token, useFresh, useTask } from "../shared/live.js";
 import { Pair } from "../shared/picture.js";
-import { NumberField, Shape, say, useKept } from "../shared/pieces.js";
+import { Failed, NumberField, Shape, say, Underway, useKept } from "../shared/pieces.js";
 import { moment, number, t } from "../shared/texts.js";
 import { Figures, Study, signs, verdictOf } from "./study.js";
 
@@ -167,21 +167,8 @@ export default function Accept() {
           ${t("accept-now")}
         </button>
       </div>
-      ${
-        id &&
-        html`<div role="status">
-          <label class="meter">
-            <span>${t("accept-running")}</span>
-            <progress max="1" value=${state?.done ?? undefined}></progress>
-          </label>
-        </div>`
-      }
-      ${
-        failed &&
-        html`<p class="wrong" role="alert">
-          <${Shape} is="doubt" /> ${t("accept-stopped")} ${failed.problem && sentence(failed.problem)}
-        </p>`
-      }
+      ${id && html`<${Underway} text=${t("accept-running")} state=${state} />`}
+      ${failed && html`<${Failed} text=${t("accept-stopped")} ended=${failed} />`}
     </section>
     ${known?.last && html`<${Last} last=${known.last} isCurrent=${known.is_current} />`}
     <${Study} job=${job} />`;

@@ -18,7 +18,7 @@ import {
   useTask,
 } from "../shared/live.js";
 import { Pair, points } from "../shared/picture.js";
-import { NumberField, Shape, say, useKept, useMainAction } from "../shared/pieces.js";
+import { Failed, NumberField, Shape, say, useKept, useMainAction } from "../shared/pieces.js";
 import { inWords, number, t } from "../shared/texts.js";
 import { Filmstrip, short } from "./filmstrip.js";
 
@@ -348,12 +348,7 @@ function Solve() {
             </button>
           </div>`
     }
-    ${
-      ended?.state === "failed" &&
-      html`<p class="wrong" role="alert">
-        <${Shape} is="doubt" /> ${t("solve-failed")} ${ended.problem && sentence(ended.problem)}
-      </p>`
-    }
+    ${ended?.state === "failed" && html`<${Failed} text=${t("solve-failed")} ended=${ended} />`}
     ${ended?.state === "cancelled" && html`<p>${t("solve-cancelled")}</p>`}
     ${solved && !running && html`<${Solved} ...${solved} />`}
   </section>`;

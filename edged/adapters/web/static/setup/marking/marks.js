@@ -1,9 +1,9 @@
 // Reference marks: whether they correct this cell, a look at them in one pair, and teaching them.
 import { html, useState } from "../../vendor/ui.js";
-import { ask, attempt, glance, sentence } from "../shared/api.js";
+import { ask, attempt, glance } from "../shared/api.js";
 import { cell, holds, rawSize, sign, token, useFresh, useTask } from "../shared/live.js";
 import { Pair } from "../shared/picture.js";
-import { Shape, say } from "../shared/pieces.js";
+import { Failed, Shape, say, Underway } from "../shared/pieces.js";
 import { inWords, moment, number, t } from "../shared/texts.js";
 
 const RING_SHARE = 0.02; // radius of a ring, of the picture's width
@@ -108,21 +108,8 @@ function Teaching({ exposures, onTaught }) {
         ${t("marks-teach-now", { count: exposures })}
       </button>
     </div>
-    ${
-      id &&
-      html`<div role="status">
-        <label class="meter">
-          <span>${t("marks-teaching")}</span>
-          <progress max="1" value=${state?.done ?? undefined}></progress>
-        </label>
-      </div>`
-    }
-    ${
-      failed &&
-      html`<p class="wrong" role="alert">
-        <${Shape} is="doubt" /> ${t("marks-failed")} ${failed.problem && sentence(failed.problem)}
-      </p>`
-    }
+    ${id && html`<${Underway} text=${t("marks-teaching")} state=${state} />`}
+    ${failed && html`<${Failed} text=${t("marks-failed")} ended=${failed} />`}
   </section>`;
 }
 

@@ -1,5 +1,6 @@
 // Components of all pages: shapes, number fields, sliders, dialogs.
 import { html, signal, useEffect, useLayoutEffect, useRef, useState } from "../../vendor/ui.js";
+import { sentence } from "./api.js";
 import { number, parseNumber, t } from "./texts.js";
 
 const SHAPES = {
@@ -21,6 +22,19 @@ export const Shape = ({ is }) => html`<svg class="shape" viewBox="0 0 16 16" ari
 export const Chip = ({ kind, shape, children, ...rest }) => html`<span class="chip ${kind}" ...${rest}>
   <${Shape} is=${shape} /> ${children}
 </span>`;
+
+// A task under way. state: of `useTask`.
+export const Underway = ({ text, state }) => html`<div role="status">
+  <label class="meter">
+    <span>${text}</span>
+    <progress max="1" value=${state?.done ?? undefined}></progress>
+  </label>
+</div>`;
+
+// A task that failed. ended: its last state, with the problem if it is known.
+export const Failed = ({ text, ended }) => html`<p class="wrong" role="alert">
+  <${Shape} is="doubt" /> ${text} ${ended.problem && sentence(ended.problem)}
+</p>`;
 
 // State that survives leaving the page and reloading. name: null for state that does not.
 const TYPED = "edged.typed.";

@@ -14,7 +14,7 @@ import {
   useTask,
 } from "../shared/live.js";
 import { Pair } from "../shared/picture.js";
-import { Shape, say } from "../shared/pieces.js";
+import { Failed, Shape, say, Underway } from "../shared/pieces.js";
 import { dashed, inWords, moment, number, t } from "../shared/texts.js";
 import { SigmaMap } from "./sigmamap.js";
 import { chosen, findMap, isOn, look, rest, run, trial } from "./trial.js";
@@ -164,21 +164,8 @@ function Still() {
         ${t("try-still-start", { count: STILL })}
       </button>
     </div>
-    ${
-      id &&
-      html`<div role="status">
-        <label class="meter">
-          <span>${t("try-still-running")}</span>
-          <progress max="1" value=${state?.done ?? undefined}></progress>
-        </label>
-      </div>`
-    }
-    ${
-      failed &&
-      html`<p class="wrong" role="alert">
-        <${Shape} is="doubt" /> ${t("try-still-failed")} ${failed.problem && sentence(failed.problem)}
-      </p>`
-    }
+    ${id && html`<${Underway} text=${t("try-still-running")} state=${state} />`}
+    ${failed && html`<${Failed} text=${t("try-still-failed")} ended=${failed} />`}
     ${last.value && !id && html`<${StillResult} ...${last.value} />`}
   </section>`;
 }
