@@ -13,7 +13,8 @@ from edged.plc import handshakeevents as ev
 from edged.plc.answers import AckState
 from edged.plc.registers import UINT16_MAX, RegisterResult
 
-KINDS = frozenset(CommandKind)
+CODES = frozenset(CommandKind)
+"""Codes of commands that there are."""
 KEPT = 50
 MOST_RUNGS = 16
 """Maximum number of steps (`Exchange.rungs`) kept per command."""
@@ -55,7 +56,7 @@ class Exchange:
     @property
     def command(self) -> str:
         """Name of the command; "" for an unknown code."""
-        return CommandKind(self.code).name if self.code in KINDS else ""
+        return CommandKind(self.code).name if self.code in CODES else ""
 
 
 class ExchangeLog:
@@ -158,7 +159,7 @@ def _hint(code: int, flange_mm: tuple[float, ...]) -> str:
     >>> _hint(0x0100, ())
     'bytes'
     """
-    if code not in KINDS and (code >> 8 | (code & 0xFF) << 8) in KINDS:
+    if code not in CODES and (code >> 8 | (code & 0xFF) << 8) in CODES:
         return "bytes"
     place = flange_mm[:3]
     if any(abs(mm) > FARTHEST_MM for mm in place) and all(abs(_turned(mm)) <= FARTHEST_MM for mm in place):

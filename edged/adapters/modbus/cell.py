@@ -47,7 +47,7 @@ from edged.plc import handshakeevents as ev
 from edged.plc import registers as reg
 from edged.plc.answers import NackReason, ResultVerdict
 from edged.plc.controlbits import EndOfUse, StartBit, StartCommand, begun, cell_bits, control_written
-from edged.plc.exchangelog import ExchangeLog
+from edged.plc.exchangelog import CODES, ExchangeLog
 from edged.plc.statuswords import status_values
 from edged.ports import Commander
 from edged.robot.orientations import rotation_of
@@ -66,12 +66,10 @@ VERDICTS = {
 }
 """Verdict of the handshake by result code; every other code is BAD."""
 
-
 AT = {register.name: register.address - reg.COMMAND.address for register in reg.COMMAND.registers}
 """Place of each register's first word in the command block."""
 OPTIONS = sum(reg.Option)
 """Every bit of the register OPTIONS that has a meaning."""
-KINDS = frozenset(CommandKind)
 COMMAND_WORDS = struct.Struct(f">{reg.COMMAND.words}H")
 UR_STATUS = tuple(
     (register.name, register.name.removeprefix("UR_"))
@@ -361,7 +359,7 @@ class CellRegisters:
         return reg.acceptance_values(Acceptance() if cell is None else cell.acceptance, time.time_ns())
 
     def _place_basis(self) -> None:
-        """Encode the blocks that measurements do not change: constants and registration."""
+        """Replace the values that measurements do not change: constants and registration."""
         convention, epoch = self._settings.convention, self._epoch
         self._due[reg.CONSTANTS] = functools.partial(reg.constant_values, convention, *self._basis)
         self._due[reg.REGISTRATION] = functools.partial(
@@ -448,7 +446,7 @@ class CellRegisters:
 
     def _trigger(self, client: int, now_s: float, options: reg.Option, shown: tuple[float, ...]) -> None:
         code, job, timeout_ms = (self._command[AT[name]] for name in ("COMMAND", "JOB", "TIMEOUT"))
-        known = code in KINDS
+        known = code in CODES
         flange, written = self._taken_flange()
         self.ladder.writes(code, job, written)
         skipped_mm = self._shown_last_mm() if reg.Option.SKIP in options else None

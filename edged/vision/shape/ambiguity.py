@@ -46,6 +46,7 @@ STRONG_SHARE = ROTATIONS.strong_share
 SEEN_PERCENT = ROTATIONS.seen_percent
 ACCIDENTS = ROTATIONS.accidents
 ACCIDENT_SPREAD = ROTATIONS.accident_spread
+
 Array = npt.NDArray[Any]
 Flags = B8
 

@@ -103,10 +103,8 @@ def no_step() -> StepResult:
 
 def start_pose(x_px: float, y_px: float, angle_rad: float, scale_x: float, scale_y: float) -> FloatArray:
     """The pose vector of a rotation after scales along the model's axes."""
-    cosine, sine = np.cos(angle_rad), np.sin(angle_rad)
-    return np.array(
-        [x_px, y_px, cosine * scale_x, -sine * scale_y, sine * scale_x, cosine * scale_y, 0.0, 0.0]
-    )
+    pose: FloatArray = start_poses(*np.array([[x_px], [y_px], [angle_rad], [scale_x], [scale_y]]))[0]
+    return pose
 
 
 def start_poses(

@@ -149,14 +149,11 @@ def plane_of(view: TeachingView, contours: Sequence[Contour], depth_mm: tuple[fl
     points = np.concatenate([contour.points for contour in contours])
     normals = np.concatenate([contour.normals for contour in contours])
     chosen = slice(None, None, max(1, len(points) // TEACHING.plane_points))
-    low, high = usual_depths(view.images)
-    usual = max(low, depth_mm[0]), min(high, depth_mm[1])
-    for within_mm in (usual, depth_mm):  # a brushed table has many stronger edges than a faint part
-        if within_mm[0] < within_mm[1]:
-            plane = find_plane(view.images, points[chosen], normals[chosen], 1, within_mm)
-            if plane is not None:
-                return plane
-    return None
+    planes = (
+        find_plane(view.images, points[chosen], normals[chosen], 1, within_mm)
+        for within_mm in depth_ranges(view.images, depth_mm)
+    )
+    return next((plane for plane in planes if plane is not None), None)
 
 
 def common_depths(rectification: Rectification) -> tuple[float, float]:
@@ -169,12 +166,21 @@ def common_depths(rectification: Rectification) -> tuple[float, float]:
     return max(nearest, 1.0), min(farthest, 20 * nearest)
 
 
+def depth_ranges(images: StereoImages, depth_mm: tuple[float, float]) -> list[tuple[float, float]]:
+    """Ranges of rectified depths to look for a face in, in turn: where parts usually lie, then all of them.
+
+    At other depths a brushed table has many stronger edges than a faint part.
+    """
+    low, high = usual_depths(images)
+    usual = max(low, depth_mm[0]), min(high, depth_mm[1])
+    return [usual, depth_mm] if usual[0] < usual[1] else [depth_mm]
+
+
 def usual_depths(images: StereoImages) -> tuple[float, float]:
     """Range of rectified depths about where the optical axes meet: where parts usually lie."""
-    nearest, farthest = common_depths(images.rectification)
     depth = float((images.rectification.rectified_from_left @ where_axes_meet(images))[2])
     reach = min(CAD.taught_ranges)
-    return max(nearest, depth / reach), min(farthest, depth * reach)
+    return depth / reach, depth * reach
 
 
 def where_axes_meet(images: StereoImages) -> FloatArray:

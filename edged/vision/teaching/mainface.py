@@ -23,10 +23,10 @@ from edged.vision.teaching.background import fits_significantly_better
 from edged.vision.teaching.features import (
     TeachingView,
     common_depths,
+    depth_ranges,
     part_frame,
     plane_of,
     strong_contours,
-    usual_depths,
 )
 from edged.vision.teaching.levels import (
     at_own_depth,
@@ -171,7 +171,7 @@ def _reference(view: TeachingView, ellipses: list[ImageEllipse]) -> FoundCircle:
             "no_feature",
         )
     depths_mm = common_depths(images.rectification)
-    for ellipse, within_mm in itertools.product(ellipses, (usual_depths(images), depths_mm)):
+    for ellipse, within_mm in itertools.product(ellipses, depth_ranges(images, depths_mm)):
         points, normals = ellipse.outline(240)
         plane = find_plane(images, points, normals, ellipse.polarity, within_mm)
         if plane is None:

@@ -9,6 +9,7 @@ import pytest
 from naive import shape as naive
 
 from edged.vision.edges.subpixel import edges_at_widths
+from edged.vision.geometry.rigid import rotation_2d
 from edged.vision.shape import ambiguity as rivals
 from edged.vision.shape import localsearch as nearby
 from edged.vision.shape import refine, scan
@@ -358,6 +359,9 @@ def test_start_poses_are_those_of_each_row() -> None:
     rows = np.random.default_rng(1).uniform(-2, 2, (20, 5))
     expected = [refine.start_pose(*row) for row in rows.tolist()]
     np.testing.assert_array_equal(refine.start_poses(*rows.T), expected)
+    for pose, (x, y, angle, scale_x, scale_y) in zip(expected, rows.tolist(), strict=True):
+        linear = rotation_2d(angle) @ np.diag([scale_x, scale_y])
+        np.testing.assert_allclose(pose, [x, y, *linear.ravel(), 0.0, 0.0], rtol=1e-15)
 
 
 @pytest.mark.parametrize("sizes_y", [None, (0.8, 1.3)])
