@@ -14,7 +14,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from edged.domain.arrays import B8, I64, FloatArray
+from edged.domain.arrays import B8, F64, I64, FloatArray
+from edged.vision.kernels.jit import kernel
 from edged.vision.solid.edgemodel import EdgeModel, EdgePoints, are_unbroken, chains_of
 from edged.vision.solid.params import PROFILE
 from edged.vision.solid.visible import VisibleSamples
@@ -67,12 +68,22 @@ class ArcShifts:
 
     def _sums(self, weights: FloatArray, values: FloatArray) -> FloatArray:
         """Weighted sums (G,) or (K, G) over each group of values (M,) or (M, K)."""
-        weighted = weights * self.across_px * values.T
-        return np.apply_along_axis(lambda row: np.bincount(self.group, row), -1, weighted)
+        columns = np.ascontiguousarray(values.reshape(len(values), -1))
+        sums = np.zeros((columns.shape[1], int(self.group.max()) + 1))
+        add_by_group(self.group, weights * self.across_px, columns, sums)
+        return np.asarray(sums.reshape(*values.shape[1:], -1))
 
     def _whole(self, weights: FloatArray) -> FloatArray:
         before = PROFILE.correlated / max(self.sigma, PROFILE.least_on_arc) ** 2
         return np.asarray(np.bincount(self.group, weights * self.across_px**2) + before)
+
+
+@kernel("void(i8[::1], f8[::1], f8[:, ::1], f8[:, ::1])")
+def add_by_group(group: I64, weights: F64, values: F64, sums: F64) -> None:
+    """Add to sums (K, G) the values (M, K), times weights (M,), of each group (M,)."""
+    for m in range(len(group)):
+        for k in range(values.shape[1]):
+            sums[k, group[m]] += weights[m] * values[m, k]
 
 
 def across_breaks(model: EdgeModel, samples: EdgePoints, seen: VisibleSamples) -> FloatArray:

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from edged.domain.arrays import B8, I64, FloatArray
-from edged.vision.kernels.jit import B1, F2, I1
+from edged.vision.kernels.jit import B1, F1, F2, F3, I1, kernel
 from edged.vision.part.body import PartBody
 from edged.vision.solid.params import MODEL
 
@@ -77,6 +77,7 @@ class EdgePoints(NamedTuple):
     sharp: B1
 
 
+TINY_MM = MODEL.tiny_mm
 EDGES = 3
 """Edge numbers per curve: the unbroken edge, and both edges of its break."""
 
@@ -206,40 +207,70 @@ def _walk(
 @lru_cache(maxsize=64)  # of a few jobs at a few spacings
 def sampled(model: EdgeModel, spacing_mm: float) -> EdgePoints:
     """Points along all edges of a model, evenly spaced along each curve."""
+    unbroken = np.zeros_like(model.start) if model.upwards is None else model.upwards
+    by_break = np.stack([unbroken, model.by_break[:, 0], model.by_break[:, 1]], axis=1)
     broken = model.breaks_mm > 0
-    both = [
-        _along(model, np.flatnonzero(~broken), None, spacing_mm),
-        *(_along(model, np.flatnonzero(broken), side, spacing_mm) for side in (0, 1)),
-    ]
-    return EdgePoints._make(np.ascontiguousarray(np.concatenate(field)) for field in zip(*both, strict=True))
+    rows = np.concatenate([np.flatnonzero(~broken), *[np.flatnonzero(broken)] * 2])
+    part = np.repeat([0, 1, 2], [np.count_nonzero(~broken), *[np.count_nonzero(broken)] * 2])
+    start, end, widths = (np.ascontiguousarray(each) for each in (model.start, model.end, model.breaks_mm))
+    normals = model.normals.reshape(-1, 6)
+    edges = _Edges(start, end, widths, by_break, normals, model.chain, model.sharp, rows, part)
+    return _along(edges, spacing_mm)
 
 
-def _along(model: EdgeModel, rows: I64, side: int | None, spacing_mm: float) -> EdgePoints:
-    """Samples of some segments; side: of the break's edge within that face."""
-    if side is not None:
-        by_break = model.by_break[rows, side]
-    else:
-        by_break = np.zeros((len(rows), 3)) if model.upwards is None else model.upwards[rows]
-    shift = model.breaks_mm[rows, None] * by_break
-    start, end = model.start[rows] + shift, model.end[rows] + shift
-    curve = model.chain[rows] * EDGES + (0 if side is None else side + 1)
-    length = np.linalg.norm(end - start, axis=1)
-    total = np.cumsum(length)
-    new = np.r_[True, curve[1:] != curve[:-1]][: len(rows)]
-    base = np.maximum.accumulate(np.where(new, total - length, 0.0)) if len(rows) else total
-    first, last = (np.ceil(place / spacing_mm - 0.5) for place in (total - length - base, total - base))
-    count = (last - first).astype(np.int64)
-    row = np.repeat(np.arange(len(rows)), count)
-    number = np.arange(len(row)) - np.repeat(np.cumsum(count) - count, count) + np.repeat(first, count)
-    share = ((number + 0.5) * spacing_mm - (total - length - base)[row]) / np.maximum(
-        length[row], MODEL.tiny_mm
-    )
-    along = (end - start) / np.maximum(length, MODEL.tiny_mm)[:, None]
-    return EdgePoints(
-        start[row] + share[:, None] * (end - start)[row],
-        along[row],
-        model.normals[rows].reshape(-1, 6)[row],
-        by_break[row],
-        curve[row],
-        model.sharp[rows][row],
-    )
+class _Edges(NamedTuple):
+    """Edges to sample: fields of an `EdgeModel` (E, ...), and the segments in order.
+
+    by_break (E, 3, 3) : of the unbroken edge, and of both edges of its break.  normals (E, 6).
+    rows (R,), part (R,) : of each segment in order, its number and which of these three edges it is.
+    """
+
+    start: F2
+    end: F2
+    breaks_mm: F1
+    by_break: F3
+    normals: F2
+    chain: I1
+    sharp: B1
+    rows: I1
+    part: I1
+
+
+@kernel("EdgePoints(_Edges, f8)", tuples=(EdgePoints, _Edges))
+def _along(edges: _Edges, spacing_mm: float) -> EdgePoints:
+    """Samples of the segments, spaced evenly along each curve."""
+    count = len(edges.rows)
+    ends, places, steps = np.empty((count, 2, 3)), np.empty((count, 2)), np.zeros((count, 2), np.int64)
+    total, before, so_far = 0, -1, 0.0
+    for r in range(count):
+        row, part, square = edges.rows[r], edges.part[r], 0.0
+        for i in range(3):
+            shift = edges.breaks_mm[row] * edges.by_break[row, part, i]
+            ends[r, 0, i], ends[r, 1, i] = edges.start[row, i] + shift, edges.end[row, i] + shift
+            square += (ends[r, 1, i] - ends[r, 0, i]) ** 2
+        curve = edges.chain[row] * EDGES + part
+        if curve != before:
+            before, so_far = curve, 0.0
+        places[r, 0], places[r, 1] = so_far, np.sqrt(square)
+        so_far += places[r, 1]
+        first, last = np.ceil(places[r, 0] / spacing_mm - 0.5), np.ceil(so_far / spacing_mm - 0.5)
+        steps[r, 0], steps[r, 1] = int(first), int(last - first)
+        total += steps[r, 1]
+    points = EdgePoints(
+        np.empty((total, 3)), np.empty((total, 3)), np.empty((total, 6)), np.empty((total, 3)),
+        np.empty(total, np.int64), np.empty(total, np.bool_),
+    )  # fmt: skip
+    n = 0
+    for r in range(count):
+        row, part, length = edges.rows[r], edges.part[r], max(places[r, 1], TINY_MM)
+        for step in range(steps[r, 1]):
+            share = ((steps[r, 0] + step + 0.5) * spacing_mm - places[r, 0]) / length
+            for i in range(3):
+                way = ends[r, 1, i] - ends[r, 0, i]
+                points.points[n, i], points.along[n, i] = ends[r, 0, i] + share * way, way / length
+                points.by_break[n, i] = edges.by_break[row, part, i]
+            for i in range(6):
+                points.normals[n, i] = edges.normals[row, i]
+            points.curve[n], points.sharp[n] = edges.chain[row] * EDGES + part, edges.sharp[row]
+            n += 1
+    return points

@@ -91,6 +91,7 @@ def evidence_of(model: EdgeModel, pyramids: Pyramids, pose: FloatArray) -> PoseE
             pyramids.pictures[0][k].drawn,
             LOCK.own_px,
             EVIDENCE.reach_px,
+            1,
             near,
         )
         own = (np.abs(offsets[:, :, None] - near[:, None]) < EVIDENCE.own_px).any(axis=2)

@@ -8,11 +8,11 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from edged.domain.arrays import F32, FloatArray, Image
+from edged.domain.arrays import B8, F32, FloatArray, Image
 from edged.vision.geometry.camera import StereoRig
 from edged.vision.geometry.rigid import invert
 from edged.vision.kernels.jit import for_kernel
-from edged.vision.solid.edgemodel import EdgeModel
+from edged.vision.solid.edgemodel import EdgeModel, EdgePoints
 from edged.vision.solid.lockstep import MOST, LevelPicture, find_edges, step
 from edged.vision.solid.params import LOCK, VISIBILITY, LockStep
 from edged.vision.solid.visible import Cameras, VisibleSamples, hidden_from, samples_at, see, view_of
@@ -116,22 +116,34 @@ def lay(
     """
     pose, agreeing = np.array(pose, np.float64, order="C"), np.zeros(2)
     middle = for_kernel(model.centre, np.float64)
-    level, before, hidden = -1, None, np.zeros((2, 0), np.bool_)
+    level, before = -1, None
     for how in steps:
         samples = samples_at(model, scale_at(pyramids.rig, pose, model) / 2**how.level, how.spacing_px)
         if samples is not before or how.level != level:
             level, before = how.level, samples
-            eyes = [invert(from_rig @ pose)[:3, 3] for from_rig in pyramids.cameras[level].from_rig]
-            size_px = VISIBILITY.buffer_px[min(level, len(VISIBILITY.buffer_px) - 1)]
-            hidden = np.stack([hidden_from(model, samples.points, eye, size_px) for eye in eyes])
+            some, hidden = _some_of(model, samples, pyramids.cameras[level], pose, level)
         fine = LOCK.fine_px if how.reach_px <= LOCK.coarse_reach_px else LOCK.coarse_px
         together = max(0, round(how.along_px / how.spacing_px / 2))
         if not step(
-            samples, hidden, *pyramids.pictures[level], middle, 0.5 * model.size_mm, how.reach_px, fine,
+            some, hidden, *pyramids.pictures[level], middle, 0.5 * model.size_mm, how.reach_px, fine,
             together, how.cap_px, pose, agreeing,
         ):  # fmt: skip
             return None
     return LockedPose(model, pose, agreeing)
+
+
+def _some_of(
+    model: EdgeModel, samples: EdgePoints, cameras: Cameras, pose: FloatArray, level: int
+) -> tuple[EdgePoints, B8]:
+    """The samples that a camera may see as a pose is locked, and those (2, N) that are hidden from each."""
+    size_px = VISIBILITY.buffer_px[min(level, len(VISIBILITY.buffer_px) - 1)]
+    eyes = [for_kernel(invert(from_rig @ pose)[:3, 3], np.float64) for from_rig in cameras.from_rig]
+    hidden = np.stack([hidden_from(model, samples, eye, size_px, LOCK.margin) for eye in eyes])
+    seen = np.flatnonzero(~hidden.all(axis=0))
+    if len(seen) < len(samples.points):
+        samples = EdgePoints._make(field[seen] for field in samples)
+        hidden = np.ascontiguousarray(hidden[:, seen])
+    return samples, hidden
 
 
 def schedule(top: int) -> tuple[tuple[LockStep, ...], tuple[LockStep, ...]]:

@@ -135,7 +135,8 @@ def step(
         find_edges(
             picture.slope_x, picture.slope_y, pixels, normals, curve, reach, together, fine, offset[first:]
         )
-        find_neighbours(pixels, normals, curve, picture.drawn, OWN_PX, MERGED_PX, near[first:])
+        beside = near[first : first + count]
+        find_neighbours(pixels, normals, curve, picture.drawn, OWN_PX, MERGED_PX, 1, beside)
         borders[camera + 1] = first + count
     total = borders[2]
     low, high = np.zeros(total), np.zeros(total)

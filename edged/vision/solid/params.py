@@ -88,6 +88,8 @@ class LockParams:
     fewest: int = 30  # samples in each camera, five for each unknown
     max_turn_rad: float = 0.25  # of one step
     agree_px: float = 1.0  # between an edge and a pose that it agrees with
+    margin: float = math.sin(math.radians(20.0))
+    """Sine of the turn in which edges may come into view: starts are up to 13 degrees off; with a margin."""
     middle: LockSteps = ((10, 2.5, 10, 5.0), (8, 2.5, 10, 4.0), (6, 2.5, 10, 3.0), (4, 2.5, 10, 2.0))
     """On the level below the top, to which the climb of the responses has led."""
     between: LockSteps = ((6, 3.0, 12, 3.0), (5, 3.0, 12, 2.5), (4, 3.0, 12, 2.0))

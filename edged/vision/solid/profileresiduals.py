@@ -135,7 +135,7 @@ class ProfileResiduals:
 def _windows_of(model: EdgeModel, view: PosedPair, number: int, camera: int) -> _Windows:
     samples = samples_at(model, scale_at(view.images.rig, view.pose, model), PROFILE.drawn_px)
     reach = PROFILE_RESIDUALS.half_px
-    dense, near = seen_with_neighbours(model, samples, view.pyramids, view.pose, camera, reach)
+    dense, near = seen_with_neighbours(model, samples, view.pyramids, view.pose, camera, reach, 1)
     breakable = np.zeros(int(model.chain.max()) + 1, bool)
     breakable[model.chain[model.breakable]] = True
     usable = ~np.isfinite(near).any(axis=1) & breakable[chains_of(dense.curve)]

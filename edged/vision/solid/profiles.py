@@ -72,11 +72,11 @@ def profiles_of(
 
     def measured(k: int) -> tuple[VisibleSamples, list[FloatArray]]:
         """Samples that one camera sees; their shift, weight and height, and `across_px` and `rounded_px`."""
-        dense, near = seen_with_neighbours(model, samples, pyramids, pose, k, PROFILE.reach_px)
-        some = slice(None, None, PROFILE.every)
+        every, reach_px = PROFILE.every, PROFILE.reach_px
+        dense, near = seen_with_neighbours(model, samples, pyramids, pose, k, reach_px, every)
+        some = slice(None, None, every)
         seen = VisibleSamples._make(np.ascontiguousarray(field[some]) for field in dense)
         grey, _ = edge_profiles(images.raw[k], seen.pixels, seen.normals, PROFILE.half_px, PROFILE.step_px)
-        near = np.ascontiguousarray(near[some])
         found = [np.zeros(len(seen.row)) for _ in range(3)]
         find_shifts(grey, seen.curve, near, blur_px, PROFILE.together, *found)
         return seen, [*found, across_breaks(model, samples, seen), if_rounded(model, samples, seen)]
@@ -90,16 +90,17 @@ def profiles_of(
 
 
 def seen_with_neighbours(
-    model: EdgeModel, samples: EdgePoints, pyramids: Pyramids, pose: FloatArray, camera: int, reach_px: float
-) -> tuple[VisibleSamples, FloatArray]:
-    """Samples that a camera (0 left, 1 right) sees at a pose, and offsets (M, 4), px, of other edges nearby.
+    model: EdgeModel, samples: EdgePoints, pyramids: Pyramids, pose: FloatArray, camera: int, reach_px: float,
+    every: int,
+) -> tuple[VisibleSamples, FloatArray]:  # fmt: skip
+    """Samples (M) that a camera (0 left, 1 right) sees at a pose, and offsets, px, of other edges nearby.
 
-    NaN where there are fewer within reach_px.
+    every : one of so many of the samples has offsets (K, 4), NaN where there are fewer within reach_px.
     """
     dense = see(model, samples, pyramids.cameras[0].view(camera, model, pose), VISIBILITY.buffer_px[0])
-    near = np.empty((len(dense.row), NEAR))
+    near = np.empty((math.ceil(len(dense.row) / every), NEAR))
     drawn = pyramids.pictures[0][camera].drawn
-    find_neighbours(dense.pixels, dense.normals, dense.curve, drawn, PROFILE.own_px, reach_px, near)
+    find_neighbours(dense.pixels, dense.normals, dense.curve, drawn, PROFILE.own_px, reach_px, every, near)
     return dense, near
 
 
@@ -208,8 +209,7 @@ def _heights(model: EdgeModel, profiles: Profiles) -> FloatArray:
     if not model.height_mm:
         return np.zeros((len(profiles.camera), 0))
     good = np.where(profiles.weight > PROFILE.min_weight, profiles.seen.design[:, 5], 0.0)
-    each = by_curve(profiles, good)
-    return each[each.any(axis=1)].T
+    return by_curve(profiles, good).T
 
 
 def _grown(found: FloatArray, inverse: FloatArray) -> float:
@@ -232,10 +232,11 @@ def _normal(design: FloatArray, freed: FloatArray, weights: FloatArray) -> Float
 
 
 def by_curve(profiles: Profiles, values: FloatArray) -> FloatArray:
-    """Spread values (M,) over a row (C, M) for each curve, 0 at the other curves' profiles."""
-    curve = chains_of(profiles.seen.curve)
-    found = np.zeros((int(curve.max()) + 1, len(curve)))
-    found[curve, np.arange(len(curve))] = values
+    """Spread values (M,) over a row (C, M) for each curve that has any but 0, with 0 at the other curves."""
+    some = np.flatnonzero(values)
+    chains, number = np.unique(chains_of(profiles.seen.curve[some]), return_inverse=True)
+    found = np.zeros((len(chains), len(values)))
+    found[number, some] = values[some]
     return found
 
 

@@ -109,15 +109,24 @@ def moved(model: EdgeModel, pose: FloatArray, twist: FloatArray) -> FloatArray:
 def see(model: EdgeModel, samples: EdgePoints, view: PartView, buffer_px: int) -> VisibleSamples:
     """The samples that a camera sees.  buffer_px : side of the z-buffer; the part fills it."""
     seen = unfilled(len(samples.points))
-    count = find_visible(samples, hidden_from(model, samples.points, view.eye, buffer_px), view, seen)
+    count = find_visible(samples, hidden_from(model, samples, view.eye, buffer_px), view, seen)
     return VisibleSamples._make(field[:count] for field in seen)
 
 
-def hidden_from(model: EdgeModel, points: FloatArray, eye: FloatArray, buffer_px: int) -> B8:
-    """(N,) which points (N, 3) the part's own surface hides from a camera at eye (3,), part frame."""
-    if not len(points) or not len(model.triangles):
-        return np.zeros(len(points), np.bool_)
-    return hidden_points(model.vertices, model.triangles, points, eye, buffer_px)
+def hidden_from(
+    model: EdgeModel, samples: EdgePoints, eye: FloatArray, buffer_px: int, margin: float = 0.0
+) -> B8:
+    """(N,) which samples face away from a camera at eye (3,), part frame, or are behind the part's surface.
+
+    margin : sine of the angle by which the part may still turn: what it brings into view is not hidden.
+    """
+    hidden = np.empty(len(samples.points), np.bool_)
+    face_away(samples, eye, margin, hidden)
+    facing = np.flatnonzero(~hidden)
+    if len(facing) and len(model.triangles):
+        points = samples.points[facing]
+        hidden[facing] = hidden_points(model.vertices, model.triangles, points, eye, buffer_px)
+    return hidden
 
 
 def samples_at(model: EdgeModel, rig_px_per_mm: float, spacing_px: float) -> EdgePoints:
@@ -133,6 +142,23 @@ def unfilled(count: int) -> VisibleSamples:
         np.empty(count, np.int64), np.empty((count, 2)), np.empty((count, 2)), np.empty((count, 6)),
         np.empty(count), np.empty(count, np.int64), np.empty(count, np.bool_),
     )  # fmt: skip
+
+
+@kernel("void(EdgePoints, f8[::1], f8, b1[::1])", tuples=(EdgePoints,))
+def face_away(samples: EdgePoints, eye: F64, margin: float, away: B8) -> None:
+    """Fill away (N,): neither face of an edge turned to a camera at eye (3,), part frame, by a margin (sine).
+
+    An edge of a smooth wall is seen on the outline, where one of its faces is turned to the camera.
+    """
+    for n in range(len(samples.points)):
+        first = second = square = 0.0
+        for i in range(3):
+            to_eye = eye[i] - samples.points[n, i]
+            first += to_eye * samples.normals[n, i]
+            second += to_eye * samples.normals[n, 3 + i]
+            square += to_eye * to_eye
+        most, least, spare = max(first, second), min(first, second), margin * np.sqrt(square)
+        away[n] = not (most > -spare and (samples.sharp[n] or least <= spare))
 
 
 @kernel("i8(EdgePoints, b1[::1], PartView, VisibleSamples)", tuples=(EdgePoints, PartView, VisibleSamples))
@@ -202,7 +228,7 @@ def find_visible(samples: EdgePoints, hidden: B8, view: PartView, seen: VisibleS
     return m
 
 
-@kernel("void(f8[:, ::1], f8[:, ::1], i8[::1], i4[:, ::1], f8, f8, f8[:, ::1])")
+@kernel("void(f8[:, ::1], f8[:, ::1], i8[::1], i4[:, ::1], f8, f8, i8, f8[:, ::1])")
 def find_neighbours(
     pixels: F64,
     normals: F64,
@@ -210,19 +236,22 @@ def find_neighbours(
     drawn: I32,
     own_px: float,
     reach_px: float,
+    every: int,
     offsets: F64,
 ) -> None:
-    """Fill offsets (M, 4), px along the normals: two other edges on either side within reach, NaN if fewer.
+    """Fill offsets (K, 4), px along the normals: two other edges on either side within reach, NaN if fewer.
 
     drawn (H, W) : a buffer of -1, restored afterwards.  own_px : nearer edges count as the sample's own.
+    every : one of so many of the M samples has offsets.
     """
     count = len(pixels)
     for m in range(count):
         drawn[int(np.rint(pixels[m, 1])), int(np.rint(pixels[m, 0]))] = m
     height, width = drawn.shape
-    for m in range(count):
+    for row in range(len(offsets)):
+        m = row * every
         for k in range(4):
-            offsets[m, k] = np.nan
+            offsets[row, k] = np.nan
         for side in range(2):
             sign, found, last = 1.0 - 2.0 * side, 0, -1
             reach = 0.7
@@ -240,7 +269,7 @@ def find_neighbours(
                 ) * normals[m, 1]
                 if sign * away < own_px or abs(away) > reach_px:
                     continue
-                offsets[m, 2 * side + found] = away
+                offsets[row, 2 * side + found] = away
                 found, last = found + 1, curve[other]
     for m in range(count):
         drawn[int(np.rint(pixels[m, 1])), int(np.rint(pixels[m, 0]))] = -1

@@ -78,7 +78,7 @@ def test_neighbours_are_the_edges_that_a_sample_would_meet() -> None:
     normals = np.tile([0.0, 1.0], (len(pixels), 1))
     curve = np.repeat([4, 5], len(x))
     drawn, near = np.full((100, 100), -1, np.int32), np.empty((len(pixels), 4))
-    find_neighbours(pixels, normals, for_kernel(curve, np.int64), drawn, 0.3, 8.0, near)
+    find_neighbours(pixels, normals, for_kernel(curve, np.int64), drawn, 0.3, 8.0, 1, near)
     assert near[: len(x), 0] == pytest.approx(3.0)
     assert near[len(x) :, 2] == pytest.approx(-3.0)
     assert np.isnan(near[: len(x), 1:]).all()
