@@ -184,7 +184,7 @@ class Running:
         return {
             "verdict": translatable(verdict, verdict),
             "rows, mean": _figure(drift.rows_px, ".3f", "px"),
-            "known length, mean": _figure(drift.length_percent, "+.3f", "%"),
+            "known length, mean": _figure(drift.length_percent, "+z.3f", "%"),
         }
 
     def history(self) -> HistoryFigures | None:

@@ -51,7 +51,7 @@ def belt_command(
         list[Path], typer.Argument(help="left and right image at the first count, then those at the second")
     ],
 ) -> None:
-    """Measure direction and scale of a conveyor belt with a board on it; print [belt] for cell.toml."""
+    """Measure direction and scale of a conveyor belt with a board on it; print its section for cell.toml."""
     from edged.commands.belt import CountedPair
     from edged.commands.belt import belt as command
 

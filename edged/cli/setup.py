@@ -195,7 +195,7 @@ def teach(
     step: Annotated[
         Path | None,
         typer.Option(
-            help="STEP (edged[cad]) or STL file of the part: its sizes and its frame; with a pair, or with "
+            help="STEP (extra `cad`) or STL file of the part: its sizes and its frame; with a pair, or with "
             "--depth"
         ),
     ] = None,
@@ -364,7 +364,7 @@ def study(
 
 
 Material = Literal["steel", "aluminium", "invar", "ceramic", "glass"]
-MaterialOption = Annotated[Material, typer.Option(help="what the marks are on, as [marks] material")]
+MaterialOption = Annotated[Material, typer.Option(help="what the marks are on, as marks.material")]
 
 marks = typer.Typer(help="Reference marks, which keep a cell true.", no_args_is_help=True)
 app.add_typer(marks, name="marks")
@@ -391,7 +391,7 @@ def marks_status(
     left: Annotated[Path, typer.Argument(help="left image")],
     right: Annotated[Path, typer.Argument(help="right image")],
     material: MaterialOption = "steel",
-    range_k: Annotated[float, typer.Option(min=0.001, max=100, help="as [marks] range_k")] = 10.0,
+    range_k: Annotated[float, typer.Option(min=0.001, max=100, help="as marks.range_k")] = 10.0,
     as_json: Annotated[bool, typer.Option("--json", help="one JSON object")] = False,
 ) -> None:
     """Show the marks of one pair: motion of each dot since teaching, and displacement of the cameras.

@@ -14,7 +14,7 @@ from typing import IO
 from rich.console import Console
 
 from edged.commands.saying import print_safe
-from edged.config.reading import load
+from edged.config.reading import load, read
 from edged.errors import FileFormatError, UserError, translated
 from edged.files.statefolder import page_folder
 from edged.identity.audit import LINES, AuditFile, AuditVerdict
@@ -33,9 +33,12 @@ def audit(config: Path, console: Console, *, as_json: bool, last: int, against: 
 
     against : "journal": this machine's journal; else a file of `journalctl --output=json`; None: no
     comparison.
-    Raises `UserError` when one of them cannot be read.
+    Raises `UserError` when one of them cannot be read, `ConfigError` when nothing was kept and there is no
+    configuration: its name is mistyped.
     """
     folder = page_folder(config)
+    if not folder.exists():
+        read(config)
     with translated(FileFormatError, f"{folder}: cannot read the audit"), as_owner(folder) as place:
         verdict = AuditFile(place, called=folder).verify(last=last)
     witness = None if against is None else _against(against, config, folder)

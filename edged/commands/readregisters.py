@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Mapping, Sequence
 
 from pymodbus.client import ModbusTcpClient
@@ -28,6 +29,7 @@ from edged.plc.registers.readings import meaning_of, text_of
 
 PORT = 1502
 ANSWER_S = 2.0
+logging.getLogger("pymodbus").addHandler(logging.NullHandler())  # else its lines stand beside the answer
 PROBE_U32 = 0x01020304
 
 

@@ -8,7 +8,7 @@ import pytest
 from helpers.browser import browser
 from helpers.browsersession import PASSWORD
 from helpers.needs import needs, needs_aravis
-from helpers.setuppage import SMALL_TARGETS, TOO_WIDE, UNTRANSLATED, go, log_in, press, said
+from helpers.setuppage import SMALL_TARGETS, TOO_WIDE, UNTRANSLATED, go, log_in, press, said, take_over
 from helpers.stagecell import staged
 
 from edged.commands.stage import USER
@@ -104,3 +104,23 @@ async def test_cameras_are_told_apart_by_a_wave_and_set_with_their_own_limits(tm
             assert [] == await page.value(UNTRANSLATED), step
             assert 0 == await page.value(TOO_WIDE), step
         assert [] == page.complaints
+
+
+async def test_no_picture_stays_when_the_cell_is_given_back(tmp_path: Path) -> None:
+    """The last live pair is not left there like a present one: the page says what shows the next."""
+    async with staged(tmp_path, gige=False) as newcomer, browser() as page:
+        await log_in(page, newcomer.origin, USER, PASSWORD, "/setup", (1280, 900))
+        await take_over(page)
+        await go(page, "light")
+        await page.until(PICTURE)
+        await press(page, "It is there")
+        await page.until(ADVICE)
+        await press(page, "Give it back")
+        await page.click("dialog[open] .primary")
+        await page.until(said("No picture: take the cell to see its cameras."))
+        assert not await page.value(f"Boolean({PICTURE})")
+        assert not await page.value(ADVICE)
+        assert await page.value(said("Take the cell to set exposure and gain: its cameras are needed."))
+        assert not await page.value(said("the camera reports no limits"))
+        await go(page, "cameras")
+        assert not await page.value(f"Boolean({PICTURE})")

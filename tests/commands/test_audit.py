@@ -22,7 +22,7 @@ def test_the_chain_is_printed_and_verified(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """The exit code is 0 while the chain holds, also after a torn line, 1 after a changed byte, 2 for no
-    file."""
+    file, be it the records or the configuration."""
     monkeypatch.setenv("COLUMNS", "300")
     config = tmp_path / "cell.toml"
     lines = state_folder(config) / LINES
@@ -31,7 +31,10 @@ def test_the_chain_is_printed_and_verified(
         code, (out, err) = exit_code("audit", config, *options), capsys.readouterr()
         return code, out + err
 
+    assert (2, True) == ((mistyped := asked())[0], "cell.toml: 1 problem\n  cannot be read" in mistyped[1])
+    config.touch()
     assert (0, True) == ((first := asked())[0], "no record is kept" in first[1])
+    config.unlink()  # the records of a cell that is gone can be read
     for outcome in ("role", "ok"):
         AuditFile(lines.parent).add(
             AuditEntry("[red]Anna\x1b[2J", "engineer", "10.0.0.7", "POST", "setup", outcome, reason="a board")

@@ -645,6 +645,14 @@ def test_a_mistake_is_named(name: str, place: Path, busy: int, capsys: pytest.Ca
     assert (case.message, case.code) == (answer, code)
 
 
+@pytest.mark.slow
+def test_of_registers_that_nobody_serves_one_line_is_said() -> None:
+    """No line of the Modbus library stands beside it."""
+    asked = [sys.executable, "-m", "edged", "registers", "--read", "127.0.0.1:9"]
+    run = subprocess.run(asked, capture_output=True, text=True, timeout=60)
+    assert "edged: --read 127.0.0.1:9: nothing answers at 127.0.0.1, port 9\n" == run.stderr
+
+
 @pytest.mark.long
 def test_a_port_in_use_is_named(place: Path, busy: int) -> None:
     """The daemon's error names the address and how to find out what uses it."""

@@ -6,17 +6,20 @@ import json
 import math
 import re
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
 import pytest
+import typer
 from helpers.cells import flange, frame_pair, small_rig
 from helpers.commandline import exit_code
+from rich.text import Text
 
 from edged import __version__
+from edged.cli.main import app
 from edged.commands.demo import DemoOptions, prepare_cell
 from edged.commands.exchanged import SWAPPED
 from edged.doctor.examination import examine
@@ -233,6 +236,19 @@ def test_every_command_has_help_under_both_names(edged: Edged) -> None:
     for command in ((), ("teach",), ("calibrate",), ("register",), ("register", "touch"), ("rig", "convert")):
         short, long = (edged(*command, name) for name in ("-h", "--help"))
         assert (0, long[1]) == short[:2]
+
+
+def test_help_is_shown_as_it_is_written() -> None:
+    """No part of it is taken for markup, as a word in square brackets would be."""
+
+    def helps(command: Any) -> Iterator[str]:
+        yield command.help or ""
+        yield from (parameter.help or "" for parameter in command.params)
+        for one in getattr(command, "commands", {}).values():
+            yield from helps(one)
+
+    written = list(helps(typer.main.get_command(app)))
+    assert written == [Text.from_markup(text).plain for text in written]
 
 
 def test_missing_arguments_are_wrong_usage(edged: Edged) -> None:

@@ -226,6 +226,14 @@ def test_the_run_page_has_a_text_for_each_fact() -> None:
     assert codes == spoken("run-told-")
 
 
+def test_the_run_page_leads_to_the_same_pages_as_their_own_head() -> None:
+    """Each page beside the steps has its link there, in the same order and by the same text."""
+    beside = SCRIPTS["steps"].partition("BESIDE = [")[2].partition("\n];")[0]
+    pages = re.findall(r"\{ id: \"(\w+)\"", beside)
+    links = re.findall(r"href=\"/setup#/(\w+)\" data-text=\"([\w-]+)\"", FRAME)
+    assert [(page, f"nav-{page}") for page in pages] == links
+
+
 def test_the_plcs_page_has_words_for_each_reason_and_each_result() -> None:
     """Each NACK reason and each result code has a text, and there are no others."""
     for family, codes in (("plc-nack-", NackReason), ("plc-result-", ResultCode)):

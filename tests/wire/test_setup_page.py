@@ -98,6 +98,9 @@ async def test_the_page_speaks_as_it_is_told() -> None:
         texts = "import('/static/setup/shared/texts.js')"
         read = texts + ".then((m) => [m.number(1234.5, 1), ...%s.map(m.parseNumber)])"
         assert ["1234,5", 0.5, 0.5, -3.0] == await page.value(read % "['0,5', ' .5', '-3']")
+        signed = texts + ".then((m) => %s.map((x) => m.sign(x, 1)))"
+        assert ["0,0", "−0,1", "+0,1"] == await page.value(signed % "[-0.04, -0.05, 0.06]")
+        assert "0,000" == await page.value(texts + ".then((m) => m.number(-0.0004, 3))")
         wrong = texts + ".then((m) => %s.filter((x) => !Number.isNaN(m.parseNumber(x))))"
         assert [] == await page.value(wrong % "['1.000,5', '', '4 mm', '1e3', '.', '--1']")
 

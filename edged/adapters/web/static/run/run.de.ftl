@@ -3,13 +3,6 @@
 run-skip = Zum Ergebnis
 run-manual = Handbuch
 run-pages = Seiten
-run-run = Betrieb
-run-set-up = Einrichten
-run-to-jobs = Aufträge
-run-to-cycles = Zyklen
-run-to-space = 3D
-run-to-settings = Einstellungen
-run-to-system = System
 run-connecting = verbindet
 run-live = live
 run-no-connection = keine Verbindung

@@ -3,13 +3,6 @@
 run-skip = Skip to the result
 run-manual = manual
 run-pages = Pages
-run-run = Run
-run-set-up = Set up
-run-to-jobs = Jobs
-run-to-cycles = Cycles
-run-to-space = 3D
-run-to-settings = Settings
-run-to-system = System
 run-connecting = connecting
 run-live = live
 run-no-connection = no connection

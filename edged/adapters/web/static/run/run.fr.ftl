@@ -3,13 +3,6 @@
 run-skip = Aller au résultat
 run-manual = manuel
 run-pages = Pages
-run-run = Production
-run-set-up = Mise en service
-run-to-jobs = Tâches
-run-to-cycles = Cycles
-run-to-space = 3D
-run-to-settings = Réglages
-run-to-system = Système
 run-connecting = connexion
 run-live = en direct
 run-no-connection = pas de connexion

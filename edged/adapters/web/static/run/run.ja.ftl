@@ -3,13 +3,6 @@
 run-skip = 結果へ移動
 run-manual = マニュアル
 run-pages = ページ
-run-run = 運転
-run-set-up = セットアップ
-run-to-jobs = ジョブ
-run-to-cycles = サイクル
-run-to-space = 3D
-run-to-settings = 設定
-run-to-system = システム
 run-connecting = 接続中
 run-live = ライブ
 run-no-connection = 接続なし

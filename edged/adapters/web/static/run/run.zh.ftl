@@ -3,13 +3,6 @@
 run-skip = 跳到结果
 run-manual = 手册
 run-pages = 页面
-run-run = 运行
-run-set-up = 设置
-run-to-jobs = 作业
-run-to-cycles = 循环
-run-to-space = 3D
-run-to-settings = 参数设置
-run-to-system = 系统
 run-connecting = 正在连接
 run-live = 实时
 run-no-connection = 无连接

@@ -5,6 +5,7 @@ light-thing = Legen Sie zuerst eine Tafel oder ein Teil dorthin, wo Teile liegen
 light-thing-is = Es liegt da
 light-thing-there = Licht und Schärfe werden nach dem beurteilt, was da liegt.
 light-thing-gone = Es liegt nichts mehr da
+light-take = Nehmen Sie die Zelle, um Belichtung und Verstärkung einzustellen: ihre Kameras werden gebraucht.
 light-no-settings = Hier lässt sich nichts einstellen: die Kamera nennt keine Grenzen oder ist nicht da.
 light-no-figures = Zahlen kommen mit den Live-Bildern.
 settings-left = Einstellungen der linken Kamera

@@ -5,6 +5,7 @@ light-thing = First put a board or a part where parts will lie: light and focus 
 light-thing-is = It is there
 light-thing-there = Light and focus are judged by what lies there.
 light-thing-gone = Nothing is there any more
+light-take = Take the cell to set exposure and gain: its cameras are needed.
 light-no-settings = Nothing can be set here: the camera reports no limits, or is not there.
 light-no-figures = Figures come with the live pictures.
 settings-left = Settings of the left camera

@@ -5,6 +5,7 @@ light-thing = Posez d’abord une mire ou une pièce là où seront les pièces�
 light-thing-is = Elle est là
 light-thing-there = Éclairage et netteté sont jugés sur ce qui s’y trouve.
 light-thing-gone = Il n’y a plus rien
+light-take = Prenez la cellule pour régler temps d’exposition et gain : ses caméras sont nécessaires.
 light-no-settings = Rien ne se règle ici : la caméra n’indique pas de limites, ou n’est pas là.
 light-no-figures = Les chiffres viennent avec les images en direct.
 settings-left = Réglages de la caméra gauche

@@ -5,6 +5,7 @@ light-thing = まずワークの置かれる場所にボードかワークを置
 light-thing-is = 置きました
 light-thing-there = 照明とピントは、そこにあるもので判断されます。
 light-thing-gone = もう何もありません
+light-take = 露光時間とゲインの設定にはカメラが必要です。セルを取得してください。
 light-no-settings = ここで設定できるものはありません。カメラが範囲を返さないか、接続されていません。
 light-no-figures = 数値はライブ画像とともに表示されます。
 settings-left = 左カメラの設定

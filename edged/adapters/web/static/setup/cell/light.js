@@ -7,6 +7,7 @@ import {
   holds,
   keepSettings,
   lookAtCameras,
+  pictures,
   quality,
   rawSize,
   SIDES,
@@ -72,6 +73,7 @@ async function set(side, values) {
 function Settings({ side }) {
   const settings = cameras.value?.settings?.[side];
   const limits = cameras.value?.limits?.[side];
+  if (!holds.value) return null;
   if (!settings || !limits) return html`<p class="muted">${t("light-no-settings")}</p>`;
   return html`<div class="settings" role="group" aria-label=${t(`settings-${side}`)}>
     ${SETTINGS.filter(({ name }) => limits[name]).map(({ name, unit, digits, isLogarithmic }) => {
@@ -150,8 +152,8 @@ function Advice({ side, advice }) {
 }
 
 function Quality({ side }) {
-  const figures = quality.value?.[side];
-  if (!figures) return html`<p class="muted">${t("light-no-figures")}</p>`;
+  const figures = pictures[side].value && quality.value?.[side];
+  if (!figures) return holds.value && html`<p class="muted">${t("light-no-figures")}</p>`;
   if (!hasObject.value) return null;
   return html`<div class="quality">
     <h2>${t("light-head")}</h2>
@@ -171,7 +173,7 @@ function Quality({ side }) {
 
 // The widths of edges over the picture: a tilted sensor or part is sharp on one side only.
 function fields(side) {
-  const map = quality.value?.[side]?.edge_spread_px.map ?? [];
+  const map = (pictures[side].value && quality.value?.[side]?.edge_spread_px.map) ?? [];
   const { width, height } = rawSize(side);
   const at = (i, count, size) => ((i + 0.5) * size) / count;
   return html`<g class="fields" style=${{ fontSize: `${width / 34}px` }}>
@@ -219,6 +221,7 @@ export default function Light() {
       stripe=${stripe} over=${fields}
       below=${(side) => html`<${Settings} side=${side} /> <${Quality} side=${side} />`}
     />
+    ${!holds.value && html`<p class="hint">${t("light-take")}</p>`}
     <div class="actions">
       <button disabled=${!holds.value || !cameras.value?.settings?.left} onClick=${copy}>
         ${t("light-copy")}

@@ -5,6 +5,7 @@ light-thing = 请先在工件所在位置放一块标定板或一个工件：光
 light-thing-is = 已放好
 light-thing-there = 光照和对焦按那里的物体判断。
 light-thing-gone = 那里已没有物体
+light-take = 设置曝光时间和增益需要相机：请先接管单元。
 light-no-settings = 此处无可设置：相机未报告限值，或不存在。
 light-no-figures = 数值随实时图像显示。
 settings-left = 左相机设置

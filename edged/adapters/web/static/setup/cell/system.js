@@ -87,7 +87,7 @@ function Releases() {
       ask("POST", `releases/${number}/activate`, { reason, ...(holds.value ? { token: token.value } : {}) }),
     );
     if (!done) return;
-    say(t("release-back-done", { number }));
+    say(t("release-back-done", { number: done.number })); // with the present jobs it may be another one
     setReason("");
     await find();
     await look();

@@ -203,7 +203,7 @@ export function Beside({ document }) {
   const span = spanOf(document, [one, theirs]);
   const captions = {
     now: t("cycles-this"),
-    other: kind === "good" ? t("cycles-good", { number: beside.number }) : t("cycles-as-taught"),
+    other: kind === "good" ? t("cycles-good", { number: String(beside.number) }) : t("cycles-as-taught"),
   };
   return html`${
     now.parts.length > 1 &&

@@ -135,7 +135,7 @@ function Cycle() {
   } = shown.value;
   return html`<section aria-labelledby="cycle">
     <div class="titled">
-      <h2 id="cycle">${t("cycles-title", { number: count })}</h2>
+      <h2 id="cycle">${t("cycles-title", { number: String(count) })}</h2>
       <button onClick=${shut}>${t("cycles-close")}</button>
     </div>
     <p class="verdict-line">

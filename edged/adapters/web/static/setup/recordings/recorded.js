@@ -40,7 +40,7 @@ export async function open(count) {
   sessionStorage.setItem(KEPT, count);
   part.value = 0;
   shown.value = document;
-  say(t("cycles-open-said", { number: count }));
+  say(t("cycles-open-said", { number: String(count) }));
   globalThis.document.getElementById("cycle")?.scrollIntoView({ block: "start" });
 }
 export const shut = () => {

@@ -1,4 +1,4 @@
-// Points to touch, in their picture: one is ringed, and the robot's numbers there are entered.
+// Points to touch, in their picture: one is under the cross-hairs, and the robot's numbers there are entered.
 import { html, useState } from "../../vendor/ui.js";
 import { holds, mayTake, sign, token } from "../shared/live.js";
 import { Pair } from "../shared/picture.js";
@@ -9,7 +9,7 @@ import { change, current, placeName } from "./registration.js";
 
 /** @typedef {import("./numbers.js").Entered} Entered */
 
-// The chosen point is ringed, touched ones have a tick. A tap takes the nearest.
+// The chosen point is under the cross-hairs, touched ones have a tick. A tap takes the nearest.
 function Picture({ chosen, onChoose }) {
   const { looked, places } = current.draft.value;
   const { width, height } = looked;

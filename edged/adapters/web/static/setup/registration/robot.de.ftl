@@ -43,7 +43,7 @@ robot-name-pose = Pose { $number }
 
 ## Antasten
 robot-touch-title = Punkt { $number } von { $wanted }
-robot-touch-what = Legen Sie die Tafel oder das Teil hin, der Roboter aus dem Weg, und nehmen Sie ein Bild auf. Lassen Sie dann alles liegen und tasten Sie an, was umringt ist.
+robot-touch-what = Legen Sie die Tafel oder das Teil hin, der Roboter aus dem Weg, und nehmen Sie ein Bild auf. Lassen Sie dann alles liegen und tasten Sie die Stelle im Fadenkreuz an.
 robot-look = Ein Bild davon aufnehmen
 robot-look-again = Es liegt jetzt anders: ein neues Bild
 robot-live = Live-Bilder
@@ -51,15 +51,15 @@ robot-look-none = In diesem Bild war nichts zum Antasten zu finden.
 robot-look-length = Die Tafel ist nach dieser Kalibrierung um { $percent } % länger, als ihre mm sagen. Messen Sie ihre Felder nach: entweder sind die mm hier falsch, oder die der Kalibrierung; dann kalibrieren Sie neu.
 robot-look-wrong = Die Tafel hat eine andere Länge, als ihre mm sagen.
 robot-look-found = Gefunden: { $count } Stellen.
-robot-picture = Das aufgenommene Bild. Eine Stelle ist umringt: die, die unten gewählt ist.
-robot-place = Stelle (die umringte sagt am meisten)
+robot-picture = Das aufgenommene Bild. Sein Fadenkreuz steht auf der Stelle, die unten gewählt ist.
+robot-place = Stelle (die vorgeschlagene sagt am meisten)
 robot-place-mark = Marke in Zeile { $row } von 3, Spalte { $column } von 3
 robot-place-circle = Mitte von Kreis { $name }
 robot-place-slot = Mitte von Langloch { $name }
 robot-place-corner = Ecke { $name }
 robot-place-reference = Bezugspunkt des Teils
 robot-touched = angetastet
-robot-touch-now = Die Spitze steht genau auf der umringten Stelle. Was zeigt der Roboter an?
+robot-touch-now = Die Spitze steht genau auf der Stelle im Fadenkreuz. Was zeigt der Roboter an?
 robot-add = Diesen Punkt nehmen
 robot-point-taken = Genommen. { $count } Punkte.
 

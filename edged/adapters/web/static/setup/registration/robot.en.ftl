@@ -43,7 +43,7 @@ robot-name-pose = pose { $number }
 
 ## Touching
 robot-touch-title = Point { $number } of { $wanted }
-robot-touch-what = Lay the board or the part down, move the robot out of the way, and take a picture. Then leave it where it is, and touch what is ringed.
+robot-touch-what = Lay the board or the part down, move the robot out of the way, and take a picture. Then leave it where it is, and touch the place under the cross-hairs.
 robot-look = Take a picture of it
 robot-look-again = It has moved: take a new picture
 robot-live = Live pictures
@@ -51,15 +51,15 @@ robot-look-none = Nothing to touch was found in this picture.
 robot-look-length = The board is { $percent } % longer than stated, by this calibration. Measure its squares: either the size entered here is wrong, or the one stated at the calibration; then calibrate again.
 robot-look-wrong = The board is not as long as stated.
 robot-look-found = Found: { $count } places.
-robot-picture = The picture that was taken. One place is ringed: the one chosen below.
-robot-place = Place (the ringed one helps most)
+robot-picture = The picture that was taken. Its cross-hairs are on the place chosen below.
+robot-place = Place (the proposed one helps most)
 robot-place-mark = mark in row { $row } of 3, column { $column } of 3
 robot-place-circle = middle of circle { $name }
 robot-place-slot = middle of slot { $name }
 robot-place-corner = corner { $name }
 robot-place-reference = reference point of the part
 robot-touched = touched
-robot-touch-now = The tip is exactly at the ringed place. What does the robot show?
+robot-touch-now = The tip is exactly at the place under the cross-hairs. What does the robot show?
 robot-add = Add this point
 robot-point-taken = Added. { $count } points.
 

@@ -43,7 +43,7 @@ robot-name-pose = pose { $number }
 
 ## Touching
 robot-touch-title = Point { $number } sur { $wanted }
-robot-touch-what = Posez la mire ou la pièce, écartez le robot, et prenez une image. Laissez-la ensuite où elle est, et touchez ce qui est entouré.
+robot-touch-what = Posez la mire ou la pièce, écartez le robot, et prenez une image. Laissez-la ensuite où elle est, et touchez le point sous le réticule.
 robot-look = En prendre une image
 robot-look-again = Elle a bougé : prendre une nouvelle image
 robot-live = Images en direct
@@ -51,15 +51,15 @@ robot-look-none = Rien à toucher n’a été trouvé sur cette image.
 robot-look-length = D’après ce calibrage, la mire est plus longue de { $percent } % qu’indiqué. Mesurez ses cases : soit la taille saisie ici est fausse, soit celle indiquée au calibrage ; dans ce cas calibrez à nouveau.
 robot-look-wrong = La mire n’a pas la longueur indiquée.
 robot-look-found = Trouvé : { $count } points.
-robot-picture = L’image prise. Un point est entouré : celui choisi ci-dessous.
-robot-place = Point (celui qui est entouré aide le plus)
+robot-picture = L’image prise. Son réticule est sur le point choisi ci-dessous.
+robot-place = Point (celui qui est proposé aide le plus)
 robot-place-mark = repère de la ligne { $row } sur 3, colonne { $column } sur 3
 robot-place-circle = centre du cercle { $name }
 robot-place-slot = centre du trou oblong { $name }
 robot-place-corner = coin { $name }
 robot-place-reference = point de référence de la pièce
 robot-touched = touché
-robot-touch-now = La pointe est exactement au point entouré. Que montre le robot ?
+robot-touch-now = La pointe est exactement au point sous le réticule. Que montre le robot ?
 robot-add = Ajouter ce point
 robot-point-taken = Ajouté. { $count } points.
 

@@ -39,7 +39,7 @@ robot-name-pose = 姿勢 { $number }
 
 ## Touching
 robot-touch-title = 点 { $number }/{ $wanted }
-robot-touch-what = ボードかワークを置き、ロボットをよけて撮影します。その後は動かさず、丸で囲まれた所をタッチしてください。
+robot-touch-what = ボードかワークを置き、ロボットをよけて撮影します。その後は動かさず、十字線の所をタッチしてください。
 robot-look = 撮影する
 robot-look-again = 動いたので撮影し直す
 robot-live = ライブ画像
@@ -47,15 +47,15 @@ robot-look-none = この画像にはタッチできる所が見つかりませ�
 robot-look-length = このキャリブレーションによると、ボードは指定より { $percent } % 長くなっています。マスを測ってください。ここで入力した寸法か、キャリブレーション時の寸法が誤りです。後者ならキャリブレーションをやり直してください。
 robot-look-wrong = ボードの長さが指定と異なります。
 robot-look-found = { $count } か所が見つかりました。
-robot-picture = 撮影した画像。丸で囲まれているのは、下で選んだ場所です。
-robot-place = 場所（丸で囲まれた所が最も有効）
+robot-picture = 撮影した画像。十字線は、下で選んだ場所を示します。
+robot-place = 場所（提案された所が最も有効）
 robot-place-mark = 3 行中 { $row } 行目、3 列中 { $column } 列目のマーク
 robot-place-circle = 円 { $name } の中心
 robot-place-slot = 長穴 { $name } の中心
 robot-place-corner = コーナー { $name }
 robot-place-reference = ワークの基準点
 robot-touched = タッチ済み
-robot-touch-now = 先端が丸で囲まれた場所に正確にあります。ロボットの表示値は？
+robot-touch-now = 先端が十字線の場所に正確にあります。ロボットの表示値は？
 robot-add = この点を追加
 robot-point-taken = 追加しました。{ $count } 点です。
 

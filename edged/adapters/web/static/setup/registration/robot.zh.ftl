@@ -39,7 +39,7 @@ robot-name-pose = 位姿 { $number }
 
 ## Touching
 robot-touch-title = 第 { $number } 点，共 { $wanted } 点
-robot-touch-what = 放好标定板或工件，移开机器人并拍摄图像。之后不要移动它，触碰圈出的位置。
+robot-touch-what = 放好标定板或工件，移开机器人并拍摄图像。之后不要移动它，触碰十字线处的位置。
 robot-look = 拍摄图像
 robot-look-again = 它被移动了：重新拍摄
 robot-live = 实时图像
@@ -47,15 +47,15 @@ robot-look-none = 图像中没有找到可触碰的位置。
 robot-look-length = 按此标定，标定板比标称值长 { $percent } %。请测量方格：要么此处输入的尺寸有误，要么标定时给出的有误；若是后者请重新标定。
 robot-look-wrong = 标定板长度与标称值不符。
 robot-look-found = 找到 { $count } 个位置。
-robot-picture = 已拍摄的图像。圈出的是下面所选的位置。
-robot-place = 位置（圈出的最有帮助）
+robot-picture = 已拍摄的图像。十字线标出下面所选的位置。
+robot-place = 位置（建议的位置最有帮助）
 robot-place-mark = 第 { $row } 行（共 3 行）第 { $column } 列（共 3 列）的标记
 robot-place-circle = 圆 { $name } 的中心
 robot-place-slot = 长圆孔 { $name } 的中心
 robot-place-corner = 角点 { $name }
 robot-place-reference = 工件的参考点
 robot-touched = 已触碰
-robot-touch-now = 尖端正好在圈出的位置。机器人显示什么？
+robot-touch-now = 尖端正好在十字线处。机器人显示什么？
 robot-add = 添加此点
 robot-point-taken = 已添加。共 { $count } 点。
 

@@ -287,6 +287,7 @@ async function see(data) {
   const side = SIDES[view.getUint8(0)];
   const count = view.getBigUint64(1);
   const bitmap = await createImageBitmap(new Blob([new Uint8Array(data, 9)], { type: "image/jpeg" }));
+  if (isOver()) return bitmap.close();
   const pair = waiting.get(count) ?? {};
   pair[side] = bitmap;
   waiting.set(count, pair);
@@ -298,6 +299,16 @@ async function see(data) {
   });
   for (const old of before) old?.close();
   requestAnimationFrame(() => say({ seen: Number(count) }));
+}
+
+// Whoever watches sees pictures while they come: the last one would look like the present.
+const isOver = () => !holds.value && (!cell.value?.setup?.name || liveState.value.on === false);
+function forgetPictures() {
+  waiting.clear();
+  for (const side of SIDES) {
+    pictures[side].peek()?.close();
+    pictures[side].value = null;
+  }
 }
 
 const say = (message) => socket?.readyState === WebSocket.OPEN && socket.send(JSON.stringify(message));
@@ -369,5 +380,8 @@ export async function start() {
     void liveViews.value;
     void holds.value;
     tellLive();
+  });
+  effect(() => {
+    if (isOver()) batch(forgetPictures);
   });
 }

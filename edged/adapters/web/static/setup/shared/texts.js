@@ -111,9 +111,16 @@ export function number(value, digits = 0) {
         useGrouping: false,
       }),
     );
-  return by.get(digits).format(value); // ungrouped: 8.000 in a field would be read again as 8
+  // ungrouped: 8.000 in a field would be read again as 8
+  return by.get(digits).format(isShownAsZero(value, digits) ? 0 : value);
 }
-export const sign = (value, digits) => `${value < 0 ? "−" : "+"}${number(Math.abs(value), digits)}`;
+// What rounds to zero has no sign: −0.000 would look like a finding.
+const isShownAsZero = (value, digits) => Math.abs(value) < 0.5 * 10 ** -digits;
+export function sign(value, digits) {
+  const shown = number(Math.abs(value), digits);
+  if (isShownAsZero(value, digits)) return shown;
+  return `${value < 0 ? "−" : "+"}${shown}`;
+}
 
 /** @param {string} iso @param {"short" | "medium"} timeStyle medium: with seconds */
 export const moment = (iso, timeStyle = "short") =>
