@@ -9,7 +9,7 @@ import os
 import re
 import sys
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from types import CodeType, FunctionType, ModuleType, UnionType
@@ -208,18 +208,43 @@ def _cache_is_usable() -> bool:
 
 
 T = TypeVar("T")
+R = TypeVar("R")
 
 _RIGHT = ThreadPoolExecutor(1, thread_name_prefix="right-camera")  # the left camera uses the caller's thread
+_here = threading.local()
 
 
 def for_both(work: Callable[[int], T]) -> tuple[T, T]:
     """(work(0), work(1)), the second in its own thread. An error of either is raised after both have ended.
 
-    The work must not call `for_both` itself.
+    Within such work both run in its own thread, one after the other.
     """
-    right = _RIGHT.submit(work, 1)
+    if getattr(_here, "is_shared", False):
+        return work(0), work(1)
+
+    def alone(number: int) -> T:
+        _here.is_shared, _here.number = True, number
+        try:
+            return work(number)
+        finally:
+            _here.is_shared, _here.number = False, 0
+
+    right = _RIGHT.submit(alone, 1)
     try:
-        left = work(0)
+        left = alone(0)
     finally:
         right.exception()  # waits
     return left, right.result()
+
+
+def for_each(work: Callable[[T], R], items: Sequence[T]) -> list[R]:
+    """The results of work on each of some items, every second one in the other thread of `for_both`."""
+    if len(items) < 2:
+        return [work(item) for item in items]
+    shares = for_both(lambda number: [work(item) for item in items[number::2]])
+    return [shares[k % 2][k // 2] for k in range(len(items))]
+
+
+def thread_number() -> int:
+    """Which of both threads of `for_both` this is: 0, or 1 for that of the right camera."""
+    return int(getattr(_here, "number", 0))

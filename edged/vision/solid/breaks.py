@@ -10,6 +10,7 @@ its edges say, by up to their width, and the sigma contains by how much.
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -19,6 +20,7 @@ import numpy as np
 from edged.domain.arrays import FloatArray
 from edged.vision.geometry.rectification import StereoImages
 from edged.vision.geometry.rigid import apply, transform, turn_between
+from edged.vision.kernels.jit import for_each
 from edged.vision.solid.bestfit import ProfileFit, best_fit
 from edged.vision.solid.edgemodel import EdgeModel
 from edged.vision.solid.evidence import PoseEvidence, evidence_of, margin_over
@@ -66,14 +68,15 @@ def lay_with_breaks(images: StereoImages, model: EdgeModel, pose: FloatArray) ->
     None where the pair does not show it there.
     """
     pyramids = Pyramids(images.rig, images.raw, BREAKS.levels)
-    forms: list[RefinedForm] = []
-    for width in BREAKS.tried_mm:
-        broken = with_breaks(model, width)
-        tried = [
-            refined(broken, [view])
-            for view in _laid_from(starts_of_breaks(pose, width), broken, images, pyramids)
-        ]
-        forms += [form for form in tried if form is not None]
+
+    def forms_of(width_mm: float) -> list[RefinedForm]:
+        """The form from breaks of one width, at each pose that they are locked at."""
+        broken = with_breaks(model, width_mm)
+        starts = starts_of_breaks(pose, width_mm)
+        tried = [refined(broken, [view]) for view in _laid_from(starts, broken, images, pyramids)]
+        return [form for form in tried if form is not None]
+
+    forms = list(itertools.chain(*for_each(forms_of, BREAKS.tried_mm)))
     if not forms:
         return None
     shown = _explaining_most(forms)
@@ -163,28 +166,30 @@ def _explaining_most(forms: Sequence[RefinedForm]) -> _ShownBreaks:
     sharp = min(forms, key=lambda form: (form.model.breaks_mm.any(), _cost(form)))
     leaves = ProfileResiduals.of(with_breaks(sharp.model, 0.0), sharp.views)
     found, best = sharp, Gain(0.0, 0.0, np.zeros(0))
-    tried: list[tuple[RefinedForm, Gain]] = []
-    for form in sorted(forms, key=lambda form: -leaves.roughly(form.model, form.views))[: BREAKS.kept]:
-        if form.model.breaks_mm.any():
-            own = _each_by_itself(_with_most(form), leaves)
-            gain = leaves.gain(own.model, own.views)
-            tried.append((own, gain))
-            shifts_less = gain.mean > 0.5 * PROFILE_RESIDUALS.least_gain and _cost(form) < _cost(sharp)
-            if (gain.is_certain or shifts_less) and gain.mean > best.mean:
-                found, best = own, gain
+    likely = sorted(forms, key=lambda form: -leaves.roughly(form.model, form.views))[: BREAKS.kept]
+    broken = [form for form in likely if form.model.breaks_mm.any()]
+    tried = for_each(lambda form: _with_gain(_each_by_itself(_with_most(form), leaves), leaves), broken)
+    for form, (own, gain) in zip(broken, tried, strict=True):
+        shifts_less = gain.mean > 0.5 * PROFILE_RESIDUALS.least_gain and _cost(form) < _cost(sharp)
+        if (gain.is_certain or shifts_less) and gain.mean > best.mean:
+            found, best = own, gain
     if found is sharp:
-        others = [(form, _likely(gain)) for form, gain in tried]
+        others = [(form, _chance_of(gain)) for form, gain in tried]
     else:
         others = [(form, _as_likely(gain, best)) for form, gain in tried]
-        others += [] if best.is_certain else [(sharp, _likely(best))]
+        others += [] if best.is_certain else [(sharp, _chance_of(best))]
     hidden = [np.zeros((6, 6))]
-    for form, likely in others:
+    for form, chance in others:
         twist = twist_between(found.model, found.views[0].pose, form.views[0].pose)
-        hidden.append(likely * np.outer(twist, twist))
+        hidden.append(chance * np.outer(twist, twist))
     return _ShownBreaks(found, max(hidden, key=np.trace), best.is_certain)
 
 
-def _likely(gain: Gain) -> float:
+def _with_gain(form: RefinedForm, leaves: ProfileResiduals) -> tuple[RefinedForm, Gain]:
+    return form, leaves.gain(form.model, form.views)
+
+
+def _chance_of(gain: Gain) -> float:
     """Probability of breaks that are not believed: by how much they take, at most as likely as none."""
     if gain.sigmas < PROFILE_RESIDUALS.least_sigmas:
         return 0.0
@@ -227,8 +232,7 @@ def likeliest(images: StereoImages, model: EdgeModel, poses: Sequence[FloatArray
     model = with_breaks(model, BREAKS.usual_mm)
     laid = [lay(model, pyramids, pose, BREAKS.steps) for pose in poses]
     seen = {k: evidence_of(model, pyramids, trial.pose) for k, trial in enumerate(laid) if trial is not None}
-    shapes = [image.shape for image in images.raw]
     for k, mine in seen.items():
-        if all(margin_over(mine, other, shapes) > DECISION.certain for j, other in seen.items() if j != k):
+        if all(margin_over(mine, other) > DECISION.certain for j, other in seen.items() if j != k):
             return k
     return None

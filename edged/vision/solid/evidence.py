@@ -116,24 +116,29 @@ def _smooth(density: FloatArray) -> FloatArray:
     ]
 
 
-def apart(mine: PoseEvidence, other: PoseEvidence, shapes: list[tuple[int, int]]) -> B8:
+def apart(mine: PoseEvidence, other: PoseEvidence) -> B8:
     """(M,) which samples of one pose the other does not predict within a few pixels."""
-    result = np.ones(len(mine.hit), bool)
-    for k, (height, width) in enumerate(shapes):
-        drawn = np.zeros((height, width), np.uint8)
+    result, reach = np.ones(len(mine.hit), bool), EVIDENCE.apart_px
+    for k in (0, 1):
         theirs = np.rint(other.pixels[other.camera == k]).astype(np.int64)
-        drawn[theirs[:, 1], theirs[:, 0]] = 1
-        drawn = np.asarray(cv2.dilate(drawn, np.ones((2 * EVIDENCE.apart_px + 1,) * 2, np.uint8)), np.uint8)
+        if not len(theirs):
+            continue
+        corner = theirs.min(axis=0) - reach
+        width, height = theirs.max(axis=0) - corner + reach + 1
+        drawn = np.zeros((height, width), np.uint8)
+        drawn[theirs[:, 1] - corner[1], theirs[:, 0] - corner[0]] = 1
+        drawn = np.asarray(cv2.dilate(drawn, np.ones((2 * reach + 1,) * 2, np.uint8)), np.uint8)
         rows = np.flatnonzero(mine.camera == k)
-        own = np.rint(mine.pixels[rows]).astype(np.int64)
-        result[rows] = drawn[own[:, 1], own[:, 0]] == 0
+        x, y = (np.rint(mine.pixels[rows]).astype(np.int64) - corner).T
+        inside = (x >= 0) & (x < width) & (y >= 0) & (y < height)
+        result[rows[inside]] = drawn[y[inside], x[inside]] == 0
     return result
 
 
-def margin_over(first: PoseEvidence, other: PoseEvidence, shapes: list[tuple[int, int]]) -> float:
+def margin_over(first: PoseEvidence, other: PoseEvidence) -> float:
     """Sigmas by which one pose is likelier than another, by the samples that only one of them predicts."""
-    mine = first.log_ratio(apart(first, other, shapes), by_edge=True)
-    theirs = other.log_ratio(apart(other, first, shapes), by_edge=True)
+    mine = first.log_ratio(apart(first, other), by_edge=True)
+    theirs = other.log_ratio(apart(other, first), by_edge=True)
     return sigmas_of(np.concatenate([mine, -theirs]))
 
 

@@ -16,6 +16,7 @@ import numpy as np
 from edged.domain.arrays import B8, I64, FloatArray
 from edged.vision.geometry.rectification import StereoImages
 from edged.vision.geometry.rigid import apply, rotation_vector
+from edged.vision.kernels.jit import for_each
 from edged.vision.kernels.robust import mad_sigma, tukey_weights
 from edged.vision.solid.arcs import arc_shifts
 from edged.vision.solid.edgemodel import EdgeModel, are_unbroken, chains_of
@@ -289,17 +290,25 @@ def likeliest_form(
 
     views : pairs at poses good to a pixel or two.  held : as in `adjusted`.
     """
-    forms: list[RefinedForm | None] = []
-    for model in models:
+
+    def once_refined(model: EdgeModel) -> RefinedForm | None:
+        """A form after one round; None if a pair shows too little of it."""
         laid = [there for view in views if (there := _laid(model, view)) is not None]
         form = refined(model, laid, held, 1, needed=False) if len(laid) == len(views) else None
-        forms.append(form if form is not None and len(form.views) == len(views) else None)
+        return form if form is not None and len(form.views) == len(views) else None
+
+    forms = for_each(once_refined, models)
     if not any(forms):
         return None
     roughly = min((form for form in forms if form is not None), key=lambda form: form.misfit)
-    for k, form in enumerate(forms):
-        if form is not None and form.sigmas_behind(roughly) < BREAKS.in_question:
-            forms[k] = refined(form.model, form.views, held, BREAKS.rounds_of_choice) or form
+
+    def again_if_likely(form: RefinedForm | None) -> RefinedForm | None:
+        """A form that is not far behind the best, after more rounds."""
+        if form is None or form.sigmas_behind(roughly) >= BREAKS.in_question:
+            return form
+        return refined(form.model, form.views, held, BREAKS.rounds_of_choice) or form
+
+    forms = for_each(again_if_likely, forms)
     known = [form for form in forms if form is not None]
     best = min(known, key=lambda form: form.misfit)
     behind = [math.inf if form is None else form.sigmas_behind(best) for form in forms]

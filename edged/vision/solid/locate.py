@@ -89,7 +89,6 @@ def _measured_at(
     dismissed: list[NotMeasured] = []
     missed: list[Match] = []
     taken: list[FoundPart] = []
-    shapes = [grey.shape for grey in pyramids.grey[0]]
     for place in places:
         if len(measured) + len(dismissed) == job.search.max_matches:
             break
@@ -103,7 +102,7 @@ def _measured_at(
         lap("find")
         found = as_taught(job, found, pyramids)
         match = _match(images, job, found.laid)
-        alone = certain_of(found.seen, clear_of(found, taken, shapes))  # without the edges of other parts
+        alone = certain_of(found.seen, clear_of(found, taken))  # without the edges of other parts
         if min(found.certain, alone) < DECISION.certain or not is_whole(job, found):
             missed.append(match)
             continue

@@ -11,7 +11,7 @@ import numpy as np
 from edged.domain.arrays import B8, F32, FloatArray, Image
 from edged.vision.geometry.camera import StereoRig
 from edged.vision.geometry.rigid import invert
-from edged.vision.kernels.jit import for_kernel
+from edged.vision.kernels.jit import for_each, for_kernel, thread_number
 from edged.vision.solid.edgemodel import EdgeModel, EdgePoints
 from edged.vision.solid.lockstep import MOST, LevelPicture, find_edges, step
 from edged.vision.solid.params import LOCK, VISIBILITY, LockStep
@@ -25,14 +25,20 @@ class Pyramids:
         self.rig = rig
         self.cameras = [Cameras.of(rig, level) for level in range(levels)]
         self.grey: list[list[F32]] = []
-        self.pictures: list[tuple[LevelPicture, LevelPicture]] = []
+        pictures: list[tuple[LevelPicture, LevelPicture]] = []
         now = [np.asarray(image, np.float32) for image in images]
         for level in range(levels):
             if level:
                 now = [_halved(image) for image in now]
             self.grey.append(now)
             left, right = (_picture(self.cameras[level], k, image) for k, image in enumerate(now))
-            self.pictures.append((left, right))
+            pictures.append((left, right))
+        self._pictures = pictures, [(_undrawn(left), _undrawn(right)) for left, right in pictures]
+
+    @property
+    def pictures(self) -> list[tuple[LevelPicture, LevelPicture]]:
+        """Those of both cameras at each level; each thread draws in buffers of its own."""
+        return self._pictures[thread_number()]
 
 
 def _picture(cameras: Cameras, camera: int, grey: F32) -> LevelPicture:
@@ -42,6 +48,11 @@ def _picture(cameras: Cameras, camera: int, grey: F32) -> LevelPicture:
     return LevelPicture(
         view.focal, view.centre, view.size, view.lens, view.model, view.pose, *_slopes(soft), drawn
     )
+
+
+def _undrawn(picture: LevelPicture) -> LevelPicture:
+    """The picture with a buffer of its own."""
+    return picture._replace(drawn=np.full(picture.drawn.shape, -1, np.int32))
 
 
 def _halved(image: F32) -> F32:
@@ -144,6 +155,13 @@ def _some_of(
         samples = EdgePoints._make(field[seen] for field in samples)
         hidden = np.ascontiguousarray(hidden[:, seen])
     return samples, hidden
+
+
+def lay_all(
+    model: EdgeModel, pyramids: Pyramids, poses: Sequence[FloatArray], steps: Sequence[LockStep]
+) -> list[LockedPose | None]:
+    """`lay` from each of some poses, in two threads."""
+    return for_each(lambda pose: lay(model, pyramids, pose, steps), poses)
 
 
 def schedule(top: int) -> tuple[tuple[LockStep, ...], tuple[LockStep, ...]]:

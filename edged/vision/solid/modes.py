@@ -11,7 +11,7 @@ from edged.domain.arrays import FloatArray
 from edged.vision.geometry.rectification import StereoImages
 from edged.vision.geometry.rigid import apply, turn_between
 from edged.vision.solid.edgemodel import EdgeModel
-from edged.vision.solid.lock import FINE_STEPS, LockedPose, Pyramids, lay, schedule
+from edged.vision.solid.lock import FINE_STEPS, LockedPose, Pyramids, lay_all, schedule
 from edged.vision.solid.params import DECISION, MODES, LockStep
 from edged.vision.solid.scan import starts_of, top_level
 
@@ -96,7 +96,7 @@ def _laid(
     wanted: SearchedPart,
 ) -> list[LockedPose]:
     """Lock poses by some steps; by falling agreement, without those that left the range of distances."""
-    found = [lay(model, pyramids, pose, steps) for pose in poses]
+    found = lay_all(model, pyramids, poses, steps)
     near, far = wanted.distances_mm
     kept = []
     for candidate in found:

@@ -117,7 +117,7 @@ class ViewScanParams:
     scale: float = 0.06  # between two distances: with twice that a part at 45 degrees is lost
     max_lean_rad: float = math.radians(65.0)  # beyond it a face is a line
     points: int = 120  # of a view
-    glance_points: int = 32  # of these, with which a view is compared at all places
+    glance_points: int = 32  # of these, with which a view is compared at all places: a multiple of four
     peaks: int = 2  # best places of a view
     looked_at: int = 2000  # best of all of these, compared with all points, which show more than some
     sought: int = 400  # best of those, which are moved along their lines of sight

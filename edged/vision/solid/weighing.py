@@ -11,6 +11,7 @@ import numpy as np
 from edged.domain.arrays import B8, FloatArray
 from edged.vision.geometry.rectification import StereoImages
 from edged.vision.geometry.rigid import turn_between
+from edged.vision.kernels.jit import for_each
 from edged.vision.part.job import Job
 from edged.vision.part.params import MEASURING
 from edged.vision.solid.breaks import lay_with_breaks
@@ -19,7 +20,7 @@ from edged.vision.solid.evidence import PoseEvidence, apart, evidence_of, margin
 from edged.vision.solid.forms import PosedPair, as_shown, contradiction, likeliest_form, with_breaks
 from edged.vision.solid.jobmodels import models_of
 from edged.vision.solid.jobturns import held_axis, is_in_range, pose_in_range, rivals_of, same_turns
-from edged.vision.solid.lock import FINE_STEPS, LockedPose, Pyramids, lay
+from edged.vision.solid.lock import FINE_STEPS, LockedPose, Pyramids, lay, lay_all
 from edged.vision.solid.modes import PartPlace
 from edged.vision.solid.params import BREAKS, DECISION
 from edged.vision.solid.symmetry import NO_TURN, EqualTurns
@@ -69,7 +70,7 @@ def weighed(
     is_wanted : whether the part may lie so; with other poses, nothing is certain.
     """
     poses = list(place.modes)
-    seen = [evidence_of(mode.model, pyramids, mode.pose) for mode in poses]
+    seen = for_each(lambda mode: evidence_of(mode.model, pyramids, mode.pose), poses)
     model = poses[max(range(len(poses)), key=lambda k: certain_of(seen[k]))].model
 
     def likeliest() -> int:
@@ -77,14 +78,16 @@ def weighed(
         mine = [k for k, mode in enumerate(poses) if mode.model is model]
         return max(mine, key=lambda k: float(seen[k].log_ratio().sum()))
 
+    def is_known(pose: FloatArray) -> bool:
+        """Whether a pose like it is among them."""
+        return any(same.turn_between(pose, mode.pose) < DECISION.same_turn_rad for mode in poses)
+
     best = likeliest()
     if max(certain_of(view) for view in seen) > 0:  # otherwise no turn makes it a part
-        for motion in turns_of(model):
-            pose = np.asarray(poses[best].pose @ motion)
-            if any(same.turn_between(pose, mode.pose) < DECISION.same_turn_rad for mode in poses):
-                continue
-            laid = lay(model, pyramids, pose, FINE_STEPS)
-            if laid is not None and laid.mean > DECISION.worth * poses[best].mean:
+        turned = [np.asarray(poses[best].pose @ motion) for motion in turns_of(model)]
+        starts = [pose for pose in turned if not is_known(pose)]
+        for start, laid in zip(starts, lay_all(model, pyramids, starts, FINE_STEPS), strict=True):
+            if laid is not None and laid.mean > DECISION.worth * poses[best].mean and not is_known(start):
                 poses.append(laid)
                 seen.append(evidence_of(model, pyramids, laid.pose))
     wanted = [k for k, mode in enumerate(poses) if is_wanted(mode.pose)]
@@ -92,12 +95,11 @@ def weighed(
         return FoundPart(poses[best], seen[best], -math.inf, math.inf)
     poses, seen = [poses[k] for k in wanted], [seen[k] for k in wanted]
     best = likeliest()
-    shapes = [grey.shape for grey in pyramids.grey[0]]
     margin = math.inf
     for k, other in enumerate(seen):
         is_other = same.turn_between(poses[k].pose, poses[best].pose) > DECISION.same_turn_rad
         if k != best and is_other and certain_of(other) > 0:  # otherwise chance is likelier than that pose
-            margin = min(margin, margin_over(seen[best], other, shapes))
+            margin = min(margin, margin_over(seen[best], other))
     return FoundPart(poses[best], seen[best], certain_of(seen[best]), margin)
 
 
@@ -161,7 +163,7 @@ def _weighed_from(
     job: Job, model: EdgeModel, poses: Sequence[FloatArray], pyramids: Pyramids
 ) -> FoundPart | None:
     """Lock a model anew from some poses of one place, and weigh the result; None if none holds."""
-    laid = [lay(model, pyramids, pose, FINE_STEPS) for pose in poses]
+    laid = lay_all(model, pyramids, poses, FINE_STEPS)
     modes = tuple(mode for mode in laid if mode is not None)
     if not modes:
         return None
@@ -204,11 +206,11 @@ def is_whole(job: Job, found: FoundPart) -> bool:
     return bool(present and (not len(circles) or circles.mean() >= DECISION.circles))
 
 
-def clear_of(found: FoundPart, others: Sequence[FoundPart], shapes: list[tuple[int, int]]) -> B8:
+def clear_of(found: FoundPart, others: Sequence[FoundPart]) -> B8:
     """(M,) which samples of a part are clear of the edges of parts that were found before it."""
     chosen = np.ones(len(found.seen.hit), bool)
     for other in others:
-        chosen &= apart(found.seen, other.seen, shapes)
+        chosen &= apart(found.seen, other.seen)
     return chosen
 
 

@@ -6,7 +6,7 @@ import threading
 
 import pytest
 
-from edged.vision.kernels.jit import for_both
+from edged.vision.kernels.jit import for_both, for_each, thread_number
 
 
 def test_both_are_done_at_the_same_time() -> None:
@@ -35,3 +35,15 @@ def test_an_error_is_raised_after_both_ended(bad: int) -> None:
         for_both(work)
     assert ended == [1 - bad]
     assert for_both(lambda side: side) == (0, 1)
+
+
+def test_each_is_done_in_two_threads_and_in_order() -> None:
+    """Every second item is worked on in the other thread; what these share out themselves stays in theirs."""
+
+    def work(item: int) -> tuple[int, int, list[int]]:
+        return item, thread_number(), for_each(lambda _: thread_number(), [0, 0, 0])
+
+    assert for_each(work, range(5)) == [(k, k % 2, [k % 2] * 3) for k in range(5)]
+    assert for_each(work, [7]) == [(7, 0, [0, 1, 0])]
+    assert for_each(work, []) == []
+    assert thread_number() == 0

@@ -34,11 +34,10 @@ def test_an_edge_that_does_not_show_counts_once_however_long() -> None:
 
 def test_a_pose_does_not_win_by_an_edge_that_the_other_one_misses() -> None:
     """Both explain one edge; the other one predicts another, which does not show: the turn stays in doubt."""
-    shapes = [(200, 200), (200, 200)]
     first, other = evidence({0: True}, 100), evidence({0: True, 1: False}, 100)
-    assert 0.0 < margin_over(first, other, shapes) < DECISION.certain
+    assert 0.0 < margin_over(first, other) < DECISION.certain
     more = evidence({0: True, 1: True}, 100)
-    assert margin_over(more, first, shapes) > DECISION.certain
+    assert margin_over(more, first) > DECISION.certain
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
