@@ -15,6 +15,8 @@ scenes are used for teaching, too, and are not measured. Good is a target that i
 is one that is accepted and off by more than 0.1 mm (--alone: by more than three of the sigmas across the
 face that such a job states), or turned by more than 3 degrees. Shares are printed with their 95 % bounds.
 χ² is that of the position by its stated covariance, per degree of freedom: 1 where the covariance is true.
+Last, how long a pair takes, from both pictures to the poses, after the first one with each part, which makes
+its views.
 """
 
 from __future__ import annotations
@@ -68,6 +70,7 @@ class Part:
     """Result for a taught part in a scene; lengths in µm, angles in degrees.
 
     break_mm : the widest of its broken edges, NaN if the part is not there.
+    seconds (2,) : that the pair took, of processors and as they pass; NaN for the first one with the part.
     """
 
     scene: str
@@ -80,6 +83,7 @@ class Part:
     turn_deg: float
     chi2: float
     circles: int
+    seconds: tuple[float, float] = (math.nan, math.nan)
 
     def to_json(self) -> dict[str, Any]:
         """Row as a JSON document."""
@@ -209,10 +213,8 @@ def region_around(points_mm: FloatArray, rig_from_model: FloatArray, rig: Prepar
     return PolygonRegion(np.asarray(corners[:, 0], np.float64))
 
 
-def measure(
-    dataset: Path, rig: PreparedRig, design: str, options: argparse.Namespace
-) -> tuple[list[Part], float]:
-    """Measure all scenes with one part, and all without any; also return the seconds taken."""
+def measure(dataset: Path, rig: PreparedRig, design: str, options: argparse.Namespace) -> list[Part]:
+    """Measure all scenes with one part, and all without any."""
     pictured = dataset / "teach" / f"teach_{design}.json"
     taught = pose_of(json.loads(pictured.read_text())["parts"][0])
     scenes = [path for path in sorted((dataset / "scenes").glob("*.json")) if options.only in path.stem]
@@ -245,7 +247,7 @@ def measure(
         truths = {path: parts for path, parts in truths.items() if path not in taught_too}
     except EdgedError as error:
         here = [(p, one) for p, parts in truths.items() for one in parts if one["design"] == design]
-        return [missed(path.stem, one, f"not taught: {error}") for path, one in here], 0.0
+        return [missed(path.stem, one, f"not taught: {error}") for path, one in here]
     job = replace(
         job,
         tilt_rad=math.radians(options.tilt),
@@ -260,30 +262,29 @@ def measure(
         f"{len(job.slots)} slots",
         flush=True,
     )
-    rows, seconds = [], 0.0
+    rows: list[Part] = []
     for path, parts in truths.items():
         here = [one for one in parts if one["design"] == design]
         if parts and not here:
             continue
-        start = time.process_time()
-        pair = frame_pair(*pair_of(path))
+        pair, before, earlier = frame_pair(*pair_of(path)), time.process_time(), time.perf_counter()
         inspection = inspect(pair, job, rig)
         outcome = judge(inspection)
-        seconds += time.process_time() - start
+        taken = time.process_time() - before, time.perf_counter() - earlier
         of_parts = [compared(path.stem, one, job, taught, outcome, same) for one in here]
         accepted = [one for one in outcome.targets if one.reject is Reject.NONE]
         elsewhere = len(accepted) - sum(row.verdict in ("good", "WRONG") for row in of_parts)
-        rows += of_parts
-        rows += [missed(path.stem, absent(design), "WRONG: invented") for _ in range(elsewhere)]
+        of_parts += [missed(path.stem, absent(design), "WRONG: invented") for _ in range(elsewhere)]
         if not here and not accepted:
-            rows.append(missed(path.stem, absent(design), "nothing, as it should be"))
+            of_parts.append(missed(path.stem, absent(design), "nothing, as it should be"))
+        rows += [replace(row, seconds=taken) for row in of_parts] if rows else of_parts
         if options.overlays is not None:
             options.overlays.mkdir(parents=True, exist_ok=True)
             picture = draw_pair(
                 *pair_of(path), rig.rig, job, inspection.measured, inspection.dismissed, outcome.status
             )
             cv2.imwrite(str(options.overlays / f"{path.stem}_{design}.png"), picture)
-    return rows, seconds
+    return rows
 
 
 def report(rows: list[Part]) -> None:
@@ -307,6 +308,24 @@ def report(rows: list[Part]) -> None:
             normal = math.sqrt(np.mean([row.normal_deg**2 for row in good]))
             figures = f"{place:.1f} | {normal:.3f} | {np.mean([row.chi2 for row in good]):.2f}"
         print(f"| {name} | {share(len(good), len(asked))} | {share(wrong, len(some))} | {figures} |")
+    report_times(rows)
+
+
+def report_times(rows: list[Part]) -> None:
+    """Print how long pairs took in which something was accepted, and the others: median and worst."""
+    by_pair: dict[tuple[str, str], list[Part]] = {}
+    for row in rows:
+        if math.isfinite(row.seconds[0]):
+            by_pair.setdefault((row.scene, row.design), []).append(row)
+    if by_pair:
+        print("\n| time of a pair | pairs | processor s, median / worst | s, median / worst |")
+        print("|---|---:|---:|---:|")
+    accepted = {key: any(row.verdict in ("good", "WRONG") for row in some) for key, some in by_pair.items()}
+    for what, is_in in (("with a part accepted", True), ("without", False)):
+        times = np.array([some[0].seconds for key, some in by_pair.items() if accepted[key] is is_in])
+        if len(times):
+            figures = [f"{np.median(each):.2f} / {each.max():.2f}" for each in times.T]
+            print(f"| {what} | {len(times)} | {' | '.join(figures)} |")
 
 
 def groups(rows: list[Part]) -> dict[str, list[Part]]:
@@ -333,7 +352,7 @@ def measured(options: argparse.Namespace) -> list[Part]:
     rig = prepare(true_rig(options.dataset / "rig.json"))
     names = sorted(path.stem.removeprefix("teach_") for path in (options.dataset / "teach").glob("*.json"))
     some = options.parts.split(",") if options.parts else names
-    return [row for name in names if name in some for row in measure(options.dataset, rig, name, options)[0]]
+    return [row for name in names if name in some for row in measure(options.dataset, rig, name, options)]
 
 
 def asked(dataset: Path, *arguments: str) -> argparse.Namespace:

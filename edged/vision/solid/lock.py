@@ -12,10 +12,18 @@ from edged.domain.arrays import B8, F32, FloatArray, Image
 from edged.vision.geometry.camera import StereoRig
 from edged.vision.geometry.rigid import invert
 from edged.vision.kernels.jit import for_each, for_kernel, thread_number
-from edged.vision.solid.edgemodel import EdgeModel, EdgePoints
+from edged.vision.solid.edgemodel import EdgeModel, EdgePoints, sampled
 from edged.vision.solid.lockstep import MOST, LevelPicture, find_edges, step
 from edged.vision.solid.params import LOCK, VISIBILITY, LockStep
-from edged.vision.solid.visible import Cameras, VisibleSamples, hidden_from, samples_at, see, view_of
+from edged.vision.solid.visible import (
+    Cameras,
+    VisibleSamples,
+    hidden_from,
+    samples_at,
+    see,
+    spacing_at,
+    view_of,
+)
 
 
 class Pyramids:
@@ -127,16 +135,16 @@ def lay(
     """
     pose, agreeing = np.array(pose, np.float64, order="C"), np.zeros(2)
     middle = for_kernel(model.centre, np.float64)
-    level, before = -1, None
+    before = None
     for how in steps:
-        samples = samples_at(model, scale_at(pyramids.rig, pose, model) / 2**how.level, how.spacing_px)
-        if samples is not before or how.level != level:
-            level, before = how.level, samples
-            some, hidden = _some_of(model, samples, pyramids.cameras[level], pose, level)
+        spacing_mm = spacing_at(scale_at(pyramids.rig, pose, model) / 2**how.level, how.spacing_px)
+        if (how.level, spacing_mm) != before:
+            before, samples = (how.level, spacing_mm), sampled(model, spacing_mm)
+            some, hidden = _some_of(model, samples, pyramids.cameras[how.level], pose, how.level)
         fine = LOCK.fine_px if how.reach_px <= LOCK.coarse_reach_px else LOCK.coarse_px
         together = max(0, round(how.along_px / how.spacing_px / 2))
         if not step(
-            some, hidden, *pyramids.pictures[level], middle, 0.5 * model.size_mm, how.reach_px, fine,
+            some, hidden, *pyramids.pictures[how.level], middle, 0.5 * model.size_mm, how.reach_px, fine,
             together, how.cap_px, pose, agreeing,
         ):  # fmt: skip
             return None

@@ -130,9 +130,13 @@ def hidden_from(
 
 
 def samples_at(model: EdgeModel, rig_px_per_mm: float, spacing_px: float) -> EdgePoints:
-    """Samples of the model about spacing_px apart at this scale; similar scales give the same samples."""
-    steps = round(math.log(rig_px_per_mm / spacing_px) / VISIBILITY.alike)
-    return sampled(model, math.exp(-steps * VISIBILITY.alike))
+    """Samples of the model about spacing_px apart at this scale."""
+    return sampled(model, spacing_at(rig_px_per_mm, spacing_px))
+
+
+def spacing_at(rig_px_per_mm: float, spacing_px: float) -> float:
+    """Spacing in mm that is about spacing_px at this scale; similar scales give the same."""
+    return math.exp(-round(math.log(rig_px_per_mm / spacing_px) / VISIBILITY.alike) * VISIBILITY.alike)
 
 
 @kernel("VisibleSamples(i8)", tuples=(VisibleSamples,))
