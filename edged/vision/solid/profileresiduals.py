@@ -250,4 +250,4 @@ def find_left(
             terms[many + 1, s] = min(place - low, 0.0) / reach
             terms[many + 2, s] = max(place - high, 0.0) / reach
         rows = many + 2 if slopes else many
-        left[m] = math.log(misfit(grey, square, terms, rows, 0, normal, heights) + DIGIT)
+        left[m] = math.log(misfit(grey, square, terms, rows, normal, heights) + DIGIT)

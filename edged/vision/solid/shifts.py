@@ -48,22 +48,22 @@ def fill_steps(edges: F64, many: int, shift: float, blur: float, terms: F64) -> 
             term[s] = low + (place - row) * (high - low)
 
 
-@kernel("f8(f8[::1], f8, f8[:, ::1], i8, i8, f8[:, ::1], f8[::1])", any_order=True)
-def misfit(grey: F64, square: float, terms: F64, many: int, first: int, normal: F64, height: F64) -> float:
+@kernel("f8(f8[::1], f8, f8[:, ::1], i8, f8[:, ::1], f8[::1])", any_order=True)
+def misfit(grey: F64, square: float, terms: F64, many: int, normal: F64, height: F64) -> float:
     """Residual square sum of a profile after steps are fitted to it; height is filled with their heights.
 
-    grey (S,), square : its square sum.  terms (many + 1, S or more) : a constant and steps, from column
-    first on.  normal, height : buffers.
+    grey (S,), square : its square sum.  terms (many + 1, S) : a constant and steps.  normal, height :
+    buffers.
     """
     count, size = len(grey), many + 1
     for i in range(size):
-        own = terms[i, first : first + count]
+        own = terms[i]
         total = 0.0
         for s in range(count):
             total += own[s] * grey[s]
         height[i] = total
         for j in range(i + 1):
-            other = terms[j, first : first + count]
+            other = terms[j]
             total = DAMPING if i == j else 0.0
             for s in range(count):
                 total += own[s] * other[s]
@@ -133,7 +133,7 @@ def misfit_at(
     """`misfit` of blurred steps at edges + shift; one or two, as usual, are summed in one pass."""
     fill_steps(edges, many, shift, blur, terms)
     if many > 2:
-        return misfit(grey, square, terms, many, 0, normal, height)
+        return misfit(grey, square, terms, many, normal, height)
     count, own, other = len(grey), terms[1], terms[many]
     whole = first = second = of_own = of_other = own_own = own_other = other_other = 0.0
     for s in range(count):
