@@ -86,7 +86,8 @@ function Changed({ one }) {
   return html`<tr>
     <th scope="row">
       <button
-        class="quiet" aria-label=${t("cycles-look-name", { number: String(count) })} onClick=${() => open(count)}
+        class="quiet" aria-label=${t("cycles-look-name", { number: String(count) })}
+        onClick=${() => open(count)}
       >
         <img src=${pictures.left} alt="" loading="lazy" width="96" />${" "}
         <span class="figure" translate=${false}>${count}</span>
