@@ -33,20 +33,24 @@ class Pyramids:
         self.rig = rig
         self.cameras = [Cameras.of(rig, level) for level in range(levels)]
         self.grey: list[list[F32]] = []
-        pictures: list[tuple[LevelPicture, LevelPicture]] = []
+        self._pictures: list[tuple[LevelPicture, LevelPicture]] = []
+        self._for_other_thread: list[tuple[LevelPicture, LevelPicture]] = []
         now = [np.asarray(image, np.float32) for image in images]
         for level in range(levels):
             if level:
                 now = [_halved(image) for image in now]
             self.grey.append(now)
             left, right = (_picture(self.cameras[level], k, image) for k, image in enumerate(now))
-            pictures.append((left, right))
-        self._pictures = pictures, [(_undrawn(left), _undrawn(right)) for left, right in pictures]
+            self._pictures.append((left, right))
 
     @property
     def pictures(self) -> list[tuple[LevelPicture, LevelPicture]]:
-        """Those of both cameras at each level; each thread draws in buffers of its own."""
-        return self._pictures[thread_number()]
+        """Those of both cameras at each level; each thread of `for_both` draws in buffers of its own."""
+        if thread_number() == 0:
+            return self._pictures
+        if not self._for_other_thread:
+            self._for_other_thread = [(_undrawn(left), _undrawn(right)) for left, right in self._pictures]
+        return self._for_other_thread
 
 
 def _picture(cameras: Cameras, camera: int, grey: F32) -> LevelPicture:

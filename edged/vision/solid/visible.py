@@ -148,6 +148,18 @@ def unfilled(count: int) -> VisibleSamples:
     )  # fmt: skip
 
 
+@kernel()
+def _turned_to(samples: EdgePoints, n: int, eye: F64) -> tuple[float, float, float]:
+    """How far, in mm, an eye (3,) is in front of both faces beside sample n, and how far from the sample."""
+    first = second = square = 0.0
+    for i in range(3):
+        to_eye = eye[i] - samples.points[n, i]
+        first += to_eye * samples.normals[n, i]
+        second += to_eye * samples.normals[n, 3 + i]
+        square += to_eye * to_eye
+    return first, second, np.sqrt(square)
+
+
 @kernel("void(EdgePoints, f8[::1], f8, b1[::1])", tuples=(EdgePoints,))
 def face_away(samples: EdgePoints, eye: F64, margin: float, away: B8) -> None:
     """Fill away (N,): neither face of an edge turned to a camera at eye (3,), part frame, by a margin (sine).
@@ -155,13 +167,8 @@ def face_away(samples: EdgePoints, eye: F64, margin: float, away: B8) -> None:
     An edge of a smooth wall is seen on the outline, where one of its faces is turned to the camera.
     """
     for n in range(len(samples.points)):
-        first = second = square = 0.0
-        for i in range(3):
-            to_eye = eye[i] - samples.points[n, i]
-            first += to_eye * samples.normals[n, i]
-            second += to_eye * samples.normals[n, 3 + i]
-            square += to_eye * to_eye
-        most, least, spare = max(first, second), min(first, second), margin * np.sqrt(square)
+        first, second, away_mm = _turned_to(samples, n, eye)
+        most, least, spare = max(first, second), min(first, second), margin * away_mm
         away[n] = not (most > -spare and (samples.sharp[n] or least <= spare))
 
 
@@ -178,11 +185,7 @@ def find_visible(samples: EdgePoints, hidden: B8, view: PartView, seen: VisibleS
     for n in range(len(samples.points)):
         if hidden[n]:
             continue
-        first = second = 0.0
-        for i in range(3):
-            to_eye = view.eye[i] - samples.points[n, i]
-            first += to_eye * samples.normals[n, i]
-            second += to_eye * samples.normals[n, 3 + i]
+        first, second, _ = _turned_to(samples, n, view.eye)
         facing = first > 0.0 or second > 0.0
         if not samples.sharp[n]:
             facing = (first > 0.0) != (second > 0.0)
